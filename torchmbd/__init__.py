@@ -1,0 +1,1 @@
+"""Optimization of flexible multibody systems made of composite materials, with exact gradients."""

@@ -1,0 +1,34 @@
+"""Errors of torchmbd: raised at the door, with the argument, its value and what is allowed.
+
+A simulation or an optimization that fails *after* the door is no exception: it is a status in the result.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class MbdError(Exception):
+    """Whatever torchmbd raises on purpose."""
+
+
+class InputError(MbdError, ValueError):
+    """An argument is wrong. The message names the argument, the value and what is allowed."""
+
+
+class SimulationFailure(MbdError):
+    """A motion could not be computed: no numbers exist that could be returned."""
+
+
+def nearest(name: object, allowed: Iterable[object]) -> str:
+    """Return `"; allowed: ...; did you mean 'x'?"` for the end of a message about an unknown name."""
+    options = [str(option) for option in allowed]
+    close = difflib.get_close_matches(str(name), options, n=1, cutoff=0.5)
+    hint = f"; did you mean {close[0]!r}?" if close else ""
+    return f"; allowed: {', '.join(options) or '(none)'}{hint}"
+
+
+def unknown(kind: str, name: object, allowed: Iterable[object]) -> InputError:
+    """Build the error for a name that does not exist, with the nearest that does."""
+    return InputError(f"{kind} {name!r} does not exist{nearest(name, allowed)}")
