@@ -1,0 +1,1 @@
+"""Value-tangent pairs, time jets and rotations: the arithmetic in which the motion is written."""
