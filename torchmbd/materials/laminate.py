@@ -1,0 +1,192 @@
+"""Classical lamination with first-order shear: from plies to the plate stiffness A, B, D, As.
+
+Plies are listed from the bottom face z = -h/2 to the top face z = +h/2.
+
+    N = A eps + B kappa        membrane forces     [N/m]
+    M = B eps + D kappa        moments             [N]
+    Q = As gamma               shear forces        [N/m]
+
+    (A, B, D) = sum_k Qbar_k (z_k+1 - z_k,  (z_k+1^2 - z_k^2) / 2,  (z_k+1^3 - z_k^3) / 3)
+    As        = shear_correction * sum_k Gbar_k (z_k+1 - z_k)
+
+eps     eps_xx, eps_yy, gamma_xy of the mid-surface
+kappa   curvatures: the strain at height z is eps + z kappa  [1/m]
+gamma   gamma_xz, gamma_yz
+theta   ply angle about +z from the plate x-axis             [rad]
+z       heights of the n + 1 ply interfaces                  [m]
+
+Differentiable, forward and reverse, in angles and thicknesses; both may carry leading lanes `...`
+(one laminate per lane) when they are given through torch.func.functional_call.
+Assumed: perfect bond, small strains, plane stress in each ply.
+Source: eqs. (11)-(12) of the paper (the paper's H_2 and H_3 carry z and z^2); Jones, Mechanics of Composite Materials,
+chapter 4; Reddy, Mechanics of Laminated Composite Plates and Shells, section 3.4.
+Checked in tests/materials/test_laminate.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.materials.ply import Ply
+
+_UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_UPPER2 = ((0, 0), (0, 1), (1, 1))
+
+#: What each of the 21 numbers of `Laminate.entries()` is: (matrix, row, column), rows counted from 0.
+ENTRIES: tuple[tuple[str, int, int], ...] = (
+    *(("A", i, j) for i, j in _UPPER3),
+    *(("B", i, j) for i, j in _UPPER3),
+    *(("D", i, j) for i, j in _UPPER3),
+    *(("As", i, j) for i, j in _UPPER2),
+)
+
+
+class LaminateStiffness(NamedTuple):
+    """Plate stiffness: A [N/m], B [N], D [N m] of shape [..., 3, 3], As [N/m] of shape [..., 2, 2]."""
+
+    A: Float[Tensor, "*lanes 3 3"]
+    B: Float[Tensor, "*lanes 3 3"]
+    D: Float[Tensor, "*lanes 3 3"]
+    As: Float[Tensor, "*lanes 2 2"]
+
+    def entries(self) -> Float[Tensor, "*lanes 21"]:
+        """Collect the 21 independent numbers in the order of `ENTRIES`: upper triangles of A, B, D, As, row by row."""
+        return torch.stack([getattr(self, name)[..., i, j] for name, i, j in ENTRIES], dim=-1)
+
+
+class Laminate(nn.Module):
+    """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
+
+    ply               one Ply, or one per given layer
+    angles            [layers] rad, from bottom to top
+    thickness         of every layer, or one per given layer [m]; its parameter does not require a gradient by default
+    symmetric         the given layers are the lower half, mirrored about the mid-plane
+    shear_correction  multiplies the transverse shear stiffness (5/6: homogeneous section)
+    """
+
+    angles: Tensor
+    thickness: Tensor
+    _Q: Tensor
+    _G: Tensor
+    _density: Tensor
+
+    def __init__(
+        self,
+        ply: Ply | Sequence[Ply],
+        angles: Sequence[float] | Tensor,
+        thickness: float | Sequence[float] | Tensor,
+        symmetric: bool = False,
+        shear_correction: float = 5.0 / 6.0,
+    ) -> None:
+        super().__init__()
+        angles_ = _checked_angles(angles)
+        layers = angles_.numel()
+        plies = _checked_plies(ply, layers)
+        if not 0.0 < shear_correction <= 1.0:
+            raise InputError(f"Laminate: shear_correction = {shear_correction!r}; allowed: 0 < shear_correction <= 1")
+        self.symmetric = bool(symmetric)
+        self.shear_correction = float(shear_correction)
+        self.angles = nn.Parameter(angles_)
+        self.thickness = nn.Parameter(_checked_thickness(thickness, layers), requires_grad=False)
+        self.register_buffer("_Q", torch.stack([p.plane_stiffness() for p in plies]), persistent=False)
+        self.register_buffer("_G", torch.stack([p.shear_stiffness() for p in plies]), persistent=False)
+        density = torch.tensor([p.density for p in plies], dtype=torch.float64)
+        self.register_buffer("_density", density, persistent=False)
+
+    def forward(self) -> Float[Tensor, "*lanes 21"]:
+        """Return `entries()`: the form in which torch.func.functional_call asks for the laminate."""
+        return self.entries()
+
+    def entries(self) -> Float[Tensor, "*lanes 21"]:
+        """Return the 21 independent stiffness numbers, in the order of `ENTRIES`."""
+        return self.stiffness().entries()
+
+    def stiffness(self) -> LaminateStiffness:
+        """Integrate the ply stiffnesses through the thickness."""
+        Qbar, Gbar = turned_stiffness(self._stack(self.angles), self._stack(self._Q, -3), self._stack(self._G, -3))
+        H1, H2, H3 = self._moments()
+        A, B, D = (torch.einsum("...k,...kij->...ij", H, Qbar) for H in (H1, H2, H3))
+        As = self.shear_correction * torch.einsum("...k,...kij->...ij", H1, Gbar)
+        return LaminateStiffness(A, B, D, As)
+
+    @property
+    def total_thickness(self) -> Float[Tensor, "*lanes"]:
+        """Height h of the whole stack, both halves of a symmetric one [m]."""
+        return self._stack(self.thickness).sum(-1)
+
+    @property
+    def mass_per_area(self) -> Float[Tensor, "*lanes"]:
+        """Mass per area of the mid-surface, sum of density times thickness [kg/m2]."""
+        return (self._stack(self._density) * self._moments()[0]).sum(-1)
+
+    @property
+    def rotary_inertia_per_area(self) -> Float[Tensor, "*lanes"]:
+        """Second moment of the density about the mid-surface [kg]."""
+        return (self._stack(self._density) * self._moments()[2]).sum(-1)
+
+    def extra_repr(self) -> str:
+        degrees = ", ".join(f"{a:g}" for a in torch.rad2deg(self.angles.detach()).flatten().tolist())
+        return f"angles=[{degrees}] deg, symmetric={self.symmetric}"
+
+    def _stack(self, values: Tensor, layer_axis: int = -1) -> Tensor:
+        """Values of every layer, bottom to top: the mirrored half is appended here."""
+        return torch.cat([values, values.flip(layer_axis)], dim=layer_axis) if self.symmetric else values
+
+    def _moments(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Integrals of 1, z, z^2 over each layer [m, m2, m3], shape [..., layers]."""
+        t = self._stack(self.thickness)
+        top = t.cumsum(-1) - 0.5 * t.sum(-1, keepdim=True)
+        bottom = top - t
+        return t, (top**2 - bottom**2) / 2.0, (top**3 - bottom**3) / 3.0
+
+
+def turned_stiffness(
+    theta: Float[Tensor, "*lanes layers"], Q: Float[Tensor, "layers 3 3"], G: Float[Tensor, "layers 2 2"]
+) -> tuple[Float[Tensor, "*lanes layers 3 3"], Float[Tensor, "*lanes layers 2 2"]]:
+    """Ply stiffnesses in plate axes: T' Q T and R' G R, with (eps_11, eps_22, gamma_12) = T (eps_xx, eps_yy, gamma_xy)."""
+    c, s = torch.cos(theta), torch.sin(theta)
+    rows = [[c * c, s * s, c * s], [s * s, c * c, -c * s], [-2 * c * s, 2 * c * s, c * c - s * s]]
+    T = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+    R = torch.stack([torch.stack([c, s], dim=-1), torch.stack([-s, c], dim=-1)], dim=-2)
+    return T.mT @ Q @ T, R.mT @ G @ R
+
+
+def _checked_angles(angles: Sequence[float] | Tensor) -> Tensor:
+    theta = torch.as_tensor(angles, dtype=torch.float64).detach().clone()
+    if theta.ndim != 1 or theta.numel() == 0:
+        raise InputError(f"Laminate: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
+    for k, value in enumerate(theta.tolist()):
+        if not abs(value) <= 2.0 * torch.pi:  # also catches nan
+            hint = " (degrees? use mbd.deg)" if abs(value) > 2.0 * torch.pi else ""
+            raise InputError(f"Laminate: angles[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
+    return theta
+
+
+def _checked_plies(ply: Ply | Sequence[Ply], layers: int) -> list[Ply]:
+    plies = [ply] * layers if isinstance(ply, Ply) else list(ply)
+    for k, p in enumerate(plies):
+        if not isinstance(p, Ply):
+            raise InputError(f"Laminate: ply[{k}] = {p!r}; allowed: a Ply, or one Ply per layer")
+    if len(plies) != layers:
+        raise InputError(f"Laminate: {len(plies)} plies for {layers} angles; allowed: one Ply, or one per angle")
+    return plies
+
+
+def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> Tensor:
+    t = torch.as_tensor(thickness, dtype=torch.float64).detach().clone()
+    if t.ndim == 0:
+        t = t.repeat(layers)
+    if t.shape != (layers,):
+        raise InputError(
+            f"Laminate: {t.numel()} thicknesses for {layers} angles; allowed: one number, or one per angle [m]"
+        )
+    for k, value in enumerate(t.tolist()):
+        if not 0.0 < value < float("inf"):
+            raise InputError(f"Laminate: thickness[{k}] = {value!r} m; allowed: a finite number > 0")
+    return t

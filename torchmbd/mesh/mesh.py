@@ -1,0 +1,150 @@
+"""A mesh of flat triangles in space, checked once, with names for nodes.
+
+nodes       positions in the axes of the body   [n, 3], m
+triangles   node indices, counted from 0        [m, 3]
+node_sets   name -> node indices; a set of one node is a named node
+
+The winding of a triangle (right-hand rule) gives its normal, and so which ply is the bottom one: neighbours must be
+wound in the same sense.
+Bad input is refused here, at the door, and named by element: an InputError tells which triangle or node.
+Checked in tests/mesh/test_mesh.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+
+#: A triangle is collapsed when its height over its longest side is less than this part of that side.
+FLATNESS = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Nodes [n, 3] in m, triangles [m, 3] and named node sets; see the module header for what is checked."""
+
+    nodes: Float[Tensor, "n 3"]
+    triangles: Int[Tensor, "m 3"]
+    node_sets: Mapping[str, Sequence[int]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        nodes = torch.as_tensor(self.nodes, dtype=torch.float64).detach().clone()
+        triangles = torch.as_tensor(self.triangles, dtype=torch.long).detach().clone()
+        sets = {str(name): tuple(int(k) for k in members) for name, members in self.node_sets.items()}
+        object.__setattr__(self, "nodes", nodes)
+        object.__setattr__(self, "triangles", triangles)
+        object.__setattr__(self, "node_sets", MappingProxyType(sets))
+        _check_nodes(nodes)
+        _check_triangles(nodes, triangles)
+        _check_winding(triangles.numpy())
+        _check_connected(len(nodes), triangles.numpy())
+        for name, members in sets.items():
+            for k in members:
+                if not 0 <= k < len(nodes):
+                    raise InputError(f"Mesh: node_sets[{name!r}] has node {k}; allowed: 0 to {len(nodes) - 1}")
+
+    def node(self, name: str) -> int:
+        """Return the index of a named single node."""
+        members = self.node_set(name)
+        if len(members) != 1:
+            raise InputError(f"Mesh: node set {name!r} has {len(members)} nodes; a single named node is needed")
+        return members[0]
+
+    def node_set(self, name: str) -> tuple[int, ...]:
+        """Return the node indices of a named set."""
+        if name not in self.node_sets:
+            raise unknown("node", name, self.node_sets)
+        return tuple(self.node_sets[name])
+
+    @property
+    def normals(self) -> Float[Tensor, "m 3"]:
+        """Unit normals of the triangles, by the right-hand rule of their winding."""
+        p = self.nodes[self.triangles]
+        n = torch.linalg.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+        return n / n.norm(dim=1, keepdim=True)
+
+    @property
+    def areas(self) -> Float[Tensor, "m"]:
+        """Areas of the triangles [m2]."""
+        return _double_areas(self.nodes[self.triangles]) / 2.0
+
+
+def _double_areas(p: Tensor) -> Tensor:
+    return torch.linalg.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]).norm(dim=1)
+
+
+def _check_nodes(nodes: Tensor) -> None:
+    if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 3:
+        raise InputError(f"Mesh: nodes has shape {tuple(nodes.shape)}; allowed: [n, 3] with n >= 3")
+    bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
+    if len(bad):
+        raise InputError(f"Mesh: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
+    _, first, inverse = np.unique(nodes.numpy(), axis=0, return_index=True, return_inverse=True)
+    twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(nodes)))
+    if len(twin):
+        k = int(twin[0])
+        raise InputError(
+            f"Mesh: nodes {int(first[inverse.ravel()[k]])} and {k} are both at {nodes[k].tolist()}; merge duplicate nodes"
+        )
+
+
+def _check_triangles(nodes: Tensor, triangles: Tensor) -> None:
+    n = len(nodes)
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0:
+        raise InputError(f"Mesh: triangles has shape {tuple(triangles.shape)}; allowed: [m, 3] with m >= 1")
+    bad = ((triangles < 0) | (triangles >= n)).any(dim=1).nonzero().flatten()
+    if len(bad):
+        raise InputError(f"Mesh: triangle {int(bad[0])} has nodes {triangles[bad[0]].tolist()}; allowed: 0 to {n - 1}")
+    ordered = np.sort(triangles.numpy(), axis=1)
+    _, first, inverse = np.unique(ordered, axis=0, return_index=True, return_inverse=True)
+    twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(ordered)))
+    if len(twin):
+        k = int(twin[0])
+        raise InputError(
+            f"Mesh: triangles {int(first[inverse.ravel()[k]])} and {k} are duplicates, nodes {triangles[k].tolist()}"
+        )
+    p = nodes[triangles]
+    longest = (p - p.roll(-1, dims=1)).norm(dim=2).amax(dim=1)
+    flat = (_double_areas(p) <= FLATNESS * longest**2).nonzero().flatten()
+    if len(flat):
+        k = int(flat[0])
+        raise InputError(f"Mesh: triangle {k}, nodes {triangles[k].tolist()}, is collapsed (its corners are on a line)")
+    used = torch.zeros(n, dtype=torch.bool)
+    used[triangles.flatten()] = True
+    if not used.all():
+        orphans = (~used).nonzero().flatten().tolist()
+        raise InputError(f"Mesh: {len(orphans)} orphan nodes belong to no triangle: {orphans[:8]}; remove them")
+
+
+def _check_winding(triangles: np.ndarray) -> None:
+    """Refuse an edge that two triangles run through in the same direction: one of them is inverted."""
+    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    owner = np.repeat(np.arange(len(triangles)), 3)
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    _, inverse, count = np.unique(np.stack([low, high]), axis=1, return_inverse=True, return_counts=True)
+    sense = np.bincount(inverse.ravel(), weights=np.where(tail < head, 1.0, -1.0))
+    wrong = np.flatnonzero((count == 2) & (sense != 0.0))  # at a branch of three or more plates no sense is right
+    if len(wrong):
+        a, b = owner[inverse.ravel() == wrong[0]]
+        raise InputError(
+            f"Mesh: triangles {a} {triangles[a].tolist()} and {b} {triangles[b].tolist()} are wound in opposite senses; "
+            "one of them is inverted"
+        )
+
+
+def _check_connected(n: int, triangles: np.ndarray) -> None:
+    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+    parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)
+    if parts > 1:
+        stray = int(np.flatnonzero(label != label[0])[0])
+        raise InputError(f"Mesh: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one")
