@@ -149,7 +149,7 @@ class Laminate(nn.Module):
 def turned_stiffness(
     theta: Float[Tensor, "*lanes layers"], Q: Float[Tensor, "layers 3 3"], G: Float[Tensor, "layers 2 2"]
 ) -> tuple[Float[Tensor, "*lanes layers 3 3"], Float[Tensor, "*lanes layers 2 2"]]:
-    """Ply stiffnesses in plate axes: T' Q T and R' G R, with (eps_11, eps_22, gamma_12) = T (eps_xx, eps_yy, gamma_xy)."""
+    """Ply stiffnesses in plate axes: T' Q T and R' G R; T and R turn strains from plate axes to ply axes."""
     c, s = torch.cos(theta), torch.sin(theta)
     rows = [[c * c, s * s, c * s], [s * s, c * c, -c * s], [-2 * c * s, 2 * c * s, c * c - s * s]]
     T = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)

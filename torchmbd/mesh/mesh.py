@@ -74,7 +74,7 @@ class Mesh:
         return n / n.norm(dim=1, keepdim=True)
 
     @property
-    def areas(self) -> Float[Tensor, "m"]:
+    def areas(self) -> Float[Tensor, " m"]:
         """Areas of the triangles [m2]."""
         return _double_areas(self.nodes[self.triangles]) / 2.0
 
@@ -94,7 +94,7 @@ def _check_nodes(nodes: Tensor) -> None:
     if len(twin):
         k = int(twin[0])
         raise InputError(
-            f"Mesh: nodes {int(first[inverse.ravel()[k]])} and {k} are both at {nodes[k].tolist()}; merge duplicate nodes"
+            f"Mesh: nodes {int(first[inverse.ravel()[k]])} and {k} share one place {nodes[k].tolist()}; merge them"
         )
 
 
@@ -137,8 +137,8 @@ def _check_winding(triangles: np.ndarray) -> None:
     if len(wrong):
         a, b = owner[inverse.ravel() == wrong[0]]
         raise InputError(
-            f"Mesh: triangles {a} {triangles[a].tolist()} and {b} {triangles[b].tolist()} are wound in opposite senses; "
-            "one of them is inverted"
+            f"Mesh: triangles {a} {triangles[a].tolist()} and {b} {triangles[b].tolist()} are wound "
+            "in opposite senses: one of them is inverted"
         )
 
 

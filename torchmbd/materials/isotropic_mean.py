@@ -1,0 +1,53 @@
+"""The isotropic plate that a laminate is on average over all directions in its plane.
+
+    U1 = (3 X11 + 3 X22 + 2 X12 + 4 X66) / 8,   U4 = (X11 + X22 + 6 X12 - 4 X66) / 8     of X = A or D
+    poisson       = U4(A) / U1(A)
+    shear_length  = sqrt(12 U1(D) / ((As_xz + As_yz) / 2))     [m]
+
+U1, U4 and the trace of As do not change when a ply is turned, so these two numbers depend on plies and thicknesses but
+on no ply angle. That is why an element may use them as constants and still be linear in the laminate's entries.
+Source: S. W. Tsai and N. J. Pagano, Invariant properties of composite materials (1968); Jones, section 2.7.
+Checked in tests/materials/test_isotropic_mean.py.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.materials.laminate import Laminate, LaminateStiffness
+
+
+@dataclass(frozen=True)
+class IsotropicMean:
+    """Poisson's ratio in the plane, and the length [m] below which transverse shear dominates bending."""
+
+    poisson: float
+    shear_length: float
+
+    def __post_init__(self) -> None:
+        if not -1.0 < self.poisson < 1.0:
+            raise InputError(f"IsotropicMean: poisson = {self.poisson!r}; allowed: -1 < poisson < 1")
+        if not 0.0 < self.shear_length < math.inf:
+            raise InputError(f"IsotropicMean: shear_length = {self.shear_length!r} m; allowed: a finite number > 0")
+
+    @classmethod
+    def of(cls, laminate: Laminate | LaminateStiffness) -> IsotropicMean:
+        """Average one laminate (no lanes)."""
+        stiffness = laminate.stiffness() if isinstance(laminate, Laminate) else laminate
+        A, D, As = (x.detach() for x in (stiffness.A, stiffness.D, stiffness.As))
+        if A.ndim != 2:
+            raise InputError(f"IsotropicMean.of: A has shape {tuple(A.shape)}; allowed: one laminate, [3, 3]")
+        shear = (As[0, 0] + As[1, 1]) / 2.0
+        return cls(poisson=float(_U4(A) / _U1(A)), shear_length=float((12.0 * _U1(D) / shear).sqrt()))
+
+
+def _U1(X: Tensor) -> Tensor:
+    return (3.0 * X[0, 0] + 3.0 * X[1, 1] + 2.0 * X[0, 1] + 4.0 * X[2, 2]) / 8.0
+
+
+def _U4(X: Tensor) -> Tensor:
+    return (X[0, 0] + X[1, 1] + 6.0 * X[0, 1] - 4.0 * X[2, 2]) / 8.0
