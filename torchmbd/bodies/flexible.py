@@ -1,0 +1,122 @@
+"""Flexible bodies in a floating frame: a laminated mesh reduced to vibration modes.
+
+    u' = Psi w    (8)      Psi: modes of the body whose reference nodes are fixed to the body frame
+
+The structure stage of a body, once for each design: laminate -> K (linear in the laminate's entries) -> Psi and
+Kr = Psi' K Psi -> inertia invariants. What leaves it knows nothing of the mesh (reduction/invariants.py).
+
+Lumped mass, as in eq. (2): nodal mass m_k and isotropic nodal rotary inertia mu_k.
+Differentiable, forward and reverse, in every parameter of the laminate (reduction/modes.py).
+Assumed: small elastic displacements about the undeformed body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.bodies.frame import Frame, identifier, rotation, vector
+from torchmbd.elements import PlateMatrices
+from torchmbd.errors import InputError
+from torchmbd.mesh import Mesh
+from torchmbd.numerics.sparse import SparseMatrix
+from torchmbd.reduction import inertia_invariants, modal_basis
+
+
+class FlexibleBody(nn.Module):
+    """A flexible body; made by `FlexibleBody.plate`.
+
+    The body frame sits at the reference node (the mean of several) with the axes of the mesh.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        matrices: PlateMatrices,
+        laminate: nn.Module,
+        modes: int,
+        reference: Sequence[int],
+        position: Tensor,
+        axes: Tensor,
+        damping: float = 0.0,
+    ):
+        super().__init__()
+        self.name = identifier("flexible body", name)
+        self.matrices, self.mesh, self.laminate = matrices, matrices.mesh, laminate
+        self.modes, self.reference, self.damping = modes, list(reference), damping
+        self.position, self.axes = position, axes
+        self.velocity = self.angular_velocity = torch.zeros(3, dtype=torch.float64)
+        self.origin = self.mesh.nodes[self.reference].mean(0)
+        fixed = torch.zeros(6 * len(self.mesh.nodes), dtype=torch.bool)
+        for node in self.reference:
+            fixed[6 * node : 6 * node + 6] = True
+        self.free = torch.nonzero(~fixed)[:, 0]
+        if not isinstance(modes, int) or not 1 <= modes <= len(self.free):
+            raise InputError(f"modes of {name!r} is {modes!r}; allowed: 1 to {len(self.free)}, the freedoms of the mesh")
+        if not 0 <= damping < float("inf"):
+            raise InputError(f"damping of {name!r} is {damping!r} s; allowed: zero or positive")
+        self._pattern, self._selected = matrices.pattern.restrict(self.free)
+
+    @classmethod
+    def plate(
+        cls,
+        name: str,
+        mesh: Mesh,
+        laminate: Any,
+        modes: int = 8,
+        position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        axes: Sequence | Tensor | None = None,
+        reference: str | int | Sequence[int] | None = None,
+        damping: float = 0.0,
+    ) -> FlexibleBody:
+        """A laminated plate or shell.
+
+        mesh            triangles; the plies follow its x axis
+        laminate        its `angles` [rad] are the body's design parameters
+        modes           retained vibration modes of the body fixed at its reference nodes
+        position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); joints close the rest
+        reference       nodes fixed to the body frame: a node or node set; None: the node nearest to the center of mass
+        damping         stiffness-proportional damping C = damping * Kr [s]
+        """
+        where = rotation(f"axes of {name!r}", axes)
+        at = vector(f"position of {name!r}", position)
+        matrices = PlateMatrices(mesh)
+        nodes = _reference(mesh, matrices, reference)
+        return cls(name, matrices, laminate, modes, nodes, at, where, damping)
+
+    def at(self, node: str | int, axes: Sequence | Tensor | None = None) -> Frame:
+        """Frame on a mesh node, by its name or index; `axes`: columns of its triad in body axes."""
+        index = self.mesh.node(node)
+        return Frame(self, self.mesh.nodes[index] - self.origin, rotation("axes", axes), index)
+
+    def structure(self) -> dict[str, Tensor]:
+        """Run the structure stage.
+
+        Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; leading axes are those of the
+        laminate's parameters (designs).
+        """
+        n = len(self.mesh.nodes)
+        K = SparseMatrix(self._pattern, (self.laminate.entries() @ self.matrices.basis)[..., self._selected])
+        area = self.matrices.area
+        mass = self.laminate.mass_per_area[..., None] * area
+        rotary = self.laminate.rotary_inertia_per_area[..., None] * area
+        diagonal = torch.stack([mass] * 3 + [rotary] * 3, -1).flatten(-2)[..., self.free]
+        basis = modal_basis(K, diagonal.expand(*K.values.shape[:-1], -1), self.modes)
+        psi = basis.vectors.new_zeros(*basis.vectors.shape[:-2], 6 * n, self.modes)
+        psi = psi.index_copy(-2, self.free, basis.vectors).unflatten(-2, (n, 6))
+        result = inertia_invariants(self.mesh.nodes - self.origin, mass, rotary, psi)
+        return result | {"Kr": basis.stiffness, "psi": psi}
+
+
+def _reference(mesh: Mesh, matrices: PlateMatrices, reference: str | int | Sequence[int] | None) -> list[int]:
+    if reference is None:
+        center = (matrices.area[:, None] * mesh.nodes).sum(0) / matrices.area.sum()
+        return [int(((mesh.nodes - center) ** 2).sum(1).argmin())]
+    if isinstance(reference, str) and len(mesh.node_sets.get(reference, ())) > 1:
+        return [int(i) for i in mesh.node_sets[reference]]
+    if isinstance(reference, (str, int)):
+        return [mesh.node(reference)]
+    return [mesh.node(i) for i in reference]

@@ -1,0 +1,93 @@
+"""Frames on bodies: the virtual bodies of the paper.
+
+A joint or a force sees a frame only: a point and axes attached to a body, whatever the body is. The massless rigid
+body of the paper (section 2.2, refs. 24-25), fixed rigidly to a node of a flexible body, is eliminated by the chain
+rule: with b the position of the node in the undeformed body, psi_t, psi_r the translation and rotation rows of its
+modes, w the modal coordinates, and e an axis of the frame,
+
+    point  r + A (b + psi_t w)          axis  A (e + (psi_r w) x e)
+
+so both are *vectors attached to a body*: a constant part plus a map of the modal coordinates.
+Assumed: elastic rotations are small (linear floating-frame theory).
+Checked in tests/physics/test_virtual_bodies.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+
+
+class Body(Protocol):
+    """What a frame needs to know of its body."""
+
+    name: str
+    position: Tensor
+    axes: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A point and a triad of axes attached to a body.
+
+    point   position in the undeformed body, in body axes [3] [m]
+    axes    columns: the axes of the frame in body axes [3, 3]
+    node    mesh node that carries the frame; None on a rigid body
+    """
+
+    body: Any
+    point: Tensor
+    axes: Tensor = field(default_factory=lambda: torch.eye(3, dtype=torch.float64))
+    node: int | None = None
+
+    def axis(self, name: str) -> Tensor:
+        """Unit vector "x", "y" or "z" of the frame, in body axes [3]."""
+        return self.axes[:, axis_index(name)]
+
+    def __repr__(self) -> str:
+        where = f"node {self.node}" if self.node is not None else tuple(float(x) for x in self.point)
+        return f"{self.body.name}.at({where})"
+
+
+def axis_index(name: str) -> int:
+    """Index of an axis letter; InputError for anything else than x, y, z."""
+    if not isinstance(name, str) or name not in ("x", "y", "z"):
+        raise InputError(f"axis is {name!r}; allowed: 'x', 'y', 'z' (an axis of the first frame)")
+    return "xyz".index(name)
+
+
+def vector(name: str, x: Sequence[float] | Tensor) -> Tensor:
+    """Read three finite numbers as a vector [3]; InputError names the argument."""
+    result = torch.as_tensor(x, dtype=torch.float64)
+    if result.shape != (3,) or not bool(torch.isfinite(result).all()):
+        raise InputError(f"{name} is {x!r}; allowed: three finite numbers")
+    return result
+
+
+def rotation(name: str, axes: Sequence | Tensor | None) -> Tensor:
+    """Read a rotation matrix [3, 3]: columns are the axes of the body or frame; None is the identity."""
+    if axes is None:
+        return torch.eye(3, dtype=torch.float64)
+    A = torch.as_tensor(axes, dtype=torch.float64)
+    if A.shape != (3, 3):
+        raise InputError(f"{name} has shape {tuple(A.shape)}; allowed: a 3 x 3 rotation matrix with the axes as columns")
+    error = float((A.T @ A - torch.eye(3, dtype=torch.float64)).abs().max())
+    if not error < 1e-9 or float(torch.linalg.det(A)) < 0:
+        raise InputError(
+            f"{name} is no rotation: |A'A - 1| = {error:.1e}, det A = {float(torch.linalg.det(A)):.3f}; "
+            "allowed: orthonormal columns that form a right-handed triad"
+        )
+    return A
+
+
+def identifier(kind: str, name: str) -> str:
+    """Check a name that becomes part of parameter names."""
+    if not isinstance(name, str) or not name.isidentifier():
+        raise InputError(f"name of the {kind} is {name!r}; allowed: a Python identifier, such as 'rod_2'")
+    return name

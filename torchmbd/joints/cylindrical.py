@@ -1,0 +1,25 @@
+"""Cylindrical joint: body b slides along and turns about an axis of body a. Four equations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from torchmbd.bodies.frame import Frame, axis_index
+from torchmbd.joints.joint import Equation, Joint, Scribe, others
+from torchmbd.joints.primitive import Perpendicular, Plane
+
+
+class Cylindrical(Joint):
+    """`Cylindrical(a, b, axis="z")`: the point of b slides along `axis` of frame a; b may turn about it."""
+
+    def __init__(self, a: Frame, b: Frame, axis: str = "z", name: str | None = None):
+        super().__init__(a, b, name)
+        axis_index(axis)
+        self.axis = axis
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        points = scribe.point(self.a), scribe.point(self.b)
+        slide = scribe.twin(self.a, self.axis, self.b)
+        for normal in others(self.axis):
+            yield Equation(Plane, (*points, scribe.axis(self.a, normal)))
+            yield Equation(Perpendicular, (scribe.axis(self.a, normal), slide))

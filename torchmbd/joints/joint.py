@@ -1,0 +1,107 @@
+"""What a joint is: a list of constraint primitives between the frames of two bodies.
+
+A joint names its equations once, at the given initial positions of the bodies; it holds no numbers of the motion:
+
+    class Revolute(Joint):
+        def equations(self, scribe): yield Coincide, scribe.point(a), scribe.point(b) ...
+
+`Scribe` turns points and axes of frames into indices of attached vectors. The axes of a joint are those of its
+first frame; their *twin* on the second body is scribed where it lies at the given initial positions, as a fitter
+would mark it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmbd.bodies.frame import Frame, axis_index
+from torchmbd.errors import InputError
+
+
+class Equation(NamedTuple):
+    """One primitive: its kind, the indices of its vectors, and its own data (a length or a law)."""
+
+    kind: type
+    vectors: tuple[int, ...]
+    data: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Attached:
+    """A vector attached to a body: a point or an axis, in the axes of the undeformed body."""
+
+    body: Any
+    vector: Tensor
+    node: int | None
+    is_point: bool
+
+
+@dataclass
+class Scribe:
+    """Collects the attached vectors of all joints and forces; equal ones are stored once."""
+
+    vectors: list[Attached] = field(default_factory=list)
+    _known: dict[tuple, int] = field(default_factory=dict)
+
+    def _add(self, body: Any, vector: Tensor, node: int | None, is_point: bool) -> int:
+        key = (id(body), node, is_point, tuple(vector.tolist()))
+        if key not in self._known:
+            self._known[key] = len(self.vectors)
+            self.vectors.append(Attached(body, vector, node, is_point))
+        return self._known[key]
+
+    def point(self, frame: Frame) -> int:
+        """Index of the frame's point."""
+        return self._add(frame.body, frame.point, frame.node, True)
+
+    def axis(self, frame: Frame, axis: str) -> int:
+        """Index of an axis of the frame."""
+        return self._add(frame.body, frame.axis(axis), frame.node, False)
+
+    def twin(self, frame: Frame, axis: str, other: Frame) -> int:
+        """Index of the axis on the other body that coincides now with an axis of the first frame."""
+        ground = frame.body.axes @ frame.axis(axis)
+        return self._add(other.body, other.body.axes.T @ ground, other.node, False)
+
+
+class Joint:
+    """Base of all joints: two frames on two different bodies, and a name."""
+
+    def __init__(self, a: Frame, b: Frame, name: str | None = None):
+        kind = type(self).__name__
+        for frame in (a, b):
+            if not isinstance(frame, Frame):
+                raise InputError(f"{kind} got {frame!r}; allowed: frames, such as body.at(...)")
+        if a.body is b.body:
+            raise InputError(f"{kind} joins {a!r} with {b!r}; allowed: frames on two different bodies")
+        self.a, self.b = a, b
+        self.name = name or f"{kind.lower()}_{a.body.name}_{b.body.name}"
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        """Yield the primitives of the joint."""
+        raise NotImplementedError(type(self).__name__)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.a!r}, {self.b!r})"
+
+
+def others(axis: str) -> tuple[str, str]:
+    """The two axes that follow an axis in the right-handed order: "x" -> ("y", "z")."""
+    k = axis_index(axis)
+    return "xyz"[(k + 1) % 3], "xyz"[(k + 2) % 3]
+
+
+def as_frame(x: Any) -> Frame:
+    """A frame, or the origin of a body where a joint acts on directions only."""
+    if isinstance(x, Frame):
+        return x
+    if hasattr(x, "mesh"):
+        return Frame(x, torch.zeros(3, dtype=torch.float64), node=x.reference[0])
+    if hasattr(x, "at"):
+        return x.at()
+    raise InputError(f"joint got {x!r}; allowed: a body or a frame, such as body.at(...)")

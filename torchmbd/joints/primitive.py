@@ -1,0 +1,165 @@
+"""Constraint primitives: the few equations that every joint is a list of.
+
+A primitive acts on *vectors attached to bodies*: points (position in ground axes, [m]) and axes (unit vectors).
+All primitives of one kind are evaluated together; `members` holds, for each argument, the indices of its vectors.
+
+    kind           equation                                    rows   unit
+    Coincide       g_b - g_a = 0                               3      m
+    Perpendicular  u_a . v_b = 0                               1      -
+    Plane          (g_b - g_a) . u_a = 0                       1      m
+    Distance       (|g_b - g_a|^2 - L^2) / (2 L) = 0           1      m
+    Angle          cos(th) y_a . x_b - sin(th) x_a . x_b = 0   1      -     th(t): the prescribed angle [rad]
+
+The contract of a kind:
+
+    rows                         equations of one primitive
+    phi(vectors, angle)          [rows, n, ...] on numbers or on time jets: velocities and gamma come from the jets
+    forces(vectors, lam, angle)  gradient of sum(lam * phi) by each vector, [3, n, ...] for each argument
+
+Nothing else is written for a constraint: Phi_q and the generalized constraint forces are `forces` carried to the
+bodies, gamma is the acceleration part of the jet, the design tangents come from pairs (numerics/pair.py).
+Source: Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 7; eqs. (4)-(6) of the paper.
+Checked in tests/contracts/test_primitives.py: `forces` against autograd, jets against differences in time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchmbd.numerics.jet import Jet, cos, dot, sin
+
+Law = Callable[[Tensor], Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class Primitive:
+    """All primitives of one kind in a system.
+
+    members  for each argument the indices of its vectors, long [n]
+    data     for each primitive its length, its law, or None
+    """
+
+    members: tuple[Tensor, ...]
+    data: tuple = ()
+    rows: ClassVar[int]
+    arguments: ClassVar[tuple[str, ...]]
+    driven: ClassVar[bool] = False
+
+    def phi(self, vectors, angle=None):
+        """Constraint violations [rows, n, ...] of vectors [3, n, ...], numbers or jets."""
+        raise NotImplementedError
+
+    def forces(self, vectors, lam, angle=None) -> list:
+        """Gradient of sum(lam * phi) by each argument, [3, n, ...]; lam [rows, n, ...]."""
+        raise NotImplementedError
+
+
+class Coincide(Primitive):
+    """Two points coincide."""
+
+    rows = 3
+    arguments = ("point", "point")
+
+    def phi(self, vectors, angle=None):
+        a, b = vectors
+        return b - a
+
+    def forces(self, vectors, lam, angle=None):
+        return [-lam, lam]
+
+
+class Perpendicular(Primitive):
+    """An axis of one body stays perpendicular to an axis of another."""
+
+    rows = 1
+    arguments = ("axis", "axis")
+
+    def phi(self, vectors, angle=None):
+        u, v = vectors
+        return _row(dot(u, v))
+
+    def forces(self, vectors, lam, angle=None):
+        u, v = vectors
+        return [lam * v, lam * u]
+
+
+class Plane(Primitive):
+    """A point b stays in the plane through point a with the normal u."""
+
+    rows = 1
+    arguments = ("point", "point", "axis")
+
+    def phi(self, vectors, angle=None):
+        a, b, u = vectors
+        return _row(dot(b - a, u))
+
+    def forces(self, vectors, lam, angle=None):
+        a, b, u = vectors
+        pull = lam * u
+        return [-pull, pull, lam * (b - a)]
+
+
+class Distance(Primitive):
+    """Two points keep their distance L > 0: a massless link."""
+
+    rows = 1
+    arguments = ("point", "point")
+
+    def phi(self, vectors, angle=None):
+        a, b = vectors
+        length = self.lengths()
+        return _row(dot(b - a, b - a) * (0.5 / length) - 0.5 * length)
+
+    def forces(self, vectors, lam, angle=None):
+        a, b = vectors
+        pull = lam * (b - a) * (1.0 / self.lengths())
+        return [-pull, pull]
+
+    def lengths(self) -> Tensor:
+        """The lengths L [n, 1, 1] [m]."""
+        return torch.tensor(self.data, dtype=torch.float64, device=self.members[0].device)[:, None, None]
+
+
+class Angle(Primitive):
+    """The axis x of body b stands at a prescribed angle from the axis x of body a, towards y of a."""
+
+    rows = 1
+    arguments = ("axis", "axis", "axis")
+    driven = True
+
+    def phi(self, vectors, angle=None):
+        x, y, b = vectors
+        return _row(cos(angle) * dot(y, b) - sin(angle) * dot(x, b))
+
+    def forces(self, vectors, lam, angle=None):
+        x, y, b = vectors
+        s, c = lam * sin(angle), lam * cos(angle)
+        return [-(s * b), c * b, c * y - s * x]
+
+
+def _row(x):
+    """Give a scalar equation its row axis."""
+    return x.map(_row) if isinstance(x, Jet) else x[None]
+
+
+def prescribed(laws: Sequence[Law], t: Tensor, derivatives: bool):
+    """Evaluate prescribed motions at time t: [n, 1, 1], or with their first and second time derivatives."""
+    if not derivatives:
+        return torch.stack([torch.as_tensor(law(t), dtype=t.dtype, device=t.device) for law in laws])[:, None, None]
+
+    def all_laws(s: Tensor) -> Tensor:
+        return torch.stack([torch.as_tensor(law(s), dtype=t.dtype, device=t.device) + 0.0 * s for law in laws])
+
+    def rates(s: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.func.jvp(all_laws, (s,), (torch.ones_like(s),))
+
+    (value, velocity), (_, acceleration) = torch.func.jvp(rates, (t,), (torch.ones_like(t),))
+    return Jet(*(x[:, None, None] for x in (value, velocity, acceleration)))
+
+
+KINDS: tuple[type[Primitive], ...] = (Coincide, Plane, Distance, Perpendicular, Angle)

@@ -1,0 +1,139 @@
+"""Rotations by Euler parameters p = (e0, e1, e2, e3), |p| = 1; angular velocities in body axes.
+
+    A(p) = (2 e0^2 - 1) 1 + 2 (e e' + e0 ~e)            body -> ground
+    dp/dt = 1/2 p * (0, omega)                          (* the quaternion product)
+    p <- p * exp(delta / 2)                             delta a rotation vector in body axes [rad]
+
+Components first, then any axes; each function takes tensors and pairs (see pair.py).
+Source: Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 6.
+Checked in tests/numerics/test_rotation.py.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchmbd.numerics.pair import cat, constant_map, cos, cross, dot, function
+
+# A_ij = sum_ab _A[3 i + j, 4 a + b] p_a p_b, symmetric in a and b; with |p| = 1 the form of the header.
+_A = torch.zeros(3, 3, 4, 4, dtype=torch.float64)
+for _i in range(3):
+    for _a in range(4):
+        _A[_i, _i, _a, _a] = 1.0 if _a in (0, _i + 1) else -1.0
+    for _j in range(3):
+        if _i != _j:
+            _A[_i, _j, _i + 1, _j + 1] = _A[_i, _j, _j + 1, _i + 1] = 1.0
+            _k = 3 - _i - _j
+            _sign = 1.0 if (_j - _i) % 3 == 2 else -1.0
+            _A[_i, _j, 0, _k + 1] = _A[_i, _j, _k + 1, 0] = _sign
+ROTATION_FORM = _A.reshape(9, 16)
+
+# ~x = skew(x): (~x)_ij = -eps_ijk x_k, so that ~x y = x cross y.
+SKEW = torch.zeros(9, 3, dtype=torch.float64)
+# axial(Y)_i = eps_ijk Y_kj: the axial vector of a matrix; axial(x b') = b cross x.
+AXIAL = torch.zeros(3, 9, dtype=torch.float64)
+for _i, _j, _k, _sign in ((0, 1, 2, 1), (1, 2, 0, 1), (2, 0, 1, 1), (0, 2, 1, -1), (2, 1, 0, -1), (1, 0, 2, -1)):
+    SKEW[3 * _i + _j, _k] = -_sign
+    AXIAL[_i, 3 * _k + _j] = _sign
+
+
+def rotation_matrix(p):
+    """Rotation matrices [3, 3, ...] of Euler parameters [4, ...], body -> ground."""
+    products = p[:, None] * p[None]
+    return constant_map(ROTATION_FORM.to(_device(p)), products.flatten(0, 1)).unflatten(0, (3, 3))
+
+
+def skew(x):
+    """Skew matrices [3, 3, ...] of vectors [3, ...]."""
+    return constant_map(SKEW.to(_device(x)), x).unflatten(0, (3, 3))
+
+
+def axial(Y):
+    """Axial vectors [3, ...] of matrices [3, 3, ...]: eps_ijk Y_kj."""
+    return constant_map(AXIAL.to(_device(Y)), Y.flatten(0, 1))
+
+
+def quaternion_product(p, d):
+    """Product of Euler parameters [4, ...]: rotate by p after d (d in the axes of p's body)."""
+    p0, e, d0, x = p[:1], p[1:], d[:1], d[1:]
+    return cat([p0 * d0 - dot(e, x)[None], p0 * x + d0 * e + cross(e, x)])
+
+
+def euler_rates(p, omega):
+    """Time derivative [4, ...] of Euler parameters for an angular velocity in body axes [3, ...] [rad/s]."""
+    p0, e = p[:1], p[1:]
+    return 0.5 * cat([-dot(e, omega)[None], p0 * omega + cross(e, omega)])
+
+
+def exponential(delta):
+    """Euler parameters [4, ...] of a rotation vector [3, ...] [rad].
+
+    sin(x)/x is written by the series of its square near zero, so that value and tangent stay exact there.
+    """
+    quarter = dot(delta, delta) * 0.25
+    return cat([_cos_root(quarter)[None], delta * (0.5 * _sinc_root(quarter))])
+
+
+def _cos_root(s):
+    """cos(sqrt(s)), s >= 0."""
+    return function(lambda y: torch.cos(_root(y)), lambda y: -0.5 * _sinc(y), s)
+
+
+def _sinc_root(s):
+    """sin(sqrt(s)) / sqrt(s), s >= 0."""
+    return function(_sinc, _sinc_slope, s)
+
+
+_SMALL = 1e-3  # below it four terms of the series are exact to 1e-16
+
+
+def _root(s: Tensor) -> Tensor:
+    # sqrt has no derivative at zero: clamped, and cos(sqrt(1e-300)) is one.
+    return torch.sqrt(s.clamp_min(1e-300))
+
+
+def _sinc(s: Tensor) -> Tensor:
+    x = torch.sqrt(torch.where(s < _SMALL, torch.ones_like(s), s))
+    series = 1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72)))
+    return torch.where(s < _SMALL, series, torch.sin(x) / x)
+
+
+def _sinc_slope(s: Tensor) -> Tensor:
+    safe = torch.where(s < _SMALL, torch.ones_like(s), s)
+    x = torch.sqrt(safe)
+    series = -(1 - s / 10 * (1 - s / 28 * (1 - s / 54))) / 6
+    return torch.where(s < _SMALL, series, (torch.cos(x) - torch.sin(x) / x) / (2 * safe))
+
+
+def euler_parameters(A: Tensor) -> Tensor:
+    """Euler parameters [4] of one rotation matrix [3, 3], by its largest component (no branch loses digits)."""
+    trace = A.trace()
+    squares = torch.stack([1 + trace, *(1 + 2 * A.diagonal() - trace)]) / 4
+    k = int(squares.argmax())
+    root = torch.sqrt(squares[k])
+    spin = torch.stack([A[2, 1] - A[1, 2], A[0, 2] - A[2, 0], A[1, 0] - A[0, 1]])
+    if k == 0:
+        p = torch.cat([root[None], spin / (4 * root)])
+    else:
+        i = k - 1
+        e = (A[i] + A[:, i]) / (4 * root)
+        e[i] = root
+        p = torch.cat([spin[i : k] / (4 * root), e])
+    return p if p[0] >= 0 else -p
+
+
+def _device(x) -> torch.device:
+    return (x.value if hasattr(x, "value") else x).device
+
+
+__all__ = [
+    "axial",
+    "cos",
+    "euler_parameters",
+    "euler_rates",
+    "exponential",
+    "quaternion_product",
+    "rotation_matrix",
+    "skew",
+]

@@ -1,0 +1,130 @@
+"""Reduced dynamics: everything that a motion needs, and nothing of the mesh.
+
+    dz/dt = dynamics(t, z)          z = (q, v)
+
+The index-1 form of the constrained equations, with the accelerations from one saddle-point solve:
+
+    M a + Phi_q' lam + s + K q = g,     Phi'' + 2 alpha Phi' + alpha^2 Phi = 0       (Baumgarte, ref. 50)
+
+alpha = 1 / `stabilization` time constant. It is zero along an exact motion, so it does not change the solution.
+For design tangents the saddle-point matrix is factored once; the right-hand sides of eqs. (31)-(33) are tangents of
+the residual with accelerations and multipliers held fixed.
+Differentiable: plain tensors in reverse mode (torchdiffeq.odeint and backward), design tangents through `rates`.
+Checked in tests/system/, tests/sensitivity/.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.numerics.pair import Pair, cat, value
+from torchmbd.system import equations
+from torchmbd.system.equations import Data
+from torchmbd.system.saddle import Saddle
+from torchmbd.system.topology import Topology
+
+
+@dataclass(eq=False)
+class Dynamics:
+    """Frozen equations of motion of one design or of a batch of designs (lanes).
+
+    data           name -> tensor or pair [component..., 1, lanes]; a lane axis of one holds for all
+    stabilization  time constant of the constraint stabilization [s]
+    """
+
+    topology: Topology
+    saddle: Saddle
+    data: Data
+    initial: Any  # InitialConditions
+    stabilization: float = 5e-3
+    statistics: dict[str, int] = field(default_factory=lambda: {"evaluations": 0})
+
+    @property
+    def lanes(self) -> int:
+        """Number of designs."""
+        return max((value(x).shape[-1] for x in self.data.values()), default=1)
+
+    @property
+    def tangents(self) -> int:
+        """Number of design variables whose tangents the data carry."""
+        slots = [x.tangent.shape[-2] for x in self.data.values() if isinstance(x, Pair) and x.tangent is not None]
+        return max(slots, default=0)
+
+    def values(self) -> Dynamics:
+        """The same dynamics without design tangents."""
+        data = {name: value(x) for name, x in self.data.items()}
+        return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)
+
+    def lane(self, index: int) -> Dynamics:
+        """The dynamics of one design of the batch."""
+
+        def pick(x: Tensor) -> Tensor:
+            return x[..., index : index + 1] if x.shape[-1] > 1 else x
+
+        data = {
+            name: Pair(pick(x.value), None if x.tangent is None else pick(x.tangent)) if isinstance(x, Pair) else pick(x)
+            for name, x in self.data.items()
+        }
+        return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)
+
+    def initial_state(self) -> Tensor:
+        """Consistent initial state z [lanes, n_q + n_v]: joints closed, velocities compatible."""
+        q, v = self.initial.solve(self.values())
+        return torch.cat([q, v])[:, 0].T.contiguous()
+
+    def __call__(self, t: Tensor | float, z: Tensor) -> Tensor:
+        """dz/dt of states z [lanes, n_z] or [n_z] at time t [s]; the same shape."""
+        n = self.topology.n_q + self.topology.n_v
+        if z.shape[-1] != n or z.dim() > 2:
+            raise InputError(f"state z has shape {tuple(z.shape)}; allowed: [{n}] or [lanes, {n}]")
+        batch = z if z.dim() == 2 else z[None]
+        dz = self.rates(torch.as_tensor(t, dtype=z.dtype, device=z.device), batch.T[:, None])
+        return value(dz)[:, 0].T.reshape(z.shape)
+
+    def rates(self, t: Tensor, z):
+        """dz/dt [n_z, slots, lanes] of values, or of pairs with the design tangents of all variables."""
+        self.statistics["evaluations"] += 1
+        T = self.topology
+        q, v = z[: T.n_q], z[T.n_q :]
+        a, _ = self.accelerations(t, q, v)
+        return cat([equations.coordinate_rates(T, q, v), a])
+
+    def accelerations(self, t: Tensor, q, v):
+        """Accelerations a [n_v, ...] and multipliers lam [rows, ...]; eq. (9), with tangents eq. (30)."""
+        T, data = self.topology, {name: value(x) for name, x in self.data.items()}
+        qv, vv = value(q), value(v)
+        at = equations.placement(T, data, qv)
+        K = self.saddle.matrix(data, at, t)
+        zero = torch.zeros_like(vv)
+        still = vv.new_zeros(T.rows, *vv.shape[1:])
+        factor = torch.linalg.lu_factor(K)
+        x = -solve(factor, self._residual(t, data, at, vv, zero, still))
+        a, lam = x[: T.n_v], x[T.n_v :]
+        if not isinstance(q, Pair):
+            return a, lam
+        at = equations.placement(T, self.data, q)
+        residual = self._residual(t, self.data, at, v, a, lam)
+        tangent = None if residual.tangent is None else -solve(factor, residual.tangent)
+        both = Pair(x, tangent)
+        return both[: T.n_v], both[T.n_v :]
+
+    def _residual(self, t: Tensor, data: Data, at: equations.Placement, v, a, lam):
+        """Equations of motion above the stabilized accelerations of the constraints [n_v + rows, ...]."""
+        T = self.topology
+        forces = equations.dynamic_residual(T, data, at, v, a, lam, t)
+        if not T.rows:
+            return forces
+        phi = equations.constraint_jets(T, at, data, v, a, t)
+        alpha = 1.0 / self.stabilization
+        return cat([forces, phi.acceleration + (2.0 * alpha) * phi.velocity + (alpha * alpha) * phi.value])
+
+
+def solve(factor: tuple[Tensor, Tensor], rhs: Tensor) -> Tensor:
+    """Solve for right-hand sides [n, slots, lanes] with LU factors of matrices [lanes, n, n]."""
+    x = torch.linalg.lu_solve(factor[0], factor[1], rhs.permute(2, 0, 1))
+    return x.permute(1, 2, 0)

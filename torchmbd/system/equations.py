@@ -1,0 +1,261 @@
+"""The equations of motion of a system of rigid and flexible bodies: the one text from which everything derives.
+
+For each body, with b = x + t w the position and r w the rotation of a node in the body frame, om the angular velocity:
+
+    Z = ~om' + ~om ~om                         acceleration of a body-fixed vector b is A Z b
+    force    m r'' + A (Z S + S1 w'' + 2 ~om S1 w')                                         ground axes
+    torque   axial(Z P + G w'' + 2 ~om G w') + S x A'r'' + mu om' + R1 w'' + om x R1 w'      body axes
+    modes    S1' A'r'' + R1' om' + Z : G + w'' + om . H w' + Kr w + D w'
+
+    S = S0 + S1 w                              sum m b
+    G = C0 + C1 w                              sum m t b'    [3, 3, modes]
+    P = P0 + (C0 w)' + G w                     sum m b b'
+    H                                          sum m t x t + mu r x r (antisymmetric in the modes)
+
+set equal to the applied forces minus Phi_q' lam: eqs. (5)-(9) of the paper, with the nodal sums of eq. (2) replaced by
+inertia invariants. Gravity g enters as r'' - g. Rotary inertia of a node is isotropic (lumped), modes are normalized to
+the mass matrix. `Kr` is full: the modes may be rotated among themselves.
+
+Every function takes tensors or pairs, components first, lanes last (numerics/pair.py): values, design tangents, the
+index-1 right-hand side and the structural integrator all come from here. The number of operators does not grow with
+the number of bodies or joints.
+Checked in tests/system/test_equations.py (direct nodal sums), tests/physics/ (energy, momentum).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.joints.primitive import prescribed
+from torchmbd.numerics.jet import Jet
+from torchmbd.numerics.pair import bilinear, cat, cross, dot, linear, matmul, matvec, matvec_t
+from torchmbd.numerics.rotation import axial, euler_rates, exponential, quaternion_product, rotation_matrix, skew
+from torchmbd.system.topology import Topology
+
+Data = dict[str, Any]  # name -> tensor or pair, [component..., 1, lanes]
+
+
+@dataclass
+class Placement:
+    """Where everything is: rotations of the bodies and the attached vectors.
+
+    A     [3, 3, bodies + 1]   rotations, the ground last
+    w     [modes, flexible]
+    A_of  [3, 3, vectors]      rotation of the body of each vector
+    rho   [3, vectors]         vectors in body axes
+    g     [3, vectors]         vectors in ground axes; points include the origin of their body
+    """
+
+    A: Any
+    w: Any
+    A_of: Any
+    rho: Any
+    g: Any
+
+
+def split_q(T: Topology, q):
+    """r [3, bodies], p [4, bodies], w [modes, flexible] of the coordinates."""
+    n = T.bodies
+    return (
+        q[: 3 * n].unflatten(0, (3, n)),
+        q[3 * n : 7 * n].unflatten(0, (4, n)),
+        q[7 * n :].unflatten(0, (T.modes, T.flexible)),
+    )
+
+
+def split_v(T: Topology, v):
+    """r' or r'' [3, bodies], omega or its rate [3, bodies], w' or w'' [modes, flexible]."""
+    n = T.bodies
+    return (
+        v[: 3 * n].unflatten(0, (3, n)),
+        v[3 * n : 6 * n].unflatten(0, (3, n)),
+        v[6 * n :].unflatten(0, (T.modes, T.flexible)),
+    )
+
+
+def placement(T: Topology, data: Data, q) -> Placement:
+    """Rotations and attached vectors at the coordinates q [n_q, ...]."""
+    r, p, w = split_q(T, q)
+    A = rotation_matrix(p)
+    A = cat([A, linear(_identity, A)], 2)
+    r = cat([r, linear(lambda y: torch.zeros_like(y[:, :1]), r)], 1)
+    rho = data["x"]
+    if T.attached_flexible:
+        bent = _modal_vector(T, data["Y"], w)
+        n = T.attached_flexible
+        rho = cat([rho[:, :n] + bent, rho[:, n:]], 1) if n < len(T.attached) else rho + bent
+    A_of = A.index_select(2, T.vector_body)
+    return Placement(A, w, A_of, rho, matvec(A_of, rho) + r.index_select(1, T.vector_origin))
+
+
+def _identity(A: Tensor) -> Tensor:
+    # The rotation of the ground: constant, so a tangent of it is zero.
+    if A.shape[-2] != 1:
+        return A.new_zeros(3, 3, 1, *A.shape[-2:])
+    return torch.eye(3, dtype=A.dtype, device=A.device)[:, :, None, None, None].expand(3, 3, 1, *A.shape[-2:])
+
+
+def _modal_vector(T: Topology, Y, w):
+    """Elastic part of the attached vectors of flexible bodies, Y w: [3, vectors]."""
+    return bilinear(lambda y, x: (y * x).sum(1), Y, w.index_select(1, T.vector_flexible))
+
+
+def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
+    """Inertia and elastic forces: ground forces [3, bodies], body torques [3, bodies], modal forces [modes, flexible].
+
+    a holds the accelerations [n_v, ...]; zero for the velocity-dependent part alone.
+    """
+    n, f = T.bodies, T.flexible
+    rdd, omd, wdd = split_v(T, a)
+    _, om, wd = split_v(T, v)
+    if "gravity" in data:
+        rdd = rdd - data["gravity"]
+    A, w = at.A[:, :, :n], at.w
+    spin = skew(om)
+    Z = skew(omd) + matmul(spin, spin)
+    u = matvec_t(A, rdd)
+    if not f:
+        S = data["S0"]
+        force = data["mass"] * rdd + matvec(A, matvec(Z, S))
+        return force, axial(matmul(Z, data["P0"])) + cross(S, u) + data["mu"] * omd, linear(torch.zeros_like, w)
+    spin_f, Z_f, u_f, om_f, omd_f = spin[:, :, :f], Z[:, :, :f], u[:, :f], om[:, :f], omd[:, :f]
+    SR = data["SR"]  # SR = S1 above R1: [6, modes, flexible]
+    S, P, G = _moments(T, data, w)
+    rates = _stack2(wd, wdd)  # [modes, 2, flexible]
+    sr = bilinear(lambda m, x: (m[:, :, None] * x).sum(1), SR, rates)  # [6, 2, flexible]
+    gg = bilinear(lambda m, x: (m[:, :, :, None] * x).sum(2), G, rates)  # [3, 3, 2, flexible]
+    h = matvec(Z, S)
+    extra = sr[:3, 1] + 2.0 * matvec(spin_f, sr[:3, 0])
+    Y = matmul(Z, P)
+    extra_Y = gg[:, :, 1] + 2.0 * matmul(spin_f, gg[:, :, 0])
+    turn = sr[3:, 1] + cross(om_f, sr[3:, 0])
+    torque = cross(S, u) + data["mu"] * omd
+    if f < n:
+        h = cat([h[:, :f] + extra, h[:, f:]], 1)
+        Y = cat([Y[:, :, :f] + extra_Y, Y[:, :, f:]], 2)
+        torque = cat([torque[:, :f] + turn, torque[:, f:]], 1)
+    else:
+        h, Y, torque = h + extra, Y + extra_Y, torque + turn
+    coriolis = bilinear(lambda m, x: (m * x).sum((0, 2)), data["H"], om_f[:, None, None] * wd[None, None])
+    modal = (
+        matvec_t(SR, cat([u_f, omd_f]))
+        + bilinear(lambda z, m: (z[:, :, None] * m).sum((0, 1)), Z_f, G)
+        + wdd
+        + coriolis
+        + matvec(data["Kr"], w)
+    )
+    if "D" in data:
+        modal = modal + matvec(data["D"], wd)
+    return data["mass"] * rdd + matvec(A, h), axial(Y) + torque, modal
+
+
+def _moments(T: Topology, data: Data, w):
+    """S [3, bodies], P [3, 3, bodies] and G [3, 3, modes, flexible] of the deformed bodies."""
+    f = T.flexible
+    S, P, C0 = data["S0"], data["P0"], data["C0"]
+    G = C0 + bilinear(lambda c, x: (c * x).sum(3), data["C1"], w)
+    S_f = S[:, :f] + matvec(data["SR"][:3], w)
+    P_f = P[:, :, :f] + bilinear(lambda c, x: (c * x).sum(2), C0.transpose(0, 1) + G, w)
+    if f == T.bodies:
+        return S_f, P_f, G
+    return cat([S_f, S[:, f:]], 1), cat([P_f, P[:, :, f:]], 2), G
+
+
+def _stack2(a, b):
+    """Stack two numbers [k, n] to [k, 2, n]."""
+    return cat([linear(lambda y: y[:, None], a), linear(lambda y: y[:, None], b)], 1)
+
+
+def constraints(T: Topology, at: Placement, t: Tensor):
+    """Violations of all constraint equations Phi [rows, ...]."""
+    return cat([_phi(primitive, at.g, t).flatten(0, 1) for primitive in T.primitives])
+
+
+def _phi(primitive, g, t: Tensor):
+    angle = prescribed(primitive.data, t, derivatives=False) if primitive.driven else None
+    return primitive.phi([g.index_select(1, member) for member in primitive.members], angle)
+
+
+def constraint_jets(T: Topology, at: Placement, data: Data, v, a, t: Tensor) -> Jet:
+    """Phi, Phi' and Phi'' [rows, ...] with the accelerations a: Phi'' = Phi_q a - gamma."""
+    g = vector_jets(T, at, data, v, a)
+    parts = []
+    for primitive in T.primitives:
+        angle = prescribed(primitive.data, t, derivatives=True) if primitive.driven else None
+        members = [g.map(lambda x, m=member: x.index_select(1, m)) for member in primitive.members]
+        parts.append(primitive.phi(members, angle).map(lambda x: x.flatten(0, 1)))
+    return Jet(*(cat([part.parts[k] for part in parts]) for k in range(3)))
+
+
+def vector_jets(T: Topology, at: Placement, data: Data, v, a) -> Jet:
+    """Attached vectors in ground axes with their velocities and accelerations [3, vectors, ...]."""
+    rd, om, wd = split_v(T, v)
+    rdd, omd, wdd = split_v(T, a)
+    spin = skew(om)
+    Z = skew(omd) + matmul(spin, spin)
+    spin, Z = (_with_ground(x, 2).index_select(2, T.vector_body) for x in (spin, Z))
+    rd, rdd = (_with_ground(x, 1).index_select(1, T.vector_origin) for x in (rd, rdd))
+    velocity, acceleration = matvec(spin, at.rho), matvec(Z, at.rho)
+    n = T.attached_flexible
+    if n:
+        slow, fast = _modal_vector(T, data["Y"], wd), _modal_vector(T, data["Y"], wdd)
+        fast = fast + 2.0 * matvec(spin[:, :, :n], slow)
+        velocity = cat([velocity[:, :n] + slow, velocity[:, n:]], 1)
+        acceleration = cat([acceleration[:, :n] + fast, acceleration[:, n:]], 1)
+    return Jet(at.g, rd + matvec(at.A_of, velocity), rdd + matvec(at.A_of, acceleration))
+
+
+def _with_ground(x, dim: int):
+    return cat([x, linear(lambda y: torch.zeros_like(y.narrow(dim, 0, 1)), x)], dim)
+
+
+def constraint_forces(T: Topology, data: Data, at: Placement, lam, t: Tensor):
+    """Phi_q' lam: ground forces [3, bodies], body torques [3, bodies], modal forces [modes, flexible]."""
+    slots = []
+    for primitive, rows in T.row_slices():
+        angle = prescribed(primitive.data, t, derivatives=False) if primitive.driven else None
+        vectors = [at.g.index_select(1, member) for member in primitive.members]
+        slots += primitive.forces(vectors, lam[rows].unflatten(0, (primitive.rows, -1)), angle)
+    return generalized_forces(T, data, at, T.vector_fold(cat(slots, 1)))
+
+
+def generalized_forces(T: Topology, data: Data, at: Placement, force):
+    """Carry the forces on attached vectors [3, vectors, ...], in ground axes, to the bodies."""
+    local = matvec_t(at.A_of, force)
+    both = T.body_fold(cat([force, cross(at.rho, local)], 1))
+    if T.attached_flexible:
+        modal = T.modal_fold(matvec_t(data["Y"], local[:, : T.attached_flexible]))
+    else:
+        modal = linear(torch.zeros_like, at.w)
+    return both[:, : T.bodies], both[:, T.bodies :], modal
+
+
+def dynamic_residual(T: Topology, data: Data, at: Placement, v, a, lam, t: Tensor):
+    """M a + s + K q + Phi_q' lam - g  [n_v, ...]: zero along a motion; eq. (5)."""
+    inertia = inertia_forces(T, data, at, v, a)
+    if not T.rows:
+        return cat([x.flatten(0, 1) for x in inertia])
+    reaction = constraint_forces(T, data, at, lam, t)
+    return cat([(x + y).flatten(0, 1) for x, y in zip(inertia, reaction, strict=True)])
+
+
+def coordinate_rates(T: Topology, q, v):
+    """dq/dt [n_q, ...] of the rates v."""
+    _, p, _ = split_q(T, q)
+    rd, om, wd = split_v(T, v)
+    # |p| drifts by integration errors only; this pull keeps it at one and is zero on a motion.
+    pull = (0.5 * (1.0 - dot(p, p))) * p
+    return cat([rd.flatten(0, 1), (euler_rates(p, om) + 50.0 * pull).flatten(0, 1), wd.flatten(0, 1)])
+
+
+def advance(T: Topology, q, step):
+    """Move coordinates by an increment [n_v, ...]: rotation vectors in body axes act on the right (Lie group)."""
+    r, p, w = split_q(T, q)
+    dr, turn, dw = split_v(T, step)
+    return cat(
+        [(r + dr).flatten(0, 1), quaternion_product(p, exponential(turn)).flatten(0, 1), (w + dw).flatten(0, 1)]
+    )

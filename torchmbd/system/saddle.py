@@ -1,0 +1,171 @@
+"""The saddle-point matrix of the equations of motion, and constraint Jacobians.
+
+    [ M   Phi_q' ] [ a   ]   [ forces ]
+    [ Phi_q   0  ] [ lam ] = [ gamma  ]          eqs. (7), (9)
+
+Values only: sensitivities use the same matrix with the right-hand sides of eqs. (31)-(33), which come from pairs.
+Blocks are computed for all bodies and all rows at once and gathered into a dense matrix by one index, so the number
+of operators does not grow with the number of bodies or joints. Matrices are returned lanes first, ready for LAPACK.
+
+`stiffness`, `damping`: factors of Kr and D added to the modal mass, which make the iteration matrix of an implicit
+integrator out of the same text.
+Checked in tests/system/test_equations.py: every column is the difference of the residual that it stands for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmbd.joints.primitive import prescribed
+from torchmbd.numerics.pair import cross, matmul, matvec_t
+from torchmbd.numerics.rotation import axial, skew
+from torchmbd.system.equations import Data, Placement, _moments
+from torchmbd.system.topology import Fold, Topology
+
+
+class Saddle:
+    """Gathers the blocks of one topology; index tensors made once."""
+
+    def __init__(self, T: Topology):
+        self.T = T
+        self._row_index()
+        self._blocks: list[tuple[str, tuple[int, ...]]] = self._shapes()
+        self._index = self._dense_index()
+
+    def _row_index(self) -> None:
+        """Slots (row, vector) of unit multipliers, folded to pairs (row, body)."""
+        T = self.T
+        slot_vector, slot_row = [], []
+        for primitive, rows in T.row_slices():
+            n = len(primitive.members[0])
+            for member in primitive.members:
+                for component in range(primitive.rows):
+                    slot_vector += member.tolist()
+                    slot_row += [rows.start + component * n + i for i in range(n)]
+        body = T.vector_body.tolist()
+        keys = sorted({(r, body[v]) for r, v in zip(slot_row, slot_vector, strict=True) if body[v] < T.bodies})
+        self.pairs = keys
+        place = {key: i for i, key in enumerate(keys)}
+        pair_of = [place.get((r, body[v]), -1) for r, v in zip(slot_row, slot_vector, strict=True)]
+        is_point = [T.attached[v].is_point for v in slot_vector]
+        self.slot_vector = torch.tensor(slot_vector, dtype=torch.long)
+        self.turn_fold = Fold(pair_of, len(keys))
+        self.force_fold = Fold([p if point else -1 for p, point in zip(pair_of, is_point, strict=True)], len(keys))
+        self.flexible_slots = torch.tensor([i for i, v in enumerate(slot_vector) if v < T.attached_flexible], dtype=torch.long)
+        self.flexible_pairs = [key for key in keys if key[1] < T.flexible]
+        bent = {key: i for i, key in enumerate(self.flexible_pairs)}
+        self.modal_fold = Fold([bent[keys[pair_of[i]]] for i in self.flexible_slots.tolist()], len(bent))
+
+    def _shapes(self) -> list[tuple[str, tuple[int, ...]]]:
+        n, f, m = self.T.bodies, self.T.flexible, self.T.modes
+        shapes = [
+            ("mass", (n,)),
+            ("turn", (3, 3, n)),  # r'' x omega'
+            ("inertia", (3, 3, n)),
+            ("pull", (3, m, f)),  # r'' x w''
+            ("twist", (3, m, f)),  # omega' x w''
+            ("modal", (m, m, f)),
+            ("row_force", (3, len(self.pairs))),
+            ("row_torque", (3, len(self.pairs))),
+            ("row_modal", (m, len(self.flexible_pairs))),
+        ]
+        return [(name, shape) for name, shape in shapes if 0 not in shape]
+
+    def _dense_index(self) -> Tensor:
+        """For every entry of the dense matrix its place among all block entries; the last place is zero."""
+        T = self.T
+        n, f, m, nv = T.bodies, T.flexible, T.modes, T.n_v
+        places, start = {}, 0
+        for name, shape in self._blocks:
+            size = int(np.prod(shape))
+            places[name] = np.arange(start, start + size).reshape(shape)
+            start += size
+        index = np.full((nv + T.rows, nv + T.rows), start)
+        r = np.arange(3 * n).reshape(3, n)
+        om = r + 3 * n
+        w = 6 * n + np.arange(m * f).reshape(m, f)
+
+        def put(rows: np.ndarray, cols: np.ndarray, block: np.ndarray) -> None:
+            index[rows, cols] = block
+            index[cols, rows] = block
+
+        for i in range(3):
+            put(r[i], r[i], places["mass"])
+            for j in range(3):
+                put(r[i], om[j], places["turn"][i, j])
+                index[om[i], om[j]] = places["inertia"][i, j]
+            for a in range(m):
+                put(r[i, :f], w[a], places["pull"][i, a])
+                put(om[i, :f], w[a], places["twist"][i, a])
+        for a in range(m):
+            for b in range(m):
+                index[w[a], w[b]] = places["modal"][a, b]
+        if self.pairs:
+            row, body = np.array(self.pairs).T
+            for i in range(3):
+                put(nv + row, r[i][body], places["row_force"][i])
+                put(nv + row, om[i][body], places["row_torque"][i])
+        if self.flexible_pairs:
+            row, body = np.array(self.flexible_pairs).T
+            for a in range(m):
+                put(nv + row, w[a][body], places["row_modal"][a])
+        return torch.from_numpy(index.reshape(-1))
+
+    def matrix(self, data: Data, at: Placement, t: Tensor, stiffness: float = 0.0, damping: float = 0.0) -> Tensor:
+        """Dense saddle-point matrix [lanes, n_v + rows, n_v + rows]."""
+        blocks = self._mass_blocks(data, at, stiffness, damping)
+        if self.T.rows:
+            blocks |= self._row_blocks(data, at, t)
+        lanes = at.g.shape[-1] if at.g.numel() else at.A.shape[-1]
+        flat = torch.cat([blocks[name].expand(*shape, 1, lanes).reshape(-1, lanes) for name, shape in self._blocks])
+        flat = torch.cat([flat, flat.new_zeros(1, lanes)])
+        size = self.T.n_v + self.T.rows
+        return flat.index_select(0, self._index).reshape(size, size, lanes).permute(2, 0, 1).contiguous()
+
+    def _mass_blocks(self, data: Data, at: Placement, stiffness: float, damping: float) -> dict[str, Tensor]:
+        T = self.T
+        n, f = T.bodies, T.flexible
+        eye = torch.eye(3, dtype=at.A.dtype, device=at.A.device)[:, :, None, None, None]
+        A = at.A[:, :, :n]
+        S, P, G = _moments(T, data, at.w) if f else (data["S0"], data["P0"], None)
+        trace = P[0, 0] + P[1, 1] + P[2, 2]
+        blocks = {
+            "mass": data["mass"],
+            "turn": -matmul(A, skew(S)),
+            "inertia": eye * (trace + data["mu"]) - P,
+        }
+        if G is not None:
+            m = T.modes
+            A_f = A[:, :, :f]
+            blocks["pull"] = (A_f[:, :, None] * data["SR"][:3][None]).sum(1)
+            blocks["twist"] = axial(G) + data["SR"][3:]
+            modal = torch.eye(m, dtype=A.dtype, device=A.device)[:, :, None, None, None] + stiffness * data["Kr"]
+            blocks["modal"] = modal + damping * data["D"] if "D" in data else modal
+        return blocks
+
+    def _row_blocks(self, data: Data, at: Placement, t: Tensor) -> dict[str, Tensor]:
+        T = self.T
+        slots = []
+        for primitive in T.primitives:
+            angle = prescribed(primitive.data, t, derivatives=False) if primitive.driven else None
+            vectors = [at.g.index_select(1, member).unsqueeze(1) for member in primitive.members]
+            k, n = primitive.rows, len(primitive.members[0])
+            lam = torch.eye(k, dtype=at.g.dtype, device=at.g.device)[:, :, None, None, None]
+            lam = lam.expand(k, k, n, 1, at.g.shape[-1])
+            slots += [force.expand(3, k, n, *lam.shape[-2:]).flatten(1, 2) for force in primitive.forces(vectors, lam, angle)]
+        force = torch.cat(slots, 1)
+        local = matvec_t(at.A_of.index_select(2, self.slot_vector), force)
+        blocks = {
+            "row_force": self.force_fold(force),
+            "row_torque": self.turn_fold(cross(at.rho.index_select(1, self.slot_vector), local)),
+        }
+        if self.flexible_pairs:
+            Y = data["Y"].index_select(2, self.slot_vector[self.flexible_slots])
+            blocks["row_modal"] = self.modal_fold(matvec_t(Y, local.index_select(1, self.flexible_slots)))
+        return blocks
+
+    def jacobian(self, data: Data, at: Placement, t: Tensor) -> Tensor:
+        """Phi_q [lanes, rows, n_v]."""
+        return self.matrix(data, at, t)[:, self.T.n_v :, : self.T.n_v]

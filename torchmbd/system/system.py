@@ -1,0 +1,199 @@
+"""A system: bodies, joints and forces. Calling it runs the structure stage and returns the frozen dynamics.
+
+The design variables are the parameters of the module by their names, for example `rod.laminate.angles`. Bodies that
+share a laminate share its angles. A batch of designs is the same module with leading lane axes on its parameters:
+
+    dynamics = system.dynamics({"rod.laminate.angles": angles}, tangents=True)     angles [lanes, layers]
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.bodies.frame import vector
+from torchmbd.errors import InputError, unknown
+from torchmbd.joints.joint import Joint
+from torchmbd.numerics.pair import Pair
+from torchmbd.system import topology
+from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.initial import InitialConditions
+from torchmbd.system.saddle import Saddle
+
+
+class System(nn.Module):
+    """Bodies joined by joints.
+
+    bodies         rigid and flexible bodies; their names are unique
+    joints         between frames of these bodies and the ground
+    forces         applied forces
+    gravity        acceleration of gravity in ground axes [m/s2]
+    stabilization  time constant of the constraint stabilization of ODE methods [s]
+    """
+
+    def __init__(
+        self,
+        bodies: Sequence[Any],
+        joints: Sequence[Joint] = (),
+        forces: Sequence[Any] = (),
+        gravity: Sequence[float] | Tensor | None = None,
+        stabilization: float = 5e-3,
+    ):
+        super().__init__()
+        names = [body.name for body in bodies]
+        if not bodies:
+            raise InputError("bodies is empty; allowed: at least one body")
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"body name {name!r} is used {names.count(name)} times; allowed: unique names")
+            if hasattr(nn.Module, name) or name in ("bodies", "joints", "topology", "gravity", "dynamics"):
+                raise InputError(f"body name {name!r} is taken by torchmbd; allowed: any other identifier")
+        if forces:
+            raise InputError("forces is not empty; allowed so far: no applied forces but gravity")
+        if not stabilization > 0:
+            raise InputError(f"stabilization is {stabilization!r} s; allowed: a positive time constant")
+        self.bodies, self.joints = list(bodies), list(joints)
+        self.gravity = None if gravity is None else vector("gravity", gravity)
+        self.stabilization = float(stabilization)
+        self.topology = topology.build(self.bodies, self.joints)
+        for body in self.bodies:
+            self.add_module(body.name, body)
+        ordered = [self.body(name) for name in self.topology.names]
+        self._saddle = Saddle(self.topology)
+        self._initial = InitialConditions.of(self.topology, ordered)
+
+    def body(self, name: str) -> Any:
+        """The body of that name; InputError names the nearest."""
+        for body in self.bodies:
+            if body.name == name:
+                return body
+        raise unknown("body", name, [body.name for body in self.bodies])
+
+    def forward(self, data_only: bool = False) -> Any:
+        """Structure stage of the module's own parameters: one design, differentiable in reverse mode."""
+        data = self._data()
+        return data if data_only else Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
+
+    def dynamics(self, parameters: Mapping[str, Tensor] | None = None, tangents: bool = False) -> Dynamics:
+        """Structure stage of a batch of designs.
+
+        parameters  name -> values [lanes, ...]; others keep their own
+        tangents    carry the derivatives by every entry of `parameters`, in their order, flattened
+        """
+        own = dict(self.named_parameters())
+        given = dict(parameters or {})
+        for name, x in given.items():
+            if name not in own:
+                raise unknown("parameter", name, own)
+            if x.shape[1:] != own[name].shape:
+                raise InputError(
+                    f"parameter {name!r} has shape {tuple(x.shape)}; allowed: [lanes, {', '.join(map(str, own[name].shape))}]"
+                )
+
+        def stage(values: dict[str, Tensor]) -> dict[str, Tensor]:
+            return torch.func.functional_call(self, values, (), {"data_only": True}) if values else self._data()
+
+        with torch.no_grad():
+            data = _tangents(stage, given) if tangents and given else stage(given)
+        return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
+
+    def _data(self) -> dict[str, Tensor]:
+        T = self.topology
+        flexible = [self.body(name) for name in T.names[: T.flexible]]
+        rigid = [self.body(name) for name in T.names[T.flexible :]]
+        stages = [body.structure() for body in flexible]
+        inertia = [*stages, *(body.invariants() for body in rigid)]
+        data = {key: _together([stage[key] for stage in inertia], rank) for key, rank in _INERTIA.items()}
+        if flexible:
+            data |= _modal_data(stages, [body.damping for body in flexible], T.modes)
+            data["Y"] = _vector_modes(T, stages)
+        x = [attached.vector for attached in T.attached]
+        data["x"] = torch.stack(x, 1)[:, :, None, None] if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
+        if self.gravity is not None:
+            data["gravity"] = self.gravity[:, None, None, None]
+        return data
+
+
+_INERTIA = {"mass": 0, "S0": 1, "P0": 2, "mu": 0}  # keys of every body and their tensor rank
+
+
+def _together(parts: list[Tensor], rank: int) -> Tensor:
+    """Stack one quantity of several bodies, lanes leading -> [component..., bodies, 1, lanes]."""
+    lanes = max((p.shape[0] for p in parts if p.dim() > rank), default=1)
+    full = [p.expand(lanes, *p.shape[p.dim() - rank :]) if p.dim() == rank else p for p in parts]
+    return torch.stack(full, -1).movedim(0, -1).unsqueeze(-2)
+
+
+def _pad(x: Tensor, modes: int, axes: tuple[int, ...]) -> Tensor:
+    for axis in axes:
+        missing = modes - x.shape[axis]
+        if missing:
+            shape = list(x.shape)
+            shape[axis] = missing
+            x = torch.cat([x, x.new_zeros(shape)], axis)
+    return x
+
+
+def _modal_data(stages: list[dict[str, Tensor]], damping: list[float], modes: int) -> dict[str, Tensor]:
+    """Invariants of the modes; padded modes couple to nothing."""
+    SR = [_pad(torch.cat([s["S1"], s["R1"]], -2), modes, (-1,)) for s in stages]
+    C1 = [_pad(s["C1"], modes, (-2, -1)) for s in stages]
+    # H_k ab = eps_ikj (2 C1 + R2)_ij ab: the Coriolis force on mode a is om_k H_kab w'_b.
+    H = []
+    for s in stages:
+        c = _pad(2.0 * s["C1"] + s["R2"], modes, (-2, -1))
+        H.append(torch.stack([c[..., j, i, :, :] - c[..., i, j, :, :] for i, j in ((1, 2), (2, 0), (0, 1))], -3))
+    data = {
+        "SR": _together(SR, 2),
+        "C0": _together([_pad(s["C0"], modes, (-1,)) for s in stages], 3),
+        "C1": _together(C1, 4),
+        "H": _together(H, 3),
+        "Kr": _together([_pad(s["Kr"], modes, (-2, -1)) for s in stages], 2),
+    }
+    if any(damping):
+        data["D"] = _together([_pad(c * s["Kr"], modes, (-2, -1)) for c, s in zip(damping, stages, strict=True)], 2)
+    return data
+
+
+def _vector_modes(T: topology.Topology, stages: list[dict[str, Tensor]]) -> Tensor:
+    """Modal rows Y [3, modes, vectors, 1, lanes] of the vectors attached to flexible bodies (bodies/frame.py)."""
+    rows = []
+    for attached, body in zip(T.attached[: T.attached_flexible], T.vector_flexible.tolist(), strict=True):
+        psi = stages[body]["psi"][..., attached.node, :, :]
+        if attached.is_point:
+            Y = psi[..., :3, :]
+        else:
+            e = attached.vector[:, None].expand_as(psi[..., 3:, :])
+            Y = torch.linalg.cross(psi[..., 3:, :], e, dim=-2)
+        rows.append(_pad(Y, T.modes, (-1,)))
+    if not rows:
+        return stages[0]["psi"].new_zeros(3, T.modes, 0, 1, 1)
+    return _together(rows, 2)
+
+
+def _tangents(stage: Any, given: dict[str, Tensor]) -> dict[str, Any]:
+    """Values and tangents of the structure stage: one linearization, all design directions together.
+
+    A quantity whose tangent is zero for every design and direction becomes a plain tensor: nothing to carry.
+    """
+    sizes = {name: x[0].numel() for name, x in given.items()}
+    total, start = sum(sizes.values()), 0
+    directions = {}
+    for name, x in given.items():
+        unit = torch.zeros(total, sizes[name], dtype=x.dtype, device=x.device)
+        unit[start : start + sizes[name]] = torch.eye(sizes[name], dtype=x.dtype, device=x.device)
+        directions[name] = unit.reshape(total, 1, *x.shape[1:]).expand(total, *x.shape)
+        start += sizes[name]
+
+    def push(direction: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        return torch.func.jvp(stage, (given,), (direction,))
+
+    values, tangents = torch.func.vmap(push, out_dims=(None, 0))(directions)
+    result: dict[str, Any] = {}
+    for name, x in values.items():
+        dx = tangents[name].movedim(0, -1).squeeze(-3).movedim(-1, -2)
+        result[name] = Pair(x, dx.contiguous()) if bool(dx.any()) else x
+    return result
