@@ -58,7 +58,8 @@ class FlexibleBody(nn.Module):
             raise InputError(f"modes of {name!r} is {modes!r}; allowed: 1 to {len(self.free)}, the freedoms of the mesh")
         if not 0 <= damping < float("inf"):
             raise InputError(f"damping of {name!r} is {damping!r} s; allowed: zero or positive")
-        self._pattern, self._selected = matrices.pattern.restrict(self.free)
+        self._pattern, selected = matrices.pattern.restrict(self.free)
+        self._basis = matrices.basis[:, selected].contiguous()
 
     @classmethod
     def plate(
@@ -83,13 +84,13 @@ class FlexibleBody(nn.Module):
         """
         where = rotation(f"axes of {name!r}", axes)
         at = vector(f"position of {name!r}", position)
-        matrices = PlateMatrices(mesh)
+        matrices = PlateMatrices(mesh, laminate)
         nodes = _reference(mesh, matrices, reference)
         return cls(name, matrices, laminate, modes, nodes, at, where, damping)
 
     def at(self, node: str | int, axes: Sequence | Tensor | None = None) -> Frame:
         """Frame on a mesh node, by its name or index; `axes`: columns of its triad in body axes."""
-        index = self.mesh.node(node)
+        index = _node(self.mesh, node)
         return Frame(self, self.mesh.nodes[index] - self.origin, rotation("axes", axes), index)
 
     def structure(self) -> dict[str, Tensor]:
@@ -99,11 +100,10 @@ class FlexibleBody(nn.Module):
         laminate's parameters (designs).
         """
         n = len(self.mesh.nodes)
-        K = SparseMatrix(self._pattern, (self.laminate.entries() @ self.matrices.basis)[..., self._selected])
-        area = self.matrices.area
-        mass = self.laminate.mass_per_area[..., None] * area
-        rotary = self.laminate.rotary_inertia_per_area[..., None] * area
-        diagonal = torch.stack([mass] * 3 + [rotary] * 3, -1).flatten(-2)[..., self.free]
+        K = SparseMatrix(self._pattern, self.laminate.entries() @ self._basis)
+        diagonal = self.matrices.lumped_mass(self.laminate.mass_per_area, self.laminate.rotary_inertia_per_area)
+        mass, rotary = diagonal[..., 0::6], diagonal[..., 3::6]
+        diagonal = diagonal[..., self.free]
         basis = modal_basis(K, diagonal.expand(*K.values.shape[:-1], -1), self.modes)
         psi = basis.vectors.new_zeros(*basis.vectors.shape[:-2], 6 * n, self.modes)
         psi = psi.index_copy(-2, self.free, basis.vectors).unflatten(-2, (n, 6))
@@ -118,5 +118,13 @@ def _reference(mesh: Mesh, matrices: PlateMatrices, reference: str | int | Seque
     if isinstance(reference, str) and len(mesh.node_sets.get(reference, ())) > 1:
         return [int(i) for i in mesh.node_sets[reference]]
     if isinstance(reference, (str, int)):
-        return [mesh.node(reference)]
-    return [mesh.node(i) for i in reference]
+        return [_node(mesh, reference)]
+    return [_node(mesh, i) for i in reference]
+
+
+def _node(mesh: Mesh, node: str | int) -> int:
+    if isinstance(node, str):
+        return mesh.node(node)
+    if not 0 <= int(node) < len(mesh.nodes):
+        raise InputError(f"node is {node!r}; allowed: a node name or 0 to {len(mesh.nodes) - 1}")
+    return int(node)

@@ -49,7 +49,7 @@ class System(nn.Module):
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"body name {name!r} is used {names.count(name)} times; allowed: unique names")
-            if hasattr(nn.Module, name) or name in ("bodies", "joints", "topology", "gravity", "dynamics"):
+            if hasattr(nn.Module, name) or name in ("bodies", "joints", "topology", "gravity", "dynamics", "data"):
                 raise InputError(f"body name {name!r} is taken by torchmbd; allowed: any other identifier")
         if forces:
             raise InputError("forces is not empty; allowed so far: no applied forces but gravity")
@@ -72,16 +72,20 @@ class System(nn.Module):
                 return body
         raise unknown("body", name, [body.name for body in self.bodies])
 
-    def forward(self, data_only: bool = False) -> Any:
-        """Structure stage of the module's own parameters: one design, differentiable in reverse mode."""
-        data = self._data()
-        return data if data_only else Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
+    def forward(self, part: str | None = None) -> Any:
+        """Structure stage of the module's own parameters: one design, differentiable in reverse mode.
 
-    def dynamics(self, parameters: Mapping[str, Tensor] | None = None, tangents: bool = False) -> Dynamics:
+        Returns the Dynamics; for part="data" its tensors, for the name of a flexible body the structure of that body.
+        """
+        if part is None:
+            return Dynamics(self.topology, self._saddle, self._data(), self._initial, self.stabilization)
+        return self._data() if part == "data" else self.body(part).structure()
+
+    def dynamics(self, parameters: Mapping[str, Tensor] | None = None, tangents: Sequence[str] = ()) -> Dynamics:
         """Structure stage of a batch of designs.
 
         parameters  name -> values [lanes, ...]; others keep their own
-        tangents    carry the derivatives by every entry of `parameters`, in their order, flattened
+        tangents    names among them: carry the derivatives by every entry of these, in this order, flattened
         """
         own = dict(self.named_parameters())
         given = dict(parameters or {})
@@ -94,10 +98,14 @@ class System(nn.Module):
                 )
 
         def stage(values: dict[str, Tensor]) -> dict[str, Tensor]:
-            return torch.func.functional_call(self, values, (), {"data_only": True}) if values else self._data()
+            return torch.func.functional_call(self, values, ("data",))
 
         with torch.no_grad():
-            data = _tangents(stage, given) if tangents and given else stage(given)
+            if tangents:
+                fixed = {name: x for name, x in given.items() if name not in tangents}
+                data = _tangents(lambda moving: stage(fixed | moving), {name: given[name] for name in tangents})
+            else:
+                data = stage(given)
         return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
 
     def _data(self) -> dict[str, Tensor]:

@@ -1,0 +1,82 @@
+"""Every method of torchdiffeq on the index-1 equations; motion and sensitivities in one augmented state.
+
+    y = [z, dz/db_1, ..., dz/db_n]          y' = [f(t, z), (df/dz) dz/db_k + df/db_k]
+
+Direct differentiation, eqs. (30)-(33) of the paper: tangents are taken *inside* the right-hand side, never through the
+solver (adaptive methods of torchdiffeq raise under torch.func.jvp). Step control sees motion and sensitivities together.
+Reverse mode needs nothing here: `torchdiffeq.odeint(dynamics, ...)` and backward() work as they are.
+Checked in tests/integrators/, tests/sensitivity/.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+import torchdiffeq
+from torch import Tensor
+from torchdiffeq._impl.odeint import SOLVERS
+
+from torchmbd.integrators.generalized_alpha import History, initial
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system.dynamics import Dynamics
+
+FIXED = {"euler", "midpoint", "heun2", "heun3", "rk4", "explicit_adams", "implicit_adams", "fixed_adams"}
+METHODS = tuple(sorted(name for name in SOLVERS if name != "scipy_solver"))
+
+
+def integrate(
+    dynamics: Dynamics,
+    duration: float,
+    steps: int,
+    method: str,
+    rtol: float = 1e-7,
+    atol: float = 1e-9,
+    options: dict[str, Any] | None = None,
+) -> tuple[History, dict[str, Any]]:
+    """Integrate all lanes; states at steps + 1 equal times.
+
+    steps        output intervals; a method of fixed step makes one step in each
+    rtol, atol   tolerances of adaptive methods, for motion and sensitivities alike
+    options      passed to torchdiffeq
+
+    Raises FloatingPointError when the step size underflows: the caller makes a status of it.
+    """
+    T = dynamics.topology
+    start = initial(dynamics)
+    times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
+    y0 = torch.cat([_augment(start.q, dynamics), _augment(start.v, dynamics)])
+
+    def rates(t: Tensor, y: Tensor) -> Tensor:
+        z = Pair(y[:, :1], y[:, 1:]) if y.shape[1] > 1 else y
+        return _augment(dynamics.rates(t, z), dynamics)
+
+    before = dynamics.statistics["evaluations"]
+    tolerances = {} if method in FIXED else {"rtol": rtol, "atol": atol}
+    try:
+        y = torchdiffeq.odeint(rates, y0, times, method=method, options=options or {}, **tolerances)
+    except AssertionError as error:  # torchdiffeq's way to say that dt underflows or that the state is not finite
+        raise FloatingPointError(f"{method}: {error}") from error
+    counts = {"evaluations": dynamics.statistics["evaluations"] - before}
+    a, lam = _accelerations(dynamics, times, y)  # type: ignore[arg-type]
+    return History(y[:, : T.n_q], y[:, T.n_q :], a, lam), counts  # type: ignore[index]
+
+
+def _augment(x: Any, dynamics: Dynamics) -> Tensor:
+    """Value and tangents side by side [n, 1 + n_b, lanes]."""
+    slots, lanes = dynamics.tangents, dynamics.lanes
+    plain = value(x).expand(-1, 1, lanes)
+    if not slots:
+        return plain
+    tangent = x.tangent if isinstance(x, Pair) and x.tangent is not None else plain.new_zeros(plain.shape[0], slots, lanes)
+    return torch.cat([plain, tangent], 1)
+
+
+def _accelerations(dynamics: Dynamics, times: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Accelerations and multipliers with their sensitivities at the output times."""
+    T = dynamics.topology
+    parts = []
+    for t, state in zip(times, y, strict=True):
+        z = Pair(state[:, :1], state[:, 1:]) if state.shape[1] > 1 else state
+        parts.append([_augment(x, dynamics) for x in dynamics.accelerations(t, z[: T.n_q], z[T.n_q :])])
+    return torch.stack([a for a, _ in parts]), torch.stack([lam for _, lam in parts])

@@ -1,0 +1,172 @@
+"""One door to all integrators: `simulate(system, duration, method=...)`.
+
+"generalized_alpha" (default) integrates the index-3 equations with equal steps; every method of torchdiffeq goes by its
+own name on the index-1 form. Both return the same Trajectory and agree within their tolerances
+(tests/convergence/test_two_routes.py).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.integrators import generalized_alpha, ode
+from torchmbd.integrators.generalized_alpha import History
+from torchmbd.integrators.trajectory import OK, Trajectory
+from torchmbd.numerics.pair import value
+from torchmbd.system import Dynamics, System
+
+METHODS = ("generalized_alpha", *ode.METHODS)
+# A step's accelerations are accepted when the last correction of the fixed iteration was below this share of their
+# largest value; one more iteration, which is not made, would contract it by another factor of about 50.
+CORRECTION = 1e-3
+
+
+def simulate(
+    system: System,
+    duration: float,
+    method: str = "generalized_alpha",
+    steps: int | None = None,
+    sensitivities: bool | Sequence[str] = False,
+    designs: Mapping[str, Tensor] | None = None,
+    **options: Any,
+) -> Trajectory:
+    """Simulate one design, or a batch of designs side by side (lanes).
+
+    duration       simulated time [s], positive
+    method         "generalized_alpha" or a method of torchdiffeq, such as "dopri5" or "rk4"
+    steps          equal time steps, and output intervals; default: 20 per period of the fastest retained mode, at least 200.
+                   Adaptive methods choose their own steps between the outputs
+    sensitivities  True: by every parameter that requires a gradient; or the names of parameters
+    designs        parameter name -> values [lanes, ...]; others keep their own values
+    options        generalized_alpha: spectral_radius, iterations, refresh; torchdiffeq: rtol, atol, options
+
+    A lane that fails is reported in `status`. Raises InputError for bad arguments.
+    """
+    if not isinstance(duration, (int, float)) or not 0 < duration < math.inf:
+        raise InputError(f"duration is {duration!r} s; allowed: a positive number")
+    if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
+        raise InputError(f"steps is {steps!r}; allowed: a positive integer")
+    if method == "scipy_solver":
+        raise InputError("method 'scipy_solver' returns gradients of zero in reverse mode, silently; allowed: any other")
+    if method not in METHODS:
+        raise unknown("method", method, METHODS)
+    names = design_names(system, sensitivities, designs)
+    batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
+    dynamics = system.dynamics(batch, tangents=names)
+    steps = steps or default_steps(dynamics, duration)
+    with torch.no_grad():
+        history, stats, status = run(dynamics, float(duration), steps, method, options)
+    return _present(system, dynamics, history, stats, status, float(duration), batch, labels(system, names))
+
+
+def design_names(system: System, sensitivities: bool | Sequence[str], designs: Mapping[str, Tensor] | None) -> list[str]:
+    """Names of the parameters whose sensitivities are asked for."""
+    own = dict(system.named_parameters())
+    if sensitivities is True:
+        names = [name for name, x in own.items() if x.requires_grad]
+        if not names:
+            raise InputError("sensitivities=True, but no parameter of the system requires a gradient")
+        return names
+    names = list(sensitivities or [])
+    for name in names:
+        if name not in own:
+            raise unknown("parameter", name, own)
+    return names
+
+
+def labels(system: System, names: Sequence[str]) -> tuple[str, ...]:
+    """One label for each entry of the named parameters: `rod.laminate.angles[0]`."""
+    own = dict(system.named_parameters())
+    return tuple(f"{name}[{i}]" for name in names for i in range(own[name].numel()))
+
+
+def _own(system: System, name: str) -> Tensor:
+    return dict(system.named_parameters())[name].detach()[None]
+
+
+def _same_lanes(batch: dict[str, Tensor]) -> dict[str, Tensor]:
+    lanes = max((x.shape[0] for x in batch.values()), default=1)
+    return {name: x.detach().expand(lanes, *x.shape[1:]) for name, x in batch.items()}
+
+
+def default_steps(dynamics: Dynamics, duration: float) -> int:
+    """Twenty steps per period of the fastest retained mode, at least 200 in all."""
+    if "Kr" not in dynamics.data:
+        return 1000
+    Kr = value(dynamics.data["Kr"])[:, :, :, 0].permute(2, 3, 0, 1)
+    fastest = float(torch.linalg.eigvalsh(Kr).max()) ** 0.5 / (2.0 * math.pi)
+    return max(200, math.ceil(20.0 * duration * fastest))
+
+
+def run(
+    dynamics: Dynamics, duration: float, steps: int, method: str, options: dict[str, Any]
+) -> tuple[History, dict[str, Any], list[str]]:
+    """Integrate; a failure of an adaptive method in a batch is isolated by running the lanes one by one."""
+    if method == "generalized_alpha":
+        history, stats = generalized_alpha.integrate(dynamics, duration, steps, **options)
+        return history, stats, _status(history, duration, steps, stats)
+    try:
+        history, stats = ode.integrate(dynamics, duration, steps, method, **options)
+        return history, stats, _status(history, duration, steps, {})
+    except FloatingPointError as error:
+        if dynamics.lanes == 1:
+            return _empty(dynamics, steps), {}, [f"failed: {error}"]
+    parts = [run(dynamics.lane(i), duration, steps, method, options) for i in range(dynamics.lanes)]
+    fields = {name: torch.cat([getattr(h, name) for h, _, _ in parts], -1) for name in ("q", "v", "vd", "lam")}
+    counts = {"evaluations": sum(s.get("evaluations", 0) for _, s, _ in parts)}
+    return History(**fields), counts, [status for _, _, statuses in parts for status in statuses]
+
+
+def _empty(dynamics: Dynamics, steps: int) -> History:
+    history = History.of(generalized_alpha.initial(dynamics), steps + 1)
+    for x in (history.q, history.v, history.vd, history.lam):
+        x.fill_(torch.nan)
+    return history
+
+
+def _status(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:
+    """Name the first time at which a lane is not finite, or an iteration that did not converge."""
+    good = torch.stack([torch.isfinite(x).all(2).all(1) for x in (history.q, history.v, history.vd)]).all(0)
+    result = []
+    for lane in range(good.shape[1]):
+        bad = torch.nonzero(~good[:, lane])
+        correction = float(stats["correction"][lane]) if "correction" in stats else 0.0
+        if len(bad):
+            result.append(f"failed: the motion is not finite from t = {duration * int(bad[0]) / steps:.6g} s on")
+        elif correction > CORRECTION:
+            result.append(f"failed: the iteration of a step did not converge (last correction {correction:.1e}); more steps help")
+        else:
+            result.append(OK)
+    return result
+
+
+def _present(
+    system: System,
+    dynamics: Dynamics,
+    history: History,
+    stats: dict[str, Any],
+    status: list[str],
+    duration: float,
+    designs: dict[str, Tensor],
+    parameters: tuple[str, ...],
+) -> Trajectory:
+    """Lanes first: [times, component, slots, lanes] -> [lanes, times, component(, slots)]."""
+
+    def values(x: Tensor) -> Tensor:
+        return x[:, :, 0].permute(2, 0, 1)
+
+    def tangents(x: Tensor) -> Tensor | None:
+        return x[:, :, 1:].permute(3, 0, 1, 2) if x.shape[2] > 1 else None
+
+    t = torch.linspace(0.0, duration, history.q.shape[0], dtype=torch.float64)
+    arrays = {"q": values(history.q), "v": values(history.v), "a": values(history.vd), "lam": values(history.lam)}
+    slopes = {"dq_db": tangents(history.q), "dv_db": tangents(history.v)}
+    return Trajectory(
+        t=t, **arrays, **slopes, status=status, stats=stats, system=system, dynamics=dynamics, designs=designs, parameters=parameters
+    )
