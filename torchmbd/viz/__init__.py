@@ -1,0 +1,6 @@
+"""Pictures: figures of studies, and the animation of a motion."""
+
+from torchmbd.viz.animation import animate
+from torchmbd.viz.figures import convergence, criterion, energy_over_time, save
+
+__all__ = ["animate", "convergence", "criterion", "energy_over_time", "save"]

@@ -1,0 +1,174 @@
+"""One self-contained HTML file of a moving mechanism: play, time, deformation scale, mouse rotation, strain energy.
+
+The file needs no network and no library (viewer.html, a canvas). It holds, for each flexible body, not the nodes of every
+frame but the few shapes they are made of,
+
+    u(t) = sum_j weight_j(t) shape_j            singular value decomposition of the displacements, cut at 1e-5
+
+Deformation is shown relative to the joints: the affine field through the displacements of the body's joint nodes is
+taken off what is exaggerated, so the parts stay joined at any scale, and at scale 1 the picture is the true motion.
+
+    plates    triangles, colored by the size of that deformation
+    rigid     a link through the joint frames of the body, a box where there is only one
+    joints    white disks; a triangle where a joint stands on the ground
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError
+
+_VIEWER = Path(__file__).with_name("viewer.html")
+_TOLERANCE = 1e-5  # of the largest displacement: below a pixel at any useful scale
+
+
+def animate(
+    motion: Any,
+    path: str | Path,
+    lane: int = 0,
+    title: str | None = None,
+    scale: float | None = None,
+    max_frames: int = 1000,
+) -> Path:
+    """Write the motion of one lane as an HTML file and return its path.
+
+    motion      a Trajectory
+    lane        which design of the batch
+    scale       exaggeration of the deformation at the opening; None: the largest is drawn as 5 % of the picture
+    max_frames  of more time points every n-th is kept
+    """
+    path = Path(path)
+    if path.suffix not in (".html", ".htm"):
+        raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .html")
+    if not 0 <= lane < len(motion.status):
+        raise InputError(f"lane = {lane}: allowed: 0 to {len(motion.status) - 1}, the lanes of the motion")
+    if max_frames < 2:
+        raise InputError(f"max_frames = {max_frames}: allowed: 2 or more")
+    if motion.status[lane] != "ok":
+        raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
+    scene = _scene(motion, lane, max_frames)
+    scene["title"] = title or " - ".join(body["name"] for body in scene["bodies"])
+    if scale is not None:
+        scene["scale"] = float(scale)
+    text = json.dumps(scene, allow_nan=False).replace("</", "<\\/")
+    path.write_text(_VIEWER.read_text(encoding="utf-8").replace("__SCENE__", text), encoding="utf-8")
+    return path
+
+
+def _scene(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
+    t = _array(motion.t)
+    stride = max(1, -(-(len(t) - 1) // (max_frames - 1)))
+    frames = np.unique([*range(0, len(t), stride), len(t) - 1])
+    index = {body.name: k for k, body in enumerate(motion.system.bodies)}
+    joints = list(motion.system.joints)
+    sides = [side for joint in joints for side in (joint.a, joint.b)]
+    bodies, visited, largest = [], [], 0.0
+    for body in motion.system.bodies:
+        state = motion.body(body.name)
+        mine = [side for side in sides if side.body.name == body.name]
+        r, A = _array(state.r)[lane][frames], _array(state.A)[lane][frames]
+        entry: dict[str, Any] = {"name": body.name, "r": _packed(r), "A": _packed(A)}
+        if state.mesh is None:
+            points = np.array(_unique(_array(side.point).tolist() for side in mine)).reshape(-1, 3)
+            entry["points"] = points.tolist()
+            local = points[None] if len(points) else np.zeros((1, 1, 3))
+        else:
+            local, size = _flexible(entry, state, lane, frames, {side.node for side in mine})
+            largest = max(largest, size)
+        visited.append((r[:, None] + np.einsum("tij,tnj->tni", A, np.broadcast_to(local, (len(r), *local.shape[1:])))))
+        bodies.append(entry)
+    visited.append(np.array([_array(s.point) for s in sides if s.body.name not in index]).reshape(1, -1, 3))
+    box = np.concatenate([points.reshape(-1, 3) for points in visited])
+    low, high = box.min(0), box.max(0)
+    extent = float(np.linalg.norm(high - low)) or 1.0
+    return {
+        "t": _packed(t[frames]),
+        "bodies": bodies,
+        "joints": [marker for joint in joints for marker in _markers(joint, index)],
+        "center": ((low + high) / 2).tolist(),
+        "extent": extent,
+        "view": "xyz"[int((high - low).argmin())],  # look along the shortest side of the space that is visited
+        "largest": largest,
+        "scale": _round(0.05 * extent / largest) if largest else 1.0,
+    }
+
+
+def _flexible(
+    entry: dict[str, Any], state: Any, lane: int, frames: np.ndarray, joint_nodes: set[int | None]
+) -> tuple[np.ndarray, float]:
+    """Add mesh, shapes and energy to the entry; return the deformed nodes in body axes and the largest deformation."""
+    u = _array(state.displacements)[lane][frames]
+    r, A, nodes = (_array(x)[lane][frames[0]] for x in (state.r, state.A, state.nodes))
+    x = (nodes - r) @ A - u[0]
+    shapes, weights = _low_rank(u.reshape(len(frames), -1))
+    modes = shapes.reshape(len(shapes), -1, 3)
+    relative = modes - _through_joints(x, modes, sorted(node for node in joint_nodes if node is not None))
+    entry.update(
+        x=_packed(x),
+        triangles=_array(state.mesh.triangles).reshape(-1).tolist(),
+        modes=_packed(shapes),
+        relative=_packed(relative),
+        weights=_packed(weights),
+        energy=_packed(_array(state.strain_energy)[lane][frames]),
+    )
+    deformation = np.einsum("tk,knc->tnc", weights, relative)
+    return x + u, float(np.linalg.norm(deformation, axis=-1).max())
+
+
+def _through_joints(x: np.ndarray, u: np.ndarray, joints: list[int]) -> np.ndarray:
+    """Return the affine fields of least norm that agree (in least squares) with u [k, n, 3] at the joint nodes."""
+    if not joints:
+        return np.zeros_like(u)
+    center = x[joints].mean(0)
+    spread = np.linalg.pinv(x[joints] - center, rcond=1e-9)  # [3, joints]
+    mean = u[:, joints].mean(1, keepdims=True)
+    return mean + np.einsum("ni,ij,kjc->knc", x - center, spread, u[:, joints] - mean)
+
+
+def _low_rank(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Split u [t, n] = weights [t, k] @ shapes [k, n], with the fewest k that keep 1e-5 of the largest value."""
+    U, s, Vt = np.linalg.svd(u, full_matrices=False)
+    k = max(1, int((s > _TOLERANCE * s[0]).sum()))
+    return Vt[:k], U[:, :k] * s[:k]
+
+
+def _markers(joint: Any, index: dict[str, int]) -> list[dict[str, Any]]:
+    """Return where to draw a joint: on its second body, and on the ground if it stands there, with a line between them."""
+    if type(joint).__name__ == "Drive":
+        return []  # acts on directions only; the revolute beside it is drawn
+    sides = sorted((joint.a, joint.b), key=lambda side: side.body.name in index)  # the ground first
+    shown = sides if sides[0].body.name not in index else [joint.b]
+    markers = [
+        {"body": index.get(side.body.name, -1), "point": _array(side.point).tolist(), "node": side.node}
+        for side in shown
+    ]
+    if len(markers) == 2:
+        markers[1]["rail"] = markers[0]["point"]
+    return markers
+
+
+def _unique(points: Iterable[list[float]]) -> list[list[float]]:
+    return list({tuple(np.round(point, 12)): point for point in points}.values())
+
+
+def _round(x: float) -> float:
+    """Round to 1, 2 or 5 times a power of ten, downwards, at least 1."""
+    power = 10.0 ** np.floor(np.log10(x))
+    return max(1.0, float(power * max(step for step in (1, 2, 5) if step * power <= x)))
+
+
+def _array(x: Any) -> np.ndarray:
+    return x.detach().cpu().numpy() if hasattr(x, "detach") else np.asarray(x)
+
+
+def _packed(x: np.ndarray) -> str:
+    if not np.isfinite(x).all():
+        raise InputError("the motion holds numbers that are not finite")
+    return base64.b64encode(np.ascontiguousarray(x, dtype="<f4").tobytes()).decode("ascii")

@@ -1,0 +1,112 @@
+"""Figures of a study, in the style of a printed paper: convergence, energy over time, criterion against angle.
+
+Each function returns a matplotlib Figure (no pyplot, no global state); `save` writes it by the ending of the file name
+(.png for a browser, .pdf or .svg for print). Colors: Okabe and Ito, told apart by color-blind eyes as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from torchmbd.errors import InputError
+
+BEST, OTHER, BAD = "#0072b2", "#a0a0a0", "#d55e00"
+CYCLE = ("#444444", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
+
+
+def convergence(
+    objectives: Mapping[str, Sequence[float]],
+    violations: Mapping[str, Sequence[float]],
+    best: str | None = None,
+    ylabel: str = "objective",
+) -> Figure:
+    """Objective and largest constraint violation of every start over its iterations; the best start stands out."""
+    if not objectives or not any(len(values) for values in objectives.values()):
+        raise InputError("objectives is empty; allowed: at least one start with one iteration")
+    figure, (top, bottom) = _figure(5.4, rows=2, ratios=(3, 1))
+    for name in sorted(objectives, key=lambda name: name == best):  # the best is drawn last, on top
+        style = {"color": BEST, "lw": 2.0, "label": f"best: {name}"} if name == best else {"color": OTHER, "lw": 0.9}
+        steps = range(len(objectives[name]))
+        top.plot(steps, objectives[name], marker="o", ms=2.5, **style)
+        bottom.plot(steps, violations.get(name, [0.0] * len(steps)), marker="o", ms=2.5, **style)
+    values = np.concatenate([np.asarray(values, dtype=float) for values in objectives.values()])
+    if (values > 0).all():
+        top.set_yscale("log")
+    top.set_ylabel(ylabel)
+    if best is not None:
+        top.legend(frameon=False, loc="upper right")
+    bottom.set_ylabel("violation")
+    bottom.set_xlabel("iteration")
+    bottom.xaxis.set_major_locator(MaxNLocator(integer=True))
+    top.set_title(f"{len(objectives)} starts" if len(objectives) > 1 else "1 start", loc="left", fontsize=9)
+    return figure
+
+
+def energy_over_time(t: Sequence[float], energies: Mapping[str, Sequence[float]]) -> Figure:
+    """Deformation energy of several designs of one motion (Fig. 9). t [s], energies [J] by the name of the design."""
+    figure, (axes,) = _figure(3.4)
+    for (label, energy), color in zip(energies.items(), CYCLE * len(energies), strict=False):
+        axes.plot(t, energy, color=color, lw=1.3, label=label)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("strain energy [J]")
+    axes.set_xlim(float(t[0]), float(t[-1]))
+    axes.set_ylim(bottom=0.0)
+    axes.legend(frameon=False)
+    return figure
+
+
+def criterion(
+    values: Sequence[float],
+    criteria: Mapping[str, Sequence[float]],
+    xlabel: str,
+    mark: float | None = None,
+) -> Figure:
+    """Normalized criteria against one design variable (Fig. 8); failed evaluations are gaps marked at the axis.
+
+    values    design variable, ascending, in the unit of `xlabel`
+    criteria  name -> criterion divided by its value at the start design; nan where it could not be evaluated
+    mark      design variable of the start design
+    """
+    figure, (axes,) = _figure(3.6)
+    x = np.asarray(values, dtype=float)
+    for (label, criterion), color in zip(criteria.items(), CYCLE[1:] * len(criteria), strict=False):
+        y = np.asarray(criterion, dtype=float)
+        axes.plot(x, y, color=color, lw=1.3, marker="o", ms=3, label=label)
+        missing = ~np.isfinite(y)
+        if missing.any():
+            label = "failed evaluation"
+            axes.plot(
+                x[missing], np.zeros(missing.sum()), "x", color=BAD, transform=axes.get_xaxis_transform(), label=label
+            )
+    if mark is not None:
+        axes.axvline(mark, color=OTHER, lw=0.8, ls="--", label="start design")
+    axes.set_xlabel(xlabel)
+    axes.set_ylabel("criterion / criterion at start")
+    axes.legend(frameon=False)
+    return figure
+
+
+def save(figure: Figure, path: str | Path) -> Path:
+    """Write a figure; the ending of the name chooses the format."""
+    path = Path(path)
+    if path.suffix not in (".png", ".pdf", ".svg"):
+        raise InputError(f"path = {str(path)!r}: allowed endings: .png, .pdf, .svg")
+    figure.savefig(path, dpi=160)
+    return path
+
+
+def _figure(height: float, rows: int = 1, ratios: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
+    figure = Figure(figsize=(6.0, height), layout="constrained")
+    axes = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
+    for ax in axes:
+        ax.spines[["top", "right"]].set_visible(False)
+        ax.tick_params(labelsize=9)
+        ax.grid(color="#e8e8e8", lw=0.6)
+        ax.set_axisbelow(True)
+    return figure, list(axes)
