@@ -1,0 +1,141 @@
+"""The modal basis that the motion uses: the retained modes, and the reduced stiffness as a full matrix.
+
+    K Psi = M Psi Kr,     Psi' M Psi = 1,     Kr = Psi' K Psi
+
+K, M     stiffness and mass of all freedoms        [..., N, N]
+Psi      the n lowest modes                        [..., N, n]
+Kr       reduced stiffness                         [..., n, n]
+
+Only the retained *subspace* enters a motion; transport.py derives the derivative that follows from this, and why
+eigenvalues may cross or repeat inside the retained set. The one gap that matters is the gap to the first discarded
+mode. A cluster is therefore never cut there: the basis has as many modes as were asked for (the same number for each
+lane of a batch), or is refused.
+
+Differentiable once, forward and reverse, under vmap and jacfwd, in the values of K and M. All directions share one
+factorization. Assumed: K symmetric (it may be singular: a free body), M symmetric and positive definite, and so are
+their derivatives symmetric. Source: section 4.2 and eqs. (34)-(36) of the paper; design notes of transport.py.
+Checked in tests/reduction/test_modal_basis.py and tests/sensitivity/test_eigen_subspace.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..errors import InputError
+from ..numerics.sparse import SparseMatrix
+from .dense import DenseModes
+from .forms import check, check_positive_diagonal, lane_name, recognize
+from .transport import Cotangent, Pencil, Tangent
+
+CLUSTER = 1e-6
+
+
+class ModalBasis(NamedTuple):
+    """M-orthonormal modes [..., N, n] and the reduced stiffness [..., n, n]; see the module header."""
+
+    vectors: Float[Tensor, "*lanes freedoms modes"]
+    stiffness: Float[Tensor, "*lanes modes modes"]
+
+
+def modal_basis(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, cluster: float = CLUSTER) -> ModalBasis:
+    """Reduce to the n lowest modes.
+
+    K: dense [..., N, N] or SparseMatrix. M: the same, or a vector [..., N], the diagonal of a lumped mass. Leading
+    lanes broadcast. cluster: smallest gap to the first discarded mode that is accepted, relative to its eigenvalue.
+    Raises InputError: entries not finite, K or M not symmetric, M not positive definite, n out of range, or a cluster
+    cut by n.
+    """
+    pencil, K_values, M_values, lanes = open_pencil(K, M, n)
+    vectors, stiffness = _Basis.apply(pencil, n, cluster, K_values, M_values)
+    return ModalBasis(vectors.reshape(*lanes, *vectors.shape[1:]), stiffness.reshape(*lanes, n, n))
+
+
+def open_pencil(
+    K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int
+) -> tuple[Pencil, Tensor, Tensor, tuple[int, ...]]:
+    """Recognize the forms and flatten all leading dimensions into one lane dimension."""
+    K_form, K_values = recognize("K", K)
+    M_form, M_values = recognize("M", M, K_form.size)
+    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= K_form.size:
+        raise InputError(f"n = {n!r} modes of a problem with {K_form.size} freedoms; 1 ... {K_form.size} are allowed")
+    K_lanes, M_lanes = K_values.shape[: -K_form.entry_dims], M_values.shape[: -M_form.entry_dims]
+    lanes = torch.broadcast_shapes(K_lanes, M_lanes)
+    K_entry, M_entry = K_values.shape[len(K_lanes) :], M_values.shape[len(M_lanes) :]
+    flat_K = K_values.expand(*lanes, *K_entry).reshape(-1, *K_entry)
+    flat_M = M_values.expand(*lanes, *M_entry).reshape(-1, *M_entry)
+    return Pencil(K_form, M_form), flat_K, flat_M, lanes
+
+
+def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Check the numbers and solve: eigenvalues [lane, n], vectors [lane, N, n], the next eigenvalue [lane]."""
+    check("K", pencil.K_form, K)
+    check("M", pencil.M_form, M)
+    check_positive_diagonal("M", pencil.M_form, M)
+    pencil.modes = DenseModes(pencil.K_form, pencil.M_form, K, M, n)
+    return pencil.modes.lowest()
+
+
+def check_gap(values: Tensor, following: Tensor, cluster: float) -> None:
+    """Refuse to cut a cluster between the last retained and the first discarded mode."""
+    n = values.shape[-1]
+    gap = (following - values[:, -1]) / following.abs()
+    cut = gap < cluster
+    if not cut.any():
+        return
+    lane = int(cut.nonzero()[0])
+    close = values[lane] >= values[lane, -1] - cluster * following[lane].abs()
+    below = n - int(close.sum())
+    fewer = f"n = {below} or " if below else ""
+    raise InputError(
+        f"n = {n} cuts a cluster{lane_name(lane, len(values))}: eigenvalues {n} and {n + 1} are "
+        f"{values[lane, -1]:.10g} and {following[lane]:.10g}, closer than cluster = {cluster:g} relative; "
+        f"take {fewer}n > {n}, beyond the cluster"
+    )
+
+
+class _Basis(torch.autograd.Function):
+    """Psi [lane, N, n] and Kr [lane, n, n]; derivatives through transport.py."""
+
+    @staticmethod
+    def forward(pencil: Pencil, n: int, cluster: float, K: Tensor, M: Tensor) -> tuple[Tensor, Tensor]:
+        values, vectors, following = solve(pencil, n, K, M)
+        check_gap(values, following, cluster)
+        return vectors, torch.diag_embed(values)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
+        ctx.pencil = inputs[0]
+        ctx.set_materialize_grads(False)
+        ctx.save_for_forward(*output)
+        ctx.save_for_backward(*output)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, pencil: Pencil, n: int, cluster: float, K: Tensor, M: Tensor) -> tuple:
+        K, M = (
+            v.expand(info.batch_size, *v.shape) if dim is None else v.movedim(dim, 0)
+            for v, dim in ((K, in_dims[3]), (M, in_dims[4]))
+        )
+        vectors, stiffness = _Basis.apply(pencil, n, cluster, K.flatten(0, 1), M.flatten(0, 1))
+        lanes = (info.batch_size, K.shape[1])
+        return (vectors.unflatten(0, lanes), stiffness.unflatten(0, lanes)), (0, 0)
+
+    @staticmethod
+    def jvp(ctx: Any, _pencil: Any, _n: Any, _cluster: Any, dK: Tensor | None, dM: Tensor | None) -> Any:
+        vectors, stiffness = ctx.saved_tensors
+        values = stiffness.diagonal(dim1=-2, dim2=-1)
+        dK, dM = (None if d is None else d.unsqueeze(1) for d in (dK, dM))
+        dPsi, dKr = Tangent.apply(ctx.pencil, values, vectors, dK, dM)
+        return dPsi.squeeze(1), dKr.squeeze(1)
+
+    @staticmethod
+    def backward(ctx: Any, G: Tensor | None, H: Tensor | None) -> Any:
+        vectors, stiffness = ctx.saved_tensors
+        values = stiffness.diagonal(dim1=-2, dim2=-1)
+        G = torch.zeros_like(vectors) if G is None else G
+        H = torch.zeros_like(stiffness) if H is None else H
+        K_bar, M_bar = Cotangent.apply(ctx.pencil, values, vectors, G.unsqueeze(1), H.unsqueeze(1))
+        return None, None, None, K_bar.squeeze(1), M_bar.squeeze(1)
