@@ -1,0 +1,70 @@
+"""Mesh: geometry of known triangles, named nodes, and every kind of bad input refused by element or node."""
+
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from torchmbd.errors import InputError
+from torchmbd.mesh import Mesh
+
+SQUARE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]
+HALVES = [[0, 1, 2], [0, 2, 3]]
+
+
+def test_areas_and_normals_in_space():
+    s = math.sqrt(0.5)
+    mesh = Mesh(torch.tensor([[0, 0, 0], [2, 0, 0], [0, s, s]]), torch.tensor([[0, 1, 2]]))
+    assert mesh.areas.item() == pytest.approx(1.0, rel=1e-7)
+    assert_close(mesh.normals, torch.tensor([[0.0, -s, s]], dtype=torch.float64), rtol=1e-7, atol=1e-12)
+    assert mesh.nodes.dtype == torch.float64
+
+
+def test_named_nodes_and_sets():
+    mesh = Mesh(SQUARE, HALVES, {"origin": [0], "left": [0, 3]})
+    assert mesh.node("origin") == 0
+    assert mesh.node_set("left") == (0, 3)
+    with pytest.raises(InputError, match="did you mean 'origin'"):
+        mesh.node("orign")
+    with pytest.raises(InputError, match="'left' has 2 nodes"):
+        mesh.node("left")
+
+
+def test_the_mesh_keeps_its_own_copy():
+    nodes = torch.tensor(SQUARE, dtype=torch.float64)
+    mesh = Mesh(nodes, HALVES)
+    nodes[0, 0] = 9.0
+    assert mesh.nodes[0, 0] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("nodes", "triangles", "message"),
+    [
+        ([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [[0, 1, 2]], r"nodes has shape \(3, 2\)"),
+        ([*SQUARE[:3], [0.0, math.nan, 0.0]], HALVES, "node 3 is at"),
+        ([*SQUARE, SQUARE[1]], [[0, 1, 2], [0, 2, 3], [4, 2, 3]], "nodes 1 and 4 share one place"),
+        (SQUARE, [[0, 1, 2], [0, 2, 4]], r"triangle 1 has nodes \[0, 2, 4\]; allowed: 0 to 3"),
+        (SQUARE, [[0, 1, 2, 3]], r"triangles has shape \(1, 4\)"),
+        (SQUARE, [*HALVES, [2, 0, 1]], "triangles 0 and 2 are duplicates"),
+        (SQUARE, [[0, 1, 2], [0, 2, 2]], "triangle 1, nodes .* is collapsed"),
+        ([*SQUARE, [0.5, 1e-9, 0.0]], [*HALVES, [0, 1, 4]], "triangle 2, nodes .* is collapsed"),
+        (SQUARE, [[0, 1, 2]], r"1 orphan nodes belong to no triangle: \[3\]"),
+        (SQUARE, [[0, 1, 2], [0, 3, 2]], "triangles 0 .* and 1 .* are wound in opposite senses"),
+        ([*SQUARE, [5.0, 0, 0], [6.0, 0, 0], [5.0, 1, 0]], [*HALVES, [4, 5, 6]], "2 disconnected parts .node 4"),
+    ],
+)
+def test_bad_mesh_is_refused_by_name(nodes, triangles, message):
+    with pytest.raises(InputError, match=message):
+        Mesh(nodes, triangles)
+
+
+def test_node_set_outside_of_the_mesh():
+    with pytest.raises(InputError, match=r"node_sets\['tip'\] has node 4; allowed: 0 to 3"):
+        Mesh(SQUARE, HALVES, {"tip": [4]})
+
+
+def test_three_plates_may_meet_at_an_edge():
+    """A stiffener: no winding is right for all three neighbours of the common edge."""
+    mesh = Mesh([*SQUARE, [0.5, 0.5, 1.0]], [*HALVES, [0, 2, 4]])
+    assert len(mesh.triangles) == 3
