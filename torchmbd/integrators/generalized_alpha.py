@@ -91,10 +91,19 @@ class Step:
         self.T, self.saddle, self.h, self.c, self.iterations = dynamics.topology, dynamics.saddle, h, coefficients, iterations
         self.scale = coefficients.beta * h * h * coefficients.share  # dq1/dv1'
 
-    def inverse(self, data: equations.Data, q: Tensor, t: Tensor) -> Tensor:
-        """Inverse of the iteration matrix at coordinates q: [lanes, n, n]. A singular lane becomes nan, alone."""
-        at = equations.placement(self.T, data, q)
-        K = self.saddle.matrix(data, at, t, self.scale, self.c.gamma * self.h * self.c.share)
+    def inverse(self, data: equations.Data, x: State, t: Tensor) -> Tensor:
+        """Inverse of the iteration matrix [lanes, n, n] where the step from x is predicted to end.
+
+        A lane whose matrix is singular becomes nan, alone.
+        """
+        T = self.T
+        q, v, _ = self._new(x, x.vd)
+        at = equations.placement(T, data, q)
+        K = self.saddle.matrix(data, at, t, self.scale, self.c.gamma * self.h * self.c.share, v, x.lam)
+        # A change of the increment turns the body by d(exp), not by the change itself: to first order 1 - h ~om / 2.
+        turns = K[:, T.n_v :, 3 * T.bodies : 6 * T.bodies].unflatten(2, (3, T.bodies))
+        spin = equations.split_v(T, v)[1][:, :, 0].permute(2, 0, 1)[:, None].expand_as(turns)
+        turns -= (0.5 * self.h) * torch.linalg.cross(turns, spin, dim=2)
         H, info = torch.linalg.inv_ex(K)
         return torch.where((info == 0)[:, None, None], H, torch.nan)
 
@@ -213,9 +222,9 @@ def integrate(
     monitor = _Monitor(value(x.vd).shape[-1])
     H = torch.empty(0)
     for i in range(steps):
-        if i % refresh == 0:
-            H = step.inverse(plain, value(x.q), torch.tensor(i * h, dtype=torch.float64))
         t = torch.tensor((i + 1) * h, dtype=torch.float64)
+        if i % refresh == 0:
+            H = step.inverse(plain, x.values(), t)
         z, correction = step.values(plain, x.values(), H, t)
         monitor.values(z, correction, step.T.n_v)
         if with_tangents:

@@ -124,7 +124,7 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
         return force, axial(matmul(Z, data["P0"])) + cross(S, u) + data["mu"] * omd, linear(torch.zeros_like, w)
     spin_f, Z_f, u_f, om_f, omd_f = spin[:, :, :f], Z[:, :, :f], u[:, :f], om[:, :f], omd[:, :f]
     SR = data["SR"]  # SR = S1 above R1: [6, modes, flexible]
-    S, P, G = _moments(T, data, w)
+    S, P, G = moments(T, data, w)
     rates = _stack2(wd, wdd)  # [modes, 2, flexible]
     sr = bilinear(lambda m, x: (m[:, :, None] * x).sum(1), SR, rates)  # [6, 2, flexible]
     gg = bilinear(lambda m, x: (m[:, :, :, None] * x).sum(2), G, rates)  # [3, 3, 2, flexible]
@@ -153,7 +153,7 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
     return data["mass"] * rdd + matvec(A, h), axial(Y) + torque, modal
 
 
-def _moments(T: Topology, data: Data, w):
+def moments(T: Topology, data: Data, w):
     """S [3, bodies], P [3, 3, bodies] and G [3, 3, modes, flexible] of the deformed bodies."""
     f = T.flexible
     S, P, C0 = data["S0"], data["P0"], data["C0"]
@@ -215,12 +215,17 @@ def _with_ground(x, dim: int):
 
 def constraint_forces(T: Topology, data: Data, at: Placement, lam, t: Tensor):
     """Phi_q' lam: ground forces [3, bodies], body torques [3, bodies], modal forces [modes, flexible]."""
+    return generalized_forces(T, data, at, force_on_vectors(T, at, lam, t))
+
+
+def force_on_vectors(T: Topology, at: Placement, lam, t: Tensor):
+    """Gradient of lam . Phi by the attached vectors [3, vectors, ...], in ground axes."""
     slots = []
     for primitive, rows in T.row_slices():
         angle = prescribed(primitive.data, t, derivatives=False) if primitive.driven else None
         vectors = [at.g.index_select(1, member) for member in primitive.members]
         slots += primitive.forces(vectors, lam[rows].unflatten(0, (primitive.rows, -1)), angle)
-    return generalized_forces(T, data, at, T.vector_fold(cat(slots, 1)))
+    return T.vector_fold(cat(slots, 1))
 
 
 def generalized_forces(T: Topology, data: Data, at: Placement, force):

@@ -19,9 +19,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.joints.primitive import prescribed
-from torchmbd.numerics.pair import cross, matmul, matvec_t
+from torchmbd.numerics.pair import cross, matmul, matvec, matvec_t
 from torchmbd.numerics.rotation import axial, skew
-from torchmbd.system.equations import Data, Placement, _moments
+from torchmbd.system.equations import Data, Placement, force_on_vectors, moments, split_v
 from torchmbd.system.topology import Fold, Topology
 
 
@@ -31,6 +31,7 @@ class Saddle:
     def __init__(self, T: Topology):
         self.T = T
         self._row_index()
+        self._body_fold = Fold([b if b < T.bodies else -1 for b in T.vector_body.tolist()], T.bodies)
         self._blocks: list[tuple[str, tuple[int, ...]]] = self._shapes()
         self._index = self._dense_index()
 
@@ -62,10 +63,13 @@ class Saddle:
         n, f, m = self.T.bodies, self.T.flexible, self.T.modes
         shapes = [
             ("mass", (n,)),
-            ("turn", (3, 3, n)),  # r'' x omega'
-            ("inertia", (3, 3, n)),
-            ("pull", (3, m, f)),  # r'' x w''
-            ("twist", (3, m, f)),  # omega' x w''
+            ("turn", (3, 3, n)),  # forces by omega'
+            ("turn_back", (3, 3, n)),  # torques by r'', [r'', torque]
+            ("inertia", (3, 3, n)),  # torques by omega'
+            ("pull", (3, m, f)),  # forces by w''
+            ("pull_back", (3, m, f)),  # modal forces by r'', [r'', mode]
+            ("twist", (3, m, f)),  # torques by w''
+            ("twist_back", (3, m, f)),  # modal forces by omega', [omega', mode]
             ("modal", (m, m, f)),
             ("row_force", (3, len(self.pairs))),
             ("row_torque", (3, len(self.pairs))),
@@ -94,11 +98,14 @@ class Saddle:
         for i in range(3):
             put(r[i], r[i], places["mass"])
             for j in range(3):
-                put(r[i], om[j], places["turn"][i, j])
+                index[r[i], om[j]] = places["turn"][i, j]
+                index[om[j], r[i]] = places["turn_back"][i, j]
                 index[om[i], om[j]] = places["inertia"][i, j]
             for a in range(m):
-                put(r[i, :f], w[a], places["pull"][i, a])
-                put(om[i, :f], w[a], places["twist"][i, a])
+                index[r[i, :f], w[a]] = places["pull"][i, a]
+                index[w[a], r[i, :f]] = places["pull_back"][i, a]
+                index[om[i, :f], w[a]] = places["twist"][i, a]
+                index[w[a], om[i, :f]] = places["twist_back"][i, a]
         for a in range(m):
             for b in range(m):
                 index[w[a], w[b]] = places["modal"][a, b]
@@ -113,9 +120,27 @@ class Saddle:
                 put(nv + row, w[a][body], places["row_modal"][a])
         return torch.from_numpy(index.reshape(-1))
 
-    def matrix(self, data: Data, at: Placement, t: Tensor, stiffness: float = 0.0, damping: float = 0.0) -> Tensor:
-        """Dense saddle-point matrix [lanes, n_v + rows, n_v + rows]."""
+    def matrix(
+        self,
+        data: Data,
+        at: Placement,
+        t: Tensor,
+        stiffness: float = 0.0,
+        damping: float = 0.0,
+        v: Tensor | None = None,
+        lam: Tensor | None = None,
+    ) -> Tensor:
+        """Dense saddle-point matrix [lanes, n_v + rows, n_v + rows].
+
+        stiffness, damping  factors of Kr and D; `damping` also multiplies the gyroscopic matrix of the rates `v`,
+                            `stiffness` the geometric stiffness of the multipliers `lam`, if they are given
+        """
         blocks = self._mass_blocks(data, at, stiffness, damping)
+        blocks |= {f"{name}_back": blocks[name] for name in ("turn", "pull", "twist") if name in blocks}
+        if v is not None:
+            self._add_gyroscopic(blocks, data, at, damping, v)
+        if lam is not None and self.T.rows:
+            self._add_geometric(blocks, data, at, stiffness, lam, t)
         if self.T.rows:
             blocks |= self._row_blocks(data, at, t)
         lanes = at.g.shape[-1] if at.g.numel() else at.A.shape[-1]
@@ -129,7 +154,7 @@ class Saddle:
         n, f = T.bodies, T.flexible
         eye = torch.eye(3, dtype=at.A.dtype, device=at.A.device)[:, :, None, None, None]
         A = at.A[:, :, :n]
-        S, P, G = _moments(T, data, at.w) if f else (data["S0"], data["P0"], None)
+        S, P, G = moments(T, data, at.w) if f else (data["S0"], data["P0"], None)
         trace = P[0, 0] + P[1, 1] + P[2, 2]
         blocks = {
             "mass": data["mass"],
@@ -144,6 +169,51 @@ class Saddle:
             modal = torch.eye(m, dtype=A.dtype, device=A.device)[:, :, None, None, None] + stiffness * data["Kr"]
             blocks["modal"] = modal + damping * data["D"] if "D" in data else modal
         return blocks
+
+    def _add_gyroscopic(self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, v: Tensor) -> None:
+        """Add the derivatives of the inertia forces by om and w' (equations.py)."""
+        T = self.T
+        f = T.flexible
+        _, om, wd = split_v(T, v)
+        A, spin, J = at.A[:, :, : T.bodies], skew(om), blocks["inertia"]
+        S, _, G = moments(T, data, at.w) if f else (data["S0"], None, None)
+        blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(cross(om, S)) + matmul(spin, skew(S)))
+        blocks["inertia"] = J + factor * (matmul(spin, J) - skew(matvec(J, om)))
+        if G is not None:
+            om_f, spin_f = om[:, :f], spin[:, :, :f]
+            twice = 2.0 * factor * spin_f
+            coriolis = matmul(twice, data["SR"][:3])
+            blocks["pull"] = blocks["pull"] + matmul(A[:, :, :f], coriolis)
+            R1, X = data["SR"][3:], (G * wd).sum(2)
+            turning = matmul(factor * spin_f, R1) + axial((twice[:, :, None, None] * G[None]).sum(1))
+            blocks["twist"] = blocks["twist"] + turning
+            eye = torch.eye(3, dtype=om.dtype, device=om.device)[:, :, None, None, None]
+            stirred = 2.0 * (eye * (X[0, 0] + X[1, 1] + X[2, 2]) - X) - skew(matvec(R1, wd))
+            blocks["inertia"] = torch.cat([blocks["inertia"][:, :, :f] + factor * stirred, blocks["inertia"][:, :, f:]], 2)
+            both = G + G.transpose(0, 1)
+            trace = G[0, 0] + G[1, 1] + G[2, 2]
+            centrifugal = (both * om_f[None, :, None]).sum(1) - 2.0 * om_f[:, None] * trace[None]
+            coriolis = (data["H"] * wd).sum(2)
+            blocks["twist_back"] = blocks["twist_back"] + factor * (centrifugal + coriolis)
+            blocks["modal"] = blocks["modal"] + factor * (data["H"] * om_f[:, None, None]).sum(0)
+
+    def _add_geometric(
+        self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, lam: Tensor, t: Tensor
+    ) -> None:
+        """Add what the constraint forces change by when bodies turn and bend under them, forces held in ground axes.
+
+        A rod under tension has a mode of small inertia in which its frame turns against its bending; there this
+        matters as much as the inertia.
+        """
+        T = self.T
+        local = matvec_t(at.A_of, force_on_vectors(T, at, lam, t))
+        turned = matmul(skew(at.rho), skew(local))
+        torque = self._body_fold(turned.flatten(0, 1)).unflatten(0, (3, 3))
+        blocks["inertia"] = blocks["inertia"] + factor * torque
+        if T.attached_flexible:
+            bent = -matmul(skew(local[:, : T.attached_flexible]), data["Y"])
+            twist = factor * T.modal_fold(bent.flatten(0, 1)).unflatten(0, (3, T.modes))
+            blocks["twist"], blocks["twist_back"] = blocks["twist"] + twist, blocks["twist_back"] + twist
 
     def _row_blocks(self, data: Data, at: Placement, t: Tensor) -> dict[str, Tensor]:
         T = self.T
