@@ -16,7 +16,7 @@ def experiment_link(base: str, experiment_id: str, parent_run: str | None = None
     """Return the table of runs ordered by a metric; with `parent_run` only the children of that study."""
     query = f"workflowType=machine_learning&orderByKey={quote(f'metrics.`{metric}`')}&orderByAsc=true"
     if parent_run is not None:
-        query += f"&searchFilter={quote(f'''tags.mlflow.parentRunId = "{parent_run}"''')}"
+        query += "&searchFilter=" + quote(f'tags.mlflow.parentRunId = "{parent_run}"')
     return f"{base}/#/experiments/{experiment_id}/runs?{query}"
 
 

@@ -1,7 +1,7 @@
 """One self-contained HTML file of a moving mechanism: play, time, deformation scale, mouse rotation, strain energy.
 
-The file needs no network and no library (viewer.html, a canvas). It holds, for each flexible body, not the nodes of every
-frame but the few shapes they are made of,
+The file needs no network and no library (viewer.html, a canvas). It holds, for each flexible body, not the nodes of
+every frame but the few shapes they are made of,
 
     u(t) = sum_j weight_j(t) shape_j            singular value decomposition of the displacements, cut at 1e-5
 
@@ -82,7 +82,7 @@ def _scene(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
         else:
             local, size = _flexible(entry, state, lane, frames, {side.node for side in mine})
             largest = max(largest, size)
-        visited.append((r[:, None] + np.einsum("tij,tnj->tni", A, np.broadcast_to(local, (len(r), *local.shape[1:])))))
+        visited.append(r[:, None] + np.einsum("tij,tnj->tni", A, np.broadcast_to(local, (len(r), *local.shape[1:]))))
         bodies.append(entry)
     visited.append(np.array([_array(s.point) for s in sides if s.body.name not in index]).reshape(1, -1, 3))
     box = np.concatenate([points.reshape(-1, 3) for points in visited])
@@ -140,7 +140,7 @@ def _low_rank(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _markers(joint: Any, index: dict[str, int]) -> list[dict[str, Any]]:
-    """Return where to draw a joint: on its second body, and on the ground if it stands there, with a line between them."""
+    """Return where to draw a joint: on its second body, and on the ground if it stands there, a line between them."""
     if type(joint).__name__ == "Drive":
         return []  # acts on directions only; the revolute beside it is drawn
     sides = sorted((joint.a, joint.b), key=lambda side: side.body.name in index)  # the ground first
