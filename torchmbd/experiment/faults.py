@@ -54,5 +54,7 @@ def place(path: Path, lines: Lines) -> int | str | None:
 
 def shown(value: object, limit: int = 60) -> str:
     """Write a value for a message, cut to one short line."""
-    text = repr(value)
+    text = (
+        {True: "true", False: "false", None: "null"}[value] if value is None or isinstance(value, bool) else repr(value)
+    )
     return text if len(text) <= limit else f"{text[: limit - 3]}..."

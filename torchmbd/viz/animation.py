@@ -57,7 +57,7 @@ def animate(
     scene["title"] = title or " - ".join(body["name"] for body in scene["bodies"])
     if scale is not None:
         scene["scale"] = float(scale)
-    text = json.dumps(scene, allow_nan=False).replace("</", "<\\/")
+    text = json.dumps(scene, allow_nan=False).replace("<", "\\u003c")  # no text ends or opens an element
     path.write_text(_VIEWER.read_text(encoding="utf-8").replace("__SCENE__", text), encoding="utf-8")
     return path
 
