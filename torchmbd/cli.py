@@ -1,0 +1,125 @@
+"""The command line: torchmbd run, list, ui.
+
+Exit codes: 0 done, 1 something failed that was not the input, 2 bad input (every fault named), 130 interrupted.
+Nothing heavy is imported before it is needed: `torchmbd --help` answers at once.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import App, CycloptsError, Parameter
+from rich.console import Console
+
+from torchmbd.errors import InputError, MbdError
+
+app = App(name="torchmbd", help="Optimization of flexible multibody systems made of composite materials.")
+
+
+@app.command
+def run(file: Path, /, *assignments: str) -> int:
+    """Run an experiment file.
+
+    Parameters
+    ----------
+    file
+        The experiment file (YAML).
+    assignments
+        Overrides of single values: optimizer.max_iterations=5 starts.count=4
+    """
+    _one_thread()
+    from torchmbd.experiment import load, run_plan
+
+    console = Console()
+    plan = load(file, assignments)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: with what was computed
+    return run_plan(plan, console)
+
+
+@app.command(name="list")
+def list_(folder: Path = Path("configs"), uri: str | None = None) -> int:
+    """List the experiment files at hand and the studies so far.
+
+    Parameters
+    ----------
+    folder
+        Where the experiment files are.
+    uri
+        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
+    """
+    from torchmbd.experiment.listing import print_configs, print_studies
+
+    console = Console()
+    print_configs(folder, console)
+    print_studies(uri, console)
+    return 0
+
+
+@app.command
+def ui(
+    uri: str | None = None,
+    host: str = "127.0.0.1",
+    port: Annotated[int, Parameter(name=["--port", "-p"])] = 5000,
+) -> int:
+    """Serve the MLflow UI and print the links that open the right views; Ctrl-C ends it.
+
+    Parameters
+    ----------
+    uri
+        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
+    host
+        Address to listen on; the default is reachable from this machine only.
+    port
+        Port to listen on.
+    """
+    from torchmbd.experiment.listing import print_links
+    from torchmbd.tracking.server import serving
+    from torchmbd.tracking.store import store_uri
+
+    console = Console()
+    store = store_uri(uri)
+    if store.startswith(("http:", "https:")):
+        console.print(f"{store} is a server already.")
+        print_links(store, store.rstrip("/"), console)
+        return 0
+    with serving(store, host, port) as server:
+        print_links(store, f"http://{host}:{port}", console)
+        console.print("Ctrl-C ends the server.")
+        try:
+            server.wait()
+        except KeyboardInterrupt:
+            return 0
+    raise MbdError(f"the MLflow server ended with exit code {server.returncode}")
+
+
+def _one_thread() -> None:
+    """Keep numerical libraries to one thread: two make small batched solves 10 to 50 times slower."""
+    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    import torch
+
+    torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and return the exit code."""
+    try:
+        return int(app(arguments, result_action="return_value", exit_on_error=False, print_error=True) or 0)
+    except (InputError, CycloptsError) as error:
+        if isinstance(error, InputError):  # cyclopts has printed its own
+            print(error, file=sys.stderr)
+        return 2
+    except MbdError as error:
+        print(f"failed: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,150 @@
+"""What only the model can tell: whether the file's options, parameters, sizes, bodies and method options exist.
+
+Works on the sections that are valid, so that a wrong word in one section does not hide a wrong name in another.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError, nearest
+from torchmbd.experiment.faults import Fault, Path, shown
+from torchmbd.experiment.model import build_model, find_model, option_faults
+from torchmbd.experiment.schema import Optimizer, Range, Simulation, Starts, Variable
+from torchmbd.integrators import generalized_alpha, ode
+from torchmbd.optimizers.optimizer import find_method
+from torchmbd.system import System
+
+Sections = Mapping[str, Any]
+
+
+def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fault]]:
+    """Return the system, if it can be built, and every fault that building it shows."""
+    faults = _method_faults(sections)
+    if "model" not in sections:
+        return None, faults
+    try:
+        builder = find_model(sections["model"], folder)
+    except InputError as error:
+        return None, [*faults, Fault(("model",), str(error))]
+    if "options" not in sections or (wrong := option_faults(builder, sections["options"])):
+        return None, faults + (wrong if "options" in sections else [])
+    try:
+        system = build_model(builder, sections["options"])
+    except InputError as error:
+        return None, [*faults, Fault(("options",), f"= {shown(sections['options'])}: {error}")]
+    faults += [fault for measure, path in _measures(sections) for fault in _body_faults(measure, path, system)]
+    if "design" in sections:
+        faults += _design_faults(sections["design"], system)
+        if not faults:
+            faults += _start_faults(sections, system)
+    return system, faults
+
+
+def values(given: float | Sequence[float], size: int) -> np.ndarray | None:
+    """Spread a number over `size` entries; None if a list has another length."""
+    x = np.atleast_1d(np.asarray(given, dtype=float))
+    return np.full(size, x[0]) if not isinstance(given, (list, tuple)) else x if len(x) == size else None
+
+
+def labels(design: Mapping[str, Variable], system: System) -> list[str]:
+    """Return one label for each entry of the design vector: `rod.laminate.angles[0]`."""
+    own = dict(system.named_parameters())
+    return [f"{name}[{i}]" for name in design for i in range(own[name].numel())]
+
+
+def _method_faults(sections: Sections) -> list[Fault]:
+    faults = []
+    simulation: Simulation | None = sections.get("simulate")
+    if simulation is not None:
+        integrate = generalized_alpha.integrate if simulation.method == "generalized_alpha" else ode.integrate
+        allowed = [p.name for p in inspect.signature(integrate).parameters.values() if p.default is not p.empty]
+        for key in simulation.options:
+            if key not in allowed:
+                known = nearest(key, ["duration", "method", "steps", *allowed])
+                faults.append(Fault(("simulate", key), f"unknown key for method {simulation.method!r}{known}"))
+    optimizer: Optimizer | None = sections.get("optimizer")
+    for key in optimizer.options if optimizer is not None else ():
+        try:
+            find_method(optimizer.name if optimizer else "", {key: None})
+        except InputError as error:
+            faults.append(Fault(("optimizer", key), f": {error}"))
+    return faults
+
+
+def _measures(sections: Sections) -> list[tuple[Mapping[str, Mapping[str, str]], Path]]:
+    found = [(sections["minimize"], ("minimize",))] if "minimize" in sections else []
+    return found + [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
+
+
+def _body_faults(measure: Mapping[str, Mapping[str, str]], path: Path, system: System) -> list[Fault]:
+    flexible = [body.name for body in system.bodies if getattr(body, "mesh", None) is not None]
+    [(combinator, response)] = measure.items()
+    [(name, body)] = response.items()
+    if body in flexible:
+        return []
+    return [
+        Fault((*path, combinator, name), f"= {shown(body)}: no flexible body of that name{nearest(body, flexible)}")
+    ]
+
+
+def _design_faults(design: Mapping[str, Variable], system: System) -> list[Fault]:
+    own = dict(system.named_parameters())
+    faults = []
+    for name, variable in design.items():
+        path: Path = ("design", name)
+        if name not in own:
+            faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}"))
+            continue
+        size = own[name].numel()
+        sized = {
+            key: values(given, size)
+            for key in ("start", "lower", "upper")
+            if (given := getattr(variable, key)) is not None
+        }
+        for key, x in sized.items():
+            if x is None:
+                given = getattr(variable, key)
+                faults.append(Fault((*path, key), f"has {len(given)} values; allowed: {size}, or one number for all"))
+        faults += _bound_faults(path, sized)
+    return faults
+
+
+def _bound_faults(path: Path, sized: Mapping[str, np.ndarray | None]) -> list[Fault]:
+    lower, upper, start = sized.get("lower"), sized.get("upper"), sized.get("start")
+    if lower is None or upper is None:
+        return []
+    if not (lower < upper).all():
+        return [Fault((*path, "lower"), f"= {lower.tolist()}: must be below upper = {upper.tolist()}")]
+    if start is not None and not ((lower <= start) & (start <= upper)).all():
+        return [Fault((*path, "start"), f"= {start.tolist()}: must lie between {lower.tolist()} and {upper.tolist()}")]
+    return []
+
+
+def _start_faults(sections: Sections, system: System) -> list[Fault]:
+    """Check points and sweeps against the size of the design vector."""
+    names = labels(sections["design"], system)
+    starts: Starts | None = sections.get("starts")
+    faults = []
+    for k, point in enumerate((starts.points if starts else None) or ()):
+        if len(point) != len(names):
+            text = f"has {len(point)} values; allowed: {len(names)}, one for each of {', '.join(names)}"
+            faults.append(Fault(("starts", "points", k), text))
+    sweep: Mapping[str, Range] = sections.get("sweep") or {}
+    for name in sweep:
+        if swept_index(name, names) is None:
+            faults.append(Fault(("sweep", name), f"names no single design variable{nearest(name, names)}"))
+    return faults
+
+
+def swept_index(name: str, names: Sequence[str]) -> int | None:
+    """Return the place of a swept variable: its label, or the parameter's name if it has one entry."""
+    if name in names:
+        return names.index(name)
+    entries = [k for k, label in enumerate(names) if label.rpartition("[")[0] == name]
+    return entries[0] if len(entries) == 1 else None

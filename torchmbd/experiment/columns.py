@@ -1,0 +1,58 @@
+"""The design vector as people read it: short names, values in the unit of the file.
+
+rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg where two parameters would share the name)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from torchmbd.experiment.schema import UNITS, Variable
+from torchmbd.system import System
+
+
+@dataclass(frozen=True)
+class Columns:
+    """One column for each entry of the design vector."""
+
+    labels: tuple[str, ...]  # rod.laminate.angles[0]
+    names: tuple[str, ...]  # angle_1_deg
+    units: tuple[str, ...]
+    factors: np.ndarray  # unit -> SI
+
+    @classmethod
+    def of(cls, design: Mapping[str, Variable], system: System) -> Columns:
+        own = dict(system.named_parameters())
+        words = [name.rpartition(".")[2] for name in design]
+        labels, names, units = [], [], []
+        for parameter, variable in design.items():
+            word = _singular(parameter.rpartition(".")[2])
+            if words.count(parameter.rpartition(".")[2]) > 1:
+                word = f"{parameter.partition('.')[0]}_{word}"
+            suffix = "" if variable.unit == "none" else f"_{variable.unit}"
+            for i in range(own[parameter].numel()):
+                labels.append(f"{parameter}[{i}]")
+                names.append(f"{word}_{i + 1}{suffix}")
+                units.append(variable.unit)
+        return cls(tuple(labels), tuple(names), tuple(units), np.array([UNITS[unit] for unit in units]))
+
+    def shown(self, x: np.ndarray) -> dict[str, float]:
+        """Return a design vector [SI] by name, in the units of the file."""
+        return dict(zip(self.names, (np.asarray(x, dtype=float) / self.factors).tolist(), strict=True))
+
+    def si(self, values: np.ndarray) -> np.ndarray:
+        """Return a design vector in SI from one in the units of the file."""
+        return np.asarray(values, dtype=float) * self.factors
+
+    def heading(self, index: int) -> str:
+        """Return a column's title: `angle 1 [deg]`."""
+        unit = self.units[index]
+        word = self.names[index].removesuffix(f"_{unit}").replace("_", " ")
+        return word if unit == "none" else f"{word} [{unit}]"
+
+
+def _singular(word: str) -> str:
+    return word[:-1] if word.endswith("s") and not word.endswith("ss") else word

@@ -1,0 +1,160 @@
+"""What a study tells its tracker: one parent run, one child per start (or per point of a sweep).
+
+parent   params: the resolved file; tags: versions, commit, machine, seed; metrics: best_objective over iterations,
+         evaluations, failed_evaluations; files: config, figures, animation, table
+child    params: start design; metrics over iterations: objective, violation, constraint_1, ..., angle_1_deg, ...,
+         analyses; at the end reduction_percent, iterations, failed_evaluations; tags: status, message, best
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from torchmbd.experiment.load import Plan
+from torchmbd.optimizers.optimizer import Evaluation, Iterate, OptimizationResult
+from torchmbd.tracking import Status, Tracker
+from torchmbd.tracking.provenance import provenance
+
+PARENT = "study"
+
+
+class Journal:
+    """Translates what happens in a study into calls of a tracker."""
+
+    def __init__(self, plan: Plan, tracker: Tracker, folder: Path) -> None:
+        self.plan, self.tracker, self.folder = plan, tracker, folder
+        self.first: dict[int, float] = {}
+        self.evaluations = self.failures = self.iterates = 0
+        self._best = math.inf
+        self._open: list[str] = []
+
+    def begin(self, kind: str) -> None:
+        """Open the parent run and file the resolved study."""
+        study = self.plan.study
+        resolved = study.resolved()
+        tags = {"kind": kind, "mlflow.source.name": str(self.plan.file), **provenance()}
+        if self.plan.overrides:
+            tags["overrides"] = " ".join(self.plan.overrides)
+        if study.starts is not None:
+            tags["seed"] = str(study.starts.seed)
+        self.tracker.begin(PARENT, self.plan.name, params=flat(resolved), tags=tags)
+        self._open = [PARENT]
+        config = self.folder / "config.yaml"
+        config.write_text(yaml.safe_dump(resolved, sort_keys=False), encoding="utf-8")
+        self.file(config)
+        if self.plan.file.is_file():
+            original = self.folder / "config_as_given.yaml"
+            original.write_bytes(self.plan.file.read_bytes())
+            self.file(original)
+
+    def begin_start(self, index: int, x: np.ndarray, kind: str = "start") -> None:
+        """Open the child of a start, or of a point of a sweep."""
+        shown = self.plan.columns.shown(x)
+        run = child(index)
+        params = {f"start_{name}": f"{value:.6g}" for name, value in shown.items()}
+        name = f"{kind} {index}"
+        self.tracker.begin(run, name, parent=PARENT, params={kind: index, **params}, tags={"kind": kind})
+        self._open.append(run)
+
+    def iterate(self, iterate: Iterate) -> None:
+        """Log one iterate of one start."""
+        self.iterates += 1
+        run = child(iterate.start)
+        numbers = {
+            "objective": iterate.objective,
+            "violation": iterate.violation,
+            "analyses": iterate.analyses,
+            **{f"constraint_{k + 1}": float(c) for k, c in enumerate(np.atleast_1d(iterate.constraints))},
+            **self.plan.columns.shown(iterate.x),
+        }
+        self.tracker.metrics(run, _finite(numbers), iterate.iteration)
+        if iterate.iteration == 0:
+            self.first[iterate.start] = iterate.objective
+        if iterate.status != "ok":
+            self.tracker.tags(run, {"last_failure": iterate.status})
+        elif iterate.violation <= 1e-6 and iterate.objective < self._best:
+            self._best = iterate.objective
+            self.tracker.metrics(PARENT, {"best_objective": self._best}, self.iterates)
+
+    def evaluated(self, evaluations: Sequence[Evaluation]) -> None:
+        """Count a batch of evaluations; a failed one is a metric and a tag."""
+        failed = [evaluation for evaluation in evaluations if evaluation.status != "ok"]
+        self.evaluations += len(evaluations)
+        self.failures += len(failed)
+        counts = {"evaluations": self.evaluations, "failed_evaluations": self.failures}
+        self.tracker.metrics(PARENT, counts, self.evaluations)
+        if failed:
+            self.tracker.tags(PARENT, {"last_failure": failed[-1].status})
+
+    def result(self, result: OptimizationResult, best: bool) -> None:
+        """Close the child of a start with its final numbers."""
+        run = child(result.start)
+        last = {
+            "objective": result.value,
+            "violation": result.violation,
+            "analyses": result.analyses,
+            "iterations": result.iterations,
+            "failed_evaluations": result.failures,
+            "reduction_percent": percent(self.first.get(result.start, math.nan), result.value),
+            **self.plan.columns.shown(result.x),
+        }
+        self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
+        tags = {"status": result.status, "message": result.message, "method": result.method, "best": str(best).lower()}
+        self.tracker.tags(run, tags)
+        ended: dict[str, Status] = {"failed": "FAILED", "interrupted": "KILLED"}
+        self.end(run, ended.get(result.status, "FINISHED"))
+
+    def summary(self, numbers: Mapping[str, float], tags: Mapping[str, str]) -> None:
+        """Log the outcome of the whole study on the parent."""
+        self.tracker.metrics(PARENT, _finite(numbers), self.iterates)
+        self.tracker.tags(PARENT, tags)
+
+    def file(self, path: Path, folder: str = "") -> None:
+        """File something under the parent."""
+        self.tracker.artifact(PARENT, path, folder)
+
+    def end(self, run: str, status: Status) -> None:
+        self.tracker.end(run, status)
+        self._open.remove(run)
+
+    def end_all(self, status: Status) -> None:
+        """Close every run that is open, children first."""
+        for run in reversed(list(self._open)):
+            self.end(run, status)
+
+
+def child(index: int) -> str:
+    """Return the tracker's key of a start."""
+    return f"start_{index}"
+
+
+def percent(first: float, last: float) -> float:
+    """Return the reduction from `first` to `last` in percent; nan where there is none to tell."""
+    return 100.0 * (1.0 - last / first) if first else math.nan
+
+
+def flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, object]:
+    """Flatten nested mappings to dotted keys, as the overrides spell them."""
+    result: dict[str, object] = {}
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            result |= flat(value, f"{prefix}{key}.")
+        else:
+            result[_legal(f"{prefix}{key}")] = value
+    return result
+
+
+def _legal(key: str) -> str:
+    """MLflow allows letters, digits and _-.:/ and spaces in a key."""
+    return "".join(c if c.isalnum() or c in "_-.:/ " else "_" for c in key)
+
+
+def _finite(numbers: Mapping[str, float]) -> dict[str, float]:
+    """Leave out what does not exist: a failed evaluation has no numbers, and is told by tags and counts instead."""
+    return {key: float(value) for key, value in numbers.items() if math.isfinite(value)}

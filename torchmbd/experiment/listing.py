@@ -1,0 +1,86 @@
+"""What `torchmbd list` and `torchmbd ui` print: experiment files, studies so far, and links into the UI."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from torchmbd.experiment.shelf import configs
+from torchmbd.tracking.catalog import Entry, children, studies
+from torchmbd.tracking.links import compare_link, experiment_link, run_link
+from torchmbd.tracking.store import store_uri
+
+_RECENT = 3  # studies whose links are printed
+
+
+def print_configs(folder: Path, console: Console) -> None:
+    """Print the experiment files below a folder with their questions."""
+    found = configs(folder)
+    if not found:
+        console.print(f"No experiment files in {escape(str(folder))}.")
+        return
+    table = Table(title="experiment files", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("file", no_wrap=True)
+    table.add_column("question")
+    for file, question in found.items():
+        table.add_row(escape(str(file)), escape(question))
+    console.print(table)
+
+
+def print_studies(uri: str | None, console: Console) -> None:
+    """Print the studies of a store, the newest first."""
+    store = store_uri(uri)
+    found = studies(store)
+    if not found:
+        console.print(f"No studies yet in {escape(store)}.")
+        return
+    table = Table(title=f"studies in {escape(store)}", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("experiment", "study", "kind", "began", "took", "status", "best objective", "reduction", "run"):
+        table.add_column(heading, justify="right" if heading in ("took", "best objective", "reduction") else "left")
+    for entry in found:
+        table.add_row(*map(escape, _cells(entry)))
+    console.print(table)
+
+
+def print_links(store: str, base: str, console: Console) -> None:
+    """Print the links of every experiment and of the latest studies."""
+    found = studies(store)
+    if not found:
+        console.print(f"{base}  (no studies yet)")
+        return
+    for experiment_id, name in {entry.experiment_id: entry.experiment for entry in found}.items():
+        console.print(f"all runs of {escape(name)}", style="bold")
+        console.print("  " + experiment_link(base, experiment_id), soft_wrap=True, highlight=False, markup=False)
+    for entry in found[:_RECENT]:
+        console.print(f"{escape(entry.name)}, {entry.began:%d %b %H:%M}, {entry.status.lower()}", style="bold")
+        for label, link in study_links(base, entry.experiment_id, entry.run_id, children(store, entry)).items():
+            console.print(f"  {label:<9} {link}", soft_wrap=True, highlight=False, markup=False)
+
+
+def study_links(base: str, experiment_id: str, run_id: str, child_ids: list[str]) -> dict[str, str]:
+    """Return the links of one study by what they show."""
+    links = {"starts": experiment_link(base, experiment_id, run_id)}
+    if len(child_ids) > 1:
+        links["compare"] = compare_link(base, experiment_id, child_ids)
+    return links | {"pictures": run_link(base, experiment_id, run_id, "artifacts")}
+
+
+def _cells(entry: Entry) -> list[str]:
+    def number(key: str, form: str) -> str:
+        return form.format(entry.metrics[key]) if key in entry.metrics else "-"
+
+    return [
+        entry.experiment,
+        entry.name,
+        entry.kind,
+        f"{entry.began:%Y-%m-%d %H:%M}",
+        "-" if entry.seconds is None else f"{entry.seconds:.0f} s",
+        entry.status.lower(),
+        number("best_objective", "{:.6g}"),
+        number("reduction_percent", "{:.2f} %"),
+        entry.run_id[:8],
+    ]

@@ -1,0 +1,89 @@
+"""The model of an experiment file: a function of the user's, in a module or in a file, that returns a System.
+
+package.module:function      as Python finds it
+path/to/file.py:function     relative to the experiment file
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+import traceback
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from torchmbd.errors import InputError, nearest
+from torchmbd.experiment.faults import Fault, shown
+from torchmbd.system import System
+
+Builder = Callable[..., System]
+
+
+def find_model(spec: str, folder: Path) -> Builder:
+    """Return the function that `spec` names; InputError says what is missing."""
+    module_name, _, function_name = spec.rpartition(":")
+    module = _from_file(folder / module_name) if module_name.endswith(".py") else _from_name(module_name)
+    builder = getattr(module, function_name, None)
+    if not callable(builder):
+        functions = [name for name, value in vars(module).items() if inspect.isfunction(value) and name[0] != "_"]
+        raise InputError(
+            f"= {shown(spec)}: {module_name} has no function {function_name!r}{nearest(function_name, functions)}"
+        )
+    return builder
+
+
+def option_faults(builder: Builder, options: Mapping[str, Any]) -> list[Fault]:
+    """Compare the options with the arguments of the function."""
+    parameters = inspect.signature(builder).parameters.values()
+    named = [p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    faults = []
+    if not any(p.kind is p.VAR_KEYWORD for p in parameters):
+        names = [p.name for p in named]
+        faults = [
+            Fault(("options", key), f"unknown option{nearest(key, names)}") for key in options if key not in names
+        ]
+    missing = [p.name for p in named if p.default is p.empty and p.name not in options]
+    return faults + [Fault(("options", name), "is missing: the model has no default for it") for name in missing]
+
+
+def build_model(builder: Builder, options: Mapping[str, Any]) -> System:
+    """Build the system; InputError, whatever the function raises."""
+    try:
+        system = builder(**options)
+    except InputError:
+        raise
+    except Exception as error:  # the user's own code: told with the place in it, not as a crash of ours
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        raise InputError(f"{type(error).__name__} in {last.filename}:{last.lineno}: {error}") from error
+    if not isinstance(system, System):
+        raise InputError(f"the model returned {type(system).__name__}; allowed: a torchmbd.System")
+    return system
+
+
+def _from_name(name: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise InputError(f"module {name!r} cannot be imported: {error}") from None
+    except Exception as error:
+        raise InputError(f"module {name!r} cannot be imported: {type(error).__name__}: {error}") from error
+
+
+def _from_file(file: Path) -> ModuleType:
+    if not file.is_file():
+        raise InputError(f"file {file} does not exist; allowed: a Python file, relative to the experiment file")
+    name = f"torchmbd_model_{file.stem}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses and pickle look their module up
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"file {file} cannot be imported: {type(error).__name__}: {error}") from error
+    return module

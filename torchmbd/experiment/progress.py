@@ -1,0 +1,87 @@
+"""Progress on the terminal: a live table of the starts; one line per iteration where the output is no terminal."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from types import TracebackType
+
+from rich import box
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from torchmbd.experiment.columns import Columns
+from torchmbd.optimizers.optimizer import Iterate
+
+
+class Progress:
+    """Shows every iterate of every start; a context manager."""
+
+    def __init__(self, columns: Columns, starts: int, title: str, console: Console) -> None:
+        self.columns, self.title, self.console = columns, title, console
+        self.latest: list[Iterate | None] = [None] * starts
+        self.first: list[float] = [float("nan")] * starts
+        self.notes: list[str] = []
+        self._began = time.monotonic()
+        self._live = Live(console=console, get_renderable=self._table, refresh_per_second=4, transient=True)
+
+    def __enter__(self) -> Progress:
+        if self.console.is_terminal:
+            self._live.start()
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._live.stop()
+
+    def iterate(self, iterate: Iterate) -> None:
+        """Show an iterate."""
+        if iterate.iteration == 0:
+            self.first[iterate.start] = iterate.objective
+        self.latest[iterate.start] = iterate
+        if not self.console.is_terminal:
+            values = "  ".join(f"{value:8.3f}" for value in self.columns.shown(iterate.x).values())
+            self.console.print(
+                f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:3d}  iteration {iterate.iteration:3d}  "
+                f"objective {iterate.objective:.6g}  violation {iterate.violation:.1e}  {values}",
+                soft_wrap=True,
+            )
+
+    def note(self, text: str) -> None:
+        """Say something once, above the table."""
+        if text not in self.notes:
+            self.notes.append(text)
+            self.console.print(text, style="red")
+
+    def _table(self) -> Table:
+        title = f"{self.title}   {time.monotonic() - self._began:.0f} s"
+        headings = [self.columns.heading(k) for k in range(len(self.columns.names))]
+        table = table_of(title, ["start", "iteration", "objective", "reduction", "violation", *headings, "analyses"])
+        for start, iterate in enumerate(self.latest):
+            if iterate is None:
+                table.add_row(str(start), "-")
+                continue
+            values = [f"{value:.2f}" for value in self.columns.shown(iterate.x).values()]
+            table.add_row(
+                str(start),
+                str(iterate.iteration),
+                f"{iterate.objective:.6g}",
+                reduction(self.first[start], iterate.objective),
+                f"{iterate.violation:.1e}",
+                *values,
+                str(iterate.analyses),
+            )
+        return table
+
+
+def table_of(title: str, headings: Sequence[str]) -> Table:
+    """Return an empty table of numbers."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def reduction(first: float, last: float) -> str:
+    """Return how much smaller `last` is, in percent."""
+    return f"{100.0 * (1.0 - last / first):.2f} %" if first else "-"

@@ -1,0 +1,24 @@
+"""The experiment files at hand: each with the question that it opens with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+QUESTION_MISSING = "(opens with no question)"
+
+
+def configs(folder: str | Path = "configs") -> dict[Path, str]:
+    """Return the experiment files below a folder and the first comment of each."""
+    files = sorted(file for pattern in ("*.yaml", "*.yml") for file in Path(folder).rglob(pattern))
+    return {file: question(file) for file in files}
+
+
+def question(file: Path) -> str:
+    """Return the first comment line of a file."""
+    with file.open(encoding="utf-8", errors="replace") as lines:
+        for line in lines:
+            if line.startswith("#"):
+                return line.lstrip("# ").strip()
+            if line.strip():
+                break
+    return QUESTION_MISSING

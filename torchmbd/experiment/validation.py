@@ -1,0 +1,105 @@
+"""From plain data to a Study, or to the list of everything that is wrong with them.
+
+Pydantic's faults are rewritten in the words of the file: the path as an override spells it, the value, what is allowed
+and the nearest valid name. A faulty section does not hide the faults of the others: each is validated for itself.
+"""
+
+from __future__ import annotations
+
+import types
+from typing import Any, get_args
+
+from pydantic import ValidationError, create_model
+from pydantic_core import ErrorDetails
+
+from torchmbd.design.responses import COMBINATORS, RESPONSES
+from torchmbd.errors import nearest
+from torchmbd.experiment.faults import Fault, Path, shown
+from torchmbd.experiment.schema import Section, Study
+
+
+def validate(data: Any) -> tuple[dict[str, Any], list[Fault]]:
+    """Return the sections that are valid, by name, and the faults of the others."""
+    if not isinstance(data, dict):
+        return {}, [Fault((), f"is {shown(data)}; allowed: sections such as model:, design:, simulate:, minimize:")]
+    try:
+        return dict(Study.model_validate(data)), []
+    except ValidationError as error:
+        faults = _faults(error, data)
+    sections: dict[str, Any] = {}
+    for name, field in Study.model_fields.items():
+        if not any(fault.path[:1] == (name,) for fault in faults):
+            one = create_model(name, __base__=Section, **{name: (field.rebuild_annotation(), field.get_default())})
+            sections[name] = getattr(one.model_validate({name: data[name]} if name in data else {}), name)
+    return sections, faults
+
+
+def _faults(error: ValidationError, data: Any) -> list[Fault]:
+    texts: dict[Path, list[str]] = {}
+    located = [(_path(details, data), details) for details in error.errors(include_url=False)]
+    for path, details in located:
+        if isinstance(details["input"], list) and any(other[:-1] == path for other, _ in located):
+            continue  # not the list is wrong but an entry of it
+        text = _text(details, path)
+        if text not in texts.setdefault(path, []):
+            texts[path].append(text)
+    return [Fault(path, _either(found)) for path, found in texts.items()]
+
+
+def _path(details: ErrorDetails, data: Any) -> Path:
+    """Keep what the file itself holds of pydantic's location, not the branches of its own types."""
+    path: Path = ()
+    location = details["loc"]
+    for k, part in enumerate(location):
+        place = isinstance(part, int) and isinstance(data, list) and part < len(data)
+        if place or (isinstance(data, dict) and part in data):
+            data, path = data[part], (*path, part)
+        elif details["type"] == "missing" and k == len(location) - 1:
+            path = (*path, part)
+    return path
+
+
+def _text(details: ErrorDetails, path: Path) -> str:
+    kind, value = details["type"], details["input"]
+    if kind == "missing":
+        return "is missing"
+    if kind == "extra_forbidden":
+        return f"unknown key{nearest(path[-1], _keys(path[:-1]))}"
+    if kind == "name" and details["loc"][-1] == "[key]":
+        return f"unknown name; {details['msg']}"
+    if kind == "name":
+        return f"= {shown(value)}: {details['msg']}"
+    if kind in ("model_type", "dict_type"):
+        return f"= {shown(value)}: must be a mapping (key: value)"
+    if kind in ("too_short", "too_long") and isinstance(value, dict):
+        names = {1: COMBINATORS, 2: RESPONSES}.get(len(path), ()) if path[0] == "minimize" else ()
+        return f"has {len(value)} keys; must have exactly one{nearest('', names) if names else ''}"
+    if kind in ("kind", "sampler"):
+        return f": {details['msg']}"
+    return f"= {shown(value)}: {details['msg'].replace('Input should', 'must')}"
+
+
+def _either(texts: list[str]) -> str:
+    """Join what the branches of a union say about the same value."""
+    first, *others = texts
+    return first + "".join(f"; or {other.rpartition(': ')[2]}" for other in others)
+
+
+def _keys(path: Path) -> list[str]:
+    """Return the keys that a section may have."""
+    section: Any = Study
+    for part in path:
+        if isinstance(section, type) and issubclass(section, Section):
+            section = _plain(section.model_fields[str(part)].annotation)
+        else:
+            section = _plain(get_args(section)[-1])
+    return [field.alias or name for name, field in section.model_fields.items()]
+
+
+def _plain(annotation: Any) -> Any:
+    """Strip Annotated and Optional."""
+    if isinstance(annotation, types.UnionType):
+        return next(_plain(branch) for branch in get_args(annotation) if branch is not type(None))
+    if getattr(annotation, "__metadata__", None):
+        return _plain(get_args(annotation)[0])
+    return annotation

@@ -1,0 +1,85 @@
+"""MLflow's own server for a look at the runs: on loopback, one worker, nothing sent anywhere.
+
+The server as MLflow starts it (3.17) has ten processes and runs jobs and telemetry: settings below.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from torchmbd.errors import InputError
+from torchmbd.tracking.store import open_store, sqlite_file
+from torchmbd.tracking.tracker import TrackingError
+
+QUIET = {
+    "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "GIT_PYTHON_REFRESH": "quiet",
+}
+
+
+@contextmanager
+def serving(uri: str, host: str = "127.0.0.1", port: int = 5000) -> Iterator[subprocess.Popen]:
+    """Serve a store until the block is left; TrackingError if the server does not come up.
+
+    The store's tables are created first: a fresh SQLite file must not be migrated by several processes at once.
+    """
+    _require_free(host, port)
+    open_store(uri)
+    command = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri]
+    command += ["--host", host, "--port", str(port), "--workers", "1"]
+    if file := sqlite_file(uri):
+        command += ["--default-artifact-root", str(file.parent / "mlartifacts"), "--no-serve-artifacts"]
+    process = subprocess.Popen(
+        command,
+        env={**os.environ, **QUIET},
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        _await(process, host, port)
+        yield process
+    finally:
+        _stop(process)
+
+
+def _require_free(host: str, port: int) -> None:
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except (OSError, OverflowError) as error:
+            raise InputError(f"port = {port} of {host} cannot be used ({error}); choose another with --port") from None
+
+
+def _await(process: subprocess.Popen, host: str, port: int, seconds: int = 60) -> None:
+    for _ in range(10 * seconds):
+        try:
+            socket.create_connection((host, port), timeout=1).close()
+        except OSError:
+            try:
+                code = process.wait(timeout=0.1)
+            except subprocess.TimeoutExpired:
+                continue
+            raise TrackingError(f"the MLflow server ended with exit code {code} before it answered") from None
+        else:
+            return
+    raise TrackingError(f"the MLflow server does not answer on {host}:{port} after {seconds} s")
+
+
+def _stop(process: subprocess.Popen) -> None:
+    """End the server and its worker: they share a session of their own."""
+    if process.poll() is None:
+        os.killpg(process.pid, signal.SIGTERM)
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
