@@ -1,0 +1,26 @@
+"""Optimizers behind one door: arrays only, no mechanics."""
+
+from torchmbd.optimizers import mmfd as _mmfd
+from torchmbd.optimizers import slsqp as _slsqp
+from torchmbd.optimizers.door import optimize
+from torchmbd.optimizers.minima import Minimum
+from torchmbd.optimizers.multistart import Study, multistart
+from torchmbd.optimizers.optimizer import OPTIMIZERS, STATUSES, Evaluation, Iterate, OptimizationResult, Problem
+from torchmbd.optimizers.sampling import Starts, given, latin_hypercube, sobol
+
+__all__ = [
+    "OPTIMIZERS",
+    "STATUSES",
+    "Evaluation",
+    "Iterate",
+    "Minimum",
+    "OptimizationResult",
+    "Problem",
+    "Starts",
+    "Study",
+    "given",
+    "latin_hypercube",
+    "multistart",
+    "optimize",
+    "sobol",
+]

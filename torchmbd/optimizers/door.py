@@ -1,0 +1,138 @@
+"""The door: check the input, run one start, and tell the end in physical units.
+
+`optimize` is what users call for one start; `run_start` is what it shares with `multistart`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.optimizers.kkt import KuhnTucker, kuhn_tucker
+from torchmbd.optimizers.optimizer import (
+    Ending,
+    Evaluation,
+    Iterate,
+    Method,
+    OptimizationResult,
+    Problem,
+    as_names,
+    find_method,
+    require_range,
+)
+from torchmbd.optimizers.search import Interrupted, Search, variable_scale
+
+MAX_ITERATIONS = 100
+FEASIBILITY = 1e-6
+
+
+def optimize(
+    problem: Problem,
+    method: str = "mmfd",
+    start: np.ndarray | None = None,
+    max_iterations: int = MAX_ITERATIONS,
+    scaling: bool = True,
+    callback: Callable[[Iterate], None] | None = None,
+    *,
+    feasibility: float = FEASIBILITY,
+    eager_gradients: bool = True,
+    **options: Any,
+) -> OptimizationResult:
+    """Minimize `problem` from one start.
+
+    `start` [n]: default `problem.start`. `scaling`: variables by |start|, objective by |objective(start)|. `callback` is called with
+    every accepted iterate. `feasibility`: violation of a constraint that still counts as none. `eager_gradients`: ask gradients
+    together with every value that will probably need them (a simulation saved per iteration) instead of afterwards. `options` are
+    the method's own. InputError: unknown method or option, crossed bounds, start outside the bounds, wrong lengths.
+    """
+    function = find_method(method, options)
+    x, lower, upper = checked_box(problem, start)
+    require_range("max_iterations", max_iterations, 0, 1_000_000)
+    require_range("feasibility", feasibility, 0.0, 1.0)
+
+    def ask(x: np.ndarray, gradients: bool) -> Evaluation:
+        return problem.evaluate(x[None, :], gradients)[0]
+
+    search = Search(
+        ask,
+        x,
+        lower,
+        upper,
+        scale=variable_scale(x, lower, upper) if scaling else None,
+        equalities=getattr(problem, "equalities", None),
+        feasibility=feasibility,
+        eager_gradients=eager_gradients,
+        report=callback,
+    )
+    return run_start(search, function, method, max_iterations, options, problem)
+
+
+def checked_box(problem: Problem, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return start, lower and upper [n] as float arrays; InputError names the variable that is wrong."""
+    x = np.array(problem.start if start is None else start, dtype=float).reshape(-1)
+    lower, upper = (np.array(np.broadcast_to(np.asarray(b, dtype=float), x.shape)) for b in (problem.lower, problem.upper))
+    names = as_names(problem, np.asarray(problem.start).size)
+    if x.size != len(names):
+        raise InputError(f"start has {x.size} entries, allowed: {len(names)} ({', '.join(names)})")
+    for name, value, low, high in zip(names, x, lower, upper, strict=True):
+        if not low <= high:
+            raise InputError(f"bounds of {name} are crossed: lower = {low:g} must not exceed upper = {high:g}")
+        if not low <= value <= high:
+            raise InputError(f"start of {name} = {value:g}: must lie in its bounds [{low:g}, {high:g}]")
+    return x, lower, upper
+
+
+def run_start(
+    search: Search, function: Method, method: str, max_iterations: int, options: dict[str, Any], problem: Problem
+) -> OptimizationResult:
+    """Run one method on one start and return its result; an interruption ends in the status of that name."""
+    try:
+        ending = function(search, max_iterations, **options)
+    except (Interrupted, KeyboardInterrupt):
+        best = search.start if search.best is None else search.best
+        return result_of(search, Ending(best, "interrupted", "stopped by the user"), method, problem, evaluate=False)
+    return result_of(search, ending, method, problem)
+
+
+def result_of(search: Search, ending: Ending, method: str, problem: Problem, evaluate: bool = True) -> OptimizationResult:
+    """Return the ending in physical units, with multipliers; "converged" must be feasible, whatever the method said."""
+    y, status, message = best_of(search, ending)
+    evaluation = search.evaluate(y, gradients=True) if evaluate else search.evaluate_known(y)
+    violation = search.violation(evaluation) if evaluation.ok else float("nan")
+    if status == "converged" and not violation <= search.feasibility:
+        status, message = "infeasible", f"{message}, but a constraint is violated by {violation:.3g}"
+    m, n = evaluation.constraints.size, search.size
+    kkt = KuhnTucker(np.full(m, np.nan), np.full(n, np.nan), float("nan"))
+    if evaluation.ok and evaluation.objective_gradient is not None:
+        kkt = kuhn_tucker(evaluation, y, search.lower, search.upper, search.equality)
+    return OptimizationResult(
+        x=search.physical(y),
+        value=evaluation.objective * search.objective_scale,
+        constraints=evaluation.constraints,
+        violation=violation,
+        status=status,
+        message=message,
+        method=method,
+        iterations=max(len(search.history) - 1, 0),
+        analyses=search.analyses,
+        gradient_evaluations=search.gradient_evaluations,
+        failures=search.failures,
+        history=search.history,
+        multipliers=kkt.multipliers * search.objective_scale,
+        bound_multipliers=kkt.bound_multipliers * search.objective_scale / search.scale,
+        kkt_residual=kkt.residual,
+        names=list(problem.names),
+        start=search.index,
+        problem=problem,
+    )
+
+
+def best_of(search: Search, ending: Ending) -> tuple[np.ndarray, str, str]:
+    """Return the method's design unless it failed, or is infeasible while a better one was seen on the way."""
+    best = search.best
+    if best is None or ending.status == "converged":
+        return ending.y, ending.status, ending.message
+    return best, ending.status, ending.message

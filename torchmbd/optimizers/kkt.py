@@ -1,0 +1,68 @@
+"""Multipliers and Kuhn-Tucker residual of a design, the same for every method.
+
+    minimize over lambda >= 0, nu    | df + sum_i lambda_i dc_i + nu |
+    residual = max( |remainder|_inf / max(1, |df|_inf), max_i lambda_i |c_i| / max(1, |f|) )
+
+over the constraints and bounds that are active, that is met but for a narrow band; the sign of an equality's multiplier is free.
+Multipliers by non-negative least squares, so they are estimates where the design is not optimal.
+Source: Vanderplaats, Numerical Optimization Techniques for Engineering Design, section on the Kuhn-Tucker conditions.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import nnls
+
+from torchmbd.optimizers.optimizer import Evaluation
+
+# Constraints (as distances) and bounds (relative) nearer than this may carry a multiplier; what they carry without being met counts
+# as residual.
+ACTIVE_BAND = 1e-3
+
+
+@dataclass(frozen=True)
+class KuhnTucker:
+    multipliers: np.ndarray  # [m]
+    bound_multipliers: np.ndarray  # [n], positive at an upper, negative at a lower bound
+    residual: float
+
+
+def kuhn_tucker(
+    evaluation: Evaluation,
+    y: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    equality: np.ndarray,
+) -> KuhnTucker:
+    """Estimate the multipliers at `y`, whose evaluation carries gradients."""
+    df, dc = evaluation.objective_gradient, evaluation.constraint_gradients
+    assert df is not None and dc is not None
+    c = evaluation.constraints
+    size = df.size
+    unit = np.maximum(1.0, np.sqrt((dc * dc).sum(axis=1)))
+    active = np.flatnonzero((c >= -ACTIVE_BAND * unit) | equality)
+    both = active[equality[active]]
+    near = ACTIVE_BAND * np.maximum(1.0, np.abs(y))
+    at_upper, at_lower = np.flatnonzero(upper - y <= near), np.flatnonzero(y - lower <= near)
+    identity = np.eye(size)
+    columns = np.vstack([dc[active], -dc[both], identity[at_upper], -identity[at_lower]]).T
+    multipliers, bounds = np.zeros(c.size), np.zeros(size)
+    remainder = df
+    if columns.shape[1]:
+        # Columns of length one: a constraint in other units must not lose its multiplier to a tolerance inside nnls.
+        length = np.linalg.norm(columns, axis=0)
+        length[length == 0.0] = 1.0
+        weights = nnls(columns / length, -df)[0] / length
+        parts = np.split(weights, np.cumsum([active.size, both.size, at_upper.size]))
+        multipliers[active] += parts[0]
+        multipliers[both] -= parts[1]
+        bounds[at_upper] += parts[2]
+        bounds[at_lower] -= parts[3]
+        remainder = df + columns @ weights
+    stationarity = np.abs(remainder).max(initial=0.0) / max(1.0, float(np.abs(df).max(initial=0.0)))
+    gaps = np.where(bounds > 0.0, upper - y, np.where(bounds < 0.0, y - lower, 0.0))
+    products = np.concatenate([multipliers * c, bounds * gaps])
+    complementarity = np.abs(products).max(initial=0.0) / max(1.0, abs(evaluation.objective))
+    return KuhnTucker(multipliers, bounds, float(max(stationarity, complementarity)))

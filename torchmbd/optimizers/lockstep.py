@@ -1,0 +1,161 @@
+"""Many starts side by side, so that their simulations are one batch.
+
+Every start runs its own optimizer in its own thread and blocks where it asks for an evaluation. The coordinator, in the caller's
+thread, waits until every live start has asked or ended, evaluates all requests as one batch (those with gradients, those without),
+and hands the answers back. A start that ends makes room for the next. So a batch depends on the starts alone, in their order, never
+on timing; the problem, the callback and the user's Ctrl-C live in the caller's thread.
+
+A thread here only waits or does small arithmetic between two simulations: parallel computation is the problem's affair.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.optimizers.optimizer import Evaluation, Iterate, OptimizationResult, Problem
+from torchmbd.optimizers.search import Ask, Interrupted, Report
+
+Runner = Callable[[Ask, Report], OptimizationResult]
+
+
+@dataclass
+class Lane:
+    """One live start: what it asks for, what it was answered, how it ended."""
+
+    index: int
+    request: tuple[np.ndarray, bool] | None = None
+    answer: Evaluation | None = None
+    reports: list[Iterate] = field(default_factory=list)
+    result: OptimizationResult | None = None
+    error: BaseException | None = None
+    thread: threading.Thread | None = None
+
+    @property
+    def ended(self) -> bool:
+        return self.result is not None or self.error is not None
+
+
+class Lockstep:
+    """Runs `runners` (one per start) with at most `max_lanes` alive; `go_on(results)` is asked before a further start begins."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        runners: list[Runner],
+        max_lanes: int,
+        callback: Callable[[Iterate], None] | None = None,
+        go_on: Callable[[list[OptimizationResult]], bool] = lambda results: True,
+    ) -> None:
+        self.problem, self.runners, self.max_lanes = problem, runners, max_lanes
+        self.callback, self.go_on = callback, go_on
+        self.results: list[OptimizationResult] = []
+        self.interrupted = False
+        self.stopped_early = False
+        self._turn = threading.Condition()
+        self._stop = False
+        self._live: list[Lane] = []
+        self._next = 0
+
+    def run(self) -> list[OptimizationResult]:
+        """Run all starts; return their results in the order of the starts. After Ctrl-C: what there is, `interrupted` is True."""
+        try:
+            self._launch()
+            while self._live:
+                self._wait()
+                self._report()
+                self._collect()
+                self._launch()
+                self._answer()
+        except KeyboardInterrupt:
+            self.interrupted = True
+            self._stop_all()
+            self._report()
+            self._collect()
+        except BaseException:
+            self._stop_all()
+            raise
+        return sorted(self.results, key=lambda result: result.start)
+
+    def _launch(self) -> None:
+        while len(self._live) < self.max_lanes and self._next < len(self.runners):
+            if self.results and not self.go_on(self.results):
+                self.stopped_early = True
+                return
+            lane = Lane(self._next)
+            lane.thread = threading.Thread(target=self._work, args=(lane,), name=f"start-{lane.index}", daemon=True)
+            self._live.append(lane)
+            self._next += 1
+            lane.thread.start()
+            self._wait()
+
+    def _wait(self) -> None:
+        """Wait until every live start has asked or ended."""
+        with self._turn:
+            self._turn.wait_for(lambda: all(lane.ended or lane.request is not None for lane in self._live))
+
+    def _report(self) -> None:
+        for lane in self._live:
+            reports, lane.reports = lane.reports, []
+            for iterate in reports:
+                if self.callback is not None:
+                    self.callback(iterate)
+
+    def _collect(self) -> None:
+        for lane in [lane for lane in self._live if lane.ended]:
+            self._live.remove(lane)
+            if lane.error is not None:
+                raise lane.error
+            assert lane.result is not None
+            self.results.append(lane.result)
+
+    def _answer(self) -> None:
+        asking = [lane for lane in self._live if lane.request is not None]
+        answers: dict[int, Evaluation] = {}
+        for gradients in (True, False):
+            group = [lane for lane in asking if lane.request is not None and lane.request[1] is gradients]
+            if not group:
+                continue
+            X = np.stack([lane.request[0] for lane in group if lane.request is not None])
+            evaluations = self.problem.evaluate(X, gradients)
+            if len(evaluations) != len(group):
+                raise InputError(f"problem.evaluate returned {len(evaluations)} evaluations for {len(group)} designs")
+            answers.update((lane.index, evaluation) for lane, evaluation in zip(group, evaluations, strict=True))
+        with self._turn:
+            for lane in asking:
+                lane.request, lane.answer = None, answers[lane.index]
+            self._turn.notify_all()
+
+    def _stop_all(self) -> None:
+        with self._turn:
+            self._stop = True
+            self._turn.notify_all()
+        for lane in self._live:
+            if lane.thread is not None:
+                lane.thread.join()
+
+    def _work(self, lane: Lane) -> None:
+        """What a thread does: run one start, leaving its result or its error in the lane."""
+
+        def ask(x: np.ndarray, gradients: bool) -> Evaluation:
+            with self._turn:
+                lane.request = x, gradients
+                self._turn.notify_all()
+                self._turn.wait_for(lambda: lane.answer is not None or self._stop)
+                if lane.answer is None:
+                    raise Interrupted
+                answer, lane.answer = lane.answer, None
+            return answer
+
+        result, error = None, None
+        try:
+            result = self.runners[lane.index](ask, lane.reports.append)
+        except BaseException as exception:
+            error = exception
+        with self._turn:
+            lane.result, lane.error = result, error
+            self._turn.notify_all()

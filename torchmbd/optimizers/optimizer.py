@@ -1,0 +1,181 @@
+"""What an optimizer is: a function that searches one start, behind one door.
+
+    minimize f(x)  subject to  c_i(x) <= 0,  lower <= x <= upper          (eq. 14)
+
+A problem is any object with `names`, `start`, `lower`, `upper` [n] and `evaluate(X [lanes, n], gradients) -> list[Evaluation]`.
+It may also have `equalities` (indices of the constraints that must vanish) and `motion(x)`. Three examples of what keeps this
+contract: the transient optimization of a mechanism, a Hock-Schittkowski problem of four lines, a table of stored results.
+
+An optimizer is a function `method(search, max_iterations, **options) -> Ending`. It sees one `Search`: scaled variables, scaled
+objective, a cache, and never more than one design at a time; that many starts are simulated in one batch is not its business.
+A failed evaluation is no exception but a status: its numbers are never used.
+
+Constraints should be of order one (a response divided by its limit, minus one): their thresholds are absolute.
+Checked in tests/contracts/test_optimizers.py, over the registry.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from torchmbd.errors import InputError, nearest, unknown
+
+if TYPE_CHECKING:
+    from torchmbd.optimizers.search import Search
+
+# How an optimization can end. Only "converged" claims an optimum.
+STATUSES = {
+    "converged": "the method's own criteria hold, the constraints are satisfied",
+    "max_iterations": "stopped by the limit of iterations",
+    "stalled": "no step improves the design any more, though it is not a Kuhn-Tucker point",
+    "infeasible": "the constraints could not be satisfied; x is the least infeasible design seen",
+    "failed": "the start could not be evaluated, or nothing but failed evaluations lies around x",
+    "interrupted": "stopped by the user; x is the best design seen",
+}
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Objective and constraints of one design. Any status but "ok" names the reason of a failure: the numbers are then nan."""
+
+    objective: float
+    constraints: np.ndarray  # [m], satisfied where <= 0
+    objective_gradient: np.ndarray | None = None  # [n]
+    constraint_gradients: np.ndarray | None = None  # [m, n]
+    status: str = "ok"
+
+    @property
+    def ok(self) -> bool:
+        return self.status == "ok"
+
+    @classmethod
+    def failure(cls, reason: str, constraints: int = 0) -> Evaluation:
+        """Build an evaluation that failed for `reason`."""
+        return cls(float("nan"), np.full(constraints, np.nan), status=reason)
+
+
+class Problem(Protocol):
+    """What `optimize` and `multistart` ask of a problem (physical units everywhere)."""
+
+    names: list[str]
+    start: np.ndarray  # [n]
+    lower: np.ndarray  # [n], may be -inf
+    upper: np.ndarray  # [n], may be +inf
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        """Evaluate one design per row."""
+        ...
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """One accepted design of one start, in physical units; iteration 0 is the start itself."""
+
+    start: int
+    iteration: int
+    x: np.ndarray
+    objective: float
+    violation: float  # largest violation of a constraint, 0 where feasible
+    constraints: np.ndarray
+    analyses: int  # simulations of this start so far
+    status: str = "ok"
+
+
+@dataclass(frozen=True)
+class Ending:
+    """What a method says at its end: where (scaled), how (a key of STATUSES) and why (a sentence)."""
+
+    y: np.ndarray
+    status: str
+    message: str
+
+
+@dataclass(frozen=True)
+class OptimizationResult:
+    """The end of one start, in physical units."""
+
+    x: np.ndarray
+    value: float
+    constraints: np.ndarray
+    violation: float
+    status: str  # a key of STATUSES
+    message: str  # one sentence
+    method: str
+    iterations: int
+    analyses: int  # simulations, with or without gradients
+    gradient_evaluations: int  # how many of them carried gradients
+    failures: int  # how many of them failed
+    history: list[Iterate]
+    multipliers: np.ndarray  # [m], of the constraints
+    bound_multipliers: np.ndarray  # [n], positive at an upper, negative at a lower bound
+    kkt_residual: float  # scaled problem, see kkt.py; nan where no gradient is known
+    names: list[str] = field(default_factory=list)
+    start: int = 0
+    problem: Any = field(default=None, repr=False, compare=False)
+
+    @property
+    def converged(self) -> bool:
+        return self.status == "converged"
+
+    @cached_property
+    def motion(self) -> Any:
+        """Motion of the final design, simulated when first asked for (`problem.motion(x)`)."""
+        if not hasattr(self.problem, "motion"):
+            raise AttributeError("this problem offers no motion: its class has no method `motion(x)`")
+        return self.problem.motion(self.x)
+
+
+Method = Callable[..., Ending]
+OPTIMIZERS: dict[str, Method] = {}
+
+
+def register(name: str) -> Callable[[Method], Method]:
+    """Put a method into the registry under `name`."""
+
+    def enter(method: Method) -> Method:
+        OPTIMIZERS[name] = method
+        return method
+
+    return enter
+
+
+def find_method(name: str, options: dict[str, Any]) -> Method:
+    """Return the method `name`; InputError for an unknown name or an option that it does not have."""
+    if name not in OPTIMIZERS:
+        raise unknown("method", name, OPTIMIZERS)
+    method = OPTIMIZERS[name]
+    allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
+    for option in options:
+        if option not in allowed:
+            raise InputError(f"option {option!r} does not exist for method {name!r}{nearest(option, allowed)}")
+    return method
+
+
+def require_range(name: str, value: float, low: float, high: float) -> float:
+    """Return `value` if it is a number in [low, high]; InputError otherwise."""
+    if not low <= value <= high:
+        raise InputError(f"{name} = {value!r}: must lie in [{low:g}, {high:g}]")
+    return value
+
+
+def refuse_equalities(method: str, search: Search) -> None:
+    """Raise InputError if the problem has equality constraints, for methods that stay inside the feasible region."""
+    if search.equality.any():
+        raise InputError(
+            f"method = {method!r} takes inequality constraints only; constraints {list(np.flatnonzero(search.equality))} "
+            "are equalities: use method='slsqp', or give each as two opposite inequalities with a tolerance"
+        )
+
+
+def as_names(problem: Problem, size: int) -> list[str]:
+    """Return the problem's variable names, checked for their number."""
+    names: Sequence[str] = list(problem.names)
+    if len(names) != size:
+        raise InputError(f"names has {len(names)} entries for {size} variables")
+    return list(names)

@@ -1,0 +1,184 @@
+"""One start as an optimizer sees it: scaled, cached, counted, and safe against failed evaluations.
+
+    y = x / scale,   scale = |x_start|, or the bound range where |x_start| is tiny        (section 5.2 of the paper)
+    f = objective / |objective(start)|
+
+Where the simulations happen is not known here: `ask` is the problem itself in `optimize`, and a thread's mailbox in `multistart`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.optimizers.optimizer import Evaluation, Iterate
+
+Ask = Callable[[np.ndarray, bool], Evaluation]
+Report = Callable[[Iterate], None]
+
+# Below this share of the bound range a start value says nothing about the size of its variable (an angle that starts at 0.1 degrees).
+TINY_START = 0.05
+
+
+class Interrupted(BaseException):
+    """Raised inside a method to end it when the user stops the study. Not an Exception: no method may swallow it."""
+
+
+def variable_scale(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return |start| [n], or the bound range where |start| is tiny beside it (1 where the variable has no range)."""
+    size = np.abs(start)
+    span = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
+    scale = np.where(size > TINY_START * span, size, span)
+    return np.where(scale > 0.0, scale, 1.0)
+
+
+class Search:
+    """The problem of one start in scaled variables `y`; `evaluate` never repeats a simulation."""
+
+    def __init__(
+        self,
+        ask: Ask,
+        start: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        *,
+        scale: np.ndarray | None = None,
+        equalities: np.ndarray | None = None,
+        feasibility: float = 1e-6,
+        eager_gradients: bool = True,
+        index: int = 0,
+        report: Report | None = None,
+    ) -> None:
+        self.scale = np.ones(start.size) if scale is None else scale
+        self.scaled = scale is not None
+        self.objective_scale = 1.0
+        self.x_lower, self.x_upper = lower, upper
+        self.lower, self.upper = lower / self.scale, upper / self.scale
+        self.start = start / self.scale
+        self.feasibility = feasibility
+        self.eager_gradients = eager_gradients
+        self.index = index
+        self.equality = np.zeros(0, dtype=bool)
+        self.history: list[Iterate] = []
+        self.analyses = self.gradient_evaluations = self.failures = 0
+        self._ask, self._report, self._equalities = ask, report, equalities
+        self._cache: dict[bytes, Evaluation] = {}  # physical units, by the bytes of x
+        self._best: tuple[tuple[bool, float], np.ndarray] | None = None
+
+    @property
+    def size(self) -> int:
+        return self.start.size
+
+    def physical(self, y: np.ndarray) -> np.ndarray:
+        """Return x [n] of scaled y, inside the bounds to the last digit."""
+        return np.clip(np.asarray(y, dtype=float) * self.scale, self.x_lower, self.x_upper)
+
+    def begin(self) -> Evaluation:
+        """Evaluate the start with gradients, set the objective's scale by it, and record iteration 0."""
+        x = self.physical(self.start)
+        first = self._evaluate_physical(x, gradients=True)
+        if first.ok:
+            size = abs(first.objective)
+            self.objective_scale = size if self.scaled and size > 0.0 else 1.0
+            self.equality = self._equality_mask(first.constraints.size)
+            self._remember(self.start, first)
+        self.record(self.start)
+        return self._scaled(first)
+
+    def evaluate(self, y: np.ndarray, gradients: bool = False) -> Evaluation:
+        """Return objective and constraints at `y` (scaled), with gradients where asked (or always, if eager); cached."""
+        evaluation = self._evaluate_physical(self.physical(y), gradients or self.eager_gradients)
+        self._remember(y, evaluation)
+        return self._scaled(evaluation)
+
+    def evaluate_known(self, y: np.ndarray) -> Evaluation:
+        """Return what is known at `y` without a new simulation; a failure if nothing is."""
+        return self._scaled(self._cache.get(self.physical(y).tobytes(), Evaluation.failure("never evaluated")))
+
+    def record(self, y: np.ndarray) -> None:
+        """Add `y`, evaluated before, to the history as the next accepted iterate, and report it."""
+        x = self.physical(y)
+        seen = self._cache[x.tobytes()]
+        violation = self.violation(seen) if seen.ok else float("nan")
+        iterate = Iterate(
+            self.index, len(self.history), x, seen.objective, violation, seen.constraints, self.analyses, seen.status
+        )
+        self.history.append(iterate)
+        if self._report is not None:
+            self._report(iterate)
+
+    def violation(self, evaluation: Evaluation) -> float:
+        """Return the largest violation of a constraint, 0 where all are satisfied."""
+        c = evaluation.constraints
+        equality = self.equality if self.equality.size == c.size else np.zeros(c.size, dtype=bool)
+        return float(np.where(equality, np.abs(c), np.maximum(c, 0.0)).max(initial=0.0))
+
+    @property
+    def best(self) -> np.ndarray | None:
+        """Scaled y of the best design seen: lowest objective of the feasible, else the least infeasible. None: none succeeded."""
+        return None if self._best is None else self._best[1]
+
+    def _remember(self, y: np.ndarray, evaluation: Evaluation) -> None:
+        if not evaluation.ok:
+            return
+        violation = self.violation(evaluation)
+        infeasible = violation > self.feasibility
+        rank = (infeasible, violation if infeasible else evaluation.objective)
+        if self._best is None or rank < self._best[0]:
+            self._best = (rank, np.array(y, dtype=float))
+
+    def _equality_mask(self, constraints: int) -> np.ndarray:
+        mask = np.zeros(constraints, dtype=bool)
+        if self._equalities is not None:
+            mask[self._equalities] = True
+        return mask
+
+    def _evaluate_physical(self, x: np.ndarray, gradients: bool) -> Evaluation:
+        key = x.tobytes()
+        seen = self._cache.get(key)
+        if seen is not None and (not seen.ok or not gradients or seen.objective_gradient is not None):
+            return seen
+        answer = self._ask(x, gradients)
+        gradients = gradients or answer.objective_gradient is not None
+        evaluation = checked(answer, self.size, gradients)
+        self.analyses += 1
+        self.gradient_evaluations += gradients
+        self.failures += not evaluation.ok
+        self._cache[key] = evaluation
+        return evaluation
+
+    def _scaled(self, evaluation: Evaluation) -> Evaluation:
+        if not evaluation.ok:
+            return evaluation
+        df, dc = evaluation.objective_gradient, evaluation.constraint_gradients
+        return replace(
+            evaluation,
+            objective=evaluation.objective / self.objective_scale,
+            objective_gradient=None if df is None else df * self.scale / self.objective_scale,
+            constraint_gradients=None if dc is None else dc * self.scale,
+        )
+
+
+def checked(evaluation: Evaluation, size: int, gradients: bool) -> Evaluation:
+    """Return the evaluation with arrays of the contract's shapes; non-finite numbers under "ok" become a failure that says so."""
+    if not evaluation.ok:
+        return Evaluation.failure(evaluation.status)
+    c = np.atleast_1d(np.asarray(evaluation.constraints, dtype=float))
+    df = dc = None
+    if gradients:
+        if evaluation.objective_gradient is None or (c.size and evaluation.constraint_gradients is None):
+            raise InputError("problem.evaluate returned no gradients though gradients=True was asked")
+        df = np.asarray(evaluation.objective_gradient, dtype=float)
+        dc = np.zeros((0, size)) if not c.size else np.asarray(evaluation.constraint_gradients, dtype=float)
+        if df.shape != (size,) or dc.shape != (c.size, size):
+            raise InputError(
+                f"problem.evaluate returned gradients of shape {df.shape} and {dc.shape}, allowed: {(size,)} and {(c.size, size)}"
+            )
+    named = {"objective": evaluation.objective, "constraints": c, "objective gradient": df, "constraint gradients": dc}
+    for name, numbers in named.items():
+        if numbers is not None and not np.isfinite(numbers).all():
+            return Evaluation.failure(f"{name} not finite")
+    return Evaluation(float(evaluation.objective), c, df, dc)
