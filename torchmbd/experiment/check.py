@@ -6,7 +6,7 @@ Works on the sections that are valid, so that a wrong word in one section does n
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -15,9 +15,9 @@ import numpy as np
 from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, Path, shown
 from torchmbd.experiment.model import build_model, find_model, option_faults
-from torchmbd.experiment.schema import Optimizer, Range, Simulation, Starts, Variable
+from torchmbd.experiment.schema import UNITS, Optimizer, Range, Simulation, Starts, Variable
 from torchmbd.integrators import generalized_alpha, ode
-from torchmbd.optimizers.optimizer import find_method
+from torchmbd.optimizers import OPTIMIZERS, multistart
 from torchmbd.system import System
 
 Sections = Mapping[str, Any]
@@ -52,6 +52,19 @@ def values(given: float | Sequence[float], size: int) -> np.ndarray | None:
     return np.full(size, x[0]) if not isinstance(given, (list, tuple)) else x if len(x) == size else None
 
 
+def vector(design: Mapping[str, Variable], system: System, key: str) -> np.ndarray:
+    """Return "start", "lower" or "upper" of the whole design vector, in the units of the file."""
+    own = dict(system.named_parameters())
+    parts = []
+    for name, variable in design.items():
+        given = getattr(variable, key)
+        if given is None:  # a start that the file leaves to the model
+            parts.append(own[name].detach().reshape(-1).numpy() / UNITS[variable.unit])
+        else:
+            parts.append(values(given, own[name].numel()))
+    return np.concatenate(parts)
+
+
 def labels(design: Mapping[str, Variable], system: System) -> list[str]:
     """Return one label for each entry of the design vector: `rod.laminate.angles[0]`."""
     own = dict(system.named_parameters())
@@ -69,12 +82,18 @@ def _method_faults(sections: Sections) -> list[Fault]:
                 known = nearest(key, ["duration", "method", "steps", *allowed])
                 faults.append(Fault(("simulate", key), f"unknown key for method {simulation.method!r}{known}"))
     optimizer: Optimizer | None = sections.get("optimizer")
-    for key in optimizer.options if optimizer is not None else ():
-        try:
-            find_method(optimizer.name if optimizer else "", {key: None})
-        except InputError as error:
-            faults.append(Fault(("optimizer", key), f": {error}"))
+    if optimizer is not None:
+        shared = _keywords(multistart) - {"max_iterations"}
+        allowed = shared | _keywords(OPTIMIZERS[optimizer.name])
+        for key in set(optimizer.options) - allowed:
+            known = nearest(key, ["name", "max_iterations", *sorted(allowed)])
+            faults.append(Fault(("optimizer", key), f"unknown key for method {optimizer.name!r}{known}"))
     return faults
+
+
+def _keywords(function: Callable[..., Any]) -> set[str]:
+    """Return the names of the keyword-only arguments."""
+    return {p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
 
 
 def _measures(sections: Sections) -> list[tuple[Mapping[str, Mapping[str, str]], Path]]:
@@ -127,18 +146,27 @@ def _bound_faults(path: Path, sized: Mapping[str, np.ndarray | None]) -> list[Fa
 
 
 def _start_faults(sections: Sections, system: System) -> list[Fault]:
-    """Check points and sweeps against the size of the design vector."""
-    names = labels(sections["design"], system)
+    """Check points and sweeps against the size and the bounds of the design vector."""
+    design = sections["design"]
+    names = labels(design, system)
+    lower, upper = (vector(design, system, key) for key in ("lower", "upper"))
     starts: Starts | None = sections.get("starts")
     faults = []
     for k, point in enumerate((starts.points if starts else None) or ()):
         if len(point) != len(names):
             text = f"has {len(point)} values; allowed: {len(names)}, one for each of {', '.join(names)}"
             faults.append(Fault(("starts", "points", k), text))
+        elif not ((lower <= point) & (point <= upper)).all():
+            text = f"= {point}: must lie between {lower.tolist()} and {upper.tolist()}"
+            faults.append(Fault(("starts", "points", k), text))
     sweep: Mapping[str, Range] = sections.get("sweep") or {}
-    for name in sweep:
-        if swept_index(name, names) is None:
+    for name, span in sweep.items():
+        index = swept_index(name, names)
+        if index is None:
             faults.append(Fault(("sweep", name), f"names no single design variable{nearest(name, names)}"))
+        elif not (lower[index] <= min(span.first, span.last) and max(span.first, span.last) <= upper[index]):
+            text = f"from {span.first:g} to {span.last:g}: must lie between {lower[index]:g} and {upper[index]:g}"
+            faults.append(Fault(("sweep", name), text))
     return faults
 
 

@@ -34,11 +34,11 @@ from pydantic_core import PydanticCustomError
 from torchmbd.design.responses import COMBINATORS, RESPONSES
 from torchmbd.errors import nearest
 from torchmbd.integrators import METHODS
-from torchmbd.optimizers.optimizer import OPTIMIZERS
+from torchmbd.optimizers import OPTIMIZERS
 from torchmbd.tracking.store import SCHEMES
 
 UNITS = {"deg": math.pi / 180.0, "rad": 1.0, "m": 1.0, "mm": 1e-3, "none": 1.0}  # unit -> SI
-SAMPLERS = ("sobol", "given", "none")
+SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
 
 
 def _one_of(names: Collection[str] | Callable[[], Collection[str]]) -> AfterValidator:
@@ -102,7 +102,7 @@ class Constraint(Section):
 
 
 class Optimizer(Section):
-    """Arguments of torchmbd.optimize; more keys are options of the method."""
+    """Arguments of torchmbd.multistart; more keys are options of the method."""
 
     model_config = ConfigDict(extra="allow")
     name: Annotated[str, _one_of(OPTIMIZERS)] = "mmfd"
@@ -124,7 +124,7 @@ class Starts(Section):
 
     @model_validator(mode="after")
     def _fits_the_sampler(self) -> Self:
-        wanted = {"sobol": "count", "given": "points"}.get(self.sampler)
+        wanted = {"sobol": "count", "latin_hypercube": "count", "given": "points"}.get(self.sampler)
         for key in ("count", "points"):
             if (getattr(self, key) is not None) != (key == wanted):
                 verb = "needs" if key == wanted else "takes no"

@@ -7,7 +7,8 @@ and the nearest valid name. A faulty section does not hide the faults of the oth
 from __future__ import annotations
 
 import types
-from typing import Any, get_args
+from functools import cache
+from typing import Any, Union, get_args, get_origin
 
 from pydantic import ValidationError, create_model
 from pydantic_core import ErrorDetails
@@ -27,11 +28,18 @@ def validate(data: Any) -> tuple[dict[str, Any], list[Fault]]:
     except ValidationError as error:
         faults = _faults(error, data)
     sections: dict[str, Any] = {}
-    for name, field in Study.model_fields.items():
+    for name in Study.model_fields:
         if not any(fault.path[:1] == (name,) for fault in faults):
-            one = create_model(name, __base__=Section, **{name: (field.rebuild_annotation(), field.get_default())})
-            sections[name] = getattr(one.model_validate({name: data[name]} if name in data else {}), name)
+            alone = _alone(name).model_validate({name: data[name]} if name in data else {})
+            sections[name] = getattr(alone, name)
     return sections, faults
+
+
+@cache
+def _alone(name: str) -> type[Section]:
+    """Return a model of one section of a study."""
+    field = Study.model_fields[name]
+    return create_model(name, __base__=Section, **{name: (field.rebuild_annotation(), field.get_default())})
 
 
 def _faults(error: ValidationError, data: Any) -> list[Fault]:
@@ -72,6 +80,8 @@ def _text(details: ErrorDetails, path: Path) -> str:
     if kind in ("model_type", "dict_type"):
         return f"= {shown(value)}: must be a mapping (key: value)"
     if kind in ("too_short", "too_long") and isinstance(value, dict):
+        if path == ("design",):
+            return "is empty; must have at least one parameter of the model"
         names = {1: COMBINATORS, 2: RESPONSES}.get(len(path), ()) if path[0] == "minimize" else ()
         return f"has {len(value)} keys; must have exactly one{nearest('', names) if names else ''}"
     if kind in ("kind", "sampler"):
@@ -98,7 +108,7 @@ def _keys(path: Path) -> list[str]:
 
 def _plain(annotation: Any) -> Any:
     """Strip Annotated and Optional."""
-    if isinstance(annotation, types.UnionType):
+    if get_origin(annotation) in (Union, types.UnionType):
         return next(_plain(branch) for branch in get_args(annotation) if branch is not type(None))
     if getattr(annotation, "__metadata__", None):
         return _plain(get_args(annotation)[0])
