@@ -31,7 +31,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.numerics.pair import Pair, cat, value
+from torchmbd.numerics.pair import Pair, cat, combine, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics
 
@@ -91,15 +91,28 @@ class Step:
         self.T, self.saddle, self.h, self.c, self.iterations = dynamics.topology, dynamics.saddle, h, coefficients, iterations
         self.scale = coefficients.beta * h * h * coefficients.share  # dq1/dv1'
 
-    def inverse(self, data: equations.Data, x: State, t: Tensor) -> Tensor:
+    def begin(self, x: State) -> State:
+        """What the known state gives to q (as an increment), v and a at the end of the step; share of v1' left out."""
+        c, h = self.c, self.h
+        a = combine((c.af / (1.0 - c.am)) * x.vd, -c.am / (1.0 - c.am), x.a)
+        step = combine(combine(h * x.v, h * h * (0.5 - c.beta), x.a), h * h * c.beta, a)
+        v = combine(combine(x.v, h * (1.0 - c.gamma), x.a), h * c.gamma, a)
+        return State(step, v, x.vd, a, x.lam)
+
+    def end(self, x: State, known: State, vd) -> tuple[Any, Any]:
+        """q and v at the end of the step for accelerations v1'."""
+        q = equations.advance(self.T, x.q, combine(known.q, self.scale, vd))
+        return q, combine(known.v, self.c.gamma * self.h * self.c.share, vd)
+
+    def inverse(self, data: equations.Data, x: State, known: State, drives: list) -> Tensor:
         """Inverse of the iteration matrix [lanes, n, n] where the step from x is predicted to end.
 
         A lane whose matrix is singular becomes nan, alone.
         """
         T = self.T
-        q, v, _ = self._new(x, x.vd)
-        at = equations.placement(T, data, q)
-        K = self.saddle.matrix(data, at, t, self.scale, self.c.gamma * self.h * self.c.share, v, x.lam)
+        q, v = self.end(x, known, x.vd)
+        at = equations.placement(T, data, q, drives)
+        K = self.saddle.matrix(data, at, self.scale, self.c.gamma * self.h * self.c.share, v, x.lam)
         # A change of the increment turns the body by d(exp), not by the change itself: to first order 1 - h ~om / 2.
         turns = K[:, T.n_v :, 3 * T.bodies : 6 * T.bodies].unflatten(2, (3, T.bodies))
         spin = equations.split_v(T, v)[1][:, :, 0].permute(2, 0, 1)[:, None].expand_as(turns)
@@ -107,51 +120,45 @@ class Step:
         H, info = torch.linalg.inv_ex(K)
         return torch.where((info == 0)[:, None, None], H, torch.nan)
 
-    def _new(self, x: State, vd) -> tuple[Any, Any, Any]:
-        c, h = self.c, self.h
-        a = c.share * vd + (c.af / (1.0 - c.am)) * x.vd - (c.am / (1.0 - c.am)) * x.a
-        step = h * x.v + (h * h * (0.5 - c.beta)) * x.a + (h * h * c.beta) * a
-        v = x.v + (h * (1.0 - c.gamma)) * x.a + (h * c.gamma) * a
-        return equations.advance(self.T, x.q, step), v, a
-
-    def residual(self, data: equations.Data, x: State, z, t: Tensor):
+    def residual(self, data: equations.Data, x: State, known: State, z, drives: list):
         """R [n_v + rows, ...] of the unknowns z = (v1', lam) after the state x."""
         T = self.T
         vd, lam = z[: T.n_v], z[T.n_v :]
-        q, v, _ = self._new(x, vd)
-        at = equations.placement(T, data, q)
-        forces = equations.dynamic_residual(T, data, at, v, vd, lam, t)
-        return cat([forces, equations.constraints(T, at, t) * (1.0 / self.scale)]) if T.rows else forces
+        q, v = self.end(x, known, vd)
+        at = equations.placement(T, data, q, drives)
+        forces = equations.dynamic_residual(T, data, at, v, vd, lam)
+        return cat([forces, equations.constraints(T, at) * (1.0 / self.scale)]) if T.rows else forces
 
-    def values(self, data: equations.Data, x: State, H: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-        """Unknowns z [n, 1, lanes], and the last correction of them."""
+    def values(self, data: equations.Data, x: State, H: Tensor, drives: list) -> tuple[Tensor, list[Tensor]]:
+        """Unknowns z [n, 1, lanes], and the corrections that led to them."""
+        known = self.begin(x)
         z = torch.cat([x.vd, x.lam])
-        correction = z
+        corrections = []
         for _ in range(self.iterations[0]):
-            correction = apply(H, self.residual(data, x, z, t))
-            z = z - correction
-        return z, correction
+            corrections.append(apply(H, self.residual(data, x, known, z, drives)))
+            z = z - corrections[-1]
+        return z, corrections
 
-    def tangents(self, data: equations.Data, x: State, z: Tensor, H: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
-        """Design tangents of the unknowns [n, slots, lanes], and the last correction of them."""
+    def tangents(self, data: equations.Data, x: State, z: Tensor, H: Tensor, drives: list) -> tuple[Tensor, list[Tensor]]:
+        """Design tangents of the unknowns [n, slots, lanes], and the corrections that led to them."""
         start = cat([x.vd, x.lam]).tangent
-        R = self.residual(data, x, Pair(z, start), t).tangent
-        if R is None:
-            raise InputError("tangents were asked for, but neither the data nor the state carry any")
-        correction = -apply(H, R)
-        dz = correction if start is None else start + correction
+        R = self.residual(data, x, self.begin(x), Pair.of(z, start), drives).tangent
+        corrections = [apply(H, R)]
+        dz = start - corrections[-1]
         plain, frozen = {name: value(y) for name, y in data.items()}, x.values()
+        known = self.begin(frozen)
         for _ in range(self.iterations[1] - 1):
-            R = R + self.residual(plain, frozen, Pair(z, correction), t).tangent
-            correction = -apply(H, R)
-            dz = dz + correction
-        return dz, correction
+            R = R - self.residual(plain, frozen, known, Pair.of(z, corrections[-1]), drives).tangent
+            corrections.append(apply(H, R))
+            dz = dz - corrections[-1]
+        return dz, corrections
 
     def finish(self, x: State, z) -> State:
         """The new state of converged unknowns."""
         vd, lam = z[: self.T.n_v], z[self.T.n_v :]
-        q, v, a = self._new(x, vd)
-        return State(q, v, vd, a, lam)
+        known = self.begin(x)
+        q, v = self.end(x, known, vd)
+        return State(q, v, vd, combine(known.a, self.c.share, vd), lam)
 
 
 def apply(H: Tensor, R: Tensor) -> Tensor:
@@ -162,16 +169,20 @@ def apply(H: Tensor, R: Tensor) -> Tensor:
 def initial(dynamics: Dynamics) -> State:
     """Consistent initial positions, velocities and accelerations; pairs if the data are."""
     t = torch.zeros((), dtype=torch.float64)
-    q, v = dynamics.initial.solve(dynamics)
-    if dynamics.tangents:
-        q, v = (x if isinstance(x, Pair) else Pair(x) for x in (q, v))
+    q, v = (_paired(x, dynamics.tangents) for x in dynamics.initial.solve(dynamics))
     a, lam = dynamics.accelerations(t, q, v)
     return State(q, v, a, a, lam)
 
 
+def _paired(x: Any, tangents: int) -> Any:
+    if isinstance(x, Pair) or not tangents:
+        return x
+    return Pair.of(x, x.new_zeros(1, 1, 1).expand(x.shape[0], tangents, x.shape[2]))
+
+
 @dataclass
 class History:
-    """States at all times, [times, component, slots, lanes]."""
+    """States at all times [times, component, 1 + n_b, lanes]: values, then design tangents."""
 
     q: Tensor
     v: Tensor
@@ -180,20 +191,13 @@ class History:
 
     @classmethod
     def of(cls, x: State, times: int) -> History:
-        """Room for `times` states like x: slot 0 the value, then the design tangents."""
-        slots = 1 + max((y.tangent.shape[-2] for y in x if isinstance(y, Pair) and y.tangent is not None), default=0)
-        lanes = value(x.q).shape[-1]
-
-        def room(y) -> Tensor:
-            return value(y).new_zeros(times, y.shape[0], slots, lanes)
-
-        return cls(room(x.q), room(x.v), room(x.vd), room(x.lam))
+        """Room for `times` states like x."""
+        rooms = ((y.full if isinstance(y, Pair) else y) for y in (x.q, x.v, x.vd, x.lam))
+        return cls(*(y.new_zeros(times, *y.shape) for y in rooms))
 
     def put(self, index: int, x: State) -> None:
         for room, y in ((self.q, x.q), (self.v, x.v), (self.vd, x.vd), (self.lam, x.lam)):
-            room[index, :, :1] = value(y)
-            if isinstance(y, Pair) and y.tangent is not None:
-                room[index, :, 1:] = y.tangent
+            room[index] = y.full if isinstance(y, Pair) else y
 
 
 def integrate(
@@ -201,61 +205,65 @@ def integrate(
     duration: float,
     steps: int,
     spectral_radius: float = 0.9,
-    iterations: tuple[int, int] = (3, 3),
-    refresh: int = 5,
+    iterations: tuple[int, int] = (2, 2),
+    refresh: int = 1,
 ) -> tuple[History, dict[str, Any]]:
     """Integrate all lanes with `steps` equal steps.
 
     iterations  corrections of values and of tangents in every step
     refresh     steps between two inverses of the iteration matrix
 
-    Returns the states at steps + 1 times, and statistics: for each lane the largest remaining correction of the
-    accelerations relative to their largest value ("correction"), and of the tangents ("tangent_correction").
+    Returns the states at steps + 1 times, and statistics: for each lane the estimated relative error of the iteration in
+    the accelerations ("iteration_error") and in their design tangents ("tangent_error").
     """
     h = duration / steps
-    step = Step(dynamics, h, Coefficients(spectral_radius), iterations)
+    step = Step(dynamics, h, Coefficients(spectral_radius), checked(iterations, refresh))
     plain = dynamics.values().data
     x = initial(dynamics)
-    with_tangents = dynamics.tangents > 0
     history = History.of(x, steps + 1)
     history.put(0, x)
-    monitor = _Monitor(value(x.vd).shape[-1])
+    errors = {"iteration_error": _IterationError(step.T.n_v), "tangent_error": _IterationError(step.T.n_v)}
     H = torch.empty(0)
     for i in range(steps):
-        t = torch.tensor((i + 1) * h, dtype=torch.float64)
+        drives = step.T.prescribed(torch.tensor((i + 1) * h, dtype=torch.float64))
+        known = x.values()
         if i % refresh == 0:
-            H = step.inverse(plain, x.values(), t)
-        z, correction = step.values(plain, x.values(), H, t)
-        monitor.values(z, correction, step.T.n_v)
-        if with_tangents:
-            dz, correction = step.tangents(dynamics.data, x, z, H, t)
-            monitor.tangents(dz, correction, step.T.n_v)
-            z = Pair(z, dz)
+            H = step.inverse(plain, known, step.begin(known), drives)
+        z, corrections = step.values(plain, known, H, drives)
+        errors["iteration_error"].add(z, corrections)
+        if isinstance(x.q, Pair):
+            dz, corrections = step.tangents(dynamics.data, x, z, H, drives)
+            errors["tangent_error"].add(dz, corrections)
+            z = Pair.of(z, dz)
         x = step.finish(x, z)
         history.put(i + 1, x)
-    return history, {"steps": steps, "step_size": h} | monitor.summary()
+    return history, {"steps": steps, "step_size": h} | {name: e.relative() for name, e in errors.items() if e.rows}
 
 
-class _Monitor:
-    """The largest last correction of any step, against the largest unknown, for each lane."""
-
-    def __init__(self, lanes: int):
-        self.largest = [torch.zeros(lanes, dtype=torch.float64) for _ in range(4)]
-
-    def _keep(self, k: int, x: Tensor) -> None:
-        self.largest[k] = torch.maximum(self.largest[k], x.abs().amax((0, 1)))
-
-    def values(self, z: Tensor, correction: Tensor, n: int) -> None:
-        self._keep(0, z[:n])
-        self._keep(1, correction[:n])
-
-    def tangents(self, dz: Tensor, correction: Tensor, n: int) -> None:
-        self._keep(2, dz[:n])
-        self._keep(3, correction[:n])
-
-    def summary(self) -> dict[str, Tensor]:
-        z, dz, tangent, d_tangent = self.largest
-        tiny = torch.finfo(torch.float64).tiny
-        return {"correction": dz / z.clamp_min(tiny), "tangent_correction": d_tangent / tangent.clamp_min(tiny)}
+def checked(iterations: tuple[int, int], refresh: int) -> tuple[int, int]:
+    """Check the options of the iteration; InputError names what is wrong."""
+    if len(iterations) != 2 or any(not isinstance(k, int) or k < 1 for k in iterations):
+        raise InputError(f"iterations is {iterations!r}; allowed: two positive integers, for values and for tangents")
+    if not isinstance(refresh, int) or refresh < 1:
+        raise InputError(f"refresh is {refresh!r}; allowed: a positive number of steps")
+    return (iterations[0], iterations[1])
 
 
+class _IterationError:
+    """Estimates what the fixed iteration leaves: the next correction would be |last|^2 / |one before|.
+
+    Collected over all steps without leaving the device; relative to the largest value of the whole motion.
+    """
+
+    def __init__(self, accelerations: int):
+        self.accelerations = accelerations
+        self.rows: list[Tensor] = []
+
+    def add(self, x: Tensor, corrections: list[Tensor]) -> None:
+        last = [y[: self.accelerations].abs().amax((0, 1)) for y in (x, *corrections[-2:])]
+        self.rows.append(torch.stack([last[0], last[-1] * last[-1] / last[1] if len(last) == 3 else last[1]]))
+
+    def relative(self) -> Tensor:
+        """Largest estimate over the largest value, for each lane."""
+        size, left = torch.stack(self.rows).unbind(1)
+        return left.amax(0) / size.amax(0).clamp_min(torch.finfo(size.dtype).tiny)

@@ -18,7 +18,7 @@ from torch import Tensor
 from torchdiffeq._impl.odeint import SOLVERS
 
 from torchmbd.integrators.generalized_alpha import History, initial
-from torchmbd.numerics.pair import Pair, value
+from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
 FIXED = {"euler", "midpoint", "heun2", "heun3", "rk4", "explicit_adams", "implicit_adams", "fixed_adams"}
@@ -48,7 +48,7 @@ def integrate(
     y0 = torch.cat([_augment(start.q, dynamics), _augment(start.v, dynamics)])
 
     def rates(t: Tensor, y: Tensor) -> Tensor:
-        z = Pair(y[:, :1], y[:, 1:]) if y.shape[1] > 1 else y
+        z = Pair(y) if y.shape[1] > 1 else y
         return _augment(dynamics.rates(t, z), dynamics)
 
     before = dynamics.statistics["evaluations"]
@@ -64,12 +64,8 @@ def integrate(
 
 def _augment(x: Any, dynamics: Dynamics) -> Tensor:
     """Value and tangents side by side [n, 1 + n_b, lanes]."""
-    slots, lanes = dynamics.tangents, dynamics.lanes
-    plain = value(x).expand(-1, 1, lanes)
-    if not slots:
-        return plain
-    tangent = x.tangent if isinstance(x, Pair) and x.tangent is not None else plain.new_zeros(plain.shape[0], slots, lanes)
-    return torch.cat([plain, tangent], 1)
+    full = x.full if isinstance(x, Pair) else torch.cat([x, x.new_zeros(x.shape[0], dynamics.tangents, x.shape[2])], 1)
+    return full.expand(-1, -1, dynamics.lanes)
 
 
 def _accelerations(dynamics: Dynamics, times: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
@@ -77,6 +73,6 @@ def _accelerations(dynamics: Dynamics, times: Tensor, y: Tensor) -> tuple[Tensor
     T = dynamics.topology
     parts = []
     for t, state in zip(times, y, strict=True):
-        z = Pair(state[:, :1], state[:, 1:]) if state.shape[1] > 1 else state
+        z = Pair(state) if state.shape[1] > 1 else state
         parts.append([_augment(x, dynamics) for x in dynamics.accelerations(t, z[: T.n_q], z[T.n_q :])])
     return torch.stack([a for a, _ in parts]), torch.stack([lam for _, lam in parts])

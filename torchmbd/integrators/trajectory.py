@@ -128,7 +128,7 @@ class BodyMotion:
         m, f = self._T.own_modes[self._flexible()], self._index
         lanes = self.motion.q.shape[0]
         K = value(Kr)[:m, :m, f, 0].movedim(-1, 0).expand(lanes, m, m)
-        if not isinstance(Kr, Pair) or Kr.tangent is None:
+        if not isinstance(Kr, Pair):
             return K, None
         dK = Kr.tangent[:m, :m, f].movedim(-1, 0)
         return K, dK.expand(lanes, *dK.shape[1:])

@@ -13,8 +13,10 @@ All primitives of one kind are evaluated together; `members` holds, for each arg
 The contract of a kind:
 
     rows                         equations of one primitive
-    phi(vectors, angle)          [rows, n, ...] on numbers or on time jets: velocities and gamma come from the jets
-    forces(vectors, lam, angle)  gradient of sum(lam * phi) by each vector, [3, n, ...] for each argument
+    phi(vectors, drive)          [rows, n, ...] on numbers or on time jets: velocities and gamma come from the jets
+    forces(vectors, lam, drive)  gradient of sum(lam * phi) by each vector, [3, n, ...] for each argument
+
+`drive` is what a law prescribes at the time of evaluation: (cos th, sin th), numbers or jets; None without a law.
 
 Nothing else is written for a constraint: Phi_q and the generalized constraint forces are `forces` carried to the
 bodies, gamma is the acceleration part of the jet, the design tangents come from pairs (numerics/pair.py).
@@ -50,11 +52,11 @@ class Primitive:
     arguments: ClassVar[tuple[str, ...]]
     driven: ClassVar[bool] = False
 
-    def phi(self, vectors, angle=None):
+    def phi(self, vectors, drive=None):
         """Constraint violations [rows, n, ...] of vectors [3, n, ...], numbers or jets."""
         raise NotImplementedError
 
-    def forces(self, vectors, lam, angle=None) -> list:
+    def forces(self, vectors, lam, drive=None) -> list:
         """Gradient of sum(lam * phi) by each argument, [3, n, ...]; lam [rows, n, ...]."""
         raise NotImplementedError
 
@@ -65,11 +67,11 @@ class Coincide(Primitive):
     rows = 3
     arguments = ("point", "point")
 
-    def phi(self, vectors, angle=None):
+    def phi(self, vectors, drive=None):
         a, b = vectors
         return b - a
 
-    def forces(self, vectors, lam, angle=None):
+    def forces(self, vectors, lam, drive=None):
         return [-lam, lam]
 
 
@@ -79,11 +81,11 @@ class Perpendicular(Primitive):
     rows = 1
     arguments = ("axis", "axis")
 
-    def phi(self, vectors, angle=None):
+    def phi(self, vectors, drive=None):
         u, v = vectors
         return _row(dot(u, v))
 
-    def forces(self, vectors, lam, angle=None):
+    def forces(self, vectors, lam, drive=None):
         u, v = vectors
         return [lam * v, lam * u]
 
@@ -94,11 +96,11 @@ class Plane(Primitive):
     rows = 1
     arguments = ("point", "point", "axis")
 
-    def phi(self, vectors, angle=None):
+    def phi(self, vectors, drive=None):
         a, b, u = vectors
         return _row(dot(b - a, u))
 
-    def forces(self, vectors, lam, angle=None):
+    def forces(self, vectors, lam, drive=None):
         a, b, u = vectors
         pull = lam * u
         return [-pull, pull, lam * (b - a)]
@@ -110,12 +112,12 @@ class Distance(Primitive):
     rows = 1
     arguments = ("point", "point")
 
-    def phi(self, vectors, angle=None):
+    def phi(self, vectors, drive=None):
         a, b = vectors
         length = self.lengths()
         return _row(dot(b - a, b - a) * (0.5 / length) - 0.5 * length)
 
-    def forces(self, vectors, lam, angle=None):
+    def forces(self, vectors, lam, drive=None):
         a, b = vectors
         pull = lam * (b - a) * (1.0 / self.lengths())
         return [-pull, pull]
@@ -132,13 +134,14 @@ class Angle(Primitive):
     arguments = ("axis", "axis", "axis")
     driven = True
 
-    def phi(self, vectors, angle=None):
+    def phi(self, vectors, drive=None):
         x, y, b = vectors
-        return _row(cos(angle) * dot(y, b) - sin(angle) * dot(x, b))
+        c, s = drive
+        return _row(dot(y, b) * c - dot(x, b) * s)
 
-    def forces(self, vectors, lam, angle=None):
+    def forces(self, vectors, lam, drive=None):
         x, y, b = vectors
-        s, c = lam * sin(angle), lam * cos(angle)
+        c, s = lam * drive[0], lam * drive[1]
         return [-(s * b), c * b, c * y - s * x]
 
 
@@ -147,19 +150,22 @@ def _row(x):
     return x.map(_row) if isinstance(x, Jet) else x[None]
 
 
-def prescribed(laws: Sequence[Law], t: Tensor, derivatives: bool):
-    """Evaluate prescribed motions at time t: [n, 1, 1], or with their first and second time derivatives."""
-    if not derivatives:
-        return torch.stack([torch.as_tensor(law(t), dtype=t.dtype, device=t.device) for law in laws])[:, None, None]
+def prescribed(laws: Sequence[Law], t: Tensor, derivatives: bool = False) -> tuple:
+    """(cos th, sin th) of prescribed angles at time t, [n, 1, 1] each; jets with their time derivatives if asked for."""
 
-    def all_laws(s: Tensor) -> Tensor:
-        return torch.stack([torch.as_tensor(law(s), dtype=t.dtype, device=t.device) + 0.0 * s for law in laws])
+    def angles(s: Tensor) -> Tensor:
+        return torch.stack([law(s) for law in laws])[:, None, None]
+
+    if not derivatives:
+        th = angles(t)
+        return torch.cos(th), torch.sin(th)
 
     def rates(s: Tensor) -> tuple[Tensor, Tensor]:
-        return torch.func.jvp(all_laws, (s,), (torch.ones_like(s),))
+        return torch.func.jvp(angles, (s,), (torch.ones_like(s),))
 
-    (value, velocity), (_, acceleration) = torch.func.jvp(rates, (t,), (torch.ones_like(t),))
-    return Jet(*(x[:, None, None] for x in (value, velocity, acceleration)))
+    (th, velocity), (_, acceleration) = torch.func.jvp(rates, (t,), (torch.ones_like(t),))
+    jet = Jet(th, velocity, acceleration)
+    return cos(jet), sin(jet)
 
 
 KINDS: tuple[type[Primitive], ...] = (Coincide, Plane, Distance, Perpendicular, Angle)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchmbd.numerics.pair import cat, constant_map, cos, cross, dot, function
+from torchmbd.numerics.pair import Pair, cat, constant_map, cross, dot, value
 
 # A_ij = sum_ab _A[3 i + j, 4 a + b] p_a p_b, symmetric in a and b; with |p| = 1 the form of the header.
 _A = torch.zeros(3, 3, 4, 4, dtype=torch.float64)
@@ -41,17 +41,17 @@ for _i, _j, _k, _sign in ((0, 1, 2, 1), (1, 2, 0, 1), (2, 0, 1, 1), (0, 2, 1, -1
 def rotation_matrix(p):
     """Rotation matrices [3, 3, ...] of Euler parameters [4, ...], body -> ground."""
     products = p[:, None] * p[None]
-    return constant_map(ROTATION_FORM.to(_device(p)), products.flatten(0, 1)).unflatten(0, (3, 3))
+    return constant_map(ROTATION_FORM.to(value(p).device), products.flatten(0, 1)).unflatten(0, (3, 3))
 
 
 def skew(x):
     """Skew matrices [3, 3, ...] of vectors [3, ...]."""
-    return constant_map(SKEW.to(_device(x)), x).unflatten(0, (3, 3))
+    return constant_map(SKEW.to(value(x).device), x).unflatten(0, (3, 3))
 
 
 def axial(Y):
     """Axial vectors [3, ...] of matrices [3, 3, ...]: eps_ijk Y_kj."""
-    return constant_map(AXIAL.to(_device(Y)), Y.flatten(0, 1))
+    return constant_map(AXIAL.to(value(Y).device), Y.flatten(0, 1))
 
 
 def quaternion_product(p, d):
@@ -67,43 +67,28 @@ def euler_rates(p, omega):
 
 
 def exponential(delta):
-    """Euler parameters [4, ...] of a rotation vector [3, ...] [rad].
-
-    sin(x)/x is written by the series of its square near zero, so that value and tangent stay exact there.
-    """
+    """Euler parameters [4, ...] of a rotation vector [3, ...] [rad]: cos n, delta / 2 sin(n) / n with n = |delta| / 2."""
     quarter = dot(delta, delta) * 0.25
-    return cat([_cos_root(quarter)[None], delta * (0.5 * _sinc_root(quarter))])
+    if not isinstance(quarter, Pair):
+        c, s, _ = _half_angle(quarter)
+        return cat([c[None], delta * (0.5 * s)])
+    c, s, slope = _half_angle(quarter.value)
+    cosine = Pair(torch.cat([c, (-0.5 * s) * quarter.tangent], -2))
+    sinc = Pair(torch.cat([s, slope * quarter.tangent], -2))
+    return cat([cosine[None], delta * (0.5 * sinc)])
 
 
-def _cos_root(s):
-    """cos(sqrt(s)), s >= 0."""
-    return function(lambda y: torch.cos(_root(y)), lambda y: -0.5 * _sinc(y), s)
+def _half_angle(square: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """cos n, sin(n) / n and d(sin(n) / n)/d(n^2) of n^2.
 
-
-def _sinc_root(s):
-    """sin(sqrt(s)) / sqrt(s), s >= 0."""
-    return function(_sinc, _sinc_slope, s)
-
-
-_SMALL = 1e-3  # below it four terms of the series are exact to 1e-16
-
-
-def _root(s: Tensor) -> Tensor:
-    # sqrt has no derivative at zero: clamped, and cos(sqrt(1e-300)) is one.
-    return torch.sqrt(s.clamp_min(1e-300))
-
-
-def _sinc(s: Tensor) -> Tensor:
-    x = torch.sqrt(torch.where(s < _SMALL, torch.ones_like(s), s))
-    series = 1 - s / 6 * (1 - s / 20 * (1 - s / 42 * (1 - s / 72)))
-    return torch.where(s < _SMALL, series, torch.sin(x) / x)
-
-
-def _sinc_slope(s: Tensor) -> Tensor:
-    safe = torch.where(s < _SMALL, torch.ones_like(s), s)
-    x = torch.sqrt(safe)
-    series = -(1 - s / 10 * (1 - s / 28 * (1 - s / 54))) / 6
-    return torch.where(s < _SMALL, series, (torch.cos(x) - torch.sin(x) / x) / (2 * safe))
+    n is kept from zero by a number that no digit sees. The slope cancels digits near zero, where it is multiplied by
+    delta twice: its contribution stays exact to rounding.
+    """
+    square = square + 1e-60
+    n = torch.sqrt(square)
+    c = torch.cos(n)
+    s = torch.sin(n) / n
+    return c, s, (c - s) / (2.0 * square)
 
 
 def euler_parameters(A: Tensor) -> Tensor:
@@ -121,19 +106,3 @@ def euler_parameters(A: Tensor) -> Tensor:
         e[i] = root
         p = torch.cat([spin[i : k] / (4 * root), e])
     return p if p[0] >= 0 else -p
-
-
-def _device(x) -> torch.device:
-    return (x.value if hasattr(x, "value") else x).device
-
-
-__all__ = [
-    "axial",
-    "cos",
-    "euler_parameters",
-    "euler_rates",
-    "exponential",
-    "quaternion_product",
-    "rotation_matrix",
-    "skew",
-]

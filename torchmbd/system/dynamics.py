@@ -52,7 +52,7 @@ class Dynamics:
     @property
     def tangents(self) -> int:
         """Number of design variables whose tangents the data carry."""
-        slots = [x.tangent.shape[-2] for x in self.data.values() if isinstance(x, Pair) and x.tangent is not None]
+        slots = [x.shape[-2] - 1 for x in self.data.values() if isinstance(x, Pair)]
         return max(slots, default=0)
 
     def values(self) -> Dynamics:
@@ -67,8 +67,7 @@ class Dynamics:
             return x[..., index : index + 1] if x.shape[-1] > 1 else x
 
         data = {
-            name: Pair(pick(x.value), None if x.tangent is None else pick(x.tangent)) if isinstance(x, Pair) else pick(x)
-            for name, x in self.data.items()
+            name: Pair(pick(x.full)) if isinstance(x, Pair) else pick(x) for name, x in self.data.items()
         }
         return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)
 
@@ -98,8 +97,9 @@ class Dynamics:
         """Accelerations a [n_v, ...] and multipliers lam [rows, ...]; eq. (9), with tangents eq. (30)."""
         T, data = self.topology, {name: value(x) for name, x in self.data.items()}
         qv, vv = value(q), value(v)
-        at = equations.placement(T, data, qv)
-        K = self.saddle.matrix(data, at, t)
+        drives = T.prescribed(t)
+        at = equations.placement(T, data, qv, drives)
+        K = self.saddle.matrix(data, at)
         zero = torch.zeros_like(vv)
         still = vv.new_zeros(T.rows, *vv.shape[1:])
         factor = torch.linalg.lu_factor(K)
@@ -107,16 +107,15 @@ class Dynamics:
         a, lam = x[: T.n_v], x[T.n_v :]
         if not isinstance(q, Pair):
             return a, lam
-        at = equations.placement(T, self.data, q)
+        at = equations.placement(T, self.data, q, drives)
         residual = self._residual(t, self.data, at, v, a, lam)
-        tangent = None if residual.tangent is None else -solve(factor, residual.tangent)
-        both = Pair(x, tangent)
+        both = Pair.of(x, -solve(factor, residual.tangent))
         return both[: T.n_v], both[T.n_v :]
 
     def _residual(self, t: Tensor, data: Data, at: equations.Placement, v, a, lam):
         """Equations of motion above the stabilized accelerations of the constraints [n_v + rows, ...]."""
         T = self.topology
-        forces = equations.dynamic_residual(T, data, at, v, a, lam, t)
+        forces = equations.dynamic_residual(T, data, at, v, a, lam)
         if not T.rows:
             return forces
         phi = equations.constraint_jets(T, at, data, v, a, t)

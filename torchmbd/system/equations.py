@@ -30,9 +30,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.joints.primitive import prescribed
 from torchmbd.numerics.jet import Jet
-from torchmbd.numerics.pair import bilinear, cat, cross, dot, linear, matmul, matvec, matvec_t
+from torchmbd.numerics.pair import cat, contract, cross, dot, linear, matmul, matvec, matvec_t, value
 from torchmbd.numerics.rotation import axial, euler_rates, exponential, quaternion_product, rotation_matrix, skew
 from torchmbd.system.topology import Topology
 
@@ -48,6 +47,8 @@ class Placement:
     A_of  [3, 3, vectors]      rotation of the body of each vector
     rho   [3, vectors]         vectors in body axes
     g     [3, vectors]         vectors in ground axes; points include the origin of their body
+    arguments                  the same, for each argument of each kind of primitive
+    drives                     what the laws prescribe at this time, for each kind of primitive
     """
 
     A: Any
@@ -55,6 +56,11 @@ class Placement:
     A_of: Any
     rho: Any
     g: Any
+    arguments: list[list[Any]]
+    drives: list[tuple | None]
+
+
+_EYE = torch.eye(3, dtype=torch.float64)[:, :, None, None, None]
 
 
 def split_q(T: Topology, q):
@@ -77,11 +83,11 @@ def split_v(T: Topology, v):
     )
 
 
-def placement(T: Topology, data: Data, q) -> Placement:
-    """Rotations and attached vectors at the coordinates q [n_q, ...]."""
+def placement(T: Topology, data: Data, q, drives: list[tuple | None]) -> Placement:
+    """Rotations and attached vectors at the coordinates q [n_q, ...]; `drives` from Topology.prescribed."""
     r, p, w = split_q(T, q)
     A = rotation_matrix(p)
-    A = cat([A, linear(_identity, A)], 2)
+    A = cat([A, _EYE.to(value(A)).expand(3, 3, 1, 1, value(A).shape[-1])], 2)
     r = cat([r, linear(lambda y: torch.zeros_like(y[:, :1]), r)], 1)
     rho = data["x"]
     if T.attached_flexible:
@@ -89,19 +95,13 @@ def placement(T: Topology, data: Data, q) -> Placement:
         n = T.attached_flexible
         rho = cat([rho[:, :n] + bent, rho[:, n:]], 1) if n < len(T.attached) else rho + bent
     A_of = A.index_select(2, T.vector_body)
-    return Placement(A, w, A_of, rho, matvec(A_of, rho) + r.index_select(1, T.vector_origin))
-
-
-def _identity(A: Tensor) -> Tensor:
-    # The rotation of the ground: constant, so a tangent of it is zero.
-    if A.shape[-2] != 1:
-        return A.new_zeros(3, 3, 1, *A.shape[-2:])
-    return torch.eye(3, dtype=A.dtype, device=A.device)[:, :, None, None, None].expand(3, 3, 1, *A.shape[-2:])
+    g = matvec(A_of, rho) + r.index_select(1, T.vector_origin)
+    return Placement(A, w, A_of, rho, g, T.arguments(g), drives)
 
 
 def _modal_vector(T: Topology, Y, w):
     """Elastic part of the attached vectors of flexible bodies, Y w: [3, vectors]."""
-    return bilinear(lambda y, x: (y * x).sum(1), Y, w.index_select(1, T.vector_flexible))
+    return contract(Y, w.index_select(1, T.vector_flexible), 1)
 
 
 def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
@@ -126,8 +126,8 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
     SR = data["SR"]  # SR = S1 above R1: [6, modes, flexible]
     S, P, G = moments(T, data, w)
     rates = _stack2(wd, wdd)  # [modes, 2, flexible]
-    sr = bilinear(lambda m, x: (m[:, :, None] * x).sum(1), SR, rates)  # [6, 2, flexible]
-    gg = bilinear(lambda m, x: (m[:, :, :, None] * x).sum(2), G, rates)  # [3, 3, 2, flexible]
+    sr = contract(SR.unsqueeze(2), rates, 1)  # [6, 2, flexible]
+    gg = contract(G.unsqueeze(3), rates, 2)  # [3, 3, 2, flexible]
     h = matvec(Z, S)
     extra = sr[:3, 1] + 2.0 * matvec(spin_f, sr[:3, 0])
     Y = matmul(Z, P)
@@ -140,10 +140,10 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
         torque = cat([torque[:, :f] + turn, torque[:, f:]], 1)
     else:
         h, Y, torque = h + extra, Y + extra_Y, torque + turn
-    coriolis = bilinear(lambda m, x: (m * x).sum((0, 2)), data["H"], om_f[:, None, None] * wd[None, None])
+    coriolis = contract(data["H"], om_f[:, None, None] * wd, (0, 2))
     modal = (
         matvec_t(SR, cat([u_f, omd_f]))
-        + bilinear(lambda z, m: (z[:, :, None] * m).sum((0, 1)), Z_f, G)
+        + contract(Z_f.unsqueeze(2), G, (0, 1))
         + wdd
         + coriolis
         + matvec(data["Kr"], w)
@@ -157,9 +157,9 @@ def moments(T: Topology, data: Data, w):
     """S [3, bodies], P [3, 3, bodies] and G [3, 3, modes, flexible] of the deformed bodies."""
     f = T.flexible
     S, P, C0 = data["S0"], data["P0"], data["C0"]
-    G = C0 + bilinear(lambda c, x: (c * x).sum(3), data["C1"], w)
+    G = C0 + contract(data["C1"], w, 3)
     S_f = S[:, :f] + matvec(data["SR"][:3], w)
-    P_f = P[:, :, :f] + bilinear(lambda c, x: (c * x).sum(2), C0.transpose(0, 1) + G, w)
+    P_f = P[:, :, :f] + contract(C0.transpose(0, 1) + G, w, 2)
     if f == T.bodies:
         return S_f, P_f, G
     return cat([S_f, S[:, f:]], 1), cat([P_f, P[:, :, f:]], 2), G
@@ -167,28 +167,22 @@ def moments(T: Topology, data: Data, w):
 
 def _stack2(a, b):
     """Stack two numbers [k, n] to [k, 2, n]."""
-    return cat([linear(lambda y: y[:, None], a), linear(lambda y: y[:, None], b)], 1)
+    return cat([a.unsqueeze(1), b.unsqueeze(1)], 1)
 
 
-def constraints(T: Topology, at: Placement, t: Tensor):
+def constraints(T: Topology, at: Placement):
     """Violations of all constraint equations Phi [rows, ...]."""
-    return cat([_phi(primitive, at.g, t).flatten(0, 1) for primitive in T.primitives])
-
-
-def _phi(primitive, g, t: Tensor):
-    angle = prescribed(primitive.data, t, derivatives=False) if primitive.driven else None
-    return primitive.phi([g.index_select(1, member) for member in primitive.members], angle)
+    return cat([p.phi(x, d).flatten(0, 1) for p, x, d in zip(T.primitives, at.arguments, at.drives, strict=True)])
 
 
 def constraint_jets(T: Topology, at: Placement, data: Data, v, a, t: Tensor) -> Jet:
     """Phi, Phi' and Phi'' [rows, ...] with the accelerations a: Phi'' = Phi_q a - gamma."""
-    g = vector_jets(T, at, data, v, a)
-    parts = []
-    for primitive in T.primitives:
-        angle = prescribed(primitive.data, t, derivatives=True) if primitive.driven else None
-        members = [g.map(lambda x, m=member: x.index_select(1, m)) for member in primitive.members]
-        parts.append(primitive.phi(members, angle).map(lambda x: x.flatten(0, 1)))
-    return Jet(*(cat([part.parts[k] for part in parts]) for k in range(3)))
+    parts = [T.arguments(part) for part in vector_jets(T, at, data, v, a).parts]
+    phi = []
+    for i, (primitive, drive) in enumerate(zip(T.primitives, T.prescribed(t, derivatives=True), strict=True)):
+        members = [Jet(*x) for x in zip(*(part[i] for part in parts), strict=True)]
+        phi.append(primitive.phi(members, drive).map(lambda x: x.flatten(0, 1)))
+    return Jet(*(cat([jet.parts[k] for jet in phi]) for k in range(3)))
 
 
 def vector_jets(T: Topology, at: Placement, data: Data, v, a) -> Jet:
@@ -213,25 +207,23 @@ def _with_ground(x, dim: int):
     return cat([x, linear(lambda y: torch.zeros_like(y.narrow(dim, 0, 1)), x)], dim)
 
 
-def constraint_forces(T: Topology, data: Data, at: Placement, lam, t: Tensor):
+def constraint_forces(T: Topology, data: Data, at: Placement, lam):
     """Phi_q' lam: ground forces [3, bodies], body torques [3, bodies], modal forces [modes, flexible]."""
-    return generalized_forces(T, data, at, force_on_vectors(T, at, lam, t))
+    return generalized_forces(T, data, at, force_on_vectors(T, at, lam))
 
 
-def force_on_vectors(T: Topology, at: Placement, lam, t: Tensor):
+def force_on_vectors(T: Topology, at: Placement, lam):
     """Gradient of lam . Phi by the attached vectors [3, vectors, ...], in ground axes."""
     slots = []
-    for primitive, rows in T.row_slices():
-        angle = prescribed(primitive.data, t, derivatives=False) if primitive.driven else None
-        vectors = [at.g.index_select(1, member) for member in primitive.members]
-        slots += primitive.forces(vectors, lam[rows].unflatten(0, (primitive.rows, -1)), angle)
-    return T.vector_fold(cat(slots, 1))
+    for (primitive, rows), vectors, drive in zip(T.row_slices(), at.arguments, at.drives, strict=True):
+        slots += primitive.forces(vectors, lam[rows].unflatten(0, (primitive.rows, -1)), drive)
+    return T.vector_fold(*slots)
 
 
 def generalized_forces(T: Topology, data: Data, at: Placement, force):
     """Carry the forces on attached vectors [3, vectors, ...], in ground axes, to the bodies."""
     local = matvec_t(at.A_of, force)
-    both = T.body_fold(cat([force, cross(at.rho, local)], 1))
+    both = T.body_fold(force, cross(at.rho, local))
     if T.attached_flexible:
         modal = T.modal_fold(matvec_t(data["Y"], local[:, : T.attached_flexible]))
     else:
@@ -239,12 +231,12 @@ def generalized_forces(T: Topology, data: Data, at: Placement, force):
     return both[:, : T.bodies], both[:, T.bodies :], modal
 
 
-def dynamic_residual(T: Topology, data: Data, at: Placement, v, a, lam, t: Tensor):
+def dynamic_residual(T: Topology, data: Data, at: Placement, v, a, lam):
     """M a + s + K q + Phi_q' lam - g  [n_v, ...]: zero along a motion; eq. (5)."""
     inertia = inertia_forces(T, data, at, v, a)
     if not T.rows:
         return cat([x.flatten(0, 1) for x in inertia])
-    reaction = constraint_forces(T, data, at, lam, t)
+    reaction = constraint_forces(T, data, at, lam)
     return cat([(x + y).flatten(0, 1) for x, y in zip(inertia, reaction, strict=True)])
 
 

@@ -76,24 +76,24 @@ class InitialConditions:
         else:
             self._refuse(values, q, t)
         q, _ = self._newton(dynamics, data, q, t)
-        inverse, at = self._inverse(dynamics, values, q, t)
-        at = equations.placement(T, data, q)
+        inverse = self._inverse(dynamics, values, q, t)
+        at = equations.placement(T, data, q, T.prescribed(t))
         rates = equations.constraint_jets(T, at, data, v, torch.zeros_like(v), t).velocity
         v = v - self._apply(inverse, rates)
         return q, v
 
     def _newton(self, dynamics: Any, data: equations.Data, q, t: Tensor):
         T = self.topology
-        inverse, _ = self._inverse(dynamics, {k: value(x).detach() for k, x in data.items()}, q, t)
-        phi = equations.constraints(T, equations.placement(T, data, q), t)
+        inverse = self._inverse(dynamics, {k: value(x).detach() for k, x in data.items()}, q, t)
+        phi = equations.constraints(T, equations.placement(T, data, q, T.prescribed(t)))
         return equations.advance(T, q, -self._apply(inverse, phi)), float(value(phi).detach().abs().max())
 
-    def _inverse(self, dynamics: Any, values: equations.Data, q, t: Tensor):
+    def _inverse(self, dynamics: Any, values: equations.Data, q, t: Tensor) -> Tensor:
         """Pseudo-inverse of the Jacobian by the rigid coordinates [lanes, 6 bodies, rows]."""
         T = self.topology
-        at = equations.placement(T, values, value(q).detach())
-        J = dynamics.saddle.jacobian(values, at, t)[:, :, : 6 * T.bodies]
-        return torch.linalg.pinv(J, rtol=1e-10), at
+        at = equations.placement(T, values, value(q).detach(), T.prescribed(t))
+        J = dynamics.saddle.jacobian(values, at)[:, :, : 6 * T.bodies]
+        return torch.linalg.pinv(J, rtol=1e-10)
 
     def _apply(self, inverse: Tensor, x):
         """Multiply [rows, slots, lanes] by the pseudo-inverse; modal rows zero."""
@@ -107,7 +107,7 @@ class InitialConditions:
 
     def _refuse(self, values: equations.Data, q: Tensor, t: Tensor) -> None:
         T = self.topology
-        phi = equations.constraints(T, equations.placement(T, values, q), t).abs().amax((1, 2))
+        phi = equations.constraints(T, equations.placement(T, values, q, T.prescribed(t))).abs().amax((1, 2))
         worst = torch.argsort(phi, descending=True)[:4]
         rows = "; ".join(f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if phi[i] > _CLOSED)
         raise InputError(

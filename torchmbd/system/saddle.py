@@ -18,7 +18,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.joints.primitive import prescribed
 from torchmbd.numerics.pair import cross, matmul, matvec, matvec_t
 from torchmbd.numerics.rotation import axial, skew
 from torchmbd.system.equations import Data, Placement, force_on_vectors, moments, split_v
@@ -124,7 +123,6 @@ class Saddle:
         self,
         data: Data,
         at: Placement,
-        t: Tensor,
         stiffness: float = 0.0,
         damping: float = 0.0,
         v: Tensor | None = None,
@@ -140,9 +138,9 @@ class Saddle:
         if v is not None:
             self._add_gyroscopic(blocks, data, at, damping, v)
         if lam is not None and self.T.rows:
-            self._add_geometric(blocks, data, at, stiffness, lam, t)
+            self._add_geometric(blocks, data, at, stiffness, lam)
         if self.T.rows:
-            blocks |= self._row_blocks(data, at, t)
+            blocks |= self._row_blocks(data, at)
         lanes = at.g.shape[-1] if at.g.numel() else at.A.shape[-1]
         flat = torch.cat([blocks[name].expand(*shape, 1, lanes).reshape(-1, lanes) for name, shape in self._blocks])
         flat = torch.cat([flat, flat.new_zeros(1, lanes)])
@@ -198,7 +196,7 @@ class Saddle:
             blocks["modal"] = blocks["modal"] + factor * (data["H"] * om_f[:, None, None]).sum(0)
 
     def _add_geometric(
-        self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, lam: Tensor, t: Tensor
+        self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, lam: Tensor
     ) -> None:
         """Add what the constraint forces change by when bodies turn and bend under them, forces held in ground axes.
 
@@ -206,7 +204,7 @@ class Saddle:
         matters as much as the inertia.
         """
         T = self.T
-        local = matvec_t(at.A_of, force_on_vectors(T, at, lam, t))
+        local = matvec_t(at.A_of, force_on_vectors(T, at, lam))
         turned = matmul(skew(at.rho), skew(local))
         torque = self._body_fold(turned.flatten(0, 1)).unflatten(0, (3, 3))
         blocks["inertia"] = blocks["inertia"] + factor * torque
@@ -215,16 +213,15 @@ class Saddle:
             twist = factor * T.modal_fold(bent.flatten(0, 1)).unflatten(0, (3, T.modes))
             blocks["twist"], blocks["twist_back"] = blocks["twist"] + twist, blocks["twist_back"] + twist
 
-    def _row_blocks(self, data: Data, at: Placement, t: Tensor) -> dict[str, Tensor]:
+    def _row_blocks(self, data: Data, at: Placement) -> dict[str, Tensor]:
         T = self.T
         slots = []
-        for primitive in T.primitives:
-            angle = prescribed(primitive.data, t, derivatives=False) if primitive.driven else None
-            vectors = [at.g.index_select(1, member).unsqueeze(1) for member in primitive.members]
+        for primitive, arguments, drive in zip(T.primitives, at.arguments, at.drives, strict=True):
+            vectors = [x.unsqueeze(1) for x in arguments]
             k, n = primitive.rows, len(primitive.members[0])
             lam = torch.eye(k, dtype=at.g.dtype, device=at.g.device)[:, :, None, None, None]
             lam = lam.expand(k, k, n, 1, at.g.shape[-1])
-            slots += [force.expand(3, k, n, *lam.shape[-2:]).flatten(1, 2) for force in primitive.forces(vectors, lam, angle)]
+            slots += [force.expand(3, k, n, *lam.shape[-2:]).flatten(1, 2) for force in primitive.forces(vectors, lam, drive)]
         force = torch.cat(slots, 1)
         local = matvec_t(at.A_of.index_select(2, self.slot_vector), force)
         blocks = {
@@ -236,6 +233,6 @@ class Saddle:
             blocks["row_modal"] = self.modal_fold(matvec_t(Y, local.index_select(1, self.flexible_slots)))
         return blocks
 
-    def jacobian(self, data: Data, at: Placement, t: Tensor) -> Tensor:
+    def jacobian(self, data: Data, at: Placement) -> Tensor:
         """Phi_q [lanes, rows, n_v]."""
-        return self.matrix(data, at, t)[:, self.T.n_v :, : self.T.n_v]
+        return self.matrix(data, at)[:, self.T.n_v :, : self.T.n_v]

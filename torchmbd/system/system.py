@@ -203,5 +203,5 @@ def _tangents(stage: Any, given: dict[str, Tensor]) -> dict[str, Any]:
     result: dict[str, Any] = {}
     for name, x in values.items():
         dx = tangents[name].movedim(0, -1).squeeze(-3).movedim(-1, -2)
-        result[name] = Pair(x, dx.contiguous()) if bool(dx.any()) else x
+        result[name] = Pair.of(x, dx) if bool(dx.any()) else x
     return result

@@ -24,7 +24,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.joints.joint import Attached, Equation, Joint, Scribe
-from torchmbd.joints.primitive import KINDS, Primitive
+from torchmbd.joints.primitive import KINDS, Primitive, prescribed
 from torchmbd.numerics.pair import cat, linear
 
 
@@ -43,11 +43,13 @@ class Fold:
         self.table = torch.tensor([column for row in zip(*table, strict=True) for column in row], dtype=torch.long)
         self.padded = any(padding in m for m in table)
 
-    def __call__(self, x):
+    def __call__(self, *parts):
+        """Fold the columns of all parts, side by side."""
         if self.width == 0:
-            return linear(lambda y: y.new_zeros(y.shape[0], self.groups, *y.shape[2:]), x)
+            return linear(lambda y: y.new_zeros(y.shape[0], self.groups, *y.shape[2:]), parts[0])
         if self.padded:
-            x = cat([x, linear(lambda y: torch.zeros_like(y[:, :1]), x)], 1)
+            parts = (*parts, linear(lambda y: torch.zeros_like(y[:, :1]), parts[0]))
+        x = cat(parts, 1) if len(parts) > 1 else parts[0]
         x = x.index_select(1, self.table)
         return x if self.width == 1 else x.unflatten(1, (self.width, self.groups)).sum(1)
 
@@ -66,6 +68,7 @@ class Topology:
     vector_origin: Tensor  # [vectors] body whose r is added: len(names) (zero) for axes and the ground
     vector_flexible: Tensor  # [attached_flexible] flexible body of each
     primitives: tuple[Primitive, ...]
+    slots: Tensor  # vectors of all arguments of all primitives, in order
     row_names: tuple[str, ...]
     vector_fold: Fold  # slots of constraint forces -> vectors
     body_fold: Fold  # [forces of points | torques] of vectors -> [forces | torques] of bodies
@@ -86,6 +89,20 @@ class Topology:
     @property
     def rows(self) -> int:
         return len(self.row_names)
+
+    def arguments(self, g: Any) -> list[list[Any]]:
+        """The vectors [3, n, ...] of each primitive's arguments, out of all attached vectors: one gather."""
+        g = g.index_select(1, self.slots)
+        result, start = [], 0
+        for primitive in self.primitives:
+            n = len(primitive.members[0])
+            result.append([g[:, start + k * n : start + (k + 1) * n] for k in range(len(primitive.members))])
+            start += n * len(primitive.members)
+        return result
+
+    def prescribed(self, t: Tensor, derivatives: bool = False) -> list[tuple | None]:
+        """What the laws of driven primitives prescribe at time t, for each kind of primitive."""
+        return [prescribed(p.data, t, derivatives) if p.driven else None for p in self.primitives]
 
     def row_slices(self) -> list[tuple[Primitive, slice]]:
         """Each kind of primitive with its rows among all."""
@@ -140,6 +157,7 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint]) -> Topology:
         vector_origin=torch.tensor([b if x.is_point else ground for x, b in zip(attached, body_of, strict=True)], dtype=torch.long),
         vector_flexible=torch.tensor(body_of[:n_flexible_vectors], dtype=torch.long),
         primitives=primitives,
+        slots=torch.tensor(slots, dtype=torch.long),
         row_names=row_names,
         vector_fold=Fold(slots, len(attached)),
         body_fold=Fold(force_of + torque_of, 2 * n),
