@@ -20,8 +20,6 @@ from torch import Tensor
 
 from torchmbd.reduction import modal_basis
 
-SIZE = 24
-RANDOM = np.random.default_rng(5).standard_normal((SIZE, SIZE, 6))
 SPRING = 0.7  # keeps the response of free bodies finite
 
 
@@ -33,24 +31,26 @@ class Family:
     lowest: Callable[[Tensor], Tensor]
     variables: int = 1
     with_mass: bool = False
+    size: int = 24
 
     @property
     def n(self) -> int:
         return self.lowest(torch.zeros(self.variables, dtype=torch.float64)).shape[-1]
 
     def _random(self) -> tuple[Tensor, ...]:
-        return tuple(torch.from_numpy(RANDOM[:, :, k]) for k in range(2 + 2 * self.variables))
+        draw = np.random.default_rng(5).standard_normal((2 + 2 * self.variables, self.size, self.size))
+        return tuple(torch.from_numpy(draw / np.sqrt(self.size)))
 
     def exact(self, b: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """K, M, and the exact retained Psi and Kr, all smooth in b."""
         first, second, *rest = self._random()
         W = sum(b[k] * (rest[k] - rest[k].T) for k in range(self.variables)) * 0.3
-        Q = torch.linalg.matrix_exp(W) @ torch.linalg.qr(first)[0]
-        S = torch.eye(SIZE, dtype=torch.float64)
+        Q = torch.linalg.matrix_exp(2 * W) @ torch.linalg.qr(first)[0]
+        S = torch.eye(self.size, dtype=torch.float64)
         if self.with_mass:
-            S = S + 0.1 * second.tril() + 0.1 * sum(b[k] * rest[self.variables + k] for k in range(self.variables))
+            S = S + 0.5 * second.tril() + 0.5 * sum(b[k] * rest[self.variables + k] for k in range(self.variables))
         low = self.lowest(b)
-        high = torch.arange(1.0, SIZE - self.n + 1, dtype=torch.float64) * (1 + 0.2 * b.sum()) + 6.0
+        high = torch.arange(1.0, self.size - self.n + 1, dtype=torch.float64) * (1 + 0.2 * b.sum()) + 6.0
         Lambda = torch.block_diag(low, torch.diag(high))
         SQ = S @ Q
         K = SQ @ Lambda @ SQ.T

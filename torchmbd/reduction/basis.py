@@ -29,9 +29,11 @@ from ..errors import InputError
 from ..numerics.sparse import SparseMatrix
 from .dense import DenseModes
 from .forms import check, check_positive_diagonal, lane_name, recognize
+from .sparse_modes import SparseModes
 from .transport import Cotangent, Pencil, Tangent
 
 CLUSTER = 1e-6
+SMALL = 150  # freedoms; below, all modes by a dense method cost no more
 
 
 class ModalBasis(NamedTuple):
@@ -75,8 +77,16 @@ def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> tuple[Tensor, Tensor,
     check("K", pencil.K_form, K)
     check("M", pencil.M_form, M)
     check_positive_diagonal("M", pencil.M_form, M)
-    pencil.modes = DenseModes(pencil.K_form, pencil.M_form, K, M, n)
+    pencil.modes = _modes(pencil, n, K, M)
     return pencil.modes.lowest()
+
+
+def _modes(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> DenseModes | SparseModes:
+    if pencil.K_form.size > max(SMALL, 12 * n):
+        modes = SparseModes(pencil.K_form, pencil.M_form, K, M, n)
+        if not modes.exhausted:
+            return modes
+    return DenseModes(pencil.K_form, pencil.M_form, K, M, n)
 
 
 def check_gap(values: Tensor, following: Tensor, cluster: float) -> None:

@@ -14,7 +14,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from scipy.sparse import csr_array
 from torch import Tensor
 
 from ..errors import InputError
@@ -87,7 +89,19 @@ class Sparse:
         return self.pattern.size
 
     def multiply(self, values: Tensor, X: Tensor) -> Tensor:
-        return SparseMatrix(self.pattern, values) @ X
+        if values.device.type != "cpu":
+            return SparseMatrix(self.pattern, values) @ X
+        lanes = torch.broadcast_shapes(values.shape[:-1], X.shape[:-2])
+        flat_values = values.expand(*lanes, -1).reshape(-1, self.pattern.nnz).numpy()
+        flat_X = X.expand(*lanes, *X.shape[-2:]).reshape(-1, *X.shape[-2:]).numpy()
+        result = np.empty_like(flat_X)
+        for product, numbers, columns in zip(
+            result, flat_values, flat_X, strict=True
+        ):  # ten times faster than index_add
+            product[:] = (
+                csr_array((numbers, self.pattern.indices, self.pattern.indptr), shape=(self.size,) * 2) @ columns
+            )
+        return torch.from_numpy(result).reshape(*lanes, *X.shape[-2:])
 
     def pair(self, Y: Tensor, X: Tensor) -> Tensor:
         lanes = torch.broadcast_shapes(Y.shape[:-2], X.shape[:-2])
