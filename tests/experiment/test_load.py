@@ -175,7 +175,7 @@ scraps = st.recursive(
 )
 
 
-@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.sampled_from([name for name in Study.model_fields if name != "model"]), scraps)
 def test_any_section_is_accepted_or_refused_with_its_path(write, section, scrap):
     """No scrap of data in any section ends in another exception than StudyError."""

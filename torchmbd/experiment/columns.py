@@ -47,6 +47,10 @@ class Columns:
         """Return a design vector in SI from one in the units of the file."""
         return np.asarray(values, dtype=float) * self.factors
 
+    @property
+    def headings(self) -> list[str]:
+        return [self.heading(k) for k in range(len(self.names))]
+
     def heading(self, index: int) -> str:
         """Return a column's title: `angle 1 [deg]`."""
         unit = self.units[index]

@@ -9,6 +9,8 @@ from types import TracebackType
 from rich import box
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
+from rich.measure import Measurement
 from rich.table import Table
 
 from torchmbd.experiment.columns import Columns
@@ -55,33 +57,36 @@ class Progress:
 
     def _table(self) -> Table:
         title = f"{self.title}   {time.monotonic() - self._began:.0f} s"
-        headings = [self.columns.heading(k) for k in range(len(self.columns.names))]
-        table = table_of(title, ["start", "iteration", "objective", "reduction", "violation", *headings, "analyses"])
+        headings = self.columns.headings
+        table = table_of(title, ["start", "iter", "objective", "less by", "viol.", *headings, "sims"])
         for start, iterate in enumerate(self.latest):
             if iterate is None:
                 table.add_row(str(start), "-")
                 continue
             values = [f"{value:.2f}" for value in self.columns.shown(iterate.x).values()]
-            table.add_row(
-                str(start),
-                str(iterate.iteration),
-                f"{iterate.objective:.6g}",
-                reduction(self.first[start], iterate.objective),
-                f"{iterate.violation:.1e}",
-                *values,
-                str(iterate.analyses),
-            )
+            numbers = outcome(self.first[start], iterate.objective, iterate.violation)
+            table.add_row(str(start), str(iterate.iteration), *numbers, *values, str(iterate.analyses))
         return table
 
 
 def table_of(title: str, headings: Sequence[str]) -> Table:
     """Return an empty table of numbers."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
     for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
+        words = heading.replace(" [", "\n[")  # the unit below the name: columns of numbers are narrow
+        table.add_column(escape(words), justify="right", no_wrap=True)
     return table
 
 
-def reduction(first: float, last: float) -> str:
-    """Return how much smaller `last` is, in percent."""
-    return f"{100.0 * (1.0 - last / first):.2f} %" if first else "-"
+def print_table(table: Table, console: Console) -> None:
+    """Print a table as wide as it is: a terminal may break its lines, but no number is cut."""
+    needed = Measurement.get(console, console.options.update(width=1000), table).maximum
+    if needed > console.width:
+        console = Console(file=console.file, width=needed, force_terminal=console.is_terminal)
+    console.print(table)
+
+
+def outcome(first: float, objective: float, violation: float) -> list[str]:
+    """Return the cells objective, reduction from the start, violation."""
+    less = f"{100.0 * (1.0 - objective / first):.2f} %" if first else "-"
+    return [f"{objective:.6g}", less, f"{violation:.0e}" if violation else "0"]

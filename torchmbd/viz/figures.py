@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
 from torchmbd.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 BEST, OTHER, BAD = "#0072b2", "#a0a0a0", "#d55e00"
 CYCLE = ("#444444", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
@@ -43,7 +45,7 @@ def convergence(
         top.legend(frameon=False, loc="upper right")
     bottom.set_ylabel("violation")
     bottom.set_xlabel("iteration")
-    bottom.xaxis.set_major_locator(MaxNLocator(integer=True))
+    bottom.xaxis.get_major_locator().set_params(integer=True)
     top.set_title(f"{len(objectives)} starts" if len(objectives) > 1 else "1 start", loc="left", fontsize=9)
     return figure
 
@@ -102,6 +104,8 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 
 def _figure(height: float, rows: int = 1, ratios: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
+    from matplotlib.figure import Figure  # half a second: imported when a figure is drawn
+
     figure = Figure(figsize=(6.0, height), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=ratios)[:, 0]
     for ax in axes:

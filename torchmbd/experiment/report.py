@@ -1,0 +1,80 @@
+"""The end of a study: a table of the starts, and its pictures."""
+
+from __future__ import annotations
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+
+from torchmbd.design import Problem
+from torchmbd.errors import MbdError
+from torchmbd.experiment.journal import Journal
+from torchmbd.experiment.load import Plan
+from torchmbd.experiment.progress import outcome, print_table, table_of
+from torchmbd.optimizers import Study
+from torchmbd.viz import animate, convergence, energy_over_time, save
+
+
+def print_results(plan: Plan, study: Study, console: Console) -> None:
+    """Print the starts, the best first."""
+    if not study.results:
+        console.print("No start came to a result.")
+        return
+    columns = ["start", "objective", "less by", "viol.", *plan.columns.headings, "iter", "sims", "status"]
+    table = table_of(f"{plan.name}: {len(study.results)} starts, {study.converged} converged", columns)
+    best = study.best
+    for result in sorted(study.results, key=lambda r: (not r.violation <= 1e-6, r.value)):
+        first = result.history[0].objective if result.history else float("nan")
+        angles = [f"{value:.2f}" for value in plan.columns.shown(result.x).values()]
+        cells = [str(result.start), *outcome(first, result.value, result.violation), *angles]
+        cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
+        table.add_row(*cells, style="bold" if best is not None and result.start == best.start else None)
+    print_table(table, console)
+    for result in study.results:
+        if result.failures:
+            reason = next((i.status for i in result.history if i.status != "ok"), result.message)
+            console.print(f"start {result.start}: {result.failures} failed evaluations; {escape(reason)}")
+
+
+def study_pictures(plan: Plan, study: Study, problem: Problem, journal: Journal, console: Console) -> None:
+    """Draw convergence, energy before and after, and the motion of the best design; file them under the study."""
+    histories = {f"start {r.start}": r.history for r in study.results if r.history}
+    if not histories:
+        return
+    best = study.best
+    figure = convergence(
+        {name: [i.objective for i in history] for name, history in histories.items()},
+        {name: [i.violation for i in history] for name, history in histories.items()},
+        best=None if best is None else f"start {best.start}",
+        ylabel=_words(plan),
+    )
+    journal.file(save(figure, journal.folder / "convergence.png"), "figures")
+    if best is None or study.interrupted:  # the motion costs two simulations more: not what Ctrl-C asks for
+        return
+    try:
+        _motion_pictures(plan, np.stack([problem.start, best.x]), problem, journal)
+    except MbdError as error:
+        console.print(f"No picture of the motion: {escape(str(error))}", style="red")
+
+
+def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal: Journal) -> None:
+    motion = problem.simulate(designs).require_ok()
+    t = motion.t.numpy()
+    shown = [", ".join(f"{value:.1f}" for value in plan.columns.shown(x).values()) for x in designs]
+    labels = [f"start design ({shown[0]})", f"optimum ({shown[1]})"]
+    for body in motion.system.bodies:
+        if motion.body(body.name).mesh is None:
+            continue
+        energy = motion.body(body.name).strain_energy.numpy()
+        figure = energy_over_time(t, dict(zip(labels, energy, strict=True)))
+        for ending in ("png", "pdf"):
+            journal.file(save(figure, journal.folder / f"energy_{body.name}.{ending}"), "figures")
+    for lane, (name, label) in enumerate(zip(("motion_start", "motion_optimum"), labels, strict=True)):
+        path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{plan.name}: {label}")
+        journal.file(path)
+
+
+def _words(plan: Plan) -> str:
+    [(combinator, inner)] = plan.study.minimize.items()
+    [(response, body)] = inner.items()
+    return f"{combinator} of {response.replace('_', ' ')} of {body}"

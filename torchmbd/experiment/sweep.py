@@ -1,0 +1,108 @@
+"""A sweep: the criteria along one design variable, evaluated as one batch (Fig. 8).
+
+The start design is evaluated with it and normalizes the criteria; other variables stay at their start.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+
+import numpy as np
+from rich.console import Console
+
+from torchmbd.design import Problem
+from torchmbd.experiment.check import swept_index
+from torchmbd.experiment.journal import Journal, child
+from torchmbd.experiment.load import Plan
+from torchmbd.experiment.progress import print_table, table_of
+from torchmbd.optimizers import Evaluation
+from torchmbd.tracking import Status
+from torchmbd.viz import criterion, save
+
+
+def run_sweep(plan: Plan, problem: Problem, journal: Journal, console: Console) -> Status:
+    """Evaluate the sweep, draw it, and file every point as a child run."""
+    sweep = plan.study.sweep
+    assert sweep is not None
+    [(name, span)] = sweep.items()
+    index = swept_index(name, plan.columns.labels)
+    assert index is not None
+    values = np.linspace(span.first, span.last, span.count)
+    X = np.tile(problem.start, (span.count, 1))
+    X[:, index] = values * plan.columns.factors[index]
+    journal.begin("sweep")
+    with console.status(f"{plan.name}: {span.count} designs in one batch"):
+        first, *evaluations = problem.evaluate(np.vstack([problem.start, X]), False)
+    if first.status != "ok":
+        console.print(f"The start design cannot be evaluated: {first.status}", style="red")
+        return "FAILED"
+    journal.evaluated([first, *evaluations])
+    for k, (x, evaluation) in enumerate(zip(X, evaluations, strict=True)):
+        _file_point(journal, k, x, evaluation, first)
+    criteria = _criteria(plan, problem.limits, first, evaluations)
+    best = int(np.nanargmin([e.objective for e in evaluations])) if any(e.status == "ok" for e in evaluations) else None
+    start = float(problem.start[index] / plan.columns.factors[index])
+    _show(plan, journal, console, index, start, values, criteria, best)
+    if best is None:
+        return "FAILED"
+    numbers = {"objective": evaluations[best].objective, "best_objective": evaluations[best].objective}
+    numbers["reduction_percent"] = 100.0 * (1.0 - evaluations[best].objective / first.objective)
+    journal.summary(numbers | plan.columns.shown(X[best]), {"best_point": str(best)})
+    return "FINISHED"
+
+
+def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation, first: Evaluation) -> None:
+    journal.begin_start(k, x, kind="point")
+    numbers = journal.plan.columns.shown(x)
+    if evaluation.status == "ok":
+        numbers |= {"objective": evaluation.objective, "ratio": evaluation.objective / first.objective}
+        numbers |= {f"constraint_{i + 1}": float(c) for i, c in enumerate(evaluation.constraints)}
+    else:
+        journal.tracker.tags(child(k), {"last_failure": evaluation.status})
+    journal.tracker.metrics(child(k), numbers)
+    journal.end(child(k), "FINISHED" if evaluation.status == "ok" else "FAILED")
+
+
+def _criteria(
+    plan: Plan, limits: np.ndarray, first: Evaluation, evaluations: list[Evaluation]
+) -> dict[str, list[float]]:
+    """Return the objective, and the constrained responses, each divided by its value at the start design."""
+    [(combinator, inner)] = plan.study.minimize.items()
+    name = f"{combinator} of {next(iter(inner)).replace('_', ' ')}"
+    result = {name: [e.objective / first.objective if e.status == "ok" else math.nan for e in evaluations]}
+    for i, constraint in enumerate(plan.study.subject_to):
+        [(combinator, inner)] = constraint.measure.items()
+        name = f"{combinator} of {next(iter(inner)).replace('_', ' ')}"
+        size = abs(limits[i]) or 1.0  # a constraint is (response - limit) / |limit|
+        responses = [float(e.constraints[i]) * size + limits[i] for e in (first, *evaluations)]  # nan where it failed
+        result.setdefault(name, [response / responses[0] for response in responses[1:]])
+    return result
+
+
+def _show(
+    plan: Plan,
+    journal: Journal,
+    console: Console,
+    index: int,
+    start: float,
+    values: np.ndarray,
+    criteria: dict[str, list[float]],
+    best: int | None,
+) -> None:
+    heading = plan.columns.heading(index)
+    table = table_of(f"{plan.name}: criteria divided by those of the start design", [heading, *criteria])
+    for k, value in enumerate(values):
+        cells = [f"{ratios[k]:.4f}" if math.isfinite(ratios[k]) else "failed" for ratios in criteria.values()]
+        table.add_row(f"{value:.2f}", *cells, style="bold" if k == best else None)
+    print_table(table, console)
+    file = journal.folder / "sweep.csv"
+    with file.open("w", newline="", encoding="utf-8") as out:
+        writer = csv.writer(out)
+        writer.writerow([plan.columns.names[index], *criteria])
+        writer.writerows(zip(values.tolist(), *criteria.values(), strict=True))
+    journal.file(file)
+    if np.isfinite(next(iter(criteria.values()))).any():
+        figure = criterion(values.tolist(), criteria, heading, mark=start)
+        for ending in ("png", "pdf"):
+            journal.file(save(figure, journal.folder / f"sweep.{ending}"), "figures")
