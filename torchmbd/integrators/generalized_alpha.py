@@ -104,15 +104,15 @@ class Step:
         q = equations.advance(self.T, x.q, combine(known.q, self.scale, vd))
         return q, combine(known.v, self.c.gamma * self.h * self.c.share, vd)
 
-    def inverse(self, data: equations.Data, x: State, known: State, drives: list) -> Tensor:
-        """Inverse of the iteration matrix [lanes, n, n] where the step from x is predicted to end.
+    def inverse(self, data: equations.Data, x: State, known: State, z: Tensor, drives: list) -> Tensor:
+        """Inverse of the iteration matrix [lanes, n, n] at the end of the step from x, for unknowns z.
 
         A lane whose matrix is singular becomes nan, alone.
         """
         T = self.T
-        q, v = self.end(x, known, x.vd)
+        q, v = self.end(x, known, z[: T.n_v])
         at = equations.placement(T, data, q, drives)
-        K = self.saddle.matrix(data, at, self.scale, self.c.gamma * self.h * self.c.share, v, x.lam)
+        K = self.saddle.matrix(data, at, self.scale, self.c.gamma * self.h * self.c.share, v, z[T.n_v :])
         # A change of the increment turns the body by d(exp), not by the change itself: to first order 1 - h ~om / 2.
         turns = K[:, T.n_v :, 3 * T.bodies : 6 * T.bodies].unflatten(2, (3, T.bodies))
         spin = equations.split_v(T, v)[1][:, :, 0].permute(2, 0, 1)[:, None].expand_as(turns)
@@ -129,15 +129,25 @@ class Step:
         forces = equations.dynamic_residual(T, data, at, v, vd, lam)
         return cat([forces, equations.constraints(T, at) * (1.0 / self.scale)]) if T.rows else forces
 
-    def values(self, data: equations.Data, x: State, H: Tensor, drives: list) -> tuple[Tensor, list[Tensor]]:
-        """Unknowns z [n, 1, lanes], and the corrections that led to them."""
+    def values(
+        self, data: equations.Data, x: State, H: Tensor | None, drives: list, refresh: bool
+    ) -> tuple[Tensor, list[Tensor], Tensor]:
+        """Unknowns z [n, 1, lanes], the corrections that led to them, and the inverse used last.
+
+        The first correction may use an old inverse: it is refreshed where that correction leads, with velocities and
+        multipliers close to the final ones, which the following corrections and the tangents profit from.
+        """
         known = self.begin(x)
         z = torch.cat([x.vd, x.lam])
-        corrections = []
-        for _ in range(self.iterations[0]):
+        if H is None:
+            H = self.inverse(data, x, known, z, drives)
+        corrections: list[Tensor] = []
+        for k in range(self.iterations[0]):
             corrections.append(apply(H, self.residual(data, x, known, z, drives)))
             z = z - corrections[-1]
-        return z, corrections
+            if k == 0 and refresh:
+                H = self.inverse(data, x, known, z, drives)
+        return z, corrections, H
 
     def tangents(self, data: equations.Data, x: State, z: Tensor, H: Tensor, drives: list) -> tuple[Tensor, list[Tensor]]:
         """Design tangents of the unknowns [n, slots, lanes], and the corrections that led to them."""
@@ -205,8 +215,8 @@ def integrate(
     duration: float,
     steps: int,
     spectral_radius: float = 0.9,
-    iterations: tuple[int, int] = (2, 2),
-    refresh: int = 1,
+    iterations: tuple[int, int] = (2, 3),
+    refresh: int = 2,
 ) -> tuple[History, dict[str, Any]]:
     """Integrate all lanes with `steps` equal steps.
 
@@ -223,13 +233,10 @@ def integrate(
     history = History.of(x, steps + 1)
     history.put(0, x)
     errors = {"iteration_error": _IterationError(step.T.n_v), "tangent_error": _IterationError(step.T.n_v)}
-    H = torch.empty(0)
+    H = None
     for i in range(steps):
         drives = step.T.prescribed(torch.tensor((i + 1) * h, dtype=torch.float64))
-        known = x.values()
-        if i % refresh == 0:
-            H = step.inverse(plain, known, step.begin(known), drives)
-        z, corrections = step.values(plain, known, H, drives)
+        z, corrections, H = step.values(plain, x.values(), H, drives, i % refresh == 0)
         errors["iteration_error"].add(z, corrections)
         if isinstance(x.q, Pair):
             dz, corrections = step.tangents(dynamics.data, x, z, H, drives)
