@@ -1,6 +1,7 @@
 """Mesh: geometry of known triangles, named nodes, and every kind of bad input refused by element or node."""
 
 import math
+import pickle
 
 import pytest
 import torch
@@ -36,6 +37,12 @@ def test_the_mesh_keeps_its_own_copy():
     mesh = Mesh(nodes, HALVES)
     nodes[0, 0] = 9.0
     assert mesh.nodes[0, 0] == 0.0
+
+
+def test_a_mesh_travels_to_another_process():
+    mesh = pickle.loads(pickle.dumps(Mesh(SQUARE, HALVES, {"origin": [0]})))
+    assert mesh.node("origin") == 0
+    assert torch.equal(mesh.triangles, torch.tensor(HALVES))
 
 
 @pytest.mark.parametrize(

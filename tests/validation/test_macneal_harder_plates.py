@@ -69,6 +69,27 @@ def test_beams(place, laminate, cells, direction, reference, tolerance):
     assert tip_displacement(place, cells, laminate, direction) == pytest.approx(reference, rel=tolerance)
 
 
+def test_scordelis_lo_roof():
+    """A quarter of the roof with 8 x 8 cells: 0.3024 down at the middle of the free edge."""
+    laminate = Laminate(Ply.isotropic(4.32e8, 0.0, 1.0), [0.0], 0.25)
+
+    def roof(s, t):
+        angle = math.radians(40) * t
+        return 25 * s, 25 * math.sin(angle), 25 * math.cos(angle)
+
+    mesh = mapped((8, 8), roof)
+    plate = PlateMatrices(mesh, laminate)
+    load = np.zeros(6 * len(mesh.nodes))
+    load[2::6] = -90 * plate.area.numpy()
+    held = [
+        freedoms(mesh.node_set("left_edge"), [0, 4, 5]),  # symmetry, middle of the length
+        freedoms(mesh.node_set("bottom_edge"), [1, 3, 5]),  # symmetry, crown
+        freedoms(mesh.node_set("right_edge"), [1, 2]),  # diaphragm
+    ]
+    u = solved(stiffness(plate, laminate), load, np.unique(np.concatenate(held)))
+    assert -u[6 * mesh.node("corner_left_top") + 2] == pytest.approx(0.3024, rel=0.01)
+
+
 def quarter_plate(b, clamped, point_load, n):
     """Center deflection of a 2 x b plate, t = 1e-4, q = 1e-4 or P = 4e-4: a quarter with n x n cells."""
     laminate = Laminate(Ply.isotropic(1.7472e7, 0.3, 1.0), [0.0], 1e-4)

@@ -4,6 +4,9 @@
 
 in the laminate's axes (facet.py), at the middles of the sides 12, 23, 31. Membrane: OPT with drilling freedoms;
 bending and transverse shear: DKMT. Flat triangles in space: the local freedoms are the global ones turned by `axes`.
+Limit: between facets that are tilted to each other, a bending rotation of one is partly a drilling rotation of its
+neighbour, and that is as stiff as a membrane. So thin, doubly curved or twisted shells need elements of about
+sqrt(thickness * radius) or smaller. Flat plates are free of it.
 Checked in tests/elements/test_plate_patch.py.
 """
 

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 
 import numpy as np
 import torch
@@ -43,7 +42,7 @@ class Mesh:
         sets = {str(name): tuple(int(k) for k in members) for name, members in self.node_sets.items()}
         object.__setattr__(self, "nodes", nodes)
         object.__setattr__(self, "triangles", triangles)
-        object.__setattr__(self, "node_sets", MappingProxyType(sets))
+        object.__setattr__(self, "node_sets", sets)
         _check_nodes(nodes)
         _check_triangles(nodes, triangles)
         _check_winding(triangles.numpy())
