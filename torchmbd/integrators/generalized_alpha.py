@@ -215,7 +215,7 @@ def integrate(
     duration: float,
     steps: int,
     spectral_radius: float = 0.9,
-    iterations: tuple[int, int] = (2, 3),
+    iterations: tuple[int, int] = (3, 3),
     refresh: int = 2,
 ) -> tuple[History, dict[str, Any]]:
     """Integrate all lanes with `steps` equal steps.
