@@ -3,21 +3,27 @@
     H Q = Q T + X R e',      Q' Q = 1,      X' Q = 0,      T = V diag(mu) V'
 
 Q [lane, N, m] is an orthonormal basis of the block Krylov space of H, fully reorthogonalized; mu and Q V are the Ritz
-values and vectors, largest first, and |R v_last| their residuals. The start block is random and has at least as many
-columns as eigenvalues are wanted, so a multiple eigenvalue cannot hide copies behind its first ones.
-Source: Golub and Van Loan, Matrix Computations, section 10.3; Parlett, The Symmetric Eigenvalue Problem, chapter 13.
-Checked in tests/reduction/test_lanczos.py.
+values and vectors, largest first, and |R v_last| their residuals.
+A block of p columns finds at most p copies of a multiple eigenvalue, and small blocks need far fewer products with H.
+So the block is small, and a probe tells whether a copy was missed: a random vector orthogonal to Q is iterated with
+H, and must not grow as the wanted eigenvectors do. If it does, the iteration starts again with more columns than
+wanted eigenvalues. Source: Golub and Van Loan, Matrix Computations, section 10.3; Parlett, The Symmetric Eigenvalue
+Problem, chapter 13. Checked in tests/reduction/test_lanczos.py.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
-CHECK_AT = 6  # blocks; the first look at the residuals. Each look costs a small eigenproblem
+BLOCK = 6  # rigid-body modes come by six
+NEXT = 1e-4  # residual of the pair after the last wanted: enough to judge the gap
+PROBES, SUSPICIOUS = 3, 0.7
 
 
 @dataclass(frozen=True)
@@ -30,51 +36,82 @@ class Ritz:
     X: Tensor
     R: Tensor
 
-    def vectors(self, n: int) -> Tensor:
-        """The n leading Ritz vectors [lane, N, n]."""
-        return self.Q @ self.V[..., :n]
+    def residuals(self) -> Tensor:
+        """|H u - mu u| / mu of every Ritz pair [lane, m]."""
+        return torch.linalg.vector_norm(self.R @ self.V[:, -self.R.shape[-1] :], dim=1) / self.mu
 
 
-def lanczos(apply: Callable[[Tensor], Tensor], start: Tensor, n: int, tolerance: float) -> Ritz | None:
-    """Iterate from `start` [lane, N, p], p > n, until n pairs have residuals below tolerance relative to mu.
+def lanczos(apply: Callable[[Tensor], Tensor], lanes: int, size: int, n: int, tolerance: float) -> Ritz | None:
+    """Iterate until n pairs in every lane have residuals below tolerance, relative to mu.
 
-    The next pair is carried to 1e-4, enough to judge the gap. Returns None when the Krylov space fills half of
-    the whole space before that: then a dense method is the better one.
+    Returns None when the Krylov space fills half of the whole space before that: then a dense method is the better one.
     """
-    lanes, size, p = start.shape
+    block = min(BLOCK, n + 2)
+    ritz = _iterate(apply, _random(lanes, size, block), n, tolerance)
+    if ritz is not None and block <= n and _misses_a_copy(apply, ritz, n):
+        ritz = _iterate(apply, _random(lanes, size, n + 2), n, tolerance)
+    return ritz
+
+
+def _random(lanes: int, size: int, columns: int) -> Tensor:
+    """The same orthonormal columns in every lane, and in every run."""
+    start = torch.randn(size, columns, generator=torch.Generator().manual_seed(columns), dtype=torch.float64)
+    return torch.linalg.qr(start)[0].repeat(lanes, 1, 1)
+
+
+def _iterate(apply: Callable[[Tensor], Tensor], X: Tensor, n: int, tolerance: float) -> Ritz | None:
+    lanes, size, p = X.shape
     most = size // (2 * p)
-    X, _ = torch.linalg.qr(start)
-    Q = X.new_empty((lanes, size, min(most, CHECK_AT + 4) * p))
-    T = X.new_zeros((lanes, most * p, most * p))
-    limit = torch.full((n + 1,), tolerance, dtype=X.dtype, device=X.device)
-    limit[n] = 1e-4
+    look = max(4 * (n + 2) // p, 2)
+    Q, columns = X.new_empty((lanes, size, 0)), []
     for step in range(1, most + 1):
         k = step * p
         if k > Q.shape[2]:
-            Q = torch.cat([Q, torch.empty_like(Q[..., : 4 * p])], dim=2)
+            Q = torch.cat([Q, X.new_empty((lanes, size, (look - step + 4) * p))], dim=2)
         Q[..., k - p : k] = X
         basis = Q[..., :k]
         W = apply(X)
-        T[:, :k, k - p : k] = _orthogonalize(W, basis)
+        columns.append(_orthogonalize(W, basis, 2 * p))
         X, R = torch.linalg.qr(W)
-        if step >= CHECK_AT:
-            mu, V = torch.linalg.eigh(T[:, :k, :k], UPLO="U")
-            mu, V = mu.flip(-1), V.flip(-1)
-            residual = torch.linalg.vector_norm(R @ V[:, -p:, : n + 1], dim=1)
-            rounding = 8 * torch.finfo(mu.dtype).eps * mu[:, :1]
-            if (residual <= limit * mu[:, : n + 1] + rounding).all():
-                return Ritz(mu, basis, V, X, R)
+        if step == look:
+            T = torch.cat([pad(column, (0, 0, 0, k - column.shape[1])) for column in columns], dim=2)
+            mu, V = torch.linalg.eigh(T, UPLO="U")
+            ritz = Ritz(mu.flip(-1), basis, V.flip(-1), X, R)
+            excess = _excess(ritz, n, tolerance)
+            if excess <= 1:
+                return ritz
+            look += _steps_to_go(excess, tolerance, step - n // p)
         X = _repair(X, R, basis)
     return None
 
 
-def _orthogonalize(W: Tensor, basis: Tensor) -> Tensor:
-    """Take the components along the basis out of W in place, twice, and return them."""
-    first = basis.mT @ W
-    W.baddbmm_(basis, first, alpha=-1)
+def _excess(ritz: Ritz, n: int, tolerance: float) -> float:
+    """The largest residual of the wanted pairs as a multiple of what is asked for."""
+    mu = ritz.mu[:, : n + 1]
+    limit = torch.full_like(mu, tolerance)
+    limit[:, n] = NEXT
+    rounding = 8 * torch.finfo(mu.dtype).eps * mu[:, :1] / mu
+    return (ritz.residuals()[:, : n + 1] / (limit + rounding)).max().item()
+
+
+def _steps_to_go(excess: float, tolerance: float, steps: int) -> int:
+    """Residuals fall about geometrically: continue the line from one to where they are now."""
+    fallen = math.log(excess * tolerance) / max(steps, 1)
+    return min(max(math.ceil(math.log(excess) / -fallen), 1), 4) if fallen < 0 else 4
+
+
+def _orthogonalize(W: Tensor, basis: Tensor, recent: int) -> Tensor:
+    """Take the components along the basis out of W in place and return them.
+
+    But for rounding all of them lie in the last two blocks: those first, then once more everything.
+    """
+    near = basis[..., -recent:]
+    first = near.mT @ W
+    W.baddbmm_(near, first, alpha=-1)
     second = basis.mT @ W
     W.baddbmm_(basis, second, alpha=-1)
-    return first + second
+    second[:, -first.shape[1] :] += first
+    return second
 
 
 def _repair(X: Tensor, R: Tensor, basis: Tensor) -> Tensor:
@@ -83,6 +120,19 @@ def _repair(X: Tensor, R: Tensor, basis: Tensor) -> Tensor:
     if bool((new.amin(-1) > 1e-8 * new.amax(-1)).all()):
         return X
     for _ in range(2):
-        _orthogonalize(X, basis)
+        _orthogonalize(X, basis, X.shape[2])
         X = torch.linalg.qr(X)[0]
     return X
+
+
+def _misses_a_copy(apply: Callable[[Tensor], Tensor], ritz: Ritz, n: int) -> bool:
+    lanes, size, _ = ritz.Q.shape
+    X = _random(lanes, size, 2)
+    growth = torch.zeros(())
+    for _ in range(PROBES):
+        _orthogonalize(X, ritz.Q, 1)
+        X = torch.linalg.qr(X)[0]
+        HX = apply(X)
+        growth = torch.linalg.vector_norm(X.mT @ HX, dim=(1, 2))
+        X = HX
+    return bool((growth > SUSPICIOUS * ritz.mu[:, n]).any())

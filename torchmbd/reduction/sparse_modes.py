@@ -10,8 +10,8 @@ G'^-1 y,
     (1 - H / mu_i) y = c,      c = G' (K - sigma M)^-1 f,      y and c orthogonal to the retained u
 
 Its eigenvalues 1 - mu_j / mu_i lie in (0, 1] for the discarded modes j > n and crowd at 1: conjugate gradients
-converge in a few steps, faster still from the solution in the Krylov space of the eigenproblem, which leaves them
-only what that space does not know. All directions and all modes are columns of the same products with the same H.
+converge in a few steps, faster still from the solution in those discarded modes that the eigenproblem has come to
+know on its way. All directions and all modes are columns of the same products with the same H.
 Works on [lane, ...] tensors, no autograd inside. Checked in tests/reduction/test_sparse_modes.py.
 """
 
@@ -28,7 +28,9 @@ from .mass import mass_root
 from .partition import partition
 from .shift import choose_shift, comparable_shift
 
-TOLERANCE = 1e-12
+TOLERANCE = 1e-12  # of the modes, relative to mu
+DERIVATIVE_TOLERANCE = 1e-11  # of their derivatives, relative to c
+KNOWN = 1e-2  # residual of a discarded mode that is worth starting from
 MOST_STEPS = 300
 
 
@@ -38,10 +40,12 @@ class SparseModes:
     def __init__(self, K_form: Form, M_form: Form, K: Tensor, M: Tensor, n: int) -> None:
         self.n, self.layout = n, partition(K_form, M_form)
         self.root = mass_root(self.layout, M_form, M)
-        K_flat, M_flat = (storage(self.layout, form, v) for form, v in ((K_form, K), (M_form, M)))
 
         def factorize(shift: Tensor) -> tuple[BlockFactor, Tensor]:
-            factor = BlockFactor(self.layout, K_flat - shift[:, None] * M_flat if shift.any() else K_flat)
+            flat = storage(self.layout, K_form, K)
+            if shift.any():
+                flat -= shift[:, None] * storage(self.layout, M_form, M)
+            factor = BlockFactor(self.layout, flat)
             return factor, factor.pivot
 
         self.shift, self.factor = choose_shift(K_form.diagonal(K), M_form.diagonal(M), factorize)
@@ -52,12 +56,12 @@ class SparseModes:
             ritz = self._iterate(len(K), TOLERANCE)
         self.exhausted = ritz is None
         if ritz is not None:
-            self.ritz, self.U = ritz, ritz.vectors(n)
+            known = int((ritz.residuals() < KNOWN).sum(1).min())
+            vectors = ritz.Q @ ritz.V[..., : max(known, n + 1)]
+            self.ritz, self.U, self.known = ritz, vectors[..., :n], vectors[..., n:]
 
     def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
-        size, generator = self.layout.bounds[-1], torch.Generator().manual_seed(0)
-        start = torch.randn(size, self.n + 2, generator=generator, dtype=torch.float64)
-        return lanczos(self._apply, start.to(self.shift.device).repeat(lanes, 1, 1), self.n, tolerance)
+        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance)
 
     def _apply(self, X: Tensor) -> Tensor:
         return self.root.upper(self.factor.solve(self.root.lower(X)))
@@ -80,19 +84,21 @@ class SparseModes:
         """Take the components along the retained modes out, in place."""
         return X.baddbmm_(self.U, self.U.mT @ X, alpha=-1)
 
-    def _krylov_solution(self, c: Tensor, inverse_mu: Tensor) -> tuple[Tensor, Tensor]:
-        """The Galerkin solution in the Krylov space without the retained modes, and its residual."""
-        ritz, n, p = self.ritz, self.n, self.ritz.R.shape[-1]
-        inside = ritz.Q.mT @ c
-        weight = 1 / (1 - inverse_mu * ritz.mu[:, n:, None])
-        solution = ritz.V[..., n:] @ (weight * (ritz.V[..., n:].mT @ inside))
-        residual = c.baddbmm(ritz.Q, inside, alpha=-1)
-        residual.addcmul_(inverse_mu, ritz.X @ (ritz.R @ solution[:, -p:]))
-        return ritz.Q @ solution, self._discard(residual)
+    def _known_solution(self, c: Tensor, inverse_mu: Tensor) -> tuple[Tensor, Tensor]:
+        """The Galerkin solution in the discarded modes that the eigenproblem has come to know, and its residual."""
+        ritz, W, p = self.ritz, self.known, self.ritz.R.shape[-1]
+        here = slice(self.n, self.n + W.shape[2])
+        inside = W.mT @ c
+        solution = inside / (1 - inverse_mu * ritz.mu[:, here, None])
+        residual = torch.baddbmm(c, W, inside, alpha=-1)
+        residual.addcmul_(inverse_mu, ritz.X @ (ritz.R @ (ritz.V[:, -p:, here] @ solution)))
+        return W @ solution, residual
 
     def _conjugate_gradients(self, c: Tensor, inverse_mu: Tensor) -> Tensor:
-        target = TOLERANCE * torch.linalg.vector_norm(self._discard(c.clone()), dim=1, keepdim=True)
-        y, r = self._krylov_solution(c, inverse_mu)
+        rounding = 4 * torch.finfo(c.dtype).eps * torch.linalg.vector_norm(c, dim=1, keepdim=True)
+        c = self._discard(self._discard(c))  # once more, for columns of which nearly nothing is left
+        target = DERIVATIVE_TOLERANCE * torch.linalg.vector_norm(c, dim=1, keepdim=True) + rounding
+        y, r = self._known_solution(c, inverse_mu)
         tiny = torch.finfo(y.dtype).tiny
         result, columns = torch.empty_like(y), torch.arange(y.shape[2], device=y.device)
         d, square = r.clone(), (r * r).sum(1, keepdim=True)
