@@ -1,8 +1,9 @@
 """Block Lanczos on diagonal operators, whose eigenvalues are known."""
 
+import pytest
 import torch
 
-from torchmbd.reduction.lanczos import BLOCK, Ritz, lanczos
+from torchmbd.reduction.lanczos import BLOCK, Ritz, lanczos, misses_a_copy
 
 
 def largest(values: torch.Tensor, n: int, tolerance: float = 1e-12) -> Ritz | None:
@@ -31,11 +32,23 @@ def test_wanted_values_and_the_recurrence():
 
 def test_more_copies_than_the_block_has_columns_are_all_found():
     copies = BLOCK + 4
-    values = spectrum(400)
-    values[3 : 3 + copies] = values[3]
-    ritz = largest(values[None], 3 + copies)
+    values = 0.3 * spectrum(400) ** 2
+    values[:copies] = 1.0
+    ritz = largest(values[None], copies, tolerance=1e-8)
     assert ritz is not None
-    torch.testing.assert_close(ritz.mu[0, : 3 + copies], values[: 3 + copies], rtol=1e-12, atol=0)
+    torch.testing.assert_close(ritz.mu[0, :copies], values[:copies], rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("missing", [0, 4])
+def test_the_probe_notices_an_eigenvector_that_the_basis_lacks(missing):
+    values, n = spectrum(200), 6
+    eye = torch.eye(200, dtype=torch.float64)
+    kept = [j for j in range(30) if j != missing]
+    for columns, expected in ((kept, True), (list(range(30)), False)):
+        count = len(columns)
+        rest = torch.zeros(1, 200, 6, dtype=torch.float64), torch.zeros(1, 6, 6, dtype=torch.float64)
+        ritz = Ritz(values[None, columns], eye[None, :, columns], eye[None, :count, :count], *rest)
+        assert misses_a_copy(lambda X: values[:, None] * X, ritz, n) is expected
 
 
 def test_a_space_that_is_exhausted_early_stays_orthonormal():

@@ -48,7 +48,7 @@ def lanczos(apply: Callable[[Tensor], Tensor], lanes: int, size: int, n: int, to
     """
     block = min(BLOCK, n + 2)
     ritz = _iterate(apply, _random(lanes, size, block), n, tolerance)
-    if ritz is not None and block <= n and _misses_a_copy(apply, ritz, n):
+    if ritz is not None and block <= n and misses_a_copy(apply, ritz, n):
         ritz = _iterate(apply, _random(lanes, size, n + 2), n, tolerance)
     return ritz
 
@@ -125,7 +125,8 @@ def _repair(X: Tensor, R: Tensor, basis: Tensor) -> Tensor:
     return X
 
 
-def _misses_a_copy(apply: Callable[[Tensor], Tensor], ritz: Ritz, n: int) -> bool:
+def misses_a_copy(apply: Callable[[Tensor], Tensor], ritz: Ritz, n: int) -> bool:
+    """Whether H has an eigenvector orthogonal to Q that belongs to the n wanted ones."""
     lanes, size, _ = ritz.Q.shape
     X = _random(lanes, size, 2)
     growth = torch.zeros(())
