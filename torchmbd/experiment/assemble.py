@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import cast
 
 import numpy as np
 
-from torchmbd.design import Measure, Problem
+from torchmbd.design import History, Measure, Problem
 from torchmbd.design.responses import COMBINATORS, RESPONSES
 from torchmbd.experiment.check import vector
 from torchmbd.experiment.load import Plan
@@ -35,7 +36,9 @@ def measure(spec: Mapping[str, Mapping[str, str]]) -> Measure:
     """Build a response from `{integral: {strain_energy: rod}}`."""
     [(combinator, inner)] = spec.items()
     [(response, body)] = inner.items()
-    return COMBINATORS[combinator](RESPONSES[response](body))
+    build = cast(Callable[..., Measure], COMBINATORS[combinator])
+    history = cast(Callable[..., History], RESPONSES[response])
+    return build(history(body))
 
 
 def starts_of(plan: Plan, start: np.ndarray) -> Starts:

@@ -97,7 +97,9 @@ def _keywords(function: Callable[..., Any]) -> set[str]:
 
 
 def _measures(sections: Sections) -> list[tuple[Mapping[str, Mapping[str, str]], Path]]:
-    found = [(sections["minimize"], ("minimize",))] if "minimize" in sections else []
+    found: list[tuple[Mapping[str, Mapping[str, str]], Path]] = []
+    if "minimize" in sections:
+        found.append((sections["minimize"], ("minimize",)))
     return found + [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
 
 

@@ -38,13 +38,14 @@ class Journal:
         """Open the parent run and file the resolved study."""
         study = self.plan.study
         resolved = study.resolved()
-        tags = {"kind": kind, "mlflow.source.name": str(self.plan.file), **provenance()}
+        tags = {"kind": kind, "mlflow.source.name": str(self.plan.file), **provenance(self.plan.file.parent)}
         if self.plan.overrides:
             tags["overrides"] = " ".join(self.plan.overrides)
         if study.starts is not None:
             tags["seed"] = str(study.starts.seed)
         self.tracker.begin(PARENT, self.plan.name, params=flat(resolved), tags=tags)
         self._open = [PARENT]
+        self.tracker.view(PARENT, self._columns(kind), "metrics.objective")
         config = self.folder / "config.yaml"
         config.write_text(yaml.safe_dump(resolved, sort_keys=False), encoding="utf-8")
         self.file(config)
@@ -52,6 +53,12 @@ class Journal:
             original = self.folder / "config_as_given.yaml"
             original.write_bytes(self.plan.file.read_bytes())
             self.file(original)
+
+    def _columns(self, kind: str) -> list[str]:
+        """Return what the table of the children shows."""
+        own = ["ratio"] if kind == "sweep" else ["reduction_percent", "violation", "iterations", "failed_evaluations"]
+        names = ["objective", *own, *self.plan.columns.names]
+        return [*(f"metrics.{name}" for name in names), "tags.status"]
 
     def begin_start(self, index: int, x: np.ndarray, kind: str = "start") -> None:
         """Open the child of a start, or of a point of a sweep."""

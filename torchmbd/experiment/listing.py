@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from rich import box
@@ -11,10 +12,11 @@ from rich.table import Table
 
 from torchmbd.experiment.shelf import configs
 from torchmbd.tracking.catalog import Entry, children, studies
-from torchmbd.tracking.links import compare_link, experiment_link, run_link
+from torchmbd.tracking.links import compare_link, experiment_link, run_link, view_link
 from torchmbd.tracking.store import store_uri
 
 _RECENT = 3  # studies whose links are printed
+_COMPARED = 32  # runs in one comparison: a longer link is of no use
 
 
 def print_configs(folder: Path, console: Console) -> None:
@@ -57,16 +59,26 @@ def print_links(store: str, base: str, console: Console) -> None:
         console.print("  " + experiment_link(base, experiment_id), soft_wrap=True, highlight=False, markup=False)
     for entry in found[:_RECENT]:
         console.print(f"{escape(entry.name)}, {entry.began:%d %b %H:%M}, {entry.status.lower()}", style="bold")
-        for label, link in study_links(base, entry.experiment_id, entry.run_id, children(store, entry)).items():
-            console.print(f"  {label:<9} {link}", soft_wrap=True, highlight=False, markup=False)
+        links = study_links(base, entry.experiment_id, entry.run_id, entry.kind)
+        runs = children(store, entry)
+        if 1 < len(runs) <= _COMPARED:
+            links["compare"] = compare_link(base, entry.experiment_id, runs)
+        print_links_of(links, console)
 
 
-def study_links(base: str, experiment_id: str, run_id: str, child_ids: list[str]) -> dict[str, str]:
-    """Return the links of one study by what they show."""
-    links = {"starts": experiment_link(base, experiment_id, run_id)}
-    if len(child_ids) > 1:
-        links["compare"] = compare_link(base, experiment_id, child_ids)
-    return links | {"pictures": run_link(base, experiment_id, run_id, "artifacts")}
+def study_links(base: str, experiment_id: str, run_id: str, kind: str) -> dict[str, str]:
+    """Return the links of a "study" or "sweep" by what they show."""
+    links = {"table": view_link(base, experiment_id, run_id)}
+    if kind == "study":
+        links["charts"] = view_link(base, experiment_id, run_id, charts=True)
+        links["motion"] = run_link(base, experiment_id, run_id, "artifacts/motion_optimum.html")
+    return links | {"files": run_link(base, experiment_id, run_id, "artifacts")}
+
+
+def print_links_of(links: Mapping[str, str], console: Console) -> None:
+    """Print links with what they show, unbroken."""
+    for label, link in links.items():
+        console.print(f"  {label:<8} {link}", soft_wrap=True, highlight=False, markup=False)
 
 
 def _cells(entry: Entry) -> list[str]:

@@ -14,7 +14,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, cast
 
 from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, shown
@@ -33,7 +33,7 @@ def find_model(spec: str, folder: Path) -> Builder:
         raise InputError(
             f"= {shown(spec)}: {module_name} has no function {function_name!r}{nearest(function_name, functions)}"
         )
-    return builder
+    return cast(Builder, builder)  # what it returns is checked when it is called
 
 
 def option_faults(builder: Builder, options: Mapping[str, Any]) -> list[Fault]:

@@ -17,8 +17,8 @@ from rich.markup import escape
 
 from torchmbd.design import Problem
 from torchmbd.experiment.assemble import problem_of, starts_of
-from torchmbd.experiment.journal import PARENT, Journal, child
-from torchmbd.experiment.listing import study_links
+from torchmbd.experiment.journal import PARENT, Journal
+from torchmbd.experiment.listing import print_links_of, study_links
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.progress import Progress
 from torchmbd.experiment.report import print_results, study_pictures
@@ -65,7 +65,7 @@ def run_plan(plan: Plan, console: Console, tracker: Tracker | None = None) -> in
     console.print(f"{plan.name}: {status.lower()} after {time.monotonic() - began:.1f} s")
     if record is None:
         return 1
-    _print_links(record, console)
+    _print_links(record, "sweep" if plan.study.sweep else "study", console)
     return EXIT[status]
 
 
@@ -73,7 +73,8 @@ def run_study(plan: Plan, problem: Problem, journal: Journal, console: Console) 
     """Optimize from every start."""
     optimizer = plan.study.optimizer or Optimizer()
     recipe = starts_of(plan, problem.start)
-    points = recipe.points(problem)
+    observed = Observed(problem, journal.evaluated)
+    points = recipe.points(observed)
     journal.begin("study")
     for index, point in enumerate(points):
         journal.begin_start(index, point)
@@ -87,7 +88,7 @@ def run_study(plan: Plan, problem: Problem, journal: Journal, console: Console) 
                 progress.note("The tracking store cannot be written: the study goes on unrecorded.")
 
         study = multistart(
-            Observed(problem, journal.evaluated),
+            observed,
             optimizer.name,
             list(points),
             callback,
@@ -127,18 +128,14 @@ def _close(tracker: Tracker, console: Console) -> Record | None:
         return None
 
 
-def _print_links(record: Record, console: Console) -> None:
+def _print_links(record: Record, kind: str, console: Console) -> None:
     run = record.runs.get(PARENT)
     if run is None:
         return
     served = record.uri.startswith(("http:", "https:"))
     base = record.uri.rstrip("/") if served else DEFAULT_BASE
-    starts = [record.runs[key] for key in (child(k) for k in range(len(record.runs))) if key in record.runs]
-    if not served:
+    links = study_links(base, record.experiment_id, run, kind)
+    if file := sqlite_file(record.uri):
         console.print("To look at it: torchmbd ui, then", highlight=False)
-    for label, link in study_links(base, record.experiment_id, run, starts).items():
-        console.print(f"  {label:<9} {link}", soft_wrap=True, highlight=False, markup=False)
-    file = sqlite_file(record.uri)
-    if file:
-        artifacts = file.parent / "mlartifacts" / run / "artifacts"
-        console.print(f"  files     {artifacts}", soft_wrap=True, highlight=False, markup=False)
+        links["on disk"] = str(file.parent / "mlartifacts" / run / "artifacts")
+    print_links_of(links, console)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import types
 from functools import cache
-from typing import Any, Union, get_args, get_origin
+from typing import Any, Union, cast, get_args, get_origin
 
 from pydantic import ValidationError, create_model
 from pydantic_core import ErrorDetails
@@ -39,7 +39,8 @@ def validate(data: Any) -> tuple[dict[str, Any], list[Fault]]:
 def _alone(name: str) -> type[Section]:
     """Return a model of one section of a study."""
     field = Study.model_fields[name]
-    return create_model(name, __base__=Section, **{name: (field.rebuild_annotation(), field.get_default())})
+    fields: dict[str, Any] = {name: (field.rebuild_annotation(), field.get_default())}
+    return create_model(name, __base__=Section, **fields)
 
 
 def _faults(error: ValidationError, data: Any) -> list[Fault]:
@@ -59,9 +60,9 @@ def _path(details: ErrorDetails, data: Any) -> Path:
     path: Path = ()
     location = details["loc"]
     for k, part in enumerate(location):
-        place = isinstance(part, int) and isinstance(data, list) and part < len(data)
-        if place or (isinstance(data, dict) and part in data):
-            data, path = data[part], (*path, part)
+        inside = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
+        if inside:
+            data, path = cast(Any, data)[part], (*path, part)
         elif details["type"] == "missing" and k == len(location) - 1:
             path = (*path, part)
     return path

@@ -113,8 +113,8 @@ class _Builder:
         self.lines.setdefault(path, event.start_mark.line + 1)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
             self.fault(path, "anchors (&) and aliases (*) are not allowed", event)
-        if getattr(event, "tag", None):
-            self.fault(path, f"tag {event.tag!r} is not allowed", event)
+        if tag := getattr(event, "tag", None):
+            self.fault(path, f"tag {tag!r} is not allowed", event)
         if isinstance(event, yaml.CollectionStartEvent) and len(path) >= _MAX_DEPTH:
             raise yaml.MarkedYAMLError(problem=f"nested more than {_MAX_DEPTH} deep", problem_mark=event.start_mark)
         if isinstance(event, yaml.MappingStartEvent):

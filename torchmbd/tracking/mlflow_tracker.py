@@ -6,11 +6,13 @@ is written to the run, and at `end`.
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from torchmbd.tracking.links import VIEW_TAG
 from torchmbd.tracking.store import experiment_id, open_store, store_uri
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 
@@ -67,6 +69,22 @@ class MlflowTracker:
     def artifact(self, run: str, file: str | Path, folder: str = "") -> None:
         self.client.log_artifact(self._id(run), str(file), folder or None)
 
+    def view(self, run: str, columns: Sequence[str], order_by: str) -> None:
+        """Store a view of the run's children that `links.view_link` opens.
+
+        columns, order_by   `metrics.objective`, `params.start`, `tags.status`
+        """
+        state = {
+            "searchFilter": f'tags.mlflow.parentRunId = "{self._id(run)}"',
+            "orderByKey": _quoted(order_by),
+            "orderByAsc": True,
+            "startTime": "ALL",
+            "lifecycleFilter": "Active",
+            "selectedColumns": [_quoted(column) for column in columns],
+            "runsHiddenMode": "SHOW_ALL",
+        }
+        self.client.set_experiment_tag(self.experiment_id, VIEW_TAG + self._id(run), json.dumps(state))
+
     def end(self, run: str, status: Status) -> None:
         self.flush()
         self.client.set_terminated(self._id(run), status)
@@ -88,3 +106,9 @@ class MlflowTracker:
         if run not in self._runs:
             raise TrackingError(f"run {run!r} has not begun")
         return self._runs[run]
+
+
+def _quoted(column: str) -> str:
+    """Write `metrics.objective` as MLflow's UI does: metrics.`objective`."""
+    kind, _, name = column.partition(".")
+    return f"{kind}.`{name}`"

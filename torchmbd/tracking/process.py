@@ -20,8 +20,9 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from torchmbd.errors import MbdError
 from torchmbd.tracking.tracker import Record, Status, TrackingError
@@ -64,6 +65,9 @@ class ProcessTracker:
     def artifact(self, run: str, file: str | Path, folder: str = "") -> None:
         self._send("artifact", run, str(Path(file).absolute()), folder)
 
+    def view(self, run: str, columns: Sequence[str], order_by: str) -> None:
+        self._send("view", run, list(columns), order_by)
+
     def end(self, run: str, status: Status) -> None:
         self._send("end", run, status)
 
@@ -72,7 +76,9 @@ class ProcessTracker:
         try:
             answer, _ = self._process.communicate()
             lines = [line for line in answer.splitlines() if line.startswith("{")]
-            reply = json.loads(lines[-1]) if lines else {"failure": f"the writer died: {self._last_words()}"}
+            reply: dict[str, Any] = (
+                json.loads(lines[-1]) if lines else {"failure": f"the writer died: {self._last_words()}"}
+            )
         finally:
             self._log.close()
         if "failure" in reply:

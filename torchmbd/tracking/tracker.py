@@ -4,6 +4,7 @@
     metrics  numbers of one step of it (an iteration)
     tags     words about it
     artifact a file of it
+    view     which metrics, parameters and tags of its children show best how they compare
     end      it is over: FINISHED, FAILED or KILLED
     close    nothing more will come: what is still open is KILLED; returns where the runs are
 
@@ -16,7 +17,7 @@ runs both against a real store.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
@@ -56,6 +57,8 @@ class Tracker(Protocol):
     def tags(self, run: str, values: Mapping[str, str]) -> None: ...
 
     def artifact(self, run: str, file: str | Path, folder: str = "") -> None: ...
+
+    def view(self, run: str, columns: Sequence[str], order_by: str) -> None: ...
 
     def end(self, run: str, status: Status) -> None: ...
 

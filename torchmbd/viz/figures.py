@@ -18,13 +18,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Numbers = Sequence[float] | np.ndarray
 BEST, OTHER, BAD = "#0072b2", "#a0a0a0", "#d55e00"
 CYCLE = ("#444444", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00")
 
 
 def convergence(
-    objectives: Mapping[str, Sequence[float]],
-    violations: Mapping[str, Sequence[float]],
+    objectives: Mapping[str, Numbers],
+    violations: Mapping[str, Numbers],
     best: str | None = None,
     ylabel: str = "objective",
 ) -> Figure:
@@ -45,12 +46,12 @@ def convergence(
         top.legend(frameon=False, loc="upper right")
     bottom.set_ylabel("violation")
     bottom.set_xlabel("iteration")
-    bottom.xaxis.get_major_locator().set_params(integer=True)
+    bottom.locator_params(axis="x", integer=True)
     top.set_title(f"{len(objectives)} starts" if len(objectives) > 1 else "1 start", loc="left", fontsize=9)
     return figure
 
 
-def energy_over_time(t: Sequence[float], energies: Mapping[str, Sequence[float]]) -> Figure:
+def energy_over_time(t: Numbers, energies: Mapping[str, Numbers]) -> Figure:
     """Deformation energy of several designs of one motion (Fig. 9). t [s], energies [J] by the name of the design."""
     figure, (axes,) = _figure(3.4)
     for (label, energy), color in zip(energies.items(), CYCLE * len(energies), strict=False):
@@ -64,8 +65,8 @@ def energy_over_time(t: Sequence[float], energies: Mapping[str, Sequence[float]]
 
 
 def criterion(
-    values: Sequence[float],
-    criteria: Mapping[str, Sequence[float]],
+    values: Numbers,
+    criteria: Mapping[str, Numbers],
     xlabel: str,
     mark: float | None = None,
 ) -> Figure:
