@@ -1,4 +1,4 @@
-"""A problem of closed formulas for tests: counts its evaluations, differentiates by complex steps (exact to rounding)."""
+"""A problem of closed formulas: counts its evaluations, differentiates by complex steps (exact to rounding)."""
 
 from __future__ import annotations
 
@@ -59,8 +59,7 @@ class Analytic:
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         assert X.ndim == 2
-        assert (X >= self.lower).all()
-        assert (X <= self.upper).all()
+        assert np.all((self.lower <= X) & (self.upper >= X))
         self.batches.append((len(X), gradients))
         return [self._one(x, gradients) for x in X]
 

@@ -1,7 +1,7 @@
 """Optimizers behind one door: arrays only, no mechanics."""
 
-from torchmbd.optimizers import mmfd as _mmfd
-from torchmbd.optimizers import slsqp as _slsqp
+from torchmbd.optimizers import mmfd as mmfd
+from torchmbd.optimizers import slsqp as slsqp
 from torchmbd.optimizers.door import optimize
 from torchmbd.optimizers.minima import Minimum
 from torchmbd.optimizers.multistart import Study, multistart

@@ -6,11 +6,12 @@
                 dc_j's + c_j <= 0                j active: no push-off, s may follow the constraint or meet it
                 lower <= y + s <= upper          side constraints, exactly
 
-Active is what lies above CT, and what the step itself would cross, judged by the gradients already at hand. The metric B takes the
-place of the ball s's <= 1: with B = I the direction is the same.
+Active is what lies above CT, and what the step itself would cross, judged by the gradients already at hand. The
+metric B takes the place of the ball s's <= 1: with B = I the direction is the same.
 
-Source: Vanderplaats, An efficient feasible directions algorithm for design synthesis, AIAA J. 22 (1984) 1633-1640, and the
-description of method MMFD in the DOT user's manual, there with push-off factors theta_j and theta_j = 0 for active constraints.
+Source: Vanderplaats, An efficient feasible directions algorithm for design synthesis, AIAA J. 22 (1984) 1633-1640,
+and the description of method MMFD in the DOT user's manual, there with push-off factors theta_j and theta_j = 0 for
+active constraints.
 """
 
 from __future__ import annotations
@@ -58,7 +59,8 @@ def _solve(
     evaluation: Evaluation, y: np.ndarray, lower: np.ndarray, upper: np.ndarray, B: np.ndarray, held: np.ndarray
 ) -> Direction:
     df, c, dc = evaluation.objective_gradient, evaluation.constraints, evaluation.constraint_gradients
-    assert df is not None and dc is not None
+    assert df is not None
+    assert dc is not None
     bounded_above, bounded_below = np.flatnonzero(np.isfinite(upper)), np.flatnonzero(np.isfinite(lower))
     identity = np.eye(y.size)
     A = np.vstack([dc[held], identity[bounded_above], -identity[bounded_below]])

@@ -43,10 +43,11 @@ def optimize(
 ) -> OptimizationResult:
     """Minimize `problem` from one start.
 
-    `start` [n]: default `problem.start`. `scaling`: variables by |start|, objective by |objective(start)|. `callback` is called with
-    every accepted iterate. `feasibility`: violation of a constraint that still counts as none. `eager_gradients`: ask gradients
-    together with every value that will probably need them (a simulation saved per iteration) instead of afterwards. `options` are
-    the method's own. InputError: unknown method or option, crossed bounds, start outside the bounds, wrong lengths.
+    `start` [n]: default `problem.start`. `scaling`: variables by |start|, objective by |objective(start)|. `callback`
+    is called with every accepted iterate. `feasibility`: violation of a constraint that still counts as none.
+    `eager_gradients`: ask gradients together with every value that will probably need them (a simulation saved per
+    iteration) instead of afterwards. `options` are the method's own. InputError: unknown method or option, crossed
+    bounds, start outside the bounds, wrong lengths.
     """
     function = find_method(method, options)
     x, lower, upper = checked_box(problem, start)
@@ -72,11 +73,14 @@ def optimize(
 
 def checked_box(problem: Problem, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return start, lower and upper [n] as float arrays; InputError names the variable that is wrong."""
+    size = np.asarray(problem.start).size
+    names = as_names(problem, size)
     x = np.array(problem.start if start is None else start, dtype=float).reshape(-1)
-    lower, upper = (np.array(np.broadcast_to(np.asarray(b, dtype=float), x.shape)) for b in (problem.lower, problem.upper))
-    names = as_names(problem, np.asarray(problem.start).size)
-    if x.size != len(names):
-        raise InputError(f"start has {x.size} entries, allowed: {len(names)} ({', '.join(names)})")
+    if x.size != size:
+        raise InputError(f"start has {x.size} entries, allowed: {size} ({', '.join(names)})")
+    lower, upper = (
+        np.array(np.broadcast_to(np.asarray(b, dtype=float), x.shape)) for b in (problem.lower, problem.upper)
+    )
     for name, value, low, high in zip(names, x, lower, upper, strict=True):
         if not low <= high:
             raise InputError(f"bounds of {name} are crossed: lower = {low:g} must not exceed upper = {high:g}")
@@ -97,15 +101,20 @@ def run_start(
     return result_of(search, ending, method, problem)
 
 
-def result_of(search: Search, ending: Ending, method: str, problem: Problem, evaluate: bool = True) -> OptimizationResult:
+def result_of(
+    search: Search, ending: Ending, method: str, problem: Problem, evaluate: bool = True
+) -> OptimizationResult:
     """Return the ending in physical units, with multipliers; "converged" must be feasible, whatever the method said."""
     y, status, message = best_of(search, ending)
     evaluation = search.evaluate(y, gradients=True) if evaluate else search.evaluate_known(y)
     violation = search.violation(evaluation) if evaluation.ok else float("nan")
     if status == "converged" and not violation <= search.feasibility:
         status, message = "infeasible", f"{message}, but a constraint is violated by {violation:.3g}"
+    df = evaluation.objective_gradient
+    if status == "converged" and len(search.history) == 1 and df is not None and not df.any():
+        message = "the objective does not depend on any variable near the start: its gradient is zero there and aside"
     m, n = evaluation.constraints.size, search.size
-    kkt = KuhnTucker(np.full(m, np.nan), np.full(n, np.nan), float("nan"))
+    kkt = KuhnTucker(np.full(m, np.nan), np.full(n, np.nan), float("nan"), float("nan"))
     if evaluation.ok and evaluation.objective_gradient is not None:
         kkt = kuhn_tucker(evaluation, y, search.lower, search.upper, search.equality)
     return OptimizationResult(

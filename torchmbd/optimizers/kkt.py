@@ -3,8 +3,8 @@
     minimize over lambda >= 0, nu    | df + sum_i lambda_i dc_i + nu |
     residual = max( |remainder|_inf / max(1, |df|_inf), max_i lambda_i |c_i| / max(1, |f|) )
 
-over the constraints and bounds that are active, that is met but for a narrow band; the sign of an equality's multiplier is free.
-Multipliers by non-negative least squares, so they are estimates where the design is not optimal.
+over the constraints and bounds that are active, that is met but for a narrow band; the sign of an equality's
+multiplier is free. Multipliers by non-negative least squares, so they are estimates where the design is not optimal.
 Source: Vanderplaats, Numerical Optimization Techniques for Engineering Design, section on the Kuhn-Tucker conditions.
 """
 
@@ -17,9 +17,11 @@ from scipy.optimize import nnls
 
 from torchmbd.optimizers.optimizer import Evaluation
 
-# Constraints (as distances) and bounds (relative) nearer than this may carry a multiplier; what they carry without being met counts
-# as residual.
-ACTIVE_BAND = 1e-3
+# Constraints (as distances) and bounds (relative) so near may carry a multiplier. What they carry without being met
+# counts as residual, so a wide band can only be better where a narrow one misses a constraint: the better of the two
+# is taken.
+BANDS = (1e-6, 1e-3)
+SMALLEST_OBJECTIVE = 1e-3  # of the start's
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,7 @@ class KuhnTucker:
     multipliers: np.ndarray  # [m]
     bound_multipliers: np.ndarray  # [n], positive at an upper, negative at a lower bound
     residual: float
+    relative: float  # largest remainder times its variable's size, relative to the objective: what could be gained
 
 
 def kuhn_tucker(
@@ -37,19 +40,24 @@ def kuhn_tucker(
     equality: np.ndarray,
 ) -> KuhnTucker:
     """Estimate the multipliers at `y`, whose evaluation carries gradients."""
-    df, dc = evaluation.objective_gradient, evaluation.constraint_gradients
-    assert df is not None and dc is not None
-    c = evaluation.constraints
-    size = df.size
+    estimates = (_estimate(evaluation, y, lower, upper, equality, band) for band in BANDS)
+    return min(estimates, key=lambda estimate: estimate.residual)
+
+
+def _estimate(
+    evaluation: Evaluation, y: np.ndarray, lower: np.ndarray, upper: np.ndarray, equality: np.ndarray, band: float
+) -> KuhnTucker:
+    df, dc, c = evaluation.objective_gradient, evaluation.constraint_gradients, evaluation.constraints
+    assert df is not None
+    assert dc is not None
     unit = np.maximum(1.0, np.sqrt((dc * dc).sum(axis=1)))
-    active = np.flatnonzero((c >= -ACTIVE_BAND * unit) | equality)
+    active = np.flatnonzero((c >= -band * unit) | equality)
     both = active[equality[active]]
-    near = ACTIVE_BAND * np.maximum(1.0, np.abs(y))
+    near = band * np.maximum(1.0, np.abs(y))
     at_upper, at_lower = np.flatnonzero(upper - y <= near), np.flatnonzero(y - lower <= near)
-    identity = np.eye(size)
+    identity = np.eye(y.size)
     columns = np.vstack([dc[active], -dc[both], identity[at_upper], -identity[at_lower]]).T
-    multipliers, bounds = np.zeros(c.size), np.zeros(size)
-    remainder = df
+    multipliers, bounds, remainder = np.zeros(c.size), np.zeros(y.size), df
     if columns.shape[1]:
         # Columns of length one: a constraint in other units must not lose its multiplier to a tolerance inside nnls.
         length = np.linalg.norm(columns, axis=0)
@@ -61,8 +69,9 @@ def kuhn_tucker(
         bounds[at_upper] += parts[2]
         bounds[at_lower] -= parts[3]
         remainder = df + columns @ weights
-    stationarity = np.abs(remainder).max(initial=0.0) / max(1.0, float(np.abs(df).max(initial=0.0)))
     gaps = np.where(bounds > 0.0, upper - y, np.where(bounds < 0.0, y - lower, 0.0))
-    products = np.concatenate([multipliers * c, bounds * gaps])
-    complementarity = np.abs(products).max(initial=0.0) / max(1.0, abs(evaluation.objective))
-    return KuhnTucker(multipliers, bounds, float(max(stationarity, complementarity)))
+    size = abs(evaluation.objective)
+    stationarity = np.abs(remainder).max(initial=0.0) / max(1.0, float(np.abs(df).max(initial=0.0)))
+    complementarity = np.abs(np.concatenate([multipliers * c, bounds * gaps])).max(initial=0.0) / max(1.0, size)
+    relative = np.abs(remainder * np.maximum(np.abs(y), 1.0)).max(initial=0.0) / max(size, SMALLEST_OBJECTIVE)
+    return KuhnTucker(multipliers, bounds, float(max(stationarity, complementarity)), float(relative))

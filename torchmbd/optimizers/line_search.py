@@ -2,13 +2,14 @@
 
     phi(alpha) = f + sum_j w_j max(0, c_j)       at P(y + alpha s), P the projection onto the side constraints
 
-Polynomials through the values known so far and the slope at alpha = 0 stand for f and for each c_j; the next alpha minimizes phi
-made of them, so that a constraint about to be crossed and a minimum of the objective are found by the same rule. A step that ends
-beyond the thickness of a curved constraint is returned to it by Newton's method with the gradients at hand, before it is given up.
-A failed evaluation shortens the step.
+Polynomials through values and slopes known so far stand for f and for each c_j; the next alpha minimizes phi made of
+them, so that a constraint about to be crossed and a minimum of the objective are found by the same rule. A step that
+ends beyond the thickness of a curved constraint is returned to it by Newton's method with the gradients at hand,
+before it is given up. A failed evaluation shortens the step.
 
-Source: Vanderplaats, Numerical Optimization Techniques for Engineering Design (one-dimensional search with constraints; the
-return to the constraints in the modified method); the exact penalty as arbiter is Han's and Powell's, not DOT's.
+Source: Vanderplaats, Numerical Optimization Techniques for Engineering Design (one-dimensional search with
+constraints; the return to the constraints in the modified method); the exact penalty as arbiter is Han's and
+Powell's, not DOT's.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from torchmbd.optimizers.search import Search
 SUFFICIENT = 1e-2  # share of the promised decrease that a step must bring
 NOISE = 1e-10  # of phi: below this a step counts by the violation that it removes
 SHORTEN_FAILED = 0.25  # a step to a failed evaluation is cut to this
-LONGEST_STRETCH = 5.0  # one extrapolation goes at most this much farther
+LONGEST_STRETCH = 3.0  # one extrapolation goes at most so many times farther
 
 
 @dataclass(frozen=True)
@@ -50,11 +51,12 @@ class LineSearch:
     most: int = 12
 
     def __post_init__(self) -> None:
-        assert self.base.objective_gradient is not None and self.base.constraint_gradients is not None
+        assert self.base.objective_gradient is not None
+        assert self.base.constraint_gradients is not None
         self.df0 = float(self.base.objective_gradient @ self.direction.s)
         self.dc0 = self.base.constraint_gradients @ self.direction.s
         self.merit0 = self.merit(self.base)
-        removed = self.weights @ np.maximum(self.base.constraints, 0.0) * self.direction.beta
+        removed = float(self.weights @ np.maximum(self.base.constraints, 0.0)) * self.direction.beta
         self.slope = self.df0 - removed
         self.trials: list[Trial] = []
         self.used = 0
@@ -84,7 +86,7 @@ class LineSearch:
             if self.acceptable(trial):
                 trial = trial if shortened else self.extrapolated(trial, stretch)
                 return self.refined(trial) if refine else trial
-            alpha, shortened = self.shorter(trial.alpha), True
+            alpha, shortened = self.shorter(trial), True
         return None
 
     def attempt(self, y: np.ndarray, alpha: float) -> Trial | None:
@@ -101,22 +103,24 @@ class LineSearch:
         return trial
 
     def near_feasible(self, trial: Trial) -> bool:
+        """Whether no violation exceeds the thickness, or half of what the direction should have left."""
         before = np.maximum(self.base.constraints, 0.0)
         allowed = np.maximum(self.thickness, (1.0 - 0.5 * self.direction.beta * min(trial.alpha, 1.0)) * before)
-        return bool((trial.evaluation.constraints <= allowed).all())
+        return not np.any(trial.evaluation.constraints > allowed)
 
     def acceptable(self, trial: Trial) -> bool:
         """Whether phi fell enough; from a feasible design, only a step to a feasible one."""
         if self.feasible and not self.near_feasible(trial):
             return False
-        noise = NOISE * max(1.0, abs(self.merit0)) if self.worst(trial.evaluation) < 0.5 * self.worst(self.base) else 0.0
+        restored = self.worst(trial.evaluation) < 0.5 * self.worst(self.base)
+        noise = NOISE * max(1.0, abs(self.merit0)) if restored else 0.0
         return trial.merit <= self.merit0 + SUFFICIENT * min(trial.alpha, 1.0) * self.slope + noise
 
     def worst(self, evaluation: Evaluation) -> float:
         return float(np.maximum(evaluation.constraints, 0.0).max(initial=0.0))
 
     def returned(self, trial: Trial) -> Trial | None:
-        """Return the trial moved back to the constraints that it crossed (smallest step in the metric B, gradients at hand)."""
+        """Return the trial moved back to the constraints that it crossed: the smallest step in the metric B."""
         known = trial.evaluation.constraint_gradients
         gradients = self.base.constraint_gradients if known is None else known
         assert gradients is not None
@@ -131,17 +135,17 @@ class LineSearch:
             return None
         return self.attempt(trial.y + solution.s, trial.alpha)
 
-    def shorter(self, alpha: float) -> float:
+    def shorter(self, trial: Trial) -> float:
         """Return the alpha below the one just tried at which the polynomials see the lowest phi."""
-        grid = np.linspace(0.05 * alpha, 0.7 * alpha, 66)
-        return float(grid[np.argmin(self.modeled(grid))])
+        grid = np.linspace(0.05 * trial.alpha, 0.7 * trial.alpha, 66)
+        return float(grid[np.argmin(self.modeled(grid, trial))])
 
     def extrapolated(self, trial: Trial, stretch: float) -> Trial:
         """Go on along the direction while the polynomials promise much at a much longer step."""
         best = trial
         while self.used < self.most:
             grid = np.linspace(best.alpha, LONGEST_STRETCH * best.alpha, 81)
-            promised = self.modeled(grid)
+            promised = self.modeled(grid, best)
             choice = int(np.argmin(promised))
             worthwhile = best.merit - promised[choice] > 0.3 * (self.merit0 - best.merit)
             if grid[choice] < stretch * best.alpha or not worthwhile:
@@ -153,34 +157,41 @@ class LineSearch:
         return best
 
     def refined(self, trial: Trial) -> Trial:
-        """Try the minimum of the polynomials between the start and the longest step once, if it promises a fair share more."""
+        """Try the minimum of the polynomials up to the longest step once, if it promises a fair share more."""
         if self.used >= self.most:
             return trial
         grid = np.linspace(0.05, 1.0, 96) * max(t.alpha for t in self.trials)
-        promised = self.modeled(grid)
+        promised = self.modeled(grid, self.trials[-1])
         choice = int(np.argmin(promised))
         if trial.merit - promised[choice] <= 0.1 * (self.merit0 - trial.merit):
             return trial
         other = self.attempt(self.y + grid[choice] * self.direction.s, float(grid[choice]))
         return trial if other is None or other.merit >= trial.merit or not self.acceptable(other) else other
 
-    def modeled(self, grid: np.ndarray) -> np.ndarray:
-        """Return phi on the grid, of polynomials through the start (value, slope) and the last two trials (values)."""
-        points = sorted(self.trials, key=lambda t: t.merit)[:2] if len(self.trials) > 2 else self.trials
-        alphas = np.array([t.alpha for t in points])
-        f = _polynomial(alphas, np.array([[t.evaluation.objective] for t in points]), np.array([self.base.objective]), self.df0, grid)
-        values = f[:, 0]
-        if self.base.constraints.size:
-            known = np.array([t.evaluation.constraints for t in points])
-            c = _polynomial(alphas, known, self.base.constraints, self.dc0, grid)
-            values = values + np.maximum(c, 0.0) @ self.weights
-        return values
+    def modeled(self, grid: np.ndarray, newest: Trial) -> np.ndarray:
+        """Return phi on the grid, of polynomials through what is known of f and every c_j at the start and `newest`.
+
+        A cubic where the trial came with gradients; else through the values of the last two trials.
+        """
+        base, last = self.base, newest.evaluation
+        starts, slopes = np.append(base.objective, base.constraints), np.append(self.df0, self.dc0)
+        known = [(newest.alpha, 0, np.append(last.objective, last.constraints))]
+        if last.objective_gradient is not None and last.constraint_gradients is not None:
+            s = self.direction.s * ((newest.y > self.search.lower) & (newest.y < self.search.upper))
+            known.append((newest.alpha, 1, np.append(last.objective_gradient @ s, last.constraint_gradients @ s)))
+        else:
+            others = [t for t in self.trials if abs(t.alpha - newest.alpha) > 1e-9 * newest.alpha]
+            known += [(t.alpha, 0, np.append(t.evaluation.objective, t.evaluation.constraints)) for t in others[-1:]]
+        values = _polynomial(starts, slopes, known, grid)
+        return values[:, 0] + np.maximum(values[:, 1:], 0.0) @ self.weights
 
 
-def _polynomial(alphas: np.ndarray, values: np.ndarray, start: np.ndarray, slope, grid: np.ndarray) -> np.ndarray:
-    """Interpolate `values` [k, m] at `alphas` [k] with value and slope [m] at zero; return [grid, m]. Degree k + 1."""
-    distinct = np.unique(alphas, return_index=True)[1]
-    alphas, values = alphas[distinct], values[distinct]
-    powers = alphas[:, None] ** np.arange(2, 2 + alphas.size)
-    higher = np.linalg.solve(powers, values - start - np.outer(alphas, np.broadcast_to(slope, start.shape)))
-    return start + np.outer(grid, np.broadcast_to(slope, start.shape)) + grid[:, None] ** np.arange(2, 2 + alphas.size) @ higher
+def _polynomial(
+    starts: np.ndarray, slopes: np.ndarray, known: list[tuple[float, int, np.ndarray]], grid: np.ndarray
+) -> np.ndarray:
+    """Return [grid, m]: values and slopes at 0 as given, at each (alpha, 0 | 1, [m]) that value (0) or slope (1)."""
+    powers = np.arange(2, 2 + len(known))
+    rows = [a**powers if order == 0 else powers * a ** (powers - 1) for a, order, _ in known]
+    right = [v - starts - a * slopes if order == 0 else v - slopes for a, order, v in known]
+    higher = np.linalg.solve(np.array(rows), np.array(right))
+    return starts + np.outer(grid, slopes) + grid[:, None] ** powers @ higher

@@ -1,9 +1,10 @@
 """Many starts side by side, so that their simulations are one batch.
 
-Every start runs its own optimizer in its own thread and blocks where it asks for an evaluation. The coordinator, in the caller's
-thread, waits until every live start has asked or ended, evaluates all requests as one batch (those with gradients, those without),
-and hands the answers back. A start that ends makes room for the next. So a batch depends on the starts alone, in their order, never
-on timing; the problem, the callback and the user's Ctrl-C live in the caller's thread.
+Every start runs its own optimizer in its own thread and blocks where it asks for an evaluation. The coordinator, in
+the caller's thread, waits until every live start has asked or ended, evaluates all requests as one batch (those with
+gradients, those without), and hands the answers back. A start that ends makes room for the next. So a batch depends
+on the starts alone, in their order, never on timing; the problem, the callback and the user's Ctrl-C live in the
+caller's thread.
 
 A thread here only waits or does small arithmetic between two simulations: parallel computation is the problem's affair.
 """
@@ -41,7 +42,7 @@ class Lane:
 
 
 class Lockstep:
-    """Runs `runners` (one per start) with at most `max_lanes` alive; `go_on(results)` is asked before a further start begins."""
+    """Runs `runners` (one per start), `max_lanes` at once; `go_on(results)` is asked before each further start."""
 
     def __init__(
         self,
@@ -62,7 +63,7 @@ class Lockstep:
         self._next = 0
 
     def run(self) -> list[OptimizationResult]:
-        """Run all starts; return their results in the order of the starts. After Ctrl-C: what there is, `interrupted` is True."""
+        """Run all starts; return their results in the order of the starts (after Ctrl-C: of those begun)."""
         try:
             self._launch()
             while self._live:
@@ -153,7 +154,7 @@ class Lockstep:
 
         result, error = None, None
         try:
-            result = self.runners[lane.index](ask, lane.reports.append)
+            result = self.runners[lane.index](ask, lambda iterate: lane.reports.append(iterate))
         except BaseException as exception:
             error = exception
         with self._turn:

@@ -4,15 +4,16 @@
 
     B <- B - (B s s'B) / (s'B s) + r r' / (s'r),     r = theta q + (1 - theta) B s,     q = dL(y + s) - dL(y)
 
-    theta keeps s'r >= 0.2 s'B s, so B stays positive definite where the Lagrangian is concave. A metric that was much too stiff
-    along the step is softened as a whole first (self-scaling): one long step must teach all directions.
+    theta keeps s'r >= 0.2 s'B s, so B stays positive definite where the Lagrangian is concave. A metric that was much
+    too stiff along the step is softened as a whole first (self-scaling): one long step must teach all directions.
 
-`ConjugateMetric`    DOT's own: B = I, sized by the last step, and the Fletcher-Reeves direction where nothing is active:
+`ConjugateMetric`    DOT's own: B = I, sized by the last step; the Fletcher-Reeves direction where nothing is active:
 
     s <- -df + (|df|^2 / |df_before|^2) s_before
 
-Source: Powell, A fast algorithm for nonlinearly constrained optimization calculations, LNM 630 (1978) 144-157; Oren and
-Luenberger, Self-scaling variable metric algorithms, Management Science 20 (1974) 845-862; Fletcher and Reeves, Computer J. 7 (1964).
+Source: Powell, A fast algorithm for nonlinearly constrained optimization calculations, LNM 630 (1978) 144-157; Oren
+and Luenberger, Self-scaling variable metric algorithms, Management Science 20 (1974) 845-862; Fletcher and Reeves,
+Computer J. 7 (1964).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ CONDITION = 1e-10  # smallest eigenvalue kept, as a share of the largest
 
 
 class VariableMetric:
-    """B [n, n] learns the curvature of the Lagrangian; `stretch`: extrapolate only if that many times longer is promised."""
+    """B [n, n] learns the curvature of the Lagrangian."""
 
     def __init__(self, size: int) -> None:
         self.B = np.eye(size)
@@ -36,7 +37,8 @@ class VariableMetric:
 
     @property
     def stretch(self) -> float:
-        return 1.5 if self.fresh else 3.0
+        """How many times longer a step must be promised before it is tried: only the first is a guess."""
+        return 1.5 if self.fresh else np.inf
 
     @property
     def refine(self) -> bool:
@@ -115,4 +117,7 @@ class ConjugateMetric:
 
 
 Metric = VariableMetric | ConjugateMetric
-METRICS: dict[str, type[VariableMetric] | type[ConjugateMetric]] = {"bfgs": VariableMetric, "conjugate": ConjugateMetric}
+METRICS: dict[str, type[VariableMetric] | type[ConjugateMetric]] = {
+    "bfgs": VariableMetric,
+    "conjugate": ConjugateMetric,
+}

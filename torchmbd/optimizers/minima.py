@@ -4,7 +4,8 @@
     share of the space covered = (N - w - 1) (N + w) / (N (N - 1))
 
 both under a uniform prior on the basins' sizes, for starts drawn uniformly over the bounds.
-Source: Boender and Rinnooy Kan, Bayesian stopping rules for multistart global optimization methods, Math. Programming 37 (1987) 59-80.
+Source: Boender and Rinnooy Kan, Bayesian stopping rules for multistart global optimization methods, Math. Programming
+37 (1987) 59-80.
 """
 
 from __future__ import annotations
@@ -34,9 +35,9 @@ def distinct_minima(
 ) -> list[Minimum]:
     """Return the distinct minima of the converged searches, best first.
 
-    Two ends are one minimum if their values agree to `value_tolerance` (relative; of a thousandth of the start's value where the minimum
-    is zero) and each variable to `x_tolerance` of `span` [n];
-    variables with a `period` [n] (0 where none; ply angles: half a turn) are compared on the circle.
+    Two ends are one minimum if their values agree to `value_tolerance` (relative; of a thousandth of the start's
+    value where the minimum is zero) and each variable to `x_tolerance` of `span` [n]; variables with a `period` [n]
+    (0 where none; ply angles: half a turn) are compared on the circle.
     """
     ends = sorted((r for r in results if r.converged), key=lambda r: r.value)
     groups: list[list[OptimizationResult]] = []
@@ -56,7 +57,7 @@ def expected_minima(searches: int, found: int) -> float:
 
 
 def covered_share(searches: int, found: int) -> float:
-    """Return the Bayesian estimate of the share of the space whose minima are known; nan while there are too few searches."""
+    """Return the Bayesian estimate of the share of the space whose minima are known; nan with too few searches."""
     if searches < found + 2:
         return float("nan")
     return (searches - found - 1) * (searches + found) / (searches * (searches - 1))

@@ -73,10 +73,11 @@ def multistart(
 ) -> Study:
     """Minimize `problem` from every start; the starts' simulations are evaluated together.
 
-    `starts`: `sobol(...)`, `latin_hypercube(...)`, `given(...)` or a list of designs; default the problem's own start. `max_lanes`:
-    designs in one batch at most. Variables are scaled by the problem's start for all starts alike. `minima_left`: begin no further
-    start once the estimated number of unknown minima is below it. `problem.period` [n], where present, says which variables are
-    angles. The other arguments are those of `optimize`. Ctrl-C ends every start and returns what there is, `interrupted` set.
+    `starts`: `sobol(...)`, `latin_hypercube(...)`, `given(...)` or a list of designs; default the problem's own
+    start. `max_lanes`: designs in one batch at most. Variables are scaled by the problem's start for all starts
+    alike. `minima_left`: begin no further start once the estimated number of unknown minima is below it.
+    `problem.period` [n], where present, says which variables are angles. The other arguments are those of `optimize`.
+    Ctrl-C ends every start and returns what there is, `interrupted` set.
     """
     function = find_method(method, options)
     for name, value in {"max_iterations": max_iterations, "max_lanes": max_lanes}.items():

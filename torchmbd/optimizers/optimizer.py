@@ -2,13 +2,14 @@
 
     minimize f(x)  subject to  c_i(x) <= 0,  lower <= x <= upper          (eq. 14)
 
-A problem is any object with `names`, `start`, `lower`, `upper` [n] and `evaluate(X [lanes, n], gradients) -> list[Evaluation]`.
-It may also have `equalities` (indices of the constraints that must vanish) and `motion(x)`. Three examples of what keeps this
-contract: the transient optimization of a mechanism, a Hock-Schittkowski problem of four lines, a table of stored results.
+A problem is any object with `names`, `start`, `lower`, `upper` [n] and `evaluate(X [lanes, n], gradients) ->
+list[Evaluation]`. It may also have `equalities` (indices of the constraints that must vanish) and `motion(x)`. Three
+examples of what keeps this contract: the transient optimization of a mechanism, a Hock-Schittkowski problem of four
+lines, a table of stored results.
 
-An optimizer is a function `method(search, max_iterations, **options) -> Ending`. It sees one `Search`: scaled variables, scaled
-objective, a cache, and never more than one design at a time; that many starts are simulated in one batch is not its business.
-A failed evaluation is no exception but a status: its numbers are never used.
+An optimizer is a function `method(search, max_iterations, **options) -> Ending`. It sees one `Search`: scaled
+variables, scaled objective, a cache, and never more than one design at a time; that many starts are simulated in one
+batch is not its business. A failed evaluation is no exception but a status: its numbers are never used.
 
 Constraints should be of order one (a response divided by its limit, minus one): their thresholds are absolute.
 Checked in tests/contracts/test_optimizers.py, over the registry.
@@ -33,16 +34,16 @@ if TYPE_CHECKING:
 STATUSES = {
     "converged": "the method's own criteria hold, the constraints are satisfied",
     "max_iterations": "stopped by the limit of iterations",
-    "stalled": "no step improves the design any more, though it is not a Kuhn-Tucker point",
+    "stalled": "no step improves the design any more, though it is not a Kuhn-Tucker point; the message says why",
     "infeasible": "the constraints could not be satisfied; x is the least infeasible design seen",
-    "failed": "the start could not be evaluated, or nothing but failed evaluations lies around x",
+    "failed": "the start could not be evaluated, or a gradient where the values could",
     "interrupted": "stopped by the user; x is the best design seen",
 }
 
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Objective and constraints of one design. Any status but "ok" names the reason of a failure: the numbers are then nan."""
+    """Objective and constraints of one design. A status but "ok" is the reason of a failure, the numbers nan."""
 
     objective: float
     constraints: np.ndarray  # [m], satisfied where <= 0
@@ -165,11 +166,11 @@ def require_range(name: str, value: float, low: float, high: float) -> float:
 
 
 def refuse_equalities(method: str, search: Search) -> None:
-    """Raise InputError if the problem has equality constraints, for methods that stay inside the feasible region."""
-    if search.equality.any():
+    """Raise InputError if the problem has equalities, for methods that stay inside the feasible region."""
+    if search.equalities.size:
         raise InputError(
-            f"method = {method!r} takes inequality constraints only; constraints {list(np.flatnonzero(search.equality))} "
-            "are equalities: use method='slsqp', or give each as two opposite inequalities with a tolerance"
+            f"method = {method!r} takes inequality constraints only, but constraints {search.equalities.tolist()} are "
+            "equalities: use method='slsqp', or give each as two opposite inequalities with a tolerance"
         )
 
 

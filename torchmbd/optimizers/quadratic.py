@@ -2,8 +2,8 @@
 
     minimize  c's + 1/2 s'B s   subject to   A s <= b,      B [n, n] positive definite
 
-Starts at the unconstrained minimum and adds the most violated constraint until none is left, so it needs no feasible start, its
-multipliers are exact, and contradictory constraints are found out (None is returned).
+Starts at the unconstrained minimum and adds the most violated constraint until none is left, so it needs no feasible
+start, its multipliers are exact, and contradictory constraints are found out (None is returned).
 
 Source: Goldfarb and Idnani, A numerically stable dual method for solving strictly convex quadratic programs,
 Math. Programming 27 (1983) 1-33. The factors are recomputed at each change: n is the number of design variables.
@@ -24,7 +24,7 @@ class QuadraticSolution:
 
 
 def solve_quadratic(B: np.ndarray, c: np.ndarray, A: np.ndarray, b: np.ndarray) -> QuadraticSolution | None:
-    """Return minimizer and multipliers, or None if no s satisfies A s <= b. Raises LinAlgError if B is not positive definite."""
+    """Return minimizer and multipliers; None if no s satisfies A s <= b; LinAlgError if B is not positive definite."""
     L = np.linalg.cholesky(B)
     s = -_solve(L, c)
     normals = solve_triangular(L, A.T, lower=True).T  # rows of A in the metric of B
@@ -75,7 +75,7 @@ def _enter(
             return None
         u, gained = u - step * d, gained + step
         if independent:
-            s = s - step * solve_triangular(L, free, lower=True, trans="T")
+            s = s - step * solve_triangular(L, free, lower=True, trans=1)
         if full <= partial:
             active.append(new)
             return s, np.maximum(np.append(u, gained), 0.0)
@@ -87,9 +87,9 @@ def _refined(L: np.ndarray, A: np.ndarray, b: np.ndarray, normals: np.ndarray, s
     """Meet the active constraints to the last digit: s is the small difference of large numbers when B is small."""
     for _ in range(2 if b.size else 0):
         w = np.linalg.lstsq(normals, b - A @ s, rcond=None)[0]
-        s = s + solve_triangular(L, w, lower=True, trans="T")
+        s = s + solve_triangular(L, w, lower=True, trans=1)
     return s
 
 
 def _solve(L: np.ndarray, c: np.ndarray) -> np.ndarray:
-    return solve_triangular(L, solve_triangular(L, c, lower=True), lower=True, trans="T")
+    return solve_triangular(L, solve_triangular(L, c, lower=True), lower=True, trans=1)

@@ -33,7 +33,9 @@ def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
 
     def unit(size: int, number: int) -> np.ndarray:
         # A whole power of two keeps the balance of the sequence; its beginning is used.
-        return qmc.Sobol(size, scramble=True, rng=seed).random_base2(max(int(np.ceil(np.log2(max(number, 1)))), 0))[:number]
+        return qmc.Sobol(size, scramble=True, rng=seed).random_base2(max(int(np.ceil(np.log2(max(number, 1)))), 0))[
+            :number
+        ]
 
     return Starts("sobol", count, _spread(unit, count, include_initial))
 
@@ -48,20 +50,26 @@ def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Sta
     return Starts("latin_hypercube", count, _spread(unit, count, include_initial))
 
 
-def given(points: Sequence[Sequence[float]]) -> Starts:
+def given(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
     """Return the listed starts, in their order."""
     X = np.array([np.asarray(point, dtype=float) for point in points])
     if X.ndim != 2 or not X.size:
-        raise InputError("points: must be a list of start designs, all with one value per variable, at least one design")
+        raise InputError(
+            "points: must be a list of start designs, all with one value per variable, at least one design"
+        )
     return Starts("given", len(X), lambda problem: X)
 
 
-def _spread(unit: Callable[[int, int], np.ndarray], count: int, include_initial: bool) -> Callable[[Problem], np.ndarray]:
+def _spread(
+    unit: Callable[[int, int], np.ndarray], count: int, include_initial: bool
+) -> Callable[[Problem], np.ndarray]:
     def draw(problem: Problem) -> np.ndarray:
         lower, upper = np.asarray(problem.lower, dtype=float), np.asarray(problem.upper, dtype=float)
         for name, low, high in zip(problem.names, lower, upper, strict=True):
             if not (np.isfinite(low) and np.isfinite(high)):
-                raise InputError(f"bounds of {name} are [{low:g}, {high:g}]: starts can be spread over finite bounds only")
+                raise InputError(
+                    f"bounds of {name} are [{low:g}, {high:g}]: starts can be spread over finite bounds only"
+                )
         number = count - include_initial
         X = lower + (upper - lower) * unit(lower.size, number) if number else np.zeros((0, lower.size))
         return np.vstack([np.asarray(problem.start, dtype=float), X]) if include_initial else X

@@ -3,7 +3,8 @@
     y = x / scale,   scale = |x_start|, or the bound range where |x_start| is tiny        (section 5.2 of the paper)
     f = objective / |objective(start)|
 
-Where the simulations happen is not known here: `ask` is the problem itself in `optimize`, and a thread's mailbox in `multistart`.
+Where the simulations happen is not known here: `ask` is the problem itself in `optimize`, and a thread's mailbox in
+`multistart`.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from torchmbd.optimizers.optimizer import Evaluation, Iterate
 Ask = Callable[[np.ndarray, bool], Evaluation]
 Report = Callable[[Iterate], None]
 
-# Below this share of the bound range a start value says nothing about the size of its variable (an angle that starts at 0.1 degrees).
+# Below this share of the bound range a start value says nothing about the size of its variable (an angle that starts
+# at 0.1 degrees).
 TINY_START = 0.05
 
 
@@ -64,7 +66,8 @@ class Search:
         self.equality = np.zeros(0, dtype=bool)
         self.history: list[Iterate] = []
         self.analyses = self.gradient_evaluations = self.failures = 0
-        self._ask, self._report, self._equalities = ask, report, equalities
+        self._ask, self._report = ask, report
+        self.equalities = np.zeros(0, dtype=int) if equalities is None else np.asarray(equalities, dtype=int)
         self._cache: dict[bytes, Evaluation] = {}  # physical units, by the bytes of x
         self._best: tuple[tuple[bool, float], np.ndarray] | None = None
 
@@ -89,7 +92,7 @@ class Search:
         return self._scaled(first)
 
     def evaluate(self, y: np.ndarray, gradients: bool = False) -> Evaluation:
-        """Return objective and constraints at `y` (scaled), with gradients where asked (or always, if eager); cached."""
+        """Return objective and constraints at `y` (scaled), with gradients where asked (always, if eager); cached."""
         evaluation = self._evaluate_physical(self.physical(y), gradients or self.eager_gradients)
         self._remember(y, evaluation)
         return self._scaled(evaluation)
@@ -113,12 +116,16 @@ class Search:
     def violation(self, evaluation: Evaluation) -> float:
         """Return the largest violation of a constraint, 0 where all are satisfied."""
         c = evaluation.constraints
-        equality = self.equality if self.equality.size == c.size else np.zeros(c.size, dtype=bool)
-        return float(np.where(equality, np.abs(c), np.maximum(c, 0.0)).max(initial=0.0))
+        return float(np.where(self.equality, np.abs(c), np.maximum(c, 0.0)).max(initial=0.0))
+
+    def violated(self, evaluation: Evaluation) -> list[int]:
+        """Return the indices of the constraints that are not satisfied."""
+        c = evaluation.constraints
+        return np.flatnonzero(np.where(self.equality, np.abs(c), c) > self.feasibility).tolist()
 
     @property
     def best(self) -> np.ndarray | None:
-        """Scaled y of the best design seen: lowest objective of the feasible, else the least infeasible. None: none succeeded."""
+        """Scaled y of the best design seen (feasible and lowest, else least infeasible); None if none succeeded."""
         return None if self._best is None else self._best[1]
 
     def _remember(self, y: np.ndarray, evaluation: Evaluation) -> None:
@@ -132,8 +139,7 @@ class Search:
 
     def _equality_mask(self, constraints: int) -> np.ndarray:
         mask = np.zeros(constraints, dtype=bool)
-        if self._equalities is not None:
-            mask[self._equalities] = True
+        mask[self.equalities] = True
         return mask
 
     def _evaluate_physical(self, x: np.ndarray, gradients: bool) -> Evaluation:
@@ -163,7 +169,7 @@ class Search:
 
 
 def checked(evaluation: Evaluation, size: int, gradients: bool) -> Evaluation:
-    """Return the evaluation with arrays of the contract's shapes; non-finite numbers under "ok" become a failure that says so."""
+    """Return the evaluation in the contract's shapes; numbers that are not finite make it a failure that says so."""
     if not evaluation.ok:
         return Evaluation.failure(evaluation.status)
     c = np.atleast_1d(np.asarray(evaluation.constraints, dtype=float))
@@ -175,7 +181,8 @@ def checked(evaluation: Evaluation, size: int, gradients: bool) -> Evaluation:
         dc = np.zeros((0, size)) if not c.size else np.asarray(evaluation.constraint_gradients, dtype=float)
         if df.shape != (size,) or dc.shape != (c.size, size):
             raise InputError(
-                f"problem.evaluate returned gradients of shape {df.shape} and {dc.shape}, allowed: {(size,)} and {(c.size, size)}"
+                f"problem.evaluate returned gradients of shape {df.shape} and {dc.shape}, "
+                f"allowed: {(size,)} and {(c.size, size)}"
             )
     named = {"objective": evaluation.objective, "constraints": c, "objective gradient": df, "constraint gradients": dc}
     for name, numbers in named.items():

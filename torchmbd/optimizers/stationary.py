@@ -1,7 +1,7 @@
 """Leave a start where the gradient vanishes although it is no minimum.
 
-Ply angles of 0 or 90 degrees are stationary by symmetry, often as a maximum, and no first-order method moves from there. One more
-analysis, a little aside and inwards, tells: if it is better and feasible, the search begins there.
+Ply angles of 0 or 90 degrees are stationary by symmetry, often as a maximum, and no first-order method moves from
+there. One more analysis, a little aside and inwards, tells: if it is better and feasible, the search begins there.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ ASIDE = 0.05  # of each variable's size
 
 
 def departure(search: Search, first: Evaluation) -> tuple[np.ndarray, Evaluation]:
-    """Return design and evaluation (with gradients) to begin with: the start, unless it is stationary and a point aside is better."""
+    """Return design and evaluation to begin with: the start, unless it is stationary and a point aside is better."""
     y = search.start
     here = y, first
     if kuhn_tucker(first, y, search.lower, search.upper, search.equality).residual > STATIONARY:

@@ -1,0 +1,327 @@
+"""The contract of an optimizer, over the registry: known optima, failures, bad input, and what a result must say of itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.optimizers.analytic import Analytic
+from tests.optimizers.counts import error
+from tests.optimizers.hock_schittkowski import hock_schittkowski
+from tests.optimizers.structures import three_bar_truss
+from torchmbd.errors import InputError
+from torchmbd.optimizers import OPTIMIZERS, STATUSES, Evaluation, optimize
+
+METHODS = sorted(OPTIMIZERS)
+EVERYDAY = ["HS1", "HS4", "HS5", "HS12", "HS21", "HS22", "HS29", "HS35", "HS43", "HS65", "HS76"]
+BY_NAME = {p.name: p for p in hock_schittkowski()}
+
+
+def quadratic(**changes) -> Analytic:
+    """Minimum 2 at (3, -1, 0) + bounds; unequal curvatures, coupled."""
+    base = {"lower": -10.0, "upper": 10.0, "optimum": 2.0} | changes
+    return Analytic(
+        "quadratic",
+        [7.0, 4.0, -5.0],
+        lambda x: (x[0] - 3) ** 2 + 4 * (x[1] + 1) ** 2 + 0.5 * x[2] ** 2 + (x[0] - 3) * (x[1] + 1) + 2,
+        **base,
+    )
+
+
+def cut_circle() -> Analytic:
+    """min x + y on the unit disk where x >= -0.6: optimum at (-0.6, -0.8), both constraints active."""
+    return Analytic(
+        "cut circle",
+        [0.5, 0.5],
+        lambda x: x[0] + x[1] + 10,
+        lambda x: [x[0] ** 2 + x[1] ** 2 - 1, -0.6 - x[0]],
+        lower=-2.0,
+        upper=2.0,
+        optimum=8.6,
+    )
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("name", EVERYDAY)
+def test_known_optimum(method, name):
+    problem = BY_NAME[name]
+    result = optimize(problem, method, max_iterations=500)
+    assert result.status == "converged"
+    assert error(problem, result.value) <= 1e-4
+    assert result.violation <= 1e-6
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("make", [quadratic, cut_circle, three_bar_truss])
+def test_result_says_what_happened(method, make):
+    problem = make()
+    seen = []
+    result = optimize(problem, method, callback=seen.append, max_iterations=500)
+    assert result.status == "converged"
+    assert error(problem, result.value) <= 1e-4
+    assert result.kkt_residual <= 1e-2
+    assert result.message
+    assert [i.iteration for i in result.history] == list(range(result.iterations + 1))
+    assert [i.objective for i in seen] == [i.objective for i in result.history]
+    assert np.array_equal(result.history[0].x, problem.start)
+    again = problem.evaluate(result.x[None], True)[0]
+    assert again.objective == result.value
+    assert np.array_equal(again.constraints, result.constraints)
+    lanes = sum(count for count, _ in problem.batches[:-1])
+    assert result.analyses == lanes
+    assert result.gradient_evaluations == sum(count for count, gradients in problem.batches[:-1] if gradients)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_multipliers_are_sensitivities(method):
+    """In physical units: the optimum falls by multiplier times the amount by which a limit is relaxed."""
+
+    def rod(limit: float) -> Analytic:
+        return Analytic(
+            "rod",
+            [400.0, 3.0],
+            lambda x: 7 * x[0] * x[1],
+            lambda x: [limit / (x[0] * x[1] ** 2) - 1],
+            lower=1.0,
+            upper=500.0,
+        )
+
+    result = optimize(rod(2000.0), method, feasibility=1e-8, max_iterations=500)
+    step = 20.0
+    ahead, behind = (
+        optimize(rod(2000.0 + d), method, feasibility=1e-8, max_iterations=500).value for d in (step, -step)
+    )
+    # d value / d limit = multiplier * d c / d limit, and c = limit / (...) - 1 with (...) = limit at the optimum
+    assert (ahead - behind) / (2 * step) == pytest.approx(result.multipliers[0] / 2000.0, rel=2e-3)
+    assert result.bound_multipliers[0] == pytest.approx(0.0, abs=1e-6) or result.x[0] in (1.0, 500.0)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_infeasible_start_is_restored(method):
+    problem = cut_circle()
+    result = optimize(problem, method, start=[-1.5, 1.5], max_iterations=500)
+    assert result.history[0].violation > 1.0
+    assert result.status == "converged"
+    assert result.value == pytest.approx(8.6, abs=1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("reason", ["status", "objective", "gradient", "constraint"])
+def test_failures_in_part_of_the_domain_are_stepped_back_from(method, reason):
+    """The minimum of f lies where the simulation breaks down: the end is better than the start, and its numbers are real."""
+
+    class Breaking(Analytic):
+        def _one(self, x, gradients):
+            good = super()._one(x, gradients)
+            if x[0] >= 2.0:
+                return good
+            if reason == "status":
+                return Evaluation.failure("step size underflow")
+            nan = np.nan
+            return Evaluation(
+                nan if reason == "objective" else good.objective,
+                good.constraints * nan if reason == "constraint" else good.constraints,
+                None if not gradients else good.objective_gradient * (nan if reason == "gradient" else 1.0),
+                good.constraint_gradients,
+            )
+
+    problem = Breaking(
+        "breaking",
+        [5.0, 5.0],
+        lambda x: (x[0] - 1) ** 2 + (x[1] - 1) ** 2 + 1,
+        lambda x: [x[1] - 40],
+        lower=-9,
+        upper=9,
+    )
+    result = optimize(problem, method, max_iterations=60)
+    assert result.status in STATUSES
+    assert result.failures > 0
+    assert result.x[0] >= 2.0
+    assert np.isfinite(result.value)
+    assert result.value < result.history[0].objective
+    assert all(np.isfinite(i.objective) for i in result.history)
+    if result.status == "converged":  # only what is really there: the wall is no minimum
+        assert result.kkt_residual <= 1e-2
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_narrow_failure_on_the_way_is_passed(method):
+    problem = Analytic(
+        "hole",
+        [4.0, 4.0],
+        lambda x: (x[0] - 1) ** 2 + 3 * (x[1] - 1) ** 2 + 1,
+        lower=-9,
+        upper=9,
+        optimum=1.0,
+        fails=lambda x: bool(abs(x[0] + 2) + abs(x[1] + 2) < 2.5),
+    )
+    result = optimize(problem, method, max_iterations=200)
+    assert result.status == "converged"
+    assert result.value == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_failing_start(method):
+    result = optimize(quadratic(fails=lambda x: True), method)
+    assert result.status == "failed"
+    assert "broke down" in result.message
+    assert result.analyses == result.failures == 1
+    assert np.isnan(result.value)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_contradictory_constraints(method):
+    problem = Analytic(
+        "contradiction",
+        [3.0, 0.0],
+        lambda x: x[0] ** 2 + x[1] ** 2 + 1,
+        lambda x: [x[0] + 1, 1 - x[0]],
+        lower=-5,
+        upper=5,
+    )
+    result = optimize(problem, method, max_iterations=200)
+    assert result.status == "infeasible"
+    assert result.violation >= 1.0 - 1e-9  # no design has less
+    assert result.violation <= 2.0 + 1e-3
+    assert "constraint" in result.message
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_objective_independent_of_the_variables(method):
+    problem = Analytic("constant", [1.0, 2.0], lambda x: 5.0 + 0 * x[0], lower=0.0, upper=3.0)
+    result = optimize(problem, method)
+    assert result.status == "converged"
+    assert result.value == 5.0
+    assert result.analyses <= 3
+    assert "depend" in result.message
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_leaves_a_symmetric_maximum(method):
+    """90 degrees: the gradient vanishes by symmetry, and the bound lies there as well."""
+    problem = Analytic(
+        "angle", [90.0, -90.0], lambda x: 3 - np.cos(x[0] * np.pi / 90) - np.cos(x[1] * np.pi / 90), lower=-90, upper=90
+    )
+    result = optimize(problem, method)
+    assert result.status == "converged"
+    assert result.value == pytest.approx(1.0, abs=1e-4)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_fixed_variable_stays(method):
+    problem = quadratic(lower=[-10, 4.0, -10], upper=[10, 4.0, 10])
+    result = optimize(problem, method, max_iterations=500)
+    assert result.status == "converged"
+    assert result.x[1] == 4.0
+    assert result.x[0] == pytest.approx(0.5, abs=0.05)  # 3 - (4 + 1) / 2
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_path_does_not_depend_on_units(method):
+    """Degrees or radians, joule or millijoule: the same analyses and the same design."""
+
+    def angles(unit: float, energy: float) -> Analytic:
+        def f(x):
+            return energy * (
+                1.2
+                - np.cos(2 * x[0] * unit)
+                + 0.3 * np.sin(x[1] * unit - 0.4) ** 2
+                + 0.1 * np.sin(x[0] * unit + x[1] * unit)
+            )
+
+        return Analytic("angles", [0.7 / unit, -0.9 / unit], f, lower=-1.5 / unit, upper=1.5 / unit)
+
+    a, b = optimize(angles(1.0, 1.0), method), optimize(angles(np.pi / 180, 1e-3), method)
+    assert a.analyses == b.analyses
+    assert np.allclose(a.x, b.x * np.pi / 180, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_interruption_keeps_the_best(method):
+    problem = quadratic()
+    inner, calls = problem.evaluate, []
+
+    def evaluate(X, gradients):
+        calls.append(gradients)
+        if len(calls) == 4:
+            raise KeyboardInterrupt
+        return inner(X, gradients)
+
+    problem.evaluate = evaluate
+    result = optimize(problem, method)
+    assert result.status == "interrupted"
+    assert result.analyses == 3
+    assert result.value <= result.history[0].objective
+    assert np.isfinite(result.kkt_residual)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_limit_of_iterations(method):
+    result = optimize(BY_NAME["HS38"], method, max_iterations=2)
+    assert result.status == "max_iterations"
+    assert result.iterations <= 3
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_equalities_are_met_or_refused(method):
+    problem = Analytic(
+        "line", [4.0, 4.0], lambda x: x[0] ** 2 + 2 * x[1] ** 2 + 1, lambda x: [x[0] + x[1] - 3], lower=-9, upper=9
+    )
+    problem.equalities = [0]
+    if method in ("slsqp", "trust-constr"):
+        result = optimize(problem, method, max_iterations=200)
+        assert result.status == "converged"
+        assert np.allclose(result.x, [2, 1], atol=1e-3)
+        assert result.multipliers[0] == pytest.approx(-4.0, rel=1e-2)
+    else:
+        with pytest.raises(InputError, match="equalities"):
+            optimize(problem, method)
+        assert problem.batches == []
+
+
+def test_crossed_bounds_are_named():
+    with pytest.raises(InputError, match=r"bounds of x2 are crossed: lower = 3 .* upper = 1"):
+        optimize(quadratic(lower=[-10, 3, -10], upper=[10, 1, 10]))
+
+
+def test_start_outside_the_bounds_is_named():
+    with pytest.raises(InputError, match=r"start of x3 = 11: must lie in its bounds \[-10, 10\]"):
+        optimize(quadratic(), start=[0, 0, 11])
+    with pytest.raises(InputError, match="start of x1 = nan"):
+        optimize(quadratic(), start=[np.nan, 0, 0])
+
+
+def test_wrong_names_are_answered_with_the_nearest():
+    with pytest.raises(InputError, match=r"method 'mfd' does not exist.*did you mean 'mmfd'"):
+        optimize(quadratic(), "mfd")
+    with pytest.raises(InputError, match=r"option 'delobjs' does not exist.*did you mean 'delobj'"):
+        optimize(quadratic(), "mmfd", delobjs=1e-3)
+    with pytest.raises(InputError, match=r"metric 'bfg' does not exist.*did you mean 'bfgs'"):
+        optimize(quadratic(), "mmfd", metric="bfg")
+    with pytest.raises(InputError, match=r"ct = 0.03: must lie in \[-1, 0\]"):
+        optimize(quadratic(), "mmfd", ct=0.03)
+
+
+def test_wrong_lengths_are_named():
+    with pytest.raises(InputError, match=r"start has 2 entries, allowed: 3 \(x1, x2, x3\)"):
+        optimize(quadratic(), start=[0, 0])
+
+
+def test_gradients_of_wrong_shape_are_named():
+    problem = quadratic()
+    problem.evaluate = lambda X, gradients: [Evaluation(1.0, np.zeros(0), np.zeros(2), np.zeros((0, 2)))]
+    with pytest.raises(InputError, match=r"gradients of shape \(2,\) and \(0, 3\), allowed: \(3,\)"):
+        optimize(problem)
+
+
+def test_motion_is_asked_for_only_when_wanted():
+    problem = quadratic()
+    asked = []
+    problem.motion = lambda x: asked.append(x) or "motion"
+    result = optimize(problem)
+    assert asked == []
+    assert result.motion == "motion"
+    assert result.motion == "motion"
+    assert len(asked) == 1
+    with pytest.raises(AttributeError, match="offers no motion"):
+        optimize(quadratic()).motion  # noqa: B018
