@@ -1,7 +1,7 @@
 """The slider-crank with a laminated connecting rod: section 5 of the paper.
 
-The paper prints the ply, the section and the crank speed. Lengths, end time, start and attachments are not printed; they
-were inferred by fitting the paper's own Tables 2-4. `LABELS` says which is which:
+The paper prints the ply, the section and the crank speed. Lengths, end time, start and attachments are not printed;
+they were inferred by fitting the paper's own Tables 2-4. `LABELS` says which is which:
 given (printed), inferred (fits the printed numbers), chosen (free, no effect seen).
 """
 
@@ -27,13 +27,12 @@ LABELS = {
     "cells": "chosen",
     "modes": "chosen",
 }
-START = {1: (45.0,), 2: (45.0, -45.0), 3: (45.0, -45.0, 45.0)}  # Table 2 [deg]
 
 
 def build(
     layers: int = 3,
     angles: Sequence[float] | None = None,
-    cells: Sequence[int] = (24, 4),
+    cells: tuple[int, int] = (24, 4),
     modes: int = 8,
     damping: float = 0.0,
 ) -> mbd.System:
@@ -45,12 +44,11 @@ def build(
     modes    retained modes of the rod
     damping  stiffness-proportional damping of the rod [s]
     """
-    if angles is None:
-        angles = START.get(layers, [45.0 if i % 2 == 0 else -45.0 for i in range(layers)])
-    if len(angles) != layers:
-        raise mbd.InputError(f"angles has {len(angles)} entries; allowed: {layers}, one for each of layers={layers}")
-    laminate = mbd.Laminate(mbd.Ply(**CARBON), angles=mbd.deg(angles), thickness=THICKNESS / layers)
-    mesh = mbd.mesh.rectangle(length=ROD, width=DEPTH, cells=tuple(cells))
+    plies = [45.0 if i % 2 == 0 else -45.0 for i in range(layers)] if angles is None else list(angles)
+    if len(plies) != layers:
+        raise mbd.InputError(f"angles has {len(plies)} entries; allowed: {layers}, one for each of layers={layers}")
+    laminate = mbd.Laminate(mbd.Ply(**CARBON), angles=mbd.deg(plies), thickness=THICKNESS / layers)
+    mesh = mbd.mesh.rectangle(length=ROD, width=DEPTH, cells=(cells[0], cells[1]))
     # The normal of the plate lies in the plane of motion, so that the 7.5 mm side bends (inferred).
     axes = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     rod = mbd.FlexibleBody.plate(

@@ -1,18 +1,19 @@
 """Optimization of flexible multibody systems made of composite materials, with exact gradients.
 
-    system = mbd.System(bodies, joints)      structure and topology
-    motion = mbd.simulate(system, ...)       transient motion, with sensitivities
-    problem = mbd.Problem(system, ...)       what to minimize, subject to what
-    result = mbd.optimize(problem)           exact gradients inside
+system = mbd.System(bodies, joints)      structure and topology
+motion = mbd.simulate(system, ...)       transient motion, with sensitivities
+problem = mbd.Problem(system, ...)       what to minimize, subject to what
+result = mbd.optimize(problem)           exact gradients inside
 """
 
 from torchmbd import mesh, viz
 from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
-from torchmbd.design import DesignSpace, Integral, Max, Problem, StrainEnergy
+from torchmbd.design import Constraint, DesignSpace, Integral, Max, Problem, StrainEnergy
 from torchmbd.errors import InputError, MbdError, SimulationFailure
 from torchmbd.integrators import Trajectory, simulate
 from torchmbd.joints import Cylindrical, Distance, Drive, Fixed, Prismatic, Revolute, Spherical, Universal
 from torchmbd.materials import Laminate, Ply
+from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
 from torchmbd.optimizers import multistart, optimize, sobol
 from torchmbd.system import Dynamics, System
@@ -20,8 +21,38 @@ from torchmbd.system import Dynamics, System
 __version__ = "0.1.0"
 
 __all__ = [
-    "Cylindrical", "DesignSpace", "Distance", "Drive", "Dynamics", "Fixed", "FlexibleBody", "Frame", "Ground", "InputError",
-    "Integral", "Laminate", "Max", "MbdError", "Ply", "Prismatic", "Problem", "Revolute", "RigidBody", "SimulationFailure",
-    "Spherical", "StrainEnergy", "System", "Trajectory", "Universal", "deg", "mesh", "multistart", "optimize", "simulate",
-    "sobol", "viz",
-]  # fmt: skip
+    "Constraint",
+    "Cylindrical",
+    "DesignSpace",
+    "Distance",
+    "Drive",
+    "Dynamics",
+    "Fixed",
+    "FlexibleBody",
+    "Frame",
+    "Ground",
+    "InputError",
+    "Integral",
+    "Laminate",
+    "Max",
+    "MbdError",
+    "Mesh",
+    "Ply",
+    "Prismatic",
+    "Problem",
+    "Revolute",
+    "RigidBody",
+    "SimulationFailure",
+    "Spherical",
+    "StrainEnergy",
+    "System",
+    "Trajectory",
+    "Universal",
+    "deg",
+    "mesh",
+    "multistart",
+    "optimize",
+    "simulate",
+    "sobol",
+    "viz",
+]

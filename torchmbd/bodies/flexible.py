@@ -13,7 +13,6 @@ Assumed: small elastic displacements about the undeformed body.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -21,6 +20,7 @@ from torch import Tensor, nn
 from torchmbd.bodies.frame import Frame, identifier, rotation, vector
 from torchmbd.elements import PlateMatrices
 from torchmbd.errors import InputError
+from torchmbd.materials import Laminate
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.sparse import SparseMatrix
 from torchmbd.reduction import inertia_invariants, modal_basis
@@ -32,11 +32,13 @@ class FlexibleBody(nn.Module):
     The body frame sits at the reference node (the mean of several) with the axes of the mesh.
     """
 
+    laminate: Laminate
+
     def __init__(
         self,
         name: str,
         matrices: PlateMatrices,
-        laminate: nn.Module,
+        laminate: Laminate,
         modes: int,
         reference: Sequence[int],
         position: Tensor,
@@ -55,7 +57,9 @@ class FlexibleBody(nn.Module):
             fixed[6 * node : 6 * node + 6] = True
         self.free = torch.nonzero(~fixed)[:, 0]
         if not isinstance(modes, int) or not 1 <= modes <= len(self.free):
-            raise InputError(f"modes of {name!r} is {modes!r}; allowed: 1 to {len(self.free)}, the freedoms of the mesh")
+            raise InputError(
+                f"modes of {name!r} is {modes!r}; allowed: 1 to {len(self.free)}, the freedoms of the mesh"
+            )
         if not 0 <= damping < float("inf"):
             raise InputError(f"damping of {name!r} is {damping!r} s; allowed: zero or positive")
         self._pattern, selected = matrices.pattern.restrict(self.free)
@@ -66,7 +70,7 @@ class FlexibleBody(nn.Module):
         cls,
         name: str,
         mesh: Mesh,
-        laminate: Any,
+        laminate: Laminate,
         modes: int = 8,
         position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         axes: Sequence | Tensor | None = None,

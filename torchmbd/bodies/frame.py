@@ -76,7 +76,9 @@ def rotation(name: str, axes: Sequence | Tensor | None) -> Tensor:
         return torch.eye(3, dtype=torch.float64)
     A = torch.as_tensor(axes, dtype=torch.float64)
     if A.shape != (3, 3):
-        raise InputError(f"{name} has shape {tuple(A.shape)}; allowed: a 3 x 3 rotation matrix with the axes as columns")
+        raise InputError(
+            f"{name} has shape {tuple(A.shape)}; allowed: a 3 x 3 rotation matrix with the axes as columns"
+        )
     error = float((A.T @ A - torch.eye(3, dtype=torch.float64)).abs().max())
     if not error < 1e-9 or float(torch.linalg.det(A)) < 0:
         raise InputError(

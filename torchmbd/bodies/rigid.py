@@ -88,7 +88,9 @@ def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
     J = torch.as_tensor(inertia, dtype=torch.float64)
     J = torch.diag(J) if J.shape == (3,) else J
     if J.shape != (3, 3) or not bool(torch.isfinite(J).all()) or not torch.allclose(J, J.T, rtol=1e-12, atol=0):
-        raise InputError(f"inertia of {name!r} is {inertia!r}; allowed: three numbers or a symmetric 3 x 3 matrix [kg m2]")
+        raise InputError(
+            f"inertia of {name!r} is {inertia!r}; allowed: three numbers or a symmetric 3 x 3 matrix [kg m2]"
+        )
     principal = torch.linalg.eigvalsh(J)
     # A body of positive mass has J1 + J2 >= J3; a rod has J1 = 0 and a driven body may have none at all.
     if float(principal[0]) < 0 or float(principal[0] + principal[1] - principal[2]) < -1e-12 * float(principal[2]):

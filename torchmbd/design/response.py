@@ -67,5 +67,7 @@ class Constraint:
     def __post_init__(self) -> None:
         if not isinstance(self.measure, Measure):
             raise InputError(f"constraint on {self.measure!r}; allowed: a measure, such as Max(StrainEnergy('rod'))")
-        if self.limit != "initial" and (isinstance(self.limit, (str, bool)) or not abs(float(self.limit)) < float("inf")):
+        if self.limit != "initial" and (
+            isinstance(self.limit, (str, bool)) or not abs(float(self.limit)) < float("inf")
+        ):
             raise InputError(f"limit of a constraint is {self.limit!r}; allowed: a finite number or 'initial'")

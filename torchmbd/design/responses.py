@@ -48,9 +48,7 @@ class Integral(Measure):
 
     def of(self, motion: Trajectory) -> Valued:
         y, dy = self.history.series(motion)
-        return Valued(
-            torch.trapezoid(y, motion.t, dim=1), None if dy is None else torch.trapezoid(dy, motion.t, dim=1)
-        )
+        return Valued(torch.trapezoid(y, motion.t, dim=1), None if dy is None else torch.trapezoid(dy, motion.t, dim=1))
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,12 @@ def _slopes(y: Tensor) -> Tensor:
     first, last = y[..., :3], y[..., -3:]
     forward, backward = y.new_tensor([-1.5, 2.0, -0.5]), y.new_tensor([0.5, -2.0, 1.5])
     inner = (8.0 * (y[..., 3:-1] - y[..., 1:-3]) - (y[..., 4:] - y[..., :-4])) / 12.0
-    ends = [(first @ forward), (first[..., 2] - first[..., 0]) / 2.0, (last[..., 2] - last[..., 0]) / 2.0, last @ backward]
+    ends = [
+        (first @ forward),
+        (first[..., 2] - first[..., 0]) / 2.0,
+        (last[..., 2] - last[..., 0]) / 2.0,
+        last @ backward,
+    ]
     return torch.cat([ends[0][..., None], ends[1][..., None], inner, ends[2][..., None], ends[3][..., None]], -1)
 
 

@@ -1,6 +1,6 @@
 """The design space: the entries of named parameters of a system as one vector b with bounds.
 
-    b [n] = (rod.laminate.angles[0], rod.laminate.angles[1], ...)      in SI units and radians
+b [n] = (rod.laminate.angles[0], rod.laminate.angles[1], ...)      in SI units and radians
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ class DesignSpace:
                 raise unknown("parameter", name, own)
         self.variables = list(variables) if variables else [name for name, x in own.items() if x.requires_grad]
         if not self.variables:
-            raise InputError("the system has no parameter that requires a gradient; allowed: at least one design variable")
+            raise InputError(
+                "the system has no parameter that requires a gradient; allowed: at least one design variable"
+            )
         self.shapes = {name: own[name].shape for name in self.variables}
         self.names = [f"{name}[{i}]" for name in self.variables for i in range(own[name].numel())]
         given = torch.cat([own[name].detach().flatten() for name in self.variables]).numpy()

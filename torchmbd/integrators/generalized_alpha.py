@@ -88,7 +88,13 @@ class Step:
     """One step of size h: the residual, the frozen inverse, values and tangents."""
 
     def __init__(self, dynamics: Dynamics, h: float, coefficients: Coefficients, iterations: tuple[int, int]):
-        self.T, self.saddle, self.h, self.c, self.iterations = dynamics.topology, dynamics.saddle, h, coefficients, iterations
+        self.T, self.saddle, self.h, self.c, self.iterations = (
+            dynamics.topology,
+            dynamics.saddle,
+            h,
+            coefficients,
+            iterations,
+        )
         self.scale = coefficients.beta * h * h * coefficients.share  # dq1/dv1'
 
     def begin(self, x: State) -> State:
@@ -149,7 +155,9 @@ class Step:
                 H = self.inverse(data, x, known, z, drives)
         return z, corrections, H
 
-    def tangents(self, data: equations.Data, x: State, z: Tensor, H: Tensor, drives: list) -> tuple[Tensor, list[Tensor]]:
+    def tangents(
+        self, data: equations.Data, x: State, z: Tensor, H: Tensor, drives: list
+    ) -> tuple[Tensor, list[Tensor]]:
         """Design tangents of the unknowns [n, slots, lanes], and the corrections that led to them."""
         start = cat([x.vd, x.lam]).tangent
         R = self.residual(data, x, self.begin(x), Pair.of(z, start), drives).tangent

@@ -52,7 +52,9 @@ def simulate(
     if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
         raise InputError(f"steps is {steps!r}; allowed: a positive integer")
     if method == "scipy_solver":
-        raise InputError("method 'scipy_solver' returns gradients of zero in reverse mode, silently; allowed: any other")
+        raise InputError(
+            "method 'scipy_solver' returns gradients of zero in reverse mode, silently; allowed: any other"
+        )
     if method not in METHODS:
         raise unknown("method", method, METHODS)
     names = design_names(system, sensitivities, designs)
@@ -64,7 +66,9 @@ def simulate(
     return _present(system, dynamics, history, stats, status, float(duration), batch, labels(system, names))
 
 
-def design_names(system: System, sensitivities: bool | Sequence[str], designs: Mapping[str, Tensor] | None) -> list[str]:
+def design_names(
+    system: System, sensitivities: bool | Sequence[str], designs: Mapping[str, Tensor] | None
+) -> list[str]:
     """Names of the parameters whose sensitivities are asked for."""
     own = dict(system.named_parameters())
     if sensitivities is True:
@@ -139,7 +143,9 @@ def _status(history: History, duration: float, steps: int, stats: dict[str, Any]
         if len(bad):
             result.append(f"failed: the motion is not finite from t = {duration * int(bad[0]) / steps:.6g} s on")
         elif left > ITERATION_ERROR:
-            result.append(f"failed: the iteration of a step did not converge (relative error {left:.1e}); more steps help")
+            result.append(
+                f"failed: the iteration of a step did not converge (relative error {left:.1e}); more steps help"
+            )
         else:
             result.append(OK)
     return result
@@ -163,9 +169,18 @@ def _present(
     def tangents(x: Tensor) -> Tensor | None:
         return x[:, :, 1:].permute(3, 0, 1, 2) if x.shape[2] > 1 else None
 
-    t = torch.linspace(0.0, duration, history.q.shape[0], dtype=torch.float64)
-    arrays = {"q": values(history.q), "v": values(history.v), "a": values(history.vd), "lam": values(history.lam)}
-    slopes = {"dq_db": tangents(history.q), "dv_db": tangents(history.v)}
     return Trajectory(
-        t=t, **arrays, **slopes, status=status, stats=stats, system=system, dynamics=dynamics, designs=designs, parameters=parameters
+        t=torch.linspace(0.0, duration, history.q.shape[0], dtype=torch.float64),
+        q=values(history.q),
+        v=values(history.v),
+        a=values(history.vd),
+        lam=values(history.lam),
+        status=status,
+        stats=stats,
+        system=system,
+        dynamics=dynamics,
+        dq_db=tangents(history.q),
+        dv_db=tangents(history.v),
+        designs=designs,
+        parameters=parameters,
     )

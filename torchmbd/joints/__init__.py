@@ -15,4 +15,15 @@ JOINTS: dict[str, type[Joint]] = {
     for kind in (Cylindrical, Distance, Drive, Fixed, Prismatic, Revolute, Spherical, Universal)
 }
 
-__all__ = ["JOINTS", *(kind.__name__ for kind in JOINTS.values()), "Joint"]
+__all__ = [
+    "JOINTS",
+    "Cylindrical",
+    "Distance",
+    "Drive",
+    "Fixed",
+    "Joint",
+    "Prismatic",
+    "Revolute",
+    "Spherical",
+    "Universal",
+]

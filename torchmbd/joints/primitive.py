@@ -134,14 +134,20 @@ class Angle(Primitive):
     arguments = ("axis", "axis", "axis")
     driven = True
 
+    @staticmethod
+    def _law(drive: tuple | None) -> tuple:
+        if drive is None:
+            raise TypeError("a driven primitive needs what its law prescribes")
+        return drive
+
     def phi(self, vectors, drive=None):
         x, y, b = vectors
-        c, s = drive
+        c, s = self._law(drive)
         return _row(dot(y, b) * c - dot(x, b) * s)
 
     def forces(self, vectors, lam, drive=None):
         x, y, b = vectors
-        c, s = lam * drive[0], lam * drive[1]
+        c, s = (lam * part for part in self._law(drive))
         return [-(s * b), c * b, c * y - s * x]
 
 
@@ -160,10 +166,11 @@ def prescribed(laws: Sequence[Law], t: Tensor, derivatives: bool = False) -> tup
         th = angles(t)
         return torch.cos(th), torch.sin(th)
 
-    def rates(s: Tensor) -> tuple[Tensor, Tensor]:
+    def rates(s: Tensor) -> tuple:
         return torch.func.jvp(angles, (s,), (torch.ones_like(s),))
 
-    (th, velocity), (_, acceleration) = torch.func.jvp(rates, (t,), (torch.ones_like(t),))
+    values, slopes = torch.func.jvp(rates, (t,), (torch.ones_like(t),))[:2]
+    (th, velocity), acceleration = values, slopes[1]
     jet = Jet(th, velocity, acceleration)
     return cos(jet), sin(jet)
 

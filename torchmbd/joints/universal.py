@@ -19,7 +19,9 @@ class Universal(Joint):
     def __init__(self, a: Frame, b: Frame, axes: str = "yz", name: str | None = None):
         super().__init__(a, b, name)
         if not isinstance(axes, str) or len(axes) != 2 or axes[0] == axes[1]:
-            raise InputError(f"axes of {self.name!r} is {axes!r}; allowed: two different letters of 'xyz', such as 'yz'")
+            raise InputError(
+                f"axes of {self.name!r} is {axes!r}; allowed: two different letters of 'xyz', such as 'yz'"
+            )
         for axis in axes:
             axis_index(axis)
         self.axes = axes

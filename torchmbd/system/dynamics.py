@@ -66,9 +66,7 @@ class Dynamics:
         def pick(x: Tensor) -> Tensor:
             return x[..., index : index + 1] if x.shape[-1] > 1 else x
 
-        data = {
-            name: Pair(pick(x.full)) if isinstance(x, Pair) else pick(x) for name, x in self.data.items()
-        }
+        data = {name: Pair(pick(x.full)) if isinstance(x, Pair) else pick(x) for name, x in self.data.items()}
         return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)
 
     def initial_state(self) -> Tensor:

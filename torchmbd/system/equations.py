@@ -142,11 +142,7 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
         h, Y, torque = h + extra, Y + extra_Y, torque + turn
     coriolis = contract(data["H"], om_f[:, None, None] * wd, (0, 2))
     modal = (
-        matvec_t(SR, cat([u_f, omd_f]))
-        + contract(Z_f.unsqueeze(2), G, (0, 1))
-        + wdd
-        + coriolis
-        + matvec(data["Kr"], w)
+        matvec_t(SR, cat([u_f, omd_f])) + contract(Z_f.unsqueeze(2), G, (0, 1)) + wdd + coriolis + matvec(data["Kr"], w)
     )
     if "D" in data:
         modal = modal + matvec(data["D"], wd)
@@ -253,6 +249,4 @@ def advance(T: Topology, q, step):
     """Move coordinates by an increment [n_v, ...]: rotation vectors in body axes act on the right (Lie group)."""
     r, p, w = split_q(T, q)
     dr, turn, dw = split_v(T, step)
-    return cat(
-        [(r + dr).flatten(0, 1), quaternion_product(p, exponential(turn)).flatten(0, 1), (w + dw).flatten(0, 1)]
-    )
+    return cat([(r + dr).flatten(0, 1), quaternion_product(p, exponential(turn)).flatten(0, 1), (w + dw).flatten(0, 1)])

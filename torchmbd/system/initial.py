@@ -114,5 +114,3 @@ class InitialConditions:
             f"the mechanism does not close at the given positions, lengths and axes: {rows}. "
             "Allowed: positions from which Newton's method can close all joints"
         )
-
-

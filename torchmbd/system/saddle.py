@@ -53,7 +53,9 @@ class Saddle:
         self.slot_vector = torch.tensor(slot_vector, dtype=torch.long)
         self.turn_fold = Fold(pair_of, len(keys))
         self.force_fold = Fold([p if point else -1 for p, point in zip(pair_of, is_point, strict=True)], len(keys))
-        self.flexible_slots = torch.tensor([i for i, v in enumerate(slot_vector) if v < T.attached_flexible], dtype=torch.long)
+        self.flexible_slots = torch.tensor(
+            [i for i, v in enumerate(slot_vector) if v < T.attached_flexible], dtype=torch.long
+        )
         self.flexible_pairs = [key for key in keys if key[1] < T.flexible]
         bent = {key: i for i, key in enumerate(self.flexible_pairs)}
         self.modal_fold = Fold([bent[keys[pair_of[i]]] for i in self.flexible_slots.tolist()], len(bent))
@@ -187,7 +189,9 @@ class Saddle:
             blocks["twist"] = blocks["twist"] + turning
             eye = torch.eye(3, dtype=om.dtype, device=om.device)[:, :, None, None, None]
             stirred = 2.0 * (eye * (X[0, 0] + X[1, 1] + X[2, 2]) - X) - skew(matvec(R1, wd))
-            blocks["inertia"] = torch.cat([blocks["inertia"][:, :, :f] + factor * stirred, blocks["inertia"][:, :, f:]], 2)
+            blocks["inertia"] = torch.cat(
+                [blocks["inertia"][:, :, :f] + factor * stirred, blocks["inertia"][:, :, f:]], 2
+            )
             both = G + G.transpose(0, 1)
             trace = G[0, 0] + G[1, 1] + G[2, 2]
             centrifugal = (both * om_f[None, :, None]).sum(1) - 2.0 * om_f[:, None] * trace[None]
@@ -195,9 +199,7 @@ class Saddle:
             blocks["twist_back"] = blocks["twist_back"] + factor * (centrifugal + coriolis)
             blocks["modal"] = blocks["modal"] + factor * (data["H"] * om_f[:, None, None]).sum(0)
 
-    def _add_geometric(
-        self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, lam: Tensor
-    ) -> None:
+    def _add_geometric(self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, lam: Tensor) -> None:
         """Add what the constraint forces change by when bodies turn and bend under them, forces held in ground axes.
 
         A rod under tension has a mode of small inertia in which its frame turns against its bending; there this
@@ -221,7 +223,9 @@ class Saddle:
             k, n = primitive.rows, len(primitive.members[0])
             lam = torch.eye(k, dtype=at.g.dtype, device=at.g.device)[:, :, None, None, None]
             lam = lam.expand(k, k, n, 1, at.g.shape[-1])
-            slots += [force.expand(3, k, n, *lam.shape[-2:]).flatten(1, 2) for force in primitive.forces(vectors, lam, drive)]
+            slots += [
+                force.expand(3, k, n, *lam.shape[-2:]).flatten(1, 2) for force in primitive.forces(vectors, lam, drive)
+            ]
         force = torch.cat(slots, 1)
         local = matvec_t(at.A_of.index_select(2, self.slot_vector), force)
         blocks = {

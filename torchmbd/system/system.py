@@ -196,10 +196,10 @@ def _tangents(stage: Any, given: dict[str, Tensor]) -> dict[str, Any]:
         directions[name] = unit.reshape(total, 1, *x.shape[1:]).expand(total, *x.shape)
         start += sizes[name]
 
-    def push(direction: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    def push(direction: dict[str, Tensor]) -> tuple:
         return torch.func.jvp(stage, (given,), (direction,))
 
-    values, tangents = torch.func.vmap(push, out_dims=(None, 0))(directions)
+    values, tangents = torch.func.vmap(push, out_dims=(None, 0))(directions)  # pyright: ignore[reportArgumentType]
     result: dict[str, Any] = {}
     for name, x in values.items():
         dx = tangents[name].movedim(0, -1).squeeze(-3).movedim(-1, -2)

@@ -39,17 +39,18 @@ class Fold:
         width = max((len(m) for m in members), default=0)
         padding = len(group)  # an extra column of zeros
         self.groups, self.width = groups, width
-        table = [m + [padding] * (width - len(m)) for m in members]
-        self.table = torch.tensor([column for row in zip(*table, strict=True) for column in row], dtype=torch.long)
+        table: list[list[int]] = [m + [padding] * (width - len(m)) for m in members]
+        self.table = torch.tensor([m[k] for k in range(width) for m in table], dtype=torch.long)
         self.padded = any(padding in m for m in table)
 
     def __call__(self, *parts):
         """Fold the columns of all parts, side by side."""
         if self.width == 0:
             return linear(lambda y: y.new_zeros(y.shape[0], self.groups, *y.shape[2:]), parts[0])
+        columns = list(parts)
         if self.padded:
-            parts = (*parts, linear(lambda y: torch.zeros_like(y[:, :1]), parts[0]))
-        x = cat(parts, 1) if len(parts) > 1 else parts[0]
+            columns.append(linear(lambda y: torch.zeros_like(y[:, :1]), columns[0]))
+        x = cat(columns, 1) if len(columns) > 1 else columns[0]
         x = x.index_select(1, self.table)
         return x if self.width == 1 else x.unflatten(1, (self.width, self.groups)).sum(1)
 
@@ -154,7 +155,9 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint]) -> Topology:
         attached=attached,
         attached_flexible=n_flexible_vectors,
         vector_body=torch.tensor(body_of, dtype=torch.long),
-        vector_origin=torch.tensor([b if x.is_point else ground for x, b in zip(attached, body_of, strict=True)], dtype=torch.long),
+        vector_origin=torch.tensor(
+            [b if x.is_point else ground for x, b in zip(attached, body_of, strict=True)], dtype=torch.long
+        ),
         vector_flexible=torch.tensor(body_of[:n_flexible_vectors], dtype=torch.long),
         primitives=primitives,
         slots=torch.tensor(slots, dtype=torch.long),
@@ -174,7 +177,9 @@ def _checked(joint: Joint, scribe: Scribe, number: dict[int, int]) -> list[Equat
     return list(joint.equations(scribe))
 
 
-def _group(equations: list[tuple[Joint, Equation]], position: dict[int, int]) -> tuple[tuple[Primitive, ...], tuple[str, ...]]:
+def _group(
+    equations: list[tuple[Joint, Equation]], position: dict[int, int]
+) -> tuple[tuple[Primitive, ...], tuple[str, ...]]:
     """Collect the equations kind by kind; rows of a kind run component first."""
     primitives, names = [], []
     for kind in KINDS:
