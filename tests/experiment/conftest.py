@@ -10,20 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-VALID = """
-# What is the best lay-up of the test rod?
-model: rod_model.py:build
-options: {layers: 2}
-design:
-  rod.laminate.angles: {start: [45, -45], lower: -90, upper: 90, unit: deg}
-simulate: {duration: 0.01, steps: 60}
-minimize: {integral: {strain_energy: rod}}
-subject_to:
-  - {max: {strain_energy: rod}, at_most: initial}
-optimizer: {name: mmfd, max_iterations: 2}
-starts: {sampler: sobol, count: 2, seed: 7}
-tracking: {experiment: test}
-"""
+VALID = Path(__file__).with_name("study.yaml").read_text()
 
 
 @pytest.fixture
