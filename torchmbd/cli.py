@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import threading
 from pathlib import Path
 from typing import Annotated
 
@@ -36,7 +37,6 @@ def run(file: Path, /, *assignments: str) -> int:
 
     console = Console()
     plan = load(file, assignments)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: with what was computed
     return run_plan(plan, console)
 
 
@@ -107,6 +107,8 @@ def _one_thread() -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: with what was computed
     try:
         return int(app(arguments, result_action="return_value", exit_on_error=False, print_error=True) or 0)
     except (InputError, CycloptsError) as error:

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from torchmbd.experiment.progress import print_table
 from torchmbd.experiment.shelf import configs
 from torchmbd.tracking.catalog import Entry, children, studies
 from torchmbd.tracking.links import compare_link, experiment_link, run_link, view_link
@@ -30,7 +31,7 @@ def print_configs(folder: Path, console: Console) -> None:
     table.add_column("question")
     for file, question in found.items():
         table.add_row(escape(str(file)), escape(question))
-    console.print(table)
+    print_table(table, console)
 
 
 def print_studies(uri: str | None, console: Console) -> None:
@@ -45,7 +46,7 @@ def print_studies(uri: str | None, console: Console) -> None:
         table.add_column(heading, justify="right" if heading in ("took", "best objective", "reduction") else "left")
     for entry in found:
         table.add_row(*map(escape, _cells(entry)))
-    console.print(table)
+    print_table(table, console)
 
 
 def print_links(store: str, base: str, console: Console) -> None:

@@ -1,0 +1,54 @@
+"""Every shipped experiment file is read, built and run for two iterations, on a coarse rod and a short time."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from torchmbd.experiment.load import load
+from torchmbd.experiment.run import run_plan
+from torchmbd.experiment.shelf import QUESTION_MISSING, configs
+from torchmbd.tracking.mlflow_tracker import MlflowTracker
+from torchmbd.tracking.store import open_store
+
+CONFIGS = configs(Path(__file__).parents[2] / "configs")
+SMALL = ["simulate.duration=0.01", "simulate.steps=100", "options.cells=[6, 2]", "options.modes=4"]
+
+
+def test_there_are_configs():
+    assert {file.stem for file in CONFIGS} >= {
+        *(f"l{layers}_energy_integral" for layers in (1, 2, 3)),
+        "l1_angle_sweep",
+    }
+
+
+@pytest.mark.parametrize("file", CONFIGS, ids=lambda file: file.stem)
+def test_every_config_opens_with_its_question_and_is_valid(file):
+    question = CONFIGS[file]
+    assert question != QUESTION_MISSING
+    assert "?" in question
+    plan = load(file)
+    resolved = plan.study.resolved()
+    assert plan.study.model_validate(resolved).resolved() == resolved
+
+
+@pytest.mark.parametrize("file", CONFIGS, ids=lambda file: file.stem)
+def test_every_config_runs(file, tmp_path):
+    overrides = [*SMALL]
+    if load(file).study.sweep is None:
+        overrides += ["optimizer.max_iterations=2", "starts.count=2"]
+    else:
+        overrides += ["sweep.rod.laminate.angles.count=5"]
+    plan = load(file, overrides)
+    tracker = MlflowTracker(file.stem, f"sqlite:///{tmp_path / 'runs.db'}")
+    output = io.StringIO()
+    assert run_plan(plan, Console(file=output), tracker) == 0
+    runs = open_store(tracker.uri).search_runs([tracker.experiment_id])
+    assert {run.info.status for run in runs} == {"FINISHED"}
+    (parent,) = [run for run in runs if run.data.tags["kind"] in ("study", "sweep")]
+    assert len(runs) - 1 == (5 if plan.study.sweep else 2)
+    assert parent.data.metrics["failed_evaluations"] == 0
+    assert parent.data.metrics["reduction_percent"] > 0  # the start designs are far from the best

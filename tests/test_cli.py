@@ -1,0 +1,139 @@
+"""The command line as a user meets it: exit codes, messages without traceback, Ctrl-C, the MLflow server."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from torchmbd import cli
+from torchmbd.tracking.mlflow_tracker import MlflowTracker
+from torchmbd.tracking.store import open_store
+
+HERE = Path(__file__).parent / "experiment"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working directory with a model and a study, and no store."""
+    shutil.copy(HERE / "rod_model.py", tmp_path)
+    shutil.copy(HERE / "study.yaml", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    return tmp_path
+
+
+def start(*arguments, **options):
+    """Start the command in a process of its own, as a shell does."""
+    return subprocess.Popen(
+        [sys.executable, "-u", "-m", "torchmbd.cli", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(Path(cli.__file__).parents[1])},
+        **options,
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "messages"),
+    [
+        (["run", "missing.yaml"], ["missing.yaml: 1 error", "No such file"]),
+        (["run", "study.yaml", "optimizer.nam=mmfd", "starts.seed=-1"], ["2 errors", "optimizer.nam", "starts.seed"]),
+        (["run", "study.yaml", "--max-iterations", "3"], []),
+        (["run"], []),
+        (["runn", "study.yaml"], []),
+        (["list", "--uri", "sqlite:///", "extra", "words"], []),
+        (["ui", "--port", "70000"], ["port = 70000"]),
+    ],
+)
+def test_bad_input_ends_with_2_and_no_traceback(folder, capsys, arguments, messages):
+    assert cli.main(arguments) == 2
+    output = capsys.readouterr()
+    for message in messages:
+        assert message in output.err
+    assert "Traceback" not in output.out + output.err
+    assert output.err or output.out
+    assert not (folder / "mlflow.db").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_study_that_is_interrupted_keeps_what_was_computed(folder, number):
+    study = start("run", "study.yaml", "optimizer.max_iterations=100", "optimizer.name=mmfd", "options.cells=8")
+    assert study.stdout is not None
+    lines = iter(study.stdout.readline, "")
+    shown = next(line for line in lines if re.search(r"start +1 +iteration +0", line))
+    study.send_signal(number)
+    output, error = study.communicate(timeout=120)
+    assert "Traceback" not in error
+    assert study.returncode == 130
+    assert "killed" in output
+    client = open_store(f"sqlite:///{folder / 'mlflow.db'}")
+    runs = client.search_runs([client.get_experiment_by_name("test").experiment_id])
+    assert {run.info.status for run in runs} == {"KILLED"}
+    assert len(runs) == 3
+    (child,) = [run for run in runs if run.data.params.get("start") == "1"]
+    first = client.get_metric_history(child.info.run_id, "objective")[0]
+    assert f"{first.value:.6g}" in shown
+
+
+def test_a_store_that_cannot_be_written_costs_no_result(folder):
+    """The study ends with its table and says that it was not recorded."""
+    (folder / "file").write_text("")
+    study = start("run", "study.yaml", f"tracking.uri=sqlite:///{folder}/file/runs.db", "optimizer.max_iterations=1")
+    output, error = study.communicate(timeout=120)
+    assert study.returncode == 1
+    assert "Traceback" not in error
+    assert "2 starts" in output
+    assert "Tracking failed: the store" in output
+
+
+def test_list_names_configs_and_studies(folder, capsys):
+    assert cli.main(["list", "--folder", "."]) == 0
+    output = capsys.readouterr().out
+    assert "What is the best lay-up of the test rod?" in output
+    assert "No studies yet" in output
+    assert not (folder / "mlflow.db").exists()
+
+    tracker = MlflowTracker("shelf")
+    tracker.begin("study", "rod_study", tags={"kind": "study"})
+    tracker.begin("start_0", "start 0", parent="study", tags={"kind": "start"})
+    tracker.metrics("study", {"best_objective": 0.125, "reduction_percent": 91.5})
+    tracker.end("start_0", "FINISHED")
+    tracker.end("study", "FINISHED")
+    tracker.close()
+    assert cli.main(["list"]) == 0
+    (row,) = [line for line in capsys.readouterr().out.splitlines() if "rod_study" in line]
+    for cell in ("shelf", "study", "finished", "0.125", "91.50 %"):
+        assert cell in row
+
+
+@pytest.mark.slow
+def test_ui_serves_the_store_on_loopback_and_ends_on_sigterm(folder):
+    tracker = MlflowTracker("served")
+    tracker.begin("study", "rod_study", tags={"kind": "study"})
+    tracker.end("study", "FINISHED")
+    record = tracker.close()
+    server = start("ui", "--port", "50731")
+    assert server.stdout is not None
+    shown = []
+    for line in iter(server.stdout.readline, ""):
+        shown.append(line)
+        if "Ctrl-C" in line:
+            break
+    text = "".join(shown)
+    assert f"http://127.0.0.1:50731/#/experiments/{record.experiment_id}/runs" in text
+    assert record.runs["study"] in text
+    page = urllib.request.urlopen("http://127.0.0.1:50731/", timeout=10).read()
+    assert b"<html" in page
+    server.send_signal(signal.SIGTERM)
+    assert server.wait(timeout=30) == 0
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen("http://127.0.0.1:50731/", timeout=10)
