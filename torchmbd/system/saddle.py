@@ -177,7 +177,11 @@ class Saddle:
         _, om, wd = split_v(T, v)
         A, spin, J = at.A[:, :, : T.bodies], skew(om), blocks["inertia"]
         S, _, G = moments(T, data, at.w) if f else (data["S0"], None, None)
-        blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(cross(om, S)) + matmul(spin, skew(S)))
+        drift = cross(om, S)
+        if G is not None:
+            bending = drift[:, :f] + 2.0 * matvec(data["SR"][:3], wd)
+            drift = torch.cat([bending, drift[:, f:]], 1) if f < T.bodies else bending
+        blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(drift) + matmul(spin, skew(S)))
         blocks["inertia"] = J + factor * (matmul(spin, J) - skew(matvec(J, om)))
         if G is not None:
             om_f, spin_f = om[:, :f], spin[:, :, :f]
