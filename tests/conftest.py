@@ -1,0 +1,29 @@
+"""What all tests share: one thread, and a small slider-crank."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from hypothesis import settings
+
+import torchmbd as mbd
+from experiments.slider_crank import build
+from torchmbd.integrators import Trajectory
+
+torch.set_num_threads(1)
+settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.load_profile("repeatable")
+
+ANGLES = (30.0, -20.0, 50.0)
+
+
+@pytest.fixture(scope="session")
+def slider_crank() -> mbd.System:
+    """The slider-crank with a coarse rod and three modes, in a general lay-up."""
+    return build(3, ANGLES, cells=(6, 2), modes=3)
+
+
+@pytest.fixture(scope="session")
+def slider_crank_motion(slider_crank: mbd.System) -> Trajectory:
+    """A short motion of it with sensitivities, its discrete map solved to rounding."""
+    return mbd.simulate(slider_crank, 0.004, steps=80, sensitivities=True, iterations=(6, 6), refresh=1)

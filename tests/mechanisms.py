@@ -1,0 +1,120 @@
+"""Small mechanisms in general positions, which the tests of the motion share.
+
+Bodies are turned out of every plane, inertia has products, centers lie off the origins, lay-ups are unbalanced.
+The plies of `soft` are a thousandth as stiff: explicit methods need few steps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from scipy.linalg import expm
+from torch import Tensor
+
+import torchmbd as mbd
+
+CARBON = {"E1": 128e9, "E2": 10.1e9, "G12": 5.36e9, "G13": 5.36e9, "G23": 5.36e9, "nu12": 0.23, "density": 1586.0}
+SOFT = {name: x * (1.0 if name in ("nu12", "density") else 1e-3) for name, x in CARBON.items()}
+GRAVITY = (1.5, -9.0, 3.5)
+INERTIA = torch.tensor([[3.0e-3, 4e-4, -3e-4], [4e-4, 2.2e-3, 5e-4], [-3e-4, 5e-4, 1.9e-3]], dtype=torch.float64)
+
+
+def tensor(*x: float) -> Tensor:
+    return torch.tensor(x, dtype=torch.float64)
+
+
+def cross_matrix(x: Tensor) -> Tensor:
+    """~x, with ~x y = x cross y."""
+    zero = torch.zeros((), dtype=torch.float64)
+    return torch.stack([zero, -x[2], x[1], x[2], zero, -x[0], -x[1], x[0], zero]).reshape(3, 3)
+
+
+def turned(*vector: float) -> Tensor:
+    """Rotation matrix [3, 3] of a rotation vector [rad], by SciPy's matrix exponential (torch's is off by 1e-11)."""
+    return torch.from_numpy(expm(cross_matrix(tensor(*vector)).numpy()))
+
+
+def laminate(
+    angles: Sequence[float] = (20.0, -50.0, 75.0), thickness: float = 7.5e-3, ply: dict = CARBON
+) -> mbd.Laminate:
+    """An unbalanced, unsymmetric stack [deg] of equal layers; `thickness` in all [m]."""
+    return mbd.Laminate(mbd.Ply(**ply), angles=mbd.deg(list(angles)), thickness=thickness / len(angles))
+
+
+def box(name: str, **given: Any) -> mbd.RigidBody:
+    """A rigid body with products of inertia and an eccentric center."""
+    return mbd.RigidBody(name, **({"mass": 0.7, "inertia": INERTIA, "center": (0.03, -0.02, 0.04)} | given))
+
+
+def plate(
+    name: str,
+    modes: int = 3,
+    cells: tuple[int, int] = (4, 2),
+    made_of: mbd.Laminate | None = None,
+    velocity: Sequence[float] = (0.0, 0.0, 0.0),
+    angular_velocity: Sequence[float] = (0.0, 0.0, 0.0),
+    **given: Any,
+) -> mbd.FlexibleBody:
+    """A laminated plate of 0.3 m x 0.1 m with an initial velocity."""
+    mesh = mbd.mesh.rectangle(length=0.3, width=0.1, cells=cells)
+    body = mbd.FlexibleBody.plate(name, mesh, made_of or laminate(), modes=modes, **given)
+    body.velocity, body.angular_velocity = tensor(*velocity), tensor(*angular_velocity)
+    return body
+
+
+def pendulum(angles: Sequence[float] = (20.0, -50.0), modes: int = 2) -> mbd.System:
+    """A spatial double pendulum under gravity: a rigid box carries a soft plate; hinges turned out of plane."""
+    ground = mbd.Ground()
+    arm = box("arm", position=(0.1, 0.05, -0.02), axes=turned(0.4, -0.7, 0.3), angular_velocity=(2.0, -1.0, 3.0))
+    # Starts hanging from the arm: the ends of both bodies coincide.
+    tip, swing = tensor(0.2, 0.1, -0.05), turned(-0.5, 0.2, 0.9)
+    origin = arm.position + arm.axes @ tip - swing @ tensor(-0.15, 0.0, 0.0)
+    rod = plate(
+        "rod",
+        modes,
+        made_of=laminate(angles, 3e-3, SOFT),
+        position=origin,
+        axes=swing,
+        angular_velocity=(1.0, 2.0, -2.0),
+    )
+    return mbd.System(
+        bodies=[arm, rod],
+        joints=[
+            mbd.Revolute(ground.at(0.1, 0.05, -0.02, axes=turned(0.2, 0.5, -0.4)), arm.at(), axis="x"),
+            mbd.Universal(arm.at(*tip.tolist()), rod.at("left"), axes="zx"),
+        ],
+        gravity=GRAVITY,
+    )
+
+
+def rigid_pendulum() -> mbd.System:
+    """The same without a flexible body."""
+    ground = mbd.Ground()
+    first = box("first", position=(0.1, 0.05, -0.02), axes=turned(0.4, -0.7, 0.3), angular_velocity=(2.0, -1.0, 3.0))
+    swing = turned(-0.5, 0.2, 0.9)
+    origin = first.position + first.axes @ tensor(0.2, 0.1, -0.05) - swing @ tensor(-0.15, 0.02, 0.0)
+    second = box("second", position=origin, axes=swing, angular_velocity=(1.0, 2.0, -2.0))
+    return mbd.System(
+        bodies=[first, second],
+        joints=[
+            mbd.Revolute(ground.at(0.1, 0.05, -0.02, axes=turned(0.2, 0.5, -0.4)), first.at(), axis="x"),
+            mbd.Spherical(first.at(0.2, 0.1, -0.05), second.at(-0.15, 0.02, 0.0)),
+        ],
+        gravity=GRAVITY,
+    )
+
+
+def random_state(system: mbd.System, seed: int, bend: float = 2e-3) -> tuple[Tensor, Tensor, Tensor]:
+    """Coordinates, rates and accelerations [n, 1, 1] off every special position; |p| = 1."""
+    T = system.topology
+    make = torch.Generator().manual_seed(seed)
+    q = torch.randn(T.n_q, 1, 1, generator=make, dtype=torch.float64)
+    p = q[3 * T.bodies : 7 * T.bodies].unflatten(0, (4, T.bodies))
+    p /= p.norm(dim=0, keepdim=True)
+    q[7 * T.bodies :] *= bend
+    v, a = torch.randn(2, T.n_v, 1, 1, generator=make, dtype=torch.float64).unbind()
+    for x in (v, a):
+        x[6 * T.bodies :] *= bend
+    return q, v, a
