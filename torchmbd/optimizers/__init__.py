@@ -1,7 +1,9 @@
 """Optimizers behind one door: arrays only, no mechanics."""
 
 from torchmbd.optimizers import mmfd as mmfd
+from torchmbd.optimizers import moving_asymptotes as moving_asymptotes
 from torchmbd.optimizers import slsqp as slsqp
+from torchmbd.optimizers import trust_constr as trust_constr
 from torchmbd.optimizers.door import optimize
 from torchmbd.optimizers.minima import Minimum
 from torchmbd.optimizers.multistart import Study, multistart
