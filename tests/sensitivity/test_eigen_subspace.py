@@ -107,6 +107,18 @@ def test_reverse_mode_sums_over_lanes_that_share_a_mass():
     torch.testing.assert_close(shared.grad, total, rtol=1e-9, atol=1e-12)
 
 
+def test_fixed_modes_leave_only_the_derivative_of_the_stiffness():
+    b, d = torch.zeros(2, dtype=torch.float64), torch.tensor([0.3, -1.1], dtype=torch.float64)
+    n = CROSSING.n
+    (K, M), (dK, _) = jvp(lambda b: CROSSING.exact(b)[:2], (b,), (d,))
+    basis, change = jvp(lambda b: modal_basis(*CROSSING.exact(b)[:2], n, updated=False), (b,), (d,))
+    torch.testing.assert_close(basis.stiffness, modal_basis(K, M, n).stiffness, rtol=0, atol=1e-12)
+    assert change.vectors.abs().max() == 0
+    torch.testing.assert_close(change.stiffness, basis.vectors.T @ dK @ basis.vectors, rtol=1e-12, atol=1e-13)
+    updated = jvp(lambda b: modal_basis(*CROSSING.exact(b)[:2], n), (b,), (d,))[1]
+    assert (updated.stiffness - change.stiffness).abs().max() > 0.1
+
+
 def test_second_derivatives_are_refused_by_name():
     b = torch.zeros(2, dtype=torch.float64)
 

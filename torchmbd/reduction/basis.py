@@ -43,15 +43,24 @@ class ModalBasis(NamedTuple):
     stiffness: Float[Tensor, "*lanes modes modes"]
 
 
-def modal_basis(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, cluster: float = CLUSTER) -> ModalBasis:
+def modal_basis(
+    K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, cluster: float = CLUSTER, updated: bool = True
+) -> ModalBasis:
     """Reduce to the n lowest modes.
 
     K: dense [..., N, N] or SparseMatrix. M: the same, or a vector [..., N], the diagonal of a lumped mass. Leading
     lanes broadcast. cluster: smallest gap to the first discarded mode that is accepted, relative to its eigenvalue.
+    updated: True, derivatives of the modes are part of all derivatives; False, modes are held fixed and only Kr has a
+    derivative, Psi' dK Psi (eq. 36; for comparison, it is wrong in general).
     Raises InputError: entries not finite, K or M not symmetric, M not positive definite, n out of range, or a cluster
     cut by n.
     """
     pencil, K_values, M_values, lanes = open_pencil(K, M, n)
+    if not updated:
+        with torch.no_grad():
+            fixed, _ = _Basis.apply(pencil, n, cluster, K_values.detach(), M_values.detach())
+        fixed = fixed.reshape(*lanes, *fixed.shape[1:])
+        return ModalBasis(fixed, fixed.mT @ (K @ fixed))
     vectors, stiffness = _Basis.apply(pencil, n, cluster, K_values, M_values)
     return ModalBasis(vectors.reshape(*lanes, *vectors.shape[1:]), stiffness.reshape(*lanes, n, n))
 

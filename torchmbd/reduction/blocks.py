@@ -8,7 +8,7 @@ The inverses of the S_i are formed: a solve is then three matrix products for ea
 at the speed of matrix products over all lanes. For positive definite A the forward error is that of a banded
 Cholesky factorization (both are bounded by the condition of A; measured on plates, they are equal).
 Tensors are [lane, N, columns], in the order of the partition. No autograd inside.
-Checked in tests/reduction/test_blocks.py.
+Checked in tests/reduction/test_sparse_modes.py.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ values (`pair`), the dense matrix, and a check that names the offending entry.
     multiply(values, X) = A X            [..., N, k]
     pair(Y, X)          = the values of sum_k y_k x_k', so that <pair(Y, X), dA> = sum_k y_k' dA x_k
 
-Checked in tests/reduction/test_forms.py.
+Checked in tests/reduction/test_modal_basis.py and tests/reduction/test_sparse_modes.py.
 """
 
 from __future__ import annotations
@@ -115,9 +115,8 @@ class Sparse:
 
     def diagonal(self, values: Tensor) -> Tensor:
         on = (self.pattern.rows == self.pattern.cols).nonzero().squeeze(-1)
-        result = values.new_zeros((*values.shape[:-1], self.size))
-        result[..., self.pattern.rows[on]] = values[..., on]
-        return result
+        zeros = values.new_zeros((*values.shape[:-1], self.size))
+        return zeros.index_add(-1, self.pattern.rows[on], values[..., on])
 
     def mirrored(self, values: Tensor) -> Tensor:
         return values[..., self.pattern.transposed]

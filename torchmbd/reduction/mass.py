@@ -2,7 +2,7 @@
 
 A diagonal M has G = sqrt(M). A sparse one shares the block-tridiagonal partition of K, and G is block-bidiagonal.
 Tensors are [lane, N, columns] in the order of the partition. No autograd inside.
-Checked in tests/reduction/test_blocks.py.
+Checked in tests/reduction/test_sparse_modes.py.
 """
 
 from __future__ import annotations

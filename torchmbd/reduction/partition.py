@@ -3,7 +3,7 @@
 After reordering, rows of block i are coupled with those of blocks i - 1, i and i + 1 only. A plate numbered along its
 long side falls into one block for each line of nodes, without a single zero row of padding. Blocks are what makes a
 factorization fast here: small dense products over all designs and all right-hand sides at once. Made once per pair of
-patterns (of K and M) and kept. Checked in tests/reduction/test_blocks.py.
+patterns (of K and M) and kept. Checked in tests/reduction/test_sparse_modes.py.
 """
 
 from __future__ import annotations

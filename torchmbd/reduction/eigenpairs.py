@@ -1,0 +1,158 @@
+"""Individual modes and frequencies, and their derivatives where they exist.
+
+    K psi_i = lambda_i M psi_i,     psi_i' M psi_j = delta_ij,     lambda_1 <= lambda_2 <= ...
+
+The retained span moves as transport.py says: dPsi outside of it, and the full matrix dKr. What is left is the n x n
+problem Kr R = R Lambda with Kr = Lambda, R = 1 at the design at hand:
+
+    dlambda_i = dKr_ii,     dR_ji = dKr_ji / (lambda_i - lambda_j),     dpsi_i = dPsi_i + sum_j psi_j dR_ji
+
+These are the derivatives of Nelson's method (each is unique); the solves are shared by all modes and directions.
+
+What happens where eigenvalues meet, C being the block of dKr that belongs to them:
+
+- *Vectors closer than `cluster`*: dR = 0 within. The cluster moves as a span, without turning in itself: its
+projector and
+  all responses are right, and no individual derivative is pretended. (Individual vectors are known to rounding / gap,
+  and their derivatives to rounding / gap^2, whatever the method.)
+- *Eigenvalues that are repeated*, that is, closer than rounding can tell. Forward mode: the eigenvalues of C in rising
+  order, the one-sided derivatives of the sorted eigenvalues along each direction. They are not linear in the
+  direction, for no linear derivative exists where the C of several variables do not commute. Reverse mode: the mean of
+  the diagonal of C for each of them, a subgradient in the sense of Clarke.
+
+Sums and other symmetric functions over a cluster are exact in every mode. Along *one* direction individual modes have
+derivatives even here: `eigenpair_branches` finds them by Dailey's method.
+Source: Nelson, AIAA J. 14 (1976) 1201-1205; Dailey, AIAA J. 27 (1989) 486-491; Clarke, Optimization and Nonsmooth
+Analysis (1983). Checked in tests/sensitivity/test_eigenpairs.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from ..numerics.sparse import SparseMatrix
+from .basis import CLUSTER, modal_basis
+from .forms import recognize
+from .transport import SECOND
+
+ROUNDING = 60 * torch.finfo(torch.float64).eps  # of an eigenvalue, relative to the largest K_ii / M_ii
+
+
+class Eigenpairs(NamedTuple):
+    """Eigenvalues [..., n], lowest first, and M-orthonormal vectors [..., N, n]."""
+
+    values: Float[Tensor, "*lanes modes"]
+    vectors: Float[Tensor, "*lanes freedoms modes"]
+
+
+def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, cluster: float = CLUSTER) -> Eigenpairs:
+    """Find the n lowest modes of K psi = lambda M psi.
+
+    K: dense [..., N, N] or SparseMatrix. M: the same, or a vector [..., N], the diagonal of a lumped mass.
+    cluster: relative distance below which neighbors are one cluster, which n must not cut; see the module header.
+    Raises InputError as modal_basis does.
+    """
+    basis = modal_basis(K, M, n, cluster)
+    values, R = _Split.apply(basis.stiffness, _rounding(K, M), cluster)
+    return Eigenpairs(values, basis.vectors @ R)
+
+
+def _rounding(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix) -> Tensor:
+    """How well an eigenvalue can be known [...]."""
+    K_form, K_values = recognize("K", K)
+    M_form, M_values = recognize("M", M, K_form.size)
+    ratio = K_form.diagonal(K_values.detach()).abs() / M_form.diagonal(M_values.detach())
+    return ROUNDING * ratio.amax(-1)
+
+
+def _together(values: Tensor, distance: Tensor) -> Tensor:
+    """Which sorted eigenvalues [..., n] are chained by steps of at most `distance` [..., n - 1 or 1]: [..., n, n]."""
+    label = torch.nn.functional.pad((values.diff(dim=-1) > distance).cumsum(-1), (1, 0))
+    return label[..., :, None] == label[..., None, :]
+
+
+class _Split(torch.autograd.Function):
+    """From the reduced stiffness, diagonal at the design at hand, to eigenvalues and the turn to individual modes."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(Kr: Tensor, rounding: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
+        values = Kr.diagonal(dim1=-2, dim2=-1).clone()
+        return values, torch.diag_embed(torch.ones_like(values))
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
+        ctx.cluster = inputs[2]
+        ctx.set_materialize_grads(False)
+        ctx.save_for_forward(output[0], inputs[1])
+        ctx.save_for_backward(output[0], inputs[1])
+
+    @staticmethod
+    def jvp(ctx: Any, dKr: Tensor, _rounding: Any, _cluster: Any) -> tuple[Tensor, Tensor]:
+        values, rounding = ctx.saved_tensors
+        repeated = _together(values, rounding[..., None])
+        return _Slopes.apply(dKr, repeated), dKr * _inverse_gaps(values, rounding, ctx.cluster)
+
+    @staticmethod
+    def backward(ctx: Any, g: Tensor | None, G: Tensor | None) -> tuple[Tensor, None, None]:
+        values, rounding = ctx.saved_tensors
+        bar = torch.diag_embed(torch.zeros_like(values))
+        if g is not None:
+            repeated = _together(values, rounding[..., None])
+            share = repeated.to(g.dtype) / repeated.sum(-1, keepdim=True)
+            bar = bar + torch.diag_embed((share @ g[..., None]).squeeze(-1))
+        if G is not None:
+            turned = G * _inverse_gaps(values, rounding, ctx.cluster)
+            bar = bar + (turned + turned.mT) / 2
+        return bar, None, None
+
+
+def _inverse_gaps(values: Tensor, rounding: Tensor, cluster: float) -> Tensor:
+    """1 / (lambda_i - lambda_j) at [j, i], zero within clusters."""
+    together = _together(values, torch.maximum(cluster * values[..., 1:].abs(), rounding[..., None]))
+    gaps = values[..., None, :] - values[..., :, None]
+    return torch.where(together, 0.0, 1 / torch.where(together, 1.0, gaps))
+
+
+class _Slopes(torch.autograd.Function):
+    """The eigenvalues of each cluster's block of dKr [..., n, n], in rising order; its diagonal for single modes."""
+
+    @staticmethod
+    def forward(dKr: Tensor, together: Tensor) -> Tensor:
+        slopes = dKr.diagonal(dim1=-2, dim2=-1).clone()
+        n = dKr.shape[-1]
+        flat, blocks = slopes.view(-1, n), dKr.reshape(-1, n, n)
+        labels = together.expand(dKr.shape).reshape(-1, n, n)
+        for row in (labels.sum(-1) > 1).any(-1).nonzero().squeeze(-1).tolist():
+            start = 0
+            while start < n:
+                end = start + int(labels[row, start].sum())
+                block = blocks[row, start:end, start:end]
+                flat[row, start:end] = torch.linalg.eigvalsh((block + block.mT) / 2)
+                start = end
+        return slopes
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
+        pass
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, dKr: Tensor, together: Tensor) -> tuple[Tensor, int]:
+        wide = [
+            x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
+            for x, dim in ((dKr, in_dims[0]), (together, in_dims[1]))
+        ]
+        return _Slopes.apply(*wide), 0
+
+    @staticmethod
+    def jvp(ctx: Any, *_: Any) -> Any:
+        raise NotImplementedError(SECOND)
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> Any:
+        raise NotImplementedError(SECOND)
