@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.bodies.frame import Frame, axis_index
+from torchmbd.bodies.rigid import Ground
 from torchmbd.errors import InputError
 
 
@@ -77,7 +78,7 @@ class Joint:
         for frame in (a, b):
             if not isinstance(frame, Frame):
                 raise InputError(f"{kind} got {frame!r}; allowed: frames, such as body.at(...)")
-        if a.body is b.body:
+        if a.body is b.body or (isinstance(a.body, Ground) and isinstance(b.body, Ground)):
             raise InputError(f"{kind} joins {a!r} with {b!r}; allowed: frames on two different bodies")
         self.a, self.b = a, b
         self.name = name or f"{kind.lower()}_{a.body.name}_{b.body.name}"

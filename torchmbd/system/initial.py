@@ -8,7 +8,7 @@ possible (minimum norm) from the given approximate positions and velocities:
 
 The pseudo-inverse serves redundant and underdetermined mechanisms alike.
 What cannot close is named with its residual. One further Newton step on pairs, or on tensors that require gradients,
-carries exact derivatives of the initial state (implicit function theorem).
+carries the derivatives of the initial state (implicit function theorem); where joints leave freedoms, those of least norm.
 Checked in tests/system/test_initial.py.
 """
 
@@ -77,10 +77,14 @@ class InitialConditions:
             self._refuse(values, q, t)
         q, _ = self._newton(dynamics, data, q, t)
         inverse = self._inverse(dynamics, values, q, t)
+        v = v - self._apply(inverse, self._rates(values, value(q).detach(), v, t))
+        # At compatible velocities the rates are zero, but not their derivatives by the design: Phi_q changes with it.
+        return q, v - self._apply(inverse, self._rates(data, q, v, t))
+
+    def _rates(self, data: equations.Data, q, v: Tensor, t: Tensor):
+        T = self.topology
         at = equations.placement(T, data, q, T.prescribed(t))
-        rates = equations.constraint_jets(T, at, data, v, torch.zeros_like(v), t).velocity
-        v = v - self._apply(inverse, rates)
-        return q, v
+        return equations.constraint_jets(T, at, data, v, torch.zeros_like(v), t).velocity
 
     def _newton(self, dynamics: Any, data: equations.Data, q, t: Tensor):
         T = self.topology

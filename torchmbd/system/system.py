@@ -49,8 +49,6 @@ class System(nn.Module):
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"body name {name!r} is used {names.count(name)} times; allowed: unique names")
-            if hasattr(nn.Module, name) or name in ("bodies", "joints", "topology", "gravity", "dynamics", "data"):
-                raise InputError(f"body name {name!r} is taken by torchmbd; allowed: any other identifier")
         if forces:
             raise InputError("forces is not empty; allowed so far: no applied forces but gravity")
         if not stabilization > 0:
@@ -59,11 +57,13 @@ class System(nn.Module):
         self.gravity = None if gravity is None else vector("gravity", gravity)
         self.stabilization = float(stabilization)
         self.topology = topology.build(self.bodies, self.joints)
-        for body in self.bodies:
-            self.add_module(body.name, body)
         ordered = [self.body(name) for name in self.topology.names]
         self._saddle = Saddle(self.topology)
         self._initial = InitialConditions.of(self.topology, ordered)
+        for body in self.bodies:
+            if hasattr(self, body.name) or body.name in ("ground", "data"):
+                raise InputError(f"body name {body.name!r} is taken by torchmbd; allowed: any other identifier")
+            self.add_module(body.name, body)
 
     def body(self, name: str) -> Any:
         """The body of that name; InputError names the nearest."""
@@ -96,6 +96,12 @@ class System(nn.Module):
                 raise InputError(
                     f"parameter {name!r} has shape {tuple(x.shape)}; allowed: [lanes, {', '.join(map(str, own[name].shape))}]"
                 )
+        lanes = {name: x.shape[0] for name, x in given.items()}
+        if len(set(lanes.values())) > 1:
+            raise InputError(f"lanes of the parameters are {lanes}; allowed: the same number for all")
+        for name in tangents:
+            if name not in given:
+                raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(given)}")
 
         def stage(values: dict[str, Tensor]) -> dict[str, Tensor]:
             return torch.func.functional_call(self, values, ("data",))

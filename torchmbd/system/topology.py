@@ -22,6 +22,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.bodies import Ground
 from torchmbd.errors import InputError
 from torchmbd.joints.joint import Attached, Equation, Joint, Scribe
 from torchmbd.joints.primitive import KINDS, Primitive, prescribed
@@ -170,7 +171,7 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint]) -> Topology:
 
 def _checked(joint: Joint, scribe: Scribe, number: dict[int, int]) -> list[Equation]:
     for frame in (joint.a, joint.b):
-        if id(frame.body) not in number and frame.body.name != "ground":
+        if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
                 f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
             )
