@@ -40,7 +40,7 @@ def about(axis: str, angle: float) -> Tensor:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """A joint, its equations, and the motions of b that it allows: three numbers -> (translation, rotation) in axes of frame a."""
+    """A joint, its equations, and the motions of b that it allows: 3 numbers -> (translation, rotation) in axes of frame a."""
 
     kind: str
     rows: int

@@ -1,0 +1,111 @@
+"""Flexible bodies: what the structure stage hands over, references, frames on nodes, and what the door refuses."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import laminate, plate
+from torchmbd.errors import InputError
+
+
+@pytest.mark.parametrize("reference", [None, "corner_left_top", "left_edge", 7, [3, 8]])
+def test_modes_are_fixed_at_the_reference_and_normalized_to_the_mass(reference):
+    body = plate("plate", modes=4, reference=reference)
+    made = {name: x.detach() for name, x in body.structure().items()}
+    psi, diagonal = (
+        made["psi"],
+        body.matrices.lumped_mass(body.laminate.mass_per_area, body.laminate.rotary_inertia_per_area),
+    )
+    assert not psi[body.reference].any()
+    others = [i for i in range(len(body.mesh.nodes)) if i not in body.reference]
+    assert psi[others].abs().amax((1, 2)).min() > 0
+    flat, K = psi.flatten(0, 1), body.matrices.stiffness(body.laminate.entries().detach()).dense()
+    assert_close(flat.T @ (diagonal[:, None] * flat), torch.eye(4, dtype=torch.float64), rtol=0, atol=1e-12)
+    assert_close(flat.T @ K @ flat, made["Kr"], rtol=1e-10, atol=1e-10 * float(made["Kr"].max()))
+
+
+def test_the_default_reference_is_the_node_nearest_to_the_center_of_mass():
+    body = plate("plate")
+    assert body.reference == [body.mesh.node("center")]
+    assert_close(body.origin, torch.zeros(3, dtype=torch.float64), rtol=0, atol=1e-15)
+
+
+def test_the_mean_of_several_reference_nodes_is_the_origin():
+    body = plate("plate", reference="left_edge")
+    assert_close(body.origin, torch.tensor([-0.15, 0.0, 0.0], dtype=torch.float64))
+    assert_close(body.at("right").point, torch.tensor([0.3, 0.0, 0.0], dtype=torch.float64))
+
+
+def test_mass_and_first_moment_are_those_of_the_plate():
+    body = plate("plate", reference="corner_left_bottom")
+    made = body.structure()
+    mass = 1586.0 * 7.5e-3 * 0.3 * 0.1
+    assert float(made["mass"]) == pytest.approx(mass, rel=1e-12)
+    assert made["S0"].tolist() == pytest.approx([mass * 0.15, mass * 0.05, 0.0], rel=1e-12)
+
+
+def test_the_structure_stage_runs_on_lanes():
+    """A batch of designs is the loop over the designs: invariants and stiffness, up to rotations among the modes."""
+    body = plate("plate", modes=3)
+    angles = mbd.deg([[20.0, -50.0, 75.0], [0.0, 35.0, -80.0]])
+    system = mbd.System([body])
+    data = system.dynamics({"plate.laminate.angles": angles}).data
+    for lane, own in enumerate(angles):
+        single = mbd.System([plate("plate", modes=3, made_of=laminate(own * 180 / math.pi))])().data
+        for name in ("mass", "S0", "P0", "mu"):
+            assert_close(data[name].expand(*data[name].shape[:-1], 2)[..., lane], single[name][..., 0].detach())
+        values = [
+            torch.linalg.eigvalsh(K) for K in (data["Kr"][:, :, 0, 0, lane], single["Kr"][:, :, 0, 0, 0].detach())
+        ]
+        assert_close(*values, rtol=1e-10, atol=0)
+
+
+def test_bodies_that_share_a_laminate_share_its_angles():
+    shared = laminate()
+    system = mbd.System([plate("one", made_of=shared), plate("two", made_of=shared)])
+    names = [name for name, x in system.named_parameters() if x.requires_grad]
+    assert names == ["one.laminate.angles"]
+    Kr = system.dynamics({"one.laminate.angles": mbd.deg([[1.0, 2.0, 3.0]])}).data["Kr"]
+    assert_close(Kr[:, :, 0], Kr[:, :, 1])
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"name": ""}, ["name of the flexible body", "''"]),
+        ({"modes": 0}, ["modes of 'rod'", "0", "1 to 84"]),
+        ({"modes": 2.0}, ["modes of 'rod'", "2.0", "1 to 84"]),
+        ({"modes": 85}, ["modes of 'rod'", "85", "1 to 84"]),
+        ({"damping": -1.0}, ["damping of 'rod'", "-1.0", "zero or positive"]),
+        ({"damping": math.nan}, ["damping of 'rod'", "nan", "zero or positive"]),
+        ({"position": (0, 0, math.nan)}, ["position of 'rod'", "nan", "three finite numbers"]),
+        ({"axes": [[1, 0, 0], [0, 2, 0], [0, 0, 1]]}, ["axes of 'rod'", "orthonormal"]),
+        ({"reference": "lft"}, ["'lft'", "left", "did you mean 'left'"]),
+        ({"reference": 15}, ["15", "0 to 14"]),
+    ],
+    ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
+)
+def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, words):
+    with pytest.raises(InputError) as error:
+        plate(**({"name": "rod"} | given))
+    for word in [*words, "allowed"]:
+        assert word in str(error.value)
+
+
+def test_a_node_that_does_not_exist_is_named():
+    body = plate("rod")
+    with pytest.raises(InputError, match=r"'rigth' does not exist; allowed: .*did you mean 'right'"):
+        body.at("rigth")
+    for index in (-1, 15):
+        with pytest.raises(InputError, match=rf"node is {index}; allowed: a node name or 0 to 14"):
+            body.at(index)
+
+
+def test_a_node_set_of_several_nodes_is_no_frame():
+    with pytest.raises(InputError, match="left_edge"):
+        plate("rod").at("left_edge")

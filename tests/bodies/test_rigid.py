@@ -1,0 +1,79 @@
+"""Rigid bodies: moments against a cloud of mass points, and what the door refuses."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import cross_matrix, turned
+from torchmbd.errors import InputError
+
+
+def test_invariants_are_the_moments_of_a_cloud_of_points():
+    """Inertia goes in about the center of mass and comes out about the origin: Steiner's term has the sign to lose."""
+    make = torch.Generator().manual_seed(4)
+    x = torch.randn(20, 3, generator=make, dtype=torch.float64) + torch.tensor([0.5, -1.0, 2.0])
+    m = torch.rand(20, generator=make, dtype=torch.float64)
+    center = (m[:, None] * x).sum(0) / m.sum()
+    inertia = sum(
+        m_k * cross_matrix(x_k - center).T @ cross_matrix(x_k - center) for m_k, x_k in zip(m, x, strict=True)
+    )
+    found = mbd.RigidBody("cloud", mass=float(m.sum()), inertia=inertia, center=center).invariants()
+    assert_close(found["mass"], m.sum())
+    assert_close(found["S0"], (m[:, None] * x).sum(0), rtol=1e-13, atol=0)
+    assert_close(found["P0"], torch.einsum("k,ki,kj->ij", m, x, x), rtol=1e-12, atol=1e-12)
+    assert found["mu"] == 0
+
+
+def test_three_moments_are_a_diagonal():
+    given = {"mass": 2.0, "center": (0.1, 0.2, 0.3)}
+    short = mbd.RigidBody("short", inertia=(1.0, 2.0, 2.5), **given)
+    full = mbd.RigidBody("full", inertia=torch.diag(torch.tensor([1.0, 2.0, 2.5])), **given)
+    assert_close(short.invariants(), full.invariants())
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"name": "two words"}, ["name of the rigid body", "'two words'", "identifier"]),
+        ({"mass": 0.0}, ["mass of 'box'", "0.0 kg", "positive"]),
+        ({"mass": math.nan}, ["mass of 'box'", "nan", "positive"]),
+        ({"inertia": (1.0, 1.0)}, ["inertia of 'box'", "(1.0, 1.0)", "3 x 3"]),
+        ({"inertia": (1.0, 1.0, 2.1)}, ["inertia of 'box'", "2.1", "sum of any two"]),
+        ({"inertia": (-1.0, 1.0, 1.0)}, ["inertia of 'box'", "-1.0", "none negative"]),
+        ({"inertia": [[1, 0.5, 0], [0, 1, 0], [0, 0, 1]]}, ["inertia of 'box'", "0.5", "symmetric"]),
+        ({"center": (0.0, math.inf, 0.0)}, ["center of 'box'", "inf", "three finite numbers"]),
+        ({"position": (0.0, 0.0)}, ["position of 'box'", "(0.0, 0.0)", "three finite numbers"]),
+        ({"velocity": (0.0, 0.0, math.nan)}, ["velocity of 'box'", "nan", "three finite numbers"]),
+        ({"angular_velocity": (1.0,)}, ["angular_velocity of 'box'", "(1.0,)", "three finite numbers"]),
+        ({"axes": torch.eye(2)}, ["axes of 'box'", "(2, 2)", "3 x 3"]),
+        ({"axes": 2.0 * torch.eye(3)}, ["axes of 'box'", "3.0e+00", "orthonormal"]),
+        ({"axes": -torch.eye(3)}, ["axes of 'box'", "det A = -1", "right-handed"]),
+    ],
+    ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
+)
+def test_bad_input_is_named_with_its_value_and_what_is_allowed(given, words):
+    with pytest.raises(InputError) as error:
+        mbd.RigidBody(**({"name": "box", "mass": 1.0, "inertia": (1.0, 1.0, 1.0)} | given))
+    for word in [*words, "allowed"]:
+        assert word in str(error.value)
+
+
+def test_bad_frames_are_named():
+    box = mbd.RigidBody("box", mass=1.0, inertia=(1.0, 1.0, 1.0))
+    with pytest.raises(InputError, match=r"point on 'box' is \(0.0, nan, 0.0\); allowed: three finite numbers"):
+        box.at(0.0, math.nan, 0.0)
+    with pytest.raises(InputError, match="axes is no rotation"):
+        mbd.Ground().at(axes=[[1, 1, 0], [0, 1, 0], [0, 0, 1]])
+    with pytest.raises(InputError, match=r"axis is 'w'; allowed: 'x', 'y', 'z'"):
+        box.at().axis("w")
+
+
+def test_axes_of_a_frame_are_columns():
+    A = turned(0.3, -0.5, 0.8)
+    frame = mbd.RigidBody("box", mass=1.0, inertia=(1.0, 1.0, 1.0)).at(axes=A)
+    assert_close(torch.stack([frame.axis(name) for name in "xyz"], 1), A)

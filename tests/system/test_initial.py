@@ -1,0 +1,173 @@
+"""Assembly: Newton's method from bad guesses, compatible velocities, exact derivatives, and what cannot close."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from experiments.slider_crank import build
+from tests.mechanisms import box, plate, tensor, turned
+from torchmbd.errors import InputError
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system import equations
+
+
+def closed(system: mbd.System) -> tuple[Tensor, Tensor, float, float]:
+    """Initial q, v and the largest violations of positions and velocities."""
+    dynamics = system.dynamics()
+    T, t = system.topology, torch.zeros((), dtype=torch.float64)
+    with torch.no_grad():
+        q, v = dynamics.initial.solve(dynamics)
+        at = equations.placement(T, dynamics.data, q, T.prescribed(t))
+        jets = equations.constraint_jets(T, at, dynamics.data, v, torch.zeros_like(v), t)
+    return q[:, 0, 0], v[:, 0, 0], float(jets.value.abs().max()), float(jets.velocity.abs().max())
+
+
+def crank_slider(offset: Tensor, turn: Tensor) -> mbd.System:
+    """A rigid slider-crank whose rod starts away from where it belongs."""
+    ground = mbd.Ground()
+    crank = box("crank", center=(0, 0, 0))
+    rod = box("rod", position=tensor(0.302, 0.02, 0.01) + offset, axes=turn)
+    slider = box("slider", position=(0.45, -0.01, 0.02))
+    return mbd.System(
+        [crank, rod, slider],
+        [
+            mbd.Revolute(ground.at(), crank.at(), axis="z"),
+            mbd.Drive(ground, crank, axis="z", speed=124.8),
+            mbd.Spherical(crank.at(0.152, 0, 0), rod.at(-0.152, 0, 0)),
+            mbd.Universal(rod.at(0.152, 0, 0), slider.at(), axes="zy"),
+            mbd.Prismatic(ground.at(), slider.at(), axis="x"),
+        ],
+    )
+
+
+@pytest.mark.parametrize("size", [0.0, 0.02, 0.1])
+def test_a_bad_guess_closes(size):
+    system = crank_slider(size * tensor(0.5, -1.0, 0.8), turned(0.0, 3.0 * size, 0.1 - 5.0 * size))
+    q, v, position, velocity = closed(system)
+    assert position < 1e-11
+    assert velocity < 1e-10
+    T = system.topology
+    assert_close(q[3 * T.bodies : 7 * T.bodies].reshape(4, -1).norm(dim=0), torch.ones(3).double(), rtol=0, atol=1e-14)
+    crank = T.names.index("crank")
+    omega = v[3 * T.bodies : 6 * T.bodies].reshape(3, -1)
+    assert_close(omega[:, crank], tensor(0.0, 0.0, 124.8), rtol=1e-12, atol=1e-10)
+
+
+def test_velocities_of_the_slider_crank_are_those_of_the_rigid_mechanism():
+    """In line, the slider rests and the rod turns by -(crank / rod) of the crank's speed; modes are at rest."""
+    system = build(1, [30.0], cells=(6, 2), modes=2)
+    q, v, position, velocity = closed(system)
+    T = system.topology
+    assert max(position, velocity) < 1e-11
+    omega = v[3 * T.bodies : 6 * T.bodies].reshape(3, -1)[:, T.names.index("rod")]
+    ground = torch.tensor([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=torch.float64) @ omega
+    assert_close(ground, tensor(0.0, 0.0, -124.8 * 0.152 / 0.304), rtol=1e-12, atol=1e-10)
+    slider = v[: 3 * T.bodies].reshape(3, -1)[:, T.names.index("slider")]
+    assert_close(slider, torch.zeros(3).double(), rtol=0, atol=1e-10)
+    assert not q[7 * T.bodies :].any()
+    assert not v[6 * T.bodies :].any()
+
+
+def test_given_velocities_are_kept_where_the_joints_allow_them():
+    """The least change: what is along the free motion stays, the rest goes."""
+    a = box("a", center=(0, 0, 0), angular_velocity=(3.0, -2.0, 5.0), velocity=(1.0, 1.0, 1.0))
+    system = mbd.System([a], [mbd.Revolute(mbd.Ground().at(), a.at(), axis="z")])
+    _, v, _, velocity = closed(system)
+    assert velocity < 1e-14
+    assert_close(v, tensor(0, 0, 0, 0, 0, 5.0), rtol=0, atol=1e-14)
+
+
+def test_redundant_equations_close():
+    """A planar four-bar with spatial hinges: 20 equations, 3 of them redundant."""
+    _, _, position, velocity = closed(four_bar())
+    assert max(position, velocity) < 1e-11
+
+
+def four_bar() -> mbd.System:
+    ground, z = mbd.Ground(), tensor(0.0, 0.0, 1.0)
+    corners = [tensor(0, 0, 0), tensor(0.05, 0.2, 0), tensor(0.45, 0.25, 0), tensor(0.5, 0, 0)]
+    bodies, ends = [], []
+    for name, p, q in zip(("left", "top", "right"), corners[:-1], corners[1:], strict=True):
+        x = (q - p) / (q - p).norm()
+        axes = torch.stack([x, torch.linalg.cross(z, x), z], 1)
+        body = mbd.RigidBody(name, 1.0, (1e-3, 2e-3, 2e-3), center=(0.05, 0, 0), position=p, axes=axes)
+        bodies.append(body)
+        ends.append((body.at(), body.at(float((q - p).norm()), 0, 0)))
+    joints = [
+        mbd.Revolute(ground.at(), ends[0][0], axis="z"),
+        mbd.Revolute(ends[0][1], ends[1][0], axis="z"),
+        mbd.Revolute(ends[1][1], ends[2][0], axis="z"),
+        mbd.Revolute(ground.at(0.5, 0, 0), ends[2][1], axis="z"),
+    ]
+    return mbd.System(bodies, joints, gravity=(0.0, -9.81, 0.0))
+
+
+def test_what_cannot_close_is_named_with_its_residual():
+    ground, a = mbd.Ground(), box("a")
+    joints = [
+        mbd.Revolute(ground.at(), a.at(), axis="z", name="hinge"),
+        mbd.Distance(ground.at(3.0, 0.0, 0.0), a.at(0.5, 0.0, 0.0), length=1.0, name="short_link"),
+    ]
+    with pytest.raises(InputError) as error:
+        mbd.System([a], joints)().initial_state()
+    message = str(error.value)
+    # The ends come no nearer than 2.5 m: (2.5^2 - 1) / 2 = 2.625 at least; Newton stops between both joints.
+    assert "does not close" in message
+    assert "short_link: distance misses by" in message
+    assert "Allowed" in message
+
+
+def test_the_initial_state_carries_design_tangents():
+    """Where the data of an attached vector depend on the design, q and v at the start do too (implicit function theorem)."""
+    system = crank_slider(tensor(0.0, 0.0, 0.0), turned(0.0, 0.05, -0.1))
+    dynamics = system.dynamics()
+    x = dynamics.data["x"]
+    make = torch.Generator().manual_seed(2)
+    points = torch.tensor([a.is_point for a in system.topology.attached])[None, :, None, None]
+    change = torch.where(points, torch.randn(x.shape, generator=make, dtype=torch.float64), 0.0)
+    dynamics.data["x"] = Pair.of(x, change)
+    found = dynamics.initial.solve(dynamics)
+    h, moved = 1e-6, []
+    for sign in (1, -1):
+        dynamics.data["x"] = x + sign * h * change
+        moved.append(dynamics.initial.solve(dynamics))
+    for k in range(2):
+        slope = (moved[0][k] - moved[1][k]) / (2 * h)
+        assert_close(value(found[k]), (moved[0][k] + moved[1][k]) / 2, rtol=1e-6, atol=1e-6)
+        assert_close(found[k].tangent, slope, rtol=1e-6, atol=1e-6 * float(slope.abs().max()))
+
+
+def test_the_initial_state_is_differentiable_in_reverse_mode():
+    """The same as tensors that require gradients: the last Newton step carries them."""
+    system = crank_slider(tensor(0.0, 0.0, 0.0), turned(0.0, 0.05, -0.1))
+    dynamics = system.dynamics()
+    x = dynamics.data["x"].clone().requires_grad_()
+    dynamics.data["x"] = x
+    make = torch.Generator().manual_seed(6)
+    weights = [
+        torch.randn(n, 1, 1, generator=make, dtype=torch.float64) for n in (system.topology.n_q, system.topology.n_v)
+    ]
+
+    def functional() -> Tensor:
+        return sum(
+            (weight * part).sum() for weight, part in zip(weights, dynamics.initial.solve(dynamics), strict=True)
+        )
+
+    (gradient,) = torch.autograd.grad(functional(), x)
+    points = torch.tensor([a.is_point for a in system.topology.attached])[None, :, None, None]
+    change = torch.where(points, torch.randn(x.shape, generator=make, dtype=torch.float64), 0.0)
+    h, moved = 1e-6, []
+    for sign in (1, -1):
+        dynamics.data["x"] = x.detach() + sign * h * change
+        moved.append(functional())
+    assert float((gradient * change).sum()) == pytest.approx(float(moved[0] - moved[1]) / (2 * h), rel=1e-6)
+
+
+def test_a_flexible_body_with_velocity_moves_as_a_rigid_one():
+    body = plate("free", velocity=(1.0, 2.0, 3.0), angular_velocity=(0.1, -0.2, 0.3))
+    z = mbd.System([body])().initial_state()[0].detach()
+    assert z.tolist()[7:] == pytest.approx([0.0] * 3 + [1.0, 2.0, 3.0, 0.1, -0.2, 0.3] + [0.0] * 3)
