@@ -84,11 +84,31 @@ def test_an_indefinite_stiffness_has_its_negative_modes_first():
     torch.testing.assert_close(basis.stiffness.diagonal(), torch.tensor([-7.0, -2.0, 1.0], dtype=torch.float64))
 
 
+@pytest.mark.parametrize("size", [8, 200])
+def test_no_stiffness_at_all_leaves_rigid_modes_only(size):
+    K, M = torch.zeros(size, size, dtype=torch.float64), torch.full((size,), 2.0, dtype=torch.float64)
+    basis = modal_basis(K, M, size)
+    assert basis.stiffness.abs().max() < 1e-9
+    torch.testing.assert_close(2 * basis.vectors @ basis.vectors.T, torch.eye(size, dtype=torch.float64))
+
+
+def test_all_modes_together_span_everything_and_only_turn():
+    K, M = random_pencil(8)
+    dK, dM = random_pencil(8, seed=3)
+    (psi, Kr), (d_psi, d_Kr) = torch.func.jvp(lambda K, M: tuple(modal_basis(K, M, 8)), (K, M), (dK, dM))
+    S = -psi.T @ dM @ psi / 2
+    torch.testing.assert_close(d_psi, psi @ S, rtol=0, atol=1e-11)
+    torch.testing.assert_close(d_Kr, psi.T @ dK @ psi + Kr @ S + S @ Kr, rtol=0, atol=1e-10)
+
+
 def test_a_cut_cluster_is_refused_with_both_ways_out():
     K = torch.diag(torch.tensor([1.0, 2.0, 2.0, 2.0 + 1e-9, 5.0], dtype=torch.float64))
     M = torch.ones(5, dtype=torch.float64)
-    with pytest.raises(InputError, match=r"n = 3 cuts a cluster: eigenvalues 3 and 4 .* take n = 1 or n > 3"):
+    with pytest.raises(InputError, match=r"n = 3 cuts a cluster: eigenvalues 3 and 4 .* take n = 1 or n = 4"):
         modal_basis(K, M, 3)
+    free = torch.diag(torch.tensor([0.0, 0.0, 0.0, 2.0, 3.0], dtype=torch.float64))
+    with pytest.raises(InputError, match="take n = 3"):
+        modal_basis(free, M, 2)
     with pytest.raises(InputError, match="of lane 1"):
         modal_basis(torch.stack([K + torch.diag(torch.arange(5.0).double()), K]), M, 3)
     assert modal_basis(K, M, 4).vectors.shape == (5, 4)

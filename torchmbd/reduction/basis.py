@@ -33,6 +33,7 @@ from .sparse_modes import SparseModes
 from .transport import Cotangent, Pencil, Tangent
 
 CLUSTER = 1e-6
+ROUNDING = 16 * torch.finfo(torch.float64).eps  # of an eigenvalue, relative to the largest K_ii / M_ii
 SMALL = 150  # freedoms; below, all modes by a dense method cost no more
 
 
@@ -81,13 +82,20 @@ def open_pencil(
     return Pencil(K_form, M_form), flat_K, flat_M, lanes
 
 
-def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Check the numbers and solve: eigenvalues [lane, n], vectors [lane, N, n], the next eigenvalue [lane]."""
+def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
+    """Check the numbers, solve, and refuse to cut a cluster: eigenvalues [lane, n], vectors [lane, N, n]."""
     check("K", pencil.K_form, K)
     check("M", pencil.M_form, M)
     check_positive_diagonal("M", pencil.M_form, M)
     pencil.modes = _modes(pencil, n, K, M)
-    return pencil.modes.lowest()
+    values, vectors = pencil.modes.lowest()
+    _check_gap(values, n, cluster, rounding(pencil, K, M))
+    return values[:, :n], vectors
+
+
+def rounding(pencil: Pencil, K: Tensor, M: Tensor) -> Tensor:
+    """How well an eigenvalue can be known at all [...]."""
+    return ROUNDING * (pencil.K_form.diagonal(K).abs() / pencil.M_form.diagonal(M)).amax(-1)
 
 
 def _modes(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> DenseModes | SparseModes:
@@ -98,21 +106,20 @@ def _modes(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> DenseModes | SparseM
     return DenseModes(pencil.K_form, pencil.M_form, K, M, n)
 
 
-def check_gap(values: Tensor, following: Tensor, cluster: float) -> None:
+def _check_gap(values: Tensor, n: int, cluster: float, rounding: Tensor) -> None:
     """Refuse to cut a cluster between the last retained and the first discarded mode."""
-    n = values.shape[-1]
-    gap = (following - values[:, -1]) / following.abs()
-    cut = gap < cluster
-    if not cut.any():
+    apart = values.diff(dim=1) > torch.maximum(cluster * values[:, 1:].abs(), rounding[:, None])
+    if values.shape[1] == n or apart[:, n - 1].all():
         return
-    lane = int(cut.nonzero()[0])
-    close = values[lane] >= values[lane, -1] - cluster * following[lane].abs()
-    below = n - int(close.sum())
-    fewer = f"n = {below} or " if below else ""
+    lane = int((~apart[:, n - 1]).nonzero()[0])
+    ends = (apart[lane].nonzero().squeeze(-1) + 1).tolist()  # the numbers of modes after which there is a gap
+    allowed = [
+        f"n = {end}" for end in (max((e for e in ends if e < n), default=0), *[e for e in ends if e > n][:1]) if end
+    ]
     raise InputError(
         f"n = {n} cuts a cluster{lane_name(lane, len(values))}: eigenvalues {n} and {n + 1} are "
-        f"{values[lane, -1]:.10g} and {following[lane]:.10g}, closer than cluster = {cluster:g} relative; "
-        f"take {fewer}n > {n}, beyond the cluster"
+        f"{values[lane, n - 1]:.10g} and {values[lane, n]:.10g}, closer than cluster = {cluster:g} relative; "
+        f"take {' or '.join(allowed) or 'more modes'}"
     )
 
 
@@ -121,8 +128,7 @@ class _Basis(torch.autograd.Function):
 
     @staticmethod
     def forward(pencil: Pencil, n: int, cluster: float, K: Tensor, M: Tensor) -> tuple[Tensor, Tensor]:
-        values, vectors, following = solve(pencil, n, K, M)
-        check_gap(values, following, cluster)
+        values, vectors = solve(pencil, n, K, M, cluster)
         return vectors, torch.diag_embed(values)
 
     @staticmethod

@@ -34,7 +34,7 @@ from torch.func import jvp
 
 from ..errors import InputError
 from ..numerics.sparse import SparseMatrix
-from .basis import CLUSTER, check_gap, open_pencil, solve
+from .basis import CLUSTER, open_pencil, solve
 from .forms import Dense, Diagonal
 from .series import retained_series
 from .transport import Pencil
@@ -82,8 +82,7 @@ def eigenpair_branches(
         _, K, M, _ = open_pencil(*matrices(b + t * direction), n)
         return K, M
 
-    values, psi, following = solve(pencil, n, K, M)
-    check_gap(values, following, cluster)
+    values, psi = solve(pencil, n, K, M, cluster)
     series = taylor(along, orders)
     Psi, Kr = retained_series(pencil, values, psi, [K for K, _ in series], [M for _, M in series])
     found = sorted(_split(Kr, cluster, values.abs().max().item(), 0), key=lambda branch: branch.order)
@@ -162,7 +161,7 @@ class _Others:
         gaps = values[:, None] - values[chosen]
         self.weight = torch.where(chosen[:, None], 0.0, 1 / torch.where(chosen[:, None], 1.0, gaps))
 
-    def lowest(self) -> tuple[Tensor, Tensor, Tensor]:
+    def lowest(self) -> tuple[Tensor, Tensor]:
         raise NotImplementedError
 
     def deflated_solve(self, F: Tensor) -> Tensor:

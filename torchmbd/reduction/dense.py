@@ -60,13 +60,11 @@ class DenseModes:
         smallest = torch.where(info == 0, pivots.amin(-1), -1.0)
         return L, smallest
 
-    def lowest(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Eigenvalues [lane, n], vectors [lane, N, n], and the next eigenvalue [lane] (inf when there is none)."""
+    def lowest(self) -> tuple[Tensor, Tensor]:
+        """All eigenvalues [lane, N], and the vectors [lane, N, n] of the lowest."""
         n = self.n
         vectors = torch.linalg.solve_triangular(self.L.mT, self.U[..., :n], upper=True) / self.mu[:, None, :n].sqrt()
-        some_left = n < self.mu.shape[1]
-        following = self.shift + 1 / self.mu[:, n] if some_left else torch.full_like(self.shift, torch.inf)
-        return self._values(n), vectors, following
+        return self._values(self.mu.shape[1]), vectors
 
     def deflated_solve(self, F: Tensor) -> Tensor:
         """Solve (K - lambda_i M) z_i = f_i within the discarded modes; F, Z [lane, N, T, n]."""

@@ -35,11 +35,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from ..numerics.sparse import SparseMatrix
-from .basis import CLUSTER, modal_basis
-from .forms import recognize
+from .basis import CLUSTER, modal_basis, open_pencil, rounding
 from .transport import SECOND
-
-ROUNDING = 60 * torch.finfo(torch.float64).eps  # of an eigenvalue, relative to the largest K_ii / M_ii
 
 
 class Eigenpairs(NamedTuple):
@@ -57,16 +54,10 @@ def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, clust
     Raises InputError as modal_basis does.
     """
     basis = modal_basis(K, M, n, cluster)
-    values, R = _Split.apply(basis.stiffness, _rounding(K, M), cluster)
+    pencil, K_values, M_values, lanes = open_pencil(K, M, n)
+    known_to = rounding(pencil, K_values.detach(), M_values.detach()).reshape(lanes)
+    values, R = _Split.apply(basis.stiffness, known_to, cluster)
     return Eigenpairs(values, basis.vectors @ R)
-
-
-def _rounding(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix) -> Tensor:
-    """How well an eigenvalue can be known [...]."""
-    K_form, K_values = recognize("K", K)
-    M_form, M_values = recognize("M", M, K_form.size)
-    ratio = K_form.diagonal(K_values.detach()).abs() / M_form.diagonal(M_values.detach())
-    return ROUNDING * ratio.amax(-1)
 
 
 def _together(values: Tensor, distance: Tensor) -> Tensor:
@@ -81,7 +72,7 @@ class _Split(torch.autograd.Function):
     generate_vmap_rule = True
 
     @staticmethod
-    def forward(Kr: Tensor, rounding: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
+    def forward(Kr: Tensor, known_to: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
         values = Kr.diagonal(dim1=-2, dim2=-1).clone()
         return values, torch.diag_embed(torch.ones_like(values))
 
@@ -93,28 +84,28 @@ class _Split(torch.autograd.Function):
         ctx.save_for_backward(output[0], inputs[1])
 
     @staticmethod
-    def jvp(ctx: Any, dKr: Tensor, _rounding: Any, _cluster: Any) -> tuple[Tensor, Tensor]:
-        values, rounding = ctx.saved_tensors
-        repeated = _together(values, rounding[..., None])
-        return _Slopes.apply(dKr, repeated), dKr * _inverse_gaps(values, rounding, ctx.cluster)
+    def jvp(ctx: Any, dKr: Tensor, _known_to: Any, _cluster: Any) -> tuple[Tensor, Tensor]:
+        values, known_to = ctx.saved_tensors
+        repeated = _together(values, known_to[..., None])
+        return _Slopes.apply(dKr, repeated), dKr * _inverse_gaps(values, known_to, ctx.cluster)
 
     @staticmethod
     def backward(ctx: Any, g: Tensor | None, G: Tensor | None) -> tuple[Tensor, None, None]:
-        values, rounding = ctx.saved_tensors
+        values, known_to = ctx.saved_tensors
         bar = torch.diag_embed(torch.zeros_like(values))
         if g is not None:
-            repeated = _together(values, rounding[..., None])
+            repeated = _together(values, known_to[..., None])
             share = repeated.to(g.dtype) / repeated.sum(-1, keepdim=True)
             bar = bar + torch.diag_embed((share @ g[..., None]).squeeze(-1))
         if G is not None:
-            turned = G * _inverse_gaps(values, rounding, ctx.cluster)
+            turned = G * _inverse_gaps(values, known_to, ctx.cluster)
             bar = bar + (turned + turned.mT) / 2
         return bar, None, None
 
 
-def _inverse_gaps(values: Tensor, rounding: Tensor, cluster: float) -> Tensor:
+def _inverse_gaps(values: Tensor, known_to: Tensor, cluster: float) -> Tensor:
     """1 / (lambda_i - lambda_j) at [j, i], zero within clusters."""
-    together = _together(values, torch.maximum(cluster * values[..., 1:].abs(), rounding[..., None]))
+    together = _together(values, torch.maximum(cluster * values[..., 1:].abs(), known_to[..., None]))
     gaps = values[..., None, :] - values[..., :, None]
     return torch.where(together, 0.0, 1 / torch.where(together, 1.0, gaps))
 

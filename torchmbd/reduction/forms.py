@@ -116,7 +116,7 @@ class Sparse:
     def diagonal(self, values: Tensor) -> Tensor:
         on = (self.pattern.rows == self.pattern.cols).nonzero().squeeze(-1)
         zeros = values.new_zeros((*values.shape[:-1], self.size))
-        return zeros.index_add(-1, self.pattern.rows[on], values[..., on])
+        return zeros.index_add(-1, self.pattern.rows[on].to(values.device), values[..., on])
 
     def mirrored(self, values: Tensor) -> Tensor:
         return values[..., self.pattern.transposed]

@@ -41,22 +41,29 @@ class Ritz:
         return torch.linalg.vector_norm(self.R @ self.V[:, -self.R.shape[-1] :], dim=1) / self.mu
 
 
-def lanczos(apply: Callable[[Tensor], Tensor], lanes: int, size: int, n: int, tolerance: float) -> Ritz | None:
+def lanczos(
+    apply: Callable[[Tensor], Tensor],
+    lanes: int,
+    size: int,
+    n: int,
+    tolerance: float,
+    device: torch.device | None = None,
+) -> Ritz | None:
     """Iterate until n pairs in every lane have residuals below tolerance, relative to mu.
 
     Returns None when the Krylov space fills half of the whole space before that: then a dense method is the better one.
     """
     block = min(BLOCK, n + 2)
-    ritz = _iterate(apply, _random(lanes, size, block), n, tolerance)
+    ritz = _iterate(apply, _random(lanes, size, block, device), n, tolerance)
     if ritz is not None and block <= n and misses_a_copy(apply, ritz, n):
-        ritz = _iterate(apply, _random(lanes, size, n + 2), n, tolerance)
+        ritz = _iterate(apply, _random(lanes, size, n + 2, device), n, tolerance)
     return ritz
 
 
-def _random(lanes: int, size: int, columns: int) -> Tensor:
+def _random(lanes: int, size: int, columns: int, device: torch.device | None) -> Tensor:
     """The same orthonormal columns in every lane, and in every run."""
     start = torch.randn(size, columns, generator=torch.Generator().manual_seed(columns), dtype=torch.float64)
-    return torch.linalg.qr(start)[0].repeat(lanes, 1, 1)
+    return torch.linalg.qr(start)[0].repeat(lanes, 1, 1).to(device)
 
 
 def _iterate(apply: Callable[[Tensor], Tensor], X: Tensor, n: int, tolerance: float) -> Ritz | None:
@@ -128,8 +135,8 @@ def _repair(X: Tensor, R: Tensor, basis: Tensor) -> Tensor:
 def misses_a_copy(apply: Callable[[Tensor], Tensor], ritz: Ritz, n: int) -> bool:
     """Whether H has an eigenvector orthogonal to Q that belongs to the n wanted ones."""
     lanes, size, _ = ritz.Q.shape
-    X = _random(lanes, size, 2)
-    growth = torch.zeros(())
+    X = _random(lanes, size, 2, ritz.Q.device)
+    growth = torch.zeros_like(ritz.mu[:, 0])
     for _ in range(PROBES):
         _orthogonalize(X, ritz.Q, 1)
         X = torch.linalg.qr(X)[0]

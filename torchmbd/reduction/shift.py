@@ -33,6 +33,7 @@ def choose_shift(
     Raises InputError when no shift helps: then M is not positive definite.
     """
     scale = (K_diagonal.abs() / M_diagonal).amax(-1)
+    scale = torch.where(scale > 0, scale, 1.0)
     shift = torch.zeros_like(scale)
     factor, pivot = factorize(shift)
     size = FIRST_SHIFT
@@ -43,7 +44,7 @@ def choose_shift(
             raise InputError(
                 f"M{where} is not positive definite: K - sigma M stays indefinite down to {shift[lane]:.3g}"
             )
-        shift = torch.where(pivot > SAFE_PIVOT, shift, -size * scale.clamp_min(torch.finfo(scale.dtype).tiny))
+        shift = torch.where(pivot > SAFE_PIVOT, shift, -size * scale)
         size *= 10
         factor, pivot = factorize(shift)
     return shift, factor

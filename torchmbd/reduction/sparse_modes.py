@@ -61,16 +61,15 @@ class SparseModes:
             self.ritz, self.U, self.known = ritz, vectors[..., :n], vectors[..., n:]
 
     def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
-        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance)
+        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance, self.shift.device)
 
     def _apply(self, X: Tensor) -> Tensor:
         return self.root.upper(self.factor.solve(self.root.lower(X)))
 
-    def lowest(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Eigenvalues [lane, n], vectors [lane, N, n], and the next eigenvalue [lane]."""
-        values = self.shift[:, None] + 1 / self.ritz.mu[:, : self.n + 1]
-        vectors = self.root.upper_inverse(self.U)[:, self.layout.inverse]
-        return values[:, : self.n], vectors, values[:, self.n]
+    def lowest(self) -> tuple[Tensor, Tensor]:
+        """Eigenvalues [lane, more than n], those after n + 1 roughly, and the vectors [lane, N, n] of the lowest."""
+        values = self.shift[:, None] + 1 / self.ritz.mu[:, : self.n + self.known.shape[2]]
+        return values, self.root.upper_inverse(self.U)[:, self.layout.inverse]
 
     def deflated_solve(self, F: Tensor) -> Tensor:
         """Solve (K - lambda_i M) z_i = f_i within the discarded modes; F, Z [lane, N, T, n]."""

@@ -58,8 +58,8 @@ from .forms import Form
 class Modes(Protocol):
     """What solves an eigenproblem for a batch of lanes and keeps its factorization for the derivatives."""
 
-    def lowest(self) -> tuple[Tensor, Tensor, Tensor]:
-        """Eigenvalues [lane, n], vectors [lane, N, n], the next eigenvalue [lane]."""
+    def lowest(self) -> tuple[Tensor, Tensor]:
+        """Eigenvalues [lane, n + 1 or more, where there are more], and the vectors [lane, N, n] of the lowest."""
         ...
 
     def deflated_solve(self, F: Tensor) -> Tensor:
