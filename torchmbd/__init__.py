@@ -15,7 +15,7 @@ from torchmbd.joints import Cylindrical, Distance, Drive, Fixed, Prismatic, Revo
 from torchmbd.materials import Laminate, Ply
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
-from torchmbd.optimizers import multistart, optimize, sobol
+from torchmbd.optimizers import OptimizationResult, multistart, optimize, sobol
 from torchmbd.system import Dynamics, System
 
 __version__ = "0.1.0"
@@ -36,6 +36,7 @@ __all__ = [
     "Laminate",
     "Max",
     "MbdError",
+    "OptimizationResult",
     "Mesh",
     "Ply",
     "Prismatic",

@@ -110,11 +110,8 @@ class Step:
         q = equations.advance(self.T, x.q, combine(known.q, self.scale, vd))
         return q, combine(known.v, self.c.gamma * self.h * self.c.share, vd)
 
-    def inverse(self, data: equations.Data, x: State, known: State, z: Tensor, drives: list) -> Tensor:
-        """Inverse of the iteration matrix [lanes, n, n] at the end of the step from x, for unknowns z.
-
-        A lane whose matrix is singular becomes nan, alone.
-        """
+    def matrix(self, data: equations.Data, x: State, known: State, z: Tensor, drives: list) -> Tensor:
+        """Iteration matrix dR/dz [lanes, n, n] at the end of the step from x, for unknowns z; nearly exact."""
         T = self.T
         q, v = self.end(x, known, z[: T.n_v])
         at = equations.placement(T, data, q, drives)
@@ -123,8 +120,7 @@ class Step:
         turns = K[:, T.n_v :, 3 * T.bodies : 6 * T.bodies].unflatten(2, (3, T.bodies))
         spin = equations.split_v(T, v)[1][:, :, 0].permute(2, 0, 1)[:, None].expand_as(turns)
         turns -= (0.5 * self.h) * torch.linalg.cross(turns, spin, dim=2)
-        H, info = torch.linalg.inv_ex(K)
-        return torch.where((info == 0)[:, None, None], H, torch.nan)
+        return K
 
     def residual(self, data: equations.Data, x: State, known: State, z, drives: list):
         """R [n_v + rows, ...] of the unknowns z = (v1', lam) after the state x."""
@@ -146,13 +142,13 @@ class Step:
         known = self.begin(x)
         z = torch.cat([x.vd, x.lam])
         if H is None:
-            H = self.inverse(data, x, known, z, drives)
+            H = inverse(self.matrix(data, x, known, z, drives))
         corrections: list[Tensor] = []
         for k in range(self.iterations[0]):
             corrections.append(apply(H, self.residual(data, x, known, z, drives)))
             z = z - corrections[-1]
             if k == 0 and refresh:
-                H = self.inverse(data, x, known, z, drives)
+                H = inverse(self.matrix(data, x, known, z, drives))
         return z, corrections, H
 
     def tangents(
@@ -177,6 +173,12 @@ class Step:
         known = self.begin(x)
         q, v = self.end(x, known, vd)
         return State(q, v, vd, combine(known.a, self.c.share, vd), lam)
+
+
+def inverse(K: Tensor) -> Tensor:
+    """Inverses of matrices [lanes, n, n]. A lane whose matrix is singular becomes nan, alone."""
+    H, info = torch.linalg.inv_ex(K)
+    return torch.where((info == 0)[:, None, None], H, torch.nan)
 
 
 def apply(H: Tensor, R: Tensor) -> Tensor:
