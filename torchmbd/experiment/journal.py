@@ -30,7 +30,8 @@ class Journal:
     def __init__(self, plan: Plan, tracker: Tracker, folder: Path) -> None:
         self.plan, self.tracker, self.folder = plan, tracker, folder
         self.first: dict[int, float] = {}
-        self.evaluations = self.failures = self.iterates = 0
+        self.evaluations = self.iterates = 0
+        self.failures: list[str] = []  # reason and design
         self._best = math.inf
         self._open: list[str] = []
 
@@ -89,15 +90,17 @@ class Journal:
             self._best = iterate.objective
             self.tracker.metrics(PARENT, {"best_objective": self._best}, self.iterates)
 
-    def evaluated(self, evaluations: Sequence[Evaluation]) -> None:
-        """Count a batch of evaluations; a failed one is a metric and a tag."""
-        failed = [evaluation for evaluation in evaluations if evaluation.status != "ok"]
+    def evaluated(self, X: np.ndarray, evaluations: Sequence[Evaluation]) -> None:
+        """Count a batch of evaluations of designs [lanes, n]; a failed one is a metric, and a tag with its design."""
         self.evaluations += len(evaluations)
-        self.failures += len(failed)
-        counts = {"evaluations": self.evaluations, "failed_evaluations": self.failures}
+        for x, evaluation in zip(X, evaluations, strict=True):
+            if evaluation.status != "ok":
+                where = ", ".join(f"{name} = {value:.4g}" for name, value in self.plan.columns.shown(x).items())
+                self.failures.append(f"{evaluation.status} ({where})")
+        counts = {"evaluations": self.evaluations, "failed_evaluations": len(self.failures)}
         self.tracker.metrics(PARENT, counts, self.evaluations)
-        if failed:
-            self.tracker.tags(PARENT, {"last_failure": failed[-1].status})
+        if self.failures:
+            self.tracker.tags(PARENT, {"last_failure": self.failures[-1]})
 
     def result(self, result: OptimizationResult, best: bool) -> None:
         """Close the child of a start with its final numbers."""

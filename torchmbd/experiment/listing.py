@@ -60,18 +60,19 @@ def print_links(store: str, base: str, console: Console) -> None:
         console.print("  " + experiment_link(base, experiment_id), soft_wrap=True, highlight=False, markup=False)
     for entry in found[:_RECENT]:
         console.print(f"{escape(entry.name)}, {entry.began:%d %b %H:%M}, {entry.status.lower()}", style="bold")
-        links = study_links(base, entry.experiment_id, entry.run_id, entry.kind)
+        links = study_links(base, entry.experiment_id, entry.run_id, entry.kind, entry.status)
         runs = children(store, entry)
         if 1 < len(runs) <= _COMPARED:
             links["compare"] = compare_link(base, entry.experiment_id, runs)
         print_links_of(links, console)
 
 
-def study_links(base: str, experiment_id: str, run_id: str, kind: str) -> dict[str, str]:
-    """Return the links of a "study" or "sweep" by what they show."""
+def study_links(base: str, experiment_id: str, run_id: str, kind: str, status: str) -> dict[str, str]:
+    """Return the links of a "study" or "sweep" by what they show; only a finished study has a motion to show."""
     links = {"table": view_link(base, experiment_id, run_id)}
     if kind == "study":
         links["charts"] = view_link(base, experiment_id, run_id, charts=True)
+    if kind == "study" and status == "FINISHED":
         links["motion"] = run_link(base, experiment_id, run_id, "artifacts/motion_optimum.html")
     return links | {"files": run_link(base, experiment_id, run_id, "artifacts")}
 

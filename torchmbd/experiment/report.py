@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
@@ -15,8 +17,8 @@ from torchmbd.optimizers import Study
 from torchmbd.viz import animate, convergence, energy_over_time, save
 
 
-def print_results(plan: Plan, study: Study, console: Console) -> None:
-    """Print the starts, the best first."""
+def print_results(plan: Plan, study: Study, failures: Sequence[str], console: Console) -> None:
+    """Print the starts, the best first, and what failed on the way."""
     if not study.results:
         console.print("No start came to a result.")
         return
@@ -30,10 +32,11 @@ def print_results(plan: Plan, study: Study, console: Console) -> None:
         cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
         table.add_row(*cells, style="bold" if best is not None and result.start == best.start else None)
     print_table(table, console)
-    for result in study.results:
-        if result.failures:
-            reason = next((i.status for i in result.history if i.status != "ok"), result.message)
-            console.print(f"start {result.start}: {result.failures} failed evaluations; {escape(reason)}")
+    if failures:
+        last = f"the last: {escape(failures[-1])}"
+        console.print(
+            f"{len(failures)} failed evaluations, which the optimizers stepped back from; {last}", soft_wrap=True
+        )
 
 
 def study_pictures(plan: Plan, study: Study, problem: Problem, journal: Journal, console: Console) -> None:

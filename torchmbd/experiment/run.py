@@ -35,13 +35,13 @@ EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
 class Observed:
     """A problem as optimizers see it, whose evaluations a listener sees as well."""
 
-    def __init__(self, problem: Problem, listener: Callable[[list[Evaluation]], None]) -> None:
+    def __init__(self, problem: Problem, listener: Callable[[np.ndarray, list[Evaluation]], None]) -> None:
         self._problem, self._listener = problem, listener
         self.names, self.start, self.lower, self.upper = problem.names, problem.start, problem.lower, problem.upper
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         evaluations = self._problem.evaluate(X, gradients)
-        self._listener(evaluations)
+        self._listener(X, evaluations)
         return evaluations
 
 
@@ -65,7 +65,7 @@ def run_plan(plan: Plan, console: Console, tracker: Tracker | None = None) -> in
     console.print(f"{plan.name}: {status.lower()} after {time.monotonic() - began:.1f} s")
     if record is None:
         return 1
-    _print_links(record, "sweep" if plan.study.sweep else "study", console)
+    _print_links(record, "sweep" if plan.study.sweep else "study", status, console)
     return EXIT[status]
 
 
@@ -98,7 +98,7 @@ def run_study(plan: Plan, problem: Problem, journal: Journal, console: Console) 
     best = study.best
     for result in study.results:
         journal.result(result, best is not None and result.start == best.start)
-    print_results(plan, study, console)
+    print_results(plan, study, journal.failures, console)
     _summarize(study, journal)
     study_pictures(plan, study, problem, journal, console)
     if study.interrupted:
@@ -128,13 +128,13 @@ def _close(tracker: Tracker, console: Console) -> Record | None:
         return None
 
 
-def _print_links(record: Record, kind: str, console: Console) -> None:
+def _print_links(record: Record, kind: str, status: Status, console: Console) -> None:
     run = record.runs.get(PARENT)
     if run is None:
         return
     served = record.uri.startswith(("http:", "https:"))
     base = record.uri.rstrip("/") if served else DEFAULT_BASE
-    links = study_links(base, record.experiment_id, run, kind)
+    links = study_links(base, record.experiment_id, run, kind, status)
     if file := sqlite_file(record.uri):
         console.print("To look at it: torchmbd ui, then", highlight=False)
         links["on disk"] = str(file.parent / "mlartifacts" / run / "artifacts")

@@ -33,11 +33,12 @@ def run_sweep(plan: Plan, problem: Problem, journal: Journal, console: Console) 
     X[:, index] = values * plan.columns.factors[index]
     journal.begin("sweep")
     with console.status(f"{plan.name}: {span.count} designs in one batch"):
-        first, *evaluations = problem.evaluate(np.vstack([problem.start, X]), False)
+        designs = np.vstack([problem.start, X])
+        first, *evaluations = problem.evaluate(designs, False)
     if first.status != "ok":
         console.print(f"The start design cannot be evaluated: {first.status}", style="red")
         return "FAILED"
-    journal.evaluated([first, *evaluations])
+    journal.evaluated(designs, [first, *evaluations])
     for k, (x, evaluation) in enumerate(zip(X, evaluations, strict=True)):
         _file_point(journal, k, x, evaluation, first)
     criteria = _criteria(plan, problem.limits, first, evaluations)

@@ -170,7 +170,9 @@ def cat(parts: Sequence[Any], dim: int = 0) -> Any:
     if not pairs:
         return torch.cat(_same_lanes(list(parts)), dim)
     like = pairs[0].full
-    return Pair(torch.cat(_same_lanes([x.full if isinstance(x, Pair) else _zero_tangents(x, like) for x in parts]), dim))
+    return Pair(
+        torch.cat(_same_lanes([x.full if isinstance(x, Pair) else _zero_tangents(x, like) for x in parts]), dim)
+    )
 
 
 def _same_lanes(parts: list[Tensor]) -> list[Tensor]:

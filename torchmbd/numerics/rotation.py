@@ -104,5 +104,5 @@ def euler_parameters(A: Tensor) -> Tensor:
         i = k - 1
         e = (A[i] + A[:, i]) / (4 * root)
         e[i] = root
-        p = torch.cat([spin[i : k] / (4 * root), e])
+        p = torch.cat([spin[i:k] / (4 * root), e])
     return p if p[0] >= 0 else -p

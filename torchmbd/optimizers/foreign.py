@@ -24,6 +24,7 @@ RUNS = 4
 SMALLEST_UNIT = 1e-9  # of the start's objective
 FAR_BELOW = 0.05  # of the objective at the start of a run
 WALL = 1e3  # times the last objective
+LITTLE = 0.5  # a run that leaves more than this share of the violation is not repeated
 LOOSE = 2e-2  # no claim of success is believed beyond this Kuhn-Tucker residual
 
 
@@ -111,7 +112,7 @@ def run_foreign(search: Search, run: Callable[[Guard], Stop], max_iterations: in
     walls: list[np.ndarray] = []
     unit, message = 1.0, ""
     for number in range(RUNS):
-        before, failures = y, search.failures
+        before, failures, violated = y, search.failures, search.violation(search.evaluate(y))
         remaining = max_iterations - (len(search.history) - 1)
         stop = _guarded(Guard(search, y, unit, walls, remaining, number), run) if remaining > 0 else None
         if stop is None:
@@ -129,7 +130,8 @@ def run_foreign(search: Search, run: Callable[[Guard], Stop], max_iterations: in
         success = stop.success and not walls and search.failures == failures and quality.residual <= LOOSE
         if feasible and (success or quality.residual <= kkt):
             return Ending(y, "converged", message if success else f"{message}: a Kuhn-Tucker point")
-        if np.array_equal(before, y) and not walls:
+        hopeless = not feasible and search.violation(evaluation) > LITTLE * violated
+        if (np.array_equal(before, y) or hopeless) and not walls:
             break
     return _ending(search, y if search.best is None else search.best, message, max_iterations)
 

@@ -37,6 +37,7 @@ from torchmbd.optimizers.search import Search
 from torchmbd.optimizers.stationary import departure
 
 RESETS = 2  # fresh starts of the metric before the search gives up
+REACH_AFTER, REACH_GROWS = 3.0, 10.0  # times the step just made: after a shortened one, after a full one
 SMALLEST_OBJECTIVE = 1e-3  # of the start's: below this, relative criteria become absolute
 
 
@@ -91,6 +92,7 @@ class FeasibleDirections:
         self.y, self.here = departure(search, first)
         self.weights = np.zeros(self.here.constraints.size)
         self.resets = self.quiet = 0
+        self.reach = np.inf  # longest step of a variable, once a step proved too long
         self.metric.reset(self.first_curvature(self.weights))
 
     def run(self, max_iterations: int) -> Ending:
@@ -114,7 +116,8 @@ class FeasibleDirections:
     def direction(self) -> Direction:
         search, c = self.search, self.here.constraints
         active = c >= self.settings.ct * self.unit()
-        direction = find_direction(self.here, self.y, search.lower, search.upper, self.metric.B, active)
+        lower, upper = np.maximum(search.lower, self.y - self.reach), np.minimum(search.upper, self.y + self.reach)
+        direction = find_direction(self.here, self.y, lower, upper, self.metric.B, active)
         df = self.here.objective_gradient
         assert df is not None
         bounded = np.abs(self.metric.B @ direction.s + df).max(initial=0.0) > 1e-6 * np.abs(df).max(initial=0.0)
@@ -145,6 +148,8 @@ class FeasibleDirections:
     def kuhn_tucker(self, direction: Direction) -> Ending | None:
         if self.search.violation(self.here) > self.search.feasibility:
             return None
+        if np.abs(direction.s).max(initial=0.0) >= 0.999 * self.reach:
+            return None
         if self.promise(direction) > 0.3 * self.negligible or self.remainder(direction) > self.settings.kkt:
             return None
         return Ending(self.y, "converged", "the Kuhn-Tucker conditions hold")
@@ -170,7 +175,12 @@ class FeasibleDirections:
         assert after.objective_gradient is not None
         assert after.constraint_gradients is not None
         q = after.objective_gradient - df + (after.constraint_gradients - dc).T @ direction.multipliers
-        self.metric.learn(trial.y - self.y, q)
+        step = trial.y - self.y
+        self.metric.learn(step, q)
+        if trial.alpha < 1.0:
+            self.reach = REACH_AFTER * float(np.abs(step).max())
+        else:
+            self.reach *= REACH_GROWS
         self.y, self.here = trial.y, after
         search.record(self.y)
         self.quiet = self.quiet + 1 if abs(after.objective - before.objective) <= self.negligible else 0
@@ -189,6 +199,7 @@ class FeasibleDirections:
             return Ending(self.y, "converged", "the Kuhn-Tucker conditions hold to the precision of the evaluations")
         if self.resets < RESETS:
             self.resets += 1
+            self.reach = np.inf
             self.metric.reset(self.first_curvature(direction.multipliers))
             return None
         if line.failures and line.failures == line.used:

@@ -37,6 +37,10 @@ def variable_scale(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> n
     return np.where(scale > 0.0, scale, 1.0)
 
 
+class OutOfAnalyses(BaseException):
+    """Raised inside a method to end it when its start has used up the analyses that it may. Not an Exception, as above."""
+
+
 class Search:
     """The problem of one start in scaled variables `y`; `evaluate` never repeats a simulation."""
 
@@ -51,6 +55,7 @@ class Search:
         equalities: np.ndarray | None = None,
         feasibility: float = 1e-6,
         eager_gradients: bool = True,
+        max_analyses: int | None = None,
         index: int = 0,
         report: Report | None = None,
     ) -> None:
@@ -62,6 +67,7 @@ class Search:
         self.start = start / self.scale
         self.feasibility = feasibility
         self.eager_gradients = eager_gradients
+        self.max_analyses = max_analyses
         self.index = index
         self.equality = np.zeros(0, dtype=bool)
         self.history: list[Iterate] = []
@@ -147,6 +153,8 @@ class Search:
         seen = self._cache.get(key)
         if seen is not None and (not seen.ok or not gradients or seen.objective_gradient is not None):
             return seen
+        if self.max_analyses is not None and self.analyses >= self.max_analyses:
+            raise OutOfAnalyses
         answer = self._ask(x, gradients)
         gradients = gradients or answer.objective_gradient is not None
         evaluation = checked(answer, self.size, gradients)

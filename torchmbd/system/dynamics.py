@@ -100,7 +100,8 @@ class Dynamics:
         K = self.saddle.matrix(data, at)
         zero = torch.zeros_like(vv)
         still = vv.new_zeros(T.rows, *vv.shape[1:])
-        factor = torch.linalg.lu_factor(K)
+        LU, pivots, _ = torch.linalg.lu_factor_ex(K)  # a singular lane becomes inf or nan, alone
+        factor = LU, pivots
         x = -solve(factor, self._residual(t, data, at, vv, zero, still))
         a, lam = x[: T.n_v], x[T.n_v :]
         if not isinstance(q, Pair):

@@ -109,6 +109,7 @@ def write(experiment: str, uri: str | None) -> Record:
     """Carry out what comes on standard input until it ends."""
     lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
     threading.Thread(target=_read_ahead, args=(lines,), daemon=True).start()
+    importlib.import_module("mlflow")  # 3 seconds, while the study begins
     first = lines.get()  # a study that is refused at the door ends here and creates no store
     if first is None:
         return Record(uri or "", "")
@@ -138,7 +139,6 @@ def _read_ahead(lines: queue.SimpleQueue[str | None]) -> None:
 def main() -> int:
     """Run the writer; its last line of output is the record or the failure."""
     experiment, uri = json.loads(sys.argv[1])
-    importlib.import_module("mlflow")  # 3 seconds, while the study builds its model
     try:
         record = write(experiment, uri)
     except MbdError as error:
