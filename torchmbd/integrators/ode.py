@@ -56,7 +56,9 @@ def integrate(
     before = dynamics.statistics["evaluations"]
     tolerances = {} if method in FIXED else {"rtol": rtol, "atol": atol}
     try:
-        y = torchdiffeq.odeint(rates, y0, times, method=method, options=DEFAULTS.get(method, {}) | (options or {}), **tolerances)
+        y = torchdiffeq.odeint(
+            rates, y0, times, method=method, options=DEFAULTS.get(method, {}) | (options or {}), **tolerances
+        )
     except AssertionError as error:  # torchdiffeq's way to say that dt underflows or that the state is not finite
         raise FloatingPointError(f"{method}: {error}") from error
     counts = {"evaluations": dynamics.statistics["evaluations"] - before}
