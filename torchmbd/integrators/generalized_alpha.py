@@ -259,7 +259,8 @@ def integrate(
 
 def checked(iterations: tuple[int, int], refresh: int) -> tuple[int, int]:
     """Check the options of the iteration; InputError names what is wrong."""
-    if len(iterations) != 2 or any(not isinstance(k, int) or k < 1 for k in iterations):
+    counts = iterations if isinstance(iterations, (tuple, list)) else ()
+    if len(counts) != 2 or any(not isinstance(k, int) or k < 1 for k in counts):
         raise InputError(f"iterations is {iterations!r}; allowed: two positive integers, for values and for tangents")
     if not isinstance(refresh, int) or refresh < 1:
         raise InputError(f"refresh is {refresh!r}; allowed: a positive number of steps")

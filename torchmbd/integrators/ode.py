@@ -17,6 +17,7 @@ import torchdiffeq
 from torch import Tensor
 from torchdiffeq._impl.odeint import SOLVERS
 
+from torchmbd.errors import InputError
 from torchmbd.integrators.generalized_alpha import History, initial
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
@@ -44,6 +45,9 @@ def integrate(
 
     Raises FloatingPointError when the step size underflows: the caller makes a status of it.
     """
+    for name, tolerance in (("rtol", rtol), ("atol", atol)):
+        if not 0.0 < tolerance < 1.0:
+            raise InputError(f"{name} is {tolerance!r}; allowed: positive, below 1")
     T = dynamics.topology
     start = initial(dynamics)
     times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)

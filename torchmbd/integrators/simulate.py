@@ -57,6 +57,9 @@ def simulate(
         )
     if method not in METHODS:
         raise unknown("method", method, METHODS)
+    for name in options:
+        if name not in _options(method):
+            raise unknown(f"for method {method!r} the option", name, _options(method))
     names = design_names(system, sensitivities, designs)
     batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
     dynamics = system.dynamics(batch, tangents=names)
@@ -64,6 +67,12 @@ def simulate(
     with torch.no_grad():
         history, stats, status = run(dynamics, float(duration), steps, method, options)
     return _present(system, dynamics, history, stats, status, float(duration), batch, labels(system, names))
+
+
+def _options(method: str) -> tuple[str, ...]:
+    return (
+        ("spectral_radius", "iterations", "refresh") if method == "generalized_alpha" else ("rtol", "atol", "options")
+    )
 
 
 def design_names(
@@ -94,7 +103,10 @@ def _own(system: System, name: str) -> Tensor:
 
 
 def _same_lanes(batch: dict[str, Tensor]) -> dict[str, Tensor]:
-    lanes = max((x.shape[0] for x in batch.values()), default=1)
+    counts = {name: x.shape[0] for name, x in batch.items()}
+    lanes = max(counts.values(), default=1)
+    if not {1, lanes}.issuperset(counts.values()):
+        raise InputError(f"designs have lanes {counts}; allowed: the same number for all, or one")
     return {name: x.detach().expand(lanes, *x.shape[1:]) for name, x in batch.items()}
 
 
@@ -102,7 +114,7 @@ def default_steps(dynamics: Dynamics, duration: float) -> int:
     """Twenty steps per period of the fastest retained mode, at least 200 in all."""
     if "Kr" not in dynamics.data:
         return 1000
-    Kr = value(dynamics.data["Kr"])[:, :, :, 0].permute(2, 3, 0, 1)
+    Kr = value(dynamics.data["Kr"])[:, :, :, 0].permute(2, 3, 0, 1)  # bodies, lanes
     fastest = float(torch.linalg.eigvalsh(Kr).max()) ** 0.5 / (2.0 * math.pi)
     return max(200, math.ceil(20.0 * duration * fastest))
 

@@ -154,6 +154,7 @@ class BodyMotion:
     @property
     def nodes(self) -> Tensor:
         """Positions of the deformed mesh in ground axes [lanes, times, nodes, 3] [m]."""
+        self._flexible()
         body = self.motion.system.body(self.name)
         local = body.mesh.nodes - body.origin + self.displacements
         return self.r[:, :, None] + torch.einsum("ltij,ltnj->ltni", self.A, local)
