@@ -1,0 +1,158 @@
+"""The door of simulate: what it refuses, its defaults, lanes, and the trajectory that it returns."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import SOFT, box, laminate, pendulum, plate, rigid_pendulum, tensor
+from torchmbd.errors import InputError
+from torchmbd.integrators.simulate import default_steps
+
+
+@pytest.fixture(scope="module")
+def system() -> mbd.System:
+    return pendulum()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"duration": 0.0}, ["duration", "0.0 s", "positive"]),
+        ({"duration": -1.0}, ["duration", "-1.0 s", "positive"]),
+        ({"duration": math.inf}, ["duration", "inf", "positive"]),
+        ({"duration": math.nan}, ["duration", "nan", "positive"]),
+        ({"duration": "1"}, ["duration", "'1'", "positive"]),
+        ({"steps": 0}, ["steps", "0", "positive integer"]),
+        ({"steps": 10.0}, ["steps", "10.0", "positive integer"]),
+        ({"steps": True}, ["steps", "True", "positive integer"]),
+        ({"method": "dopri6"}, ["method 'dopri6'", "did you mean 'dopri"]),
+        ({"method": "scipy_solver"}, ["method 'scipy_solver'", "reverse mode"]),
+        ({"sensitivities": ["rod.laminate.angle"]}, ["'rod.laminate.angle'", "did you mean 'rod.laminate.angles'"]),
+        ({"designs": {"rod.angles": torch.zeros(1, 2)}}, ["'rod.angles'", "allowed"]),
+        ({"designs": {"rod.laminate.angles": torch.zeros(1, 3)}}, ["'rod.laminate.angles'", "(1, 3)", "[lanes, 2]"]),
+        ({"spectral_radius": 1.1}, ["spectral_radius", "1.1", "0 (strong damping) to 1 (none)"]),
+        ({"spectral_radius": math.nan}, ["spectral_radius", "nan", "0 (strong damping) to 1 (none)"]),
+        ({"iterations": (3, 0)}, ["iterations", "(3, 0)", "two positive integers"]),
+        ({"iterations": 3}, ["iterations", "3", "two positive integers"]),
+        ({"refresh": 0}, ["refresh", "0", "positive"]),
+        ({"refresh": 1.5}, ["refresh", "1.5", "positive"]),
+        ({"rtol": 1e-6}, ["option 'rtol'", "spectral_radius", "iterations", "refresh"]),
+        ({"method": "rk4", "refresh": 2}, ["option 'refresh'", "rtol", "atol", "options"]),
+        ({"method": "dopri5", "rtol": -1e-6}, ["rtol", "-1e-06", "positive"]),
+        ({"method": "dopri5", "atol": math.nan}, ["atol", "nan", "positive"]),
+    ],
+    ids=lambda x: "-".join(f"{k}={v}" for k, v in x.items()) if isinstance(x, dict) else "",
+)
+def test_bad_input_is_named_with_its_value_and_what_is_allowed(system, given, words):
+    with pytest.raises(InputError) as error:
+        mbd.simulate(system, **({"duration": 0.01, "steps": 2} | given))
+    for word in [*words, "allowed"]:
+        assert word in str(error.value)
+
+
+def test_designs_of_different_numbers_of_lanes_are_refused():
+    system = mbd.System([plate("one"), plate("two", made_of=laminate((10.0, 80.0)))])
+    designs = {"one.laminate.angles": mbd.deg(torch.ones(2, 3)), "two.laminate.angles": mbd.deg(torch.ones(3, 2))}
+    with pytest.raises(InputError, match="lanes"):
+        mbd.simulate(system, 0.01, steps=1, designs=designs)
+
+
+def test_sensitivities_of_a_system_without_parameters_are_refused():
+    with pytest.raises(InputError, match="sensitivities=True, but no parameter"):
+        mbd.simulate(rigid_pendulum(), 0.01, steps=1, sensitivities=True)
+
+
+def test_steps_default_to_twenty_in_a_period_of_the_fastest_mode():
+    """Of the stiffest design, at least 200; a rigid mechanism has no such measure and takes 1000."""
+    system = mbd.System([plate("rod", modes=2), plate("soft", modes=3, made_of=laminate(ply=SOFT))])
+    fastest = float(torch.linalg.eigvalsh(system.body("rod").structure()["Kr"].detach()).max()) ** 0.5
+    assert default_steps(system.dynamics(), 30 * 2 * math.pi / fastest) == pytest.approx(600, abs=1)
+    assert default_steps(system.dynamics(), 2 * 2 * math.pi / fastest) == 200
+    assert mbd.simulate(mbd.System([box("free")]), 0.1, iterations=(1, 1)).stats["steps"] == 1000
+
+
+def test_default_steps_see_every_lane():
+    """The first lane is soft, the second stiff: steps chosen by the first would be too long for the second."""
+    system = mbd.System([plate("rod", modes=2)])
+    thickness = torch.tensor([[1e-3] * 3, [8e-3] * 3], dtype=torch.float64)
+    steps = [default_steps(system.dynamics({"rod.laminate.thickness": x}), 0.1) for x in (thickness, thickness.flip(0))]
+    assert steps[0] == steps[1] > 2 * default_steps(system.dynamics({"rod.laminate.thickness": thickness[:1]}), 0.1)
+
+
+def test_lanes_come_first_and_are_the_designs(system):
+    angles = mbd.deg([[20.0, -50.0], [10.0, 70.0]])
+    motion = mbd.simulate(system, 0.01, steps=5, designs={"rod.laminate.angles": angles}, sensitivities=True)
+    T = system.topology
+    assert motion.q.shape == (2, 6, T.n_q)
+    assert motion.v.shape == motion.a.shape == (2, 6, T.n_v)
+    assert motion.lam.shape == (2, 6, T.rows)
+    assert motion.dq_db.shape == (2, 6, T.n_q, 2)
+    assert motion.dv_db.shape == (2, 6, T.n_v, 2)
+    assert motion.parameters == ("rod.laminate.angles[0]", "rod.laminate.angles[1]")
+    assert_close(motion.designs["rod.laminate.angles"], angles)
+    for lane in range(2):
+        alone = mbd.simulate(system, 0.01, steps=5, designs={"rod.laminate.angles": angles[lane : lane + 1]})
+        arm = [
+            (m.body("arm").r, m.body("arm").A, m.body("rod").nodes, m.body("rod").strain_energy)
+            for m in (motion, alone)
+        ]
+        for both, one in zip(*arm, strict=True):
+            assert_close(both[lane], one[0], rtol=1e-7, atol=1e-10)
+
+
+def test_a_motion_without_sensitivities_says_so(system):
+    motion = mbd.simulate(system, 0.01, steps=2)
+    assert motion.dq_db is None
+    assert motion.dv_db is None
+    assert motion.body("rod").dw_db is None
+    with pytest.raises(InputError, match="motion has no sensitivities; allowed: simulate"):
+        mbd.Integral(mbd.StrainEnergy("rod")).value_and_gradient(motion)
+
+
+@pytest.fixture(scope="module")
+def motion(system) -> mbd.Trajectory:
+    return mbd.simulate(system, 0.02, steps=20)
+
+
+def test_views_of_a_rigid_body(motion):
+    arm = motion.body("arm")
+    hinge = tensor(0.1, 0.05, -0.02)
+    assert_close(arm.r, hinge.expand(1, 21, 3), rtol=0, atol=1e-12)
+    assert_close(arm.A.mT @ arm.A, torch.eye(3, dtype=torch.float64).expand(1, 21, 3, 3), rtol=0, atol=1e-12)
+    assert arm.mesh is None
+    for name in ("w", "wd", "strain_energy", "displacements", "nodes", "psi", "stiffness", "dw_db"):
+        with pytest.raises(InputError, match="body 'arm' is rigid; allowed here: a flexible body"):
+            getattr(arm, name)
+    with pytest.raises(InputError, match="body 'am' does not exist; allowed: .*did you mean 'arm'"):
+        motion.body("am")
+
+
+def test_nodes_of_the_deformed_mesh_hang_together_with_the_joints(motion, system):
+    """The node that carries the joint moves with the point of the other body."""
+    rod, arm, body = motion.body("rod"), motion.body("arm"), system.body("rod")
+    tip = arm.r + torch.einsum("ltij,j->lti", arm.A, tensor(0.2, 0.1, -0.05))
+    assert_close(rod.nodes[:, :, body.mesh.node("left")], tip, rtol=0, atol=1e-9)
+    assert rod.displacements[:, :, body.reference].abs().max() == 0
+    assert rod.displacements[:, -1].abs().max() > 1e-5
+    local = torch.einsum("ltji,ltnj->ltni", rod.A, rod.nodes - rod.r[:, :, None]) - rod.displacements
+    assert_close(local, (body.mesh.nodes - body.origin).expand_as(local), rtol=0, atol=1e-12)
+
+
+def test_rates_are_derivatives_of_the_coordinates(motion):
+    """w' by central differences of w; a rate of another body or mode would not fit."""
+    rod, h = motion.body("rod"), motion.t[1]
+    slope = (rod.w[:, 2:] - rod.w[:, :-2]) / (2 * h)
+    assert_close(rod.wd[:, 1:-1], slope, rtol=0, atol=2e-2 * float(rod.wd.abs().max()))
+
+
+def test_strain_energy_is_that_of_the_finite_elements(motion, system):
+    """1/2 u' K u of the whole mesh, without modes."""
+    body = system.body("rod")
+    K = body.matrices.stiffness(body.laminate.entries().detach()).dense()
+    u = torch.einsum("lnim,ltm->ltni", motion.body("rod").psi, motion.body("rod").w).flatten(2)
+    assert_close(motion.body("rod").strain_energy, 0.5 * torch.einsum("lti,ij,ltj->lt", u, K, u), rtol=1e-9, atol=1e-15)
