@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from torchmbd.errors import InputError
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
@@ -88,6 +89,34 @@ def test_the_deflated_solve_satisfies_its_equation():
     left = K_form.multiply(K, Z) - M_form.multiply(M, Z) * values[:, None, :4]
     torch.testing.assert_close(left, F - M_psi @ (psi.mT @ F), rtol=0, atol=1e-10)
     assert (M_psi.mT @ Z).abs().max() < 1e-12
+
+
+class _LargestTensor(TorchDispatchMode):
+    """Record how many numbers the largest tensor holds that any operation makes."""
+
+    numbers = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        result = func(*args, **(kwargs or {}))
+        if isinstance(result, torch.Tensor) and result.untyped_storage().data_ptr():
+            self.numbers = max(self.numbers, result.untyped_storage().nbytes() // 8)
+        return result
+
+
+def test_nothing_of_the_size_of_a_dense_matrix_is_ever_made():
+    size, n = 3000, 5
+    rows = torch.cat([torch.arange(size), torch.arange(size - 1), torch.arange(1, size)])
+    cols = torch.cat([torch.arange(size), torch.arange(1, size), torch.arange(size - 1)])
+    pattern, slot = Pattern.gather(rows, cols, size)
+    entries = torch.cat([torch.full((size,), 2.0), torch.full((2 * size - 2,), -1.0)]).double()
+    K = torch.zeros(1, pattern.nnz, dtype=torch.float64).index_add(1, slot, entries[None])
+    with _LargestTensor() as largest:
+        modes = SparseModes(Sparse(pattern), Diagonal(size), K, torch.ones(1, size, dtype=torch.float64), n)
+        values, _ = modes.lowest()
+        modes.deflated_solve(torch.ones(1, size, 4, n, dtype=torch.float64))
+    exact = 4 * torch.sin(torch.pi * torch.arange(1, n + 1).double() / (2 * (size + 1))) ** 2
+    torch.testing.assert_close(values[0, :n], exact, rtol=1e-9, atol=0)
+    assert size * n < largest.numbers < 0.05 * size**2
 
 
 def test_columns_that_are_zero_or_inside_the_retained_span_give_zero():

@@ -5,7 +5,7 @@ import math
 
 import pytest
 import torch
-from torch.func import functional_call, jvp
+from torch.func import functional_call, jacfwd, jacrev, jvp, vmap
 
 from torchmbd.elements import PlateMatrices
 from torchmbd.materials import Laminate, Ply
@@ -82,6 +82,25 @@ def test_branches_continue_the_modes_across_the_crossing(plate):
         difference = central(lambda theta, i=i: shape(theta, i), 2e-2)
         error = (found.vector_slopes[:, i] - difference) * M.sqrt()
         assert error.norm() < 1e-4 * (difference * M.sqrt()).norm()
+
+
+def test_forward_and_reverse_agree_on_sparse_values_in_lanes(plate):
+    load = torch.cos(torch.arange(len(plate(AT)[1]), dtype=torch.float64))
+
+    def responses(theta):
+        basis = modal_basis(*plate(theta), N_MODES)
+        values = eigenpairs(*plate(theta), N_MODES).values
+        amplitudes = basis.vectors.T @ load
+        force = basis.vectors @ (basis.stiffness @ amplitudes)
+        return torch.cat([(basis.vectors @ amplitudes)[::40], 1e-6 * force[::40], 1e-6 * values])
+
+    forward, reverse = jacfwd(responses)(AT + 0.1), jacrev(responses)(AT + 0.1)
+    torch.testing.assert_close(reverse, forward, rtol=1e-8, atol=1e-8 * forward.abs().max().item())
+    lanes = torch.stack([AT + 0.1, AT - 0.2])
+    together = vmap(jacfwd(responses))(lanes)
+    for lane, theta in enumerate(lanes):
+        alone = jacfwd(responses)(theta)
+        torch.testing.assert_close(together[lane], alone, rtol=1e-8, atol=1e-8 * alone.abs().max().item())
 
 
 def test_responses_of_the_reduced_plate_do_not_notice_the_crossing(plate):
