@@ -23,7 +23,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 from torch import Tensor
 
-from ..errors import InputError
+from torchmbd.errors import InputError
 
 
 def _indices(name: str, indices: ArrayLike | Tensor, size: int) -> Tensor:

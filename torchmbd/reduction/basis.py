@@ -25,12 +25,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..errors import InputError
-from ..numerics.sparse import SparseMatrix
-from .dense import DenseModes
-from .forms import check, check_positive_diagonal, lane_name, recognize
-from .sparse_modes import SparseModes
-from .transport import Cotangent, Pencil, Tangent
+from torchmbd.errors import InputError
+from torchmbd.numerics.sparse import SparseMatrix
+from torchmbd.reduction.dense import DenseModes
+from torchmbd.reduction.forms import check, check_positive_diagonal, lane_name, recognize
+from torchmbd.reduction.sparse_modes import SparseModes
+from torchmbd.reduction.transport import Cotangent, Pencil, Tangent
 
 CLUSTER = 1e-6
 ROUNDING = 16 * torch.finfo(torch.float64).eps  # of an eigenvalue, relative to the largest K_ii / M_ii

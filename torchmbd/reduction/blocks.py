@@ -16,8 +16,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .forms import Form
-from .partition import Partition, form_slots
+from torchmbd.reduction.forms import Form
+from torchmbd.reduction.partition import Partition, form_slots
 
 
 def storage(layout: Partition, form: Form, values: Tensor) -> Tensor:

@@ -32,12 +32,12 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.func import jvp
 
-from ..errors import InputError
-from ..numerics.sparse import SparseMatrix
-from .basis import CLUSTER, open_pencil, solve
-from .forms import Dense, Diagonal
-from .series import retained_series
-from .transport import Pencil
+from torchmbd.errors import InputError
+from torchmbd.numerics.sparse import SparseMatrix
+from torchmbd.reduction.basis import CLUSTER, open_pencil, solve
+from torchmbd.reduction.forms import Dense, Diagonal
+from torchmbd.reduction.series import retained_series
+from torchmbd.reduction.transport import Pencil
 
 Matrix = Tensor | SparseMatrix
 UNSPLIT = -1

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 
-from ..errors import InputError
+from torchmbd.errors import InputError
 
 
 class Alignment(NamedTuple):

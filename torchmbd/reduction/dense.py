@@ -19,9 +19,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..errors import InputError
-from .forms import Form, lane_name
-from .shift import choose_shift, comparable_shift
+from torchmbd.errors import InputError
+from torchmbd.reduction.forms import Form, lane_name
+from torchmbd.reduction.shift import choose_shift, comparable_shift
 
 
 class DenseModes:

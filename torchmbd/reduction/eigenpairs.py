@@ -34,9 +34,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..numerics.sparse import SparseMatrix
-from .basis import CLUSTER, modal_basis, open_pencil, rounding
-from .transport import SECOND
+from torchmbd.numerics.sparse import SparseMatrix
+from torchmbd.reduction.basis import CLUSTER, modal_basis, open_pencil, rounding
+from torchmbd.reduction.transport import SECOND
 
 
 class Eigenpairs(NamedTuple):

@@ -19,8 +19,8 @@ import torch
 from scipy.sparse import csr_array
 from torch import Tensor
 
-from ..errors import InputError
-from ..numerics.sparse import Pattern, SparseMatrix
+from torchmbd.errors import InputError
+from torchmbd.numerics.sparse import Pattern, SparseMatrix
 
 SYMMETRY_TOLERANCE = 1e-9
 

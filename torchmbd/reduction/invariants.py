@@ -26,7 +26,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from ..errors import InputError
+from torchmbd.errors import InputError
 
 
 def inertia_invariants(

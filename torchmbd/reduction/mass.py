@@ -10,10 +10,10 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..errors import InputError
-from .blocks import storage, views
-from .forms import Diagonal, Form, lane_name
-from .partition import Partition
+from torchmbd.errors import InputError
+from torchmbd.reduction.blocks import storage, views
+from torchmbd.reduction.forms import Diagonal, Form, lane_name
+from torchmbd.reduction.partition import Partition
 
 
 class DiagonalRoot:

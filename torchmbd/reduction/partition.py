@@ -17,8 +17,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from torch import Tensor
 
-from ..numerics.sparse import Pattern
-from .forms import Dense, Diagonal, Form, Sparse
+from torchmbd.numerics.sparse import Pattern
+from torchmbd.reduction.forms import Dense, Diagonal, Form, Sparse
 
 SMALLEST_BLOCK = 24  # smaller ones cost more in calls than they save in arithmetic
 

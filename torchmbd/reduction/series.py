@@ -18,7 +18,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .transport import Pencil
+from torchmbd.reduction.transport import Pencil
 
 
 def retained_series(

@@ -15,8 +15,8 @@ from typing import TypeVar
 import torch
 from torch import Tensor
 
-from ..errors import InputError
-from .forms import lane_name
+from torchmbd.errors import InputError
+from torchmbd.reduction.forms import lane_name
 
 Factor = TypeVar("Factor")
 

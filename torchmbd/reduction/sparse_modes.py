@@ -20,13 +20,13 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..errors import SimulationFailure
-from .blocks import BlockFactor, storage
-from .forms import Form
-from .lanczos import Ritz, lanczos
-from .mass import mass_root
-from .partition import partition
-from .shift import choose_shift, comparable_shift
+from torchmbd.errors import SimulationFailure
+from torchmbd.reduction.blocks import BlockFactor, storage
+from torchmbd.reduction.forms import Form
+from torchmbd.reduction.lanczos import Ritz, lanczos
+from torchmbd.reduction.mass import mass_root
+from torchmbd.reduction.partition import partition
+from torchmbd.reduction.shift import choose_shift, comparable_shift
 
 TOLERANCE = 1e-12  # of the modes, relative to mu
 DERIVATIVE_TOLERANCE = 1e-11  # of their derivatives, relative to c

@@ -52,7 +52,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
-from .forms import Form
+from torchmbd.reduction.forms import Form
 
 
 class Modes(Protocol):
