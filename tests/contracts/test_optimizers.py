@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
+
 import numpy as np
 import pytest
 
@@ -12,7 +14,9 @@ from tests.optimizers.structures import three_bar_truss
 from torchmbd.errors import InputError
 from torchmbd.optimizers import OPTIMIZERS, STATUSES, Evaluation, optimize
 
-METHODS = sorted(OPTIMIZERS)
+needs_nlopt = pytest.mark.skipif(find_spec("nlopt") is None, reason="nlopt is not installed")
+METHODS = [pytest.param(m, marks=needs_nlopt) if m in ("mma", "ccsaq") else m for m in sorted(OPTIMIZERS)]
+CURVED = [m for m in METHODS if isinstance(m, str)]  # methods that learn curvature
 EVERYDAY = ["HS4", "HS5", "HS12", "HS21", "HS22", "HS29", "HS35", "HS43", "HS65", "HS76"]
 BY_NAME = {p.name: p for p in hock_schittkowski()}
 
@@ -51,7 +55,7 @@ def test_known_optimum(method, name):
     assert result.violation <= 1e-6
 
 
-@pytest.mark.parametrize("method", sorted(set(METHODS) - {"mma", "ccsaq"}))
+@pytest.mark.parametrize("method", CURVED)
 def test_curved_valley(method):
     """Rosenbrock's: for methods that learn curvature; separable approximations creep along it."""
     result = optimize(BY_NAME["HS1"], method, max_iterations=500)
@@ -269,6 +273,18 @@ def test_limit_of_iterations(method):
     result = optimize(BY_NAME["HS38"], method, max_iterations=2)
     assert result.status == "max_iterations"
     assert result.iterations <= 3
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_limit_of_analyses(method):
+    problem = BY_NAME["HS43"]
+    problem.reset()
+    result = optimize(problem, method, max_analyses=4)
+    assert result.status == "max_iterations"
+    assert "4 analyses" in result.message
+    assert result.analyses == len(problem.batches) == 4
+    assert result.violation <= 1e-6  # the start is feasible, so the best design is
+    assert result.value <= result.history[0].objective
 
 
 @pytest.mark.parametrize("method", METHODS)

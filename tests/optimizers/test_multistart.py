@@ -259,6 +259,13 @@ def test_starts_need_finite_bounds():
         multistart(waves(upper=[4.0, np.inf]), "mmfd", sobol(4, seed=1))
 
 
+def test_every_start_has_its_own_limit_of_analyses():
+    study = multistart(waves(), "mmfd", sobol(5, seed=1), max_analyses=3)
+    assert [r.analyses for r in study.results] == [3] * 5
+    assert {r.status for r in study.results} == {"max_iterations"}
+    assert study.best is not None
+
+
 def test_given_starts_are_checked():
     with pytest.raises(InputError, match="start of x1 = 9"):
         multistart(waves(), "mmfd", [[0.0, 0.0], [9.0, 0.0]])

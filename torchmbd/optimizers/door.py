@@ -23,7 +23,7 @@ from torchmbd.optimizers.optimizer import (
     find_method,
     require_range,
 )
-from torchmbd.optimizers.search import Interrupted, Search, variable_scale
+from torchmbd.optimizers.search import Interrupted, OutOfAnalyses, Search, variable_scale
 
 MAX_ITERATIONS = 100
 FEASIBILITY = 1e-6
@@ -39,19 +39,20 @@ def optimize(
     *,
     feasibility: float = FEASIBILITY,
     eager_gradients: bool = True,
+    max_analyses: int | None = None,
     **options: Any,
 ) -> OptimizationResult:
     """Minimize `problem` from one start.
 
-    `start` [n]: default `problem.start`. `scaling`: variables by |start|, objective by |objective(start)|. `callback`
-    is called with every accepted iterate. `feasibility`: violation of a constraint that still counts as none.
-    `eager_gradients`: ask gradients together with every value that will probably need them (a simulation saved per
-    iteration) instead of afterwards. `options` are the method's own. InputError: unknown method or option, crossed
+    `start` [n]: default `problem.start`. `scaling`: variables by |start|, objective by |objective(start)|. `callback` is
+    called with every accepted iterate. `feasibility`: violation of a constraint that still counts as none.
+    `eager_gradients`: ask gradients together with all values (a simulation saved per iteration) instead of afterwards.
+    `max_analyses`: simulations at most. `options` are the method's own. InputError: unknown method or option, crossed
     bounds, start outside the bounds, wrong lengths.
     """
     function = find_method(method, options)
     x, lower, upper = checked_box(problem, start)
-    require_range("max_iterations", max_iterations, 0, 1_000_000)
+    require_limits(max_iterations, max_analyses)
     require_range("feasibility", feasibility, 0.0, 1.0)
 
     def ask(x: np.ndarray, gradients: bool) -> Evaluation:
@@ -66,9 +67,17 @@ def optimize(
         equalities=getattr(problem, "equalities", None),
         feasibility=feasibility,
         eager_gradients=eager_gradients,
+        max_analyses=max_analyses,
         report=callback,
     )
     return run_start(search, function, method, max_iterations, options, problem)
+
+
+def require_limits(max_iterations: int, max_analyses: int | None) -> None:
+    """Raise InputError unless both limits make sense."""
+    require_range("max_iterations", max_iterations, 0, 1_000_000)
+    if max_analyses is not None:
+        require_range("max_analyses", max_analyses, 1, 1_000_000)
 
 
 def checked_box(problem: Problem, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -96,9 +105,13 @@ def run_start(
     try:
         ending = function(search, max_iterations, **options)
     except (Interrupted, KeyboardInterrupt):
-        best = search.start if search.best is None else search.best
-        return result_of(search, Ending(best, "interrupted", "stopped by the user"), method, problem, evaluate=False)
-    return result_of(search, ending, method, problem)
+        status, message = "interrupted", "stopped by the user"
+    except OutOfAnalyses:
+        status, message = "max_iterations", f"the limit of {search.max_analyses} analyses was reached"
+    else:
+        return result_of(search, ending, method, problem)
+    best = search.start if search.best is None else search.best
+    return result_of(search, Ending(best, status, message), method, problem, evaluate=False)
 
 
 def result_of(

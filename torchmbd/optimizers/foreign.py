@@ -25,6 +25,7 @@ SMALLEST_UNIT = 1e-9  # of the start's objective
 FAR_BELOW = 0.05  # of the objective at the start of a run
 WALL = 1e3  # times the last objective
 LITTLE = 0.5  # a run that leaves more than this share of the violation is not repeated
+PATIENCE, NO_PROGRESS = 8, 0.9  # so many iterations may leave this share of violation and objective
 LOOSE = 2e-2  # no claim of success is believed beyond this Kuhn-Tucker residual
 
 
@@ -34,6 +35,10 @@ class OnTheWall(Exception):
 
 class LimitReached(Exception):
     """A package would go beyond the limit of iterations."""
+
+
+class Stuck(Exception):
+    """A package has long been unable to reduce a violation, or the objective in spite of it."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,12 @@ class Guard:
         self.remaining -= 1
         self._recorded.add(y.tobytes())
         self.search.record(y)
+        window = self.search.history[-PATIENCE:]
+        violations, objectives = [i.violation for i in window], [i.objective for i in window]
+        grossly = len(window) == PATIENCE and min(violations) > 1e3 * self.search.feasibility
+        lower = min(objectives[1:]) < objectives[0] - (1.0 - NO_PROGRESS) * abs(objectives[0])
+        if grossly and not lower and min(violations[1:]) > NO_PROGRESS * violations[0]:
+            raise Stuck
 
     def objective(self, y: np.ndarray) -> float:
         return self.value(y).objective / self.unit
@@ -149,6 +160,9 @@ def _guarded(guard: Guard, run: Callable[[Guard], Stop]) -> Stop | None:
         reason = final.status
     except LimitReached:
         return None
+    except Stuck:
+        assert search.best is not None
+        return Stop(search.best, False, f"{PATIENCE} iterations reduced neither the violation nor the objective")
     except OnTheWall as wall:
         reason = str(wall)
     assert search.best is not None

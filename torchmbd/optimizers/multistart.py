@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.optimizers.door import FEASIBILITY, MAX_ITERATIONS, checked_box, run_start
+from torchmbd.optimizers.door import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimizers.lockstep import Lockstep
 from torchmbd.optimizers.minima import Minimum, covered_share, distinct_minima, expected_minima
 from torchmbd.optimizers.optimizer import Iterate, OptimizationResult, Problem, find_method, require_range
@@ -68,6 +68,7 @@ def multistart(
     scaling: bool = True,
     feasibility: float = FEASIBILITY,
     eager_gradients: bool = True,
+    max_analyses: int | None = None,
     minima_left: float | None = None,
     **options: Any,
 ) -> Study:
@@ -80,8 +81,8 @@ def multistart(
     Ctrl-C ends every start and returns what there is, `interrupted` set.
     """
     function = find_method(method, options)
-    for name, value in {"max_iterations": max_iterations, "max_lanes": max_lanes}.items():
-        require_range(name, value, 0 if name == "max_iterations" else 1, 1_000_000)
+    require_limits(max_iterations, max_analyses)
+    require_range("max_lanes", max_lanes, 1, 1_000_000)
     require_range("feasibility", feasibility, 0.0, 1.0)
     initial, lower, upper = checked_box(problem)
     recipe = given([initial]) if starts is None else starts if isinstance(starts, Starts) else given(list(starts))
@@ -99,6 +100,7 @@ def multistart(
             equalities=equalities,
             feasibility=feasibility,
             eager_gradients=eager_gradients,
+            max_analyses=max_analyses,
             index=index,
             report=report,
         )

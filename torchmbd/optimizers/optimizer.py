@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 # How an optimization can end. Only "converged" claims an optimum.
 STATUSES = {
     "converged": "the method's own criteria hold, the constraints are satisfied",
-    "max_iterations": "stopped by the limit of iterations",
+    "max_iterations": "stopped by the limit of iterations or of analyses",
     "stalled": "no step improves the design any more, though it is not a Kuhn-Tucker point; the message says why",
     "infeasible": "the constraints could not be satisfied; x is the least infeasible design seen",
     "failed": "the start could not be evaluated, or a gradient where the values could",
