@@ -64,7 +64,7 @@ def test_bad_input_ends_with_2_and_no_traceback(folder, capsys, arguments, messa
     assert not (folder / "mlflow.db").exists()
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_study_that_is_interrupted_keeps_what_was_computed(folder, number):
     study = start("run", "study.yaml", "optimizer.max_iterations=100", "optimizer.name=mmfd", "options.cells=8")
     assert study.stdout is not None

@@ -15,7 +15,12 @@ from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
 CONFIGS = configs(Path(__file__).parents[2] / "configs")
-SMALL = ["simulate.duration=0.01", "simulate.steps=100", "options.cells=[6, 2]", "options.modes=4"]
+SMALL = ["simulate.duration=0.004", "simulate.steps=40", "options.cells=[4, 2]", "options.modes=4"]
+
+
+@pytest.fixture(scope="module")
+def uri(tmp_path_factory):
+    return f"sqlite:///{tmp_path_factory.mktemp('store') / 'runs.db'}"
 
 
 def test_there_are_configs():
@@ -36,14 +41,14 @@ def test_every_config_opens_with_its_question_and_is_valid(file):
 
 
 @pytest.mark.parametrize("file", CONFIGS, ids=lambda file: file.stem)
-def test_every_config_runs(file, tmp_path):
+def test_every_config_runs(file, uri):
     overrides = [*SMALL]
     if load(file).study.sweep is None:
         overrides += ["optimizer.max_iterations=2", "starts.count=2"]
     else:
         overrides += ["sweep.rod.laminate.angles.count=5"]
     plan = load(file, overrides)
-    tracker = MlflowTracker(file.stem, f"sqlite:///{tmp_path / 'runs.db'}")
+    tracker = MlflowTracker(file.stem, uri)
     output = io.StringIO()
     assert run_plan(plan, Console(file=output), tracker) == 0
     runs = open_store(tracker.uri).search_runs([tracker.experiment_id])

@@ -66,13 +66,13 @@ def test_what_is_left_open_is_killed(tracker_type, uri):
     assert client.get_run(record.runs["start_1"]).data.metrics == {"objective": 2.0}
 
 
-@pytest.mark.parametrize("tracker_type", TRACKERS)
 @pytest.mark.parametrize(
-    ("bad", "message"),
+    ("tracker_type", "bad", "message"),
     [
-        (lambda tracker: tracker.metrics("missing", {"objective": 1.0}), "'missing' has not begun"),
-        (lambda tracker: tracker.begin("study", "again"), "has begun already"),
-        (lambda tracker: tracker.artifact("study", "/does/not/exist"), "does/not/exist"),
+        (MlflowTracker, lambda tracker: tracker.metrics("missing", {"objective": 1.0}), "'missing' has not begun"),
+        (MlflowTracker, lambda tracker: tracker.begin("study", "again"), "has begun already"),
+        (MlflowTracker, lambda tracker: tracker.artifact("study", "/does/not/exist"), "does/not/exist"),
+        (ProcessTracker, lambda tracker: tracker.artifact("study", "/does/not/exist"), "does/not/exist"),
     ],
 )
 def test_what_cannot_be_written_is_an_error(tracker_type, uri, bad, message):
@@ -143,6 +143,7 @@ def test_a_study_that_is_killed_leaves_no_run_running(tmp_path):
     assert any(run.data.metrics == {"objective": 3.0} for run in runs)
 
 
+@pytest.mark.slow
 def test_two_studies_open_a_fresh_store_at_once(tmp_path):
     """Without the lock MLflow's migration crashes one of them, or the experiment is made twice."""
     uri = f"sqlite:///{tmp_path / 'runs.db'}"
