@@ -119,7 +119,7 @@ def test_the_filed_config_runs_the_same_study(study):
 
 
 def test_pictures_are_filed(study):
-    expected = {"config.yaml", "config_as_given.yaml", "motion_start.html", "motion_optimum.html"}
+    expected = {"config.yaml", "config_as_given.yaml", "motion_start.html", "motion_best.html"}
     assert files(study) == expected | {
         f"figures/{name}" for name in ("convergence.png", "energy_rod.png", "energy_rod.pdf")
     }
@@ -135,7 +135,7 @@ def test_the_terminal_shows_iterations_table_and_links(study):
         assert f"{child.data.metrics['objective']:.6g}" in table
     assert "angle 1" in table
     assert f"viewStateShareKey={study.parent.info.run_id}" in table
-    assert f"{study.parent.info.run_id}/artifacts/motion_optimum.html" in table
+    assert f"{study.parent.info.run_id}/artifacts/motion_best.html" in table
 
 
 def test_the_view_of_the_table_names_metrics_that_exist(study):

@@ -47,6 +47,11 @@ class Columns:
         """Return a design vector in SI from one in the units of the file."""
         return np.asarray(values, dtype=float) * self.factors
 
+    def sentence(self, x: np.ndarray) -> str:
+        """Return a design vector [SI] in one line: `45, -45, 45 deg`."""
+        values = ", ".join(f"{float(f'{value:.4g}') + 0.0:g}" for value in self.shown(x).values())
+        return f"{values} {self.units[0]}" if len(set(self.units)) == 1 and self.units[0] != "none" else values
+
     @property
     def headings(self) -> list[str]:
         return [self.heading(k) for k in range(len(self.names))]

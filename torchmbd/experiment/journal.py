@@ -95,8 +95,7 @@ class Journal:
         self.evaluations += len(evaluations)
         for x, evaluation in zip(X, evaluations, strict=True):
             if evaluation.status != "ok":
-                where = ", ".join(f"{name} = {value:.4g}" for name, value in self.plan.columns.shown(x).items())
-                self.failures.append(f"{evaluation.status} ({where})")
+                self.failures.append(f"{evaluation.status} (design {self.plan.columns.sentence(x)})")
         counts = {"evaluations": self.evaluations, "failed_evaluations": len(self.failures)}
         self.tracker.metrics(PARENT, counts, self.evaluations)
         if self.failures:

@@ -73,7 +73,7 @@ def study_links(base: str, experiment_id: str, run_id: str, kind: str, status: s
     if kind == "study":
         links["charts"] = view_link(base, experiment_id, run_id, charts=True)
     if kind == "study" and status == "FINISHED":
-        links["motion"] = run_link(base, experiment_id, run_id, "artifacts/motion_optimum.html")
+        links["motion"] = run_link(base, experiment_id, run_id, "artifacts/motion_best.html")
     return links | {"files": run_link(base, experiment_id, run_id, "artifacts")}
 
 

@@ -42,7 +42,7 @@ class Progress:
             self.first[iterate.start] = iterate.objective
         self.latest[iterate.start] = iterate
         if not self.console.is_terminal:
-            values = "  ".join(f"{value:8.3f}" for value in self.columns.shown(iterate.x).values())
+            values = "  ".join(f"{value:z8.3f}" for value in self.columns.shown(iterate.x).values())
             self.console.print(
                 f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:3d}  iteration {iterate.iteration:3d}  "
                 f"objective {iterate.objective:.6g}  violation {iterate.violation:.1e}  {values}",
@@ -63,7 +63,7 @@ class Progress:
             if iterate is None:
                 table.add_row(str(start), "-")
                 continue
-            values = [f"{value:.2f}" for value in self.columns.shown(iterate.x).values()]
+            values = [f"{value:z.2f}" for value in self.columns.shown(iterate.x).values()]
             numbers = outcome(self.first[start], iterate.objective, iterate.violation)
             table.add_row(str(start), str(iterate.iteration), *numbers, *values, str(iterate.analyses))
         return table
@@ -80,6 +80,8 @@ def table_of(title: str, headings: Sequence[str]) -> Table:
 
 def print_table(table: Table, console: Console) -> None:
     """Print a table as wide as it is: a terminal may break its lines, but no number is cut."""
+    title, table.title = table.title, None  # a title inside is broken to the table's width
+    console.print(title, style="italic")
     needed = Measurement.get(console, console.options.update(width=1000), table).maximum
     if needed > console.width:
         console = Console(file=console.file, width=needed, force_terminal=console.is_terminal)

@@ -27,7 +27,7 @@ def print_results(plan: Plan, study: Study, failures: Sequence[str], console: Co
     best = study.best
     for result in sorted(study.results, key=lambda r: (not r.violation <= 1e-6, r.value)):
         first = result.history[0].objective if result.history else float("nan")
-        angles = [f"{value:.2f}" for value in plan.columns.shown(result.x).values()]
+        angles = [f"{value:z.2f}" for value in plan.columns.shown(result.x).values()]
         cells = [str(result.start), *outcome(first, result.value, result.violation), *angles]
         cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
         table.add_row(*cells, style="bold" if best is not None and result.start == best.start else None)
@@ -63,8 +63,8 @@ def study_pictures(plan: Plan, study: Study, problem: Problem, journal: Journal,
 def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal: Journal) -> None:
     motion = problem.simulate(designs).require_ok()
     t = motion.t.numpy()
-    shown = [", ".join(f"{value:.1f}" for value in plan.columns.shown(x).values()) for x in designs]
-    labels = [f"start design ({shown[0]})", f"optimum ({shown[1]})"]
+    shown = [plan.columns.sentence(x) for x in designs]
+    labels = [f"start design ({shown[0]})", f"best design ({shown[1]})"]
     for body in motion.system.bodies:
         if motion.body(body.name).mesh is None:
             continue
@@ -72,7 +72,7 @@ def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal:
         figure = energy_over_time(t, dict(zip(labels, energy, strict=True)))
         for ending in ("png", "pdf"):
             journal.file(save(figure, journal.folder / f"energy_{body.name}.{ending}"), "figures")
-    for lane, (name, label) in enumerate(zip(("motion_start", "motion_optimum"), labels, strict=True)):
+    for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
         path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{plan.name}: {label}")
         journal.file(path)
 

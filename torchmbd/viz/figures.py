@@ -89,6 +89,8 @@ def criterion(
             )
     if mark is not None:
         axes.axvline(mark, color=OTHER, lw=0.8, ls="--", label="start design")
+    if xlabel.endswith("[deg]"):
+        axes.locator_params(axis="x", nbins=9, steps=[1.5, 3.0, 4.5, 9.0])
     axes.set_xlabel(xlabel)
     axes.set_ylabel("criterion / criterion at start")
     axes.legend(frameon=False)
