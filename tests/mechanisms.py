@@ -60,11 +60,13 @@ def plate(
     """A laminated plate of 0.3 m x 0.1 m with an initial velocity."""
     mesh = mbd.mesh.rectangle(length=0.3, width=0.1, cells=cells)
     body = mbd.FlexibleBody.plate(name, mesh, made_of or laminate(), modes=modes, **given)
-    body.velocity, body.angular_velocity = tensor(*velocity), tensor(*angular_velocity)
+    body.velocity, body.angular_velocity = (
+        torch.as_tensor(x, dtype=torch.float64) for x in (velocity, angular_velocity)
+    )
     return body
 
 
-def pendulum(angles: Sequence[float] = (20.0, -50.0), modes: int = 2) -> mbd.System:
+def pendulum(angles: Sequence[float] = (20.0, -50.0), modes: int = 2, damping: float = 0.0) -> mbd.System:
     """A spatial double pendulum under gravity: a rigid box carries a soft plate; hinges turned out of plane."""
     ground = mbd.Ground()
     arm = box("arm", position=(0.1, 0.05, -0.02), axes=turned(0.4, -0.7, 0.3), angular_velocity=(2.0, -1.0, 3.0))
@@ -78,6 +80,7 @@ def pendulum(angles: Sequence[float] = (20.0, -50.0), modes: int = 2) -> mbd.Sys
         position=origin,
         axes=swing,
         angular_velocity=(1.0, 2.0, -2.0),
+        damping=damping,
     )
     return mbd.System(
         bodies=[arm, rod],

@@ -128,7 +128,7 @@ def test_views_of_a_rigid_body(motion):
     for name in ("w", "wd", "strain_energy", "displacements", "nodes", "psi", "stiffness", "dw_db"):
         with pytest.raises(InputError, match="body 'arm' is rigid; allowed here: a flexible body"):
             getattr(arm, name)
-    with pytest.raises(InputError, match="body 'am' does not exist; allowed: .*did you mean 'arm'"):
+    with pytest.raises(InputError, match=r"body 'am' does not exist; allowed: .*did you mean 'arm'"):
         motion.body("am")
 
 

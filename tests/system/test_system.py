@@ -107,7 +107,9 @@ class TestDoor:
         with pytest.raises(InputError, match="body name 'a' is used 2 times; allowed: unique names"):
             mbd.System([box("a"), box("a")])
 
-    @pytest.mark.parametrize("name", ["dynamics", "forward", "topology", "_saddle", "train", "stabilization", "ground"])
+    @pytest.mark.parametrize(
+        "name", ["dynamics", "forward", "topology", "body", "_saddle", "train", "stabilization", "ground"]
+    )
     def test_a_name_that_would_hide_an_attribute(self, name):
         with pytest.raises(InputError, match=f"body name '{name}' is taken by torchmbd; allowed: any other identifier"):
             mbd.System([box(name)])

@@ -1,0 +1,54 @@
+"""Linear and angular momentum of what floats freely: inertia coupling between rotation and bending has no net force."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.mechanisms import SOFT, box, laminate, plate, tensor, turned
+from tests.physics.nodal_sums import sums
+
+
+def floating_plate() -> mbd.System:
+    """Its frame sits at a corner: the first moment does not vanish, and damping must not brake the whole."""
+    made_of = laminate(ply=SOFT)
+    moving = {"velocity": (1.0, 2.0, -1.0), "angular_velocity": (10.0, 15.0, -6.0), "axes": turned(0.3, -0.2, 0.8)}
+    return mbd.System([plate("plate", made_of=made_of, reference="corner_left_top", damping=1e-4, **moving)])
+
+
+def floating_mechanism() -> mbd.System:
+    arm = box("arm", velocity=(1.0, 0.0, 2.0), angular_velocity=(5.0, -3.0, 8.0))
+    swing = turned(-0.5, 0.2, 0.9)
+    origin = tensor(0.2, 0.1, -0.05) - swing @ tensor(-0.15, 0.0, 0.0)
+    made_of = laminate(ply=SOFT)
+    rod = plate(
+        "rod",
+        made_of=made_of,
+        position=origin,
+        axes=swing,
+        velocity=(1.0, 2.0, -1.0),
+        angular_velocity=(4.0, -5.0, 10.0),
+    )
+    return mbd.System([arm, rod], [mbd.Universal(arm.at(0.2, 0.1, -0.05), rod.at("left"), axes="zx")])
+
+
+@pytest.mark.parametrize("build", [floating_plate, floating_mechanism])
+def test_momentum_is_kept(build):
+    motion = mbd.simulate(build(), 0.05, "dopri5", steps=5, rtol=1e-9, atol=1e-11).require_ok()
+    found = sums(motion)
+    assert float(found.strain.max()) > 1e-4 * float(found.kinetic.max())
+    for x in (found.momentum, found.moment):
+        assert float((x - x[0]).norm(dim=1).max()) < 1e-9 * float(x.norm(dim=1).max())
+
+
+def test_the_center_of_mass_of_a_free_body_moves_on_a_parabola():
+    """Gravity acts on every node, bent or not."""
+    gravity = tensor(1.0, -2.0, -9.0)
+    body = plate("plate", made_of=laminate(ply=SOFT), velocity=(1.0, 2.0, 3.0), angular_velocity=(5.0, 8.0, -3.0))
+    motion = mbd.simulate(mbd.System([body], gravity=gravity), 0.1, "rk4", steps=50)
+    mass = (body.laminate.mass_per_area * body.matrices.area).detach()
+    center = torch.einsum("n,tni->ti", mass / mass.sum(), motion.body("plate").nodes[0])
+    t = motion.t[:, None]
+    fall = center[0] + t * (sums(motion).momentum[0] / mass.sum()) + 0.5 * t * t * gravity
+    assert float((center - fall).abs().max()) < 1e-9
