@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
+from tests.optimizers import minimax
 from tests.optimizers.analytic import Analytic
 from tests.optimizers.hock_schittkowski import hock_schittkowski
 from tests.optimizers.structures import cantilever, three_bar_truss
@@ -33,7 +34,7 @@ class Count:
 
 
 def problems() -> list[Analytic]:
-    return [*hock_schittkowski(), three_bar_truss(), cantilever()]
+    return [*hock_schittkowski(), three_bar_truss(), cantilever(), *minimax.problems()]
 
 
 def error(problem: Analytic, value: float) -> float:

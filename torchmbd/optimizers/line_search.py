@@ -136,16 +136,21 @@ class LineSearch:
         return self.attempt(trial.y + solution.s, trial.alpha)
 
     def shorter(self, trial: Trial) -> float:
-        """Return the alpha below the one just tried at which the polynomials see the lowest phi."""
+        """Return the alpha below the one just tried at which the polynomials see the lowest phi, inside if we are."""
         grid = np.linspace(0.05 * trial.alpha, 0.7 * trial.alpha, 66)
-        return float(grid[np.argmin(self.modeled(grid, trial))])
+        values, constraints = self.modeled(grid, trial)
+        if self.feasible:
+            outside = np.any(constraints > self.thickness, axis=1)
+            outside[0] = False  # something must be tried
+            values = np.where(outside, np.inf, values)
+        return float(grid[np.argmin(values)])
 
     def extrapolated(self, trial: Trial, stretch: float) -> Trial:
         """Go on along the direction while the polynomials promise much at a much longer step."""
         best = trial
         while self.used < self.most:
             grid = np.linspace(best.alpha, LONGEST_STRETCH * best.alpha, 81)
-            promised = self.modeled(grid, best)
+            promised, _ = self.modeled(grid, best)
             choice = int(np.argmin(promised))
             worthwhile = best.merit - promised[choice] > 0.3 * (self.merit0 - best.merit)
             if grid[choice] < stretch * best.alpha or not worthwhile:
@@ -161,15 +166,15 @@ class LineSearch:
         if self.used >= self.most:
             return trial
         grid = np.linspace(0.05, 1.0, 96) * max(t.alpha for t in self.trials)
-        promised = self.modeled(grid, self.trials[-1])
+        promised, _ = self.modeled(grid, self.trials[-1])
         choice = int(np.argmin(promised))
         if trial.merit - promised[choice] <= 0.1 * (self.merit0 - trial.merit):
             return trial
         other = self.attempt(self.y + grid[choice] * self.direction.s, float(grid[choice]))
         return trial if other is None or other.merit >= trial.merit or not self.acceptable(other) else other
 
-    def modeled(self, grid: np.ndarray, newest: Trial) -> np.ndarray:
-        """Return phi on the grid, of polynomials through what is known of f and every c_j at the start and `newest`.
+    def modeled(self, grid: np.ndarray, newest: Trial) -> tuple[np.ndarray, np.ndarray]:
+        """Return phi [k] and c [k, m] on the grid [k], of polynomials through what is known at the start and `newest`.
 
         A cubic where the trial came with gradients; else through the values of the last two trials.
         """
@@ -183,7 +188,8 @@ class LineSearch:
             others = [t for t in self.trials if abs(t.alpha - newest.alpha) > 1e-9 * newest.alpha]
             known += [(t.alpha, 0, np.append(t.evaluation.objective, t.evaluation.constraints)) for t in others[-1:]]
         values = _polynomial(starts, slopes, known, grid)
-        return values[:, 0] + np.maximum(values[:, 1:], 0.0) @ self.weights
+        constraints = values[:, 1:]
+        return values[:, 0] + np.maximum(constraints, 0.0) @ self.weights, constraints
 
 
 def _polynomial(

@@ -57,7 +57,7 @@ class VariableMetric:
     def learn(self, s: np.ndarray, q: np.ndarray) -> None:
         """Take in a step s [n] over which the Lagrangian's gradient changed by q [n]."""
         B, sq = self.B, float(s @ q)
-        if self.fresh and sq > 0.0:
+        if self.fresh and sq > SOFTEN_AT_MOST * float(s @ B @ s):
             # Shanno and Phua: the first guess is sized by the first curvature seen before it is updated.
             B = np.eye(s.size) * (float(q @ q) / sq)
         Bs = B @ s

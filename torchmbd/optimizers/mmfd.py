@@ -30,14 +30,18 @@ import numpy as np
 
 from torchmbd.errors import unknown
 from torchmbd.optimizers.direction import Direction, find_direction
+from torchmbd.optimizers.kkt import kuhn_tucker
 from torchmbd.optimizers.line_search import LineSearch, Trial
 from torchmbd.optimizers.metric import METRICS, Metric
 from torchmbd.optimizers.optimizer import Ending, Evaluation, refuse_equalities, register, require_range
 from torchmbd.optimizers.search import Search
 from torchmbd.optimizers.stationary import departure
 
+PATIENCE = 5  # times ITRMOP iterations at rest may go on while a constraint is still violated
 RESETS = 2  # fresh starts of the metric before the search gives up
 REACH_AFTER, REACH_GROWS = 3.0, 10.0  # times the step just made: after a shortened one, after a full one
+LOOSE = 2e-2  # Kuhn-Tucker residual up to which an objective at rest is believed to be optimal
+NO_KUHN_TUCKER = "the Kuhn-Tucker conditions do not hold"
 SMALLEST_OBJECTIVE = 1e-3  # of the start's: below this, relative criteria become absolute
 
 
@@ -184,11 +188,22 @@ class FeasibleDirections:
         self.y, self.here = trial.y, after
         search.record(self.y)
         self.quiet = self.quiet + 1 if abs(after.objective - before.objective) <= self.negligible else 0
-        if self.quiet < self.settings.itrmop or search.violation(after) > search.feasibility:
-            return None
+        return self.at_rest(direction, line) if self.quiet >= self.settings.itrmop else None
+
+    def at_rest(self, direction: Direction, line: LineSearch) -> Ending | None:
+        """Say what it means that the objective no longer changes, or None to go on."""
+        search = self.search
+        if search.violation(self.here) > search.feasibility:
+            patient = self.quiet < PATIENCE * self.settings.itrmop
+            return None if patient else self.no_step(direction, line)
         if line.failures:  # steps this short are no sign of an optimum
             return Ending(self.y, "stalled", f"the way down leads into designs that fail: {line.reason}")
-        return Ending(self.y, "converged", f"the objective no longer changes ({self.quiet} iterations)")
+        quality = kuhn_tucker(self.here, self.y, search.lower, search.upper, search.equality)
+        if quality.residual <= LOOSE:
+            return Ending(self.y, "converged", f"the objective no longer changes ({self.quiet} iterations)")
+        if self.afresh(direction):
+            return None
+        return Ending(self.y, "stalled", f"the objective no longer changes, though {NO_KUHN_TUCKER}: a kink?")
 
     def no_step(self, direction: Direction, line: LineSearch) -> Ending | None:
         """Say why no step was found, or None after a fresh start of the metric that may find one."""
@@ -197,15 +212,12 @@ class FeasibleDirections:
         precise = self.promise(direction) <= 10.0 * self.negligible and self.remainder(direction) <= self.settings.kkt
         if feasible and precise:
             return Ending(self.y, "converged", "the Kuhn-Tucker conditions hold to the precision of the evaluations")
-        if self.resets < RESETS:
-            self.resets += 1
-            self.reach = np.inf
-            self.metric.reset(self.first_curvature(direction.multipliers))
+        if self.afresh(direction):
             return None
         if line.failures and line.failures == line.used:
             return Ending(self.y, "stalled", f"every design tried around x failed: {line.reason}")
         if feasible:
-            return Ending(self.y, "stalled", "no step along a usable-feasible direction lowers the objective any more")
+            return Ending(self.y, "stalled", f"no step lowers the objective, though {NO_KUHN_TUCKER}: a kink?")
         fighting = np.flatnonzero(direction.multipliers > 1e-3 * direction.multipliers.max(initial=0.0))
         return Ending(
             self.y,
@@ -213,6 +225,16 @@ class FeasibleDirections:
             f"the violation {violation:.3g} cannot be reduced to first order: constraints {fighting.tolist()} "
             "contradict each other or the bounds",
         )
+
+    def afresh(self, direction: Direction) -> bool:
+        """Forget what was learnt and go on; False if that has been done often enough."""
+        if self.resets >= RESETS:
+            return False
+        self.resets += 1
+        self.quiet = 0
+        self.reach = np.inf
+        self.metric.reset(self.first_curvature(direction.multipliers))
+        return True
 
     def first_curvature(self, multipliers: np.ndarray) -> float:
         """Return the curvature for which the first step changes objective and variables by DOBJ1 and DX1 at most."""
