@@ -155,8 +155,10 @@ def cos(x: Any) -> Any:
     return function(torch.cos, lambda y: -torch.sin(y), x)
 
 
-def combine(x: Any, factor: float, y: Any) -> Any:
-    """x + factor y."""
+def combine(x: Any, factor: Any, y: Any) -> Any:
+    """x + factor y, for a factor without axes."""
+    if isinstance(factor, Tensor):
+        return x + factor * y
     if isinstance(x, Pair) and isinstance(y, Pair):
         return Pair(torch.add(x.full, y.full, alpha=factor))
     if isinstance(x, Pair) or isinstance(y, Pair):
