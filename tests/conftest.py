@@ -1,6 +1,8 @@
-"""What all tests share: one thread, and a small slider-crank."""
+"""What all tests share: one thread, no compilation in the background, and a small slider-crank."""
 
 from __future__ import annotations
+
+import os
 
 import pytest
 import torch
@@ -10,6 +12,8 @@ import torchmbd as mbd
 from experiments.slider_crank import build
 from torchmbd.integrators import Trajectory
 
+# Packages compiled by an earlier run would decide which code a test runs; tests of compilation switch it on themselves.
+os.environ["TORCHMBD_COMPILE"] = "0"
 torch.set_num_threads(1)
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
