@@ -19,6 +19,7 @@ from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Trajectory, simulate
+from torchmbd.integrators.simulate import check
 from torchmbd.integrators.trajectory import OK
 from torchmbd.optimizers import Evaluation
 from torchmbd.system import System
@@ -55,6 +56,9 @@ class Problem:
         for constraint in subject_to:
             if not isinstance(constraint, Constraint):
                 raise InputError(f"subject_to has {constraint!r}; allowed: constraints, such as Max(...) <= 'initial'")
+        check(duration, method, steps, options)
+        for measure in (minimize, *(constraint.measure for constraint in subject_to)):
+            measure.check(system)
         self.system, self.duration, self.objective = system, duration, minimize
         self.constraints = list(subject_to)
         self.space = DesignSpace(system, variables, bounds, start)

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrators import Trajectory
+from torchmbd.system import System
 
 
 class Valued(NamedTuple):
@@ -34,6 +35,9 @@ class History:
         """Value [lanes, times] and gradient [lanes, times, n_b]."""
         raise NotImplementedError(type(self).__name__)
 
+    def check(self, system: System) -> None:
+        """Raise InputError where the history asks for what the system does not have."""
+
 
 class Measure:
     """One number of a motion."""
@@ -41,6 +45,9 @@ class Measure:
     def of(self, motion: Trajectory) -> Valued:
         """Value [lanes] and gradient [lanes, n_b], None without sensitivities."""
         raise NotImplementedError(type(self).__name__)
+
+    def check(self, system: System) -> None:
+        """Raise InputError where the measure asks for what the system does not have."""
 
     def value(self, motion: Trajectory) -> Tensor:
         """Value [lanes]."""

@@ -18,7 +18,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.response import History, Measure, Valued
+from torchmbd.errors import InputError
 from torchmbd.integrators import Trajectory
+from torchmbd.system import System
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,10 @@ class StrainEnergy(History):
     """Elastic energy of a flexible body."""
 
     body: str
+
+    def check(self, system: System) -> None:
+        if not hasattr(system.body(self.body), "mesh"):
+            raise InputError(f"body {self.body!r} is rigid; allowed here: a flexible body")
 
     def series(self, motion: Trajectory) -> Valued:
         body = motion.body(self.body)
@@ -46,6 +52,9 @@ class Integral(Measure):
 
     history: History
 
+    def check(self, system: System) -> None:
+        self.history.check(system)
+
     def of(self, motion: Trajectory) -> Valued:
         y, dy = self.history.series(motion)
         return Valued(torch.trapezoid(y, motion.t, dim=1), None if dy is None else torch.trapezoid(dy, motion.t, dim=1))
@@ -56,6 +65,9 @@ class Max(Measure):
     """Largest value of a history over the simulated time, located between the samples."""
 
     history: History
+
+    def check(self, system: System) -> None:
+        self.history.check(system)
 
     def of(self, motion: Trajectory) -> Valued:
         y, dy = self.history.series(motion)

@@ -47,6 +47,18 @@ def simulate(
 
     A lane that fails is reported in `status`. Raises InputError for bad arguments.
     """
+    check(duration, method, steps, options)
+    names = design_names(system, sensitivities, designs)
+    batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
+    dynamics = system.dynamics(batch, tangents=names)
+    steps = steps or default_steps(dynamics, duration)
+    with torch.no_grad():
+        history, stats, status = run(dynamics, float(duration), steps, method, options)
+    return _present(system, dynamics, history, stats, status, float(duration), batch, labels(system, names))
+
+
+def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any]) -> None:
+    """Refuse arguments of `simulate` that are wrong for every system; InputError names them."""
     if not isinstance(duration, (int, float)) or not 0 < duration < math.inf:
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
     if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
@@ -57,22 +69,12 @@ def simulate(
         )
     if method not in METHODS:
         raise unknown("method", method, METHODS)
-    for name in options:
-        if name not in _options(method):
-            raise unknown(f"for method {method!r} the option", name, _options(method))
-    names = design_names(system, sensitivities, designs)
-    batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
-    dynamics = system.dynamics(batch, tangents=names)
-    steps = steps or default_steps(dynamics, duration)
-    with torch.no_grad():
-        history, stats, status = run(dynamics, float(duration), steps, method, options)
-    return _present(system, dynamics, history, stats, status, float(duration), batch, labels(system, names))
-
-
-def _options(method: str) -> tuple[str, ...]:
-    return (
+    allowed = (
         ("spectral_radius", "iterations", "refresh") if method == "generalized_alpha" else ("rtol", "atol", "options")
     )
+    for name in options:
+        if name not in allowed:
+            raise unknown(f"for method {method!r} the option", name, allowed)
 
 
 def design_names(
