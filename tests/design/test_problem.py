@@ -1,0 +1,132 @@
+"""The transient problem as optimizers see it: arrays, normalized constraints, failed evaluations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import torchmbd as mbd
+from tests.mechanisms import pendulum
+from torchmbd.design import Constraint
+from torchmbd.errors import InputError
+
+ENERGY = mbd.StrainEnergy("rod")
+
+
+def problem(**given) -> mbd.Problem:
+    asked = {
+        "duration": 0.03,
+        "minimize": mbd.Integral(ENERGY),
+        "subject_to": [mbd.Max(ENERGY) <= "initial", mbd.Max(ENERGY) <= 1e-5],
+        "bounds": mbd.deg([-90, 90]),
+        "steps": 30,
+        "iterations": (6, 6),
+        "refresh": 1,
+    }
+    return mbd.Problem(pendulum(), **(asked | given))
+
+
+def thick(**given) -> mbd.Problem:
+    """Over the thickness, by an explicit method that overflows where the rod is thick."""
+    limited = [mbd.Max(ENERGY) <= "initial"]
+    names = ["rod.laminate.thickness"]
+    return mbd.Problem(
+        pendulum(), 0.5, mbd.Integral(ENERGY), limited, (1e-4, 1.0), names, method="rk4", steps=100, **given
+    )
+
+
+@pytest.fixture(scope="module")
+def shared() -> mbd.Problem:
+    return problem()
+
+
+def test_values_are_those_of_the_responses(shared):
+    """Constraints as (g - c)/|c|: zero at the start for "initial", of order one for a number."""
+    X = np.radians([[20.0, -50.0], [70.0, 15.0]])
+    found = shared.evaluate(X, gradients=False)
+    motion = shared.simulate(X)
+    integral, peak = mbd.Integral(ENERGY).value(motion).tolist(), mbd.Max(ENERGY).value(motion).tolist()
+    assert [e.status for e in found] == ["ok", "ok"]
+    assert [e.objective for e in found] == pytest.approx(integral)
+    assert found[0].constraints == pytest.approx([0.0, (peak[0] - 1e-5) / 1e-5], abs=1e-12)
+    assert found[1].constraints == pytest.approx([peak[1] / peak[0] - 1.0, (peak[1] - 1e-5) / 1e-5], rel=1e-9)
+    assert found[0].objective_gradient is None
+    assert shared.limits == pytest.approx([peak[0], 1e-5])
+
+
+def test_gradients_belong_to_the_values(shared):
+    x, h = np.radians([20.0, -50.0]), 1e-5
+    (found,) = shared.evaluate(x[None], gradients=True)
+    neighbors = shared.evaluate(np.concatenate([x + h * np.eye(2), x - h * np.eye(2)]), gradients=False)
+    rows = np.array([[e.objective, *e.constraints] for e in neighbors])
+    slopes = ((rows[:2] - rows[2:]) / (2 * h)).T
+    scale = np.abs(slopes).max(1)
+    assert found.objective_gradient == pytest.approx(slopes[0], abs=1e-5 * scale[0])
+    assert found.constraint_gradients.shape == (2, 2)
+    for row, slope, size in zip(found.constraint_gradients, slopes[1:], scale[1:], strict=True):
+        assert row == pytest.approx(slope, abs=1e-5 * size)
+
+
+def test_the_system_keeps_its_own_design(shared):
+    before = [x.detach().clone() for x in shared.system.parameters()]
+    shared.evaluate(np.radians([[1.0, 2.0]]), gradients=True)
+    assert all((x == y).all() for x, y in zip(before, shared.system.parameters(), strict=True))
+
+
+def test_a_design_that_fails_is_a_failed_evaluation_and_leaves_the_others():
+    asked = thick()
+    good, bad = asked.evaluate(np.array([[1.5e-3, 1.5e-3], [0.02, 0.02]]), gradients=False)
+    assert good.ok
+    assert math.isfinite(good.objective)
+    assert bad.status.startswith("failed: ")
+    assert math.isnan(bad.objective)
+    assert np.isnan(bad.constraints).all()
+    assert bad.constraints.shape == (1,)
+
+
+def test_a_design_that_is_no_laminate_is_a_failed_evaluation_and_leaves_the_others(shared):
+    found = shared.evaluate(np.array([[0.3, -0.5], [np.nan, 0.2]]), gradients=False)
+    assert found[0].ok
+    assert found[1].status.startswith("failed: ")
+    assert found[0].objective == pytest.approx(shared.evaluate(np.array([[0.3, -0.5]]), gradients=False)[0].objective)
+
+
+def test_an_initial_limit_needs_an_initial_motion():
+    asked = thick(start=0.02)
+    with pytest.raises(mbd.SimulationFailure, match="lane 0: failed: the motion is not finite"):
+        _ = asked.limits
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"minimize": ENERGY}, ["minimize is", "StrainEnergy", "a measure, such as Integral"]),
+        ({"subject_to": [mbd.Max(ENERGY)]}, ["subject_to has", "Max", "constraints, such as Max"]),
+        ({"duration": 0.0}, ["duration", "0.0", "positive"]),
+        ({"duration": math.nan}, ["duration", "nan", "positive"]),
+        ({"method": "dopri"}, ["method 'dopri'", "did you mean 'dopri"]),
+        ({"steps": 0}, ["steps", "0", "positive integer"]),
+        ({"rtol": 1e-6}, ["option 'rtol'", "spectral_radius"]),
+        ({"minimize": mbd.Integral(mbd.StrainEnergy("rdo"))}, ["'rdo'", "did you mean 'rod'"]),
+        ({"subject_to": [mbd.Max(mbd.StrainEnergy("arm")) <= 1.0]}, ["'arm' is rigid", "a flexible body"]),
+        ({"variables": ["rod.angles"]}, ["'rod.angles'", "did you mean"]),
+        ({"bounds": (1.0, 0.0)}, ["bounds", "lower below upper"]),
+    ],
+    ids=lambda x: "-".join(f"{k}={v}" for k, v in x.items())[:40] if isinstance(x, dict) else "",
+)
+def test_bad_input_is_refused_at_the_door(given, words):
+    """When the problem is made, not hours later as evaluations that all failed."""
+    with pytest.raises(InputError) as error:
+        problem(**given)
+    for word in [*words, "allowed"]:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize("limit", ["start", math.inf, math.nan, True])
+def test_limits_of_constraints(limit):
+    with pytest.raises(InputError, match=r"limit of a constraint is .*; allowed: a finite number or 'initial'"):
+        _ = mbd.Max(ENERGY) <= limit
+    with pytest.raises(InputError, match=r"constraint on .*; allowed: a measure"):
+        Constraint(ENERGY, 1.0)
