@@ -16,6 +16,7 @@ from torchmbd.materials import Laminate, Ply
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
 from torchmbd.optimizers import OptimizationResult, multistart, optimize, sobol
+from torchmbd.reduction import eigenpair_branches, eigenpairs, modal_basis
 from torchmbd.system import Dynamics, System
 
 __version__ = "0.1.0"
@@ -50,7 +51,10 @@ __all__ = [
     "Trajectory",
     "Universal",
     "deg",
+    "eigenpair_branches",
+    "eigenpairs",
     "mesh",
+    "modal_basis",
     "multistart",
     "optimize",
     "simulate",

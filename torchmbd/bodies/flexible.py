@@ -6,7 +6,7 @@ The structure stage of a body, once for each design: laminate -> K (linear in th
 Kr = Psi' K Psi -> inertia invariants. What leaves it knows nothing of the mesh (reduction/invariants.py).
 
 Lumped mass, as in eq. (2): nodal mass m_k and isotropic nodal rotary inertia mu_k.
-Differentiable, forward and reverse, in every parameter of the laminate (reduction/modes.py).
+Differentiable, forward and reverse, in every parameter of the laminate (reduction/transport.py).
 Assumed: small elastic displacements about the undeformed body.
 """
 

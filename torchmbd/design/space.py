@@ -45,8 +45,8 @@ class DesignSpace:
         self.names = [f"{name}[{i}]" for name in self.variables for i in range(own[name].numel())]
         given = torch.cat([own[name].detach().flatten() for name in self.variables]).numpy()
         self.start = self._vector("start", given if start is None else start)
-        if len(bounds) != 2:
-            raise InputError(f"bounds has {len(bounds)} entries; allowed: two, (lower, upper)")
+        if not hasattr(bounds, "__len__") or len(bounds) != 2:
+            raise InputError(f"bounds is {bounds!r}; allowed: two entries, (lower, upper)")
         self.lower, self.upper = self._vector("lower", bounds[0]), self._vector("upper", bounds[1])
         for name, low, x, high in zip(self.names, self.lower, self.start, self.upper, strict=True):
             if not low < high:
@@ -55,7 +55,9 @@ class DesignSpace:
                 raise InputError(f"start of {name} is {x!r}; allowed: within its bounds, {low!r} to {high!r}")
 
     def _vector(self, what: str, x: Any) -> np.ndarray:
-        values = np.array(x.detach() if isinstance(x, Tensor) else x, dtype=float)
+        if isinstance(x, (tuple, list)):
+            x = [float(y) for y in x]
+        values = np.asarray(x.detach().numpy() if isinstance(x, Tensor) else x, dtype=float)
         if values.ndim > 1 or (values.ndim == 1 and len(values) != len(self.names)):
             raise InputError(f"{what} has shape {values.shape}; allowed: a number or {len(self.names)} numbers")
         if np.isnan(values).any():

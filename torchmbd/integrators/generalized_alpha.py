@@ -32,6 +32,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.integrators import compiled
 from torchmbd.integrators.step import Coefficients, State, Step, Weights, inverse
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics
@@ -94,11 +95,11 @@ def integrate(
     history = History.of(x, steps + 1)
     history.put(0, x)
     errors = {"iteration_error": IterationError(x.vd.shape[0]), "tangent_error": IterationError(x.vd.shape[0])}
-    step = Step(dynamics.topology, dynamics.saddle)
+    step = compiled.CompiledStep.of(dynamics, x.q.shape[-1]) or Step(dynamics.topology, dynamics.saddle)
     H = None
     for i in range(steps):
         drives = step.T.prescribed(torch.tensor((i + 1) * h, dtype=torch.float64))
-        z, H = _values(step, w, dynamics.data, x, H, drives, iterations[0], i % refresh == 0, errors["iteration_error"])
+        z, H = _values(dynamics, step, w, x, H, drives, iterations[0], i % refresh == 0, errors["iteration_error"])
         if isinstance(x.q, Pair):
             dz = _tangents(step, w, dynamics.data, x, H, z, drives, iterations[1], errors["tangent_error"])
             z = Pair.of(z, dz)
@@ -108,7 +109,15 @@ def integrate(
 
 
 def _values(
-    step: Any, w: Weights, data: Any, x: State, H: Any, drives: list, iterations: int, refresh: bool, error: IterationError
+    dynamics: Dynamics,
+    step: Any,
+    w: Weights,
+    x: State,
+    H: Any,
+    drives: list,
+    iterations: int,
+    refresh: bool,
+    error: IterationError,
 ) -> tuple[Tensor, Tensor]:
     """Unknowns of one step and the inverse used last.
 
@@ -117,13 +126,13 @@ def _values(
     """
     z = torch.cat([value(x.vd), value(x.lam)])
     if H is None:
-        H = inverse(step.matrix(w, data, x, z, drives))
+        H = inverse(dynamics.determined(step.matrix(w, dynamics.data, x, z, drives)))
     corrections = []
     for k in range(iterations):
-        z, correction = step.correct(w, data, x, H, z, drives)
+        z, correction = step.correct(w, dynamics.data, x, H, z, drives)
         corrections.append(correction)
         if k == 0 and refresh:
-            H = inverse(step.matrix(w, data, x, z, drives))
+            H = inverse(dynamics.determined(step.matrix(w, dynamics.data, x, z, drives)))
     error.add(z, corrections)
     return z, H
 

@@ -7,6 +7,8 @@ The index-1 form of the constrained equations, with the accelerations from one s
     M a + Phi_q' lam + s + K q = g,     Phi'' + 2 alpha Phi' + alpha^2 Phi = 0       (Baumgarte, ref. 50)
 
 alpha = 1 / `stabilization` time constant. It is zero along an exact motion, so it does not change the solution.
+Redundant constraint rows leave the multipliers undetermined, not the motion: a small -eps in their block of the matrix
+picks one solution, and refinement with the exact matrix removes what eps changes.
 For design tangents the saddle-point matrix is factored once; the right-hand sides of eqs. (31)-(33) are tangents of
 the residual with accelerations and multipliers held fixed.
 Differentiable: plain tensors in reverse mode (torchdiffeq.odeint and backward), design tangents through `rates`.
@@ -16,8 +18,11 @@ Checked in tests/system/, tests/sensitivity/.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
+import numpy as np
+import scipy.linalg
 import torch
 from torch import Tensor
 
@@ -27,6 +32,8 @@ from torchmbd.system import equations
 from torchmbd.system.equations import Data
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Topology
+
+REGULARIZATION = 1e-6  # against C M^-1 C', of order 1/kg or more: only undetermined multipliers notice
 
 
 @dataclass(eq=False)
@@ -54,6 +61,29 @@ class Dynamics:
         """Number of design variables whose tangents the data carry."""
         slots = [x.shape[-2] - 1 for x in self.data.values() if isinstance(x, Pair)]
         return max(slots, default=0)
+
+    @cached_property
+    def redundant(self) -> tuple[str, ...]:
+        """Names of constraint rows that follow from the others at the initial position (pivoted QR of Phi_q)."""
+        T = self.topology
+        if not T.rows:
+            return ()
+        values = {name: value(x).detach() for name, x in self.data.items()}
+        q, _ = self.initial.solve(self.values())
+        at = equations.placement(T, values, q.detach(), T.prescribed(q.new_zeros(())))
+        J = self.saddle.jacobian(values, at)[0]
+        J = J / J.norm(dim=1, keepdim=True)
+        _, R, order = scipy.linalg.qr(J.T.cpu().numpy(), mode="economic", pivoting=True)
+        diagonal = np.abs(np.diag(R))
+        rank = int((diagonal > 1e-9 * diagonal[0]).sum())
+        return tuple(T.row_names[i] for i in sorted(order[rank:]))
+
+    def determined(self, K: Tensor) -> Tensor:
+        """The saddle-point matrices K [lanes, n, n], regularized where constraint rows are redundant."""
+        if self.redundant:
+            K = K.clone()
+            K.diagonal(dim1=-2, dim2=-1)[:, self.topology.n_v :] -= REGULARIZATION
+        return K
 
     def values(self) -> Dynamics:
         """The same dynamics without design tangents."""
@@ -100,8 +130,8 @@ class Dynamics:
         K = self.saddle.matrix(data, at)
         zero = torch.zeros_like(vv)
         still = vv.new_zeros(T.rows, *vv.shape[1:])
-        LU, pivots, _ = torch.linalg.lu_factor_ex(K)  # a singular lane becomes inf or nan, alone
-        factor = LU, pivots
+        LU, pivots, _ = torch.linalg.lu_factor_ex(self.determined(K))  # a singular lane becomes inf or nan, alone
+        factor = LU, pivots, K if self.redundant else None
         x = -solve(factor, self._residual(t, data, at, vv, zero, still))
         a, lam = x[: T.n_v], x[T.n_v :]
         if not isinstance(q, Pair):
@@ -122,7 +152,15 @@ class Dynamics:
         return cat([forces, phi.acceleration + (2.0 * alpha) * phi.velocity + (alpha * alpha) * phi.value])
 
 
-def solve(factor: tuple[Tensor, Tensor], rhs: Tensor) -> Tensor:
-    """Solve for right-hand sides [n, slots, lanes] with LU factors of matrices [lanes, n, n]."""
-    x = torch.linalg.lu_solve(factor[0], factor[1], rhs.permute(2, 0, 1))
+def solve(factor: tuple[Tensor, Tensor, Tensor | None], rhs: Tensor) -> Tensor:
+    """Solve for right-hand sides [n, slots, lanes] with LU factors of matrices [lanes, n, n].
+
+    With the exact matrix as third entry the factors are those of a regularized one: two steps of refinement.
+    """
+    LU, pivots, exact = factor
+    b = rhs.permute(2, 0, 1)
+    x = torch.linalg.lu_solve(LU, pivots, b)
+    if exact is not None:
+        for _ in range(2):
+            x = x + torch.linalg.lu_solve(LU, pivots, b - exact @ x)
     return x.permute(1, 2, 0)
