@@ -24,7 +24,9 @@ REFERENCE = {
 }
 
 
-def energies(angles: tuple[float, ...], cells: tuple[int, int], modes: int = 8, steps: int = 1200) -> tuple[float, float]:
+def energies(
+    angles: tuple[float, ...], cells: tuple[int, int], modes: int = 8, steps: int = 1200
+) -> tuple[float, float]:
     """Max U [J] and integral of U [J s] of one lay-up [deg]."""
     system = build(len(angles), angles, cells, modes)
     motion = mbd.simulate(system, DURATION, steps=steps).require_ok()

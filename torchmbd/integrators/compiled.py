@@ -159,6 +159,7 @@ class _Finish(_Operation):
 
 
 _VALUES = {"correct": _Correct, "matrix": _Matrix, "finish": _Finish}
+_WITH_INVERSE = ("correct", "tangent_first", "tangent_next")
 _TANGENTS = {"tangent_first": _TangentFirst, "tangent_next": _TangentNext}
 
 
@@ -173,12 +174,13 @@ class CompiledStep:
     def __init__(self, dynamics: Dynamics, packages: dict[str, Any], lanes: int):
         self.T, self.packages = dynamics.topology, packages
         self.signature = Signature.of(dynamics)
-        self.data = flat_data(dynamics, self.signature, lanes)
+        self.twice = lanes == 1  # packages take two lanes at least
+        self.data = flat_data(dynamics, self.signature, max(lanes, 2))
 
     @staticmethod
     def of(dynamics: Dynamics, lanes: int) -> CompiledStep | None:
         """The compiled step of a topology, if its packages are ready; builds them in the background at the second call."""
-        if not enabled() or any(x.is_cuda for x in flat_data(dynamics, Signature.of(dynamics), 1)[:1]):
+        if not enabled():
             return None
         name = key(dynamics.topology, Signature.of(dynamics))
         if name not in _loaded:
@@ -196,9 +198,19 @@ class CompiledStep:
 
     def _call(self, name: str, w: Weights, x: State, drives: list, *rest: Tensor) -> list[Tensor]:
         weights = torch.tensor(w, dtype=torch.float64)
-        state = [(y.full if isinstance(y, Pair) else y).contiguous() for y in x]
+        state = [self._lanes(y.full if isinstance(y, Pair) else y) for y in x]
         laws = [part.contiguous() for pair in drives if pair is not None for part in pair]
-        return self.packages[name](weights, state, self.data, laws, [y.contiguous() for y in rest])
+        inputs = [self._lanes(y, 0 if i == 0 and name in _WITH_INVERSE else -1) for i, y in enumerate(rest)]
+        # Flat inputs go past the package's own unpacking of nested lists, which costs as much as a small operation.
+        outputs = self.packages[name].loader.boxed_run([weights, *state, *self.data, *laws, *inputs])
+        if not self.twice:
+            return outputs
+        return [y[:1] if name == "matrix" else y[..., :1] for y in outputs]
+
+    def _lanes(self, y: Tensor, axis: int = -1) -> Tensor:
+        if self.twice:
+            y = y.expand(2, *y.shape[1:]) if axis == 0 else y.expand(*y.shape[:-1], 2)
+        return y.contiguous()
 
     def correct(self, w, data, x, H, z, drives):
         return tuple(self._call("correct", w, x, drives, H, z))
@@ -214,7 +226,10 @@ class CompiledStep:
 
     def finish(self, w, x, z):
         rest = (z.value, z.tangent) if isinstance(z, Pair) else (z,)
-        drives = [(torch.ones(len(p.members[0]), 1, 1, dtype=torch.float64),) * 2 if p.driven else None for p in self.T.primitives]
+        drives = [
+            (torch.ones(len(p.members[0]), 1, 1, dtype=torch.float64),) * 2 if p.driven else None
+            for p in self.T.primitives
+        ]
         return self.signature.state(self._call("finish", w, x, drives, *rest))
 
 
@@ -253,7 +268,9 @@ def build_in_background(dynamics: Dynamics) -> subprocess.Popen | None:
     command = [sys.executable, "-m", "torchmbd.integrators.compiled", path]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
     with open(os.devnull, "wb") as nothing:
-        _building[name] = subprocess.Popen(command, env=environment, stdout=nothing, stderr=nothing, start_new_session=True)
+        _building[name] = subprocess.Popen(
+            command, env=environment, stdout=nothing, stderr=nothing, start_new_session=True
+        )
     return _building[name]
 
 
@@ -282,7 +299,9 @@ def _package(module: _Operation, name: str, T: Topology, signature: Signature, p
 
     state = [numbers(k, slots) for k in (T.n_q, T.n_v, T.n_v, T.n_v, T.rows)]
     data = [numbers(*s, slots if p else 1) for s, p in zip(signature.shapes, signature.pairs, strict=True)]
-    laws = [torch.ones(len(p.members[0]), 1, 1, dtype=torch.float64) for p in T.primitives if p.driven for _ in range(2)]
+    laws = [
+        torch.ones(len(p.members[0]), 1, 1, dtype=torch.float64) for p in T.primitives if p.driven for _ in range(2)
+    ]
     z, tangent = numbers(n, 1), [numbers(n, signature.tangents) for _ in range(3)]
     H = torch.rand(lanes, n, n, dtype=torch.float64)
     rest = {

@@ -138,7 +138,15 @@ def _values(
 
 
 def _tangents(
-    step: Any, w: Weights, data: Any, x: State, H: Tensor, z: Tensor, drives: list, iterations: int, error: IterationError
+    step: Any,
+    w: Weights,
+    data: Any,
+    x: State,
+    H: Tensor,
+    z: Tensor,
+    drives: list,
+    iterations: int,
+    error: IterationError,
 ) -> Tensor:
     """Design tangents of the unknowns of one step [n, n_b, lanes]."""
     R, correction, dz = step.tangent_first(w, data, x, H, z, drives)

@@ -1,0 +1,80 @@
+"""Compiled steps: keys, faults of the cache, and (slow) the same numbers as the eager route."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import torch
+
+import torchmbd as mbd
+from experiments.slider_crank import build
+from torchmbd.integrators import compiled
+from torchmbd.system import Dynamics
+
+ANGLES = mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])
+NAME = "rod.laminate.angles"
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TORCHMBD_CACHE", str(tmp_path))
+    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+    monkeypatch.setattr(compiled, "_loaded", {})
+    monkeypatch.setattr(compiled, "_seen", {})
+    return tmp_path
+
+
+def dynamics(modes: int = 3, tangents: bool = True) -> Dynamics:
+    return build(3, cells=(6, 2), modes=modes).dynamics({NAME: ANGLES}, tangents=[NAME] if tangents else [])
+
+
+def key(d: Dynamics) -> str:
+    return compiled.key(d.topology, compiled.Signature.of(d))
+
+
+def test_keys_tell_topologies_and_tangents_apart() -> None:
+    keys = [key(dynamics()), key(dynamics(modes=4)), key(dynamics(tangents=False))]
+    assert len(set(keys)) == 3
+    assert keys[0] == key(dynamics())
+
+
+def test_a_corrupt_package_is_removed_and_the_eager_route_serves(cache: Path) -> None:
+    d = dynamics()
+    folder = cache / key(d)
+    folder.mkdir()
+    for operation in compiled.operations(compiled.Signature.of(d)):
+        (folder / f"{operation}.pt2").write_bytes(b"no package")
+    (folder / "ready").touch()
+    with pytest.warns(UserWarning, match="cannot be loaded and is removed"):
+        assert compiled.CompiledStep.of(d, 3) is None
+    assert not folder.exists()
+
+
+def test_packages_are_built_at_the_second_batch_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    built: list[Dynamics] = []
+    monkeypatch.setattr(compiled, "build_in_background", built.append)
+    for _ in range(4):
+        assert compiled.CompiledStep.of(dynamics(), 3) is None
+    assert len(built) == 1
+
+
+def test_without_a_compiler_the_eager_route_works_and_says_so(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    with pytest.warns(UserWarning, match=r"no C\+\+ compiler"):
+        assert compiled.CompiledStep.of(dynamics(), 3) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lanes", [1, 3])
+def test_compiled_and_eager_agree(cache: Path, monkeypatch: pytest.MonkeyPatch, lanes: int) -> None:
+    system, d = build(3, cells=(6, 2), modes=3), dynamics()
+    compiled.build(compiled.bare(d.topology), compiled.Signature.of(d), key(d))
+    motions = []
+    for switch in ("0", "1"):
+        monkeypatch.setenv("TORCHMBD_COMPILE", switch)
+        motions.append(mbd.simulate(system, 0.004, steps=80, sensitivities=True, designs={NAME: ANGLES[:lanes]}))
+    assert key(d) in compiled._loaded
+    eager, fast = motions
+    torch.testing.assert_close(fast.q, eager.q, rtol=0, atol=1e-10)
+    assert float((fast.dq_db - eager.dq_db).abs().max()) < 1e-8 * float(eager.dq_db.abs().max())
