@@ -35,7 +35,7 @@ def energies(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--cells", default="12x2,24x4,48x8", help="meshes, such as 12x2,24x4")
     arguments = parser.parse_args()
     torch.set_num_threads(1)

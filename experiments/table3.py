@@ -45,7 +45,7 @@ def row(name: str, result: mbd.OptimizationResult, start: float) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--starts", type=int, default=0, help="also the best of so many Sobol starts")
     parser.add_argument("--methods", default="mmfd,slsqp")
     arguments = parser.parse_args()

@@ -1,4 +1,4 @@
-"""The command line: torchmbd run, list, ui.
+"""The command line: torchmbd run, list, cache, ui.
 
 Exit codes: 0 done, 1 something failed that was not the input, 2 bad input (every fault named), 130 interrupted.
 Nothing heavy is imported before it is needed: `torchmbd --help` answers at once.
@@ -7,6 +7,7 @@ Nothing heavy is imported before it is needed: `torchmbd --help` answers at once
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -56,6 +57,26 @@ def list_(folder: Path = Path("configs"), uri: str | None = None) -> int:
     console = Console()
     print_configs(folder, console)
     print_studies(uri, console)
+    return 0
+
+
+@app.command
+def cache(clear: bool = False) -> int:
+    """List the compiled steps on disk, or clear them.
+
+    Parameters
+    ----------
+    clear
+        Remove them all.
+    """
+    from torchmbd.integrators.compiled import cache_folder, entries
+
+    console = Console()
+    for path, size, ready in entries():
+        console.print(f"{path.name}  {size / 2**20:6.1f} MiB  {'ready' if ready else 'left over'}")
+        if clear:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    console.print(f"{'cleared' if clear else 'in'} {cache_folder()}")
     return 0
 
 

@@ -9,6 +9,7 @@ import torch
 
 import torchmbd as mbd
 from experiments.slider_crank import build
+from torchmbd.cli import main
 from torchmbd.integrators import compiled
 from torchmbd.system import Dynamics
 
@@ -49,6 +50,18 @@ def test_a_corrupt_package_is_removed_and_the_eager_route_serves(cache: Path) ->
     with pytest.warns(UserWarning, match="cannot be loaded and is removed"):
         assert compiled.CompiledStep.of(d, 3) is None
     assert not folder.exists()
+
+
+def test_the_command_lists_and_clears(cache: Path, capsys: pytest.CaptureFixture) -> None:
+    (cache / "abc").mkdir()
+    (cache / "abc" / "ready").touch()
+    (cache / "broken.job").write_bytes(b"x")
+    assert main(["cache"]) == 0
+    text = capsys.readouterr().out
+    assert "abc" in text
+    assert "left over" in text
+    assert main(["cache", "--clear"]) == 0
+    assert list(cache.iterdir()) == []
 
 
 def test_packages_are_built_at_the_second_batch_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -52,6 +52,17 @@ def cache_folder() -> Path:
     return Path(os.environ.get("TORCHMBD_CACHE") or Path.home() / ".cache" / "torchmbd")
 
 
+def entries() -> list[tuple[Path, int, bool]]:
+    """What lies in the cache: path, bytes, and whether it is a complete set of packages."""
+    if not cache_folder().is_dir():
+        return []
+    found = []
+    for path in sorted(cache_folder().iterdir()):
+        files = [f for f in path.rglob("*") if f.is_file()] if path.is_dir() else [path]
+        found.append((path, sum(f.stat().st_size for f in files), (path / _READY).exists()))
+    return found
+
+
 def enabled() -> bool:
     """Whether compilation is wanted and a C++ compiler is there."""
     if os.environ.get("TORCHMBD_COMPILE") == "0":

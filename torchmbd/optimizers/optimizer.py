@@ -64,10 +64,25 @@ class Evaluation:
 class Problem(Protocol):
     """What `optimize` and `multistart` ask of a problem (physical units everywhere)."""
 
-    names: list[str]
-    start: np.ndarray  # [n]
-    lower: np.ndarray  # [n], may be -inf
-    upper: np.ndarray  # [n], may be +inf
+    @property
+    def names(self) -> Sequence[str]:
+        """One name per variable."""
+        ...
+
+    @property
+    def start(self) -> np.ndarray:
+        """Initial design [n]."""
+        ...
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds [n], may be -inf."""
+        ...
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper bounds [n], may be +inf."""
+        ...
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate one design per row."""

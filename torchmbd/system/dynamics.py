@@ -73,7 +73,8 @@ class Dynamics:
         at = equations.placement(T, values, q.detach(), T.prescribed(q.new_zeros(())))
         J = self.saddle.jacobian(values, at)[0]
         J = J / J.norm(dim=1, keepdim=True)
-        _, R, order = scipy.linalg.qr(J.T.cpu().numpy(), mode="economic", pivoting=True)
+        factors: Any = scipy.linalg.qr(J.T.cpu().numpy(), mode="economic", pivoting=True)
+        _, R, order = factors
         diagonal = np.abs(np.diag(R))
         rank = int((diagonal > 1e-9 * diagonal[0]).sum())
         return tuple(T.row_names[i] for i in sorted(order[rank:]))
