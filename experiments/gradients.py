@@ -32,7 +32,8 @@ def problem(layers: int, duration: float = DURATION, modes: int = 8, **simulatio
 def gradients(p: mbd.Problem, x: list[float]) -> np.ndarray:
     """Exact gradients [2, n] of objective and constraint."""
     [e] = p.evaluate(np.array([x]), gradients=True)
-    assert e.objective_gradient is not None and e.constraint_gradients is not None, e.status
+    if e.objective_gradient is None or e.constraint_gradients is None:
+        raise mbd.SimulationFailure(e.status)
     return np.vstack([e.objective_gradient, e.constraint_gradients])
 
 
