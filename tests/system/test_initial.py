@@ -8,11 +8,11 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.joints.joint import Equation, Joint
-from torchmbd.joints.primitive import Plane
 from experiments.slider_crank import build
 from tests.mechanisms import box, plate, tensor, turned
 from torchmbd.errors import InputError
+from torchmbd.joints.joint import Equation, Joint
+from torchmbd.joints.primitive import Plane
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import equations
 
