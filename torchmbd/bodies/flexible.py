@@ -123,12 +123,15 @@ def _reference(mesh: Mesh, matrices: PlateMatrices, reference: str | int | Seque
         return [int(i) for i in mesh.node_sets[reference]]
     if isinstance(reference, (str, int)):
         return [_node(mesh, reference)]
-    return [_node(mesh, i) for i in reference]
+    nodes = [_node(mesh, i) for i in reference]
+    if not nodes:
+        raise InputError(f"reference is {reference!r}; allowed: a node, a node set or a list of at least one node")
+    return nodes
 
 
 def _node(mesh: Mesh, node: str | int) -> int:
     if isinstance(node, str):
         return mesh.node(node)
-    if not 0 <= int(node) < len(mesh.nodes):
+    if not hasattr(node, "__index__") or not 0 <= int(node) < len(mesh.nodes):
         raise InputError(f"node is {node!r}; allowed: a node name or 0 to {len(mesh.nodes) - 1}")
     return int(node)

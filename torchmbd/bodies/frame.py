@@ -62,9 +62,17 @@ def axis_index(name: str) -> int:
     return "xyz".index(name)
 
 
+def numbers(name: str, x: Any, allowed: str) -> Tensor:
+    """Read numbers of any shape as a tensor of their own; InputError names the argument."""
+    try:
+        return torch.as_tensor(x, dtype=torch.float64).detach().clone()
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"{name} is {x!r}; allowed: {allowed}") from error
+
+
 def vector(name: str, x: Sequence[float] | Tensor) -> Tensor:
     """Read three finite numbers as a vector [3]; InputError names the argument."""
-    result = torch.as_tensor(x, dtype=torch.float64)
+    result = numbers(name, x, "three finite numbers")
     if result.shape != (3,) or not bool(torch.isfinite(result).all()):
         raise InputError(f"{name} is {x!r}; allowed: three finite numbers")
     return result
@@ -74,7 +82,7 @@ def rotation(name: str, axes: Sequence | Tensor | None) -> Tensor:
     """Read a rotation matrix [3, 3]: columns are the axes of the body or frame; None is the identity."""
     if axes is None:
         return torch.eye(3, dtype=torch.float64)
-    A = torch.as_tensor(axes, dtype=torch.float64)
+    A = numbers(name, axes, "a 3 x 3 rotation matrix with the axes as columns")
     if A.shape != (3, 3):
         raise InputError(
             f"{name} has shape {tuple(A.shape)}; allowed: a 3 x 3 rotation matrix with the axes as columns"

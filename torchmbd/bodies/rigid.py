@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from torchmbd.bodies.frame import Frame, identifier, rotation, vector
+from torchmbd.bodies.frame import Frame, identifier, numbers, rotation, vector
 from torchmbd.errors import InputError
 
 
@@ -58,7 +58,7 @@ class RigidBody(nn.Module):
     ):
         super().__init__()
         self.name = identifier("rigid body", name)
-        if not 0 < float(mass) < float("inf"):
+        if isinstance(mass, (str, bytes)) or not 0 < float(mass) < float("inf"):
             raise InputError(f"mass of {name!r} is {mass!r} kg; allowed: positive and finite")
         self.position = vector(f"position of {name!r}", position)
         self.axes = rotation(f"axes of {name!r}", axes)
@@ -85,12 +85,11 @@ class RigidBody(nn.Module):
 
 
 def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
-    J = torch.as_tensor(inertia, dtype=torch.float64)
+    allowed = "three numbers or a symmetric 3 x 3 matrix [kg m2]"
+    J = numbers(f"inertia of {name!r}", inertia, allowed)
     J = torch.diag(J) if J.shape == (3,) else J
     if J.shape != (3, 3) or not bool(torch.isfinite(J).all()) or not torch.allclose(J, J.T, rtol=1e-12, atol=0):
-        raise InputError(
-            f"inertia of {name!r} is {inertia!r}; allowed: three numbers or a symmetric 3 x 3 matrix [kg m2]"
-        )
+        raise InputError(f"inertia of {name!r} is {inertia!r}; allowed: {allowed}")
     principal = torch.linalg.eigvalsh(J)
     # A body of positive mass has J1 + J2 >= J3; a rod has J1 = 0 and a driven body may have none at all.
     if float(principal[0]) < 0 or float(principal[0] + principal[1] - principal[2]) < -1e-12 * float(principal[2]):

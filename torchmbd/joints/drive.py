@@ -51,6 +51,8 @@ class Drive(Joint):
             raise InputError(f"{self.name!r} has speed={speed!r} and angle={angle!r}; allowed: exactly one of the two")
         if speed is not None and not torch.isfinite(torch.tensor(float(speed))):
             raise InputError(f"speed of {self.name!r} is {speed!r} rad/s; allowed: a finite number")
+        if angle is not None:
+            _check_law(self.name, angle)
         self.axis = axis
         self.law: Law = ConstantSpeed(speed) if speed is not None else angle  # type: ignore[assignment]
 
@@ -58,3 +60,11 @@ class Drive(Joint):
         x, y = others(self.axis)
         axes = scribe.axis(self.a, x), scribe.axis(self.a, y), scribe.twin(self.a, x, self.b)
         yield Equation(Angle, axes, self.law)
+
+
+def _check_law(name: str, angle: Any) -> None:
+    start = angle(torch.zeros((), dtype=torch.float64)) if callable(angle) else angle
+    if not isinstance(start, Tensor) or start.shape != () or not bool(torch.isfinite(start)):
+        raise InputError(
+            f"angle of {name!r} gives {start!r} at t = 0; allowed: a torch function of time, [] [s] -> finite [] [rad]"
+        )
