@@ -87,6 +87,8 @@ def test_bodies_that_share_a_laminate_share_its_angles():
         ({"axes": [[1, 0, 0], [0, 2, 0], [0, 0, 1]]}, ["axes of 'rod'", "orthonormal"]),
         ({"reference": "lft"}, ["'lft'", "left", "did you mean 'left'"]),
         ({"reference": 15}, ["15", "0 to 14"]),
+        ({"reference": [1.5]}, ["1.5", "0 to 14"]),
+        ({"reference": []}, ["reference is []", "at least one node"]),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
 )

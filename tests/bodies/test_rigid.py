@@ -41,6 +41,11 @@ def test_three_moments_are_a_diagonal():
     [
         ({"name": "two words"}, ["name of the rigid body", "'two words'", "identifier"]),
         ({"mass": 0.0}, ["mass of 'box'", "0.0 kg", "positive"]),
+        ({"mass": "1.0"}, ["mass of 'box'", "'1.0'", "positive"]),
+        ({"inertia": "round"}, ["inertia of 'box'", "'round'", "three numbers"]),
+        ({"position": "here"}, ["position of 'box'", "'here'", "three finite numbers"]),
+        ({"velocity": None}, ["velocity of 'box'", "None", "three finite numbers"]),
+        ({"axes": [[1, 0, 0], [0, 1]]}, ["axes of 'box'", "[[1, 0, 0], [0, 1]]", "3 x 3"]),
         ({"mass": math.nan}, ["mass of 'box'", "nan", "positive"]),
         ({"inertia": (1.0, 1.0)}, ["inertia of 'box'", "(1.0, 1.0)", "3 x 3"]),
         ({"inertia": (1.0, 1.0, 2.1)}, ["inertia of 'box'", "2.1", "sum of any two"]),
@@ -77,3 +82,12 @@ def test_axes_of_a_frame_are_columns():
     A = turned(0.3, -0.5, 0.8)
     frame = mbd.RigidBody("box", mass=1.0, inertia=(1.0, 1.0, 1.0)).at(axes=A)
     assert_close(torch.stack([frame.axis(name) for name in "xyz"], 1), A)
+
+
+def test_a_body_does_not_share_memory_with_its_arguments():
+    """Changing an array after it was given must not move the body."""
+    given = torch.zeros(3, dtype=torch.float64)
+    body = mbd.RigidBody("box", mass=1.0, inertia=(1.0, 1.0, 1.0), position=given, center=given)
+    given += 1.0
+    assert not body.position.any()
+    assert not body.center.any()

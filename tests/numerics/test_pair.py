@@ -56,7 +56,7 @@ def cases():
                 yield pytest.param(name, carries, lanes, id=f"{name}-{carries}-{lanes}")
 
 
-@pytest.mark.parametrize(("name", "carries", "lanes"), cases())
+@pytest.mark.parametrize(("name", "carries", "lanes"), list(cases()))
 def test_operation_against_jvp(name, carries, lanes):
     f, *shapes = OPERATIONS[name]
     make = torch.Generator().manual_seed(5)

@@ -14,6 +14,7 @@ from torchmbd.errors import InputError
 from torchmbd.joints.joint import Equation, Joint
 from torchmbd.joints.primitive import Plane
 from torchmbd.numerics.pair import Pair, value
+from torchmbd.numerics.rotation import rotation_matrix
 from torchmbd.system import equations
 
 
@@ -195,3 +196,21 @@ def test_a_flexible_body_with_velocity_moves_as_a_rigid_one():
     body = plate("free", velocity=(1.0, 2.0, 3.0), angular_velocity=(0.1, -0.2, 0.3))
     z = mbd.System([body])().initial_state()[0].detach()
     assert z.tolist()[7:] == pytest.approx([0.0] * 3 + [1.0, 2.0, 3.0, 0.1, -0.2, 0.3] + [0.0] * 3)
+
+
+@pytest.mark.parametrize("axis", ["x", "y", "z"])
+def test_a_law_that_does_not_start_at_zero_is_where_the_assembly_goes(axis):
+    """The angle is measured from the given position, in the right-handed sense about the axis of the first frame."""
+    ground, disk = mbd.Ground(), mbd.RigidBody("disk", 1.0, (1.0, 1.0, 1.0), axes=turned(0.2, -0.4, 0.3))
+    frame = ground.at(axes=turned(-0.5, 0.3, 0.7))
+    joints = [
+        mbd.Revolute(frame, disk.at(), axis=axis),
+        mbd.Drive(frame, disk, axis=axis, angle=lambda t: 0.6 + 2.0 * t),
+    ]
+    system = mbd.System([disk], joints)
+    q, v, position, _ = closed(system)
+    assert position < 1e-11
+    direction = frame.axis(axis)
+    A = rotation_matrix(q[3:7, None])[..., 0]
+    assert_close(A, turned(*(0.6 * direction).tolist()) @ disk.axes, rtol=0, atol=1e-11)
+    assert_close(A @ v[3:6], 2.0 * direction, rtol=0, atol=1e-11)

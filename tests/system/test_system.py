@@ -203,6 +203,13 @@ class TestJointDoor:
         with pytest.raises(InputError, match=r"'drive_a_b' (has speed=|is nan|is inf).*; allowed"):
             mbd.Drive(box("a"), box("b"), **given)
 
+    @pytest.mark.parametrize("law", [0.3, lambda t: 0.3, lambda t: t.expand(1), lambda t: t / 0])
+    def test_law_of_a_drive(self, law):
+        with pytest.raises(
+            InputError, match=r"angle of 'drive_a_b' gives .* at t = 0; allowed: a torch function of time"
+        ):
+            mbd.Drive(box("a"), box("b"), angle=law)
+
     def test_drive_between_numbers(self):
         with pytest.raises(InputError, match="joint got 3; allowed: a body or a frame"):
             mbd.Drive(3, box("b"), speed=1.0)
