@@ -1,4 +1,6 @@
-"""Who may import whom: a floor knows the floors below it, never one above or beside it.
+"""Who may import whom, and what module headers promise.
+
+A floor knows the floors below it, never one above or beside it.
 
 Imports for type annotations only (`if TYPE_CHECKING:`) are no dependence at run time and are left out.
 """
@@ -6,6 +8,7 @@ Imports for type annotations only (`if TYPE_CHECKING:`) are no dependence at run
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -93,3 +96,10 @@ def test_an_upward_import_is_seen(tmp_path):
 @pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
 def test_no_file_is_long(file):
     assert len(file.read_text().splitlines()) <= 400
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(PACKAGE)))
+def test_the_tests_that_a_header_names_exist(file):
+    """A header says where its claims are checked: a name that leads nowhere is a claim that nobody checks."""
+    for name in re.findall(r"tests/[\w/]+\.py", file.read_text()):
+        assert (PACKAGE.parent / name).exists(), name

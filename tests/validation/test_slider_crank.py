@@ -79,6 +79,11 @@ def test_the_mirrored_rod_moves_mirrored():
     assert figures(other) == pytest.approx(figures(one), rel=1e-6)
 
 
+def test_as_many_angles_as_layers():
+    with pytest.raises(mbd.InputError, match="angles has 1 entries; allowed: 2, one for each of layers=2"):
+        build(2, [45.0])
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("angles", SLOW_REFERENCE, ids=str)
 def test_energies_of_independent_codes_near_the_optimum(angles):

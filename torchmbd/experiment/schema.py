@@ -9,7 +9,7 @@
 
 Numbers of `design`, `starts.points` and `sweep` are in the unit of their variable; everything else is SI.
 Pydantic validates strictly (no text for a number, no true for 1) and collects every fault; names of the model's own
-parameters and bodies are checked in check.py. Checked in tests/experiment/test_schema.py.
+parameters and bodies are checked in check.py. Checked in tests/experiment/test_load.py.
 """
 
 from __future__ import annotations
