@@ -195,6 +195,8 @@ def _present(
         dynamics=dynamics,
         dq_db=tangents(history.q),
         dv_db=tangents(history.v),
+        da_db=tangents(history.vd),
+        dlam_db=tangents(history.lam),
         designs=designs,
         parameters=parameters,
     )

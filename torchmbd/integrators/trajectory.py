@@ -3,23 +3,25 @@
 Presented lanes (designs) first, then time, then components, the design axis last:
 
     t [times]   q [lanes, times, n_q]   v, a [lanes, times, n_v]   lam [lanes, times, rows]
-    dq_db [lanes, times, n_q, n_b]   dv_db [lanes, times, n_v, n_b]
+    dq_db [lanes, times, n_q, n_b]   dv_db, da_db [lanes, times, n_v, n_b]   dlam_db [lanes, times, rows, n_b]
 
+`moved(delta)` is the neighbor of a motion to first order in the design: the derivative of any function f of a motion is
+the Jacobian of f(motion.moved(delta)) at zero.
 A lane that failed says why in `status`; its numbers are nan from the failure on and must not be used.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, SimulationFailure, unknown
-from torchmbd.numerics.pair import Pair, value
-from torchmbd.numerics.rotation import rotation_matrix
+from torchmbd.errors import SimulationFailure, unknown
+from torchmbd.integrators.body_motion import BodyMotion
+from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
 OK = "ok"
@@ -46,9 +48,13 @@ class Trajectory:
     dynamics: Dynamics
     dq_db: Tensor | None = None
     dv_db: Tensor | None = None
+    da_db: Tensor | None = None
+    dlam_db: Tensor | None = None
     designs: dict[str, Tensor] = field(default_factory=dict)
     parameters: tuple[str, ...] = ()
     _views: dict[str, BodyMotion] = field(default_factory=dict, repr=False)
+    _modes: dict[str, Tensor] = field(default_factory=dict, repr=False)
+    _mode_tangents: dict[str, Tensor] = field(default_factory=dict, repr=False)
 
     @property
     def ok(self) -> bool:
@@ -75,86 +81,56 @@ class Trajectory:
         index = torch.as_tensor(list(rows), device=self.q.device)
         return self.q[..., index], None if self.dq_db is None else self.dq_db[..., index, :]
 
+    def modes(self, name: str) -> Tensor:
+        """Mode shapes [lanes, nodes, 6, modes] of a flexible body: the structure stage of the designs, once more."""
+        if name not in self._modes:
+            with torch.no_grad():
+                self._modes[name] = self._structure(name, self.designs)
+        return self._modes[name]
 
-class BodyMotion:
-    """One body along a trajectory; shapes [lanes, times, ...]."""
+    def _structure(self, name: str, designs: dict[str, Tensor]) -> Tensor:
+        psi = torch.func.functional_call(self.system, designs, (name,))["psi"]
+        return psi if psi.dim() == 4 else psi[None].expand(self.q.shape[0], *psi.shape)
 
-    def __init__(self, motion: Trajectory, name: str):
-        self.motion, self.name = motion, name
-        self._T = motion.dynamics.topology
-        self._index = self._T.names.index(name)
-        self.mesh = getattr(motion.system.body(name), "mesh", None)
+    def prepare_modes(self) -> None:
+        """Differentiate the mode shapes that were asked for, so that `moved` carries them."""
+        zero = self.q.new_zeros(len(self.parameters))
+        for name in self._modes.keys() - self._mode_tangents.keys():
+            with torch.no_grad():
+                psi = torch.func.jacfwd(lambda d, name=name: self._structure(name, self._moved_designs(d)))(zero)
+            self._mode_tangents[name] = psi
 
-    @property
-    def r(self) -> Tensor:
-        """Origin of the body frame in ground axes [lanes, times, 3] [m]."""
-        return self.motion.coordinates(self._T.r_slice(self._index))[0]
+    def _moved_designs(self, delta: Tensor) -> dict[str, Tensor]:
+        moved, start = dict(self.designs), 0
+        for name in dict.fromkeys(label.rpartition("[")[0] for label in self.parameters):
+            shape = self.designs[name].shape[1:]
+            moved[name] = self.designs[name] + delta[start : start + shape.numel()].reshape(shape)
+            start += shape.numel()
+        return moved
 
-    @property
-    def p(self) -> Tensor:
-        """Euler parameters [lanes, times, 4]."""
-        return self.motion.coordinates(self._T.p_slice(self._index))[0]
+    def moved(self, delta: Tensor) -> Trajectory:
+        """The motion of all designs moved by delta [n_b], to first order; delta may carry tangents.
 
-    @property
-    def A(self) -> Tensor:
-        """Rotation, body -> ground [lanes, times, 3, 3]."""
-        return rotation_matrix(self.p.movedim(-1, 0)).movedim((0, 1), (-2, -1))
+        Needs sensitivities, and `prepare_modes` for functions that look at mode shapes.
+        """
 
-    def _flexible(self) -> int:
-        if self._index >= self._T.flexible:
-            raise InputError(f"body {self.name!r} is rigid; allowed here: a flexible body")
-        return self._index
+        def move(x: Tensor, dx: Tensor | None) -> Tensor:
+            return x if dx is None else x + dx @ delta
 
-    @property
-    def w(self) -> Tensor:
-        """Modal coordinates [lanes, times, modes]."""
-        return self.motion.coordinates(self._T.w_slice(self._flexible()))[0]
-
-    @property
-    def dw_db(self) -> Tensor | None:
-        """Sensitivities of the modal coordinates [lanes, times, modes, n_b]."""
-        return self.motion.coordinates(self._T.w_slice(self._flexible()))[1]
-
-    @property
-    def wd(self) -> Tensor:
-        """Rates of the modal coordinates [lanes, times, modes]."""
-        index = torch.as_tensor(self._T.w_slice(self._flexible()), device=self.motion.v.device) - self._T.bodies
-        return self.motion.v[..., index]
-
-    @property
-    def stiffness(self) -> tuple[Tensor, Tensor | None]:
-        """Reduced stiffness Kr [lanes, m, m] and its design tangent [lanes, m, m, n_b]."""
-        Kr = self.motion.dynamics.data["Kr"]
-        m, f = self._T.own_modes[self._flexible()], self._index
-        lanes = self.motion.q.shape[0]
-        K = value(Kr)[:m, :m, f, 0].movedim(-1, 0).expand(lanes, m, m)
-        if not isinstance(Kr, Pair):
-            return K, None
-        dK = Kr.tangent[:m, :m, f].movedim(-1, 0)
-        return K, dK.expand(lanes, *dK.shape[1:])
-
-    @property
-    def strain_energy(self) -> Tensor:
-        """U = 1/2 w' Kr w [lanes, times] [J]; eq. (17)."""
-        return 0.5 * torch.einsum("lti,lij,ltj->lt", self.w, self.stiffness[0], self.w)
-
-    @property
-    def psi(self) -> Tensor:
-        """Mode shapes [lanes, nodes, 6, modes] of the designs of this motion."""
-        self._flexible()
-        with torch.no_grad():
-            psi = torch.func.functional_call(self.motion.system, self.motion.designs, (self.name,))["psi"]
-        return psi if psi.dim() == 4 else psi[None].expand(self.motion.q.shape[0], *psi.shape)
-
-    @property
-    def displacements(self) -> Tensor:
-        """Elastic displacements of the nodes in body axes [lanes, times, nodes, 3] [m]."""
-        return torch.einsum("lnim,ltm->ltni", self.psi[:, :, :3], self.w)
-
-    @property
-    def nodes(self) -> Tensor:
-        """Positions of the deformed mesh in ground axes [lanes, times, nodes, 3] [m]."""
-        self._flexible()
-        body = self.motion.system.body(self.name)
-        local = body.mesh.nodes - body.origin + self.displacements
-        return self.r[:, :, None] + torch.einsum("ltij,ltnj->ltni", self.A, local)
+        data = {
+            name: x.value + (x.tangent * delta[:, None]).sum(-2, keepdim=True) if isinstance(x, Pair) else x
+            for name, x in self.dynamics.data.items()
+        }
+        return Trajectory(
+            t=self.t,
+            q=move(self.q, self.dq_db),
+            v=move(self.v, self.dv_db),
+            a=move(self.a, self.da_db),
+            lam=move(self.lam, self.dlam_db),
+            status=self.status,
+            stats=self.stats,
+            system=self.system,
+            dynamics=replace(self.dynamics, data=data),
+            designs=self._moved_designs(delta),
+            _modes={name: move(psi, self._mode_tangents.get(name)) for name, psi in self._modes.items()},
+        )

@@ -1,0 +1,78 @@
+"""Points of bodies along a motion: rates against differences in time, first-order neighbors against simulated ones."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import pendulum
+
+STEPS = 200
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return mbd.simulate(pendulum(), 0.02, steps=STEPS, sensitivities=True, iterations=(6, 6), refresh=1).require_ok()
+
+
+POINTS = {"origin": ("rod", None), "node": ("rod", 0), "rigid": ("arm", (0.1, -0.2, 0.05))}
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_rates_are_slopes_in_time(point, motion):
+    name, where = POINTS[point]
+    found = motion.body(name).at(where)
+    h = 0.02 / STEPS
+    for x, rate in ((found.position, found.velocity), (found.velocity, found.acceleration)):
+        slope = (x[:, :-4] - 8 * x[:, 1:-3] + 8 * x[:, 3:-1] - x[:, 4:]) / (12 * h)
+        assert_close(rate[:, 2:-2], slope, rtol=0, atol=2e-3 * float(rate.abs().max()))
+
+
+def test_positions_are_those_of_the_deformed_mesh(motion):
+    rod = motion.body("rod")
+    for node in (0, 7, 11):
+        assert_close(rod.at(node).position, rod.nodes[:, :, node], rtol=0, atol=1e-14)
+        assert_close(rod.at(node).displacement, rod.displacements[:, :, node], rtol=0, atol=1e-16)
+
+
+def test_an_attached_point_keeps_to_its_joint(motion):
+    """The left end of the rod hangs on a point of the arm: same position, velocity and acceleration."""
+    a, b = motion.body("rod").at("left"), motion.body("arm").at((0.2, 0.1, -0.05))
+    assert_close(a.position, b.position, rtol=0, atol=1e-9)
+    # Constraints are kept at the level of positions: their rates follow with the step size.
+    assert_close(a.velocity, b.velocity, rtol=0, atol=1e-4 * float(b.velocity.abs().max()))
+
+
+def test_a_moved_motion_is_the_neighbor_to_first_order(motion):
+    """Whatever is looked at, mode shapes included: the error falls with the square of the step."""
+    _ = motion.body("rod").psi
+    motion.prepare_modes()
+    start = motion.designs["rod.laminate.angles"]
+    errors = []
+    for size in (2e-2, 1e-2):
+        delta = size * torch.tensor([0.8, -0.6], dtype=torch.float64)
+        other = mbd.simulate(
+            pendulum(),
+            0.02,
+            steps=STEPS,
+            designs={"rod.laminate.angles": start + delta},
+            iterations=(6, 6),
+            refresh=1,
+        )
+        moved = motion.moved(delta)
+        corners = [x.body("rod").at(0) for x in (moved, other)]
+        kinds = ("displacement", "position", "velocity", "acceleration")
+        pairs = [tuple(getattr(corner, kind) for corner in corners) for kind in kinds]
+        pairs += [(moved.body("rod").strain_energy, other.body("rod").strain_energy), (moved.lam, other.lam)]
+        errors.append([float((x - y).abs().max() / y.abs().max()) for x, y in pairs])
+    for coarse, fine in zip(*errors, strict=True):
+        assert 3.0 < coarse / fine < 5.0
+
+
+def test_points_that_do_not_exist(motion):
+    with pytest.raises(mbd.InputError, match=r"point of the rigid body 'arm' is 'left'; allowed: three numbers"):
+        motion.body("arm").at("left")
+    with pytest.raises(mbd.InputError, match=r"'lefft'.*did you mean 'left'"):
+        motion.body("rod").at("lefft")
