@@ -19,6 +19,7 @@ Checked in tests/elements/test_plate_*.py, tests/convergence/test_plate*.py, tes
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import torch
 from jaxtyping import Float
@@ -64,6 +65,16 @@ class PlateMatrices:
         if entries.shape[-1] != len(ENTRIES):
             raise InputError(f"entries has shape {tuple(entries.shape)}; allowed: [..., {len(ENTRIES)}]")
         return SparseMatrix(self.pattern, entries @ self.basis)
+
+    @cached_property
+    def center_strains(self) -> Float[Tensor, "m 8 18"]:
+        """Plate strains at the centroid of each triangle, in laminate axes: the mean of the three points."""
+        return strain_matrices(self.facets, self.mean).mean(1)
+
+    def section_strains(self, displacements: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 8 k"]:
+        """Return eps, kappa, gamma at the centroid of each triangle for k fields of nodal displacements, such as modes."""
+        corners = displacements[..., self.mesh.triangles, :, :].flatten(-3, -2)
+        return torch.einsum("msf,...mfk->...msk", self.center_strains, corners)
 
     def lumped_mass(
         self, mass_per_area: Float[Tensor, "*lanes"], rotary_inertia_per_area: Float[Tensor, "*lanes"]

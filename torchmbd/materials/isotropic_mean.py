@@ -6,6 +6,8 @@
 
 U1, U4 and the trace of As do not change when a ply is turned, so these two numbers depend on plies and thicknesses but
 on no ply angle. That is why an element may use them as constants and still be linear in the laminate's entries.
+Where the laminate takes As from the energy (shear_correction = "energy"), As does depend on the angles; the mean is then
+that of the stack whose every ply is replaced by its own isotropic mean.
 Source: S. W. Tsai and N. J. Pagano, Invariant properties of composite materials (1968); Jones, section 2.7.
 Checked in tests/materials/test_isotropic_mean.py.
 """
@@ -15,10 +17,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.materials.laminate import Laminate, LaminateStiffness
+from torchmbd.materials.transverse_shear import energy_shear_stiffness, shear_shape
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,8 @@ class IsotropicMean:
         A, D, As = (x.detach() for x in (stiffness.A, stiffness.D, stiffness.As))
         if A.ndim != 2:
             raise InputError(f"IsotropicMean.of: A has shape {tuple(A.shape)}; allowed: one laminate, [3, 3]")
+        if isinstance(laminate, Laminate) and laminate.shear_correction == "energy":
+            As = _shear_of_isotropic_plies(laminate)
         shear = (As[0, 0] + As[1, 1]) / 2.0
         return cls(poisson=float(_U4(A) / _U1(A)), shear_length=float((12.0 * _U1(D) / shear).sqrt()))
 
@@ -51,3 +57,17 @@ def _U1(X: Tensor) -> Tensor:
 
 def _U4(X: Tensor) -> Tensor:
     return (X[0, 0] + X[1, 1] + 6.0 * X[0, 1] - 4.0 * X[2, 2]) / 8.0
+
+
+def _shear_of_isotropic_plies(laminate: Laminate) -> Tensor:
+    with torch.no_grad():
+        Q, G = laminate.layer_stiffness
+        direct, mixed = _U1(Q.movedim(0, -1)), _U4(Q.movedim(0, -1))
+        mean_Q = torch.zeros_like(Q)
+        mean_Q[:, 0, 0] = mean_Q[:, 1, 1] = direct
+        mean_Q[:, 0, 1] = mean_Q[:, 1, 0] = mixed
+        mean_Q[:, 2, 2] = (direct - mixed) / 2.0
+        mean_G = G.diagonal(dim1=-2, dim2=-1).mean(-1)[:, None, None] * torch.eye(2, dtype=G.dtype)
+        z = laminate.faces
+        A, B, D = (((z[:, 1] ** n - z[:, 0] ** n) / n)[:, None, None] * mean_Q for n in (1, 2, 3))
+        return energy_shear_stiffness(shear_shape(mean_Q, z, A.sum(0), B.sum(0), D.sum(0)), mean_G)

@@ -7,7 +7,8 @@ Plies are listed from the bottom face z = -h/2 to the top face z = +h/2.
     Q = As gamma               shear forces        [N/m]
 
     (A, B, D) = sum_k Qbar_k (z_k+1 - z_k,  (z_k+1^2 - z_k^2) / 2,  (z_k+1^3 - z_k^3) / 3)
-    As        = shear_correction * sum_k Gbar_k (z_k+1 - z_k)
+    As        = shear_correction * sum_k Gbar_k (z_k+1 - z_k), or from the energy of the shear stresses in equilibrium
+                (shear_correction = "energy", transverse_shear.py: what sandwich-like stacks need)
 
 eps     eps_xx, eps_yy, gamma_xy of the mid-surface
 kappa   curvatures: the strain at height z is eps + z kappa  [1/m]
@@ -34,6 +35,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.materials.ply import Ply
+from torchmbd.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _UPPER2 = ((0, 0), (0, 1), (1, 1))
@@ -67,7 +69,8 @@ class Laminate(nn.Module):
     angles            [layers] rad, from bottom to top
     thickness         of every layer, or one per given layer [m]; its parameter does not require a gradient by default
     symmetric         the given layers are the lower half, mirrored about the mid-plane
-    shear_correction  multiplies the transverse shear stiffness (5/6: homogeneous section)
+    shear_correction  multiplies the transverse shear stiffness (5/6: homogeneous section), or "energy": the stiffness
+                      of equal energy, a full matrix that follows the stack
     """
 
     angles: Tensor
@@ -82,16 +85,15 @@ class Laminate(nn.Module):
         angles: Sequence[float] | Tensor,
         thickness: float | Sequence[float] | Tensor,
         symmetric: bool = False,
-        shear_correction: float = 5.0 / 6.0,
+        shear_correction: float | str = 5.0 / 6.0,
     ) -> None:
         super().__init__()
         angles_ = _checked_angles(angles)
         layers = angles_.numel()
         plies = _checked_plies(ply, layers)
-        if not 0.0 < shear_correction <= 1.0:
-            raise InputError(f"Laminate: shear_correction = {shear_correction!r}; allowed: 0 < shear_correction <= 1")
         self.symmetric = bool(symmetric)
-        self.shear_correction = float(shear_correction)
+        self.plies = tuple(plies)
+        self.shear_correction = _checked_correction(shear_correction)
         self.angles = nn.Parameter(angles_)
         self.thickness = nn.Parameter(_checked_thickness(thickness, layers), requires_grad=False)
         self.register_buffer("_Q", torch.stack([p.plane_stiffness() for p in plies]), persistent=False)
@@ -109,11 +111,42 @@ class Laminate(nn.Module):
 
     def stiffness(self) -> LaminateStiffness:
         """Integrate the ply stiffnesses through the thickness."""
-        Qbar, Gbar = turned_stiffness(self._stack(self.angles), self._stack(self._Q, -3), self._stack(self._G, -3))
+        Qbar, Gbar = turned_stiffness(self.layer_angles, *self.layer_stiffness)
         H1, H2, H3 = self._moments()
         A, B, D = (torch.einsum("...k,...kij->...ij", H, Qbar) for H in (H1, H2, H3))
-        As = self.shear_correction * torch.einsum("...k,...kij->...ij", H1, Gbar)
+        if isinstance(self.shear_correction, str):
+            As = energy_shear_stiffness(shear_shape(Qbar, self.faces, A, B, D), Gbar)
+        else:
+            As = self.shear_correction * torch.einsum("...k,...kij->...ij", H1, Gbar)
         return LaminateStiffness(A, B, D, As)
+
+    def shear_shape(self) -> ShearShape:
+        """Return how transverse shear forces spread through the thickness."""
+        Qbar, _ = turned_stiffness(self.layer_angles, *self.layer_stiffness)
+        A, B, D = (torch.einsum("...k,...kij->...ij", H, Qbar) for H in self._moments())
+        return shear_shape(Qbar, self.faces, A, B, D)
+
+    @property
+    def layer_angles(self) -> Float[Tensor, "*lanes all_layers"]:
+        """Angle of every layer, both halves of a symmetric stack [rad]."""
+        return self._stack(self.angles)
+
+    @property
+    def layer_plies(self) -> tuple[Ply, ...]:
+        """Ply of every layer, both halves of a symmetric stack."""
+        return self.plies + self.plies[::-1] if self.symmetric else self.plies
+
+    @property
+    def layer_stiffness(self) -> tuple[Float[Tensor, "all_layers 3 3"], Float[Tensor, "all_layers 2 2"]]:
+        """Stiffness of every layer in its own axes, in plane and in transverse shear [Pa]."""
+        return self._stack(self._Q, -3), self._stack(self._G, -3)
+
+    @property
+    def faces(self) -> Float[Tensor, "*lanes all_layers 2"]:
+        """Heights of the bottom and the top of every layer [m]."""
+        t = self._stack(self.thickness)
+        top = t.cumsum(-1) - 0.5 * t.sum(-1, keepdim=True)
+        return torch.stack([top - t, top], dim=-1)
 
     @property
     def total_thickness(self) -> Float[Tensor, "*lanes"]:
@@ -140,21 +173,27 @@ class Laminate(nn.Module):
 
     def _moments(self) -> tuple[Tensor, Tensor, Tensor]:
         """Integrals of 1, z, z^2 over each layer [m, m2, m3], shape [..., layers]."""
-        t = self._stack(self.thickness)
-        top = t.cumsum(-1) - 0.5 * t.sum(-1, keepdim=True)
-        bottom = top - t
-        return t, (top**2 - bottom**2) / 2.0, (top**3 - bottom**3) / 3.0
+        bottom, top = self.faces.unbind(-1)
+        return self._stack(self.thickness), (top**2 - bottom**2) / 2.0, (top**3 - bottom**3) / 3.0
 
 
 def turned_stiffness(
     theta: Float[Tensor, "*lanes layers"], Q: Float[Tensor, "layers 3 3"], G: Float[Tensor, "layers 2 2"]
 ) -> tuple[Float[Tensor, "*lanes layers 3 3"], Float[Tensor, "*lanes layers 2 2"]]:
-    """Ply stiffnesses in plate axes: T' Q T and R' G R; T and R turn strains from plate axes to ply axes."""
+    """Ply stiffnesses in plate axes: T' Q T and R' G R."""
+    T, R = turning(theta)
+    return T.mT @ Q @ T, R.mT @ G @ R
+
+
+def turning(
+    theta: Float[Tensor, "*lanes layers"],
+) -> tuple[Float[Tensor, "*lanes layers 3 3"], Float[Tensor, "*lanes layers 2 2"]]:
+    """T and R turn strains from plate axes to ply axes: (xx, yy, xy) to (11, 22, 12), (xz, yz) to (13, 23)."""
     c, s = torch.cos(theta), torch.sin(theta)
     rows = [[c * c, s * s, c * s], [s * s, c * c, -c * s], [-2 * c * s, 2 * c * s, c * c - s * s]]
     T = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
     R = torch.stack([torch.stack([c, s], dim=-1), torch.stack([-s, c], dim=-1)], dim=-2)
-    return T.mT @ Q @ T, R.mT @ G @ R
+    return T, R
 
 
 def _checked_angles(angles: Sequence[float] | Tensor) -> Tensor:
@@ -190,3 +229,13 @@ def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int)
         if not 0.0 < value < float("inf"):
             raise InputError(f"Laminate: thickness[{k}] = {value!r} m; allowed: a finite number > 0")
     return t
+
+
+def _checked_correction(value: float | str) -> float | str:
+    if value == "energy":
+        return "energy"
+    if isinstance(value, (str, bool)) or not 0.0 < value <= 1.0:
+        raise InputError(
+            f"Laminate: shear_correction = {value!r}; allowed: 0 < shear_correction <= 1, or the word 'energy'"
+        )
+    return float(value)

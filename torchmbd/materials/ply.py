@@ -7,6 +7,7 @@ E1, E2          moduli along and across the fibre      [Pa]
 G12, G13, G23   shear moduli                           [Pa]
 nu12            Poisson's ratio: strain along 2 for a stress along 1
 density         [kg/m3]
+strength        what failure criteria need (strength.py); None where nobody asks for it
 
 Assumed: linear elastic; the strain energy is positive, that is E1, E2, G > 0 and nu12^2 < E1 / E2.
 Source: R. M. Jones, Mechanics of Composite Materials, 2nd ed., sections 2.4-2.5.
@@ -23,6 +24,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.materials.strength import Strength
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,7 @@ class Ply:
     G23: float
     nu12: float
     density: float
+    strength: Strength | None = None
 
     def __post_init__(self) -> None:
         for name in ("E1", "E2", "G12", "G13", "G23", "density"):
@@ -50,14 +53,16 @@ class Ply:
                 f"Ply: nu12 = {self.nu12!r} makes the ply stiffness not positive definite; "
                 f"allowed: |nu12| < sqrt(E1 / E2) = {limit:.6g}"
             )
+        if not (self.strength is None or isinstance(self.strength, Strength)):
+            raise InputError(f"Ply: strength = {self.strength!r}; allowed: a Strength, or None")
 
     @classmethod
-    def isotropic(cls, E: float, nu: float, density: float) -> Ply:
+    def isotropic(cls, E: float, nu: float, density: float, strength: Strength | None = None) -> Ply:
         """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3]."""
         if not (_is_number(nu) and -1.0 < nu <= 0.5):
             raise InputError(f"Ply.isotropic: nu = {nu!r}; allowed: -1 < nu <= 0.5")
         G = E / (2.0 * (1.0 + nu))
-        return cls(E1=E, E2=E, G12=G, G13=G, G23=G, nu12=nu, density=density)
+        return cls(E1=E, E2=E, G12=G, G13=G, G23=G, nu12=nu, density=density, strength=strength)
 
     def plane_stiffness(self) -> Float[Tensor, "3 3"]:
         """Reduced stiffness Q of plane stress [Pa]: (sig_11, sig_22, tau_12) = Q (eps_11, eps_22, gamma_12)."""
