@@ -1,0 +1,113 @@
+"""Ply strains, stresses and failure of a flexible plate along a motion.
+
+    stress(t) = basis w(t),      basis = ply values of the body's modes (elements/ply_recovery.py)
+
+Points of a body run over triangles, layers from the bottom, and the two faces of each layer; `points` names them.
+The index of a body is the largest over all points: its derivative is that of the point where it stands, exact wherever
+this point is unique.
+Differentiable by the design along `Trajectory.moved`: through w, the modes and the laminate itself.
+Checked in tests/integrators/test_ply_history.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from torchmbd.elements import PlateMatrices, PlyBasis, ply_basis, ply_points
+from torchmbd.errors import InputError, unknown
+from torchmbd.materials import CRITERIA
+
+if TYPE_CHECKING:
+    from torchmbd.integrators.trajectory import Trajectory
+
+_CHUNK = 2_000_000  # stresses that are looked through at once
+
+
+class PlyHistory:
+    """The plies of one body along a motion.
+
+    basis     ply strains and stresses of the modes [lanes, points, 5, modes], components as in PLY_COMPONENTS
+    points    triangle, layer and face (0 bottom, 1 top) of each point [points, 3]
+    strength  numbers of the ply's Strength at each point [points, 8]; None where a ply has none
+    """
+
+    basis: PlyBasis
+    points: Int[Tensor, "points 3"]
+    strength: Float[Tensor, "points 8"] | None
+
+    def __init__(self, motion: Trajectory, name: str):
+        view = motion.body(name)
+        self.name, self.w = name, view.w
+        body = motion.system.body(name)
+        require_plies(body)
+        recovery = _Recovery(motion.system, name)
+        designs = {f"system.{key}": x for key, x in motion.designs.items()}
+        self.basis = torch.func.functional_call(recovery, designs, (view.psi,))
+        self.points = ply_points(body.matrices, body.laminate)
+        plies = [ply.strength for ply in body.laminate.layer_plies]
+        numbers = [strength.numbers() for strength in plies if strength is not None]
+        self.strength = torch.stack(numbers)[self.points[:, 1]] if len(numbers) == len(plies) else None
+
+    def stress(self, times: slice = slice(None)) -> Float[Tensor, "lanes times points 5"]:
+        """Ply stresses [Pa] at the chosen output times."""
+        return _at(self.basis.stress, self.w[:, times])
+
+    def strain(self, times: slice = slice(None)) -> Float[Tensor, "lanes times points 5"]:
+        """Ply strains at the chosen output times."""
+        return _at(self.basis.strain, self.w[:, times])
+
+    def critical(self, criterion: str = "tsai_wu") -> Int[Tensor, "lanes times"]:
+        """Which point is nearest to failure, at each time."""
+        rule, strength = self._rule(criterion)
+        basis, w = self.basis.stress.detach(), self.w.detach()
+        size = max(1, _CHUNK // basis[0, ..., 0].numel())
+        rows = [
+            torch.cat([rule(_at(one, part), strength).argmax(-1) for part in trajectory.split(size)])
+            for one, trajectory in zip(basis, w, strict=True)
+        ]
+        return torch.stack(rows)
+
+    def failure(self, criterion: str = "tsai_wu") -> Float[Tensor, "lanes times"]:
+        """Index of the point nearest to failure at each time: below one nothing fails."""
+        rule, strength = self._rule(criterion)
+        place = self.critical(criterion)
+        lane = torch.arange(len(place))[:, None]
+        stress = torch.einsum("ltcm,ltm->ltc", self.basis.stress[lane, place], self.w)
+        return rule(stress, strength[place])
+
+    def _rule(self, criterion: str) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
+        if criterion not in CRITERIA:
+            raise unknown("criterion", criterion, CRITERIA)
+        if self.strength is None:
+            raise InputError(f"a ply of body {self.name!r} has no strength; allowed: Ply(..., strength=Strength(...))")
+        return CRITERIA[criterion], self.strength
+
+
+def require_plies(body: object) -> None:
+    """Raise InputError for a body without plies."""
+    if not isinstance(getattr(body, "matrices", None), PlateMatrices):
+        name = getattr(body, "name", body)
+        raise InputError(f"body {name!r} has no plies; allowed here: a plate, such as FlexibleBody.plate(...)")
+
+
+class _Recovery(nn.Module):
+    """Recovery as a module of the whole system, so that designs go by their names; shared laminates included."""
+
+    def __init__(self, system: nn.Module, name: str):
+        super().__init__()
+        self.system, self.name = system, name
+
+    def forward(self, psi: Tensor) -> PlyBasis:
+        body = self.system.body(self.name)
+        basis = ply_basis(body.matrices, body.laminate, psi)
+        return PlyBasis(*(x.expand(*psi.shape[:1], *x.shape[1:]) for x in basis))
+
+
+def _at(basis: Tensor, w: Tensor) -> Tensor:
+    """Basis [..., points, 5, modes] times w [..., times, modes]: one product."""
+    return (w @ basis.flatten(-3, -2).mT).unflatten(-1, basis.shape[-3:-1])
