@@ -16,7 +16,7 @@ from torchmbd.materials import Laminate, Ply
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
 from torchmbd.optimizers import OptimizationResult, multistart, optimize, sobol
-from torchmbd.reduction import eigenpair_branches, eigenpairs, modal_basis
+from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis
 from torchmbd.system import Dynamics, System
 
 __version__ = "0.1.0"
@@ -50,6 +50,7 @@ __all__ = [
     "System",
     "Trajectory",
     "Universal",
+    "craig_bampton",
     "deg",
     "eigenpair_branches",
     "eigenpairs",

@@ -2,16 +2,25 @@
 
 from torchmbd.reduction.basis import ModalBasis, modal_basis
 from torchmbd.reduction.branches import Branches, eigenpair_branches
+from torchmbd.reduction.constraint_modes import constraint_modes
 from torchmbd.reduction.continuity import Alignment, align, span
+from torchmbd.reduction.craig_bampton import craig_bampton
 from torchmbd.reduction.eigenpairs import Eigenpairs, eigenpairs
+from torchmbd.reduction.family import REDUCTIONS, CraigBampton, Reduction, VibrationModes
 from torchmbd.reduction.invariants import inertia_invariants
 
 __all__ = [
+    "REDUCTIONS",
     "Alignment",
     "Branches",
+    "CraigBampton",
     "Eigenpairs",
     "ModalBasis",
+    "Reduction",
+    "VibrationModes",
     "align",
+    "constraint_modes",
+    "craig_bampton",
     "eigenpair_branches",
     "eigenpairs",
     "inertia_invariants",

@@ -19,6 +19,7 @@ Checked in tests/reduction/test_modal_basis.py and tests/sensitivity/test_eigen_
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -32,6 +33,7 @@ from torchmbd.reduction.forms import check, check_positive_diagonal, lane_name, 
 from torchmbd.reduction.sparse_modes import SparseModes
 from torchmbd.reduction.transport import Cotangent, Pencil, Tangent
 
+Matrix = Tensor | SparseMatrix
 CLUSTER = 1e-6
 ROUNDING = 16 * torch.finfo(torch.float64).eps  # of an eigenvalue, relative to the largest K_ii / M_ii
 SMALL = 150  # freedoms; below, all modes by a dense method cost no more
@@ -44,9 +46,7 @@ class ModalBasis(NamedTuple):
     stiffness: Float[Tensor, "*lanes modes modes"]
 
 
-def modal_basis(
-    K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, cluster: float = CLUSTER, updated: bool = True
-) -> ModalBasis:
+def modal_basis(K: Matrix, M: Matrix, n: int, cluster: float = CLUSTER, updated: bool = True) -> ModalBasis:
     """Reduce to the n lowest modes.
 
     K: dense [..., N, N] or SparseMatrix. M: the same, or a vector [..., N], the diagonal of a lumped mass. Leading
@@ -56,19 +56,25 @@ def modal_basis(
     Raises InputError: entries not finite, K or M not symmetric, M not positive definite, n out of range, or a cluster
     cut by n.
     """
-    pencil, K_values, M_values, lanes = open_pencil(K, M, n)
     if not updated:
-        with torch.no_grad():
-            fixed, _ = _Basis.apply(pencil, n, cluster, K_values.detach(), M_values.detach())
-        fixed = fixed.reshape(*lanes, *fixed.shape[1:])
-        return ModalBasis(fixed, fixed.mT @ (K @ fixed))
+        return fixed_modes(K, M, lambda K, M: modal_basis(K, M, n, cluster))
+    pencil, K_values, M_values, lanes = open_pencil(K, M, n)
     vectors, stiffness = _Basis.apply(pencil, n, cluster, K_values, M_values)
     return ModalBasis(vectors.reshape(*lanes, *vectors.shape[1:]), stiffness.reshape(*lanes, n, n))
 
 
-def open_pencil(
-    K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int
-) -> tuple[Pencil, Tensor, Tensor, tuple[int, ...]]:
+def fixed_modes(K: Matrix, M: Matrix, reduce: Callable[[Matrix, Matrix], ModalBasis]) -> ModalBasis:
+    """The basis that `reduce` finds, held fixed: only Kr has a derivative, Psi' dK Psi (eq. 36)."""
+    with torch.no_grad():
+        vectors = reduce(_detached(K), _detached(M)).vectors
+    return ModalBasis(vectors, vectors.mT @ (K @ vectors))
+
+
+def _detached(matrix: Matrix) -> Matrix:
+    return SparseMatrix(matrix.pattern, matrix.values.detach()) if isinstance(matrix, SparseMatrix) else matrix.detach()
+
+
+def open_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, tuple[int, ...]]:
     """Recognize the forms and flatten all leading dimensions into one lane dimension."""
     K_form, K_values = recognize("K", K)
     M_form, M_values = recognize("M", M, K_form.size)

@@ -52,6 +52,8 @@ class BlockFactor:
             diagonal = D[i].diagonal(dim1=-2, dim2=-1)
             smallest = (L.diagonal(dim1=-2, dim2=-1) ** 2 / diagonal).amin(-1)
             pivots.append(torch.where(info == 0, smallest, -1.0))
+            if info.any():  # what cannot be factorized must not stop the other lanes: `pivot` tells
+                L = torch.where((info == 0)[:, None, None], L, torch.eye(L.shape[-1], dtype=L.dtype, device=L.device))
             self.S_inverse.append(torch.cholesky_inverse(L))
             if i + 1 < len(D):
                 self.E.append(B[i] @ self.S_inverse[i])

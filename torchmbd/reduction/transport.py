@@ -104,7 +104,7 @@ class Tangent(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, pencil: Pencil, *tensors: Tensor | None) -> tuple:
-        return _batched(Tangent, info, in_dims, pencil, tensors)
+        return batched(Tangent, info, in_dims, pencil, tensors)
 
     @staticmethod
     def jvp(ctx: Any, *_: Any) -> Any:
@@ -133,7 +133,7 @@ class Cotangent(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, pencil: Pencil, *tensors: Tensor | None) -> tuple:
-        return _batched(Cotangent, info, in_dims, pencil, tensors)
+        return batched(Cotangent, info, in_dims, pencil, tensors)
 
     @staticmethod
     def jvp(ctx: Any, *_: Any) -> Any:
@@ -147,20 +147,24 @@ class Cotangent(torch.autograd.Function):
 SECOND = "second derivatives of modes are not provided; use finite differences of gradients"
 
 
-def _batched(function: Any, info: Any, in_dims: tuple, pencil: Pencil, tensors: tuple) -> tuple:
-    """vmap: over designs (values and psi carry the dimension) new lanes in front; over directions alone, more T."""
+def batched(
+    function: Any, info: Any, in_dims: tuple, static: Any, tensors: tuple[Tensor | None, ...], state: int = 2
+) -> tuple:
+    """vmap: over designs (one of the `state` first tensors has the dimension) new lanes in front; else more T."""
     dims = in_dims[1:]
-    if dims[0] is None and dims[1] is None:
-        state, moving = tensors[:2], tensors[2:]
-        wide = [_wide(tensor, dim, info.batch_size) for tensor, dim in zip(moving, dims[2:], strict=True)]
-        # [B, lane, T, ...] -> [lane, B T, ...]: one solve with more columns
-        merged = [None if w is None else w.movedim(0, 1).flatten(1, 2) for w in wide]
-        outputs = function.apply(pencil, *state, *merged)
-        return tuple(o.unflatten(1, (info.batch_size, -1)) for o in outputs), (1,) * len(outputs)
     wide = [_wide(tensor, dim, info.batch_size) for tensor, dim in zip(tensors, dims, strict=True)]
+    if all(dim is None for dim in dims[:state]):
+        # [B, lane, T, ...] -> [lane, B T, ...]: one solve with more columns
+        merged = [None if w is None else w.movedim(0, 1).flatten(1, 2) for w in wide[state:]]
+        outputs = _several(function.apply(static, *tensors[:state], *merged))
+        return tuple(o.unflatten(1, (info.batch_size, -1)) for o in outputs), (1,) * len(outputs)
     lanes = next(w for w in wide if w is not None).shape[1]
-    outputs = function.apply(pencil, *(None if w is None else w.flatten(0, 1) for w in wide))
+    outputs = _several(function.apply(static, *(None if w is None else w.flatten(0, 1) for w in wide)))
     return tuple(o.unflatten(0, (info.batch_size, lanes)) for o in outputs), (0,) * len(outputs)
+
+
+def _several(outputs: Tensor | tuple[Tensor, ...]) -> tuple[Tensor, ...]:
+    return outputs if isinstance(outputs, tuple) else (outputs,)
 
 
 def _wide(tensor: Tensor | None, dim: int | None, size: int) -> Tensor | None:
