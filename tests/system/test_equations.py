@@ -233,7 +233,26 @@ def test_geometric_stiffness_is_the_derivative_of_the_constraint_forces(lineariz
     steps = h * torch.eye(n_v, dtype=torch.float64)[..., None, None]
     expected = torch.stack([(forces(step) - forces(-step)) / (2 * h) for step in steps], 1)
     matrix = system.dynamics().saddle.matrix
-    found = matrix(data, at, 1.0, 0.0, None, lam)[0] - matrix(data, at, 1.0)[0]
+    found = matrix(data, at, 1.0, lam=lam)[0] - matrix(data, at, 1.0)[0]
+    assert_close(found[:n_v, :n_v], expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
+    assert not found[n_v:].any()
+
+
+@pytest.mark.parametrize("linearized", ["mixed", "pendulum"], indirect=True)
+def test_inertial_stiffness_is_the_derivative_of_the_inertia_forces_by_the_coordinates(linearized):
+    system, data, t, q, v, a, _ = linearized
+    T = system.topology
+    drives = T.prescribed(t)
+
+    def forces(step: Tensor) -> Tensor:
+        moved = equations.placement(T, data, equations.advance(T, q, step), drives)
+        return torch.cat([x.flatten() for x in equations.inertia_forces(T, data, moved, v, a)])
+
+    h, n_v = 1e-6, T.n_v
+    steps = h * torch.eye(n_v, dtype=torch.float64)[..., None, None]
+    expected = torch.stack([(forces(step) - forces(-step)) / (2 * h) for step in steps], 1)
+    matrix, at = system.dynamics().saddle.matrix, equations.placement(T, data, q, drives)
+    found = matrix(data, at, 1.0, 0.0, v, a)[0] - matrix(data, at)[0]
     assert_close(found[:n_v, :n_v], expected, rtol=0, atol=1e-8 * float(expected.abs().max()))
     assert not found[n_v:].any()
 

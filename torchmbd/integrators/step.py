@@ -148,7 +148,7 @@ class Step:
         """Iteration matrix [lanes, n, n]."""
         T, data, x = self.T, plain(data), x.values()
         q, v = self._end(w, x, self._known(w, x), z[: T.n_v])
-        K = self.saddle.matrix(data, equations.placement(T, data, q, drives), w.scale, w.rate, v, z[T.n_v :])
+        K = self.saddle.matrix(data, equations.placement(T, data, q, drives), w.scale, w.rate, v, z[: T.n_v], z[T.n_v :])
         # A change of the increment turns the body by d(exp), not by the change itself: to first order 1 - h ~om / 2.
         turns = K[:, T.n_v :, 3 * T.bodies : 6 * T.bodies].unflatten(2, (3, T.bodies))
         spin = equations.split_v(T, v)[1][:, :, 0].permute(2, 0, 1)[:, None].expand_as(turns)

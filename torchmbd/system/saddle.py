@@ -128,17 +128,21 @@ class Saddle:
         stiffness: float = 0.0,
         damping: float = 0.0,
         v: Tensor | None = None,
+        a: Tensor | None = None,
         lam: Tensor | None = None,
     ) -> Tensor:
         """Dense saddle-point matrix [lanes, n_v + rows, n_v + rows].
 
         stiffness, damping  factors of Kr and D; `damping` also multiplies the gyroscopic matrix of the rates `v`,
-                            `stiffness` the geometric stiffness of the multipliers `lam`, if they are given
+                            `stiffness` that of the inertia forces of the rates and accelerations `a`, and the geometric
+                            stiffness of the multipliers `lam`, if they are given
         """
         blocks = self._mass_blocks(data, at, stiffness, damping)
         blocks |= {f"{name}_back": blocks[name] for name in ("turn", "pull", "twist") if name in blocks}
         if v is not None:
             self._add_gyroscopic(blocks, data, at, damping, v)
+        if v is not None and a is not None:
+            self._add_inertial(blocks, data, at, stiffness, v, a)
         if lam is not None and self.T.rows:
             self._add_geometric(blocks, data, at, stiffness, lam)
         if self.T.rows:
@@ -203,6 +207,35 @@ class Saddle:
             blocks["twist_back"] = blocks["twist_back"] + factor * (centrifugal + coriolis)
             blocks["modal"] = blocks["modal"] + factor * (data["H"] * om_f[:, None, None]).sum(0)
 
+    def _add_inertial(
+        self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, v: Tensor, a: Tensor
+    ) -> None:
+        """Add the derivatives of the inertia forces by the rotations and by w (equations.py)."""
+        T = self.T
+        f = T.flexible
+        rdd, omd, wdd = split_v(T, a)
+        _, om, wd = split_v(T, v)
+        A, spin = at.A[:, :, : T.bodies], skew(om)
+        Z = skew(omd) + matmul(spin, spin)
+        u = matvec_t(A, rdd - data["gravity"] if "gravity" in data else rdd)
+        S, _, G = moments(T, data, at.w) if f else (data["S0"], None, None)
+        h = matvec(Z, S)
+        if G is not None:
+            S1, C1 = data["SR"][:3], data["C1"]
+            Z_f, spin_f, u_f = Z[:, :, :f], spin[:, :, :f], u[:, :f]
+            bending = h[:, :f] + matvec(S1, wdd) + 2.0 * matvec(spin_f, matvec(S1, wd))
+            h = torch.cat([bending, h[:, f:]], 1) if f < T.bodies else bending
+            blocks["pull"] = blocks["pull"] + factor * matmul(A[:, :, :f], matmul(Z_f, S1))
+            moved, slow, fast = ((C1 * x[:, None]).sum(2) for x in (at.w, wd, wdd))  # [3, 3, modes, flexible]
+            dP = data["C0"].transpose(0, 1) + G + moved
+            turned = _times(Z_f, dP) + fast + 2.0 * _times(spin_f, slow)
+            pulled = matmul(skew(u_f), S1)
+            blocks["twist"] = blocks["twist"] + factor * (axial(turned) - pulled)
+            blocks["twist_back"] = blocks["twist_back"] - factor * pulled
+            blocks["modal"] = blocks["modal"] + factor * (Z_f[:, :, None, None] * C1).sum((0, 1))
+        blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(h))
+        blocks["inertia"] = blocks["inertia"] + factor * matmul(skew(S), skew(u))
+
     def _add_geometric(self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, lam: Tensor) -> None:
         """Add what the constraint forces change by when bodies turn and bend under them, forces held in ground axes.
 
@@ -244,3 +277,8 @@ class Saddle:
     def jacobian(self, data: Data, at: Placement) -> Tensor:
         """Phi_q [lanes, rows, n_v]."""
         return self.matrix(data, at)[:, self.T.n_v :, : self.T.n_v]
+
+
+def _times(A: Tensor, B: Tensor) -> Tensor:
+    """Matrix [3, 3, n] times matrices [3, 3, modes, n]."""
+    return (A[:, :, None, None] * B[None]).sum(1)
