@@ -1,0 +1,108 @@
+"""The whole chain where two retained frequencies are equal: angles -> K -> modes -> motion -> integral of energy.
+
+A rod held at its center has modes that are even and odd under a half turn about its normal. Their frequencies cross
+along a ply angle; a bisection finds the angle. There a differentiated eigensolver divides by zero; here nothing happens.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+import torchmbd as mbd
+from experiments.slider_crank import CARBON, CRANK, DEPTH, ROD, SLIDER_MASS, SPEED, THICKNESS
+from torchmbd.reduction import align
+
+ANGLES = "rod.laminate.angles"
+DURATION, STEPS, MODES = 0.006, 60, 6
+TIGHT = {"steps": STEPS, "iterations": (5, 5), "refresh": 1}
+ENERGY = mbd.StrainEnergy("rod")
+# other angles [deg], bracket of the first one, the pair of modes (from zero), options of the rod
+DESIGNS = {
+    "two layers, modes 1 and 2": ((20.0,), (-51.0, -47.0), 0, {}),
+    "one layer, modes 4 and 5": ((), (25.5, 28.5), 3, {}),
+    "craig-bampton": ((), (36.8, 39.2), 4, {"modes": 2, "reduction": "craig-bampton", "interface": ("left", "right")}),
+}
+
+
+def slider_crank(layers: int, **options) -> mbd.System:
+    """The slider-crank of the paper on a coarse rod."""
+    laminate = mbd.Laminate(mbd.Ply(**CARBON), angles=mbd.deg([0.0] * layers), thickness=THICKNESS / layers)
+    mesh = mbd.mesh.rectangle(length=ROD, width=DEPTH, cells=(6, 2))
+    axes = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    rod = mbd.FlexibleBody.plate(
+        "rod", mesh, laminate, **({"modes": MODES} | options), position=(CRANK + ROD / 2, 0, 0), axes=axes
+    )
+    crank = mbd.RigidBody("crank", mass=0.1, inertia=(1e-4, 1e-4, 1e-4))
+    slider = mbd.RigidBody("slider", mass=SLIDER_MASS, inertia=(1e-4, 1e-4, 1e-4), position=(CRANK + ROD, 0, 0))
+    ground = mbd.Ground()
+    return mbd.System(
+        bodies=[crank, rod, slider],
+        joints=[
+            mbd.Revolute(ground.at(0, 0, 0), crank.at(0, 0, 0), axis="z"),
+            mbd.Drive(ground, crank, axis="z", speed=SPEED),
+            mbd.Spherical(crank.at(CRANK, 0, 0), rod.at("left")),
+            mbd.Universal(rod.at("right"), slider.at(0, 0, 0), axes="yz"),
+            mbd.Prismatic(ground.at(0, 0, 0), slider.at(0, 0, 0), axis="x"),
+        ],
+    )
+
+
+def frequencies_and_modes(system: mbd.System, angles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Eigenvalues [m], modes [N, m] and the diagonal of the mass [N] of one design."""
+    rod = system.body("rod")
+    made = torch.func.functional_call(system, {ANGLES: angles}, ("rod",))
+    mass = rod.matrices.lumped_mass(rod.laminate.mass_per_area, rod.laminate.rotary_inertia_per_area).detach()
+    return made["Kr"].detach().diagonal(), made["psi"].detach().flatten(0, 1), mass
+
+
+def crossing(system: mbd.System, others: tuple[float, ...], bracket: tuple[float, float], first: int) -> Tensor:
+    """Angles [rad] at which eigenvalues first and first + 1 are equal: modes are followed by modal assurance."""
+
+    def design(degrees: float) -> Tensor:
+        return mbd.deg([degrees, *others])
+
+    low, high = bracket
+    at_low, modes, mass = frequencies_and_modes(system, design(low))
+    sign = torch.sign(at_low[first + 1] - at_low[first])
+    for _ in range(45):
+        middle = (low + high) / 2
+        values, found, _ = frequencies_and_modes(system, design(middle))
+        followed = align(modes[:, first : first + 2], found[:, first : first + 2], mass)
+        difference = values[first : first + 2][followed.order].diff()
+        low, high = (middle, high) if sign * difference > 0 else (low, middle)
+    return design((low + high) / 2)
+
+
+def gradient_by_differences(
+    system: mbd.System, angles: Tensor, measure: mbd.Integral | mbd.Max, h: float
+) -> np.ndarray:
+    """Central differences of fourth order of the same discrete map, all neighbors in one batch."""
+    n = len(angles)
+    eye = torch.eye(n, dtype=torch.float64)
+    designs = torch.cat([angles + k * h * eye for k in (-2, -1, 1, 2)])
+    values = measure.value(mbd.simulate(system, DURATION, designs={ANGLES: designs}, **TIGHT).require_ok())
+    f = values.numpy().reshape(4, n)
+    return (f[0] - f[3] + 8 * (f[2] - f[1])) / (12 * h)
+
+
+@pytest.mark.parametrize("name", DESIGNS)
+def test_gradients_through_the_motion_where_two_retained_frequencies_are_equal(name):
+    others, bracket, first, options = DESIGNS[name]
+    system = slider_crank(1 + len(others), **options)
+    angles = crossing(system, others, bracket, first)
+    values, _, _ = frequencies_and_modes(system, angles)
+    assert abs(float(values[first + 1] / values[first]) - 1) < 1e-10, "no crossing"
+    slopes = torch.func.jvp(
+        lambda a: torch.linalg.eigvalsh(torch.func.functional_call(system, {ANGLES: a}, ("rod",))["Kr"]),
+        (angles + 1e-3,),
+        (torch.ones_like(angles),),
+    )[1]
+    assert abs(float(slopes[first + 1] - slopes[first])) > 1e-2 * float(values[first]), "touching, not crossing"
+    motion = mbd.simulate(system, DURATION, sensitivities=[ANGLES], designs={ANGLES: angles[None]}, **TIGHT)
+    for measure in (mbd.Integral(ENERGY), mbd.Max(ENERGY)):
+        found = measure.value_and_gradient(motion.require_ok()).gradient[0].numpy()
+        expected = gradient_by_differences(system, angles, measure, 1e-4)
+        assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
