@@ -7,7 +7,7 @@ from torchmbd.optimizers.search import Search, variable_scale
 
 
 def search_on(problem: Analytic, **options) -> Search:
-    return Search(lambda x, g: problem.evaluate(x[None], g)[0], problem.start, problem.lower, problem.upper, **options)
+    return Search(problem.evaluate, problem.start, problem.lower, problem.upper, **options)
 
 
 def problem() -> Analytic:

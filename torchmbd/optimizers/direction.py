@@ -23,6 +23,7 @@ import numpy as np
 from torchmbd.optimizers.optimizer import Evaluation
 from torchmbd.optimizers.quadratic import solve_quadratic
 
+SUPPORT = 1e-8  # of Phi, added to the metric: it must not be dwarfed, or the digits are lost
 # Phi in units of the objective.
 PHI = (1e2, 1e3, 1e4)
 
@@ -86,7 +87,8 @@ def _relaxed(evaluation: Evaluation, B: np.ndarray, A: np.ndarray, b: np.ndarray
     multipliers = np.zeros(c.size)
     for share in PHI:
         phi = share * max(1.0, abs(evaluation.objective))
-        metric = np.block([[B, np.zeros((size, 1))], [np.zeros((1, size)), np.full((1, 1), phi)]])
+        supported = B + SUPPORT * phi * np.eye(size)
+        metric = np.block([[supported, np.zeros((size, 1))], [np.zeros((1, size)), np.full((1, 1), phi)]])
         solution = solve_quadratic(metric, np.append(df, 0.0), extended, limits)
         if solution is None:  # t = 1, s = 0 satisfies every row up to rounding
             return Direction(np.zeros(size), multipliers, 0.0)

@@ -14,7 +14,6 @@ from torchmbd.errors import InputError
 from torchmbd.optimizers.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimizers.optimizer import (
     Ending,
-    Evaluation,
     Iterate,
     Method,
     OptimizationResult,
@@ -55,11 +54,8 @@ def optimize(
     require_limits(max_iterations, max_analyses)
     require_range("feasibility", feasibility, 0.0, 1.0)
 
-    def ask(x: np.ndarray, gradients: bool) -> Evaluation:
-        return problem.evaluate(x[None, :], gradients)[0]
-
     search = Search(
-        ask,
+        problem.evaluate,
         x,
         lower,
         upper,
@@ -110,6 +106,8 @@ def run_start(
         status, message = "max_iterations", f"the limit of {search.max_analyses} analyses was reached"
     else:
         return result_of(search, ending, method, problem)
+    if not search.history and search.evaluate_known(search.start).ok:
+        search.begin()  # the start is known, though it came with neighbors that are not
     best = search.start if search.best is None else search.best
     return result_of(search, Ending(best, status, message), method, problem, evaluate=False)
 
@@ -127,7 +125,7 @@ def result_of(
     if status == "converged" and len(search.history) == 1 and df is not None and not df.any():
         message = "the objective does not depend on any variable near the start: its gradient is zero there and aside"
     m, n = evaluation.constraints.size, search.size
-    kkt = KuhnTucker(np.full(m, np.nan), np.full(n, np.nan), float("nan"), float("nan"))
+    kkt = KuhnTucker(np.full(m, np.nan), np.full(n, np.nan), float("nan"))
     if evaluation.ok and evaluation.objective_gradient is not None:
         kkt = kuhn_tucker(evaluation, y, search.lower, search.upper, search.equality)
     return OptimizationResult(

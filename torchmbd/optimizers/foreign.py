@@ -134,7 +134,7 @@ def run_foreign(search: Search, run: Callable[[Guard], Stop], max_iterations: in
         quality = kuhn_tucker(evaluation, y, search.lower, search.upper, search.equality)
         feasible = search.violation(evaluation) <= search.feasibility
         reached = abs(evaluation.objective)
-        if feasible and stop.success and 0.0 < reached < FAR_BELOW * unit and quality.relative > kkt:
+        if feasible and stop.success and 0.0 < reached < FAR_BELOW * unit and quality.residual > kkt:
             unit = max(reached, SMALLEST_UNIT)
             continue
         # What looks like a minimum beside a wall, or on the border of a box around one, is none.

@@ -1,10 +1,12 @@
 """Multipliers and Kuhn-Tucker residual of a design, the same for every method.
 
     minimize over lambda >= 0, nu    | df + sum_i lambda_i dc_i + nu |
-    residual = max( |remainder|_inf / max(1, |df|_inf), max_i lambda_i |c_i| / max(1, |f|) )
+    residual = max_i ( |remainder_i| |y_i|, lambda_i |c_i|, |nu_i| gap_i ) / |f|
 
-over the constraints and bounds that are active, that is met but for a narrow band; the sign of an equality's
-multiplier is free. Multipliers by non-negative least squares, so they are estimates where the design is not optimal.
+So the residual is the share of the objective that a change of a variable by its own size would gain, to first order.
+The sums run over the constraints and bounds that are active, that is met but for a narrow band; the sign of an
+equality's multiplier is free. |y_i| counts as 1 at least, |f| as a thousandth of the start's. Multipliers by
+non-negative least squares, so they are estimates where the design is not optimal.
 Source: Vanderplaats, Numerical Optimization Techniques for Engineering Design, section on the Kuhn-Tucker conditions.
 """
 
@@ -28,8 +30,7 @@ SMALLEST_OBJECTIVE = 1e-3  # of the start's
 class KuhnTucker:
     multipliers: np.ndarray  # [m]
     bound_multipliers: np.ndarray  # [n], positive at an upper, negative at a lower bound
-    residual: float
-    relative: float  # largest remainder times its variable's size, relative to the objective: what could be gained
+    residual: float  # what could be gained, as a share of the objective: 0 at an optimum
 
 
 def kuhn_tucker(
@@ -70,8 +71,6 @@ def _estimate(
         bounds[at_lower] -= parts[3]
         remainder = df + columns @ weights
     gaps = np.where(bounds > 0.0, upper - y, np.where(bounds < 0.0, y - lower, 0.0))
-    size = abs(evaluation.objective)
-    stationarity = np.abs(remainder).max(initial=0.0) / max(1.0, float(np.abs(df).max(initial=0.0)))
-    complementarity = np.abs(np.concatenate([multipliers * c, bounds * gaps])).max(initial=0.0) / max(1.0, size)
-    relative = np.abs(remainder * np.maximum(np.abs(y), 1.0)).max(initial=0.0) / max(size, SMALLEST_OBJECTIVE)
-    return KuhnTucker(multipliers, bounds, float(max(stationarity, complementarity)), float(relative))
+    size = max(abs(evaluation.objective), SMALLEST_OBJECTIVE)
+    gains = np.concatenate([remainder * np.maximum(np.abs(y), 1.0), multipliers * c, bounds * gaps])
+    return KuhnTucker(multipliers, bounds, float(np.abs(gains).max(initial=0.0)) / size)

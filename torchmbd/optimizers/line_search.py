@@ -14,6 +14,7 @@ Powell's, not DOT's.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,9 @@ class LineSearch:
     direction: Direction
     weights: np.ndarray  # [m]
     B: np.ndarray
-    thickness: np.ndarray  # [m], violations up to here are left to the next direction
+    unit: np.ndarray  # [m], what makes a distance of each constraint
+    slack: float  # distances up to here are left to the next direction
+    companions: Callable[[Search, np.ndarray], list[np.ndarray]]  # designs to simulate together with a trial
     most: int = 12
 
     def __post_init__(self) -> None:
@@ -56,6 +59,8 @@ class LineSearch:
         self.df0 = float(self.base.objective_gradient @ self.direction.s)
         self.dc0 = self.base.constraint_gradients @ self.direction.s
         self.merit0 = self.merit(self.base)
+        self.thickness = np.maximum(self.search.feasibility, self.slack * self.unit)
+        self.worst0 = self.worst(self.base)
         removed = float(self.weights @ np.maximum(self.base.constraints, 0.0)) * self.direction.beta
         self.slope = self.df0 - removed
         self.trials: list[Trial] = []
@@ -92,6 +97,9 @@ class LineSearch:
     def attempt(self, y: np.ndarray, alpha: float) -> Trial | None:
         """Evaluate a design, projected onto the side constraints; None if that fails."""
         y = np.clip(y, self.search.lower, self.search.upper)
+        companions = self.companions(self.search, y)
+        if companions:
+            self.search.prefetch([y, *companions])
         evaluation = self.search.evaluate(y)
         self.used += 1
         if not evaluation.ok:
@@ -112,12 +120,13 @@ class LineSearch:
         """Whether phi fell enough; from a feasible design, only a step to a feasible one."""
         if self.feasible and not self.near_feasible(trial):
             return False
-        restored = self.worst(trial.evaluation) < 0.5 * self.worst(self.base)
+        restored = self.worst(trial.evaluation) < 0.5 * self.worst0
         noise = NOISE * max(1.0, abs(self.merit0)) if restored else 0.0
         return trial.merit <= self.merit0 + SUFFICIENT * min(trial.alpha, 1.0) * self.slope + noise
 
     def worst(self, evaluation: Evaluation) -> float:
-        return float(np.maximum(evaluation.constraints, 0.0).max(initial=0.0))
+        """Return the largest violation as a distance."""
+        return float((np.maximum(evaluation.constraints, 0.0) / self.unit).max(initial=0.0))
 
     def returned(self, trial: Trial) -> Trial | None:
         """Return the trial moved back to the constraints that it crossed: the smallest step in the metric B."""

@@ -12,7 +12,7 @@ A thread here only waits or does small arithmetic between two simulations: paral
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,8 +29,8 @@ class Lane:
     """One live start: what it asks for, what it was answered, how it ended."""
 
     index: int
-    request: tuple[np.ndarray, bool] | None = None
-    answer: Evaluation | None = None
+    request: tuple[np.ndarray, bool] | None = None  # designs [k, n], with gradients
+    answer: list[Evaluation] | None = None
     reports: list[Iterate] = field(default_factory=list)
     result: OptimizationResult | None = None
     error: BaseException | None = None
@@ -116,20 +116,28 @@ class Lockstep:
 
     def _answer(self) -> None:
         asking = [lane for lane in self._live if lane.request is not None]
-        answers: dict[int, Evaluation] = {}
+        answers: dict[int, list[Evaluation]] = {}
         for gradients in (True, False):
             group = [lane for lane in asking if lane.request is not None and lane.request[1] is gradients]
             if not group:
                 continue
-            X = np.stack([lane.request[0] for lane in group if lane.request is not None])
-            evaluations = self.problem.evaluate(X, gradients)
-            if len(evaluations) != len(group):
-                raise InputError(f"problem.evaluate returned {len(evaluations)} evaluations for {len(group)} designs")
-            answers.update((lane.index, evaluation) for lane, evaluation in zip(group, evaluations, strict=True))
+            requests = [lane.request[0] for lane in group if lane.request is not None]
+            evaluations = self._evaluate(np.concatenate(requests), gradients)
+            for lane, request in zip(group, requests, strict=True):
+                answers[lane.index] = [next(evaluations) for _ in request]
         with self._turn:
             for lane in asking:
                 lane.request, lane.answer = None, answers[lane.index]
             self._turn.notify_all()
+
+    def _evaluate(self, X: np.ndarray, gradients: bool) -> Iterator[Evaluation]:
+        """Evaluate designs [k, n], at most `max_lanes` in one batch."""
+        for first in range(0, len(X), self.max_lanes):
+            batch = X[first : first + self.max_lanes]
+            evaluations = self.problem.evaluate(batch, gradients)
+            if len(evaluations) != len(batch):
+                raise InputError(f"problem.evaluate returned {len(evaluations)} evaluations for {len(batch)} designs")
+            yield from evaluations
 
     def _stop_all(self) -> None:
         with self._turn:
@@ -142,9 +150,9 @@ class Lockstep:
     def _work(self, lane: Lane) -> None:
         """What a thread does: run one start, leaving its result or its error in the lane."""
 
-        def ask(x: np.ndarray, gradients: bool) -> Evaluation:
+        def ask(X: np.ndarray, gradients: bool) -> list[Evaluation]:
             with self._turn:
-                lane.request = x, gradients
+                lane.request = X, gradients
                 self._turn.notify_all()
                 self._turn.wait_for(lambda: lane.answer is not None or self._stop)
                 if lane.answer is None:

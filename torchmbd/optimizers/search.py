@@ -17,7 +17,7 @@ import numpy as np
 from torchmbd.errors import InputError
 from torchmbd.optimizers.optimizer import Evaluation, Iterate
 
-Ask = Callable[[np.ndarray, bool], Evaluation]
+Ask = Callable[[np.ndarray, bool], list[Evaluation]]  # designs [k, n] in one batch
 Report = Callable[[Iterate], None]
 
 # Below this share of the bound range a start value says nothing about the size of its variable (an angle that starts
@@ -92,7 +92,6 @@ class Search:
         if first.ok:
             size = abs(first.objective)
             self.objective_scale = size if self.scaled and size > 0.0 else 1.0
-            self.equality = self._equality_mask(first.constraints.size)
             self._remember(self.start, first)
         self.record(self.start)
         return self._scaled(first)
@@ -102,6 +101,11 @@ class Search:
         evaluation = self._evaluate_physical(self.physical(y), gradients or self.eager_gradients)
         self._remember(y, evaluation)
         return self._scaled(evaluation)
+
+    def prefetch(self, Y: list[np.ndarray]) -> None:
+        """Evaluate several designs (scaled) with gradients in one batch, for `evaluate` to find them in the cache."""
+        X = {x.tobytes(): x for x in map(self.physical, Y)}
+        self._fetch([x for key, x in X.items() if not self._known(key, gradients=True)], gradients=True)
 
     def evaluate_known(self, y: np.ndarray) -> Evaluation:
         """Return what is known at `y` without a new simulation; a failure if nothing is."""
@@ -149,20 +153,31 @@ class Search:
         return mask
 
     def _evaluate_physical(self, x: np.ndarray, gradients: bool) -> Evaluation:
-        key = x.tobytes()
+        if not self._known(x.tobytes(), gradients):
+            self._fetch([x], gradients)
+        return self._cache[x.tobytes()]
+
+    def _known(self, key: bytes, gradients: bool) -> bool:
         seen = self._cache.get(key)
-        if seen is not None and (not seen.ok or not gradients or seen.objective_gradient is not None):
-            return seen
-        if self.max_analyses is not None and self.analyses >= self.max_analyses:
+        return seen is not None and (not seen.ok or not gradients or seen.objective_gradient is not None)
+
+    def _fetch(self, designs: list[np.ndarray], gradients: bool) -> None:
+        room = len(designs) if self.max_analyses is None else max(self.max_analyses - self.analyses, 0)
+        allowed = designs[:room]
+        answers = self._ask(np.stack(allowed), gradients) if allowed else []
+        if len(answers) != len(allowed):
+            raise InputError(f"problem.evaluate returned {len(answers)} evaluations for {len(allowed)} designs")
+        for x, answer in zip(allowed, answers, strict=True):
+            with_gradients = gradients or answer.objective_gradient is not None
+            evaluation = checked(answer, self.size, with_gradients)
+            self.analyses += 1
+            self.gradient_evaluations += with_gradients
+            self.failures += not evaluation.ok
+            if evaluation.ok and self.equality.size != evaluation.constraints.size:
+                self.equality = self._equality_mask(evaluation.constraints.size)
+            self._cache[x.tobytes()] = evaluation
+        if len(allowed) < len(designs):
             raise OutOfAnalyses
-        answer = self._ask(x, gradients)
-        gradients = gradients or answer.objective_gradient is not None
-        evaluation = checked(answer, self.size, gradients)
-        self.analyses += 1
-        self.gradient_evaluations += gradients
-        self.failures += not evaluation.ok
-        self._cache[key] = evaluation
-        return evaluation
 
     def _scaled(self, evaluation: Evaluation) -> Evaluation:
         if not evaluation.ok:

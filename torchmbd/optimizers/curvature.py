@@ -1,0 +1,68 @@
+"""Second derivatives of the Lagrangian from neighbors, and whether a Kuhn-Tucker point is a minimum.
+
+    H_ij = (dL(y + h_i e_i) - dL(y))_j / h_i           one batch of n neighbors, each a little along one variable
+
+A Kuhn-Tucker point is no minimum if s'H s < 0 for a direction s along the constraints and bounds that are pressed against
+(those with a multiplier): a saddle point, or a maximum such as the ply angle of 90 degrees, where all gradients vanish by
+symmetry.
+
+Source: Nocedal and Wright, Numerical Optimization, section 12.5 (second-order conditions).
+Checked in tests/optimizers/test_curvature.py.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import null_space
+
+from torchmbd.optimizers.kkt import KuhnTucker
+from torchmbd.optimizers.optimizer import Evaluation
+from torchmbd.optimizers.search import Search
+
+# Step, as a share of each variable's size: the gradients of a simulation carry a relative noise of 1e-6.
+DIFFERENCE = 1e-3
+
+
+def neighbors(search: Search, y: np.ndarray) -> list[np.ndarray]:
+    """Return n designs, each a little along one variable, inside the bounds."""
+    steps = DIFFERENCE * np.maximum(np.abs(y), 1.0)
+    steps = np.where(y + steps <= search.upper, steps, -steps)
+    return [
+        np.clip(y + step * axis, search.lower, search.upper) for step, axis in zip(steps, np.eye(y.size), strict=True)
+    ]
+
+
+def hessian(search: Search, y: np.ndarray, here: Evaluation, multipliers: np.ndarray) -> np.ndarray | None:
+    """Return the Lagrangian's second derivatives [n, n], those of fixed variables 0; None if a neighbor fails."""
+    others = neighbors(search, y)
+    search.prefetch(others)
+    H = np.zeros((y.size, y.size))
+    for i, other in enumerate(others):
+        there = search.evaluate(other, gradients=True)
+        if not there.ok:
+            return None
+        step = other[i] - y[i]
+        if step != 0.0:
+            H[i] = (slope(there, multipliers) - slope(here, multipliers)) / step
+    H[:, search.lower == search.upper] = 0.0
+    return 0.5 * (H + H.T)
+
+
+def slope(evaluation: Evaluation, multipliers: np.ndarray) -> np.ndarray:
+    """Return the gradient of the Lagrangian [n]."""
+    assert evaluation.objective_gradient is not None
+    assert evaluation.constraint_gradients is not None
+    return evaluation.objective_gradient + evaluation.constraint_gradients.T @ multipliers
+
+
+def way_down(H: np.ndarray, gradients: np.ndarray, quality: KuhnTucker, pressed: float) -> tuple[np.ndarray, float]:
+    """Return the direction [n], of length one, and the curvature of the steepest way down from a Kuhn-Tucker point.
+
+    Constraints and bounds with multipliers above `pressed` are followed; a curvature >= 0 says that there is no way.
+    """
+    bounds = np.eye(H.shape[0])[np.abs(quality.bound_multipliers) > pressed]
+    Z = null_space(np.vstack([gradients[quality.multipliers > pressed], bounds]))
+    if not Z.shape[1]:
+        return np.zeros(H.shape[0]), 0.0
+    values, vectors = np.linalg.eigh(Z.T @ H @ Z)
+    return Z @ vectors[:, 0], float(values[0])
