@@ -1,0 +1,109 @@
+"""Finite differences: the third route to gradients, for comparison only (eq. 29).
+
+    central    df/db_k = (f(b + h_k/2 e_k) - f(b - h_k/2 e_k)) / h_k        error of order h^2, 2 n more simulations
+    forward    df/db_k = (f(b + h_k e_k) - f(b)) / h_k                      error of order h, n more simulations
+
+`Differences(problem)` is a problem like the one that it wraps, with gradients by differences in the same Evaluation, so
+that optimizers, studies and figures take either. A large step cuts the Taylor series off, a small one divides what the
+integrator left of the rounding by h: which step is good is not known beforehand, and depends on the design (section 5.1).
+All neighbors are simulated in one batch with the designs. Differences by a step forward turn back at an upper bound.
+Checked in tests/design/test_differences.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.optimizers import Evaluation
+
+SCHEMES = ("central", "forward")
+
+
+def differences(
+    function: Callable[[np.ndarray], np.ndarray],
+    X: np.ndarray,
+    step: float | Sequence[float] | np.ndarray,
+    scheme: str = "central",
+    upper: np.ndarray | float = np.inf,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values [lanes, ...] and slopes [lanes, ..., n] of a function of a batch of designs [lanes, n], called once.
+
+    step     Delta b in the units of b, one for all variables or one for each
+    scheme   "central" or "forward"
+    Raises InputError for steps that are not positive, or so small that a design does not change.
+    """
+    if scheme not in SCHEMES:
+        raise unknown("scheme", scheme, SCHEMES)
+    X = np.asarray(X, dtype=float)
+    lanes, n = X.shape
+    h = np.broadcast_to(_steps(step, n), X.shape)
+    sides = [h / 2, -h / 2] if scheme == "central" else [np.where(X + h > upper, -h, h)]
+    # each variable alone by its own step: [lanes, n, n]
+    ends = [X[:, None, :] + side[:, :, None] * np.eye(n) for side in sides]
+    values = function(np.concatenate([X, *(end.reshape(-1, n) for end in ends)]))
+    middle, tails = values[:lanes], values[lanes:].reshape(len(ends), lanes, n, *values.shape[1:])
+    start, origin = (tails[1], ends[1]) if scheme == "central" else (middle[:, None], X[:, None, :])
+    moved = np.diagonal(ends[0] - origin, axis1=1, axis2=2)  # the steps as rounding left them
+    if not moved.all():
+        raise InputError(f"step = {step!r} does not change a design; allowed: larger steps")
+    slopes = (tails[0] - start) / moved.reshape(lanes, n, *[1] * (values.ndim - 1))
+    return middle, np.moveaxis(slopes, 1, -1)
+
+
+def _steps(step: Any, n: int) -> np.ndarray:
+    h = np.asarray(step, dtype=float)
+    if h.shape not in ((), (n,)):
+        raise InputError(f"step has shape {h.shape}; allowed: a number, or {n} numbers")
+    if not ((h > 0) & np.isfinite(h)).all():
+        raise InputError(f"step is {step!r}; allowed: positive numbers")
+    return np.broadcast_to(h, (n,))
+
+
+class Differences:
+    """A problem whose gradients are finite differences; everything else is that of the problem.
+
+    problem   what to evaluate
+    step      Delta b of eq. (29) in the units of the design [rad for angles], one for all or one for each variable
+    scheme    "central" or "forward"
+    """
+
+    def __init__(self, problem: Any, step: float | Sequence[float] = 1e-4, scheme: str = "central"):
+        if scheme not in SCHEMES:
+            raise unknown("scheme", scheme, SCHEMES)
+        self._problem, self.step, self.scheme = problem, _steps(step, len(problem.names)), scheme
+
+    def __getattr__(self, name: str) -> Any:
+        if name == "_problem":  # not yet there while an instance is unpickled
+            raise AttributeError(name)
+        return getattr(self._problem, name)
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        """Evaluate designs [lanes, n]; with gradients together with all their neighbors, in one batch."""
+        X = np.asarray(X, dtype=float)
+        if not gradients:
+            return self._problem.evaluate(X, False)
+        evaluations: list[Evaluation] = []
+
+        def numbers(designs: np.ndarray) -> np.ndarray:
+            evaluations.extend(self._problem.evaluate(designs, False))
+            return np.stack([[e.objective, *e.constraints] for e in evaluations])
+
+        _, slopes = differences(numbers, X, self.step, self.scheme, self._problem.upper)
+        lanes = len(X)
+        of_lane = np.arange(lanes, len(evaluations)).reshape(-1, *X.shape)  # [ends, lanes, n]
+        return [
+            self._evaluation(evaluations[lane], [evaluations[i] for i in of_lane[:, lane].flat], slopes[lane])
+            for lane in range(lanes)
+        ]
+
+    @staticmethod
+    def _evaluation(own: Evaluation, neighbors: Sequence[Evaluation], slopes: np.ndarray) -> Evaluation:
+        failed = next((e.status for e in neighbors if not e.ok), None)
+        if not own.ok or failed is not None:
+            reason = own.status if not own.ok else f"failed: a neighbor of the design: {failed}"
+            return Evaluation.failure(reason, len(own.constraints))
+        return Evaluation(own.objective, own.constraints, slopes[0], slopes[1:])
