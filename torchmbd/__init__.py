@@ -9,6 +9,7 @@ result = mbd.optimize(problem)           exact gradients inside
 from torchmbd import mesh, viz
 from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
 from torchmbd.design import Constraint, DesignSpace, Integral, Max, Problem, StrainEnergy
+from torchmbd.design.differences import Differences
 from torchmbd.errors import InputError, MbdError, SimulationFailure
 from torchmbd.integrators import Trajectory, simulate
 from torchmbd.joints import Cylindrical, Distance, Drive, Fixed, Prismatic, Revolute, Spherical, Universal
@@ -25,6 +26,7 @@ __all__ = [
     "Constraint",
     "Cylindrical",
     "DesignSpace",
+    "Differences",
     "Distance",
     "Drive",
     "Dynamics",
