@@ -20,7 +20,7 @@ FLOORS = (
     {"errors"},
     {"numerics"},
     {"mesh", "materials"},
-    {"elements"},
+    {"elements", "sections"},
     {"reduction"},
     {"bodies"},
     {"joints", "forces"},

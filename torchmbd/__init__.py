@@ -6,7 +6,7 @@ problem = mbd.Problem(system, ...)       what to minimize, subject to what
 result = mbd.optimize(problem)           exact gradients inside
 """
 
-from torchmbd import mesh, viz
+from torchmbd import mesh, sections, viz
 from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
 from torchmbd.design import Constraint, DesignSpace, Integral, Max, Problem, StrainEnergy
 from torchmbd.design.differences import Differences
@@ -60,6 +60,7 @@ __all__ = [
     "modal_basis",
     "multistart",
     "optimize",
+    "sections",
     "simulate",
     "sobol",
     "viz",

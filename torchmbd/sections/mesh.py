@@ -1,0 +1,139 @@
+"""The mesh of a cross-section: triangles and quadrilaterals in the y-z plane, each with its layer and its wall's angle.
+
+nodes         y, z in section axes                                                              [n, 2], m
+elements      node indices, counterclockwise seen from +x: 3, 4 (corners), 6 or 8 nodes (corners, then middles of the
+              sides 12, 23, ...); one array, or several of different kinds                      [m, k]
+layer         which entry of the section's angles and plies an element belongs to               [m]
+plane_angle   from y to the wall's tangent s, about +x; None: s runs along the element from node 1 to node 2, also
+              where the element is curved                                                       [m], rad
+
+Wall axes are x (along the beam), s = (cos, sin)(plane_angle) and the wall's normal n = x cross s, in which plies are
+stacked. At plane_angle 0, (x, s, n) = (x, y, z): a wall is then a plate in the x-y plane, laminate and all.
+Bad input is refused here, at the door, and named by element.
+Checked in tests/sections/test_section_mesh.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.sections.shapes import rule, shape
+
+KINDS = (3, 4, 6, 8)
+
+
+class SectionMesh:
+    """See the module header. `elements` becomes a tuple of arrays, one for each kind, in the order given."""
+
+    nodes: Float[Tensor, "n 2"]
+    elements: tuple[Int[Tensor, "m k"], ...]
+    layer: Int[Tensor, " m"]
+    plane_angle: Float[Tensor, " m"] | None
+
+    def __init__(
+        self,
+        nodes: ArrayLike | Tensor,
+        elements: ArrayLike | Tensor | Sequence[ArrayLike | Tensor],
+        layer: ArrayLike | Tensor = 0,
+        plane_angle: ArrayLike | Tensor | None = None,
+    ) -> None:
+        self.nodes = torch.as_tensor(np.array(nodes, dtype=np.float64))
+        self.elements = tuple(torch.as_tensor(np.array(block, dtype=np.int64)) for block in _blocks(elements))
+        count = sum(len(block) for block in self.elements)
+        self.layer = _per_element("layer", np.array(layer, dtype=np.int64), count)
+        self.plane_angle = None
+        if plane_angle is not None:
+            self.plane_angle = _per_element("plane_angle", np.array(plane_angle, dtype=np.float64), count)
+        self._check_nodes()
+        self._check_elements()
+        self._check_connected()
+
+    @property
+    def layers(self) -> int:
+        return int(self.layer.max()) + 1
+
+    def _check_nodes(self) -> None:
+        if self.nodes.ndim != 2 or self.nodes.shape[1] != 2 or len(self.nodes) < 3:
+            raise InputError(f"SectionMesh: nodes has shape {tuple(self.nodes.shape)}; allowed: [n, 2] with n >= 3")
+        bad = (~torch.isfinite(self.nodes)).any(dim=1).nonzero().flatten()
+        if len(bad):
+            raise InputError(
+                f"SectionMesh: node {int(bad[0])} is at {self.nodes[bad[0]].tolist()}; allowed: finite coordinates"
+            )
+        _, first, inverse = np.unique(self.nodes.numpy(), axis=0, return_index=True, return_inverse=True)
+        twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(self.nodes)))
+        if len(twin):
+            pair = (int(first[inverse.ravel()[twin[0]]]), int(twin[0]))
+            raise InputError(f"SectionMesh: nodes {pair[0]} and {pair[1]} share one place; merge them")
+        if self.plane_angle is not None and not torch.isfinite(self.plane_angle).all():
+            raise InputError("SectionMesh: plane_angle holds numbers that are not finite; allowed: finite, in rad")
+        if self.layer.min() < 0:
+            raise InputError(f"SectionMesh: layer {int(self.layer.min())}; allowed: 0 and up")
+
+    def _check_elements(self) -> None:
+        start, n = 0, len(self.nodes)
+        used = torch.zeros(n, dtype=torch.bool)
+        for block in self.elements:
+            if block.ndim != 2 or block.shape[1] not in KINDS or len(block) == 0:
+                raise InputError(f"SectionMesh: elements of shape {tuple(block.shape)}; allowed: [m, k], k in {KINDS}")
+            outside = ((block < 0) | (block >= n)).any(dim=1).nonzero().flatten()
+            if len(outside):
+                k = int(outside[0])
+                raise InputError(
+                    f"SectionMesh: element {start + k} has nodes {block[k].tolist()}; allowed: 0 to {n - 1}"
+                )
+            points = torch.cat([rule(block.shape[1])[0], _corners(block.shape[1])])
+            jacobian = torch.einsum("gki,mkj->mgij", shape(block.shape[1], points)[1], self.nodes[block])
+            area = jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0]
+            size = (self.nodes[block].amax(1) - self.nodes[block].amin(1)).amax(1)
+            wrong = (area <= 1e-9 * size[:, None] ** 2).any(dim=1).nonzero().flatten()
+            if len(wrong):
+                k = int(wrong[0])
+                raise InputError(
+                    f"SectionMesh: element {start + k}, nodes {block[k].tolist()}, is inverted or collapsed; "
+                    "allowed: counterclockwise elements (seen from +x, y to the right) with convex corners"
+                )
+            used[block.flatten()] = True
+            start += len(block)
+        if not used.all():
+            orphans = (~used).nonzero().flatten().tolist()
+            raise InputError(f"SectionMesh: {len(orphans)} nodes belong to no element: {orphans[:8]}; remove them")
+
+    def _check_connected(self) -> None:
+        tail = np.concatenate([block.numpy().ravel() for block in self.elements])
+        head = np.concatenate([np.roll(block.numpy(), -1, axis=1).ravel() for block in self.elements])
+        graph = coo_array((np.ones(len(tail)), (tail, head)), shape=(len(self.nodes),) * 2)
+        parts, label = connected_components(graph, directed=False)
+        if parts > 1:
+            stray = int(np.flatnonzero(label != label[0])[0])
+            raise InputError(
+                f"SectionMesh: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
+            )
+
+
+def _blocks(elements: ArrayLike | Tensor | Sequence[ArrayLike | Tensor]) -> Sequence[ArrayLike | Tensor]:
+    """One array for each kind of element: a list whose first item is itself a list of rows, or one array alone."""
+    if isinstance(elements, list | tuple) and len(elements) and np.ndim(np.asarray(elements[0])) == 2:
+        return elements
+    return [elements]  # pyright: ignore[reportReturnType]
+
+
+def _per_element(name: str, given: np.ndarray, count: int) -> Tensor:
+    if given.shape not in ((), (count,)):
+        raise InputError(f"SectionMesh: {name} has shape {given.shape}; allowed: one number, or one for each element")
+    return torch.as_tensor(given).expand(count).clone()
+
+
+def _corners(nodes: int) -> Tensor:
+    if nodes in (3, 6):
+        return torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
+    return torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]], dtype=torch.float64)

@@ -1,0 +1,180 @@
+"""Cross-section analysis of a laminated beam: 6 x 6 stiffness and mass, centers, stresses, from 2-D finite elements.
+
+    (N, V_y, V_z, T, M_y, M_z) = K (eps, gamma_y, gamma_z, kappa_x, kappa_y, kappa_z)
+
+x along the beam, y and z in the section; forces and moments about the origin of the section's axes. The warping u(y, z)
+of the section is free in all three directions. A force F and moment M that vary along the beam as equilibrium demands
+(M' = -e_x cross F) make stress and warping linear in x, without any assumption on either: Saint-Venant's solutions.
+
+    1  extension, torsion, bending (psi of four, no shear):   E u + R psi = 0
+    2  shear, at the place where the moment vanishes:         E u = (C' - C) u' + L psi' ,   (u', psi') from 1
+       (C' - C) u' + L psi' = H' sigma(1) - B' D P H u'
+
+Each gives six fields of strain for unit forces; S_ij = integral of eps_i' D eps_j is the section's compliance, K = S^-1.
+The shear strains gamma are those that make this energy 1/2 V gamma.
+
+Differentiable, forward and reverse, in the ply angles (warping.py), which may carry leading lanes.
+Assumed: prismatic beam, linear elasticity, forces applied at the ends (distributed forces act on the beam only).
+Source: V. Giavotto, M. Borri, P. Mantegazza et al., Anisotropic beam theory and applications, Computers & Structures
+16 (1983) 403-413, doi:10.1016/0045-7949(83)90179-7; J. P. Blasques, User's Manual for BECAS, Risoe-R-1785 (2012).
+Checked in tests/sections/test_section_*.py, tests/validation/test_sections_*.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.materials import Ply
+from torchmbd.sections.geometry import SectionGeometry
+from torchmbd.sections.mesh import SectionMesh
+from torchmbd.sections.orthotropic import Orthotropic, strain_rotation, turned
+from torchmbd.sections.warping import WarpingProblem, solve
+
+#: The order of forces, moments and generalized strains.
+FORCES = ("N", "V_y", "V_z", "T", "M_y", "M_z")
+_CLASSICAL = [0, 3, 4, 5]
+
+
+class SectionStress(NamedTuple):
+    """Strains and stresses [Pa] in ply axes (11, 22, 33, 23, 13, 12) at points [m, g, 2] of all elements."""
+
+    strain: Float[Tensor, "*lanes m g 6"]
+    stress: Float[Tensor, "*lanes m g 6"]
+    points: Float[Tensor, "m g 2"]
+
+
+class Section(nn.Module):
+    """A meshed section; `.angles` [rad] is its parameter, one value for each layer that the mesh names.
+
+    mesh     elements with their layers and wall angles
+    ply      one Ply or Orthotropic, or one for each layer
+    angles   of the fibre about the wall's normal, from x to the wall's tangent [layers], rad
+    """
+
+    angles: Tensor
+    _C: Tensor
+    _density: Tensor
+
+    def __init__(
+        self,
+        mesh: SectionMesh,
+        ply: Ply | Orthotropic | Sequence[Ply | Orthotropic],
+        angles: Sequence[float] | Tensor = (0.0,),
+    ) -> None:
+        super().__init__()
+        theta = _checked_angles(angles)
+        plies = [ply] * len(theta) if isinstance(ply, Ply | Orthotropic) else list(ply)
+        if len(plies) != len(theta):
+            raise InputError(f"Section: {len(plies)} plies for {len(theta)} angles; allowed: one ply, or one per angle")
+        if mesh.layers > len(theta):
+            raise InputError(
+                f"Section: the mesh has layers 0 to {mesh.layers - 1}, angles has {len(theta)}; "
+                "allowed: one angle for each layer"
+            )
+        solids = [Orthotropic.of(p) for p in plies]
+        self.mesh = mesh
+        self.geometry = SectionGeometry(mesh)
+        self.problem = WarpingProblem(self.geometry, mesh.nodes)
+        self.angles = nn.Parameter(theta)
+        self.register_buffer("_C", torch.stack([p.stiffness() for p in solids]), persistent=False)
+        density = torch.tensor([p.density for p in solids], dtype=torch.float64)
+        self.register_buffer("_density", density, persistent=False)
+
+    def forward(self) -> Float[Tensor, "*lanes 6 6"]:
+        """Return `stiffness()`: the form in which torch.func.functional_call asks for the section."""
+        return self.stiffness()
+
+    def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
+        """K; units N, N m, N m2."""
+        S = self.compliance()
+        # Entries differ by the square of a length in m: balanced before the inversion.
+        d = S.detach().diagonal(dim1=-2, dim2=-1).rsqrt()
+        scale = d[..., :, None] * d[..., None, :]
+        return torch.linalg.inv(S * scale) * scale
+
+    def compliance(self) -> Float[Tensor, "*lanes 6 6"]:
+        """S = K^-1."""
+        strain, stress = self._unit_fields()
+        return self.geometry.energy(strain, stress)
+
+    def mass(self) -> Float[Tensor, "6 6"]:
+        """Inertia per length of the velocities (v, omega) of the section's axes: kg/m, kg, kg m."""
+        g = self.geometry
+        Z = g.turn.mT @ g.Z  # in section axes
+        rigid = torch.zeros_like(Z)
+        rigid[..., [0, 1, 2], [0, 1, 2]] = 1.0
+        rigid[..., :, 3:] = Z[..., :, 3:]
+        weight = g.weight * self._density[g.layer][:, None]
+        return (weight[..., None, None] * (rigid.mT @ rigid)).sum((0, 1))
+
+    def shear_center(self) -> Float[Tensor, "*lanes 2"]:
+        """Where a shear force makes no twist, y and z [m] (of the section alone: without bend-twist coupling)."""
+        S = self.compliance()
+        return torch.stack([-S[..., 3, 2], S[..., 3, 1]], dim=-1) / S[..., 3, 3, None]
+
+    def tension_center(self) -> Float[Tensor, "*lanes 2"]:
+        """Where a normal force makes no curvature, y and z [m]."""
+        S = self.compliance()
+        a, b, c = S[..., 4, 4], S[..., 4, 5], S[..., 5, 5]
+        p, q = S[..., 4, 0], S[..., 5, 0]
+        # kappa_y = p + z a - y b = 0, kappa_z = q + z b - y c = 0
+        return torch.stack([a * q - b * p, b * q - c * p], dim=-1) / (a * c - b * b)[..., None]
+
+    def stress(self, force: Sequence[float] | Float[Tensor, "*lanes 6"]) -> SectionStress:
+        """Recover strains and stresses under (N, V_y, V_z, T, M_y, M_z) [N, N m] at the points of all elements."""
+        load = torch.as_tensor(force, dtype=torch.float64)
+        if load.shape[-1:] != (6,):
+            raise InputError(f"force has shape {tuple(load.shape)}; allowed: [..., 6], {', '.join(FORCES)}")
+        strain, stress = self._unit_fields()
+        load = load[..., None, None, :, None]
+        T = strain_rotation(self.angles)[..., self.geometry.layer, None, :, :]
+        # sigma_ply = T^-T sigma_wall; T^-1 turns by the opposite angle
+        back = strain_rotation(-self.angles)[..., self.geometry.layer, None, :, :].mT
+        return SectionStress((T @ strain @ load)[..., 0], (back @ stress @ load)[..., 0], self.geometry.points)
+
+    def _unit_fields(self) -> tuple[Tensor, Tensor]:
+        """Strain and stress fields [..., m, g, 6, 6] in wall axes, one column for each unit force."""
+        g, problem = self.geometry, self.problem
+        D = turned(self._C, self.angles)
+        psi = torch.eye(6, dtype=D.dtype, device=D.device)[:, _CLASSICAL]
+        rigid = g.rigid_strain(psi)
+        u0 = -solve(problem, D, g.warp_force(g.stress(D, rigid)))
+        strain = rigid + g.warp_strain(u0)
+        stress = g.stress(D, strain)
+        S4 = torch.linalg.inv(g.resultant(stress)[..., _CLASSICAL, :])
+        # Unit V_y makes M_z' = -1, unit V_z makes M_y' = 1.
+        slope = torch.stack([-S4[..., 3], S4[..., 2]], dim=-1)
+        carried = g.carried(u0 @ slope)
+        tilted = g.stress(D, carried)
+        along = stress @ slope[..., None, None, :, :]
+        u1 = solve(problem, D, g.face_force(along) - g.warp_force(tilted))
+        bent = carried + g.warp_strain(u1)
+        bent_stress = g.stress(D, bent)
+        rest = S4 @ g.resultant(bent_stress)[..., _CLASSICAL, :]
+        rest = rest[..., None, None, :, :]
+        unit = S4[..., None, None, :, :]
+        pure, shear = strain @ unit, bent - strain @ rest
+        pure_stress, shear_stress = stress @ unit, bent_stress - stress @ rest
+        return _ordered(pure, shear), _ordered(pure_stress, shear_stress)
+
+
+def _ordered(classical: Tensor, shear: Tensor) -> Tensor:
+    """Columns N, T, M_y, M_z and V_y, V_z in the order of FORCES."""
+    return torch.cat([classical[..., :1], shear, classical[..., 1:]], dim=-1)
+
+
+def _checked_angles(angles: Sequence[float] | Tensor) -> Tensor:
+    theta = torch.as_tensor(angles, dtype=torch.float64).detach().clone()
+    if theta.ndim != 1 or theta.numel() == 0:
+        raise InputError(f"Section: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
+    for k, value in enumerate(theta.tolist()):
+        if not abs(value) <= 2.0 * torch.pi:  # also catches nan
+            hint = " (degrees? use mbd.deg)" if abs(value) > 2.0 * torch.pi else ""
+            raise InputError(f"Section: angles[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
+    return theta
