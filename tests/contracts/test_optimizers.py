@@ -21,7 +21,9 @@ VARIANTS = {
     "mmfd-second-order": ("mmfd", {"second_order": True}),
 }
 needs_nlopt = pytest.mark.skipif(find_spec("nlopt") is None, reason="nlopt is not installed")
-METHODS = [pytest.param(m, marks=needs_nlopt) if m in ("mma", "ccsaq") else m for m in (*sorted(OPTIMIZERS), *VARIANTS)]
+GRADIENT_FREE = ["differential_evolution"]  # slow and inexact: tests/optimizers/test_evolution.py
+REGISTERED = [m for m in sorted(OPTIMIZERS) if m not in GRADIENT_FREE]
+METHODS = [pytest.param(m, marks=needs_nlopt) if m in ("mma", "ccsaq") else m for m in (*REGISTERED, *VARIANTS)]
 CURVED = [m for m in METHODS if isinstance(m, str)]  # methods that learn curvature
 
 

@@ -9,7 +9,7 @@ Where the simulations happen is not known here: `ask` is the problem itself in `
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -85,10 +85,10 @@ class Search:
         """Return x [n] of scaled y, inside the bounds to the last digit."""
         return np.clip(np.asarray(y, dtype=float) * self.scale, self.x_lower, self.x_upper)
 
-    def begin(self) -> Evaluation:
-        """Evaluate the start with gradients, set the objective's scale by it, and record iteration 0."""
+    def begin(self, gradients: bool = True) -> Evaluation:
+        """Evaluate the start, set the objective's scale by it, and record iteration 0."""
         x = self.physical(self.start)
-        first = self._evaluate_physical(x, gradients=True)
+        first = self._evaluate_physical(x, gradients)
         if first.ok:
             size = abs(first.objective)
             self.objective_scale = size if self.scaled and size > 0.0 else 1.0
@@ -102,10 +102,10 @@ class Search:
         self._remember(y, evaluation)
         return self._scaled(evaluation)
 
-    def prefetch(self, Y: list[np.ndarray]) -> None:
-        """Evaluate several designs (scaled) with gradients in one batch, for `evaluate` to find them in the cache."""
+    def prefetch(self, Y: Sequence[np.ndarray], gradients: bool = True) -> None:
+        """Evaluate several designs (scaled) in one batch, for `evaluate` to find them in the cache."""
         X = {x.tobytes(): x for x in map(self.physical, Y)}
-        self._fetch([x for key, x in X.items() if not self._known(key, gradients=True)], gradients=True)
+        self._fetch([x for key, x in X.items() if not self._known(key, gradients)], gradients)
 
     def evaluate_known(self, y: np.ndarray) -> Evaluation:
         """Return what is known at `y` without a new simulation; a failure if nothing is."""
