@@ -35,6 +35,9 @@ def build(
     cells: tuple[int, int] = (24, 4),
     modes: int = 8,
     damping: float = 0.0,
+    reduction: str = "vibration",
+    interface: Sequence[str | int] = (),
+    updated: bool = True,
 ) -> mbd.System:
     """Slider-crank with a rod of equal layers.
 
@@ -43,6 +46,7 @@ def build(
     cells    cells of the rod's mesh along its length and depth, each two triangles
     modes    retained modes of the rod
     damping  stiffness-proportional damping of the rod [s]
+    reduction, interface, updated   of the rod, as in FlexibleBody.plate
     """
     plies = [45.0 if i % 2 == 0 else -45.0 for i in range(layers)] if angles is None else list(angles)
     if len(plies) != layers:
@@ -52,7 +56,16 @@ def build(
     # The normal of the plate lies in the plane of motion, so that the 7.5 mm side bends (inferred).
     axes = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     rod = mbd.FlexibleBody.plate(
-        "rod", mesh, laminate, modes=modes, position=(CRANK + ROD / 2, 0, 0), axes=axes, damping=damping
+        "rod",
+        mesh,
+        laminate,
+        modes=modes,
+        position=(CRANK + ROD / 2, 0, 0),
+        axes=axes,
+        damping=damping,
+        reduction=reduction,
+        interface=interface,
+        updated=updated,
     )
     crank = mbd.RigidBody("crank", mass=0.1, inertia=(1e-4, 1e-4, 1e-4))
     slider = mbd.RigidBody("slider", mass=SLIDER_MASS, inertia=(1e-4, 1e-4, 1e-4), position=(CRANK + ROD, 0, 0))

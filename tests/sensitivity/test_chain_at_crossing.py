@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments.slider_crank import CARBON, CRANK, DEPTH, ROD, SLIDER_MASS, SPEED, THICKNESS
+from experiments.slider_crank import build
 from torchmbd.reduction import align
 
 ANGLES = "rod.laminate.angles"
@@ -25,29 +25,6 @@ DESIGNS = {
     "one layer, modes 4 and 5": ((), (25.5, 28.5), 3, {}),
     "craig-bampton": ((), (36.8, 39.2), 4, {"modes": 2, "reduction": "craig-bampton", "interface": ("left", "right")}),
 }
-
-
-def slider_crank(layers: int, **options) -> mbd.System:
-    """The slider-crank of the paper on a coarse rod."""
-    laminate = mbd.Laminate(mbd.Ply(**CARBON), angles=mbd.deg([0.0] * layers), thickness=THICKNESS / layers)
-    mesh = mbd.mesh.rectangle(length=ROD, width=DEPTH, cells=(6, 2))
-    axes = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
-    rod = mbd.FlexibleBody.plate(
-        "rod", mesh, laminate, **({"modes": MODES} | options), position=(CRANK + ROD / 2, 0, 0), axes=axes
-    )
-    crank = mbd.RigidBody("crank", mass=0.1, inertia=(1e-4, 1e-4, 1e-4))
-    slider = mbd.RigidBody("slider", mass=SLIDER_MASS, inertia=(1e-4, 1e-4, 1e-4), position=(CRANK + ROD, 0, 0))
-    ground = mbd.Ground()
-    return mbd.System(
-        bodies=[crank, rod, slider],
-        joints=[
-            mbd.Revolute(ground.at(0, 0, 0), crank.at(0, 0, 0), axis="z"),
-            mbd.Drive(ground, crank, axis="z", speed=SPEED),
-            mbd.Spherical(crank.at(CRANK, 0, 0), rod.at("left")),
-            mbd.Universal(rod.at("right"), slider.at(0, 0, 0), axes="yz"),
-            mbd.Prismatic(ground.at(0, 0, 0), slider.at(0, 0, 0), axis="x"),
-        ],
-    )
 
 
 def frequencies_and_modes(system: mbd.System, angles: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -91,7 +68,7 @@ def gradient_by_differences(
 @pytest.mark.parametrize("name", DESIGNS)
 def test_gradients_through_the_motion_where_two_retained_frequencies_are_equal(name):
     others, bracket, first, options = DESIGNS[name]
-    system = slider_crank(1 + len(others), **options)
+    system = build(1 + len(others), [0.0] * (1 + len(others)), (6, 2), **({"modes": MODES} | options))
     angles = crossing(system, others, bracket, first)
     values, _, _ = frequencies_and_modes(system, angles)
     assert abs(float(values[first + 1] / values[first]) - 1) < 1e-10, "no crossing"
