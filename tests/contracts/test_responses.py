@@ -1,12 +1,9 @@
-"""The contract of responses: every history and every measure has the gradient of its value.
+"""The contract of responses, over the registry: every history and every measure has the gradient of its value.
 
-Histories on real motions with their neighbors as lanes; measures on series that are known in closed form.
+On real motions with their neighbors as lanes: spatial, unbalanced lay-ups, windows that end between samples.
 """
 
 from __future__ import annotations
-
-import math
-from dataclasses import dataclass
 
 import pytest
 import torch
@@ -14,157 +11,184 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.mechanisms import pendulum
-from torchmbd.design import COMBINATORS, RESPONSES
-from torchmbd.design.response import History, Valued
-from torchmbd.integrators import Trajectory
-
-STEP = 1e-5
-
-
-@pytest.fixture(scope="module")
-def motions() -> tuple[Trajectory, Trajectory]:
-    """Two designs with sensitivities, and all their neighbors."""
-    system, options = pendulum(), {"steps": 40, "iterations": (6, 6), "refresh": 1}
-    angles = mbd.deg([[20.0, -50.0], [70.0, 15.0]])
-    steps = STEP * torch.eye(2, dtype=torch.float64)
-    neighbors = torch.cat([angles[:, None] + steps, angles[:, None] - steps], 1).flatten(0, 1)
-    return tuple(
-        mbd.simulate(
-            system, 0.04, sensitivities=sensitivities, designs={"rod.laminate.angles": x}, **options
-        ).require_ok()
-        for sensitivities, x in ((True, angles), (False, neighbors))
-    )
-
-
-def difference(x: Tensor) -> Tensor:
-    """[2 lanes x (up, up, down, down), ...] -> slopes [2 lanes, ..., 2 variables]."""
-    up, down = x.unflatten(0, (2, 2, 2)).unbind(1)
-    return ((up - down) / (2 * STEP)).movedim(1, -1)
-
-
-@pytest.mark.parametrize("response", RESPONSES)
-def test_gradient_of_a_history_against_differences(response, motions):
-    history = RESPONSES[response]("rod")
-    value, gradient = history.series(motions[0])
-    assert value.shape == (2, 41)
-    assert gradient.shape == (2, 41, 2)
-    expected = difference(history.series(motions[1]).value)
-    assert float(expected.abs().max()) > 0
-    assert_close(gradient, expected, rtol=0, atol=1e-6 * float(expected.abs().max()))
-    assert history.series(motions[1]).gradient is None
-
-
-@pytest.mark.parametrize("response", RESPONSES)
-@pytest.mark.parametrize("combinator", COMBINATORS)
-def test_gradient_of_a_measure_against_differences(response, combinator, motions):
-    measure = COMBINATORS[combinator](RESPONSES[response]("rod"))
-    value, gradient = measure.value_and_gradient(motions[0])
-    assert value.shape == (2,)
-    assert_close(value, measure.value(motions[0]), rtol=0, atol=0)
-    expected = difference(measure.value(motions[1]))
-    assert_close(gradient, expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
-    assert measure.of(motions[1]).gradient is None
-
-
-@pytest.mark.parametrize("response", RESPONSES)
-def test_a_body_that_does_not_exist_is_named(response, motions):
-    with pytest.raises(mbd.InputError, match=r"body 'rdo' does not exist; allowed: .*did you mean 'rod'"):
-        RESPONSES[response]("rdo").series(motions[0])
-    with pytest.raises(mbd.InputError, match="body 'arm' is rigid; allowed here: a flexible body"):
-        RESPONSES[response]("arm").series(motions[0])
-
-
-@dataclass(frozen=True)
-class Known(History):
-    """Known series in place of a simulated one."""
-
-    y: Tensor
-    dy: Tensor | None = None
-
-    def series(self, motion: Trajectory) -> Valued:
-        return Valued(self.y, self.dy)
-
-
-@dataclass
-class Clock:
-    """As much of a trajectory as measures look at."""
-
-    t: Tensor
-
-
-def wave(n: int, shift: float = 0.0) -> tuple[Clock, Known]:
-    """y = b0 sin(4 t + b1) + b2 t at n times in 0..1 [s], with its gradient."""
-    t = torch.linspace(0, 1, n, dtype=torch.float64)[None]
-    b = torch.tensor([1.3, 0.4 + shift, 0.2], dtype=torch.float64)
-    s, c = torch.sin(4 * t + b[1]), torch.cos(4 * t + b[1])
-    return Clock(t[0]), Known(b[0] * s + b[2] * t, torch.stack([s, b[0] * c, t], -1))
-
-
-def exact_peak(shift: float = 0.0) -> tuple[float, list[float]]:
-    b0, b1, b2 = 1.3, 0.4 + shift, 0.2
-    t = (math.acos(-b2 / (4 * b0)) - b1) / 4
-    s, c = math.sin(4 * t + b1), math.cos(4 * t + b1)
-    return b0 * s + b2 * t, [s, b0 * c, t]
-
-
-def test_the_integral_converges_at_second_order():
-    exact = 1.3 * (math.cos(0.4) - math.cos(4.4)) / 4 + 0.1
-    errors = [abs(float(mbd.Integral(history).of(clock).value[0]) - exact) for clock, history in (wave(51), wave(101))]
-    assert math.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
-    assert errors[1] < 2e-4
-
-
-@pytest.mark.parametrize("shift", [0.0, 0.01, 0.02, 0.031, 0.037])
-def test_the_peak_is_found_between_the_samples(shift):
-    """At the best sample the value would be 2e-4 off and the gradient 2 %; the spline is good to the fourth order."""
-    clock, history = wave(61, shift)
-    value, gradient = mbd.Max(history).of(clock)
-    exact, slopes = exact_peak(shift)
-    assert float(value[0]) == pytest.approx(exact, abs=2e-7)
-    assert gradient[0].tolist() == pytest.approx(slopes, abs=2e-5)
-
-
-def test_the_peak_moves_past_a_sample_without_a_jump():
-    """Value and gradient are continuous where the peak crosses a sample: a kink would stop an optimizer."""
-    shifts = torch.linspace(0.0, 4.0 / 60, 400, dtype=torch.float64).tolist()
-    found = [mbd.Max(wave(61, shift)[1]).of(wave(61, shift)[0]) for shift in shifts]
-    values = torch.stack([x.value[0] for x in found])
-    gradients = torch.stack([x.gradient[0] for x in found])
-    step = shifts[1]
-    assert float((values[1:] - values[:-1]).abs().max()) < 2 * step * float(gradients.abs().max())
-    assert float((gradients[1:] - gradients[:-1]).abs().max()) < 4 * step
-    # And the gradient by the shift is the slope of the value.
-    slope = (values[2:] - values[:-2]) / (2 * step)
-    assert_close(slope, gradients[1:-1, 1], rtol=0, atol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("y", "peak", "at"),
-    [
-        ([3.0, 2.0, 1.5, 1.2, 1.1, 1.0], 3.0, 0),
-        ([1.0, 1.1, 1.2, 1.5, 2.0, 3.0], 3.0, 5),
-        ([2.0, 1.0], 2.0, 0),
-        ([0.0, 0.0, 0.0, 0.0, 0.0, 0.0], 0.0, None),
-    ],
+from tests.mechanisms import SOFT, pendulum
+from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES, History, Measure, WeightedSum, history, measure
+from torchmbd.design.histories import (
+    Acceleration,
+    Displacement,
+    Position,
+    Reaction,
+    RelativeDisplacement,
+    StrainEnergy,
+    Velocity,
 )
-def test_a_peak_at_an_end_is_the_end(y, peak, at):
-    n = len(y)
-    series, slopes = torch.tensor([y], dtype=torch.float64), torch.arange(float(n), dtype=torch.float64)[None, :, None]
-    value, gradient = mbd.Max(Known(series, slopes)).of(Clock(torch.linspace(0, 1, n)))
-    assert value.tolist() == [peak]
-    if at is not None:
-        assert gradient.tolist() == [[float(at)]]
+from torchmbd.design.measures import RMS, AtTime, Final, Frequency, Integral, Mass, Max, Mean, Min, SmoothMax
+from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.rows import AtPeaks, AtTimes
+from torchmbd.integrators import Trajectory
+from torchmbd.materials import Strength
+
+DURATION, STEPS = 0.04, 40
+WEIGHTS = {-3: -1.0, -2: 9.0, -1: -45.0, 1: 45.0, 2: -9.0, 3: 1.0}
+JOINT = "universal_arm_rod"
 
 
-def test_a_failed_lane_stays_nan_and_alone():
-    """Numbers of a failed lane must not pass for a maximum."""
-    clock, history = wave(61)
-    y, dy = history.y.repeat(2, 1), history.dy.repeat(2, 1, 1)
-    y[1, 30:], dy[1, 30:] = torch.nan, torch.nan
-    for measure in (mbd.Max, mbd.Integral):
-        value, gradient = measure(Known(y, dy)).of(clock)
-        alone = measure(history).of(clock)
-        assert_close(value[0], alone.value[0])
-        assert_close(gradient[0], alone.gradient[0])
-        assert value[1].isnan()
+@history
+def reach(motion):
+    """A response of one's own."""
+    return motion.body("rod").at("right").position.norm(dim=-1)
+
+
+@measure
+def angle_weighted_mass(motion):
+    """A measure of one's own: depends on motion and design."""
+    return motion.body("rod").mass * motion.body("rod").w[:, -1].square().sum(-1)
+
+
+HISTORIES: dict[str, list[History]] = {
+    "strain_energy": [StrainEnergy("rod")],
+    "position": [
+        Position("rod", "x", node="right"),
+        Position("rod", (1.0, 2.0, -2.0), node=0, seen_from="arm"),
+        Position("rod", "y", seen_from="arm", axes="ground"),
+        Position("rod", "x", node="right", seen_from="rod"),
+    ],
+    "displacement": [
+        Displacement("rod", "z", node="right"),
+        Displacement("rod", "y", node="right", axes="arm"),
+        Displacement("rod", "z", node=0, seen_from="ground"),
+        Displacement("arm", "x", point=(0.2, 0.1, -0.05), axes="rod"),
+    ],
+    "velocity": [
+        Velocity("rod", "x", node="right"),
+        Velocity("rod", "z", node=0, seen_from="rod"),
+        Velocity("rod", "y", node=0, seen_from="arm", axes="rod"),
+        Velocity("arm", "z", point=(0.2, 0.1, -0.05)),
+    ],
+    "acceleration": [
+        Acceleration("rod", "y", node="right"),
+        Acceleration("rod", "z", node=0, seen_from="rod", axes="ground"),
+        Acceleration("rod", "x", node=0, seen_from="arm"),
+    ],
+    "relative_displacement": [
+        RelativeDisplacement("rod", 0, "right", "z"),
+        RelativeDisplacement("rod", "left", "right", (0.0, 1.0, 1.0), axes="ground"),
+    ],
+    "reaction": [
+        Reaction(JOINT, "x"),
+        Reaction(JOINT, "z", on="arm", axes="rod"),
+        Reaction(JOINT, (1.0, 1.0, 0.0), kind="torque"),
+    ],
+    "ply_failure": [PlyFailure("rod"), PlyFailure("rod", "max_stress")],
+}
+ENERGY, LAG = StrainEnergy("rod"), Displacement("rod", "z", node="right")
+MEASURES: dict[str, list[Measure]] = {
+    "integral": [Integral(ENERGY), Integral(LAG**2, window=(0.0113, 0.0307))],
+    "mean": [Mean(LAG), Mean(ENERGY, window=(0.0, 0.0305))],
+    "rms": [RMS(LAG), RMS(ENERGY - 0.3 * ENERGY, window=(0.0107, 0.04))],
+    "max": [Max(ENERGY), Max(LAG), Max(ENERGY, window=(0.0113, 0.0197))],
+    "min": [Min(Position("rod", "z", node=0)), Min(-ENERGY, window=(0.0113, 0.0305))],
+    "smooth_max": [SmoothMax(ENERGY, sharpness=20.0, scale=1e-4), SmoothMax(LAG, window=(0.0, 0.0303), scale=1e-4)],
+    "at_time": [AtTime(ENERGY, 0.0123), AtTime(LAG, 0.04)],
+    "final": [Final(LAG), Final(ENERGY, window=(0.0, 0.0227))],
+    "at_times": [AtTimes(ENERGY, count=7), AtTimes(LAG, times=(0.0101, 0.02, 0.04))],
+    "at_peaks": [AtPeaks(ENERGY, count=3), AtPeaks(LAG, window=(0.0051, 0.0303), count=2)],
+    "frequency": [Frequency("rod"), Frequency("rod", 2)],
+    "mass": [Mass("rod"), Mass()],
+}
+OTHERS = [
+    Max(reach),
+    angle_weighted_mass,
+    0.3 * Max(ENERGY) - Integral(ENERGY) * 2.0 + -Min(LAG),
+    WeightedSum([(0.6, Integral(ENERGY)), (0.4, RMS(LAG))], normalize=(1e-6, 1e-4)),
+]
+
+
+def strong_pendulum() -> mbd.System:
+    """The pendulum with a strength given to its plies."""
+    strength = Strength(Xt=1.5e6, Xc=1.2e6, Yt=4e4, Yc=2.5e5, S12=7e4, S13=6e4, S23=5e4)
+    system = pendulum()
+    system.body("rod").laminate.plies = (mbd.Ply(**SOFT, strength=strength),) * 2
+    return system
+
+
+def cases(table: dict) -> list:
+    return [pytest.param(x, id=f"{name}{i}") for name, given in table.items() for i, x in enumerate(given)]
+
+
+@pytest.fixture(scope="module", params=["angles", "thickness"])
+def motions(request) -> tuple[Trajectory, Trajectory]:
+    """Two designs with sensitivities, and their neighbors as lanes; by angles, or by thicknesses (which change the mass)."""
+    name = f"rod.laminate.{request.param}"
+    system, options = strong_pendulum(), {"steps": STEPS, "iterations": (6, 6), "refresh": 1}
+    designs, step = torch.deg2rad(torch.tensor([[20.0, -50.0], [70.0, 15.0]], dtype=torch.float64)), 2e-2
+    if request.param == "thickness":
+        designs, step = torch.tensor([[1.5e-3, 1.2e-3], [1.1e-3, 2.0e-3]], dtype=torch.float64), 1.5e-5
+    shifts = torch.cat([k * step * torch.eye(2, dtype=torch.float64) for k in WEIGHTS])
+    neighbors = (designs[:, None] + shifts).flatten(0, 1)
+    exact, shifted = (
+        mbd.simulate(system, DURATION, sensitivities=names, designs={name: x}, **options).require_ok()
+        for names, x in (([name], designs), (False, neighbors))
+    )
+    shifted.stats["difference"] = step
+    return exact, shifted
+
+
+def difference(x: Tensor, step: float) -> Tensor:
+    """[2 lanes x 6 shifts x 2 variables, ...] -> slopes [2 lanes, ..., 2 variables].
+
+    Of sixth order: accelerations and reactions carry the rounding of a motion divided by the square of its time step,
+    which only differences over wide steps bear.
+    """
+    shifted = x.unflatten(0, (2, len(WEIGHTS), 2)).unbind(1)
+    total = torch.stack([w * y for w, y in zip(WEIGHTS.values(), shifted, strict=True)]).sum(0)
+    return (total / (60.0 * step)).movedim(1, -1)
+
+
+def test_every_registered_response_is_in_this_contract():
+    assert {name: type(given[0]) for name, given in HISTORIES.items()} == RESPONSES
+    assert {name: type(given[0]) for name, given in MEASURES.items()} == COMBINATORS | OF_DESIGN
+
+
+@pytest.mark.parametrize("response", [*cases(HISTORIES), reach])
+def test_gradient_of_a_history_against_differences(response, motions):
+    response.check(motions[0].system)
+    value, gradient = response.series(motions[0])
+    assert value.shape == (2, STEPS + 1)
+    assert gradient.shape == (2, STEPS + 1, 2)
+    expected = difference(response.values(motions[1]), motions[1].stats["difference"])
+    assert float(expected.abs().max()) > 0
+    assert_close(gradient, expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
+    assert response.series(motions[1]).gradient is None
+
+
+@pytest.mark.parametrize("response", [*cases(MEASURES), *OTHERS])
+def test_gradient_of_a_measure_against_differences(response, motions):
+    response.check(motions[0].system)
+    value, gradient = response.value_and_gradient(motions[0])
+    rows = () if response.rows == 1 and value.dim() == 1 else (response.rows,)
+    assert value.shape == (2, *rows)
+    assert gradient.shape == (2, *rows, 2)
+    assert_close(value, response.value(motions[0]), rtol=0, atol=0)
+    expected = difference(response.value(motions[1]), motions[1].stats["difference"])
+    rounding = 1e-13 * float(value.abs().max()) / motions[1].stats["difference"]
+    assert_close(gradient, expected, rtol=0, atol=1e-5 * float(expected.abs().max()) + rounding)
+    assert response.of(motions[1]).gradient is None
+    with pytest.raises(mbd.InputError, match="motion has no sensitivities"):
+        response.value_and_gradient(motions[1])
+
+
+@pytest.mark.parametrize("response", [*cases(HISTORIES), *(c for c in cases(MEASURES) if "mass1" not in str(c.id))])
+def test_a_body_or_joint_that_does_not_exist_is_named(response, motions):
+    """Every response looks at its names when it is checked against the system."""
+    with pytest.raises(mbd.InputError, match=r"does not exist; allowed: .*did you mean"):
+        response.check(renamed())
+
+
+def renamed() -> mbd.System:
+    system = pendulum()
+    for body in system.bodies:
+        body.name += "s"
+    for joint in system.joints:
+        joint.name += "s"
+    return system

@@ -1,10 +1,26 @@
 """Design: responses with gradients, the design space, the optimization problem."""
 
+from torchmbd.design.histories import (
+    Acceleration,
+    Displacement,
+    Position,
+    Reaction,
+    RelativeDisplacement,
+    StrainEnergy,
+    Velocity,
+)
+from torchmbd.design.measures import RMS, AtTime, Final, Frequency, Integral, Mass, Max, Mean, Min, SmoothMax
+from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.problem import Problem
-from torchmbd.design.response import Constraint, History, Measure
-from torchmbd.design.responses import COMBINATORS, RESPONSES, Integral, Max, StrainEnergy
+from torchmbd.design.response import Constraint, History, Measure, history, measure
+from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.design.rows import AtPeaks, AtTimes
 from torchmbd.design.space import DesignSpace
+from torchmbd.design.weighted import WeightedSum
 
 __all__ = [
-    "COMBINATORS", "RESPONSES", "Constraint", "DesignSpace", "History", "Integral", "Max", "Measure", "Problem", "StrainEnergy",
+    "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "AtPeaks", "AtTime", "AtTimes", "Constraint",
+    "DesignSpace", "Displacement", "Final", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min",
+    "PlyFailure", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Velocity",
+    "WeightedSum", "history", "measure",
 ]  # fmt: skip

@@ -1,17 +1,24 @@
 """An optimization problem: which measure of a motion to minimize over which design variables, subject to what.
 
-    minimize f(b)   subject to   g_i(b) <= c_i,   lower <= b <= upper          eq. (14)
+    minimize f(b)   subject to   g_i(b) <= c_i,  g_j(b) = c_j,   lower <= b <= upper          eq. (14)
+
+Constraints are passed on as (g - c)/scale, feasible where not positive. An objective of several rows y_k (AtPeaks,
+AtTimes) is the min-max problem (18), solved by an extra variable, the last of the design vector:
+
+    minimize beta y_0   subject to   y_k(b)/y_0 - beta <= 0,   0 <= beta <= 1               eqs. (19), (20)
+
+with y_0 the largest row of the initial design. Max(...) as objective is the same problem directly.
 
 Arrays in, arrays out: optimizers know nothing of mechanics (torchmbd/optimizers/optimizer.py tells what they ask for).
-A batch of designs is one simulation. Constraints are passed on as (g - c)/|c|, feasible where not positive.
-A design that cannot be simulated is a failed evaluation with its reason; the others of the batch are not touched.
+A batch of designs is one simulation. A design that cannot be simulated is a failed evaluation with its reason; the others
+of the batch are not touched. What is said to be "initial" comes from one simulation of the initial design.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -24,17 +31,37 @@ from torchmbd.integrators.trajectory import OK
 from torchmbd.optimizers import Evaluation
 from torchmbd.system import System
 
+BOUND = "bound"  # name of the extra variable beta
+
+
+class Reference(NamedTuple):
+    """The problem with everything that refers to the initial design filled in.
+
+    measures  objective, then one for each constraint
+    unit      what the extra variable is a multiple of
+    limits    c of every row of the constraints [m]
+    scale     what the violation of each row is divided by, with the sign of its kind [m]
+    """
+
+    measures: list[Measure]
+    unit: float
+    limits: np.ndarray
+    scale: np.ndarray
+
 
 class Problem:
     """A transient optimization problem.
 
     system      the model; its parameters are the candidates for design variables
     duration    simulated time [s]
-    minimize    a measure, such as Integral(StrainEnergy("rod"))
+    minimize    a measure, such as Integral(StrainEnergy("rod")); of several rows: their largest
     subject_to  constraints, such as Max(StrainEnergy("rod")) <= "initial"
-    bounds      (lower, upper) of the design variables, numbers for all or one for each [rad for angles]
+    bounds      (lower, upper) of the design variables: numbers for all, one for each, or a mapping from parameter
+                names to such pairs [rad for angles]
     variables   names of parameters; default: every parameter that requires a gradient
     start       initial design [n]; default: the system's own
+    links       entries that follow others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
+    bound       (start, upper) of the extra variable, where `minimize` has several rows
     method, steps, options   as in `simulate`
     """
 
@@ -49,6 +76,8 @@ class Problem:
         start: Any = None,
         method: str = "generalized_alpha",
         steps: int | None = None,
+        links: Any = None,
+        bound: tuple[float, float] = (1.0, 1.0),
         **options: Any,
     ):
         if not isinstance(minimize, Measure):
@@ -59,88 +88,149 @@ class Problem:
         check(duration, method, steps, options)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
             measure.check(system)
+            if measure.until > duration * (1.0 + 1e-9):
+                raise InputError(
+                    f"{measure!r} looks at t = {measure.until:g} s; allowed: up to duration={duration:g} s"
+                )
+        if not 0.0 < bound[0] <= bound[1]:
+            raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")
         self.system, self.duration, self.objective = system, duration, minimize
         self.constraints = list(subject_to)
-        self.space = DesignSpace(system, variables, bounds, start)
+        self.space = DesignSpace(system, variables, bounds, start, links)
         self.simulation = {"method": method, "steps": steps, **options}
+        # Rows of the extra variable come first among the constraints.
+        self.peaks = minimize.rows if minimize.rows > 1 else 0
+        self._bound = bound
 
     @property
     def names(self) -> list[str]:
         """One label for each design variable."""
-        return self.space.names
+        return self.space.names + [BOUND] * bool(self.peaks)
 
     @property
     def start(self) -> np.ndarray:
-        return self.space.start
+        return self._with_bound(self.space.start, self._bound[0])
 
     @property
     def lower(self) -> np.ndarray:
-        return self.space.lower
+        return self._with_bound(self.space.lower, 0.0)
 
     @property
     def upper(self) -> np.ndarray:
-        return self.space.upper
+        return self._with_bound(self.space.upper, self._bound[1])
+
+    @property
+    def period(self) -> np.ndarray:
+        """After which a variable repeats itself: pi for ply angles, 0 for others."""
+        return self._with_bound(self.space.period, 0.0)
+
+    def _with_bound(self, x: np.ndarray, bound: float) -> np.ndarray:
+        return np.append(x, bound) if self.peaks else x
+
+    @property
+    def equalities(self) -> np.ndarray:
+        """Indices of the rows that must vanish."""
+        kinds = ["at_most"] * self.peaks + [c.kind for c in self.constraints for _ in range(c.measure.rows)]
+        return np.array([i for i, kind in enumerate(kinds) if kind == "equal"], dtype=int)
 
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:
-        """Motions of designs [lanes, n], with sensitivities by all variables if `gradients`."""
+        """Motions of designs [lanes, n], with sensitivities by all parameters if `gradients`."""
         names = self.space.variables if gradients else False
-        return simulate(
-            self.system, self.duration, sensitivities=names, designs=self.space.designs(X), **self.simulation
-        )
+        designs = self.space.designs(np.asarray(X)[:, : len(self.space.names)])
+        return simulate(self.system, self.duration, sensitivities=names, designs=designs, **self.simulation)
 
     def motion(self, x: np.ndarray) -> Trajectory:
         """Motion of one design [n]."""
         return self.simulate(np.asarray(x)[None])
 
     @cached_property
-    def limits(self) -> np.ndarray:
-        """Limits c of the constraints; "initial" ones from a simulation of the initial design.
+    def reference(self) -> Reference:
+        """Measures and limits; from a simulation of the initial design, if anything refers to it.
 
-        Raises SimulationFailure if the initial design is needed for a limit and cannot be simulated.
+        Raises SimulationFailure if the initial design is needed and cannot be simulated.
         """
-        if not any(c.limit == "initial" for c in self.constraints):
-            return np.array([float(c.limit) for c in self.constraints])
-        motion = self.motion(self.start).require_ok()
-        return np.array(
-            [float(c.measure.value(motion)[0]) if c.limit == "initial" else float(c.limit) for c in self.constraints]
-        )
+        measures = [self.objective, *(c.measure for c in self.constraints)]
+        initial = [c.limit == "initial" for c in self.constraints]
+        limits = [0.0 if first else float(c.limit) for c, first in zip(self.constraints, initial, strict=True)]
+        unit = 1.0
+        if self.peaks or any(initial) or any(measure.refers_to_start for measure in measures):
+            motion = self.motion(self.start).require_ok()
+            measures = [measure.at_start(motion) for measure in measures]
+            for i, measure in enumerate(measures[1:]):
+                limits[i] = _largest(measure, motion) if initial[i] else limits[i]
+            unit = _largest(measures[0], motion) if self.peaks else 1.0
+            if not unit > 0.0:
+                raise InputError(f"{self.objective!r} is {unit:g} at most at the initial design; allowed: positive")
+        scale = [_scale(c, limit) for c, limit in zip(self.constraints, limits, strict=True)]
+        rows = [c.measure.rows for c in self.constraints]
+        return Reference(measures, unit, np.repeat(limits, rows), np.repeat(scale, rows))
+
+    @property
+    def limits(self) -> np.ndarray:
+        """Limit of every row of the constraints [m]."""
+        return self.reference.limits
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n] as one batch."""
+        rows = self.peaks + sum(c.measure.rows for c in self.constraints)
         try:
             motion = self.simulate(X, gradients)
         except (InputError, SimulationFailure) as error:
             # The structure stage refused a design (a cluster of modes cut at the truncation, say): find out which.
             if len(X) == 1:
-                return [Evaluation.failure(f"failed: {error}", len(self.constraints))]
+                return [Evaluation.failure(f"failed: {error}", rows)]
             return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]
-        values, slopes = self._measure(motion)
+        values, slopes = self._rows(motion, np.asarray(X))
         result = []
         for lane, status in enumerate(motion.status):
-            numbers = values[:, lane]
+            numbers, slope = values[lane], None if slopes is None else slopes[lane]
             if status == OK and not np.isfinite(numbers).all():
                 status = "failed: a response is not finite"
+            elif status == OK and slope is not None and not np.isfinite(slope).all():
+                status = "failed: the gradient of a response is not finite"
             if status != OK:
-                result.append(Evaluation.failure(status, len(self.constraints)))
-                continue
-            slope = None if slopes is None else slopes[:, lane]
-            result.append(
-                Evaluation(
-                    float(numbers[0]),
-                    numbers[1:],
-                    None if slope is None else slope[0],
-                    None if slope is None else slope[1:],
-                )
-            )
+                result.append(Evaluation.failure(status, rows))
+            elif slope is None:
+                result.append(Evaluation(float(numbers[0]), numbers[1:]))
+            else:
+                result.append(Evaluation(float(numbers[0]), numbers[1:], slope[0], slope[1:]))
         return result
 
-    def _measure(self, motion: Trajectory) -> tuple[np.ndarray, np.ndarray | None]:
-        """Objective and normalized constraints [1 + m, lanes] with gradients [1 + m, lanes, n]."""
-        found = [measure.of(motion) for measure in (self.objective, *(c.measure for c in self.constraints))]
-        limits = np.concatenate([[0.0], self.limits])
-        scale = np.concatenate([[1.0], np.where(self.limits == 0.0, 1.0, np.abs(self.limits))])
-        values = (np.stack([x.value.numpy() for x in found]) - limits[:, None]) / scale[:, None]
-        if found[0].gradient is None:
+    def _rows(self, motion: Trajectory, X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n]."""
+        reference = self.reference
+        found = [measure.of(motion) for measure in reference.measures]
+        lanes, first = len(X), self.peaks or 1
+        values = np.concatenate([x.value.numpy().reshape(lanes, -1) for x in found], 1)
+        values[:, first:] = (values[:, first:] - reference.limits) / reference.scale
+        gradients = [x.gradient.numpy() for x in found if x.gradient is not None]
+        slopes = None
+        if gradients:
+            slopes = np.concatenate([g.reshape(lanes, -1, g.shape[-1]) for g in gradients], 1) @ self.space.map
+            slopes[:, first:] /= reference.scale[:, None]
+        return self._with_extra_variable(values, slopes, X[:, -1], reference.unit) if self.peaks else (values, slopes)
+
+    def _with_extra_variable(
+        self, values: np.ndarray, slopes: np.ndarray | None, beta: np.ndarray, unit: float
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """The same for the objective beta y_0, its rows among the constraints; eqs. (19), (20)."""
+        values[:, : self.peaks] = values[:, : self.peaks] / unit - beta[:, None]
+        values = np.concatenate([beta[:, None] * unit, values], 1)
+        if slopes is None:
             return values, None
-        slopes = np.stack([x.gradient.numpy() for x in found if x.gradient is not None])
-        return values, slopes / scale[:, None, None]
+        lanes, m, n = slopes.shape
+        full = np.zeros((lanes, m + 1, n + 1))
+        full[:, 1:, :n] = slopes
+        full[:, 1 : 1 + self.peaks, :n] /= unit
+        full[:, 1 : 1 + self.peaks, n] = -1.0
+        full[:, 0, n] = unit
+        return values, full
+
+
+def _largest(measure: Measure, motion: Trajectory) -> float:
+    return float(measure.value(motion)[0].max())
+
+
+def _scale(constraint: Constraint, limit: float) -> float:
+    size = constraint.scale or abs(limit) or 1.0
+    return -size if constraint.kind == "at_least" else size

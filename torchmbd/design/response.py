@@ -1,19 +1,29 @@
-"""What a response is: a number of every time of a motion, or one number of a whole motion, with its design gradient.
+"""What a response is: a number at every time of a motion, or numbers of a whole motion, as plain torch functions of it.
 
-    History   value [lanes, times], gradient [lanes, times, n_b]      strain energy, displacement, ...
-    Measure   value [lanes],        gradient [lanes, n_b]             integral, maximum, ... of a history
+    History   values(motion) [lanes, times]             strain energy, displacement, reaction, ...
+    Measure   value(motion)  [lanes] or [lanes, rows]   integral, maximum, frequency, ... ; rows: one limit holds for all
 
-A history is written on a trajectory with sensitivities: its gradient is the chain rule of eq. (27). A new response is one
-small class and one line of the registry in responses.py.
+Nothing else is written for a response: its gradient is the Jacobian of the same function along the first-order neighbors
+of the motion (Trajectory.moved), which is the chain rule of eq. (27) with every dependence of the design in it: the
+motion, its rates, the multipliers, the reduced stiffness, the mode shapes. A response of your own:
 
-    measure <= limit        is a constraint; limit a number, or "initial": the value of the measure at the initial design
+    @mbd.history
+    def reach(motion):
+        return motion.body("rod").at("right").position.norm(dim=-1)
+
+    mbd.Max(reach) <= 0.5
+
+Histories add, subtract, multiply by numbers and are squared (`(a - b) ** 2`); measures add and multiply by numbers.
+Checked in tests/contracts/test_responses.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
@@ -28,33 +38,117 @@ class Valued(NamedTuple):
     gradient: Tensor | None
 
 
+def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
+    """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b]."""
+    value = f(motion)
+    if not motion.parameters:
+        return Valued(value, None)
+    motion.prepare_modes()
+    zero = value.new_zeros(len(motion.parameters))
+    gradient = torch.func.jacfwd(lambda delta: f(motion.moved(delta)))(zero)
+    assert isinstance(gradient, Tensor)
+    return Valued(value, gradient)
+
+
 class History:
     """A number at every time of a motion."""
 
-    def series(self, motion: Trajectory) -> Valued:
-        """Value [lanes, times] and gradient [lanes, times, n_b]."""
+    def values(self, motion: Trajectory) -> Tensor:
+        """Value [lanes, times]: a differentiable function of the motion."""
         raise NotImplementedError(type(self).__name__)
 
     def check(self, system: System) -> None:
         """Raise InputError where the history asks for what the system does not have."""
 
+    def series(self, motion: Trajectory) -> Valued:
+        """Value [lanes, times] and gradient [lanes, times, n_b], None without sensitivities."""
+        return differentiate(self.values, motion)
+
+    def __add__(self, other: Any) -> History:
+        return Combined(torch.add, (self, other))
+
+    def __sub__(self, other: Any) -> History:
+        return Combined(torch.sub, (self, other))
+
+    def __mul__(self, factor: Any) -> History:
+        return Combined(torch.mul, (self, factor))
+
+    __rmul__ = __mul__
+
+    def __neg__(self) -> History:
+        return Combined(torch.mul, (self, -1.0))
+
+    def __pow__(self, exponent: int) -> History:
+        return Combined(torch.pow, (self, exponent))
+
+
+@dataclass(frozen=True)
+class Combined(History):
+    """An operation on histories and numbers."""
+
+    operation: Callable[..., Tensor]
+    parts: tuple
+
+    def __post_init__(self) -> None:
+        for part in self.parts:
+            if not isinstance(part, (History, int, float)):
+                raise InputError(f"a history is combined with {part!r}; allowed: another history or a number")
+
+    def values(self, motion: Trajectory) -> Tensor:
+        return self.operation(*(part.values(motion) if isinstance(part, History) else part for part in self.parts))
+
+    def check(self, system: System) -> None:
+        for part in self.parts:
+            if isinstance(part, History):
+                part.check(system)
+
 
 class Measure:
-    """One number of a motion."""
+    """Numbers of a motion: one, or `rows` of one kind to which one limit applies."""
 
-    def of(self, motion: Trajectory) -> Valued:
-        """Value [lanes] and gradient [lanes, n_b], None without sensitivities."""
+    rows: int = 1
+
+    def value(self, motion: Trajectory) -> Tensor:
+        """Value [lanes], or [lanes, rows]: a differentiable function of the motion."""
         raise NotImplementedError(type(self).__name__)
 
     def check(self, system: System) -> None:
         """Raise InputError where the measure asks for what the system does not have."""
 
-    def value(self, motion: Trajectory) -> Tensor:
-        """Value [lanes]."""
-        return self.of(motion).value
+    def at_start(self, motion: Trajectory) -> Measure:
+        """The same measure with whatever refers to the initial design filled in from its motion."""
+        return self
+
+    @property
+    def until(self) -> float:
+        """How long the motion must last [s]."""
+        return 0.0
+
+    @property
+    def refers_to_start(self) -> bool:
+        """Whether the measure needs the motion of the initial design."""
+        return False
+
+    def __add__(self, other: Any) -> Measure:
+        return Total((self, other))
+
+    def __mul__(self, factor: float) -> Measure:
+        return Scaled(self, factor)
+
+    __rmul__ = __mul__
+
+    def __neg__(self) -> Measure:
+        return Scaled(self, -1.0)
+
+    def __sub__(self, other: Any) -> Measure:
+        return Total((self, Scaled(other, -1.0)))
+
+    def of(self, motion: Trajectory) -> Valued:
+        """Value [lanes, ...] and gradient [lanes, ..., n_b], None without sensitivities."""
+        return differentiate(self.value, motion)
 
     def value_and_gradient(self, motion: Trajectory) -> Valued:
-        """Value [lanes] and gradient [lanes, n_b]. Raises InputError for a motion without sensitivities."""
+        """Value and gradient. Raises InputError for a motion without sensitivities."""
         result = self.of(motion)
         if result.gradient is None:
             raise InputError("motion has no sensitivities; allowed: simulate(..., sensitivities=True)")
@@ -63,18 +157,145 @@ class Measure:
     def __le__(self, limit: float | str) -> Constraint:
         return Constraint(self, limit)
 
+    def __ge__(self, limit: float | str) -> Constraint:
+        return Constraint(self, limit, "at_least")
+
+    def equals(self, limit: float | str, scale: float | None = None) -> Constraint:
+        """Equality constraint; `scale`: what the violation is divided by, where the limit is zero."""
+        return Constraint(self, limit, "equal", scale)
+
+
+def all_measures(parts: Any, kind: str) -> None:
+    """InputError unless every part is a measure of one number."""
+    for part in parts:
+        if not isinstance(part, Measure) or part.rows != 1:
+            raise InputError(f"{kind} of {part!r}; allowed: measures of one number, such as Integral(...)")
+
+
+@dataclass(frozen=True)
+class Scaled(Measure):
+    """A measure times a number."""
+
+    measure: Measure
+    factor: float
+
+    def __post_init__(self) -> None:
+        all_measures([self.measure], "multiple")
+        if not _finite(self.factor):
+            raise InputError(f"factor of a measure is {self.factor!r}; allowed: a finite number")
+
+    def value(self, motion: Trajectory) -> Tensor:
+        return self.factor * self.measure.value(motion)
+
+    def check(self, system: System) -> None:
+        self.measure.check(system)
+
+    def at_start(self, motion: Trajectory) -> Measure:
+        return Scaled(self.measure.at_start(motion), self.factor)
+
+    @property
+    def until(self) -> float:
+        return self.measure.until
+
+    @property
+    def refers_to_start(self) -> bool:
+        return self.measure.refers_to_start
+
+
+@dataclass(frozen=True)
+class Total(Measure):
+    """A sum of measures."""
+
+    parts: tuple[Measure, ...]
+
+    def __post_init__(self) -> None:
+        all_measures(self.parts, "sum")
+
+    def value(self, motion: Trajectory) -> Tensor:
+        return torch.stack([part.value(motion) for part in self.parts]).sum(0)
+
+    def check(self, system: System) -> None:
+        for part in self.parts:
+            part.check(system)
+
+    def at_start(self, motion: Trajectory) -> Measure:
+        return Total(tuple(part.at_start(motion) for part in self.parts))
+
+    @property
+    def until(self) -> float:
+        return max(part.until for part in self.parts)
+
+    @property
+    def refers_to_start(self) -> bool:
+        return any(part.refers_to_start for part in self.parts)
+
+
+KINDS = ("at_most", "at_least", "equal")
+
 
 @dataclass(frozen=True)
 class Constraint:
-    """measure <= limit; eq. (37). "initial" is the value of the measure at the initial design."""
+    """measure <= limit (37), >= or = limit; "initial" is the value of the measure at the initial design.
+
+    For a measure of several rows "initial" is the largest of them. Optimizers see (g - c) / scale, feasible where not
+    positive; scale is |c|, or 1 for c = 0, unless given in the unit of the measure.
+    """
 
     measure: Measure
     limit: float | str
+    kind: str = "at_most"
+    scale: float | None = None
 
     def __post_init__(self) -> None:
         if not isinstance(self.measure, Measure):
             raise InputError(f"constraint on {self.measure!r}; allowed: a measure, such as Max(StrainEnergy('rod'))")
-        if self.limit != "initial" and (
-            isinstance(self.limit, (str, bool)) or not abs(float(self.limit)) < float("inf")
-        ):
+        if self.limit != "initial" and not _finite(self.limit):
             raise InputError(f"limit of a constraint is {self.limit!r}; allowed: a finite number or 'initial'")
+        if self.kind not in KINDS:
+            raise InputError(f"kind of a constraint is {self.kind!r}; allowed: {', '.join(KINDS)}")
+        if self.scale is not None and not (_finite(self.scale) and float(self.scale) > 0.0):
+            raise InputError(f"scale of a constraint is {self.scale!r}; allowed: a positive number")
+
+
+def _finite(x: Any) -> bool:
+    return not isinstance(x, (str, bool)) and abs(float(x)) < float("inf")
+
+
+@dataclass(frozen=True)
+class FunctionHistory(History):
+    """A function of the motion as a history; made by `history`."""
+
+    function: Callable[[Any], Tensor]
+
+    def values(self, motion: Trajectory) -> Tensor:
+        return shaped(self.function, motion, (motion.q.shape[0], len(motion.t)))
+
+
+@dataclass(frozen=True)
+class FunctionMeasure(Measure):
+    """A function of the motion as a measure; made by `measure`."""
+
+    function: Callable[[Any], Tensor]
+
+    def value(self, motion: Trajectory) -> Tensor:
+        return shaped(self.function, motion, (motion.q.shape[0],))
+
+
+def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[int, ...]) -> Tensor:
+    """Call a user's function; InputError if it does not return what it must."""
+    result = function(motion)
+    if not isinstance(result, Tensor) or result.shape != shape:
+        found = f"shape {tuple(result.shape)}" if isinstance(result, Tensor) else repr(result)
+        name = getattr(function, "__name__", repr(function))
+        raise InputError(f"response {name!r} returned {found}; allowed: a tensor of shape {shape}")
+    return result
+
+
+def history(function: Callable[[Any], Tensor]) -> History:
+    """Make a history of a function: motion -> [lanes, times], written with torch operations."""
+    return FunctionHistory(function)
+
+
+def measure(function: Callable[[Any], Tensor]) -> Measure:
+    """Make a measure of a function: motion -> [lanes], written with torch operations."""
+    return FunctionMeasure(function)

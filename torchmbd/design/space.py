@@ -1,11 +1,20 @@
 """The design space: the entries of named parameters of a system as one vector b with bounds.
 
-b [n] = (rod.laminate.angles[0], rod.laminate.angles[1], ...)      in SI units and radians
+b [n] = (rod.laminate.angles[0], rod.laminate.angles[1], ..., rod.laminate.thickness[0], ...)     SI units and radians
+
+Linked entries follow others linearly and leave the vector:
+
+    links={"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}}      a balanced pair +-theta
+    all entries = map @ b + offset
+
+Bodies that share a laminate share its angles, and a laminate with symmetric=True has half of them, without any link.
+Checked in tests/design/test_space.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,14 +24,17 @@ from torch import Tensor
 from torchmbd.errors import InputError, unknown
 from torchmbd.system import System
 
+CONSTANT = "constant"  # key of a link's offset
+
 
 class DesignSpace:
     """Maps design vectors to parameters of a system.
 
     system     the model
     variables  names of parameters; default: every parameter that requires a gradient
-    bounds     (lower, upper): numbers for all entries, or one for each
+    bounds     (lower, upper): numbers for all entries, or one for each; or a mapping: parameter name -> such a pair
     start      initial design [n]; default: the system's own values
+    links      entry -> {entry: factor, ..., "constant": offset}: entries that follow others
     """
 
     def __init__(
@@ -31,6 +43,7 @@ class DesignSpace:
         variables: Sequence[str] | None = None,
         bounds: Any = (-np.inf, np.inf),
         start: Any = None,
+        links: Mapping[str, Mapping[str, float]] | None = None,
     ):
         own = dict(system.named_parameters())
         for name in variables or ():
@@ -42,36 +55,100 @@ class DesignSpace:
                 "the system has no parameter that requires a gradient; allowed: at least one design variable"
             )
         self.shapes = {name: own[name].shape for name in self.variables}
-        self.names = [f"{name}[{i}]" for name in self.variables for i in range(own[name].numel())]
-        given = torch.cat([own[name].detach().flatten() for name in self.variables]).numpy()
+        self.entries = [f"{name}[{i}]" for name in self.variables for i in range(own[name].numel())]
+        self.map, self.offset = _linked(self.entries, links or {})
+        free = [i for i, entry in enumerate(self.entries) if entry not in (links or {})]
+        self.names = [self.entries[i] for i in free]
+        given = torch.cat([own[name].detach().flatten() for name in self.variables]).numpy()[free]
         self.start = self._vector("start", given if start is None else start)
-        if not hasattr(bounds, "__len__") or len(bounds) != 2:
-            raise InputError(f"bounds is {bounds!r}; allowed: two entries, (lower, upper)")
-        self.lower, self.upper = self._vector("lower", bounds[0]), self._vector("upper", bounds[1])
+        self.lower, self.upper = self._bounds(bounds)
         for name, low, x, high in zip(self.names, self.lower, self.start, self.upper, strict=True):
             if not low < high:
                 raise InputError(f"bounds of {name} are {low!r} and {high!r}; allowed: lower below upper")
             if not low <= x <= high:
                 raise InputError(f"start of {name} is {x!r}; allowed: within its bounds, {low!r} to {high!r}")
 
+    @property
+    def period(self) -> np.ndarray:
+        """After which a variable repeats itself [n]: pi for ply angles, 0 for others."""
+        return np.array([math.pi if _parameter(name).rpartition(".")[2] == "angles" else 0.0 for name in self.names])
+
+    def _bounds(self, bounds: Any) -> tuple[np.ndarray, np.ndarray]:
+        if not isinstance(bounds, Mapping):
+            low, high = _pair("bounds", bounds)
+            return self._vector("lower", low), self._vector("upper", high)
+        for name in bounds:
+            if name not in self.shapes:
+                raise unknown("bounds of parameter", name, self.shapes)
+        lower, upper = np.full(len(self.names), -np.inf), np.full(len(self.names), np.inf)
+        for name, given in bounds.items():
+            mine = [i for i, label in enumerate(self.names) if _parameter(label) == name]
+            for x, values in zip((lower, upper), _pair(f"bounds of {name}", given), strict=True):
+                x[mine] = _numbers(f"bounds of {name}", values, len(mine))
+        return lower, upper
+
     def _vector(self, what: str, x: Any) -> np.ndarray:
-        if isinstance(x, (tuple, list)):
-            x = [float(y) for y in x]
-        values = np.asarray(x.detach().numpy() if isinstance(x, Tensor) else x, dtype=float)
-        if values.ndim > 1 or (values.ndim == 1 and len(values) != len(self.names)):
-            raise InputError(f"{what} has shape {values.shape}; allowed: a number or {len(self.names)} numbers")
-        if np.isnan(values).any():
-            raise InputError(f"{what} is {x!r}; allowed: numbers")
-        return np.broadcast_to(values, (len(self.names),)).copy()
+        return _numbers(what, x, len(self.names))
 
     def designs(self, X: np.ndarray | Tensor) -> dict[str, Tensor]:
         """Parameters [lanes, ...] by name of design vectors [lanes, n]."""
-        rows = torch.as_tensor(np.asarray(X), dtype=torch.float64)
-        if rows.dim() != 2 or rows.shape[1] != len(self.names):
-            raise InputError(f"designs have shape {tuple(rows.shape)}; allowed: [lanes, {len(self.names)}]")
+        free = np.asarray(X, dtype=float)
+        if free.ndim != 2 or free.shape[1] != len(self.names):
+            raise InputError(f"designs have shape {free.shape}; allowed: [lanes, {len(self.names)}]")
+        rows = torch.from_numpy(free @ self.map.T + self.offset)
         result, start = {}, 0
         for name, shape in self.shapes.items():
             size = shape.numel()
             result[name] = rows[:, start : start + size].reshape(-1, *shape)
             start += size
         return result
+
+
+def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """The map [entries, n] from the free entries to all, and the offset [entries]."""
+    free = [entry for entry in entries if entry not in links]
+    for follower, leaders in links.items():
+        if follower not in entries:
+            raise unknown("linked entry", follower, entries)
+        if not isinstance(leaders, Mapping):
+            raise InputError(f"link of {follower!r} is {leaders!r}; allowed: a mapping {{entry: factor}}")
+        for leader in leaders:
+            if leader not in (*free, CONSTANT):
+                raise unknown(f"{follower!r} follows an entry that is not free:", leader, [*free, CONSTANT])
+    if not free:
+        raise InputError("every entry is linked; allowed: at least one free design variable")
+    matrix, offset = np.zeros((len(entries), len(free))), np.zeros(len(entries))
+    for row, entry in enumerate(entries):
+        if entry in links:
+            for leader, factor in links[entry].items():
+                value = float(_numbers(f"link of {entry}", factor, 1)[0])
+                if leader == CONSTANT:
+                    offset[row] = value
+                else:
+                    matrix[row, free.index(leader)] = value
+        else:
+            matrix[row, free.index(entry)] = 1.0
+    return matrix, offset
+
+
+def _parameter(entry: str) -> str:
+    """The parameter of an entry: `rod.laminate.angles` of `rod.laminate.angles[0]`."""
+    return entry.rpartition("[")[0]
+
+
+def _pair(what: str, x: Any) -> Any:
+    if not hasattr(x, "__len__") or len(x) != 2:
+        raise InputError(f"{what} is {x!r}; allowed: two entries, (lower, upper)")
+    return x
+
+
+def _numbers(what: str, x: Any, size: int) -> np.ndarray:
+    """One number for all entries, or one for each [size]."""
+    if isinstance(x, (tuple, list)):
+        x = [float(y) for y in x]
+    values = np.asarray(x.detach().numpy() if isinstance(x, Tensor) else x, dtype=float)
+    if values.ndim > 1 or (values.ndim == 1 and len(values) != size):
+        raise InputError(f"{what} has shape {values.shape}; allowed: a number or {size} numbers")
+    if np.isnan(values).any():
+        raise InputError(f"{what} is {x!r}; allowed: numbers")
+    return np.broadcast_to(values, (size,)).copy()

@@ -1,0 +1,185 @@
+"""A sampled history between its samples: values, windows and peaks against closed forms."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+from torchmbd.design.spline import Spline
+from torchmbd.errors import InputError
+
+B = (1.3, 0.4, 0.2)
+
+
+def wave(n: int, b: Tensor | None = None) -> Spline:
+    """y = b0 sin(4 t + b1) + b2 t at n times in 0..1 [s]."""
+    b = torch.tensor(B, dtype=torch.float64) if b is None else b
+    t = torch.linspace(0, 1, n, dtype=torch.float64)
+    return Spline.of(t, (b[0] * torch.sin(4 * t + b[1]) + b[2] * t)[None])
+
+
+def exact_peak(shift: float = 0.0) -> tuple[float, list[float], float]:
+    """Value, gradient and time of the maximum."""
+    b0, b1, b2 = B[0], B[1] + shift, B[2]
+    t = (math.acos(-b2 / (4 * b0)) - b1) / 4
+    s, c = math.sin(4 * t + b1), math.cos(4 * t + b1)
+    return b0 * s + b2 * t, [s, b0 * c, t], t
+
+
+def peak(shift: float = 0.0, n: int = 61) -> tuple[Tensor, Tensor]:
+    """Maximum and its gradient."""
+    b = torch.tensor(B, dtype=torch.float64) + torch.tensor([0.0, shift, 0.0], dtype=torch.float64)
+    return wave(n, b).maximum()[0], torch.func.jacfwd(lambda x: wave(n, x).maximum()[0])(b)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.01, 0.02, 0.031, 0.037])
+def test_the_peak_is_found_between_the_samples(shift):
+    """At the best sample the value would be 2e-4 off and the gradient 2 %; the spline is good to the fourth order."""
+    value, gradient = peak(shift)
+    exact, slopes, _ = exact_peak(shift)
+    assert float(value) == pytest.approx(exact, abs=2e-7)
+    assert gradient.tolist() == pytest.approx(slopes, abs=2e-5)
+
+
+def test_the_peak_moves_past_a_sample_without_a_jump():
+    """Value and gradient are continuous where the peak crosses a sample: a kink would stop an optimizer."""
+    shifts = torch.linspace(0.0, 4.0 / 60, 400, dtype=torch.float64).tolist()
+    found = [peak(shift) for shift in shifts]
+    values, gradients = torch.stack([x for x, _ in found]), torch.stack([g for _, g in found])
+    step = shifts[1]
+    assert float((values[1:] - values[:-1]).abs().max()) < 2 * step * float(gradients.abs().max())
+    assert float((gradients[1:] - gradients[:-1]).abs().max()) < 4 * step
+    # And the gradient by the shift is the slope of the value.
+    slope = (values[2:] - values[:-2]) / (2 * step)
+    assert_close(slope, gradients[1:-1, 1], rtol=0, atol=1e-5)
+
+
+def test_between_the_samples_at_third_order():
+    """Second order at the ends of the slopes leaves h^3 there."""
+    times = torch.linspace(0, 1, 1001, dtype=torch.float64)
+    exact = B[0] * torch.sin(4 * times + B[1]) + B[2] * times
+    errors = [float((wave(n).at(times)[0] - exact).abs().max()) for n in (41, 81)]
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(3.0, abs=0.2)
+    assert errors[1] < 2e-5
+    slope = 4 * B[0] * torch.cos(4 * times + B[1]) + B[2]
+    assert_close(wave(161).at(times, slope=True)[0], slope, rtol=0, atol=2e-3)
+
+
+def test_a_window_is_the_same_curve():
+    whole, (first, last) = wave(61), (0.2031, 0.7777)
+    part = whole.cut((first, last))
+    assert part.t[[0, -1]].tolist() == pytest.approx([first, last])
+    times = torch.linspace(first, last, 77, dtype=torch.float64)
+    assert_close(part.at(times), whole.at(times), rtol=0, atol=1e-12)
+    # Without the peak in it, the larger end is the maximum; with it the same as before.
+    _, _, t = exact_peak()
+    assert first < t < last
+    assert_close(part.maximum(), whole.maximum(), rtol=0, atol=1e-15)
+    late = whole.cut((t + 0.1, last))
+    assert_close(late.maximum(), whole.at(late.t[:1])[:, 0], rtol=0, atol=1e-12)
+
+
+def test_a_window_between_two_samples():
+    part = wave(11).cut((0.33, 0.36))
+    assert part.t.tolist() == pytest.approx([0.33, 0.36])
+    assert_close(part.y, wave(11).at(part.t))
+
+
+def test_the_ends_of_the_motion_are_a_window():
+    whole = wave(61)
+    assert_close(whole.cut((0.0, 1.0)).y, whole.y, rtol=0, atol=1e-15)
+    with pytest.raises(InputError, match=r"window is \(0.2, 1.1\) s; allowed: within the simulated time, 0 to 1 s"):
+        whole.cut((0.2, 1.1))
+    with pytest.raises(InputError, match=r"time is 1\.2 s; allowed: within the simulated time"):
+        whole.sampled(torch.tensor([0.3, 1.2], dtype=torch.float64))
+
+
+@pytest.mark.parametrize(
+    ("y", "expected", "at"),
+    [
+        ([3.0, 2.0, 1.5, 1.2, 1.1, 1.0], 3.0, 0),
+        ([1.0, 1.1, 1.2, 1.5, 2.0, 3.0], 3.0, 5),
+        ([2.0, 1.0], 2.0, 0),
+    ],
+)
+def test_a_peak_at_an_end_is_the_end(y, expected, at):
+    given = torch.tensor([y], dtype=torch.float64)
+    t = torch.linspace(0, 1, len(y), dtype=torch.float64)
+
+    def largest(x: Tensor) -> Tensor:
+        return Spline.of(t, x).maximum()[0]
+
+    assert float(largest(given)) == expected
+    gradient = torch.func.jacfwd(largest)(given)[0]
+    assert gradient.tolist() == [1.0 if i == at else 0.0 for i in range(len(y))]
+
+
+def test_a_curve_without_a_peak_is_its_value():
+    flat = Spline.of(torch.linspace(0, 1, 9, dtype=torch.float64), torch.full((2, 9), -3.0, dtype=torch.float64))
+    assert flat.maximum().tolist() == [-3.0, -3.0]
+    assert flat.peaks(4).tolist() == [[-3.0] * 4] * 2
+
+
+def test_the_peak_is_not_beside_the_best_sample():
+    """Two peaks of nearly equal height: the best sample belongs to the lower one."""
+    t = torch.linspace(0, 2, 41, dtype=torch.float64)
+    frequency = 2 * math.pi
+    # Peaks at 0.275 (between two samples, higher) and at 1.25 (on a sample, lower).
+    late = 1.25
+    y = torch.where(t < 1.0, 1.002 * torch.sin(frequency * (t - 0.025)), torch.sin(frequency * (t - late + 0.25)))
+    assert abs(float(t[y.argmax()]) - late) < 1e-9
+    assert float(Spline.of(t, y[None]).maximum()) == pytest.approx(1.002, abs=1e-4)
+
+
+def modulated(b: Tensor, n: int = 401) -> Spline:
+    """Peaks of different height, three of them about equal for b = 0."""
+    t = torch.linspace(0, 1, n, dtype=torch.float64)
+    y = torch.sin(5 * 2 * math.pi * t) ** 2 * (1.0 + b[0] * t + b[1] * t * t)
+    return Spline.of(t, y[None])
+
+
+def test_peaks_are_the_highest_local_maxima():
+    b = torch.tensor([0.3, -0.1], dtype=torch.float64)
+    curve = modulated(b)
+    fine = modulated(b, 200_001).y[0]
+    inner = fine[1:-1]
+    tops = inner[(inner > fine[:-2]) & (inner > fine[2:])].sort(descending=True).values
+    assert len(tops) == 10
+    assert_close(curve.peaks(6)[0], tops[:6], rtol=0, atol=1e-6)
+    assert_close(curve.peaks(1)[:, 0], curve.maximum())
+    # Of 10 maxima in 12 rows, the last two are filled from below.
+    filled = curve.peaks(12)[0]
+    assert_close(filled[:10], tops, rtol=0, atol=1e-6)
+    assert float(filled[10:].max()) < 0.2
+
+
+def test_equal_peaks_keep_their_own_gradients():
+    """At b = 0 all peaks are equal: the rows tell ten gradients, the maximum has one of their convex hull."""
+    b = torch.zeros(2, dtype=torch.float64)
+    rows = torch.func.jacfwd(lambda x: modulated(x).peaks(10)[0])(b)
+    times = (torch.arange(10, dtype=torch.float64) + 0.5) / 10
+    assert_close(rows[rows[:, 0].argsort()], torch.stack([times, times**2], -1), rtol=0, atol=1e-3)
+    one = torch.func.jacfwd(lambda x: modulated(x).maximum()[0])(b)
+    assert 0.05 <= float(one[0]) <= 0.95
+
+
+def test_ends_that_rise_outwards_are_local_maxima():
+    t = torch.linspace(0, 1, 101, dtype=torch.float64)
+    curve = Spline.of(t, ((t - 0.4) ** 2)[None])
+    assert_close(curve.peaks(2)[0], torch.tensor([0.36, 0.16], dtype=torch.float64), rtol=0, atol=1e-12)
+
+
+def test_a_failed_lane_stays_nan_and_alone():
+    """Numbers of a failed lane must not pass for a maximum."""
+    alone = wave(61)
+    y = alone.y.repeat(2, 1)
+    y[1, 30:] = torch.nan
+    both = Spline.of(alone.t, y)
+    assert_close(both.maximum()[0], alone.maximum()[0])
+    assert both.maximum()[1].isnan()
+    assert_close(both.peaks(3)[0], alone.peaks(3)[0])
+    assert both.cut((0.1, 0.9)).maximum()[1].isnan()

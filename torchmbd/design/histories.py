@@ -1,0 +1,287 @@
+"""Histories of a motion: strain energy, motion of points, reactions.
+
+    StrainEnergy            U = 1/2 w' Kr w                                                    [J]   eq. (17)
+    Position                of a point, seen from a body or the ground                          [m]
+    Displacement            what changed of it since the start; of a flexible body seen from itself: elastic
+    Velocity, Acceleration  rates of the position as the observer sees it                       [m/s], [m/s2]
+    RelativeDisplacement    u_a - u_b of two nodes of a body: local torsion, eq. (38)           [m]
+    Reaction                force or torque that a joint exerts on a body                       [N], [N m]
+
+A vector is told by a component: an axis "x", "y", "z" or a direction of three numbers, in the axes of the observer, or
+in those of another body (`axes`). Seen from a body with rotation A and origin r, a point g is at y = A'(g - r), and
+
+    y' = A'(g - r)' - om x y          y'' = A'(g - r)'' - om x (A'(g - r)' + y') - om' x y
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from torchmbd.design.response import History
+from torchmbd.errors import InputError, unknown
+from torchmbd.integrators import Trajectory
+from torchmbd.joints.joint import Joint
+from torchmbd.numerics.pair import value
+from torchmbd.system import System, equations
+
+GROUND = "ground"
+Direction = str | Sequence[float]
+
+
+@dataclass(frozen=True)
+class StrainEnergy(History):
+    """Elastic energy of a flexible body."""
+
+    body: str
+
+    def check(self, system: System) -> None:
+        flexible(system, self.body)
+
+    def values(self, motion: Trajectory) -> Tensor:
+        return motion.body(self.body).strain_energy
+
+
+@dataclass(frozen=True)
+class Position(History):
+    """Component of the position of a point.
+
+    body       whose point
+    axis       "x", "y", "z" or a direction of three numbers
+    node       mesh node of a flexible body, by name or index; default: the origin of the body frame
+    point      position on a rigid body, in body axes [m]
+    seen_from  the observer: a body or "ground"
+    axes       whose axes the component is in; default: the observer's
+    """
+
+    body: str
+    axis: Direction
+    node: str | int | None = None
+    point: Sequence[float] | None = None
+    seen_from: str | None = None
+    axes: str | None = None
+    order: ClassVar[int] = 0
+
+    @property
+    def observer(self) -> str:
+        return GROUND if self.seen_from is None else self.seen_from
+
+    def check(self, system: System) -> None:
+        direction(self.axis)
+        body = system.body(self.body)
+        if self.node is not None:
+            flexible(system, self.body).at(self.node)
+        if self.point is not None and hasattr(body, "mesh"):
+            raise InputError(f"point is {self.point!r} on the flexible body {self.body!r}; allowed: node")
+        for name in (self.observer, self.axes):
+            if name not in (None, GROUND):
+                system.body(name)
+
+    def values(self, motion: Trajectory) -> Tensor:
+        return component(motion, self.vector(motion), self.axis, self.observer, self.axes)
+
+    def vector(self, motion: Trajectory) -> Tensor:
+        """The vector [lanes, times, 3] in the axes of the observer."""
+        return self._seen(motion)[self.order]
+
+    def _seen(self, motion: Trajectory) -> tuple[Tensor, Tensor, Tensor]:
+        """Position, velocity and acceleration as the observer sees them, in his axes."""
+        point = motion.body(self.body).at(self.point if self.node is None else self.node)
+        if self.observer == self.body:
+            return point.rho, point.slow, point.fast
+        jets = point.position, point.velocity, point.acceleration
+        if self.observer == GROUND:
+            return jets
+        body = motion.body(self.observer)
+        origin = body.at()
+        own = origin.position, origin.velocity, origin.acceleration
+        y, yd, ydd = (torch.einsum("ltji,ltj->lti", body.A, g - r) for g, r in zip(jets, own, strict=True))
+        rate = yd - _cross(body.omega, y)
+        return y, rate, ydd - _cross(body.omega, yd + rate) - _cross(body.omega_rate, y)
+
+
+@dataclass(frozen=True)
+class Displacement(Position):
+    """Change of position since the start; by default seen from the body itself if that is flexible: elastic."""
+
+    def check(self, system: System) -> None:
+        super().check(system)
+        if self.observer == self.body and self.node is None:
+            raise InputError(
+                f"displacement of the origin of {self.body!r} seen from itself is zero; allowed: a node, or seen_from"
+            )
+
+    @property
+    def observer(self) -> str:
+        return self.seen_from or (self.body if self.node is not None else GROUND)
+
+    def vector(self, motion: Trajectory) -> Tensor:
+        if self.observer == self.body and self.node is not None:
+            return motion.body(self.body).at(self.node).displacement
+        y = super().vector(motion)
+        return y - y[:, :1]
+
+
+@dataclass(frozen=True)
+class Velocity(Position):
+    """Rate of the position as the observer sees it."""
+
+    order: ClassVar[int] = 1
+
+
+@dataclass(frozen=True)
+class Acceleration(Position):
+    """Second rate of the position as the observer sees it."""
+
+    order: ClassVar[int] = 2
+
+
+@dataclass(frozen=True)
+class RelativeDisplacement(History):
+    """Elastic displacement of node a less that of node b: along z of a plate, the local torsion of eq. (38)."""
+
+    body: str
+    a: str | int
+    b: str | int
+    axis: Direction
+    axes: str | None = None
+
+    def check(self, system: System) -> None:
+        direction(self.axis)
+        for node in (self.a, self.b):
+            flexible(system, self.body).at(node)
+        if self.axes not in (None, GROUND):
+            system.body(self.axes)
+
+    def values(self, motion: Trajectory) -> Tensor:
+        body = motion.body(self.body)
+        u = body.at(self.a).displacement - body.at(self.b).displacement
+        return component(motion, u, self.axis, self.body, self.axes)
+
+
+@dataclass(frozen=True)
+class Reaction(History):
+    """Force, or torque about the joint's point, that a joint exerts on one of its bodies.
+
+    joint  name of the joint
+    axis   "x", "y", "z" or a direction of three numbers
+    kind   "force" [N] or "torque" [N m]
+    on     the body; default: the joint's second
+    axes   a body, or "ground" (default)
+    """
+
+    joint: str
+    axis: Direction
+    kind: str = "force"
+    on: str | None = None
+    axes: str | None = None
+
+    def check(self, system: System) -> None:
+        direction(self.axis)
+        joint = self._joint(system)
+        if self.kind not in ("force", "torque"):
+            raise unknown("kind of reaction", self.kind, ("force", "torque"))
+        if self.on is not None and self.on not in (joint.a.body.name, joint.b.body.name):
+            raise unknown(f"body of joint {self.joint!r}:", self.on, (joint.a.body.name, joint.b.body.name))
+        if self.axes not in (None, GROUND):
+            system.body(self.axes)
+
+    def _joint(self, system: System) -> Joint:
+        found = [joint for joint in system.joints if joint.name == self.joint]
+        if not found:
+            raise unknown("joint", self.joint, [joint.name for joint in system.joints])
+        if len(found) > 1:
+            raise InputError(f"joint name {self.joint!r} is used {len(found)} times; allowed here: a unique name")
+        return found[0]
+
+    def values(self, motion: Trajectory) -> Tensor:
+        return component(motion, self._reaction(motion), self.axis, GROUND, self.axes)
+
+    def _reaction(self, motion: Trajectory) -> Tensor:
+        """Vector in ground axes [lanes, times, 3]: minus the gradient of lam . Phi by the vectors of the joint."""
+        joint, T = self._joint(motion.system), motion.dynamics.topology
+        frame = joint.b if self.on in (None, joint.b.body.name) else joint.a
+        rows = [name.rpartition(": ")[0] == joint.name for name in T.row_names]
+        at, force = _constraint_forces(motion, torch.tensor(rows))
+        mine = [i for i, attached in enumerate(T.attached) if attached.body is frame.body]
+        total = torch.zeros_like(motion.v[..., :3])
+        for i in mine:
+            f, g = _back(motion, force[:, i]), _back(motion, at.g[:, i])
+            if self.kind == "torque":
+                arm = g - self._point(motion, frame) if T.attached[i].is_point else g
+                total = total - _cross(arm, f)
+            elif T.attached[i].is_point:
+                total = total - f
+        return total
+
+    @staticmethod
+    def _point(motion: Trajectory, frame) -> Tensor:
+        if frame.body.name == GROUND:
+            return frame.point
+        where = frame.point.tolist() if frame.node is None else frame.node
+        return motion.body(frame.body.name).at(where).position
+
+
+def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Placement, Tensor]:
+    """Attached vectors and the forces on them [3, vectors, 1, lanes x times] of the constraint rows chosen."""
+    T, data = motion.dynamics.topology, motion.dynamics.data
+    lanes, times = motion.q.shape[:2]
+
+    def flat(x: Tensor) -> Tensor:
+        return x.permute(2, 0, 1).flatten(1)[:, None]
+
+    def spread(x: Tensor) -> Tensor:
+        return x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x
+
+    prescribed = [T.prescribed(t) for t in motion.t]
+    drives = [
+        None if kind[0] is None else tuple(torch.cat(part, -1).repeat(1, 1, lanes) for part in zip(*kind, strict=True))
+        for kind in zip(*prescribed, strict=True)
+    ]
+    vectors = {key: spread(value(data[key])) for key in ("x", "Y") if key in data}
+    at = equations.placement(T, vectors, flat(motion.q), drives)
+    return at, equations.force_on_vectors(T, at, flat(motion.lam * rows))
+
+
+def _back(motion: Trajectory, x: Tensor) -> Tensor:
+    """[3, 1, lanes x times] -> [lanes, times, 3]."""
+    return x[:, 0].unflatten(-1, motion.q.shape[:2]).permute(1, 2, 0)
+
+
+def component(motion: Trajectory, x: Tensor, axis: Direction, observer: str, axes: str | None) -> Tensor:
+    """Component [lanes, times] of a vector given in the observer's axes, along an axis of the body `axes`."""
+    if axes not in (None, observer):
+        if observer != GROUND:
+            x = torch.einsum("ltij,ltj->lti", motion.body(observer).A, x)
+        if axes != GROUND:
+            x = torch.einsum("ltji,ltj->lti", motion.body(axes).A, x)
+    return x @ direction(axis)
+
+
+def direction(axis: Direction) -> Tensor:
+    """Unit vector [3] of an axis letter or of three numbers."""
+    if isinstance(axis, str) and axis in ("x", "y", "z"):
+        return torch.eye(3, dtype=torch.float64)["xyz".index(axis)]
+    try:
+        vector = torch.tensor([float(x) for x in axis], dtype=torch.float64)
+    except (TypeError, ValueError):
+        vector = torch.zeros(0)
+    if vector.shape != (3,) or not 0.0 < float(vector.norm()) < float("inf"):
+        raise InputError(f"axis is {axis!r}; allowed: 'x', 'y', 'z', or a direction of three numbers")
+    return vector / vector.norm()
+
+
+def flexible(system: System, name: str):
+    """The flexible body of that name; InputError for a rigid one."""
+    body = system.body(name)
+    if not hasattr(body, "mesh"):
+        raise InputError(f"body {name!r} is rigid; allowed here: a flexible body")
+    return body
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    return torch.linalg.cross(a, b.expand_as(a), dim=-1)

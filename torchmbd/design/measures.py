@@ -1,0 +1,176 @@
+"""Measures: one number of a whole motion, from a history or from the design itself.
+
+    Integral   int y dt            trapezoidal rule over the output times                     eq. (21)
+    Mean       1/T int y dt
+    RMS        (1/T int y^2 dt)^1/2
+    Max, Min   the peak, located between the output times (spline.py)                         eq. (18)
+    AtTime     y(t)                Final: y at the end
+    SmoothMax  c/rho ln sum exp(rho y_k / c)      c: scale in the unit of y, rho: sharpness
+               from the largest sample to that plus c ln(samples)/rho; smooth where peaks swap
+    Frequency  of a mode of a body fixed at its reference nodes [Hz]
+    Mass       of a body, or of all bodies [kg]
+
+`window` (t0, t1) [s] looks at a part of the motion; its ends are interpolated.
+Source of SmoothMax: Kreisselmeier and Steinhauser, IFAC Symp. Computer Aided Design of Control Systems (1979) 113-117.
+Checked in tests/contracts/test_responses.py, tests/design/test_measures.py.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchmbd.design.histories import flexible
+from torchmbd.design.response import History, Measure
+from torchmbd.design.spline import Spline, Window, checked
+from torchmbd.errors import InputError
+from torchmbd.integrators import Trajectory
+from torchmbd.system import System
+
+
+@dataclass(frozen=True)
+class OfHistory(Measure):
+    """A measure of a history on a window of time; default: the whole motion."""
+
+    history: History
+    window: Window = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.history, History):
+            name = type(self).__name__
+            raise InputError(f"{name} of {self.history!r}; allowed: a history, such as StrainEnergy('rod')")
+        if self.window is not None:
+            object.__setattr__(self, "window", checked(self.window))
+
+    def check(self, system: System) -> None:
+        self.history.check(system)
+
+    @property
+    def until(self) -> float:
+        return 0.0 if self.window is None else self.window[1]
+
+    def value(self, motion: Trajectory) -> Tensor:
+        return self.reduce(Spline.of(motion.t, self.history.values(motion), self.window))
+
+    def reduce(self, curve: Spline) -> Tensor:
+        """The numbers [lanes] or [lanes, rows] of the history as a curve."""
+        raise NotImplementedError(type(self).__name__)
+
+
+class Integral(OfHistory):
+    """Integral of a history over time."""
+
+    def reduce(self, curve: Spline) -> Tensor:
+        return torch.trapezoid(curve.y, curve.t, dim=-1)
+
+
+class Mean(OfHistory):
+    """Mean of a history over time."""
+
+    def reduce(self, curve: Spline) -> Tensor:
+        return torch.trapezoid(curve.y, curve.t, dim=-1) / (curve.t[-1] - curve.t[0])
+
+
+class RMS(OfHistory):
+    """Root of the mean square of a history over time; not differentiable where the history vanishes."""
+
+    def reduce(self, curve: Spline) -> Tensor:
+        return torch.sqrt(torch.trapezoid(curve.y**2, curve.t, dim=-1) / (curve.t[-1] - curve.t[0]))
+
+
+class Max(OfHistory):
+    """Largest value of a history, located between the samples."""
+
+    def reduce(self, curve: Spline) -> Tensor:
+        return curve.maximum()
+
+
+class Min(OfHistory):
+    """Smallest value of a history, located between the samples."""
+
+    def reduce(self, curve: Spline) -> Tensor:
+        return -Spline(curve.t, -curve.y, -curve.m).maximum()
+
+
+class Final(OfHistory):
+    """Value of a history at the end."""
+
+    def reduce(self, curve: Spline) -> Tensor:
+        return curve.y[..., -1]
+
+
+@dataclass(frozen=True)
+class AtTime(Measure):
+    """Value of a history at one time [s]."""
+
+    history: History
+    time: float
+
+    def __post_init__(self) -> None:
+        if isinstance(self.time, (str, bool)) or not 0.0 <= float(self.time) < math.inf:
+            raise InputError(f"time is {self.time!r}; allowed: zero or positive [s]")
+
+    def check(self, system: System) -> None:
+        self.history.check(system)
+
+    @property
+    def until(self) -> float:
+        return float(self.time)
+
+    def value(self, motion: Trajectory) -> Tensor:
+        curve = Spline.of(motion.t, self.history.values(motion))
+        return curve.sampled(curve.t.new_tensor([float(self.time)]))[..., 0]
+
+
+@dataclass(frozen=True)
+class SmoothMax(OfHistory):
+    """Aggregate of all samples that overestimates their largest, the less the larger `sharpness`."""
+
+    sharpness: float = 50.0
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, x in (("sharpness", self.sharpness), ("scale", self.scale)):
+            if isinstance(x, (str, bool)) or not 0.0 < float(x) < math.inf:
+                raise InputError(f"{name} is {x!r}; allowed: a positive number")
+
+    def reduce(self, curve: Spline) -> Tensor:
+        rho = self.sharpness / self.scale
+        return torch.logsumexp(rho * curve.y, -1) / rho
+
+
+@dataclass(frozen=True)
+class Frequency(Measure):
+    """Natural frequency of a flexible body fixed at its reference nodes; `number` 1 is the lowest [Hz]."""
+
+    body: str
+    number: int = 1
+
+    def check(self, system: System) -> None:
+        modes = flexible(system, self.body).modes
+        if isinstance(self.number, bool) or not isinstance(self.number, int) or not 1 <= self.number <= modes:
+            raise InputError(f"number is {self.number!r}; allowed: 1 to {modes}, the retained modes of {self.body!r}")
+
+    def value(self, motion: Trajectory) -> Tensor:
+        Kr = motion.body(self.body).stiffness[0]
+        square = torch.linalg.eigvalsh(Kr)[..., self.number - 1]
+        return torch.sqrt(square) / (2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class Mass(Measure):
+    """Mass of a body, or of all bodies."""
+
+    body: str | None = None
+
+    def check(self, system: System) -> None:
+        if self.body is not None:
+            system.body(self.body)
+
+    def value(self, motion: Trajectory) -> Tensor:
+        names = motion.dynamics.topology.names if self.body is None else [self.body]
+        return torch.stack([motion.body(name).mass for name in names]).sum(0)

@@ -1,0 +1,84 @@
+"""Time-dependent criteria as rows: one limit that holds at many times; eqs. (20), (22), (23).
+
+    AtTimes    y(t_k) at fixed times                         all points of eq. (23)
+    AtPeaks    the highest local maxima of y, wherever they are in this design: critical points, located anew each time
+
+    AtPeaks(StrainEnergy("rod"), count=8) <= 0.5            a constraint at critical points
+    Problem(minimize=AtPeaks(StrainEnergy("rod")), ...)     min-max by an extra variable (problem.py)
+
+A maximum that moves, grows or gives way to another is a kink of Max, but not of the rows together: each of several
+equal peaks keeps its own gradient. Lower limits: AtPeaks(-y) <= -c.
+Checked in tests/contracts/test_responses.py, tests/design/test_formulations.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchmbd.design.measures import OfHistory
+from torchmbd.design.response import Constraint
+from torchmbd.design.spline import Spline
+from torchmbd.errors import InputError
+
+
+@dataclass(frozen=True)
+class AtTimes(OfHistory):
+    """A history at `count` equally spaced times of the window, ends included, or at the given `times` [s]."""
+
+    count: int = 101
+    times: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _positive("count", self.count, 2)
+        if self.times is None:
+            return
+        if self.window is not None:
+            raise InputError("times and window are both given; allowed: one of them")
+        if not len(self.times) or not all(0.0 <= float(t) < float("inf") for t in self.times):
+            raise InputError(f"times is {self.times!r}; allowed: at least one time, zero or positive [s]")
+
+    @property
+    def rows(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.count if self.times is None else len(self.times)
+
+    @property
+    def until(self) -> float:
+        return super().until if self.times is None else max(float(t) for t in self.times)
+
+    def reduce(self, curve: Spline) -> Tensor:
+        if self.times is not None:
+            return curve.sampled(curve.t.new_tensor([float(t) for t in self.times]))
+        return curve.at(torch.linspace(float(curve.t[0]), float(curve.t[-1]), self.count, dtype=curve.t.dtype))
+
+
+@dataclass(frozen=True)
+class AtPeaks(OfHistory):
+    """The `count` highest local maxima of a history, the highest first; where there are fewer, low values fill up."""
+
+    count: int = 8
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _positive("count", self.count, 1)
+
+    @property
+    def rows(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.count
+
+    def reduce(self, curve: Spline) -> Tensor:
+        if len(curve.t) <= self.count:
+            raise InputError(f"count is {self.count}; allowed: at most {len(curve.t) - 1}, the intervals of the motion")
+        return curve.peaks(self.count)
+
+    def __ge__(self, limit: float | str) -> Constraint:
+        raise InputError("AtPeaks >= limit looks at maxima; allowed: AtPeaks(-history) <= -limit")
+
+
+def _positive(name: str, count: int, least: int) -> None:
+    if isinstance(count, bool) or not isinstance(count, int) or count < least:
+        raise InputError(f"{name} is {count!r}; allowed: an integer, at least {least}")
