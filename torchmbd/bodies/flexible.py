@@ -1,65 +1,67 @@
-"""Flexible bodies in a floating frame: a laminated mesh reduced to vibration modes.
+"""Flexible bodies in a floating frame: an assembly of finite elements reduced to vibration modes.
 
     u' = Psi w    (8)      Psi: modes of the body whose reference nodes are fixed to the body frame (reduction/family.py)
 
-The structure stage of a body, once for each design: laminate -> K (linear in the laminate's entries) -> Psi and
-Kr = Psi' K Psi -> inertia invariants. What leaves it knows nothing of the mesh (reduction/invariants.py).
+The structure stage of a body, once for each design: parts (elements/assembly.py) -> K and M -> Psi and Kr = Psi' K Psi
+-> inertia invariants. What leaves it knows nothing of the mesh (reduction/invariants.py).
 
-Lumped mass, as in eq. (2): nodal mass m_k and isotropic nodal rotary inertia mu_k.
-Differentiable, forward and reverse, in every parameter of the laminate (reduction/transport.py).
+Mass points, by default lumped as in eq. (2): nodal mass m_k and isotropic nodal rotary inertia mu_k.
+Differentiable, forward and reverse, in every parameter of the parts (reduction/transport.py).
 Assumed: small elastic displacements about the undeformed body.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
 
 from torchmbd.bodies.frame import Frame, identifier, rotation, vector
-from torchmbd.elements import PlateMatrices
+from torchmbd.elements import Assembly, Average, Part, PlateMatrices, Plates, RigidLink
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Laminate
 from torchmbd.mesh import Mesh
-from torchmbd.numerics.sparse import SparseMatrix
 from torchmbd.reduction import REDUCTIONS, Reduction, inertia_invariants
 
 
 class FlexibleBody(nn.Module):
-    """A flexible body; made by `FlexibleBody.plate`.
+    """A flexible body; made by `FlexibleBody.plate` and its like.
 
-    The body frame sits at the reference node (the mean of several) with the axes of the mesh.
+    The body frame sits at the reference node (the mean of several) with the axes of the mesh. The modules of the parts,
+    such as a laminate, are registered by their names; where several parts have any, by the names of the parts.
+
+    parts   name -> part of the assembly
+    links   nodes that follow others
+    Others as in `plate`.
     """
-
-    laminate: Laminate
 
     def __init__(
         self,
         name: str,
-        matrices: PlateMatrices,
-        laminate: Laminate,
+        mesh: Mesh,
+        parts: Mapping[str, Part],
         modes: int,
-        reference: Sequence[int],
-        position: Tensor,
-        axes: Tensor,
+        position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        axes: Sequence | Tensor | None = None,
+        reference: str | int | Sequence[int] | None = None,
         damping: float = 0.0,
         reduction: str = "vibration",
-        interface: Sequence[int] = (),
+        interface: str | int | Sequence[str | int] = (),
         updated: bool = True,
+        links: Sequence[RigidLink | Average] = (),
     ):
         super().__init__()
         self.name = identifier("flexible body", name)
-        self.matrices, self.mesh, self.laminate = matrices, matrices.mesh, laminate
-        self.reference, self.damping = list(reference), damping
-        self.position, self.axes = position, axes
+        self.mesh = mesh
+        self.position, self.axes = vector(f"position of {name!r}", position), rotation(f"axes of {name!r}", axes)
         self.velocity = self.angular_velocity = torch.zeros(3, dtype=torch.float64)
-        self.origin = self.mesh.nodes[self.reference].mean(0)
-        fixed = torch.zeros(6 * len(self.mesh.nodes), dtype=torch.bool)
-        for node in self.reference:
-            fixed[6 * node : 6 * node + 6] = True
-        self.free = torch.nonzero(~fixed)[:, 0]
-        held = self._rows(interface)
+        self.reference = _reference(mesh, parts, reference)
+        self.origin = mesh.nodes[self.reference].mean(0)
+        self._register(parts)
+        self.assembly = Assembly(mesh, parts, self.reference, links)
+        self.free = self.assembly.freedoms.free
+        held = self._rows(_nodes(mesh, interface))
         least, most = 0 if held else 1, len(self.free) - len(held)
         if not isinstance(modes, int) or not least <= modes <= most:
             raise InputError(f"modes of {name!r} is {modes!r}; allowed: {least} to {most}, the freedoms of the mesh")
@@ -67,8 +69,29 @@ class FlexibleBody(nn.Module):
         self.modes = self.reduction.size
         if not 0 <= damping < float("inf"):
             raise InputError(f"damping of {name!r} is {damping!r} s; allowed: zero or positive")
-        self._pattern, selected = matrices.pattern.restrict(self.free)
-        self._basis = matrices.basis[:, selected].contiguous()
+        self.damping = damping
+
+    def _register(self, parts: Mapping[str, Part]) -> None:
+        owners = [key for key, part in parts.items() if part.modules()]
+        for key in owners:
+            modules = parts[key].modules()
+            for child, module in modules.items():
+                own = child if len(owners) == 1 else key if len(modules) == 1 else f"{key}_{child}"
+                if hasattr(self, own):
+                    raise InputError(f"part {own!r} of {self.name!r} has a name that is taken; allowed: any other")
+                self.add_module(own, module)
+
+    @property
+    def plates(self) -> dict[str, Plates]:
+        """The laminated parts by their names."""
+        return {key: part for key, part in self.assembly.parts.items() if isinstance(part, Plates)}
+
+    @property
+    def matrices(self) -> PlateMatrices:
+        """The matrices of a body of one laminate."""
+        if len(self.plates) != 1:
+            raise InputError(f"{self.name!r} has {len(self.plates)} laminated parts; allowed: plates[name].matrices")
+        return next(iter(self.plates.values())).matrices
 
     @classmethod
     def plate(
@@ -84,6 +107,7 @@ class FlexibleBody(nn.Module):
         reduction: str = "vibration",
         interface: str | int | Sequence[str | int] = (),
         updated: bool = True,
+        mass: str = "lumped",
     ) -> FlexibleBody:
         """A laminated plate or shell.
 
@@ -97,13 +121,10 @@ class FlexibleBody(nn.Module):
                         of `interface`; the highest frequencies are then those of these nodes: give `steps` to simulate
         interface       nodes whose motion is kept, those that carry joints or loads
         updated         False: modes are held fixed in derivatives (eq. 36), for comparison only: gradients are wrong
+        mass            "lumped" (eq. 2), or "consistent", for comparison
         """
-        where = rotation(f"axes of {name!r}", axes)
-        at = vector(f"position of {name!r}", position)
-        matrices = PlateMatrices(mesh, laminate)
-        nodes = _reference(mesh, matrices, reference)
-        held = _nodes(mesh, interface)
-        return cls(name, matrices, laminate, modes, nodes, at, where, damping, reduction, held, updated)
+        parts = {"plate": Plates(mesh, laminate, mass=mass)}
+        return cls(name, mesh, parts, modes, position, axes, reference, damping, reduction, interface, updated)
 
     def at(self, node: str | int, axes: Sequence | Tensor | None = None) -> Frame:
         """Frame on a mesh node, by its name or index; `axes`: columns of its triad in body axes."""
@@ -116,15 +137,14 @@ class FlexibleBody(nn.Module):
         Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; leading axes are those of the
         laminate's parameters (designs).
         """
-        n = len(self.mesh.nodes)
-        K = SparseMatrix(self._pattern, self.laminate.entries() @ self._basis)
-        diagonal = self.matrices.lumped_mass(self.laminate.mass_per_area, self.laminate.rotary_inertia_per_area)
-        mass, rotary = diagonal[..., 0::6], diagonal[..., 3::6]
-        diagonal = diagonal[..., self.free]
-        basis = self.reduction(K, diagonal.expand(*K.values.shape[:-1], -1))
-        psi = basis.vectors.new_zeros(*basis.vectors.shape[:-2], 6 * n, self.modes)
-        psi = psi.index_copy(-2, self.free, basis.vectors).unflatten(-2, (n, 6))
-        result = inertia_invariants(self.mesh.nodes - self.origin, mass, rotary, psi)
+        K, M = self.assembly.stiffness(), self.assembly.mass()
+        if isinstance(M, Tensor):
+            M = M.expand(*K.values.shape[:-1], -1)
+        basis = self.reduction(K, M)
+        psi = self.assembly.freedoms.expand(basis.vectors)
+        _, mass, rotary = self.assembly.masses()
+        x = self.assembly.at_points(self.mesh.nodes - self.origin, -2)
+        result = inertia_invariants(x, mass, rotary, self.assembly.at_points(psi, -3))
         return result | {"Kr": basis.stiffness, "psi": psi}
 
     def _rows(self, interface: Sequence[int]) -> tuple[int, ...]:
@@ -146,9 +166,12 @@ def _reduction(name: str, kind: str, modes: int, interface: tuple[int, ...], upd
         raise InputError(f"reduction of {name!r}: {error}") from None
 
 
-def _reference(mesh: Mesh, matrices: PlateMatrices, reference: str | int | Sequence[int] | None) -> list[int]:
+def _reference(mesh: Mesh, parts: Mapping[str, Part], reference: str | int | Sequence[int] | None) -> list[int]:
     if reference is None:
-        center = (matrices.area[:, None] * mesh.nodes).sum(0) / matrices.area.sum()
+        points = [part.masses() for part in parts.values()]
+        x = torch.cat([mesh.nodes[p.ends].mean(1) for p in points])
+        m = torch.cat([p.mass for p in points]).detach()
+        center = (m[:, None] * x).sum(0) / m.sum()
         return [int(((mesh.nodes - center) ** 2).sum(1).argmin())]
     nodes = _nodes(mesh, reference)
     if not nodes:

@@ -31,7 +31,7 @@ class PlyFailure(History):
             raise unknown("criterion", self.criterion, CRITERIA)
         body = system.body(self.body)
         require_plies(body)
-        if any(ply.strength is None for ply in body.laminate.layer_plies):
+        if any(ply.strength is None for part in body.plates.values() for ply in part.laminate.layer_plies):
             raise InputError(f"a ply of body {self.body!r} has no strength; allowed: Ply(..., strength=Strength(...))")
 
     def values(self, motion: Trajectory) -> Tensor:

@@ -35,28 +35,30 @@ class Facets:
     area: Float[Tensor, " m"]
 
 
-def facets(mesh: Mesh, direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0)) -> Facets:
-    """Lay the triangles of a mesh into their planes.
+def facets(mesh: Mesh, direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0), members: Tensor | None = None) -> Facets:
+    """Lay the triangles of a mesh, or those named by `members`, into their planes.
 
-    direction: the laminate's x-axis in mesh axes, projected into every triangle, [3] or one for each triangle [m, 3].
+    direction: the laminate's x-axis in mesh axes, projected into every triangle, [3] or one for each triangle of the
+    mesh [m, 3].
     Raises InputError where it is zero or normal to a triangle.
     """
     d = torch.as_tensor(direction, dtype=torch.float64)
     if d.shape not in ((3,), (len(mesh.triangles), 3)):
         raise InputError(f"direction has shape {tuple(d.shape)}; allowed: [3], or one for each triangle [m, 3]")
-    e3 = mesh.normals
-    d = d.expand_as(e3)
+    members = torch.arange(len(mesh.triangles)) if members is None else members
+    e3 = mesh.normals[members]
+    d = d.expand_as(e3) if d.ndim == 1 else d[members]
     length = d.norm(dim=1, keepdim=True)
     e1 = d - (d * e3).sum(1, keepdim=True) * e3
     steep = ((e1.norm(dim=1, keepdim=True) > STEEPNESS * length).logical_not()).flatten().nonzero().flatten()
     if len(steep):
         k = int(steep[0])
         raise InputError(
-            f"direction {d[k].tolist()} has no projection into triangle {k}, normal {e3[k].tolist()}; "
+            f"direction {d[k].tolist()} has no projection into triangle {int(members[k])}, normal {e3[k].tolist()}; "
             "allowed: a direction that is not normal to any triangle (or one for each triangle)"
         )
     e1 = e1 / e1.norm(dim=1, keepdim=True)
     axes = torch.stack([e1, torch.linalg.cross(e3, e1), e3], dim=1)
-    p = mesh.nodes[mesh.triangles]
+    p = mesh.nodes[mesh.triangles[members]]
     corners = (p - p.mean(dim=1, keepdim=True)) @ axes.mT
-    return Facets(axes, corners[..., :2].contiguous(), mesh.areas)
+    return Facets(axes, corners[..., :2].contiguous(), mesh.areas[members])

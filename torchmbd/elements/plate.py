@@ -45,6 +45,7 @@ class PlateMatrices:
 
     laminate    the laminate, of which only the mean properties enter here; or these
     direction   the laminate's x-axis in mesh axes, projected into each triangle: [3], or one for each triangle [m, 3]
+    triangles   indices of the triangles that are made of it; None: all of the mesh. `members` keeps them
     """
 
     def __init__(
@@ -52,12 +53,15 @@ class PlateMatrices:
         mesh: Mesh,
         laminate: Laminate | IsotropicMean,
         direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
+        triangles: Sequence[int] | Tensor | None = None,
     ) -> None:
         self.mesh = mesh
+        self.members = torch.arange(len(mesh.triangles)) if triangles is None else torch.as_tensor(triangles)
+        self.triangles = mesh.triangles[self.members]
         self.mean = laminate if isinstance(laminate, IsotropicMean) else IsotropicMean.of(laminate)
-        self.facets = facets(mesh, direction)
-        self.area = _tributary(mesh, self.facets.area)
-        self.pattern, slot = _block_pattern(mesh.triangles, len(mesh.nodes))
+        self.facets = facets(mesh, direction, self.members)
+        self.area = _tributary(self.triangles, self.facets.area, len(mesh.nodes))
+        self.pattern, slot = _block_pattern(self.triangles, len(mesh.nodes))
         self.basis = _basis(strain_matrices(self.facets, self.mean), self.facets.area, slot, self.pattern.nnz)
 
     def stiffness(self, entries: Float[Tensor, "*lanes 21"]) -> SparseMatrix:
@@ -73,7 +77,7 @@ class PlateMatrices:
 
     def section_strains(self, displacements: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 8 k"]:
         """Return eps, kappa, gamma at the centroid of each triangle for k fields of nodal displacements, such as modes."""
-        corners = displacements[..., self.mesh.triangles, :, :].flatten(-3, -2)
+        corners = displacements[..., self.triangles, :, :].flatten(-3, -2)
         return torch.einsum("msf,...mfk->...msk", self.center_strains, corners)
 
     def lumped_mass(
@@ -84,9 +88,9 @@ class PlateMatrices:
         return (self.area[:, None] * per_area[..., None, :]).flatten(-2)
 
 
-def _tributary(mesh: Mesh, area: Tensor) -> Tensor:
+def _tributary(triangles: Tensor, area: Tensor, n: int) -> Tensor:
     thirds = (area / 3.0)[:, None].expand(-1, 3).reshape(-1)
-    return area.new_zeros(len(mesh.nodes)).index_add(0, mesh.triangles.flatten(), thirds)
+    return area.new_zeros(n).index_add(0, triangles.flatten(), thirds)
 
 
 def _block_pattern(triangles: Tensor, n: int) -> tuple[Pattern, Tensor]:

@@ -40,5 +40,5 @@ def ply_basis(matrices: PlateMatrices, laminate: Laminate, displacements: Float[
 
 def ply_points(matrices: PlateMatrices, laminate: Laminate) -> Int[Tensor, "points 3"]:
     """Triangle, layer from the bottom, and face (0 bottom, 1 top) of every point of a PlyBasis."""
-    counts = len(matrices.mesh.triangles), len(laminate.layer_plies), 2
-    return torch.cartesian_prod(*(torch.arange(n) for n in counts))
+    layers, faces = torch.arange(len(laminate.layer_plies)), torch.arange(2)
+    return torch.cartesian_prod(matrices.members, layers, faces)

@@ -2,7 +2,8 @@
 
     stress(t) = basis w(t),      basis = ply values of the body's modes (elements/ply_recovery.py)
 
-Points of a body run over triangles, layers from the bottom, and the two faces of each layer; `points` names them.
+Points of a body run over its laminates, their triangles, layers from the bottom, and the two faces of each layer;
+`points` names them.
 The index of a body is the largest over all points: its derivative is that of the point where it stands, exact wherever
 this point is unique.
 Differentiable by the design along `Trajectory.moved`: through w, the modes and the laminate itself.
@@ -11,14 +12,14 @@ Checked in tests/integrators/test_ply_history.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from torchmbd.elements import PlateMatrices, PlyBasis, ply_basis, ply_points
+from torchmbd.elements import PlyBasis, ply_basis, ply_points
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import CRITERIA
 
@@ -48,10 +49,9 @@ class PlyHistory:
         recovery = _Recovery(motion.system, name)
         designs = {f"system.{key}": x for key, x in motion.designs.items()}
         self.basis = torch.func.functional_call(recovery, designs, (view.psi,))
-        self.points = ply_points(body.matrices, body.laminate)
-        plies = [ply.strength for ply in body.laminate.layer_plies]
-        numbers = [strength.numbers() for strength in plies if strength is not None]
-        self.strength = torch.stack(numbers)[self.points[:, 1]] if len(numbers) == len(plies) else None
+        points = {key: ply_points(part.matrices, part.laminate) for key, part in body.plates.items()}
+        self.points = torch.cat(list(points.values()))
+        self.strength = _strength(body, points)
 
     def stress(self, times: slice = slice(None)) -> Float[Tensor, "lanes times points 5"]:
         """Ply stresses [Pa] at the chosen output times."""
@@ -88,9 +88,20 @@ class PlyHistory:
         return CRITERIA[criterion], self.strength
 
 
+def _strength(body: Any, points: Mapping[str, Tensor]) -> Tensor | None:
+    rows = []
+    for key, part in body.plates.items():
+        plies = [ply.strength for ply in part.laminate.layer_plies]
+        numbers = [strength.numbers() for strength in plies if strength is not None]
+        if len(numbers) < len(plies):
+            return None
+        rows.append(torch.stack(numbers)[points[key][:, 1]])
+    return torch.cat(rows)
+
+
 def require_plies(body: object) -> None:
     """Raise InputError for a body without plies."""
-    if not isinstance(getattr(body, "matrices", None), PlateMatrices):
+    if not getattr(body, "plates", None):
         name = getattr(body, "name", body)
         raise InputError(f"body {name!r} has no plies; allowed here: a plate, such as FlexibleBody.plate(...)")
 
@@ -98,14 +109,18 @@ def require_plies(body: object) -> None:
 class _Recovery(nn.Module):
     """Recovery as a module of the whole system, so that designs go by their names; shared laminates included."""
 
+    system: Any
+
     def __init__(self, system: nn.Module, name: str):
         super().__init__()
         self.system, self.name = system, name
 
     def forward(self, psi: Tensor) -> PlyBasis:
-        body = self.system.body(self.name)
-        basis = ply_basis(body.matrices, body.laminate, psi)
-        return PlyBasis(*(x.expand(*psi.shape[:1], *x.shape[1:]) for x in basis))
+        plates = self.system.body(self.name).plates.values()
+        parts = [ply_basis(part.matrices, part.laminate, psi) for part in plates]
+        return PlyBasis(
+            *(torch.cat([x.expand(len(psi), -1, -1, -1) for x in kind], 1) for kind in zip(*parts, strict=True))
+        )
 
 
 def _at(basis: Tensor, w: Tensor) -> Tensor:

@@ -1,0 +1,151 @@
+"""Stiffness and lumped mass of shear-flexible beams in space with full 6 x 6 sections.
+
+The element is made from equilibrium, not from shape functions. With f the force and moment at its end (the rest of the
+structure on the element), those at the distance s before the end are (1 + s E) f, E: M += e_x cross F, so
+
+    F = integral of (1 + s E)' S (1 + s E) ds = l S + l^2/2 (S E + E' S) + l^3/3 E' S E        flexibility of the end
+    f = F^-1 (u_2 - A u_1),   A = 1 + l E'                                                     stiffness
+
+S        compliance of the section about the line of the nodes
+u_1, u_2 displacements and rotations of the ends
+
+Exact for prismatic beams loaded at their nodes, whatever the couplings: no locking, no dependence on the number of
+elements. Rigid motions are exact. Curved and twisted beams are polygons of such elements.
+Mass: half of each element's at its ends, as four particles in the plane of the section that have its mass, center and
+inertia; so products of inertia and eccentric centers need no special case in the motion.
+Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units. Differentiable, forward and
+reverse, in the sections' stiffness, with lanes.
+Source: the flexibility (force) method, J. S. Przemieniecki, Theory of Matrix Structural Analysis (1968), chapter 8;
+W. Carnegie, J. Thomas, E. Dokumaci, Aeronaut. Q. 20 (1969), for the shear-flexible element that this one contains.
+Checked in tests/elements/test_beam_*.py, tests/validation/test_beam_*.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchmbd.elements.facet import STEEPNESS
+from torchmbd.errors import InputError
+from torchmbd.numerics.inverse import balanced_inverse
+from torchmbd.numerics.sparse import Pattern, SparseMatrix
+
+#: E of the module header: e_x cross F added to the moment.
+_ARM = torch.zeros(6, 6, dtype=torch.float64)
+_ARM[4, 2], _ARM[5, 1] = -1.0, 1.0
+
+
+class Line(Protocol):
+    """Nodes [n, 3] and two-node elements [m, 2]: a BeamLine, or the beams of a larger mesh."""
+
+    nodes: Tensor
+    elements: Tensor
+
+
+class Particles(NamedTuple):
+    """Point masses [kg] carried by nodes on rigid arms [m]."""
+
+    node: Int[Tensor, " p"]
+    arm: Float[Tensor, "p 3"]
+    mass: Float[Tensor, " p"]
+
+
+class BeamMatrices:
+    """What a line contributes to stiffness and mass, made once per mesh.
+
+    pattern   where K is not zero
+    axes      rows e_x, e_y, e_z of each element in mesh axes   [m, 3, 3]
+    length    of each element                                   [m], m
+
+    orientation   the sections' y-axis in mesh axes, projected across each element: [3], or one for each element [m, 3]
+    """
+
+    def __init__(self, mesh: Line, orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0)) -> None:
+        self.mesh = mesh
+        span = mesh.nodes[mesh.elements[:, 1]] - mesh.nodes[mesh.elements[:, 0]]
+        self.length = span.norm(dim=1)
+        self.axes = _axes(span / self.length[:, None], orientation)
+        freedoms = (6 * mesh.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
+        rows, cols = freedoms[:, :, None].expand(-1, 12, 12), freedoms[:, None, :].expand(-1, 12, 12)
+        self.pattern, self._slot = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
+        turn = torch.zeros(len(span), 6, 6, dtype=torch.float64)
+        turn[:, :3, :3] = turn[:, 3:, 3:] = self.axes
+        A = torch.eye(6, dtype=torch.float64) + self.length[:, None, None] * _ARM.T
+        self._ends = torch.cat([-A @ turn, turn], dim=-1)  # u_2 - A u_1 in local axes  [m, 6, 12]
+
+    def values(self, stiffness: Float[Tensor, "*lanes m 6 6"]) -> Float[Tensor, "*lanes nnz"]:
+        """K values on the pattern, from the section stiffness of each element (or of all: [..., 1, 6, 6])."""
+        k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
+        element = (self._ends.mT @ k @ self._ends).flatten(-3)
+        result = element.new_zeros(*element.shape[:-1], self.pattern.nnz)
+        return result.index_add(-1, self._slot, element)
+
+    def stiffness(self, stiffness: Float[Tensor, "*lanes m 6 6"]) -> SparseMatrix:
+        """K of one design or of a batch."""
+        return SparseMatrix(self.pattern, self.values(stiffness))
+
+    def flexibility(self, compliance: Float[Tensor, "*lanes m 6 6"]) -> Float[Tensor, "*lanes m 6 6"]:
+        """F of the module header."""
+        l, SE = self.length[:, None, None], compliance @ _ARM
+        return l * compliance + l**2 / 2 * (SE + SE.mT) + l**3 / 3 * (_ARM.T @ SE)
+
+    def end_forces(
+        self, stiffness: Float[Tensor, "*lanes m 6 6"], motion: Float[Tensor, "*lanes n 6 k"]
+    ) -> Float[Tensor, "*lanes m 6 k"]:
+        """Section forces (N, V_y, V_z, T, M_y, M_z) at the end of each element, in its axes, for k motions of the nodes."""
+        k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
+        ends = motion[..., self.mesh.elements, :, :].flatten(-3, -2)
+        return k @ (self._ends @ ends)
+
+    def particles(self, mass: Float[Tensor, "m 6 6"]) -> Particles:
+        """Halves of the elements at their ends, four particles each, from the section mass of each element (or [1, 6, 6])."""
+        per_length, at = section_particles(mass)
+        m = len(self.length)
+        arm = (at.expand(m, 4, 2) @ self.axes[:, 1:]).unsqueeze(1).expand(m, 2, 4, 3)
+        half = (per_length.expand(m, 4) * self.length[:, None] / 2).unsqueeze(1).expand(m, 2, 4)
+        node = self.mesh.elements[:, :, None].expand(m, 2, 4)
+        return Particles(node.flatten(), arm.reshape(-1, 3), half.flatten())
+
+
+def section_particles(mass: Float[Tensor, "m 6 6"]) -> tuple[Float[Tensor, "m 4"], Float[Tensor, "m 4 2"]]:
+    """Four equal particles in the section's plane with its mass, center and second moments: kg/m, places (y, z) [m]."""
+    mu = mass[:, 0, 0]
+    center = torch.stack([-mass[:, 0, 5], mass[:, 0, 4]], dim=-1) / mu[:, None]
+    second = torch.stack(
+        [torch.stack([mass[:, 5, 5], -mass[:, 4, 5]], -1), torch.stack([-mass[:, 4, 5], mass[:, 4, 4]], -1)], dim=-2
+    )
+    central = second / mu[:, None, None] - center[:, :, None] * center[:, None, :]
+    polar = mass[:, 3, 3] / (mass[:, 4, 4] + mass[:, 5, 5]) - 1.0
+    values, directions = torch.linalg.eigh(central)
+    if (polar.abs() > 0.01).any() or (values <= 0).any():
+        k = int(((polar.abs() > 0.01) | (values <= 0).any(1)).nonzero()[0])
+        raise InputError(
+            f"mass of section {k}: inertias {mass[k].diagonal()[3:].tolist()} kg m with its center at "
+            f"{center[k].tolist()} m; allowed: those of a plane section, the polar one the sum of the other two "
+            "and all of them about the center positive"
+        )
+    arms = (2.0 * values).sqrt()[:, None, :] * directions  # columns: along the principal axes
+    at = center[:, None] + torch.cat([arms, -arms], dim=-1).mT
+    return (mu / 4.0)[:, None].expand(-1, 4), at
+
+
+def _axes(e_x: Tensor, orientation: Sequence[float] | Tensor) -> Float[Tensor, "m 3 3"]:
+    d = torch.as_tensor(orientation, dtype=torch.float64)
+    if d.shape not in ((3,), (len(e_x), 3)) or not torch.isfinite(d).all():
+        raise InputError(f"orientation has shape {tuple(d.shape)}; allowed: [3], or one for each element [m, 3], finite")
+    d = d.expand_as(e_x)
+    e_y = d - (d * e_x).sum(1, keepdim=True) * e_x
+    size = e_y.norm(dim=1, keepdim=True)
+    steep = (~(size > STEEPNESS * d.norm(dim=1, keepdim=True))).flatten().nonzero().flatten()
+    if len(steep):
+        k = int(steep[0])
+        raise InputError(
+            f"orientation {d[k].tolist()} lies along element {k}, direction {e_x[k].tolist()}; "
+            "allowed: a direction across the beam, to which the section's y-axis is turned"
+        )
+    e_y = e_y / size
+    return torch.stack([e_x, e_y, torch.linalg.cross(e_x, e_y)], dim=1)

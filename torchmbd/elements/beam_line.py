@@ -1,0 +1,114 @@
+"""The mesh of a beam: nodes on a line in space, two-node elements between them, names for nodes.
+
+nodes      positions in the axes of the body   [n, 3], m
+elements   node indices (start, end)           [m, 2]
+node_sets  name -> node indices; a set of one node is a named node
+
+An element's x-axis runs from its start to its end. Branches and closed loops are allowed; parts must hang together.
+Checked in tests/elements/test_beam_line.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+
+
+class BeamLine:
+    """Nodes [n, 3] in m, elements [m, 2] (default: each node with the next) and named node sets."""
+
+    nodes: Float[Tensor, "n 3"]
+    elements: Int[Tensor, "m 2"]
+    node_sets: Mapping[str, Sequence[int]]
+
+    def __init__(
+        self,
+        nodes: ArrayLike | Tensor,
+        elements: ArrayLike | Tensor | None = None,
+        node_sets: Mapping[str, Sequence[int]] | None = None,
+    ) -> None:
+        self.nodes = torch.as_tensor(np.array(nodes, dtype=np.float64))
+        _check_nodes(self.nodes)
+        chain = np.array(list(pairwise(range(len(self.nodes)))))
+        self.elements = torch.as_tensor(np.array(chain if elements is None else elements, dtype=np.int64))
+        _check_elements(self.nodes, self.elements)
+        if node_sets is None:
+            node_sets = {"start": [0], "end": [len(self.nodes) - 1]} if elements is None else {}
+        self.node_sets = {str(name): tuple(int(k) for k in members) for name, members in node_sets.items()}
+        for name, members in self.node_sets.items():
+            for k in members:
+                if not 0 <= k < len(self.nodes):
+                    raise InputError(
+                        f"BeamLine: node_sets[{name!r}] has node {k}; allowed: 0 to {len(self.nodes) - 1}"
+                    )
+
+    @classmethod
+    def straight(
+        cls, length: float, elements: int = 16, direction: Sequence[float] = (1.0, 0.0, 0.0)
+    ) -> BeamLine:
+        """From the origin along `direction`, equal elements. Nodes "start", "end", and "center" where there is one."""
+        if not 0.0 < length < float("inf"):
+            raise InputError(f"BeamLine: length = {length!r} m; allowed: a finite number > 0")
+        if not isinstance(elements, int) or isinstance(elements, bool) or elements < 1:
+            raise InputError(f"BeamLine: elements = {elements!r}; allowed: an integer >= 1")
+        d = np.asarray(direction, dtype=float)
+        if d.shape != (3,) or not np.isfinite(d).all() or not d.any():
+            raise InputError(f"BeamLine: direction = {direction!r}; allowed: three finite numbers, not all zero")
+        nodes = np.linspace(0.0, length, elements + 1)[:, None] * d / np.linalg.norm(d)
+        sets = {"start": [0], "end": [elements]} | ({"center": [elements // 2]} if elements % 2 == 0 else {})
+        return cls(nodes, node_sets=sets)
+
+    def node(self, name: str) -> int:
+        """Return the index of a named single node."""
+        members = self.node_set(name)
+        if len(members) != 1:
+            raise InputError(f"BeamLine: node set {name!r} has {len(members)} nodes; a single named node is needed")
+        return members[0]
+
+    def node_set(self, name: str) -> tuple[int, ...]:
+        """Return the node indices of a named set."""
+        if name not in self.node_sets:
+            raise unknown("node", name, self.node_sets)
+        return tuple(self.node_sets[name])
+
+    @property
+    def triangles(self) -> Int[Tensor, "0 3"]:
+        """None: a line has no faces."""
+        return torch.empty(0, 3, dtype=torch.long)
+
+
+def _check_nodes(nodes: Tensor) -> None:
+    if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:
+        raise InputError(f"BeamLine: nodes has shape {tuple(nodes.shape)}; allowed: [n, 3] with n >= 2")
+    bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
+    if len(bad):
+        raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
+
+
+def _check_elements(nodes: Tensor, elements: Tensor) -> None:
+    n = len(nodes)
+    if elements.ndim != 2 or elements.shape[1] != 2 or len(elements) == 0:
+        raise InputError(f"BeamLine: elements has shape {tuple(elements.shape)}; allowed: [m, 2] with m >= 1")
+    bad = ((elements < 0) | (elements >= n)).any(dim=1).nonzero().flatten()
+    if len(bad):
+        raise InputError(f"BeamLine: element {int(bad[0])} has nodes {elements[bad[0]].tolist()}; allowed: 0 to {n - 1}")
+    length = (nodes[elements[:, 1]] - nodes[elements[:, 0]]).norm(dim=1)
+    short = (length <= 1e-9 * length.max()).nonzero().flatten()
+    if len(short):
+        k = int(short[0])
+        raise InputError(f"BeamLine: element {k}, nodes {elements[k].tolist()}, has no length; merge its nodes")
+    tail, head = elements.numpy().T
+    parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)
+    if parts > 1:
+        stray = int(np.flatnonzero(label != label[0])[0])
+        raise InputError(f"BeamLine: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one")

@@ -1,0 +1,94 @@
+"""Parts of an assembly: laminated plates on some triangles of a mesh, and point masses.
+
+mass of a plate     "lumped": a third of each triangle at its corners, eqs. (2) and (13);
+                    "consistent": at the middles of its sides, that is with linear shape functions, for comparison
+Checked in tests/elements/test_assembly.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchmbd.elements.assembly import MassPoints
+from torchmbd.elements.plate import PlateMatrices
+from torchmbd.errors import unknown
+from torchmbd.materials import Laminate
+from torchmbd.mesh import Mesh
+from torchmbd.numerics.sparse import Pattern
+
+MASSES = ("lumped", "consistent")
+
+
+class Plates:
+    """One laminate on triangles of a mesh (default: all).
+
+    direction   the laminate's x-axis in mesh axes: [3], or one for each triangle of the mesh [m, 3]
+    triangles   indices of the triangles that are made of it
+    mass        "lumped" or "consistent"
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        laminate: Laminate,
+        direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
+        triangles: Sequence[int] | Tensor | None = None,
+        mass: str = "lumped",
+    ) -> None:
+        if mass not in MASSES:
+            raise unknown("mass", mass, MASSES)
+        self.laminate = laminate
+        self.matrices = PlateMatrices(mesh, laminate, direction, triangles)
+        self.pattern, self.basis = self.matrices.pattern, self.matrices.basis
+        self._ends, self._area = _points(self.matrices, mass == "consistent")
+
+    def coefficients(self) -> Float[Tensor, "*lanes 21"]:
+        """The entries of the laminate."""
+        return self.laminate.entries()
+
+    def modules(self) -> dict[str, nn.Module]:
+        """The laminate."""
+        return {"laminate": self.laminate}
+
+    def masses(self) -> MassPoints:
+        """Mass points of the present design."""
+        mass, rotary = self.laminate.mass_per_area, self.laminate.rotary_inertia_per_area
+        return MassPoints(self._ends, mass[..., None] * self._area, rotary[..., None] * self._area)
+
+
+class PointMasses:
+    """Masses [kg] with isotropic rotary inertias [kg m2] at nodes; no stiffness."""
+
+    def __init__(self, mesh: Mesh, nodes: Sequence[int], mass: Sequence[float], rotary: Sequence[float]) -> None:
+        none = torch.empty(0, dtype=torch.long)
+        self.pattern = Pattern(none, none, 6 * len(mesh.nodes))
+        self.basis = torch.zeros(1, 0, dtype=torch.float64)
+        self._nodes = torch.tensor(list(nodes), dtype=torch.long)
+        self._mass, self._rotary = (torch.tensor(list(x), dtype=torch.float64) for x in (mass, rotary))
+
+    def coefficients(self) -> Float[Tensor, " 1"]:
+        """No stiffness."""
+        return torch.zeros(1, dtype=torch.float64)
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Nothing to design."""
+        return {}
+
+    def masses(self) -> MassPoints:
+        """The masses."""
+        return MassPoints(self._nodes[:, None].expand(-1, 2), self._mass, self._rotary)
+
+
+def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor]:
+    """Node pairs of the mass points and the area of each."""
+    if not consistent:
+        nodes = torch.unique(matrices.triangles)
+        return nodes[:, None].expand(-1, 2), matrices.area[nodes]
+    sides = torch.stack([matrices.triangles, matrices.triangles.roll(-1, dims=1)], dim=-1).flatten(0, 1)
+    pairs, place = torch.unique(sides.sort(dim=1).values, dim=0, return_inverse=True)
+    thirds = (matrices.facets.area / 3.0).repeat_interleave(3)
+    return pairs, thirds.new_zeros(len(pairs)).index_add(0, place, thirds)
