@@ -53,7 +53,7 @@ def test_reactions_at_the_held_nodes_are_zero(made):
 @pytest.mark.parametrize(("shift", "turn"), [((0.02, -0.03), 0.0), ((0.0, 0.0), 0.7), ((-0.01, 0.04), 2.1)])
 def test_change_of_axes(made, shift, turn):
     """K and mass transform with the origin and the turn of the section's axes."""
-    c, s = torch.cos(torch.tensor(turn).double()), torch.sin(torch.tensor(turn).double())
+    c, s = torch.cos(torch.tensor(turn, dtype=torch.float64)), torch.sin(torch.tensor(turn, dtype=torch.float64))
     R = torch.stack([torch.stack([c, -s]), torch.stack([s, c])])
     move = torch.tensor(shift, dtype=torch.float64)
     mesh = SectionMesh(made.mesh.nodes @ R.T + move, made.mesh.elements, made.mesh.layer)

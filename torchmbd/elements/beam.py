@@ -136,7 +136,9 @@ def section_particles(mass: Float[Tensor, "m 6 6"]) -> tuple[Float[Tensor, "m 4"
 def _axes(e_x: Tensor, orientation: Sequence[float] | Tensor) -> Float[Tensor, "m 3 3"]:
     d = torch.as_tensor(orientation, dtype=torch.float64)
     if d.shape not in ((3,), (len(e_x), 3)) or not torch.isfinite(d).all():
-        raise InputError(f"orientation has shape {tuple(d.shape)}; allowed: [3], or one for each element [m, 3], finite")
+        raise InputError(
+            f"orientation has shape {tuple(d.shape)}; allowed: [3], or one for each element [m, 3], finite"
+        )
     d = d.expand_as(e_x)
     e_y = d - (d * e_x).sum(1, keepdim=True) * e_x
     size = e_y.norm(dim=1, keepdim=True)

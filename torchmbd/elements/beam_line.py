@@ -48,14 +48,10 @@ class BeamLine:
         for name, members in self.node_sets.items():
             for k in members:
                 if not 0 <= k < len(self.nodes):
-                    raise InputError(
-                        f"BeamLine: node_sets[{name!r}] has node {k}; allowed: 0 to {len(self.nodes) - 1}"
-                    )
+                    raise InputError(f"BeamLine: node_sets[{name!r}] has node {k}; allowed: 0 to {len(self.nodes) - 1}")
 
     @classmethod
-    def straight(
-        cls, length: float, elements: int = 16, direction: Sequence[float] = (1.0, 0.0, 0.0)
-    ) -> BeamLine:
+    def straight(cls, length: float, elements: int = 16, direction: Sequence[float] = (1.0, 0.0, 0.0)) -> BeamLine:
         """From the origin along `direction`, equal elements. Nodes "start", "end", and "center" where there is one."""
         if not 0.0 < length < float("inf"):
             raise InputError(f"BeamLine: length = {length!r} m; allowed: a finite number > 0")
@@ -101,7 +97,9 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
         raise InputError(f"BeamLine: elements has shape {tuple(elements.shape)}; allowed: [m, 2] with m >= 1")
     bad = ((elements < 0) | (elements >= n)).any(dim=1).nonzero().flatten()
     if len(bad):
-        raise InputError(f"BeamLine: element {int(bad[0])} has nodes {elements[bad[0]].tolist()}; allowed: 0 to {n - 1}")
+        raise InputError(
+            f"BeamLine: element {int(bad[0])} has nodes {elements[bad[0]].tolist()}; allowed: 0 to {n - 1}"
+        )
     length = (nodes[elements[:, 1]] - nodes[elements[:, 0]]).norm(dim=1)
     short = (length <= 1e-9 * length.max()).nonzero().flatten()
     if len(short):
@@ -111,4 +109,6 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
     parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)
     if parts > 1:
         stray = int(np.flatnonzero(label != label[0])[0])
-        raise InputError(f"BeamLine: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one")
+        raise InputError(
+            f"BeamLine: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
+        )

@@ -68,8 +68,10 @@ class GivenSection(nn.Module):
         if not -1.0 < nu <= 0.5:
             raise InputError(f"GivenSection: nu = {nu!r}; allowed: -1 < nu <= 0.5")
         G = E / (2.0 * (1.0 + nu))
-        K = torch.tensor([E * area, G * area * shear_y, G * area * shear_z, G * J, E * Iyy, E * Izz]).double()
-        M = density * torch.tensor([area, area, area, Iyy + Izz, Iyy, Izz]).double()
+        K = torch.tensor(
+            [E * area, G * area * shear_y, G * area * shear_z, G * J, E * Iyy, E * Izz], dtype=torch.float64
+        )
+        M = density * torch.tensor([area, area, area, Iyy + Izz, Iyy, Izz], dtype=torch.float64)
         return cls(torch.diag(K), torch.diag(M))
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:

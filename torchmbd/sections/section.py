@@ -31,6 +31,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.materials import Ply
+from torchmbd.numerics.inverse import balanced_inverse
 from torchmbd.sections.geometry import SectionGeometry
 from torchmbd.sections.mesh import SectionMesh
 from torchmbd.sections.orthotropic import Orthotropic, strain_rotation, turned
@@ -92,11 +93,7 @@ class Section(nn.Module):
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """K; units N, N m, N m2."""
-        S = self.compliance()
-        # Entries differ by the square of a length in m: balanced before the inversion.
-        d = S.detach().diagonal(dim1=-2, dim2=-1).rsqrt()
-        scale = d[..., :, None] * d[..., None, :]
-        return torch.linalg.inv(S * scale) * scale
+        return balanced_inverse(self.compliance())
 
     def compliance(self) -> Float[Tensor, "*lanes 6 6"]:
         """S = K^-1."""
@@ -147,7 +144,7 @@ class Section(nn.Module):
         u0 = -solve(problem, D, g.warp_force(g.stress(D, rigid)))
         strain = rigid + g.warp_strain(u0)
         stress = g.stress(D, strain)
-        S4 = torch.linalg.inv(g.resultant(stress)[..., _CLASSICAL, :])
+        S4 = balanced_inverse(g.resultant(stress)[..., _CLASSICAL, :])
         # Unit V_y makes M_z' = -1, unit V_z makes M_y' = 1.
         slope = torch.stack([-S4[..., 3], S4[..., 2]], dim=-1)
         carried = g.carried(u0 @ slope)
