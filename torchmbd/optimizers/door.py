@@ -12,6 +12,7 @@ import numpy as np
 
 from torchmbd.errors import InputError
 from torchmbd.optimizers.kkt import KuhnTucker, kuhn_tucker
+from torchmbd.optimizers.least_infeasible import least_infeasible
 from torchmbd.optimizers.optimizer import (
     Ending,
     Iterate,
@@ -100,6 +101,8 @@ def run_start(
     """Run one method on one start and return its result; an interruption ends in the status of that name."""
     try:
         ending = function(search, max_iterations, **options)
+        if ending.status == "infeasible":
+            ending = restored(search, ending, function, max_iterations, options)
     except (Interrupted, KeyboardInterrupt):
         status, message = "interrupted", "stopped by the user"
     except OutOfAnalyses:
@@ -110,6 +113,19 @@ def run_start(
         search.begin()  # the start is known, though it came with neighbors that are not
     best = search.start if search.best is None else search.best
     return result_of(search, Ending(best, status, message), method, problem, evaluate=False)
+
+
+def restored(search: Search, ending: Ending, function: Method, max_iterations: int, options: dict[str, Any]) -> Ending:
+    """Look for the least infeasible design: go on from there if it is feasible, else say which constraints fight."""
+    least = least_infeasible(search, best_of(search, ending)[0])
+    remaining = max_iterations - (len(search.history) - 1)
+    if least.violation <= search.feasibility and remaining > 0:
+        search.start = least.y
+        return function(search, remaining, **options)
+    if least.violation <= search.feasibility:
+        return Ending(least.y, "max_iterations", f"{ending.message}; a feasible design was found")
+    message = f"no design near here violates less than {least.violation:.3g}: constraints {least.fighting} fight"
+    return Ending(least.y, "infeasible", f"{message} each other or the bounds ({ending.message})")
 
 
 def result_of(
@@ -124,6 +140,10 @@ def result_of(
     df = evaluation.objective_gradient
     if status == "converged" and len(search.history) == 1 and df is not None and not df.any():
         message = "the objective does not depend on any variable near the start: its gradient is zero there and aside"
+    feasible = next((i.iteration for i in search.history if i.violation <= search.feasibility), None)
+    if feasible and violation <= search.feasibility:
+        message += f"; the start violated a constraint by {search.history[0].violation:.3g}"
+        message += f", designs are feasible since iteration {feasible}"
     m, n = evaluation.constraints.size, search.size
     kkt = KuhnTucker(np.full(m, np.nan), np.full(n, np.nan), float("nan"))
     if evaluation.ok and evaluation.objective_gradient is not None:

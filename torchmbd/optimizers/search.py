@@ -86,14 +86,15 @@ class Search:
         return np.clip(np.asarray(y, dtype=float) * self.scale, self.x_lower, self.x_upper)
 
     def begin(self, gradients: bool = True) -> Evaluation:
-        """Evaluate the start, set the objective's scale by it, and record iteration 0."""
+        """Evaluate the start, set the objective's scale by it, and record iteration 0 (later: go on from `start`)."""
         x = self.physical(self.start)
         first = self._evaluate_physical(x, gradients)
-        if first.ok:
+        if first.ok and not self.history:
             size = abs(first.objective)
             self.objective_scale = size if self.scaled and size > 0.0 else 1.0
             self._remember(self.start, first)
-        self.record(self.start)
+        if not self.history or not np.array_equal(self.history[-1].x, x):
+            self.record(self.start)
         return self._scaled(first)
 
     def evaluate(self, y: np.ndarray, gradients: bool = False) -> Evaluation:
