@@ -50,14 +50,14 @@ def test_a_mesh_travels_to_another_process():
     [
         ([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [[0, 1, 2]], r"nodes has shape \(3, 2\)"),
         ([*SQUARE[:3], [0.0, math.nan, 0.0]], HALVES, "node 3 is at"),
-        ([*SQUARE, SQUARE[1]], [[0, 1, 2], [0, 2, 3], [4, 2, 3]], "nodes 1 and 4 share one place"),
+        ([*SQUARE, SQUARE[1]], [[0, 1, 2], [0, 2, 3], [4, 2, 3]], "node 1 and node 4 share one place"),
         (SQUARE, [[0, 1, 2], [0, 2, 4]], r"triangle 1 has nodes \[0, 2, 4\]; allowed: 0 to 3"),
         (SQUARE, [[0, 1, 2, 3]], r"triangles has shape \(1, 4\)"),
-        (SQUARE, [*HALVES, [2, 0, 1]], "triangles 0 and 2 are duplicates"),
+        (SQUARE, [*HALVES, [2, 0, 1]], "triangle 0 and triangle 2 are duplicates"),
         (SQUARE, [[0, 1, 2], [0, 2, 2]], "triangle 1, nodes .* is collapsed"),
         ([*SQUARE, [0.5, 1e-9, 0.0]], [*HALVES, [0, 1, 4]], "triangle 2, nodes .* is collapsed"),
-        (SQUARE, [[0, 1, 2]], r"1 orphan nodes belong to no triangle: \[3\]"),
-        (SQUARE, [[0, 1, 2], [0, 3, 2]], "triangles 0 .* and 1 .* are wound in opposite senses"),
+        (SQUARE, [[0, 1, 2]], "1 orphan nodes belong to no element: node 3"),
+        (SQUARE, [[0, 1, 2], [0, 3, 2]], "triangle 0.* and triangle 1.* are wound in opposite senses"),
         ([*SQUARE, [5.0, 0, 0], [6.0, 0, 0], [5.0, 1, 0]], [*HALVES, [4, 5, 6]], "2 disconnected parts .node 4"),
     ],
 )
@@ -75,3 +75,29 @@ def test_three_plates_may_meet_at_an_edge():
     """A stiffener: no winding is right for all three neighbours of the common edge."""
     mesh = Mesh([*SQUARE, [0.5, 0.5, 1.0]], [*HALVES, [0, 2, 4]])
     assert len(mesh.triangles) == 3
+
+
+def test_lines_connect_and_are_checked():
+    """A node that only a line reaches is no orphan; a line may be all there is."""
+    mesh = Mesh([*SQUARE, [2.0, 2.0, 0.0]], HALVES, lines=[[2, 4]])
+    assert mesh.lines.tolist() == [[2, 4]]
+    assert len(Mesh(SQUARE[:2], torch.empty(0, 3), lines=[[0, 1]]).triangles) == 0
+    with pytest.raises(InputError, match=r"line 0 has nodes \[2, 9\]; allowed: two different ones of 0 to 3"):
+        Mesh(SQUARE, HALVES, lines=[[2, 9]])
+    twin = Mesh([*SQUARE, SQUARE[1]], HALVES, lines=[[1, 4]])  # a rigid link between two nodes of one place
+    assert len(twin.nodes) == 5
+
+
+def test_messages_use_the_labels():
+    labels = {"node_labels": [f"GRID {k}" for k in (7, 8, 9, 10)], "triangle_labels": ["CTRIA3 1", "CTRIA3 2"]}
+    with pytest.raises(InputError, match=r"CTRIA3 1, nodes .*, and CTRIA3 2, nodes .*, are wound in opposite senses"):
+        Mesh(SQUARE, [[0, 1, 2], [0, 3, 2]], **labels)
+    with pytest.raises(InputError, match=r"1 orphan nodes belong to no element: GRID 10"):
+        Mesh(SQUARE, [[0, 1, 2]], **labels)
+
+
+def test_of_many_names_the_nearest_are_shown():
+    many = {f"grid_{k}": [k % 4] for k in range(500)}
+    with pytest.raises(InputError, match="did you mean 'grid_77'") as error:
+        Mesh(SQUARE, HALVES, many).node("gird_77")
+    assert len(str(error.value)) < 300

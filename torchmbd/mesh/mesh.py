@@ -1,8 +1,10 @@
-"""A mesh of flat triangles in space, checked once, with names for nodes.
+"""A mesh of flat triangles and lines in space, checked once, with names for nodes.
 
 nodes       positions in the axes of the body   [n, 3], m
 triangles   node indices, counted from 0        [m, 3]
+lines       node pairs: beams, rigid links      [k, 2]
 node_sets   name -> node indices; a set of one node is a named node
+labels      what messages call the nodes and triangles: a reader names the cards of its file
 
 The winding of a triangle (right-hand rule) gives its normal, and so which ply is the bottom one: neighbours must be
 wound in the same sense.
@@ -12,6 +14,7 @@ Checked in tests/mesh/test_mesh.py.
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -35,6 +38,9 @@ class Mesh:
     nodes: Float[Tensor, "n 3"]
     triangles: Int[Tensor, "m 3"]
     node_sets: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    lines: Int[Tensor, "k 2"] = field(default_factory=lambda: torch.empty(0, 2, dtype=torch.long))
+    node_labels: Sequence[str] = ()
+    triangle_labels: Sequence[str] = ()
 
     def __post_init__(self) -> None:
         nodes = torch.as_tensor(self.nodes, dtype=torch.float64).detach().clone()
@@ -43,10 +49,12 @@ class Mesh:
         object.__setattr__(self, "nodes", nodes)
         object.__setattr__(self, "triangles", triangles)
         object.__setattr__(self, "node_sets", sets)
-        _check_nodes(nodes)
-        _check_triangles(nodes, triangles)
-        _check_winding(triangles.numpy())
-        _check_connected(len(nodes), triangles.numpy())
+        object.__setattr__(self, "lines", torch.as_tensor(self.lines, dtype=torch.long).detach().clone())
+        _check_nodes(self)
+        _check_triangles(self)
+        _check_lines(self)
+        _check_winding(self)
+        _check_connected(self)
         for name, members in sets.items():
             for k in members:
                 if not 0 <= k < len(nodes):
@@ -62,8 +70,18 @@ class Mesh:
     def node_set(self, name: str) -> tuple[int, ...]:
         """Return the node indices of a named set."""
         if name not in self.node_sets:
-            raise unknown("node", name, self.node_sets)
+            names = list(self.node_sets)
+            shown = names if len(names) <= 30 else difflib.get_close_matches(str(name), names, n=8, cutoff=0.0)
+            raise unknown("node", name, shown)
         return tuple(self.node_sets[name])
+
+    def node_name(self, k: int) -> str:
+        """What messages call a node."""
+        return self.node_labels[k] if self.node_labels else f"node {k}"
+
+    def triangle_name(self, k: int) -> str:
+        """What messages call a triangle."""
+        return self.triangle_labels[k] if self.triangle_labels else f"triangle {k}"
 
     @property
     def normals(self) -> Float[Tensor, "m 3"]:
@@ -82,51 +100,70 @@ def _double_areas(p: Tensor) -> Tensor:
     return torch.linalg.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]).norm(dim=1)
 
 
-def _check_nodes(nodes: Tensor) -> None:
-    if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 3:
-        raise InputError(f"Mesh: nodes has shape {tuple(nodes.shape)}; allowed: [n, 3] with n >= 3")
+def _check_nodes(mesh: Mesh) -> None:
+    nodes = mesh.nodes
+    if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:
+        raise InputError(f"Mesh: nodes has shape {tuple(nodes.shape)}; allowed: [n, 3] with n >= 2")
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
-        raise InputError(f"Mesh: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
+        k = int(bad[0])
+        raise InputError(f"Mesh: {mesh.node_name(k)} is at {nodes[k].tolist()}; allowed: finite coordinates")
     _, first, inverse = np.unique(nodes.numpy(), axis=0, return_index=True, return_inverse=True)
     twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(nodes)))
-    if len(twin):
-        k = int(twin[0])
-        raise InputError(
-            f"Mesh: nodes {int(first[inverse.ravel()[k]])} and {k} share one place {nodes[k].tolist()}; merge them"
-        )
+    linked = {tuple(sorted(pair)) for pair in mesh.lines.tolist()}
+    for k in twin.tolist():
+        other = int(first[inverse.ravel()[k]])
+        if (other, k) not in linked:  # a rigid link may join two nodes of one place
+            raise InputError(
+                f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)} share one place {nodes[k].tolist()}; merge them"
+            )
 
 
-def _check_triangles(nodes: Tensor, triangles: Tensor) -> None:
-    n = len(nodes)
-    if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) == 0:
+def _check_triangles(mesh: Mesh) -> None:
+    nodes, triangles, n = mesh.nodes, mesh.triangles, len(mesh.nodes)
+    if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) + len(mesh.lines) == 0:
         raise InputError(f"Mesh: triangles has shape {tuple(triangles.shape)}; allowed: [m, 3] with m >= 1")
     bad = ((triangles < 0) | (triangles >= n)).any(dim=1).nonzero().flatten()
     if len(bad):
-        raise InputError(f"Mesh: triangle {int(bad[0])} has nodes {triangles[bad[0]].tolist()}; allowed: 0 to {n - 1}")
+        k = int(bad[0])
+        raise InputError(f"Mesh: {mesh.triangle_name(k)} has nodes {triangles[k].tolist()}; allowed: 0 to {n - 1}")
     ordered = np.sort(triangles.numpy(), axis=1)
     _, first, inverse = np.unique(ordered, axis=0, return_index=True, return_inverse=True)
     twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(ordered)))
     if len(twin):
         k = int(twin[0])
-        raise InputError(
-            f"Mesh: triangles {int(first[inverse.ravel()[k]])} and {k} are duplicates, nodes {triangles[k].tolist()}"
-        )
+        one, two = mesh.triangle_name(int(first[inverse.ravel()[k]])), mesh.triangle_name(k)
+        raise InputError(f"Mesh: {one} and {two} are duplicates, nodes {triangles[k].tolist()}")
     p = nodes[triangles]
     longest = (p - p.roll(-1, dims=1)).norm(dim=2).amax(dim=1)
     flat = (_double_areas(p) <= FLATNESS * longest**2).nonzero().flatten()
     if len(flat):
         k = int(flat[0])
-        raise InputError(f"Mesh: triangle {k}, nodes {triangles[k].tolist()}, is collapsed (its corners are on a line)")
+        raise InputError(
+            f"Mesh: {mesh.triangle_name(k)}, nodes {triangles[k].tolist()}, is collapsed (its corners are on a line)"
+        )
     used = torch.zeros(n, dtype=torch.bool)
     used[triangles.flatten()] = True
+    used[mesh.lines.flatten().clamp(0, n - 1)] = True
     if not used.all():
         orphans = (~used).nonzero().flatten().tolist()
-        raise InputError(f"Mesh: {len(orphans)} orphan nodes belong to no triangle: {orphans[:8]}; remove them")
+        names = ", ".join(mesh.node_name(k) for k in orphans[:8])
+        raise InputError(f"Mesh: {len(orphans)} orphan nodes belong to no element: {names}; remove them")
 
 
-def _check_winding(triangles: np.ndarray) -> None:
+def _check_lines(mesh: Mesh) -> None:
+    lines, n = mesh.lines, len(mesh.nodes)
+    if lines.ndim != 2 or lines.shape[1] != 2:
+        raise InputError(f"Mesh: lines has shape {tuple(lines.shape)}; allowed: [k, 2]")
+    bad = ((lines < 0) | (lines >= n)).any(dim=1) | (lines[:, 0] == lines[:, 1])
+    if bad.any():
+        k = int(bad.nonzero()[0])
+        raise InputError(f"Mesh: line {k} has nodes {lines[k].tolist()}; allowed: two different ones of 0 to {n - 1}")
+
+
+def _check_winding(mesh: Mesh) -> None:
     """Refuse an edge that two triangles run through in the same direction: one of them is inverted."""
+    triangles = mesh.triangles.numpy()
     tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
     owner = np.repeat(np.arange(len(triangles)), 3)
     low, high = np.minimum(tail, head), np.maximum(tail, head)
@@ -134,16 +171,21 @@ def _check_winding(triangles: np.ndarray) -> None:
     sense = np.bincount(inverse.ravel(), weights=np.where(tail < head, 1.0, -1.0))
     wrong = np.flatnonzero((count == 2) & (sense != 0.0))  # at a branch of three or more plates no sense is right
     if len(wrong):
-        a, b = owner[inverse.ravel() == wrong[0]]
+        a, b = owner[inverse.ravel() == wrong[0]].tolist()
         raise InputError(
-            f"Mesh: triangles {a} {triangles[a].tolist()} and {b} {triangles[b].tolist()} are wound "
-            "in opposite senses: one of them is inverted"
+            f"Mesh: {mesh.triangle_name(a)}, nodes {triangles[a].tolist()}, and {mesh.triangle_name(b)}, nodes "
+            f"{triangles[b].tolist()}, are wound in opposite senses: one of them is inverted"
         )
 
 
-def _check_connected(n: int, triangles: np.ndarray) -> None:
-    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
+def _check_connected(mesh: Mesh) -> None:
+    triangles, lines, n = mesh.triangles.numpy(), mesh.lines.numpy(), len(mesh.nodes)
+    tail = np.concatenate([triangles.ravel(), lines[:, 0]])
+    head = np.concatenate([np.roll(triangles, -1, axis=1).ravel(), lines[:, 1]])
     parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)
     if parts > 1:
         stray = int(np.flatnonzero(label != label[0])[0])
-        raise InputError(f"Mesh: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one")
+        raise InputError(
+            f"Mesh: {parts} disconnected parts ({mesh.node_name(stray)} is not connected with {mesh.node_name(0)}); "
+            "allowed: one"
+        )
