@@ -13,12 +13,23 @@ Assumed: small elastic displacements about the undeformed body.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from torchmbd.bodies.frame import Frame, identifier, rotation, vector
-from torchmbd.elements import Assembly, Average, Part, PlateMatrices, Plates, RigidLink
+from torchmbd.elements import (
+    Assembly,
+    Average,
+    BeamLine,
+    Beams,
+    BeamSection,
+    Part,
+    PlateMatrices,
+    Plates,
+    RigidLink,
+)
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Laminate
 from torchmbd.mesh import Mesh
@@ -39,7 +50,7 @@ class FlexibleBody(nn.Module):
     def __init__(
         self,
         name: str,
-        mesh: Mesh,
+        mesh: Mesh | BeamLine,
         parts: Mapping[str, Part],
         modes: int,
         position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
@@ -126,6 +137,44 @@ class FlexibleBody(nn.Module):
         parts = {"plate": Plates(mesh, laminate, mass=mass)}
         return cls(name, mesh, parts, modes, position, axes, reference, damping, reduction, interface, updated)
 
+    @classmethod
+    def beam(
+        cls,
+        name: str,
+        line: BeamLine,
+        section: BeamSection | Sequence[BeamSection],
+        modes: int = 8,
+        position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        axes: Sequence | Tensor | None = None,
+        reference: str | int | Sequence[int] | None = None,
+        damping: float = 0.0,
+        reduction: str = "vibration",
+        interface: str | int | Sequence[str | int] = (),
+        updated: bool = True,
+        orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
+        offset: Sequence[float] | Tensor = (0.0, 0.0),
+        twist: float | Sequence[float] | Tensor = 0.0,
+    ) -> FlexibleBody:
+        """A beam, straight or curved, with branches if need be.
+
+        line            nodes and two-node elements
+        section         a Section (its `angles` [rad] are the body's design parameters) or a GivenSection; or one for each
+                        element, where the same may come again: "section", else "section0", "section1", ...
+        orientation     the section's y-axis in mesh axes, projected across the elements: [3], or one for each [m, 3]
+        offset, twist   of the section's axes from the line of the nodes: y, z [m] and angle [rad], or one for each element
+        Others as in `plate`. The inertia of the section is lumped to the nodes, on rigid arms.
+        """
+        parts: dict[str, Part] = {}
+        given: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
+        if len(given) != len(line.elements):
+            count = len(line.elements)
+            raise InputError(f"{len(given)} sections for {count} elements of {name!r}; allowed: one, or one for each")
+        distinct = list(dict.fromkeys(given))
+        for k, own in enumerate(distinct):
+            members = [e for e, s in enumerate(given) if s is own]
+            parts[f"section{k}"] = Beams(line, own, orientation, offset, twist, members)
+        return cls(name, line, parts, modes, position, axes, reference, damping, reduction, interface, updated)
+
     def at(self, node: str | int, axes: Sequence | Tensor | None = None) -> Frame:
         """Frame on a mesh node, by its name or index; `axes`: columns of its triad in body axes."""
         index = _node(self.mesh, node)
@@ -142,9 +191,9 @@ class FlexibleBody(nn.Module):
             M = M.expand(*K.values.shape[:-1], -1)
         basis = self.reduction(K, M)
         psi = self.assembly.freedoms.expand(basis.vectors)
-        _, mass, rotary = self.assembly.masses()
-        x = self.assembly.at_points(self.mesh.nodes - self.origin, -2)
-        result = inertia_invariants(x, mass, rotary, self.assembly.at_points(psi, -3))
+        _, mass, rotary, _ = self.assembly.masses()
+        x = self.assembly.places(self.mesh.nodes - self.origin)
+        result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi))
         return result | {"Kr": basis.stiffness, "psi": psi}
 
     def _rows(self, interface: Sequence[int]) -> tuple[int, ...]:
@@ -166,7 +215,9 @@ def _reduction(name: str, kind: str, modes: int, interface: tuple[int, ...], upd
         raise InputError(f"reduction of {name!r}: {error}") from None
 
 
-def _reference(mesh: Mesh, parts: Mapping[str, Part], reference: str | int | Sequence[int] | None) -> list[int]:
+def _reference(
+    mesh: Mesh | BeamLine, parts: Mapping[str, Part], reference: str | int | Sequence[int] | None
+) -> list[int]:
     if reference is None:
         points = [part.masses() for part in parts.values()]
         x = torch.cat([mesh.nodes[p.ends].mean(1) for p in points])
@@ -179,14 +230,14 @@ def _reference(mesh: Mesh, parts: Mapping[str, Part], reference: str | int | Seq
     return nodes
 
 
-def _nodes(mesh: Mesh, given: str | int | Sequence[str | int]) -> list[int]:
+def _nodes(mesh: Mesh | BeamLine, given: str | int | Sequence[str | int]) -> list[int]:
     """Indices of a node, of a node set, or of a list of nodes."""
     if isinstance(given, str) and len(mesh.node_sets.get(given, ())) > 1:
         return [int(i) for i in mesh.node_sets[given]]
     return [_node(mesh, node) for node in ([given] if isinstance(given, (str, int)) else given)]
 
 
-def _node(mesh: Mesh, node: str | int) -> int:
+def _node(mesh: Mesh | BeamLine, node: str | int) -> int:
     if isinstance(node, str):
         return mesh.node(node)
     if not hasattr(node, "__index__") or not 0 <= int(node) < len(mesh.nodes):

@@ -1,6 +1,10 @@
-"""Finite elements: laminated Mindlin-Reissner triangles, stresses of their plies, and how parts make up a body."""
+"""Finite elements: laminated triangles and the stresses of their plies, beams of any section; parts make up a body."""
 
 from torchmbd.elements.assembly import Assembly, MassPoints, Part
+from torchmbd.elements.beam import BeamMatrices
+from torchmbd.elements.beam_line import BeamLine
+from torchmbd.elements.beam_section import BeamSection, GivenSection
+from torchmbd.elements.beams import Beams
 from torchmbd.elements.freedoms import Average, Freedoms, RigidLink
 from torchmbd.elements.plate import PlateMatrices
 from torchmbd.elements.plates import MASSES, Plates, PointMasses
@@ -8,6 +12,7 @@ from torchmbd.elements.ply_recovery import PlyBasis, ply_basis, ply_points
 from torchmbd.elements.strains import FREEDOMS
 
 __all__ = [
-    "FREEDOMS", "MASSES", "Assembly", "Average", "Freedoms", "MassPoints", "Part", "PlateMatrices", "Plates", "PlyBasis",
-    "PointMasses", "RigidLink", "ply_basis", "ply_points",
+    "FREEDOMS", "MASSES", "Assembly", "Average", "BeamLine", "BeamMatrices", "BeamSection", "Beams", "Freedoms",
+    "GivenSection", "MassPoints", "Part", "PlateMatrices", "Plates", "PlyBasis", "PointMasses", "RigidLink", "ply_basis",
+    "ply_points",
 ]  # fmt: skip

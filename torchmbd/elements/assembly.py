@@ -1,17 +1,16 @@
 """What a flexible body is made of: parts with stiffness and mass on common nodes, and the freedoms that are free.
 
-    K(b) = sum_parts coefficients_p(b) @ basis_p        on the free freedoms, one sparsity pattern
-    M(b) = sum of mass points: at nodes (lumped, diagonal) or halfway between two nodes
+    K(b) = sum_parts values_p(b)        on the free freedoms, one sparsity pattern
+    M(b) = sum of mass points: at nodes (lumped; diagonal where they need no arms) or halfway between two nodes
 
-A part knows its pattern over all freedoms 6 * node + i of the mesh, and its basis, both made once; its coefficients
-depend on the design, and their number does not grow with the mesh. A new kind of element is one class that keeps
-this contract (`Part`).
+A part knows its pattern over all freedoms 6 * node + i of the mesh, made once, and gives its values for the present
+design. A new kind of element is one class that keeps this contract (`Part`).
 
 Mass points: mass m and isotropic rotary inertia mu at a node, eq. (2), or at the middle of two nodes, which moves with
-their mean. With three such points at the middles of its sides a triangle has its consistent mass, exact for linear
-shape functions.
+their mean; or at the end of a rigid arm on them. With three such points at the middles of its sides a triangle has its
+consistent mass, exact for linear shape functions; with four on arms in its plane a beam's section has any inertia.
 Differentiable, forward and reverse, in the parameters of the parts, with lanes.
-Checked in tests/elements/test_assembly.py.
+Checked in tests/elements/test_assembly.py, tests/elements/test_beams.py.
 """
 
 from __future__ import annotations
@@ -24,26 +23,35 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchmbd.elements.freedoms import Average, Freedoms, RigidLink
-from torchmbd.mesh import Mesh
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
 
 
 class MassPoints(NamedTuple):
-    """Point masses [kg] and rotary inertias [kg m2] at the middles of node pairs; a pair (k, k) is node k."""
+    """Point masses [kg] and rotary inertias [kg m2] at the middles of node pairs; a pair (k, k) is node k.
+
+    arm: from there to the point [m], rigid, in mesh axes; None: no arms
+    """
 
     ends: Int[Tensor, "points 2"]
     mass: Float[Tensor, "*lanes points"]
     rotary: Float[Tensor, "*lanes points"]
+    arm: Float[Tensor, "points 3"] | None = None
+
+
+class Meshed(Protocol):
+    """What an assembly asks of a mesh."""
+
+    @property
+    def nodes(self) -> Float[Tensor, "n 3"]: ...
 
 
 class Part(Protocol):
-    """What an assembly asks of a part. K values on `pattern` (size 6 * nodes of the mesh) are coefficients() @ basis."""
+    """What an assembly asks of a part. `pattern`: of its stiffness, size 6 * nodes of the mesh."""
 
     pattern: Pattern
-    basis: Float[Tensor, "coefficients nnz"]
 
-    def coefficients(self) -> Float[Tensor, "*lanes coefficients"]:
-        """Numbers of the present design."""
+    def values(self) -> Float[Tensor, "*lanes nnz"]:
+        """K of the present design on the pattern."""
         ...
 
     def masses(self) -> MassPoints:
@@ -66,60 +74,58 @@ class Assembly:
 
     def __init__(
         self,
-        mesh: Mesh,
+        mesh: Meshed,
         parts: Mapping[str, Part],
         held: Sequence[int] = (),
         links: Sequence[RigidLink | Average] = (),
     ) -> None:
         self.mesh, self.parts = mesh, dict(parts)
         self.freedoms = Freedoms(mesh.nodes, held, links)
-        self._ends = torch.cat([part.masses().ends for part in self.parts.values()])
+        points = [part.masses() for part in self.parts.values()]
+        self._ends = torch.cat([p.ends for p in points])
+        self._arm = torch.cat([mesh.nodes.new_zeros(len(p.ends), 3) if p.arm is None else p.arm for p in points])
         self._lumped = bool((self._ends[:, 0] == self._ends[:, 1]).all())
         self._prepare_stiffness()
-        self.diagonal = self._lumped and self.freedoms.plain
+        self.diagonal = self._lumped and self.freedoms.plain and not self._arm.any()
+        self._entries = 7 * torch.arange(6) if not self._arm.any() else torch.arange(36)  # of a point's 6 x 6 inertia
+        self._unit_mass, self._unit_rotary = (x.flatten(1)[:, self._entries] for x in _unit_inertia(self._arm))
         if not self.diagonal:
             self._prepare_mass()
 
     def _prepare_stiffness(self) -> None:
-        """The basis of every part on the free freedoms, and where its values go in the common pattern."""
-        patterns, self._bases = [], []
-        for part in self.parts.values():
-            pattern, source, slot, factor = self.freedoms.reduced(part.pattern)
-            if self.freedoms.plain:
-                basis = part.basis[:, source].contiguous()
-            else:
-                basis = part.basis.new_zeros(len(part.basis), pattern.nnz)
-                basis = basis.index_add(1, slot, part.basis[:, source] * factor)
-            patterns.append(pattern)
-            self._bases.append(basis)
-        N = len(self.freedoms.free)
-        if len(patterns) == 1:
-            self.pattern, self._slots = patterns[0], [torch.arange(patterns[0].nnz)]
-            return
-        rows, cols = (torch.cat([getattr(p, name) for p in patterns]) for name in ("rows", "cols"))
-        self.pattern, slot = Pattern.gather(rows, cols, N)
-        self._slots = list(slot.split([p.nnz for p in patterns]))
+        """Where the values of every part go in the common pattern of the free freedoms: (source, slot, factor)."""
+        reduced = [self.freedoms.reduced(part.pattern) for part in self.parts.values()]
+        if len(reduced) == 1:
+            self.pattern, slots = reduced[0][0], [torch.arange(reduced[0][0].nnz)]
+        else:
+            rows, cols = (torch.cat([getattr(pattern, name) for pattern, *_ in reduced]) for name in ("rows", "cols"))
+            self.pattern, slot = Pattern.gather(rows, cols, len(self.freedoms.free))
+            slots = list(slot.split([pattern.nnz for pattern, *_ in reduced]))
+        self._places = [
+            (source, place[slot], factor) for (_, source, slot, factor), place in zip(reduced, slots, strict=True)
+        ]
 
     def _prepare_mass(self) -> None:
-        """Where each mass point goes in M: a quarter to the four corners of its pair, of every freedom."""
-        ends, six = self._ends, torch.arange(6)
+        """Where each mass point goes in M: a quarter of its inertia to the four corners of its pair."""
+        i, j = torch.div(self._entries, 6, rounding_mode="floor"), self._entries % 6
+        ends = self._ends
         pairs = torch.stack([ends[:, [0, 0, 1, 1]], ends[:, [0, 1, 0, 1]]], dim=-1)  # [points, 4, 2]
-        rows, cols = (6 * pairs[..., k, None] + six for k in (0, 1))  # [points, 4, 6]
+        rows, cols = (6 * pairs[..., k, None] + local for k, local in ((0, i), (1, j)))  # [points, 4, entries]
         pattern, entry = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(self.mesh.nodes))
         self.mass_pattern, source, slot, factor = self.freedoms.reduced(pattern)
-        # M values = sum over (point, corner, freedom) with the weight 1/4, then through T.
+        # M values = sum over (point, corner, entry) with the weight 1/4, then through T.
         self._mass_entry, self._mass_size = entry, pattern.nnz
         self._mass_source, self._mass_slot, self._mass_factor = source, slot, factor
 
     def stiffness(self) -> SparseMatrix:
         """K of the free freedoms."""
-        values = [part.coefficients() @ basis for part, basis in zip(self.parts.values(), self._bases, strict=True)]
-        if len(values) == 1:
-            return SparseMatrix(self.pattern, values[0])
+        values = [part.values() for part in self.parts.values()]
+        if len(values) == 1 and self.freedoms.plain:
+            return SparseMatrix(self.pattern, values[0][..., self._places[0][0]])
         lanes = torch.broadcast_shapes(*(v.shape[:-1] for v in values))
         total = values[0].new_zeros(*lanes, self.pattern.nnz)
-        for slot, v in zip(self._slots, values, strict=True):
-            total = total.index_add(-1, slot, v.expand(*lanes, -1))
+        for (source, slot, factor), v in zip(self._places, values, strict=True):
+            total = total.index_add(-1, slot, (v[..., source] * factor).expand(*lanes, -1))
         return SparseMatrix(self.pattern, total)
 
     def masses(self) -> MassPoints:
@@ -129,22 +135,45 @@ class Assembly:
         mass, rotary = (
             torch.cat([getattr(p, name).expand(*lanes, -1) for p in points], dim=-1) for name in ("mass", "rotary")
         )
-        return MassPoints(self._ends, mass, rotary)
+        return MassPoints(self._ends, mass, rotary, self._arm)
 
     def mass(self) -> Float[Tensor, "*lanes N"] | SparseMatrix:
         """M of the free freedoms: its diagonal where all masses are lumped at free nodes, else a sparse matrix."""
-        _, mass, rotary = self.masses()
-        per_freedom = torch.stack([mass] * 3 + [rotary] * 3, dim=-1)  # [..., points, 6]
+        _, mass, rotary, _ = self.masses()
+        inertia = mass[..., None] * self._unit_mass + rotary[..., None] * self._unit_rotary  # [..., points, entries]
         if self.diagonal:
             full = mass.new_zeros(*mass.shape[:-1], len(self.mesh.nodes), 6)
-            return full.index_add(-2, self._ends[:, 0], per_freedom).flatten(-2)[..., self.freedoms.free]
-        corners = (per_freedom[..., None, :] / 4.0).expand(*per_freedom.shape[:-1], 4, 6).flatten(-3)
+            return full.index_add(-2, self._ends[:, 0], inertia).flatten(-2)[..., self.freedoms.free]
+        corners = (inertia[..., None, :] / 4.0).expand(*inertia.shape[:-1], 4, -1).flatten(-3)
         values = mass.new_zeros(*mass.shape[:-1], self._mass_size).index_add(-1, self._mass_entry, corners)
         small = mass.new_zeros(*mass.shape[:-1], self.mass_pattern.nnz)
         small = small.index_add(-1, self._mass_slot, values[..., self._mass_source] * self._mass_factor)
         return SparseMatrix(self.mass_pattern, small)
 
-    def at_points(self, field: Float[Tensor, "*lanes n *rest"], axis: int) -> Tensor:
-        """Take a nodal field to the mass points, along `axis` (negative)."""
+    def places(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "points 3"]:
+        """Positions of the mass points, from those of the nodes."""
+        return self._middles(x, -2) + self._arm
+
+    def motion(self, psi: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes points 6 k"]:
+        """Displacements and rotations of the mass points, from those of the nodes."""
+        at = self._middles(psi, -3)
+        if not self._arm.any():
+            return at
+        turned = torch.linalg.cross(at[..., 3:, :], self._arm[:, :, None].expand_as(at[..., 3:, :]), dim=-2)
+        return torch.cat([at[..., :3, :] + turned, at[..., 3:, :]], dim=-2)
+
+    def _middles(self, field: Tensor, axis: int) -> Tensor:
         one = field.index_select(axis, self._ends[:, 0])
         return one if self._lumped else 0.5 * (one + field.index_select(axis, self._ends[:, 1]))
+
+
+def _unit_inertia(arm: Float[Tensor, "points 3"]) -> tuple[Float[Tensor, "points 6 6"], Float[Tensor, "points 6 6"]]:
+    """6 x 6 inertia about the node of a unit mass, and of a unit rotary inertia, at the end of an arm."""
+    x, y, z = arm.unbind(1)
+    o = torch.zeros_like(x)
+    lever = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=1).unflatten(1, (3, 3))  # lever @ phi = arm x phi
+    eye = torch.eye(3, dtype=arm.dtype).expand_as(lever)
+    motion = torch.cat([eye, -lever], dim=-1)
+    mass, rotary = motion.mT @ motion, arm.new_zeros(len(arm), 6, 6)
+    rotary[:, 3:, 3:] = eye
+    return mass, rotary

@@ -61,15 +61,24 @@ class BeamMatrices:
     axes      rows e_x, e_y, e_z of each element in mesh axes   [m, 3, 3]
     length    of each element                                   [m], m
 
-    orientation   the sections' y-axis in mesh axes, projected across each element: [3], or one for each element [m, 3]
+    orientation   the sections' y-axis in mesh axes, projected across each element: [3], or one for each element of the
+                  mesh [m, 3]
+    members       indices of the elements in question; None: all of the mesh. `elements` keeps their nodes
     """
 
-    def __init__(self, mesh: Line, orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0)) -> None:
+    def __init__(
+        self,
+        mesh: Line,
+        orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
+        members: Sequence[int] | Tensor | None = None,
+    ) -> None:
         self.mesh = mesh
-        span = mesh.nodes[mesh.elements[:, 1]] - mesh.nodes[mesh.elements[:, 0]]
+        self.members = torch.arange(len(mesh.elements)) if members is None else torch.as_tensor(members)
+        self.elements = mesh.elements[self.members]
+        span = mesh.nodes[self.elements[:, 1]] - mesh.nodes[self.elements[:, 0]]
         self.length = span.norm(dim=1)
-        self.axes = _axes(span / self.length[:, None], orientation)
-        freedoms = (6 * mesh.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
+        self.axes = _axes(span / self.length[:, None], orientation, self.members, len(mesh.elements))
+        freedoms = (6 * self.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
         rows, cols = freedoms[:, :, None].expand(-1, 12, 12), freedoms[:, None, :].expand(-1, 12, 12)
         self.pattern, self._slot = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
         turn = torch.zeros(len(span), 6, 6, dtype=torch.float64)
@@ -98,7 +107,7 @@ class BeamMatrices:
     ) -> Float[Tensor, "*lanes m 6 k"]:
         """Section forces (N, V_y, V_z, T, M_y, M_z) at the end of each element, in its axes, for k motions of the nodes."""
         k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
-        ends = motion[..., self.mesh.elements, :, :].flatten(-3, -2)
+        ends = motion[..., self.elements, :, :].flatten(-3, -2)
         return k @ (self._ends @ ends)
 
     def particles(self, mass: Float[Tensor, "m 6 6"]) -> Particles:
@@ -107,7 +116,7 @@ class BeamMatrices:
         m = len(self.length)
         arm = (at.expand(m, 4, 2) @ self.axes[:, 1:]).unsqueeze(1).expand(m, 2, 4, 3)
         half = (per_length.expand(m, 4) * self.length[:, None] / 2).unsqueeze(1).expand(m, 2, 4)
-        node = self.mesh.elements[:, :, None].expand(m, 2, 4)
+        node = self.elements[:, :, None].expand(m, 2, 4)
         return Particles(node.flatten(), arm.reshape(-1, 3), half.flatten())
 
 
@@ -133,20 +142,20 @@ def section_particles(mass: Float[Tensor, "m 6 6"]) -> tuple[Float[Tensor, "m 4"
     return (mu / 4.0)[:, None].expand(-1, 4), at
 
 
-def _axes(e_x: Tensor, orientation: Sequence[float] | Tensor) -> Float[Tensor, "m 3 3"]:
+def _axes(e_x: Tensor, orientation: Sequence[float] | Tensor, members: Tensor, count: int) -> Float[Tensor, "m 3 3"]:
     d = torch.as_tensor(orientation, dtype=torch.float64)
-    if d.shape not in ((3,), (len(e_x), 3)) or not torch.isfinite(d).all():
+    if d.shape not in ((3,), (count, 3)) or not torch.isfinite(d).all():
         raise InputError(
             f"orientation has shape {tuple(d.shape)}; allowed: [3], or one for each element [m, 3], finite"
         )
-    d = d.expand_as(e_x)
+    d = d.expand_as(e_x) if d.ndim == 1 else d[members]
     e_y = d - (d * e_x).sum(1, keepdim=True) * e_x
     size = e_y.norm(dim=1, keepdim=True)
     steep = (~(size > STEEPNESS * d.norm(dim=1, keepdim=True))).flatten().nonzero().flatten()
     if len(steep):
         k = int(steep[0])
         raise InputError(
-            f"orientation {d[k].tolist()} lies along element {k}, direction {e_x[k].tolist()}; "
+            f"orientation {d[k].tolist()} lies along element {int(members[k])}, direction {e_x[k].tolist()}; "
             "allowed: a direction across the beam, to which the section's y-axis is turned"
         )
     e_y = e_y / size

@@ -43,12 +43,12 @@ class Plates:
             raise unknown("mass", mass, MASSES)
         self.laminate = laminate
         self.matrices = PlateMatrices(mesh, laminate, direction, triangles)
-        self.pattern, self.basis = self.matrices.pattern, self.matrices.basis
+        self.pattern = self.matrices.pattern
         self._ends, self._area = _points(self.matrices, mass == "consistent")
 
-    def coefficients(self) -> Float[Tensor, "*lanes 21"]:
-        """The entries of the laminate."""
-        return self.laminate.entries()
+    def values(self) -> Float[Tensor, "*lanes nnz"]:
+        """K of the present design."""
+        return self.laminate.entries() @ self.matrices.basis
 
     def modules(self) -> dict[str, nn.Module]:
         """The laminate."""
@@ -66,13 +66,12 @@ class PointMasses:
     def __init__(self, mesh: Mesh, nodes: Sequence[int], mass: Sequence[float], rotary: Sequence[float]) -> None:
         none = torch.empty(0, dtype=torch.long)
         self.pattern = Pattern(none, none, 6 * len(mesh.nodes))
-        self.basis = torch.zeros(1, 0, dtype=torch.float64)
         self._nodes = torch.tensor(list(nodes), dtype=torch.long)
         self._mass, self._rotary = (torch.tensor(list(x), dtype=torch.float64) for x in (mass, rotary))
 
-    def coefficients(self) -> Float[Tensor, " 1"]:
+    def values(self) -> Float[Tensor, " 0"]:
         """No stiffness."""
-        return torch.zeros(1, dtype=torch.float64)
+        return torch.zeros(0, dtype=torch.float64)
 
     def modules(self) -> dict[str, nn.Module]:
         """Nothing to design."""

@@ -1,0 +1,109 @@
+"""Beams as parts of a body: mass of the assembly, several sections, offset and twist, section forces."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.elements.beam_cases import coupled_section
+from torchmbd.elements import Assembly, BeamLine, Beams, GivenSection, PointMasses, RigidLink
+from torchmbd.errors import InputError
+
+LINE = BeamLine([[0, 0, 0], [0.2, 0.05, 0], [0.4, 0.2, 0.1], [0.5, 0.4, 0.3]])
+ACROSS = (0.1, 0.2, 1.0)
+
+
+def dense(x):
+    return (torch.diag(x) if isinstance(x, torch.Tensor) else x.dense()).detach()
+
+
+def test_mass_of_the_assembly_is_that_of_the_elements():
+    section = coupled_section()
+    assembly = Assembly(LINE, {"beam": Beams(LINE, section, ACROSS)})
+    M = dense(assembly.mass())
+    exact = torch.zeros(24, 24, dtype=torch.float64)
+    matrices = assembly.parts["beam"].matrices
+    for k, (axes, length) in enumerate(zip(matrices.axes, matrices.length, strict=True)):
+        turn = torch.block_diag(axes, axes)
+        for node in (k, k + 1):
+            own = slice(6 * node, 6 * node + 6)
+            exact[own, own] += turn.T @ section.mass() @ turn * length / 2
+    d = exact.diagonal().rsqrt()
+    assert float(((M - exact) * d[:, None] * d).abs().max()) < 1e-12
+
+
+def test_two_sections_on_halves_are_two_parts():
+    one, two = coupled_section(), GivenSection.isotropic(70e9, 0.3, 2700.0, 1e-3, 1e-7, 2e-7, 2e-7)
+    parts = {"a": Beams(LINE, one, ACROSS, elements=[0, 2]), "b": Beams(LINE, two, ACROSS, elements=[1])}
+    both = dense(Assembly(LINE, parts).stiffness())
+    alone = [Assembly(LINE, {"a": Beams(LINE, s, ACROSS)}) for s in (one, two)]
+    k = alone[0].parts["a"].matrices
+    mixed = torch.stack([one.stiffness(), two.stiffness(), one.stiffness()]).detach()
+    assert_close(both, k.stiffness(mixed).dense(), rtol=1e-12, atol=1e-6)
+
+
+def test_offset_and_twist_are_a_rigid_arm():
+    """A beam off the line equals one on a line of its own whose nodes are linked rigidly."""
+    section, offset, twist = coupled_section(), (0.03, -0.02), 0.5
+    off = Assembly(
+        LINE.__class__.straight(0.8, 4), {"b": Beams(BeamLine.straight(0.8, 4), section, (0, 1, 0), offset, twist)}
+    )
+    nodes = BeamLine.straight(0.8, 4).nodes
+    moved = nodes + torch.tensor([0.0, *offset], dtype=torch.float64)
+    own = BeamLine(torch.cat([moved, nodes]), [*([k, k + 1] for k in range(9) if k != 4), [4, 9]])
+    turned = Beams(own, section, (0.0, math.cos(twist), math.sin(twist)), elements=range(4))
+    links = [RigidLink(k, k + 5) for k in range(5)]
+    linked = Assembly(own, {"b": turned}, links=links)
+    for here, there in ((off.stiffness(), linked.stiffness()), (off.mass(), linked.mass())):
+        d = dense(here).diagonal().rsqrt()
+        assert float(((dense(here) - dense(there)) * d[:, None] * d).abs().max()) < 1e-10
+
+
+def test_section_forces_are_about_the_sections_axes():
+    """A cantilever with offset and twist under a force at its tip."""
+    section, offset, twist = coupled_section(), (0.03, -0.02), 0.5
+    line = BeamLine.straight(0.8, 2)
+    beams = Beams(line, section, (0, 1, 0), offset, twist)
+    K = dense(Assembly(line, {"b": beams}, held=[0]).stiffness())
+    load = torch.tensor([10.0, -20.0, 30.0, 1.0, 2.0, -3.0], dtype=torch.float64)
+    u = torch.linalg.solve(K, torch.cat([torch.zeros(6, dtype=torch.float64), load]))
+    motion = torch.cat([torch.zeros(6, dtype=torch.float64), u]).reshape(3, 6, 1)
+    found = beams.section_forces(motion)[..., 0].detach()
+    c, s = math.cos(twist), math.sin(twist)
+    R = torch.tensor([[1, 0, 0], [0, c, s], [0, -s, c]], dtype=torch.float64)
+    for k, x in enumerate((0.4, 0.8)):
+        arm = torch.tensor([0.8 - x, -offset[0], -offset[1]], dtype=torch.float64)
+        moment = load[3:] + torch.linalg.cross(arm, load[:3])
+        assert_close(found[k], torch.cat([R @ load[:3], R @ moment]), rtol=0, atol=1e-6)
+
+
+def test_a_mass_at_the_tip_joins_the_beam():
+    line = BeamLine.straight(0.5, 6)
+    section = GivenSection.isotropic(70e9, 0.3, 2700.0, 1e-4, 1e-9, 1e-9, 2e-9)
+    parts = {"beam": Beams(line, section), "tip": PointMasses(line, [6], [0.4], [1e-5])}  # pyright: ignore[reportArgumentType]
+    body = mbd.FlexibleBody("arm", line, parts, 2, reference="start")
+    made = body.structure()
+    assert float(made["mass"]) == pytest.approx(0.4 + 2700.0 * 1e-4 * 0.5, rel=1e-12)
+    first = math.sqrt(3 * 70e9 * 1e-9 / (0.5**3 * (0.4 + 33 / 140 * 0.135)))
+    assert math.sqrt(float(made["Kr"][0, 0])) == pytest.approx(first, rel=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"section": "steel"}, ["section is 'steel'", "a Section or a GivenSection"]),
+        ({"offset": [[0.0, 0.1]] * 2}, ["offset has shape (2, 2)", "[3, 2]"]),
+        ({"twist": [0.1, 0.2]}, ["twist has shape (2,)", "[3]"]),
+        ({"twist": 45.0}, ["twist is", "2 pi"]),
+        ({"orientation": [[0.0, 1.0, 0.0]] * 2}, ["orientation has shape (2, 3)"]),
+    ],
+)
+def test_bad_beams_are_named(given, words):
+    with pytest.raises(InputError) as error:
+        Beams(LINE, **({"section": coupled_section()} | given))
+    for word in words:
+        assert word in str(error.value)
