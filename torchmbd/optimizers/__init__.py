@@ -5,19 +5,25 @@ from torchmbd.optimizers import mmfd as mmfd
 from torchmbd.optimizers import moving_asymptotes as moving_asymptotes
 from torchmbd.optimizers import slsqp as slsqp
 from torchmbd.optimizers import trust_constr as trust_constr
+from torchmbd.optimizers.criteria import Criteria, ManyCriteria
 from torchmbd.optimizers.door import optimize
 from torchmbd.optimizers.minima import Minimum
 from torchmbd.optimizers.multistart import Study, multistart
 from torchmbd.optimizers.optimizer import OPTIMIZERS, STATUSES, Evaluation, Iterate, OptimizationResult, Problem
+from torchmbd.optimizers.pareto import Front, ParetoPoint, pareto_front
 from torchmbd.optimizers.sampling import Starts, given, latin_hypercube, sobol
 
 __all__ = [
     "OPTIMIZERS",
     "STATUSES",
+    "Criteria",
     "Evaluation",
+    "Front",
     "Iterate",
+    "ManyCriteria",
     "Minimum",
     "OptimizationResult",
+    "ParetoPoint",
     "Problem",
     "Starts",
     "Study",
@@ -25,5 +31,6 @@ __all__ = [
     "latin_hypercube",
     "multistart",
     "optimize",
+    "pareto_front",
     "sobol",
 ]

@@ -14,6 +14,7 @@ from torchmbd.errors import InputError
 from torchmbd.optimizers.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimizers.least_infeasible import least_infeasible
 from torchmbd.optimizers.optimizer import (
+    Box,
     Ending,
     Iterate,
     Method,
@@ -77,7 +78,7 @@ def require_limits(max_iterations: int, max_analyses: int | None) -> None:
         require_range("max_analyses", max_analyses, 1, 1_000_000)
 
 
-def checked_box(problem: Problem, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def checked_box(problem: Box, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return start, lower and upper [n] as float arrays; InputError names the variable that is wrong."""
     size = np.asarray(problem.start).size
     names = as_names(problem, size)
@@ -96,7 +97,7 @@ def checked_box(problem: Problem, start: np.ndarray | None = None) -> tuple[np.n
 
 
 def run_start(
-    search: Search, function: Method, method: str, max_iterations: int, options: dict[str, Any], problem: Problem
+    search: Search, function: Method, method: str, max_iterations: int, options: dict[str, Any], problem: Box
 ) -> OptimizationResult:
     """Run one method on one start and return its result; an interruption ends in the status of that name."""
     try:
@@ -128,9 +129,7 @@ def restored(search: Search, ending: Ending, function: Method, max_iterations: i
     return Ending(least.y, "infeasible", f"{message} each other or the bounds ({ending.message})")
 
 
-def result_of(
-    search: Search, ending: Ending, method: str, problem: Problem, evaluate: bool = True
-) -> OptimizationResult:
+def result_of(search: Search, ending: Ending, method: str, problem: Box, evaluate: bool = True) -> OptimizationResult:
     """Return the ending in physical units, with multipliers; "converged" must be feasible, whatever the method said."""
     y, status, message = best_of(search, ending)
     evaluation = search.evaluate(y, gradients=True) if evaluate else search.evaluate_known(y)

@@ -61,8 +61,8 @@ class Evaluation:
         return cls(float("nan"), np.full(constraints, np.nan), status=reason)
 
 
-class Problem(Protocol):
-    """What `optimize` and `multistart` ask of a problem (physical units everywhere)."""
+class Box(Protocol):
+    """The variables of a problem and their bounds (physical units)."""
 
     @property
     def names(self) -> Sequence[str]:
@@ -83,6 +83,10 @@ class Problem(Protocol):
     def upper(self) -> np.ndarray:
         """Upper bounds [n], may be +inf."""
         ...
+
+
+class Problem(Box, Protocol):
+    """What `optimize` and `multistart` ask of a problem (physical units everywhere)."""
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate one design per row."""
@@ -189,7 +193,7 @@ def refuse_equalities(method: str, search: Search) -> None:
         )
 
 
-def as_names(problem: Problem, size: int) -> list[str]:
+def as_names(problem: Box, size: int) -> list[str]:
     """Return the problem's variable names, checked for their number."""
     names: Sequence[str] = list(problem.names)
     if len(names) != size:

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from torchmbd.errors import InputError
-from torchmbd.optimizers.optimizer import Problem, require_range
+from torchmbd.optimizers.optimizer import Box, require_range
 
 
 @dataclass(frozen=True)
@@ -21,9 +21,9 @@ class Starts:
 
     name: str
     count: int
-    draw: Callable[[Problem], np.ndarray]
+    draw: Callable[[Box], np.ndarray]
 
-    def points(self, problem: Problem) -> np.ndarray:
+    def points(self, problem: Box) -> np.ndarray:
         return self.draw(problem)
 
 
@@ -60,10 +60,8 @@ def given(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
     return Starts("given", len(X), lambda problem: X)
 
 
-def _spread(
-    unit: Callable[[int, int], np.ndarray], count: int, include_initial: bool
-) -> Callable[[Problem], np.ndarray]:
-    def draw(problem: Problem) -> np.ndarray:
+def _spread(unit: Callable[[int, int], np.ndarray], count: int, include_initial: bool) -> Callable[[Box], np.ndarray]:
+    def draw(problem: Box) -> np.ndarray:
         lower, upper = np.asarray(problem.lower, dtype=float), np.asarray(problem.upper, dtype=float)
         for name, low, high in zip(problem.names, lower, upper, strict=True):
             if not (np.isfinite(low) and np.isfinite(high)):
