@@ -32,13 +32,14 @@ class Family:
     variables: int = 1
     with_mass: bool = False
     size: int = 24
+    seed: int = 5
 
     @property
     def n(self) -> int:
         return self.lowest(torch.zeros(self.variables, dtype=torch.float64)).shape[-1]
 
     def _random(self) -> tuple[Tensor, ...]:
-        draw = np.random.default_rng(5).standard_normal((2 + 2 * self.variables, self.size, self.size))
+        draw = np.random.default_rng(self.seed).standard_normal((2 + 2 * self.variables, self.size, self.size))
         return tuple(torch.from_numpy(draw / np.sqrt(self.size)))
 
     def exact(self, b: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -7,7 +7,7 @@ import torch
 
 from torchmbd.errors import InputError
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
-from torchmbd.reduction import modal_basis
+from torchmbd.reduction import CutCluster, modal_basis
 
 
 def chain(masses: int, free: bool) -> torch.Tensor:
@@ -115,6 +115,37 @@ def test_a_cut_cluster_is_refused_with_both_ways_out():
     assert modal_basis(K, M, 3, cluster=1e-12).vectors.shape == (5, 3)
 
 
+def test_every_lane_that_cuts_a_cluster_is_named_so_that_the_others_can_go_on():
+    M = torch.ones(4, dtype=torch.float64)
+    rows = [[1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 2.0, 4.0], [1.0, 2.5, 3.0, 4.0], [1.0, 3.0, 3.0, 5.0]]
+    K = torch.diag_embed(torch.tensor(rows, dtype=torch.float64))
+    with pytest.raises(CutCluster, match=r"of lane 1 \(and of lanes 3\): eigenvalues 2 and 3 are 2 and 2") as error:
+        modal_basis(K, M, 2)
+    assert error.value.lanes == (1, 3)
+    assert isinstance(error.value, InputError)
+    good = [lane for lane in range(4) if lane not in error.value.lanes]
+    assert modal_basis(K[good], M, 2).stiffness.diagonal(dim1=1, dim2=2)[:, 1].tolist() == pytest.approx([2.0, 2.5])
+    with pytest.raises(CutCluster) as error:  # leading dimensions are flattened
+        modal_basis(K.reshape(2, 2, 4, 4), M, 2)
+    assert error.value.lanes == (1, 3)
+
+
+@pytest.mark.parametrize("n", [1, 6])
+@pytest.mark.parametrize("mass", ["diagonal", "sparse"])
+def test_no_stiffness_at_all_is_no_trouble_for_the_block_route(n, mass):
+    """Every pivot of K is zero: the factorization fails, and a shift takes over. One lane of two, then both."""
+    K = sparse(chain(200, False))
+    M = torch.full((200,), 2.0, dtype=torch.float64)
+    values = torch.stack([K.values, 0 * K.values])
+    M_matrix = M if mass == "diagonal" else sparse(torch.diag(M))
+    with pytest.raises(CutCluster) as error:
+        modal_basis(SparseMatrix(K.pattern, values), M_matrix, n)
+    assert error.value.lanes == (1,)  # 200 rigid modes are one cluster
+    whole = modal_basis(SparseMatrix(K.pattern, values), M_matrix, 200)
+    assert whole.stiffness[1].abs().max() < 1e-9
+    torch.testing.assert_close(whole.stiffness[0].diagonal(), torch.linalg.eigvalsh(chain(200, False)) / 2)
+
+
 K_GOOD, M_GOOD = random_pencil(6)
 
 
@@ -141,6 +172,12 @@ def changed(matrix: torch.Tensor, index: tuple[int, ...], value: float) -> torch
         ),
         (K_GOOD, M_GOOD, 7, r"n = 7 modes of a problem with 6 freedoms; 1 ... 6"),
         (K_GOOD, M_GOOD, 0, "n = 0"),
+        (K_GOOD, M_GOOD, 2.0, "n = 2.0"),
+        (K_GOOD, M_GOOD, True, "n = True"),
+        (K_GOOD.tolist(), M_GOOD, 2, "K is a list"),
+        (K_GOOD, None, 2, "M is a NoneType"),
+        (K_GOOD.expand(3, 6, 6), M_GOOD.expand(2, 6, 6), 2, r"K has lanes \(3,\) and M has \(2,\)"),
+        (K_GOOD, changed(torch.ones(6).double(), (3,), 0.0), 2, r"M\[3, 3\] = 0: M is not positive definite"),
         (K_GOOD[:4], M_GOOD, 2, r"K has shape \(4, 6\)"),
         (K_GOOD, M_GOOD[:5, :5], 2, r"M has shape \(5, 5\); \[..., 6, 6\] or \[..., 6\]"),
         (K_GOOD.float(), M_GOOD, 2, "K has dtype torch.float32"),

@@ -1,6 +1,6 @@
 """Reduction of a flexible body: modes, their derivatives, inertia invariants. Knows matrices and nodes, no element."""
 
-from torchmbd.reduction.basis import ModalBasis, modal_basis
+from torchmbd.reduction.basis import CutCluster, ModalBasis, modal_basis
 from torchmbd.reduction.branches import Branches, eigenpair_branches
 from torchmbd.reduction.constraint_modes import constraint_modes
 from torchmbd.reduction.continuity import Alignment, align, span
@@ -14,6 +14,7 @@ __all__ = [
     "Alignment",
     "Branches",
     "CraigBampton",
+    "CutCluster",
     "Eigenpairs",
     "ModalBasis",
     "Reduction",

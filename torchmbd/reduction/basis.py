@@ -39,6 +39,14 @@ ROUNDING = 16 * torch.finfo(torch.float64).eps  # of an eigenvalue, relative to 
 SMALL = 150  # freedoms; below, all modes by a dense method cost no more
 
 
+class CutCluster(InputError):
+    """n cuts a cluster. `lanes`: the numbers of the lanes, leading dimensions flattened; the others can be reduced."""
+
+    def __init__(self, message: str, lanes: tuple[int, ...]) -> None:
+        super().__init__(message)
+        self.lanes = lanes
+
+
 class ModalBasis(NamedTuple):
     """M-orthonormal modes [..., N, n] and the reduced stiffness [..., n, n]; see the module header."""
 
@@ -53,8 +61,8 @@ def modal_basis(K: Matrix, M: Matrix, n: int, cluster: float = CLUSTER, updated:
     lanes broadcast. cluster: smallest gap to the first discarded mode that is accepted, relative to its eigenvalue.
     updated: True, derivatives of the modes are part of all derivatives; False, modes are held fixed and only Kr has a
     derivative, Psi' dK Psi (eq. 36; for comparison, it is wrong in general).
-    Raises InputError: entries not finite, K or M not symmetric, M not positive definite, n out of range, or a cluster
-    cut by n.
+    Raises InputError: entries not finite, K or M not symmetric, M not positive definite, n out of range; CutCluster, an
+    InputError that knows its lanes, where n cuts a cluster.
     """
     if not updated:
         return fixed_modes(K, M, lambda K, M: modal_basis(K, M, n, cluster))
@@ -81,7 +89,12 @@ def open_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, t
     if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= K_form.size:
         raise InputError(f"n = {n!r} modes of a problem with {K_form.size} freedoms; 1 ... {K_form.size} are allowed")
     K_lanes, M_lanes = K_values.shape[: -K_form.entry_dims], M_values.shape[: -M_form.entry_dims]
-    lanes = torch.broadcast_shapes(K_lanes, M_lanes)
+    try:
+        lanes = torch.broadcast_shapes(K_lanes, M_lanes)
+    except RuntimeError:
+        raise InputError(
+            f"K has lanes {tuple(K_lanes)} and M has {tuple(M_lanes)}; lanes that broadcast are needed"
+        ) from None
     K_entry, M_entry = K_values.shape[len(K_lanes) :], M_values.shape[len(M_lanes) :]
     flat_K = K_values.expand(*lanes, *K_entry).reshape(-1, *K_entry)
     flat_M = M_values.expand(*lanes, *M_entry).reshape(-1, *M_entry)
@@ -117,15 +130,18 @@ def _check_gap(values: Tensor, n: int, cluster: float, rounding: Tensor) -> None
     apart = values.diff(dim=1) > torch.maximum(cluster * values[:, 1:].abs(), rounding[:, None])
     if values.shape[1] == n or apart[:, n - 1].all():
         return
-    lane = int((~apart[:, n - 1]).nonzero()[0])
+    cut = (~apart[:, n - 1]).nonzero().squeeze(-1).tolist()
+    lane = cut[0]
     ends = (apart[lane].nonzero().squeeze(-1) + 1).tolist()  # the numbers of modes after which there is a gap
     allowed = [
         f"n = {end}" for end in (max((e for e in ends if e < n), default=0), *[e for e in ends if e > n][:1]) if end
     ]
-    raise InputError(
-        f"n = {n} cuts a cluster{lane_name(lane, len(values))}: eigenvalues {n} and {n + 1} are "
+    also = f" (and of lanes {', '.join(map(str, cut[1:]))})" if len(cut) > 1 else ""
+    raise CutCluster(
+        f"n = {n} cuts a cluster{lane_name(lane, len(values))}{also}: eigenvalues {n} and {n + 1} are "
         f"{values[lane, n - 1]:.10g} and {values[lane, n]:.10g}, closer than cluster = {cluster:g} relative; "
-        f"take {' or '.join(allowed) or 'more modes'}"
+        f"take {' or '.join(allowed) or 'more modes'}",
+        tuple(cut),
     )
 
 

@@ -110,8 +110,8 @@ class Split:
         if weak.any():
             lane = lane_name(int(weak.nonzero()[0]), len(K))
             raise InputError(
-                f"K{lane} is not positive definite with the interface held: the rest can move without stiffness; "
-                "hold more freedoms"
+                f"K{lane} is not positive definite with the interface held: the rest can move without "
+                "stiffness, or against it; hold more freedoms"
             )
 
     def solve(self, F: Tensor) -> Tensor:
