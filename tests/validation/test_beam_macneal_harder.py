@@ -1,0 +1,47 @@
+"""The curved and the twisted beam of MacNeal and Harder, by beam elements with sections from finite elements.
+
+R. H. MacNeal, R. L. Harder, A proposed standard set of problems to test finite element accuracy, Finite Elem. Anal.
+Des. 1 (1985) 3-20: tip displacements in the direction of a unit force at the tip, by beam theory.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from torchmbd import sections
+from torchmbd.elements import Assembly, BeamLine, Beams
+from torchmbd.sections import Orthotropic
+
+
+def tip(beams: Beams, line: BeamLine, force: list[float]) -> torch.Tensor:
+    """Displacement of the last node of a cantilever under a force there."""
+    K = Assembly(line, {"beam": beams}, held=[0]).stiffness().dense().detach()
+    load = torch.zeros(len(K), dtype=torch.float64)
+    load[-6:-3] = torch.tensor(force, dtype=torch.float64)
+    return torch.linalg.solve(K, load)[-6:-3]
+
+
+def test_curved_beam():
+    """Quarter of a circle, inner radius 4.12, outer 4.32, thickness 0.1, force at the free end."""
+    around = np.linspace(0.0, np.pi / 2, 49)
+    line = BeamLine(4.22 * np.stack([np.sin(around), np.cos(around), 0 * around], axis=1))
+    section = sections.rectangle(0.2, 0.1, Orthotropic.isotropic(1e7, 0.25, 1.0), cells=(8, 4))
+    middle = (around[1:] + around[:-1]) / 2
+    radial = np.stack([np.sin(middle), np.cos(middle), 0 * middle], axis=1)
+    beams = Beams(line, section, torch.from_numpy(radial))
+    assert float(tip(beams, line, [1.0, 0.0, 0.0])[0]) == pytest.approx(0.08734, rel=0.02)
+    assert float(tip(beams, line, [0.0, 0.0, 1.0])[2]) == pytest.approx(0.5022, rel=0.02)
+
+
+def test_twisted_beam():
+    """Length 12, width 1.1, depth 0.32, twisted by 90 degrees from root to tip."""
+    n = 48
+    line = BeamLine.straight(12.0, n)
+    section = sections.rectangle(1.1, 0.32, Orthotropic.isotropic(29e6, 0.22, 1.0), cells=(10, 4))
+    twist = (np.arange(n) + 0.5) / n * np.pi / 2
+    beams = Beams(line, section, (0.0, 1.0, 0.0), twist=torch.from_numpy(twist))
+    # at the tip the width (the section's y) points along z: a force along z is in the plane of the width there
+    assert float(tip(beams, line, [0.0, 0.0, 1.0])[2]) == pytest.approx(0.005424, rel=0.01)
+    assert float(tip(beams, line, [0.0, 1.0, 0.0])[1]) == pytest.approx(0.001754, rel=0.01)
