@@ -1,4 +1,4 @@
-"""A square simply supported [theta / -theta] plate at 45 degrees, where modes (1, 2) and (2, 1) have one frequency."""
+"""Square simply supported angle-ply plates at 45 degrees, where modes (1, 2) and (2, 1) have one frequency."""
 
 import itertools
 import math
@@ -19,11 +19,20 @@ ONE = torch.ones(1, dtype=torch.float64)
 N_MODES = 4
 
 
-@pytest.fixture(scope="module")
-def plate():
+GLASS = Ply(E1=38.6e9, E2=8.27e9, G12=4.14e9, G13=4.14e9, G23=3.4e9, nu12=0.26, density=1800.0)
+# ply, pairs of layers theta / -theta, side [m], thickness of a layer [m], cells
+PLATES = {
+    "carbon, two layers": (CARBON, 1, 0.3, 2e-3, 8),
+    "glass, four layers, thick": (GLASS, 2, 0.5, 8e-3, 6),
+}
+
+
+@pytest.fixture(scope="module", params=PLATES)
+def plate(request):
     """From [theta] to K and M of the free freedoms; edges hold the deflection and both in-plane displacements."""
-    mesh = rectangle(0.3, 0.3, (8, 8))
-    laminate = Laminate(CARBON, [math.pi / 4, -math.pi / 4], 2e-3)
+    ply, pairs, side, thickness, cells = PLATES[request.param]
+    mesh = rectangle(side, side, (cells, cells))
+    laminate = Laminate(ply, [math.pi / 4, -math.pi / 4] * pairs, thickness)
     matrices = PlateMatrices(mesh, laminate)
     edge = {i for name, nodes in mesh.node_sets.items() if name.endswith("_edge") for i in nodes}
     keep = [6 * i + f for i in range(len(mesh.nodes)) for f in range(6) if i not in edge or f > 2]
@@ -32,7 +41,7 @@ def plate():
     mass = matrices.lumped_mass(laminate.mass_per_area, laminate.rotary_inertia_per_area)[keep].detach()
 
     def of_angle(theta):
-        angles = torch.cat([theta, -theta])
+        angles = torch.cat([theta, -theta] * pairs)
         return SparseMatrix(pattern, functional_call(laminate, {"angles": angles}, ()) @ basis), mass
 
     return of_angle
