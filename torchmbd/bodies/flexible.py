@@ -13,12 +13,16 @@ Assumed: small elastic displacements about the undeformed body.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from torchmbd.bodies.bulk_body import read_bdf
 from torchmbd.bodies.frame import Frame, identifier, rotation, vector
+from torchmbd.bodies.plausibility import warn_units
+from torchmbd.bodies.zones import zone_parts
 from torchmbd.elements import (
     Assembly,
     Average,
@@ -32,7 +36,7 @@ from torchmbd.elements import (
 )
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Laminate
-from torchmbd.mesh import Mesh
+from torchmbd.mesh import Mesh, MeshFile, read_mesh
 from torchmbd.reduction import REDUCTIONS, Reduction, inertia_invariants
 
 
@@ -67,7 +71,7 @@ class FlexibleBody(nn.Module):
         self.mesh = mesh
         self.position, self.axes = vector(f"position of {name!r}", position), rotation(f"axes of {name!r}", axes)
         self.velocity = self.angular_velocity = torch.zeros(3, dtype=torch.float64)
-        self.reference = _reference(mesh, parts, reference)
+        self.reference = _reference(mesh, parts, reference, links)
         self.origin = mesh.nodes[self.reference].mean(0)
         self._register(parts)
         self.assembly = Assembly(mesh, parts, self.reference, links)
@@ -175,6 +179,48 @@ class FlexibleBody(nn.Module):
             parts[f"section{k}"] = Beams(line, own, orientation, offset, twist, members)
         return cls(name, line, parts, modes, position, axes, reference, damping, reduction, interface, updated)
 
+    @classmethod
+    def from_mesh(
+        cls,
+        name: str,
+        mesh: Mesh | str | Path,
+        laminate: Laminate | Mapping[str, Laminate],
+        modes: int = 8,
+        scale: float = 1.0,
+        direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
+        mass: str = "lumped",
+        **options: Any,
+    ) -> FlexibleBody:
+        """A laminated shell on a mesh from outside: gmsh, Abaqus, VTK (by meshio), or a Mesh.
+
+        laminate    one for all, or one for each named zone of the file
+        scale       meters per unit of the file: 1e-3 for mm
+        direction   the laminate's x-axis in mesh axes, projected into each triangle: [3], or one for each [m, 3]
+        options     position, axes, reference, damping, reduction, interface, updated: as in `plate`
+        Warns if size, density or speed of sound is implausible.
+        """
+        found = MeshFile(mesh, {}) if isinstance(mesh, Mesh) else read_mesh(mesh, scale)
+        body = cls(name, found.mesh, zone_parts(found, laminate, direction, mass), modes, **options)
+        warn_units(body)
+        return body
+
+    @classmethod
+    def from_bdf(
+        cls, name: str, path: str | Path, modes: int = 8, units: str = "m", mass: str = "lumped", **options: Any
+    ) -> FlexibleBody:
+        """A Nastran model; the angles of its PCOMP cards are the design parameters (bodies/bulk_body.py).
+
+        units     of the file: "m" (m, kg, s, N, Pa), or "mm" (mm, t, s, N, MPa)
+        options   position, axes, reference, damping, reduction, interface, updated: as in `plate`; without a reference
+                  the grids are taken whose six freedoms the file holds (SPC, SPC1)
+        Raises InputError that names card and line; warns if units are implausible, and of cards that are left out.
+        """
+        found = read_bdf(path, units, mass)
+        options = {"reference": found.reference} | options
+        body = cls(name, found.mesh, found.parts, modes, links=found.links, **options)
+        warn_units(body)
+        return body
+
     def at(self, node: str | int, axes: Sequence | Tensor | None = None) -> Frame:
         """Frame on a mesh node, by its name or index; `axes`: columns of its triad in body axes."""
         index = _node(self.mesh, node)
@@ -216,14 +262,19 @@ def _reduction(name: str, kind: str, modes: int, interface: tuple[int, ...], upd
 
 
 def _reference(
-    mesh: Mesh | BeamLine, parts: Mapping[str, Part], reference: str | int | Sequence[int] | None
+    mesh: Mesh | BeamLine,
+    parts: Mapping[str, Part],
+    reference: str | int | Sequence[int] | None,
+    links: Sequence[RigidLink | Average],
 ) -> list[int]:
     if reference is None:
         points = [part.masses() for part in parts.values()]
         x = torch.cat([mesh.nodes[p.ends].mean(1) for p in points])
         m = torch.cat([p.mass for p in points]).detach()
         center = (m[:, None] * x).sum(0) / m.sum()
-        return [int(((mesh.nodes - center) ** 2).sum(1).argmin())]
+        distance = ((mesh.nodes - center) ** 2).sum(1)
+        distance[[link.node for link in links]] = torch.inf  # a node that follows cannot be held
+        return [int(distance.argmin())]
     nodes = _nodes(mesh, reference)
     if not nodes:
         raise InputError(f"reference is {reference!r}; allowed: a node, a node set or a list of at least one node")

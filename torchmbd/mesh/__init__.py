@@ -1,6 +1,13 @@
-"""Meshes of triangles and their generators."""
+"""Meshes of triangles and lines, their generators and readers."""
 
+from torchmbd.mesh.bulk_cards import Card, read_cards
+from torchmbd.mesh.bulk_data import Bar, BulkData
+from torchmbd.mesh.bulk_mesh import BulkMesh, bulk_mesh
 from torchmbd.mesh.mesh import Mesh
+from torchmbd.mesh.mesh_file import MeshFile, read_mesh
+from torchmbd.mesh.quads import cut_quads
 from torchmbd.mesh.rectangle import rectangle
 
-__all__ = ["Mesh", "rectangle"]
+__all__ = [
+    "Bar", "BulkData", "BulkMesh", "Card", "Mesh", "MeshFile", "bulk_mesh", "cut_quads", "read_cards", "read_mesh", "rectangle",
+]  # fmt: skip

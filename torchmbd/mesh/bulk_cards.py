@@ -133,6 +133,11 @@ def _split(line: str, where: str) -> tuple[str, list[str]]:
         words = [word.strip() for word in line.split(",")]
         head = words[0].upper()
         width = _PER_LINE // 2 if "*" in head else _PER_LINE
+        beyond = [word for word in words[1 + width :] if word and word[0] not in "+*"]
+        if beyond:
+            raise InputError(
+                f"{where}: {beyond[0]!r} is beyond the {width} data fields of a line; continue on the next line"
+            )
         return head, (words[1:] + [""] * width)[:width]
     line = line.expandtabs(8)
     head = line[:8].strip().upper()

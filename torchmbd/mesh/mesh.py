@@ -110,10 +110,10 @@ def _check_nodes(mesh: Mesh) -> None:
         raise InputError(f"Mesh: {mesh.node_name(k)} is at {nodes[k].tolist()}; allowed: finite coordinates")
     _, first, inverse = np.unique(nodes.numpy(), axis=0, return_index=True, return_inverse=True)
     twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(nodes)))
-    linked = {tuple(sorted(pair)) for pair in mesh.lines.tolist()}
+    plates = set(mesh.triangles.flatten().tolist())
     for k in twin.tolist():
         other = int(first[inverse.ravel()[k]])
-        if (other, k) not in linked:  # a rigid link may join two nodes of one place
+        if {k, other} <= plates or not len(mesh.lines):  # the node of a rigid link may lie on a node of the plate
             raise InputError(
                 f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)} share one place {nodes[k].tolist()}; merge them"
             )
