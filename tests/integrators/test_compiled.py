@@ -11,6 +11,8 @@ import torchmbd as mbd
 from experiments.slider_crank import build
 from torchmbd.cli import main
 from torchmbd.integrators import compiled
+from torchmbd.integrators.generalized_alpha import initial
+from torchmbd.integrators.step import Coefficients
 from torchmbd.system import Dynamics
 
 ANGLES = mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])
@@ -28,6 +30,10 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def dynamics(modes: int = 3, tangents: bool = True) -> Dynamics:
     return build(3, cells=(6, 2), modes=modes).dynamics({NAME: ANGLES}, tangents=[NAME] if tangents else [])
+
+
+def model(d: Dynamics) -> compiled.CompiledModel | None:
+    return compiled.CompiledModel.of(d, initial(d), Coefficients(0.9).weights(1e-4))
 
 
 def key(d: Dynamics) -> str:
@@ -48,7 +54,7 @@ def test_a_corrupt_package_is_removed_and_the_eager_route_serves(cache: Path) ->
         (folder / f"{operation}.pt2").write_bytes(b"no package")
     (folder / "ready").touch()
     with pytest.warns(UserWarning, match="cannot be loaded and is removed"):
-        assert compiled.CompiledStep.of(d, 3) is None
+        assert model(d) is None
     assert not folder.exists()
 
 
@@ -68,20 +74,20 @@ def test_packages_are_built_at_the_second_batch_only(cache: Path, monkeypatch: p
     built: list[Dynamics] = []
     monkeypatch.setattr(compiled, "build_in_background", built.append)
     for _ in range(4):
-        assert compiled.CompiledStep.of(dynamics(), 3) is None
+        assert model(dynamics()) is None
     assert len(built) == 1
 
 
 def test_without_a_compiler_the_eager_route_works_and_says_so(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
     with pytest.warns(UserWarning, match=r"no C\+\+ compiler"):
-        assert compiled.CompiledStep.of(dynamics(), 3) is None
+        assert model(dynamics()) is None
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lanes", [1, 3])
 def test_compiled_and_eager_agree(cache: Path, monkeypatch: pytest.MonkeyPatch, lanes: int) -> None:
-    system, d = build(3, cells=(6, 2), modes=3), dynamics()
+    system, d = build(3, cells=(6, 2), modes=3), dynamics().condensed()
     compiled.build(compiled.bare(d.topology), compiled.Signature.of(d), key(d))
     motions = []
     for switch in ("0", "1"):

@@ -91,7 +91,7 @@ def test_inertia_forces_are_the_sums_over_the_nodes(kinds):
     T = system.topology
     data = {name: x.detach() for name, x in system().data.items()}
     q, v, a = random_state(system, seed=4, bend=0.3)
-    at = equations.placement(T, data, q, [])
+    at = equations.placement(T, data, q, T.prescribed(torch.zeros(())))
     force, torque, modal = (x[..., 0, 0] for x in equations.inertia_forces(T, data, at, v, a))
     gravity = torch.tensor(GRAVITY, dtype=torch.float64)
     for index in range(T.flexible):
@@ -112,7 +112,8 @@ def test_rigid_bodies_obey_newton_and_euler(kinds):
     data = {name: x.detach() for name, x in system().data.items()}
     q, v, a = random_state(system, seed=9)
     force, torque, _ = (
-        x[..., 0, 0] for x in equations.inertia_forces(T, data, equations.placement(T, data, q, []), v, a)
+        x[..., 0, 0]
+        for x in equations.inertia_forces(T, data, equations.placement(T, data, q, T.prescribed(torch.zeros(()))), v, a)
     )
     center, mass = torch.tensor([0.03, -0.02, 0.04], dtype=torch.float64), 0.7
     for index in range(T.flexible, T.bodies):

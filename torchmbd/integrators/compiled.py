@@ -1,7 +1,7 @@
 """Compiled steps: ahead-of-time packages of the operations in step.py, cached on disk, one set per topology.
 
-    step = CompiledStep.of(dynamics)      None while no package is ready: the eager step serves, with the same results
-    build_in_background(dynamics)         compiles in a process of its own
+    CompiledModel.of(dynamics, x, w)    None while no package is ready: the eager model serves, with the same results
+    build_in_background(dynamics)       compiles in a process of its own
 
 A package is valid for one key: topology (bodies, vectors, primitives, modes), the shapes of the data and which of them
 carry tangents, the number of design variables, the versions of torch and Python, the kind of processor, and the source of
@@ -34,11 +34,11 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.integrators.step import State, Step, Weights
+from torchmbd.integrators.step import Model, State, Weights
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.saddle import Saddle
-from torchmbd.system.topology import Topology
+from torchmbd.system.topology import Prescribed, Topology
 
 _SOURCES = ("numerics", "joints/primitive.py", "system", "integrators/step.py", "integrators/compiled.py")
 _READY = "ready"
@@ -103,7 +103,8 @@ def bare(T: Topology) -> Topology:
     """The topology without bodies and laws: what the operations see."""
     attached = tuple(replace(a, body=None) for a in T.attached)
     primitives = tuple(type(p)(p.members, () if p.driven else p.data) for p in T.primitives)
-    return replace(T, attached=attached, primitives=primitives)
+    carriers = tuple(replace(c, law=None) for c in T.carriers)
+    return replace(T, attached=attached, primitives=primitives, carriers=carriers)
 
 
 def key(T: Topology, signature: Signature) -> str:
@@ -118,7 +119,8 @@ def key(T: Topology, signature: Signature) -> str:
     members = [(type(p).__name__, [m.tolist() for m in p.members], () if p.driven else p.data) for p in T.primitives]
     folds = [f.table.tolist() for f in (T.vector_fold, T.body_fold, T.modal_fold)]
     vectors = [x.tolist() for x in (T.vector_body, T.vector_origin, T.vector_flexible)]
-    facts = [len(T.names), T.flexible, T.modes, attached, members, folds, vectors, signature]
+    rates = None if T.rates is None else T.rates.tolist()
+    facts = [len(T.names), len(T.carriers), T.flexible, T.modes, attached, members, folds, vectors, rates, signature]
     versions = [torch.__version__, sys.version_info[:2], platform.machine(), torch.backends.cpu.get_cpu_capability()]
     digest.update(repr([facts, versions]).encode())
     return digest.hexdigest()[:32]
@@ -127,70 +129,64 @@ def key(T: Topology, signature: Signature) -> str:
 class _Operation(nn.Module):
     """One operation of a step on flat lists of tensors."""
 
-    def __init__(self, step: Step, signature: Signature):
+    def __init__(self, T: Topology, saddle: Saddle, signature: Signature):
         super().__init__()
-        self.step, self.signature = step, signature
+        self.T, self.saddle, self.signature = T, saddle, signature
 
     def forward(
-        self, weights: Tensor, state: list[Tensor], data: list[Tensor], drives: list[Tensor], rest: list[Tensor]
+        self, weights: Tensor, state: list[Tensor], data: list[Tensor], given: list[Tensor], rest: list[Tensor]
     ) -> tuple[Tensor, ...]:
-        w = Weights(*weights.unbind(0))
-        pairs = iter(drives)
-        law = [(next(pairs), next(pairs)) if p.driven else None for p in self.step.T.primitives]
-        return self.run(w, self.signature.state(state), self.signature.unpack(data), law, *rest)
+        A, r, *laws = given
+        pairs = iter(laws)
+        known = [(next(pairs), next(pairs)) if p.driven else None for p in self.T.primitives]
+        model = Model(self.T, self.saddle, Weights(*weights.unbind(0)), self.signature.unpack(data))
+        return self.run(model.step(self.signature.state(state), Prescribed(known, A, r)), *rest)
 
-    def run(self, w: Weights, x: State, data: dict, drives: list, *rest: Tensor) -> tuple[Tensor, ...]:
+    def run(self, step: Any, *rest: Tensor) -> tuple[Tensor, ...]:
         raise NotImplementedError
 
 
 class _Correct(_Operation):
-    def run(self, w, x, data, drives, H, z):
-        return self.step.correct(w, data, x, H, z, drives)
+    def run(self, step, *rest):
+        return step.correct(*rest)
 
 
 class _Matrix(_Operation):
-    def run(self, w, x, data, drives, z):
-        return (self.step.matrix(w, data, x, z, drives),)
+    def run(self, step, *rest):
+        return (step.matrix(*rest),)
 
 
-class _TangentFirst(_Operation):
-    def run(self, w, x, data, drives, H, z):
-        return self.step.tangent_first(w, data, x, H, z, drives)
-
-
-class _TangentNext(_Operation):
-    def run(self, w, x, data, drives, H, z, R, correction, dz):
-        return self.step.tangent_next(w, data, x, H, z, drives, R, correction, dz)
+class _Tangent(_Operation):
+    def run(self, step, *rest):
+        return step.tangent(*rest)
 
 
 class _Finish(_Operation):
-    def run(self, w, x, data, drives, z, *dz):
-        new = self.step.finish(w, x, Pair.of(z, dz[0]) if dz else z)
-        return tuple(y.full if isinstance(y, Pair) else y for y in new)
+    def run(self, step, *rest):
+        return tuple(y.full if isinstance(y, Pair) else y for y in step.finish(*rest))
 
 
 _VALUES = {"correct": _Correct, "matrix": _Matrix, "finish": _Finish}
-_WITH_INVERSE = ("correct", "tangent_first", "tangent_next")
-_TANGENTS = {"tangent_first": _TangentFirst, "tangent_next": _TangentNext}
 
 
 def operations(signature: Signature) -> dict[str, type[_Operation]]:
     """The operations that a signature needs."""
-    return _VALUES | (_TANGENTS if signature.tangents else {})
+    return _VALUES | ({"tangent": _Tangent} if signature.tangents else {})
 
 
-class CompiledStep:
-    """A step (see step.py) whose operations are packages; the data are given once."""
+class CompiledModel:
+    """What all steps of a simulation share: packages in place of the operations of step.py, and the data, flat."""
 
-    def __init__(self, dynamics: Dynamics, packages: dict[str, Any], lanes: int):
-        self.T, self.packages = dynamics.topology, packages
+    def __init__(self, dynamics: Dynamics, packages: dict[str, Any], lanes: int, w: Weights):
+        self.packages = packages
         self.signature = Signature.of(dynamics)
         self.twice = lanes == 1  # packages take two lanes at least
+        self.weights = torch.tensor(w, dtype=torch.float64)
         self.data = flat_data(dynamics, self.signature, max(lanes, 2))
 
     @staticmethod
-    def of(dynamics: Dynamics, lanes: int) -> CompiledStep | None:
-        """The compiled step of a topology, if its packages are ready; builds them in the background at the second call."""
+    def of(dynamics: Dynamics, x: State, w: Weights) -> CompiledModel | None:
+        """The compiled model of a topology, if its packages are ready; builds them in the background at the second call."""
         if not enabled():
             return None
         name = key(dynamics.topology, Signature.of(dynamics))
@@ -205,43 +201,49 @@ class CompiledStep:
             if packages is None:
                 return None
             _loaded[name] = packages
-        return CompiledStep(dynamics, _loaded[name], lanes)
+        return CompiledModel(dynamics, _loaded[name], x.q.shape[-1], w)
 
-    def _call(self, name: str, w: Weights, x: State, drives: list, *rest: Tensor) -> list[Tensor]:
-        weights = torch.tensor(w, dtype=torch.float64)
+    def step(self, x: State, given: Prescribed) -> CompiledStep:
+        """The step from x."""
+        return CompiledStep(self, x, given)
+
+
+class CompiledStep:
+    """A step (see step.py) made of packages."""
+
+    def __init__(self, model: CompiledModel, x: State, given: Prescribed):
+        self.model = model
         state = [self._lanes(y.full if isinstance(y, Pair) else y) for y in x]
-        laws = [part.contiguous() for pair in drives if pair is not None for part in pair]
-        inputs = [self._lanes(y, 0 if i == 0 and name in _WITH_INVERSE else -1) for i, y in enumerate(rest)]
+        laws = [part.contiguous() for pair in given.laws if pair is not None for part in pair]
+        self.start = [model.weights, *state, *model.data, given.A.contiguous(), given.r.contiguous(), *laws]
+
+    def _call(self, name: str, *rest: Tensor) -> list[Tensor]:
         # Flat inputs go past the package's own unpacking of nested lists, which costs as much as a small operation.
-        outputs = self.packages[name].loader.boxed_run([weights, *state, *self.data, *laws, *inputs])
-        if not self.twice:
-            return outputs
-        return [y[:1] if name == "matrix" else y[..., :1] for y in outputs]
+        return self.model.packages[name].loader.boxed_run([*self.start, *rest])
 
     def _lanes(self, y: Tensor, axis: int = -1) -> Tensor:
-        if self.twice:
+        if self.model.twice:
             y = y.expand(2, *y.shape[1:]) if axis == 0 else y.expand(*y.shape[:-1], 2)
         return y.contiguous()
 
-    def correct(self, w, data, x, H, z, drives):
-        return tuple(self._call("correct", w, x, drives, H, z))
+    def _own(self, y: Tensor) -> Tensor:
+        return y[..., :1] if self.model.twice else y
 
-    def matrix(self, w, data, x, z, drives):
-        return self._call("matrix", w, x, drives, z)[0]
+    def correct(self, H: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+        z, size = self._call("correct", self._lanes(H, 0), self._lanes(z))
+        return self._own(z), self._own(size)
 
-    def tangent_first(self, w, data, x, H, z, drives):
-        return tuple(self._call("tangent_first", w, x, drives, H, z))
+    def matrix(self, z: Tensor) -> Tensor:
+        (K,) = self._call("matrix", self._lanes(z))
+        return K[:1] if self.model.twice else K
 
-    def tangent_next(self, w, data, x, H, z, drives, R, correction, dz):
-        return tuple(self._call("tangent_next", w, x, drives, H, z, R, correction, dz))
+    def tangent(self, H: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
+        dz, size = self._call("tangent", self._lanes(H, 0), self._lanes(z), self._lanes(dz))
+        return self._own(dz), self._own(size)
 
-    def finish(self, w, x, z):
-        rest = (z.value, z.tangent) if isinstance(z, Pair) else (z,)
-        drives = [
-            (torch.ones(len(p.members[0]), 1, 1, dtype=torch.float64),) * 2 if p.driven else None
-            for p in self.T.primitives
-        ]
-        return self.signature.state(self._call("finish", w, x, drives, *rest))
+    def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
+        rest = [self._lanes(z)] if dz is None else [self._lanes(z), self._lanes(dz)]
+        return self.model.signature.state([self._own(y) for y in self._call("finish", *rest)])
 
 
 def flat_data(dynamics: Dynamics, signature: Signature, lanes: int) -> list[Tensor]:
@@ -291,9 +293,9 @@ def build(T: Topology, signature: Signature, name: str) -> Path:
     with tempfile.TemporaryDirectory(dir=cache_folder()) as work:
         target = Path(work) / "packages"
         target.mkdir()
-        step = Step(T, Saddle(T))
+        saddle = Saddle(T)
         for operation, kind in operations(signature).items():
-            _package(kind(step, signature), operation, T, signature, target / f"{operation}.pt2")
+            _package(kind(T, saddle, signature), operation, T, signature, target / f"{operation}.pt2")
         (target / _READY).touch()
         with contextlib.suppress(FileExistsError):  # another process built the same meanwhile
             os.rename(target, folder)
@@ -310,29 +312,25 @@ def _package(module: _Operation, name: str, T: Topology, signature: Signature, p
 
     state = [numbers(k, slots) for k in (T.n_q, T.n_v, T.n_v, T.n_v, T.rows)]
     data = [numbers(*s, slots if p else 1) for s, p in zip(signature.shapes, signature.pairs, strict=True)]
-    laws = [
+    carriers = 1 + len(T.carriers)
+    given = [torch.rand(*shape, carriers, 1, 1, dtype=torch.float64) for shape in ((3, 3), (3,))]
+    given += [
         torch.ones(len(p.members[0]), 1, 1, dtype=torch.float64) for p in T.primitives if p.driven for _ in range(2)
     ]
-    z, tangent = numbers(n, 1), [numbers(n, signature.tangents) for _ in range(3)]
+    z, dz = numbers(n, 1), [numbers(n, signature.tangents)] if signature.tangents else []
     H = torch.rand(lanes, n, n, dtype=torch.float64)
-    rest = {
-        "correct": [H, z],
-        "matrix": [z],
-        "finish": [z, *tangent[: 1 if signature.tangents else 0]],
-        "tangent_first": [H, z],
-        "tangent_next": [H, z, *tangent],
-    }[name]
+    rest = {"correct": [H, z], "matrix": [z], "finish": [z, *dz], "tangent": [H, z, *dz]}[name]
     batch = torch.export.Dim("lanes", min=2, max=65536)
     dims = (
         None,
         [{2: batch}] * 5,
         [{x.dim() - 1: batch} for x in data],
-        [None] * len(laws),
+        [None] * len(given),
         [{0: batch} if x is H else {2: batch} for x in rest],
     )
     weights = torch.rand(len(Weights._fields), dtype=torch.float64)
     with torch.no_grad():
-        program = torch.export.export(module, (weights, state, data, laws, rest), dynamic_shapes=dims, strict=False)
+        program = torch.export.export(module, (weights, state, data, given, rest), dynamic_shapes=dims, strict=False)
         torch._inductor.aoti_compile_and_package(program, package_path=str(path))
 
 

@@ -67,7 +67,7 @@ def integrate(
         raise FloatingPointError(f"{method}: {error}") from error
     counts = {"evaluations": dynamics.statistics["evaluations"] - before}
     a, lam = _accelerations(dynamics, times, y)  # type: ignore[arg-type]
-    return History(y[:, : T.n_q], y[:, T.n_q :], a, lam), counts  # type: ignore[index]
+    return History(y[:, : T.n_q], y[:, T.n_q :], a, lambda: lam), counts  # type: ignore[index]
 
 
 def _augment(x: Any, dynamics: Dynamics) -> Tensor:

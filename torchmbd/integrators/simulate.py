@@ -135,16 +135,14 @@ def run(
         if dynamics.lanes == 1:
             return _empty(dynamics, steps), {}, [f"failed: {error}"]
     parts = [run(dynamics.lane(i), duration, steps, method, options) for i in range(dynamics.lanes)]
-    fields = {name: torch.cat([getattr(h, name) for h, _, _ in parts], -1) for name in ("q", "v", "vd", "lam")}
+    q, v, vd, lam = (torch.cat([getattr(h, name) for h, _, _ in parts], -1) for name in ("q", "v", "vd", "lam"))
     counts = {"evaluations": sum(s.get("evaluations", 0) for _, s, _ in parts)}
-    return History(**fields), counts, [status for _, _, statuses in parts for status in statuses]
+    return History(q, v, vd, lambda: lam), counts, [status for _, _, statuses in parts for status in statuses]
 
 
 def _empty(dynamics: Dynamics, steps: int) -> History:
-    history = History.of(generalized_alpha.initial(dynamics), steps + 1)
-    for x in (history.q, history.v, history.vd, history.lam):
-        x.fill_(torch.nan)
-    return history
+    start = generalized_alpha.initial(dynamics)
+    return History.of([start.map(lambda x: x * torch.nan)] * (steps + 1))
 
 
 def _status(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:
@@ -188,7 +186,7 @@ def _present(
         q=values(history.q),
         v=values(history.v),
         a=values(history.vd),
-        lam=values(history.lam),
+        multipliers=lambda: (values(history.lam), tangents(history.lam)),
         status=status,
         stats=stats,
         system=system,
@@ -196,7 +194,6 @@ def _present(
         dq_db=tangents(history.q),
         dv_db=tangents(history.v),
         da_db=tangents(history.vd),
-        dlam_db=tangents(history.lam),
         designs=designs,
         parameters=parameters,
     )

@@ -3,14 +3,14 @@
 Each is a pure function of tensors: no branch on numbers, nothing kept. So each can be compiled as it stands
 (compiled.py), and the eager and the compiled integrator are one text.
 
-    correct        z <- z - H R(z)                                       values
-    matrix         dR/dz, nearly exact                                   values
-    tangent_first  dz <- dz - H (R_z dz + R_x dx + R_b)                  all tangents of state and data
-    tangent_next   dz <- dz - H (the same for the correction before)     R is linear in the tangents
-    finish         the new state of converged unknowns                   values and tangents
+    correct   z <- z - H R(z)                              values
+    matrix    dR/dz                                        values
+    tangent   dz <- dz - H (R_z dz + R_x dx + R_b)         all tangents of state and data
+    finish    the new state of converged unknowns          values and tangents
 
-x is the state at the start of the step, z = (v1', lam) the unknowns [n, 1, lanes], H the inverse [lanes, n, n],
-`drives` what the laws prescribe at its end, w the weights of the method.
+x is the state at the start of the step, z = (v1', lam) the unknowns [n, 1, lanes], H the inverse [lanes, n, n].
+The matrix is exact but for second derivatives of constraints other than coinciding points, so that one tangent
+correction is mostly enough.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from torchmbd.errors import InputError
 from torchmbd.numerics.pair import Pair, cat, combine, value
 from torchmbd.system import equations
 from torchmbd.system.saddle import Saddle
-from torchmbd.system.topology import Topology
+from torchmbd.system.topology import Prescribed, Topology
 
 
 class State(NamedTuple):
@@ -112,86 +112,75 @@ class Weights(NamedTuple):
 
 
 class Step:
-    """The operations of a step of one topology."""
+    """A step from the state x to a time at which `given` is known.
 
-    def __init__(self, topology: Topology, saddle: Saddle):
-        self.T, self.saddle = topology, saddle
+    w     weights of the method; data, values: of the dynamics, with tangents and without
+    """
 
-    def _known(self, w: Weights, x: State) -> State:
+    def __init__(self, model: Model, x: State, given: Prescribed):
+        self.model, self.x, self.given = model, x, given
+        self._known_values = self._known(x.values())
+
+    def _known(self, x: State) -> State:
         """What the known state gives to q (as an increment), v and a at the end of the step."""
+        w = self.model.w
         a = combine(w.a_from_vd * x.vd, w.a_from_a, x.a)
         step = combine(combine(w.h * x.v, w.step_from_a, x.a), w.step_from_new, a)
         v = combine(combine(x.v, w.v_from_a, x.a), w.v_from_new, a)
         return State(step, v, x.vd, a, x.lam)
 
-    def _end(self, w: Weights, x: State, known: State, vd: Any) -> tuple[Any, Any]:
-        """q and v at the end of the step for accelerations v1'."""
-        return equations.advance(self.T, x.q, combine(known.q, w.scale, vd)), combine(known.v, w.rate, vd)
-
-    def residual(self, w: Weights, data: equations.Data, x: State, z: Any, drives: list) -> Any:
+    def _residual(self, data: equations.Data, q0: Any, known: State, z: Any) -> Any:
         """R [n_v + rows, ...] of the unknowns z."""
-        T = self.T
+        T, w = self.model.T, self.model.w
         vd, lam = z[: T.n_v], z[T.n_v :]
-        q, v = self._end(w, x, self._known(w, x), vd)
-        at = equations.placement(T, data, q, drives)
-        forces = equations.dynamic_residual(T, data, at, v, vd, lam)
+        q = equations.advance(T, q0, combine(known.q, w.scale, vd))
+        at = equations.placement(T, data, q, self.given)
+        forces = equations.dynamic_residual(T, data, at, combine(known.v, w.rate, vd), vd, lam)
         return cat([forces, equations.constraints(T, at) * w.inverse_scale]) if T.rows else forces
 
-    def correct(
-        self, w: Weights, data: equations.Data, x: State, H: Tensor, z: Tensor, drives: list
-    ) -> tuple[Tensor, Tensor]:
-        """Corrected unknowns and the correction."""
-        correction = apply(H, self.residual(w, plain(data), x.values(), z, drives))
-        return z - correction, correction
+    def correct(self, H: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Corrected unknowns, and the size of the correction of the accelerations [lanes]."""
+        correction = apply(H, self._residual(self.model.values, value(self.x.q), self._known_values, z))
+        return z - correction, self._size(correction)
 
-    def matrix(self, w: Weights, data: equations.Data, x: State, z: Tensor, drives: list) -> Tensor:
+    def matrix(self, z: Tensor) -> Tensor:
         """Iteration matrix [lanes, n, n]."""
-        T, data, x = self.T, plain(data), x.values()
-        q, v = self._end(w, x, self._known(w, x), z[: T.n_v])
-        K = self.saddle.matrix(data, equations.placement(T, data, q, drives), w.scale, w.rate, v, z[: T.n_v], z[T.n_v :])
-        # A change of the increment turns the body by d(exp), not by the change itself: to first order 1 - h ~om / 2.
-        turns = K[:, T.n_v :, 3 * T.bodies : 6 * T.bodies].unflatten(2, (3, T.bodies))
-        spin = equations.split_v(T, v)[1][:, :, 0].permute(2, 0, 1)[:, None].expand_as(turns)
-        turns -= w.half * torch.linalg.cross(turns, spin, dim=2)
-        return K
+        T, w, data, known = self.model.T, self.model.w, self.model.values, self._known_values
+        vd, lam = z[: T.n_v], z[T.n_v :]
+        step = combine(known.q, w.scale, vd)
+        at = equations.placement(T, data, equations.advance(T, value(self.x.q), step), self.given)
+        turn, v = equations.split_v(T, step)[1], combine(known.v, w.rate, vd)
+        return self.model.saddle.matrix(data, at, w.scale, w.rate, v, vd, lam, turn)
 
-    def tangent_first(
-        self, w: Weights, data: equations.Data, x: State, H: Tensor, z: Tensor, drives: list
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """R by everything, the correction, and the tangents dz, all [n, n_b, lanes]; dz starts from the last step's."""
-        start = cat([x.vd, x.lam]).tangent
-        R = self.residual(w, data, x, Pair.of(z, start), drives).tangent
+    def tangent(self, H: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
+        """Corrected design tangents [n, n_b, lanes] of the unknowns, and the size of their correction [lanes]."""
+        R = self._residual(self.model.data, self.x.q, self._known(self.x), Pair.of(z, dz)).tangent
         correction = apply(H, R)
-        return R, correction, start - correction
+        return dz - correction, self._size(correction)
 
-    def tangent_next(
-        self,
-        w: Weights,
-        data: equations.Data,
-        x: State,
-        H: Tensor,
-        z: Tensor,
-        drives: list,
-        R: Tensor,
-        correction: Tensor,
-        dz: Tensor,
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """The same after another correction."""
-        R = R - self.residual(w, plain(data), x.values(), Pair.of(z, correction), drives).tangent
-        correction = apply(H, R)
-        return R, correction, dz - correction
+    def _size(self, correction: Tensor) -> Tensor:
+        return correction[: self.model.T.n_v].abs().amax((0, 1))
 
-    def finish(self, w: Weights, x: State, z: Any) -> State:
+    def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
         """The new state."""
-        vd, lam = z[: self.T.n_v], z[self.T.n_v :]
-        known = self._known(w, x)
-        q, v = self._end(w, x, known, vd)
-        return State(q, v, vd, combine(known.a, w.share, vd), lam)
+        T, w = self.model.T, self.model.w
+        known, both = (self._known_values, z) if dz is None else (self._known(self.x), Pair.of(z, dz))
+        vd, lam = both[: T.n_v], both[T.n_v :]
+        q0 = value(self.x.q) if dz is None else self.x.q
+        q = equations.advance(T, q0, combine(known.q, w.scale, vd))
+        return State(q, combine(known.v, w.rate, vd), vd, combine(known.a, w.share, vd), lam)
 
 
-def plain(data: equations.Data) -> equations.Data:
-    """The values of data."""
-    return {name: value(y) for name, y in data.items()}
+class Model:
+    """What all steps of a simulation share; makes steps. The eager counterpart of compiled.CompiledModel."""
+
+    def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: equations.Data):
+        self.T, self.saddle, self.w, self.data = T, saddle, w, data
+        self.values = {name: value(y) for name, y in data.items()}
+
+    def step(self, x: State, given: Prescribed) -> Step:
+        """The step from x."""
+        return Step(self, x, given)
 
 
 def inverse(K: Tensor) -> Tensor:

@@ -12,8 +12,9 @@ A lane that failed says why in `status`; its numbers are nan from the failure on
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -41,7 +42,7 @@ class Trajectory:
     q: Tensor
     v: Tensor
     a: Tensor
-    lam: Tensor
+    multipliers: Callable[[], tuple[Tensor, Tensor | None]] = field(repr=False)
     status: list[str]
     stats: dict[str, Any]
     system: Any
@@ -49,12 +50,25 @@ class Trajectory:
     dq_db: Tensor | None = None
     dv_db: Tensor | None = None
     da_db: Tensor | None = None
-    dlam_db: Tensor | None = None
     designs: dict[str, Tensor] = field(default_factory=dict)
     parameters: tuple[str, ...] = ()
     _views: dict[str, BodyMotion] = field(default_factory=dict, repr=False)
     _modes: dict[str, Tensor] = field(default_factory=dict, repr=False)
     _mode_tangents: dict[str, Tensor] = field(default_factory=dict, repr=False)
+
+    @cached_property
+    def _lam(self) -> tuple[Tensor, Tensor | None]:
+        return self.multipliers()
+
+    @property
+    def lam(self) -> Tensor:
+        """Multipliers [lanes, times, rows]; those of condensed joints are computed when somebody asks."""
+        return self._lam[0]
+
+    @property
+    def dlam_db(self) -> Tensor | None:
+        """Their sensitivities [lanes, times, rows, n_b]."""
+        return self._lam[1]
 
     @property
     def ok(self) -> bool:
@@ -126,7 +140,7 @@ class Trajectory:
             q=move(self.q, self.dq_db),
             v=move(self.v, self.dv_db),
             a=move(self.a, self.da_db),
-            lam=move(self.lam, self.dlam_db),
+            multipliers=lambda: (move(*self._lam), None),
             status=self.status,
             stats=self.stats,
             system=self.system,

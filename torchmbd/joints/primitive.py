@@ -166,13 +166,23 @@ def prescribed(laws: Sequence[Law], t: Tensor, derivatives: bool = False) -> tup
         th = angles(t)
         return torch.cos(th), torch.sin(th)
 
-    def rates(s: Tensor) -> tuple:
-        return torch.func.jvp(angles, (s,), (torch.ones_like(s),))
-
-    values, slopes = torch.func.jvp(rates, (t,), (torch.ones_like(t),))[:2]
-    (th, velocity), acceleration = values, slopes[1]
-    jet = Jet(th, velocity, acceleration)
+    jet = Jet(*_slopes(angles, t))
     return cos(jet), sin(jet)
+
+
+def _slopes(f: Law, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """A function of time with its first and second derivatives."""
+
+    def rates(s: Tensor) -> tuple:
+        return torch.func.jvp(f, (s,), (torch.ones_like(s),))
+
+    (x, velocity), (_, acceleration) = torch.func.jvp(rates, (t,), (torch.ones_like(t),))[:2]
+    return x, velocity, acceleration
+
+
+def derivatives(law: Law, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """A law with its first and second derivatives at many times [n] each."""
+    return tuple(torch.stack(x) for x in zip(*(_slopes(law, t) for t in times), strict=True))  # pyright: ignore
 
 
 KINDS: tuple[type[Primitive], ...] = (Coincide, Plane, Distance, Perpendicular, Angle)

@@ -29,6 +29,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.numerics.pair import Pair, cat, value
 from torchmbd.system import equations
+from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import Data
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Topology
@@ -91,6 +92,13 @@ class Dynamics:
         data = {name: value(x) for name, x in self.data.items()}
         return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)
 
+    def condensed(self) -> Dynamics:
+        """The same motion with fewer unknowns (condensation.py); itself if there is nothing to condense."""
+        c = self.initial.condensed
+        if c is None:
+            return self
+        return Dynamics(c.topology, c.saddle, c.data(self.data), CondensedStart(self, c), self.stabilization)
+
     def lane(self, index: int) -> Dynamics:
         """The dynamics of one design of the batch."""
 
@@ -151,6 +159,20 @@ class Dynamics:
         phi = equations.constraint_jets(T, at, data, v, a, t)
         alpha = 1.0 / self.stabilization
         return cat([forces, phi.acceleration + (2.0 * alpha) * phi.velocity + (alpha * alpha) * phi.value])
+
+
+@dataclass(frozen=True, eq=False)
+class CondensedStart:
+    """Initial conditions of what is left: those of the whole system."""
+
+    whole: Dynamics
+    condensation: Condensation
+
+    def solve(self, dynamics: Dynamics):
+        """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs if the data of `dynamics` are."""
+        whole = self.whole if dynamics.tangents else self.whole.values()
+        q, v = whole.initial.solve(whole)
+        return self.condensation.left(q, v)
 
 
 def solve(factor: tuple[Tensor, Tensor, Tensor | None], rhs: Tensor) -> Tensor:

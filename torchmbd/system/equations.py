@@ -31,10 +31,11 @@ import torch
 from torch import Tensor
 
 from torchmbd.numerics.jet import Jet
-from torchmbd.numerics.pair import cat, contract, cross, dot, linear, matmul, matvec, matvec_t, value
+from torchmbd.numerics.pair import cat, contract, cross, dot, linear, matmul, matvec, matvec_t
 from torchmbd.numerics.rotation import axial, euler_rates, exponential, quaternion_product, rotation_matrix, skew
-from torchmbd.system.topology import Topology
+from torchmbd.system.topology import Prescribed, Topology
 
+INERTIA = {"mass": 0, "S0": 1, "P0": 2, "mu": 0}  # data of every body and their tensor rank
 Data = dict[str, Any]  # name -> tensor or pair, [component..., 1, lanes]
 
 
@@ -42,7 +43,7 @@ Data = dict[str, Any]  # name -> tensor or pair, [component..., 1, lanes]
 class Placement:
     """Where everything is: rotations of the bodies and the attached vectors.
 
-    A     [3, 3, bodies + 1]   rotations, the ground last
+    A     [3, 3, bodies + carriers]   rotations, the ground last
     w     [modes, flexible]
     A_of  [3, 3, vectors]      rotation of the body of each vector
     rho   [3, vectors]         vectors in body axes
@@ -60,9 +61,6 @@ class Placement:
     drives: list[tuple | None]
 
 
-_EYE = torch.eye(3, dtype=torch.float64)[:, :, None, None, None]
-
-
 def split_q(T: Topology, q):
     """r [3, bodies], p [4, bodies], w [modes, flexible] of the coordinates."""
     n = T.bodies
@@ -76,6 +74,8 @@ def split_q(T: Topology, q):
 def split_v(T: Topology, v):
     """r' or r'' [3, bodies], omega or its rate [3, bodies], w' or w'' [modes, flexible]."""
     n = T.bodies
+    if T.spread is not None:
+        v = T.spread(v)
     return (
         v[: 3 * n].unflatten(0, (3, n)),
         v[3 * n : 6 * n].unflatten(0, (3, n)),
@@ -83,12 +83,10 @@ def split_v(T: Topology, v):
     )
 
 
-def placement(T: Topology, data: Data, q, drives: list[tuple | None]) -> Placement:
-    """Rotations and attached vectors at the coordinates q [n_q, ...]; `drives` from Topology.prescribed."""
+def placement(T: Topology, data: Data, q, given: Prescribed) -> Placement:
+    """Rotations and attached vectors at the coordinates q [n_q, ...]; `given` by Topology.prescribed."""
     r, p, w = split_q(T, q)
-    A = rotation_matrix(p)
-    A = cat([A, _EYE.to(value(A)).expand(3, 3, 1, 1, value(A).shape[-1])], 2)
-    r = cat([r, linear(lambda y: torch.zeros_like(y[:, :1]), r)], 1)
+    A, r = cat([rotation_matrix(p), given.A], 2), cat([r, given.r], 1)
     rho = data["x"]
     if T.attached_flexible:
         bent = _modal_vector(T, data["Y"], w)
@@ -96,7 +94,7 @@ def placement(T: Topology, data: Data, q, drives: list[tuple | None]) -> Placeme
         rho = cat([rho[:, :n] + bent, rho[:, n:]], 1) if n < len(T.attached) else rho + bent
     A_of = A.index_select(2, T.vector_body)
     g = matvec(A_of, rho) + r.index_select(1, T.vector_origin)
-    return Placement(A, w, A_of, rho, g, T.arguments(g), drives)
+    return Placement(A, w, A_of, rho, g, T.arguments(g), given.laws)
 
 
 def _modal_vector(T: Topology, Y, w):
@@ -172,10 +170,14 @@ def constraints(T: Topology, at: Placement):
 
 
 def constraint_jets(T: Topology, at: Placement, data: Data, v, a, t: Tensor) -> Jet:
-    """Phi, Phi' and Phi'' [rows, ...] with the accelerations a: Phi'' = Phi_q a - gamma."""
+    """Phi, Phi' and Phi'' [rows, ...] with the accelerations a: Phi'' = Phi_q a - gamma.
+
+    Of systems whose only carrier is the ground: a condensed one starts from the state of the whole.
+    """
+    assert not T.carriers
     parts = [T.arguments(part) for part in vector_jets(T, at, data, v, a).parts]
     phi = []
-    for i, (primitive, drive) in enumerate(zip(T.primitives, T.prescribed(t, derivatives=True), strict=True)):
+    for i, (primitive, drive) in enumerate(zip(T.primitives, T.laws(t, derivatives=True), strict=True)):
         members = [Jet(*x) for x in zip(*(part[i] for part in parts), strict=True)]
         phi.append(primitive.phi(members, drive).map(lambda x: x.flatten(0, 1)))
     return Jet(*(cat([jet.parts[k] for jet in phi]) for k in range(3)))
@@ -229,11 +231,11 @@ def generalized_forces(T: Topology, data: Data, at: Placement, force):
 
 def dynamic_residual(T: Topology, data: Data, at: Placement, v, a, lam):
     """M a + s + K q + Phi_q' lam - g  [n_v, ...]: zero along a motion; eq. (5)."""
-    inertia = inertia_forces(T, data, at, v, a)
-    if not T.rows:
-        return cat([x.flatten(0, 1) for x in inertia])
-    reaction = constraint_forces(T, data, at, lam)
-    return cat([(x + y).flatten(0, 1) for x, y in zip(inertia, reaction, strict=True)])
+    forces = inertia_forces(T, data, at, v, a)
+    if T.rows:
+        forces = [x + y for x, y in zip(forces, constraint_forces(T, data, at, lam), strict=True)]
+    force = cat([x.flatten(0, 1) for x in forces])
+    return force if T.gather is None else T.gather(force)
 
 
 def coordinate_rates(T: Topology, q, v):

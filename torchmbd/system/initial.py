@@ -15,6 +15,7 @@ Checked in tests/system/test_initial.py.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -24,6 +25,7 @@ from torchmbd.errors import InputError
 from torchmbd.numerics.pair import linear, value
 from torchmbd.numerics.rotation import euler_parameters
 from torchmbd.system import equations
+from torchmbd.system.condensation import Condensation, condense
 from torchmbd.system.topology import Topology
 
 _CLOSED = 1e-11  # [m] or [-]: largest violation of a closed joint
@@ -53,6 +55,11 @@ class InitialConditions:
             modal,
         ]
         return cls(topology, torch.cat(q), torch.cat(v))
+
+    @cached_property
+    def condensed(self) -> Condensation | None:
+        """What is left when the joints to the ground are solved for good; None if that is everything."""
+        return condense(self.topology, self.q) if self.topology.rows else None
 
     def solve(self, dynamics: Any):
         """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs if the data of `dynamics` are.

@@ -7,8 +7,8 @@ Values only: sensitivities use the same matrix with the right-hand sides of eqs.
 Blocks are computed for all bodies and all rows at once and gathered into a dense matrix by one index, so the number
 of operators does not grow with the number of bodies or joints. Matrices are returned lanes first, ready for LAPACK.
 
-`stiffness`, `damping`: factors of Kr and D added to the modal mass, which make the iteration matrix of an implicit
-integrator out of the same text.
+`stiffness`, `damping`: factors of Kr and D added to the modal mass, and derivatives of all other forces by coordinates
+and rates, make the iteration matrix of an implicit integrator out of the same text.
 Checked in tests/system/test_equations.py: every column is the difference of the residual that it stands for.
 """
 
@@ -32,7 +32,10 @@ class Saddle:
         self._row_index()
         self._body_fold = Fold([b if b < T.bodies else -1 for b in T.vector_body.tolist()], T.bodies)
         self._blocks: list[tuple[str, tuple[int, ...]]] = self._shapes()
-        self._index = self._dense_index()
+        index, zero = self._dense_index()
+        # With independent rates the matrix is P' K P: sums over the few entries of K that each of its entries has.
+        self._project = None if T.rates is None else Projection(index, zero, T.rates)
+        self._index = torch.from_numpy(index.reshape(-1))
 
     def _row_index(self) -> None:
         """Slots (row, vector) of unit multipliers, folded to pairs (row, body)."""
@@ -47,6 +50,7 @@ class Saddle:
         body = T.vector_body.tolist()
         keys = sorted({(r, body[v]) for r, v in zip(slot_row, slot_vector, strict=True) if body[v] < T.bodies})
         self.pairs = keys
+        self.pair_body = torch.tensor([b for _, b in keys], dtype=torch.long)
         place = {key: i for i, key in enumerate(keys)}
         pair_of = [place.get((r, body[v]), -1) for r, v in zip(slot_row, slot_vector, strict=True)]
         is_point = [T.attached[v].is_point for v in slot_vector]
@@ -74,14 +78,15 @@ class Saddle:
             ("modal", (m, m, f)),
             ("row_force", (3, len(self.pairs))),
             ("row_torque", (3, len(self.pairs))),
+            ("row_turn", (3, len(self.pairs))),  # the same in Phi_q
             ("row_modal", (m, len(self.flexible_pairs))),
         ]
         return [(name, shape) for name, shape in shapes if 0 not in shape]
 
-    def _dense_index(self) -> Tensor:
+    def _dense_index(self) -> tuple[np.ndarray, int]:
         """For every entry of the dense matrix its place among all block entries; the last place is zero."""
         T = self.T
-        n, f, m, nv = T.bodies, T.flexible, T.modes, T.n_v
+        n, f, m, nv = T.bodies, T.flexible, T.modes, T.n_rates
         places, start = {}, 0
         for name, shape in self._blocks:
             size = int(np.prod(shape))
@@ -114,12 +119,13 @@ class Saddle:
             row, body = np.array(self.pairs).T
             for i in range(3):
                 put(nv + row, r[i][body], places["row_force"][i])
-                put(nv + row, om[i][body], places["row_torque"][i])
+                index[om[i][body], nv + row] = places["row_torque"][i]
+                index[nv + row, om[i][body]] = places["row_turn"][i]
         if self.flexible_pairs:
             row, body = np.array(self.flexible_pairs).T
             for a in range(m):
                 put(nv + row, w[a][body], places["row_modal"][a])
-        return torch.from_numpy(index.reshape(-1))
+        return index, start
 
     def matrix(
         self,
@@ -130,12 +136,14 @@ class Saddle:
         v: Tensor | None = None,
         a: Tensor | None = None,
         lam: Tensor | None = None,
+        turn: Tensor | None = None,
     ) -> Tensor:
         """Dense saddle-point matrix [lanes, n_v + rows, n_v + rows].
 
         stiffness, damping  factors of Kr and D; `damping` also multiplies the gyroscopic matrix of the rates `v`,
                             `stiffness` that of the inertia forces of the rates and accelerations `a`, and the geometric
                             stiffness of the multipliers `lam`, if they are given
+        turn                rotations [3, bodies, 1, lanes] of an increment: Phi_q is then the derivative by the increment
         """
         blocks = self._mass_blocks(data, at, stiffness, damping)
         blocks |= {f"{name}_back": blocks[name] for name in ("turn", "pull", "twist") if name in blocks}
@@ -147,11 +155,21 @@ class Saddle:
             self._add_geometric(blocks, data, at, stiffness, lam)
         if self.T.rows:
             blocks |= self._row_blocks(data, at)
+            blocks["row_turn"] = self._by_increment(blocks["row_torque"], turn)
         lanes = at.g.shape[-1] if at.g.numel() else at.A.shape[-1]
         flat = torch.cat([blocks[name].expand(*shape, 1, lanes).reshape(-1, lanes) for name, shape in self._blocks])
         flat = torch.cat([flat, flat.new_zeros(1, lanes)])
         size = self.T.n_v + self.T.rows
-        return flat.index_select(0, self._index).reshape(size, size, lanes).permute(2, 0, 1).contiguous()
+        flat = flat.index_select(0, self._index) if self._project is None else self._project(flat)
+        return flat.reshape(size, size, lanes).permute(2, 0, 1).contiguous()
+
+    def _by_increment(self, torque: Tensor, turn: Tensor | None) -> Tensor:
+        """A change d of the increment th turns a body by (1 - ~th/2 + ~th~th/6) d, here to the third order."""
+        if turn is None:
+            return torque
+        th = turn.index_select(1, self.pair_body)
+        half = cross(th, torque)
+        return torque + 0.5 * half + (1.0 / 6.0) * cross(th, half)
 
     def _mass_blocks(self, data: Data, at: Placement, stiffness: float, damping: float) -> dict[str, Tensor]:
         T = self.T
@@ -282,3 +300,29 @@ class Saddle:
 def _times(A: Tensor, B: Tensor) -> Tensor:
     """Matrix [3, 3, n] times matrices [3, 3, modes, n]."""
     return (A[:, :, None, None] * B[None]).sum(1)
+
+
+class Projection:
+    """P' K P with P = diag(rates, 1), from the flat entries of K's blocks."""
+
+    def __init__(self, index: np.ndarray, zero: int, rates: Tensor):
+        N = rates.numpy()
+        rows = len(index) - len(N)
+        P = np.block([[N, np.zeros((len(N), rows))], [np.zeros((rows, N.shape[1])), np.eye(rows)]])
+        i, a = np.nonzero(P)
+        factor = P[i, a]
+        I, J = (x.ravel() for x in np.meshgrid(np.arange(len(i)), np.arange(len(i)), indexing="ij"))
+        used = index[i[I], i[J]] < zero  # a place that holds zero adds nothing
+        I, J = I[used], J[used]
+        target = a[I] * P.shape[1] + a[J]
+        order = np.argsort(target, kind="stable")
+        I, J, target = I[order], J[order], target[order]
+        first = np.searchsorted(target, target)
+        depth = np.arange(len(target)) - first  # how many entries of the sum came before
+        self.width, size = int(depth.max()) + 1, P.shape[1] ** 2
+        table, weights = np.full((self.width, size), zero), np.zeros((self.width, size))
+        table[depth, target], weights[depth, target] = index[i[I], i[J]], factor[I] * factor[J]
+        self.table, self.weights = torch.from_numpy(table.ravel()), torch.from_numpy(weights)[..., None]
+
+    def __call__(self, flat: Tensor) -> Tensor:
+        return (flat.index_select(0, self.table).unflatten(0, self.weights.shape[:2]) * self.weights).sum(0)

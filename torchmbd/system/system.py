@@ -20,6 +20,7 @@ from torchmbd.joints.joint import Joint
 from torchmbd.numerics.pair import Pair
 from torchmbd.system import topology
 from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.equations import INERTIA
 from torchmbd.system.initial import InitialConditions
 from torchmbd.system.saddle import Saddle
 
@@ -120,7 +121,7 @@ class System(nn.Module):
         rigid = [self.body(name) for name in T.names[T.flexible :]]
         stages = [body.structure() for body in flexible]
         inertia = [*stages, *(body.invariants() for body in rigid)]
-        data = {key: _together([stage[key] for stage in inertia], rank) for key, rank in _INERTIA.items()}
+        data = {key: _together([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
         if flexible:
             data |= _modal_data(stages, [body.damping for body in flexible], T.modes)
             data["Y"] = _vector_modes(T, stages)
@@ -129,9 +130,6 @@ class System(nn.Module):
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data
-
-
-_INERTIA = {"mass": 0, "S0": 1, "P0": 2, "mu": 0}  # keys of every body and their tensor rank
 
 
 def _together(parts: list[Tensor], rank: int) -> Tensor:

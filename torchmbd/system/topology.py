@@ -7,7 +7,9 @@ Order of the unknowns (flexible bodies come first):
     lam: rows of the primitives, kind by kind (joints/primitive.py)
 
 `modes` is the largest number of modes; bodies with fewer are padded with modes that never move.
-The ground is body number `bodies` in `vector_body`.
+Carriers are bodies whose motion is known: the ground, and before it those that a condensation took out (condensation.py).
+They follow the bodies in `vector_body`. `rates`, where a condensation left it, gives the rates of all bodies from
+independent ones; v and a then hold the independent ones, and nobody but `split_v` and `dynamic_residual` knows.
 
 Sums over attached vectors are gathers from a padded table (`Fold`): one gather and one sum whatever the number of
 joints, and no atomic additions.
@@ -17,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -25,8 +27,9 @@ from torch import Tensor
 from torchmbd.bodies import Ground
 from torchmbd.errors import InputError
 from torchmbd.joints.joint import Attached, Equation, Joint, Scribe
-from torchmbd.joints.primitive import KINDS, Primitive, prescribed
+from torchmbd.joints.primitive import KINDS, Primitive, derivatives, prescribed
 from torchmbd.numerics.pair import cat, linear
+from torchmbd.numerics.rotation import euler_parameters, quaternion_product
 
 
 class Fold:
@@ -56,6 +59,86 @@ class Fold:
         return x if self.width == 1 else x.unflatten(1, (self.width, self.groups)).sum(1)
 
 
+class SparseMap:
+    """A constant matrix [m, k] with few entries in a row: y = matrix x on numbers [k, ...], one gather."""
+
+    def __init__(self, matrix: Tensor):
+        entries = [[(j, float(c)) for j, c in enumerate(row) if c != 0.0] for row in matrix.tolist()]
+        self.rows, self.width = len(entries), max((len(e) for e in entries), default=0)
+        padded = [e + [(0, 0.0)] * (self.width - len(e)) for e in entries]
+        self.table = torch.tensor([e[k][0] for k in range(self.width) for e in padded], dtype=torch.long)
+        self.factors = torch.tensor([e[k][1] for k in range(self.width) for e in padded], dtype=torch.float64)[
+            :, None, None
+        ]
+
+    def __call__(self, x):
+        y = x.index_select(0, self.table) * self.factors
+        return y if self.width == 1 else y.unflatten(0, (self.width, self.rows)).sum(0)
+
+
+class Prescribed(NamedTuple):
+    """What is known at a time: what the laws prescribe for each kind of primitive, and where the carriers are."""
+
+    laws: list[tuple | None]
+    A: Tensor  # rotations [3, 3, carriers, 1, 1], the ground last
+    r: Tensor  # origins [3, carriers, 1, 1]
+
+
+@dataclass(frozen=True)
+class Carrier:
+    """A body that turns about an axis fixed in the ground, by the change of a law since the start.
+
+    A, r   pose at the start [3, 3], [3]
+    spin   skew matrix of the axis, signed [3, 3]; center a point of the axis [3]
+    law    angle over time, or None for a body at rest
+    """
+
+    name: str
+    A: Tensor
+    r: Tensor
+    spin: Tensor
+    center: Tensor
+    law: Any = None
+
+    def pose(self, t: Tensor) -> tuple[Tensor, Tensor]:
+        """Rotation [3, 3] and origin [3] at a time."""
+        if self.law is None:
+            return self.A, self.r
+        angle = self.law(t) - self.law(torch.zeros_like(t))
+        turn = torch.sin(angle) * self.spin + (1.0 - torch.cos(angle)) * (self.spin @ self.spin)
+        return self.A + turn @ self.A, self.r + turn @ (self.r - self.center)
+
+    def turned(self, angle: Tensor) -> tuple[Tensor, Tensor]:
+        """Euler parameters [n, 4] and origins [n, 3] at angles [n] from the start."""
+        axis = _axis(self.spin)
+        p = euler_parameters(self.A)[:, None]
+        turn = torch.cat([torch.cos(0.5 * angle)[None], torch.sin(0.5 * angle) * axis[:, None]])
+        x = self.spin @ (self.r - self.center)
+        r = self.r + torch.sin(angle)[:, None] * x + (1.0 - torch.cos(angle))[:, None] * (self.spin @ x)
+        return quaternion_product(turn, p.expand(4, len(angle))).T, r
+
+    def motion(self, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Coordinates [times, 7], rates [times, 6] and accelerations [times, 6]; rotations in body axes."""
+        if self.law is None:
+            q = torch.cat([self.r, euler_parameters(self.A)])
+            return q.expand(len(times), 7), q.new_zeros(len(times), 6), q.new_zeros(len(times), 6)
+        angle, rate, acceleration = (x[:, None] for x in derivatives(self.law, times))
+        p, r = self.turned((angle - self.law(torch.zeros_like(times[0])))[:, 0])
+        arm = (r - self.center) @ self.spin.T
+        omega = (self.A.T @ _axis(self.spin)).expand(len(times), 3)
+        fast = acceleration * arm + rate.square() * (arm @ self.spin.T)
+        return (
+            torch.cat([r, p], 1),
+            torch.cat([rate * arm, rate * omega], 1),
+            torch.cat([fast, acceleration * omega], 1),
+        )
+
+
+def _axis(spin: Tensor) -> Tensor:
+    """Axis [3] of a skew matrix."""
+    return torch.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
+
+
 @dataclass(frozen=True, eq=False)
 class Topology:
     """Index tensors of one system; see the module header."""
@@ -75,6 +158,10 @@ class Topology:
     vector_fold: Fold  # slots of constraint forces -> vectors
     body_fold: Fold  # [forces of points | torques] of vectors -> [forces | torques] of bodies
     modal_fold: Fold  # modal forces of flexible vectors -> flexible bodies
+    carriers: tuple[Carrier, ...] = ()
+    rates: Tensor | None = None  # [rates of all bodies, independent rates]
+    spread: SparseMap | None = None  # the same
+    gather: SparseMap | None = None  # its transpose
 
     @property
     def bodies(self) -> int:
@@ -86,6 +173,11 @@ class Topology:
 
     @property
     def n_v(self) -> int:
+        return self.n_rates if self.rates is None else self.rates.shape[1]
+
+    @property
+    def n_rates(self) -> int:
+        """Rates of all bodies."""
         return 6 * self.bodies + self.modes * self.flexible
 
     @property
@@ -102,9 +194,16 @@ class Topology:
             start += n * len(primitive.members)
         return result
 
-    def prescribed(self, t: Tensor, derivatives: bool = False) -> list[tuple | None]:
+    def laws(self, t: Tensor, derivatives: bool = False) -> list[tuple | None]:
         """What the laws of driven primitives prescribe at time t, for each kind of primitive."""
         return [prescribed(p.data, t, derivatives) if p.driven else None for p in self.primitives]
+
+    def prescribed(self, t: Tensor) -> Prescribed:
+        """What is known at time t."""
+        poses = [carrier.pose(t) for carrier in self.carriers]
+        poses.append((torch.eye(3, dtype=t.dtype, device=t.device), torch.zeros(3, dtype=t.dtype, device=t.device)))
+        A, r = (torch.stack(x, -1)[..., None, None] for x in zip(*poses, strict=True))
+        return Prescribed(self.laws(t), A, r)
 
     def row_slices(self) -> list[tuple[Primitive, slice]]:
         """Each kind of primitive with its rows among all."""
@@ -141,31 +240,48 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint]) -> Topology:
     position = {old: new for new, old in enumerate(arrangement)}
     attached = tuple(scribe.vectors[i] for i in arrangement)
     body_of = [number.get(id(x.body), ground) for x in attached]
-    n_flexible_vectors = sum(bends)
-    primitives, row_names = _group(equations, position)
+    own = tuple(body.modes for body in order[:flexible])
+    return assemble([body.name for body in order], own, attached, body_of, *_group(equations, position))
+
+
+def assemble(
+    names: Sequence[str],
+    own_modes: tuple[int, ...],
+    attached: tuple[Attached, ...],
+    body_of: list[int],
+    primitives: tuple[Primitive, ...],
+    row_names: tuple[str, ...],
+    carriers: tuple[Carrier, ...] = (),
+    rates: Tensor | None = None,
+) -> Topology:
+    """Make the index tensors. body_of: body of each attached vector, carriers after the bodies; flexible bodies first."""
+    n, flexible, ground = len(names), len(own_modes), len(names) + len(carriers)
     slots = [int(i) for primitive in primitives for member in primitive.members for i in member]
-    n = len(order)
+    bent = [body for body in body_of if body < flexible]
     force_of = [body if x.is_point and body < n else -1 for x, body in zip(attached, body_of, strict=True)]
     torque_of = [n + body if body < n else -1 for body in body_of]
-    own = tuple(body.modes for body in order[:flexible])
     return Topology(
-        names=tuple(body.name for body in order),
+        names=tuple(names),
         flexible=flexible,
-        modes=max(own, default=0),
-        own_modes=own,
+        modes=max(own_modes, default=0),
+        own_modes=own_modes,
         attached=attached,
-        attached_flexible=n_flexible_vectors,
+        attached_flexible=len(bent),
         vector_body=torch.tensor(body_of, dtype=torch.long),
         vector_origin=torch.tensor(
             [b if x.is_point else ground for x, b in zip(attached, body_of, strict=True)], dtype=torch.long
         ),
-        vector_flexible=torch.tensor(body_of[:n_flexible_vectors], dtype=torch.long),
+        vector_flexible=torch.tensor(bent, dtype=torch.long),
         primitives=primitives,
         slots=torch.tensor(slots, dtype=torch.long),
         row_names=row_names,
         vector_fold=Fold(slots, len(attached)),
         body_fold=Fold(force_of + torque_of, 2 * n),
-        modal_fold=Fold(body_of[:n_flexible_vectors], flexible),
+        modal_fold=Fold(bent, flexible),
+        carriers=carriers,
+        rates=rates,
+        spread=None if rates is None else SparseMap(rates),
+        gather=None if rates is None else SparseMap(rates.T),
     )
 
 

@@ -1,0 +1,126 @@
+"""Multipliers of the constraint rows that a condensation took out: from the equations of motion of their bodies.
+
+    B lam_gone = -R        B = Phi_q' of these rows, R = M a + s - g + Phi_q' lam_left, rows of the rigid bodies
+
+Solved in the sense of least norm, so redundant rows share what they carry. The design tangents follow from the same
+matrix, with the multipliers held fixed in R.
+Checked in tests/system/test_condensation.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.numerics.pair import Pair, cat, value
+from torchmbd.system import equations
+from torchmbd.system.condensation import Condensation
+from torchmbd.system.equations import INERTIA, Data, Placement
+from torchmbd.system.topology import Prescribed, Topology
+
+_TOGETHER = 2048  # times x lanes in one evaluation
+
+
+def multipliers(c: Condensation, data: Data, times: Tensor, q: Tensor, v: Tensor, a: Tensor, left: Tensor) -> Tensor:
+    """All multipliers [times, rows, slots, lanes] of a motion.
+
+    data            of the whole system
+    times, q, v, a  its motion [times, component, slots, lanes]
+    left            multipliers of the rows that were left
+    """
+    some = max(1, _TOGETHER // q.shape[-1])
+    parts = [slice(i, i + some) for i in range(0, len(times), some)]
+    return torch.cat([_chunk(c, data, times[s], *(x[s] for x in (q, v, a, left))) for s in parts])
+
+
+def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
+    n, lanes = len(times), motion[0].shape[-1]
+    q, v, a, left = (_pair(x.permute(1, 2, 0, 3).flatten(2)) for x in motion)  # times and lanes are one axis
+    T = c.whole
+    names = ("x", "Y", "gravity", *INERTIA)
+    wide = {name: _repeated(data[name], n, lanes) for name in names if name in data}
+    given = _given(T, times, lanes)
+    gone = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
+    at = equations.placement(T, wide, q, given)
+    B = _columns(T, wide, at, gone)
+    inverse = torch.linalg.pinv(B.permute(2, 0, 1), rtol=1e-9)
+    lam = _placed(left, c.rows, T.rows)
+    lam = lam + _placed(-_times(inverse, value(_residual(T, wide, at, v, a, lam))), gone, T.rows)
+    if isinstance(q, Pair):
+        slopes = -_times(inverse, _residual(T, wide, at, v, a, lam).tangent)
+        lam = lam + Pair.of(torch.zeros_like(value(lam)), _placed(slopes, gone, T.rows))
+    full = lam.full if isinstance(lam, Pair) else lam
+    return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
+
+
+def _pair(x: Tensor) -> Any:
+    return Pair(x) if x.shape[1] > 1 else x
+
+
+def _repeated(x: Any, times: int, lanes: int) -> Any:
+    def wide(y: Tensor) -> Tensor:
+        return y.expand(*y.shape[:-1], lanes).repeat(*([1] * (y.dim() - 1)), times)
+
+    if isinstance(x, Pair):
+        return Pair(wide(x.full))
+    return x if x.shape[-1] == 1 else wide(x)
+
+
+def _given(T: Topology, times: Tensor, lanes: int) -> Prescribed:
+    known = [T.prescribed(t) for t in times]
+
+    def side_by_side(parts: list[Tensor]) -> Tensor:
+        return torch.cat(parts, -1).repeat_interleave(lanes, -1)
+
+    laws = [
+        None if law is None else tuple(side_by_side([k.laws[i][m] for k in known]) for m in range(2))  # pyright: ignore
+        for i, law in enumerate(known[0].laws)
+    ]
+    return Prescribed(laws, known[0].A, known[0].r)
+
+
+def _columns(T: Topology, data: Data, at: Placement, rows: Tensor) -> Tensor:
+    """Generalized forces on the rigid bodies [6 bodies, rows, lanes] of unit multipliers."""
+    lanes = value(at.g).shape[-1]
+    unit = torch.eye(T.rows, dtype=torch.float64)[:, rows, None].expand(-1, -1, lanes)
+    plain = replace(
+        at,
+        A=value(at.A),
+        w=value(at.w),
+        A_of=value(at.A_of),
+        rho=value(at.rho),
+        g=value(at.g),
+        arguments=[[value(x) for x in vectors] for vectors in at.arguments],
+    )
+    force = equations.force_on_vectors(T, plain, unit)
+    parts = equations.generalized_forces(T, {name: value(x) for name, x in data.items()}, plain, force)[:2]
+    return torch.cat([x[:, T.flexible :].flatten(0, 1) for x in parts])
+
+
+def _residual(T: Topology, data: Data, at: Placement, v: Any, a: Any, lam: Any) -> Any:
+    """Rows [6 bodies, ...] of the rigid bodies in the equations of motion."""
+    f, n = T.flexible, T.bodies
+    rigid = replace(T, names=T.names[f:], flexible=0, modes=0, own_modes=(), attached_flexible=0)
+    own = {name: data[name].index_select(rank, torch.arange(f, n)) for name, rank in INERTIA.items()}
+    own |= {"gravity": data["gravity"]} if "gravity" in data else {}
+    rows = torch.tensor([k * n + b for k in range(6) for b in range(f, n)])
+    there = replace(at, A=at.A[:, :, f:], w=at.w[:0])
+    inertia = equations.inertia_forces(rigid, own, there, v.index_select(0, rows), a.index_select(0, rows))[:2]
+    known = equations.constraint_forces(T, data, at, lam)[:2]
+    return cat([(x + y[:, f:]).flatten(0, 1) for x, y in zip(inertia, known, strict=True)])
+
+
+def _placed(x: Any, rows: Tensor, size: int) -> Any:
+    """Rows of x [k, ...] at their places among `size`."""
+
+    def put(y: Tensor) -> Tensor:
+        return y.new_zeros(size, *y.shape[1:]).index_copy(0, rows, y)
+
+    return Pair(put(x.full)) if isinstance(x, Pair) else put(x)
+
+
+def _times(inverse: Tensor, x: Tensor) -> Tensor:
+    return (inverse @ x.permute(2, 0, 1)).permute(1, 2, 0)
