@@ -83,7 +83,7 @@ def _groups(found: Any) -> dict[str, list[np.ndarray]]:
     groups = {
         name: [np.asarray([] if cells is None else cells, dtype=np.int64) for cells in blocks]
         for name, blocks in found.cell_sets.items()
-        if not name.startswith("gmsh:")
+        if not name.startswith("gmsh:") and len(blocks) == len(found.cells)  # Abaqus' sets of sets come mutilated
     }
     for name, (tag, _) in found.field_data.items():
         tags = found.cell_data.get("gmsh:physical")
