@@ -6,6 +6,7 @@ from torchmbd.optimizers import moving_asymptotes as moving_asymptotes
 from torchmbd.optimizers import slsqp as slsqp
 from torchmbd.optimizers import trust_constr as trust_constr
 from torchmbd.optimizers.criteria import Criteria, ManyCriteria
+from torchmbd.optimizers.discrete import Candidate, Certificate, DiscreteResult, optimize_discrete
 from torchmbd.optimizers.door import optimize
 from torchmbd.optimizers.minima import Minimum
 from torchmbd.optimizers.multistart import Study, multistart
@@ -16,7 +17,10 @@ from torchmbd.optimizers.sampling import Starts, given, latin_hypercube, sobol
 __all__ = [
     "OPTIMIZERS",
     "STATUSES",
+    "Candidate",
+    "Certificate",
     "Criteria",
+    "DiscreteResult",
     "Evaluation",
     "Front",
     "Iterate",
@@ -31,6 +35,7 @@ __all__ = [
     "latin_hypercube",
     "multistart",
     "optimize",
+    "optimize_discrete",
     "pareto_front",
     "sobol",
 ]

@@ -1,4 +1,4 @@
-"""Problems of several criteria: what is asked of them, and what was learnt about them on the way.
+"""Problems of several criteria: what is asked of them.
 
     minimize f_1(x) .. f_k(x)   subject to   c_i(x) <= 0,   lower <= x <= upper
 
@@ -14,7 +14,6 @@ from typing import Protocol
 
 import numpy as np
 
-from torchmbd.errors import InputError
 from torchmbd.optimizers.optimizer import Box
 
 
@@ -32,6 +31,11 @@ class Criteria:
     def ok(self) -> bool:
         return self.status == "ok"
 
+    @property
+    def differentiated(self) -> bool:
+        """Whether it comes with gradients."""
+        return self.gradients is not None
+
 
 class ManyCriteria(Box, Protocol):
     """A problem of several criteria (physical units everywhere)."""
@@ -44,42 +48,3 @@ class ManyCriteria(Box, Protocol):
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Criteria]:
         """Evaluate one design per row."""
         ...
-
-
-class Archive:
-    """A problem that never forgets: no design is evaluated twice, and all of them are there to start from."""
-
-    def __init__(self, problem: ManyCriteria) -> None:
-        self.problem = problem
-        self.analyses = self.batches = 0
-        self.known: dict[bytes, tuple[np.ndarray, Criteria]] = {}
-
-    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Criteria]:
-        """Evaluate designs [lanes, n], those not known in one batch."""
-        keys = [x.tobytes() for x in X]
-        missing = {key: x for key, x in zip(keys, X, strict=True) if not self._suffices(key, gradients)}
-        if missing:
-            designs = np.stack(list(missing.values()))
-            answers = self.problem.evaluate(designs, gradients)
-            if len(answers) != len(designs):
-                raise InputError(f"problem.evaluate returned {len(answers)} evaluations for {len(designs)} designs")
-            self.batches += 1
-            self.analyses += len(designs)
-            for key, x, answer in zip(missing, designs, answers, strict=True):
-                self.known[key] = x, self._checked(answer)
-        return [self.known[key][1] for key in keys]
-
-    def _suffices(self, key: bytes, gradients: bool) -> bool:
-        if key not in self.known:
-            return False
-        seen = self.known[key][1]
-        return not seen.ok or not gradients or seen.gradients is not None
-
-    def _checked(self, answer: Criteria) -> Criteria:
-        count = len(self.problem.criteria)
-        if answer.ok and answer.values.shape != (count,):
-            raise InputError(
-                f"problem.evaluate returned criteria of shape {answer.values.shape}, allowed: {(count,)}, "
-                f"{', '.join(self.problem.criteria)}"
-            )
-        return answer

@@ -12,8 +12,9 @@ from functools import partial
 
 import numpy as np
 
-from torchmbd.optimizers.criteria import Archive, Criteria
-from torchmbd.optimizers.lockstep import Lockstep
+from torchmbd.optimizers.archive import Archive
+from torchmbd.optimizers.criteria import Criteria
+from torchmbd.optimizers.lockstep import side_by_side
 from torchmbd.optimizers.optimizer import Evaluation, OptimizationResult
 from torchmbd.optimizers.search import Ask, Report, Search, variable_scale
 
@@ -28,7 +29,7 @@ class Family:
 
     def __init__(
         self,
-        archive: Archive,
+        archive: Archive[Criteria],
         run_one: Callable[[Search], OptimizationResult],
         box: tuple[np.ndarray, np.ndarray, np.ndarray],
         feasibility: float,
@@ -97,27 +98,25 @@ class Family:
         if self.interrupted or not jobs:
             return [None] * len(jobs)
 
-        def runner(index: int, ask: Ask, report: Report) -> OptimizationResult:
-            member, x = jobs[index]
-            search = Search(
-                lambda X, gradients: [member(criteria) for criteria in ask(X, gradients)],  # type: ignore[arg-type]
-                x,
-                self.lower,
-                self.upper,
-                scale=variable_scale(self.start, self.lower, self.upper),
-                feasibility=self.feasibility,
-                index=index,
-                report=report,
-            )
-            return self.run_one(search)
+        searches = [partial(self._search, member, x) for member, x in jobs]
+        ends, self.interrupted = side_by_side(self.archive, searches, self.run_one, self.max_lanes)
+        return [end if end is not None and end.violation <= self.feasibility else None for end in ends]
 
-        lockstep = Lockstep(self.archive, [partial(runner, k) for k in range(len(jobs))], self.max_lanes, None)  # type: ignore[arg-type]
-        ends: list[OptimizationResult | None] = [None] * len(jobs)
-        for result in lockstep.run():
-            if result.status not in ("failed", "interrupted") and result.violation <= self.feasibility:
-                ends[result.start] = result
-        self.interrupted = lockstep.interrupted
-        return ends
+    def _search(self, member: Member, x: np.ndarray, index: int, ask: Ask, report: Report) -> Search:
+        def ask_member(X: np.ndarray, gradients: bool) -> list[Evaluation]:
+            return [member(criteria) for criteria in ask(X, gradients)]  # type: ignore[arg-type]
+
+        scale = variable_scale(self.start, self.lower, self.upper)
+        return Search(
+            ask_member,
+            x,
+            self.lower,
+            self.upper,
+            scale=scale,
+            feasibility=self.feasibility,
+            index=index,
+            report=report,
+        )
 
 
 def _between(places: np.ndarray, designs: dict[int, np.ndarray], i: int) -> np.ndarray:

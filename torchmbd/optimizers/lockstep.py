@@ -12,14 +12,16 @@ A thread here only waits or does small arithmetic between two simulations: paral
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from torchmbd.errors import InputError
 from torchmbd.optimizers.optimizer import Evaluation, Iterate, OptimizationResult, Problem
-from torchmbd.optimizers.search import Ask, Interrupted, Report
+from torchmbd.optimizers.search import Ask, Interrupted, Report, Search
 
 Runner = Callable[[Ask, Report], OptimizationResult]
 
@@ -168,3 +170,25 @@ class Lockstep:
         with self._turn:
             lane.result, lane.error = result, error
             self._turn.notify_all()
+
+
+def side_by_side(
+    problem: Any,
+    searches: Sequence[Callable[[int, Ask, Report], Search]],
+    run_one: Callable[[Search], OptimizationResult],
+    max_lanes: int,
+) -> tuple[list[OptimizationResult | None], bool]:
+    """Run one optimizer on different searches of the same designs; return the feasible results and whether interrupted.
+
+    None stands for a search that found no feasible design, or was interrupted.
+    """
+
+    def runner(index: int, ask: Ask, report: Report) -> OptimizationResult:
+        return run_one(searches[index](index, ask, report))
+
+    lockstep = Lockstep(problem, [partial(runner, k) for k in range(len(searches))], max_lanes, None)
+    ends: list[OptimizationResult | None] = [None] * len(searches)
+    for result in lockstep.run():
+        if result.status not in ("failed", "infeasible", "interrupted"):
+            ends[result.start] = result
+    return ends, lockstep.interrupted

@@ -55,6 +55,11 @@ class Evaluation:
     def ok(self) -> bool:
         return self.status == "ok"
 
+    @property
+    def differentiated(self) -> bool:
+        """Whether it comes with gradients."""
+        return self.objective_gradient is not None
+
     @classmethod
     def failure(cls, reason: str, constraints: int = 0) -> Evaluation:
         """Build an evaluation that failed for `reason`."""

@@ -24,7 +24,8 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.optimizers.criteria import Archive, Criteria, ManyCriteria
+from torchmbd.optimizers.archive import Archive
+from torchmbd.optimizers.criteria import Criteria, ManyCriteria
 from torchmbd.optimizers.door import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimizers.family import Family
 from torchmbd.optimizers.optimizer import Evaluation, OptimizationResult, find_method, require_range
@@ -138,6 +139,10 @@ def _anchors(family: Family, starts: np.ndarray, names: list[str]) -> list[Paret
     known = [np.abs(criteria.values) for criteria in family.archive.evaluate(starts, True) if criteria.ok]
     if not known:
         raise InputError("start: none could be evaluated")
+    if known[0].shape != (len(names),):
+        raise InputError(
+            f"problem.evaluate returned criteria of shape {known[0].shape}, allowed: {(len(names),)}, {', '.join(names)}"
+        )
     scale = np.where(known[0] > 0.0, known[0], 1.0)
     weights = np.where(np.eye(len(names)), 1.0, TIE) / scale
     results = family.from_starts([partial(_weighted, w) for w in weights], starts)
