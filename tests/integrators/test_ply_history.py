@@ -62,6 +62,7 @@ def test_the_basis_gives_the_plies_of_the_displacements(motions):
 def test_the_failure_index_is_the_largest_of_all_points(criterion, motions):
     plies = PlyHistory(motions[0], "rod")
     everywhere = CRITERIA[criterion](plies.stress(), plies.strength)
+    assert_close(plies.indices(criterion, slice(3, 5)), everywhere[:, 3:5])
     assert_close(plies.failure(criterion), everywhere.amax(-1), rtol=1e-12, atol=1e-15)
     place = plies.critical(criterion)
     assert plies.points[place].shape == (2, 41, 3)

@@ -61,6 +61,11 @@ class PlyHistory:
         """Ply strains at the chosen output times."""
         return _at(self.basis.strain, self.w[:, times])
 
+    def indices(self, criterion: str = "tsai_wu", times: slice = slice(None)) -> Float[Tensor, "lanes times points"]:
+        """Failure index of every point at the chosen output times."""
+        rule, strength = self._rule(criterion)
+        return rule(self.stress(times), strength)
+
     def critical(self, criterion: str = "tsai_wu") -> Int[Tensor, "lanes times"]:
         """Which point is nearest to failure, at each time."""
         rule, strength = self._rule(criterion)
