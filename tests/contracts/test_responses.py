@@ -28,7 +28,7 @@ from torchmbd.design.rows import AtPeaks, AtTimes
 from torchmbd.integrators import Trajectory
 from torchmbd.materials import Strength
 
-DURATION, STEPS = 0.04, 40
+DURATION, STEPS = 0.04, 30
 WEIGHTS = {-3: -1.0, -2: 9.0, -1: -45.0, 1: 45.0, 2: -9.0, 3: 1.0}
 JOINT = "universal_arm_rod"
 

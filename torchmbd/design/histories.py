@@ -237,13 +237,13 @@ def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Plac
     def spread(x: Tensor) -> Tensor:
         return x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x
 
-    prescribed = [T.prescribed(t) for t in motion.t]
-    drives = [
+    known = [T.prescribed(t) for t in motion.t]
+    laws = [
         None if kind[0] is None else tuple(torch.cat(part, -1).repeat(1, 1, lanes) for part in zip(*kind, strict=True))
-        for kind in zip(*prescribed, strict=True)
+        for kind in zip(*(each.laws for each in known), strict=True)
     ]
     vectors = {key: spread(value(data[key])) for key in ("x", "Y") if key in data}
-    at = equations.placement(T, vectors, flat(motion.q), drives)
+    at = equations.placement(T, vectors, flat(motion.q), known[0]._replace(laws=laws))
     return at, equations.force_on_vectors(T, at, flat(motion.lam * rows))
 
 
