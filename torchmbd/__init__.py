@@ -10,6 +10,7 @@ from torchmbd import mesh, sections, viz
 from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
 from torchmbd.design import Constraint, DesignSpace, Integral, Max, Problem, StrainEnergy
 from torchmbd.design.differences import Differences
+from torchmbd.elements import BeamLine, GivenSection
 from torchmbd.errors import InputError, MbdError, SimulationFailure
 from torchmbd.integrators import Trajectory, simulate
 from torchmbd.joints import Cylindrical, Distance, Drive, Fixed, Prismatic, Revolute, Spherical, Universal
@@ -23,6 +24,7 @@ from torchmbd.system import Dynamics, System
 __version__ = "0.1.0"
 
 __all__ = [
+    "BeamLine",
     "Constraint",
     "Cylindrical",
     "DesignSpace",
@@ -33,6 +35,7 @@ __all__ = [
     "Fixed",
     "FlexibleBody",
     "Frame",
+    "GivenSection",
     "Ground",
     "InputError",
     "Integral",

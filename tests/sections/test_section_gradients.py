@@ -13,6 +13,8 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.sections.section_cases import AS4, general_section
 from torchmbd import sections
+from torchmbd.sections.orthotropic import turned
+from torchmbd.sections.saint_venant import compliance, unit_fields
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +44,23 @@ def test_against_differences(made):
     assert float(((exact - rough) / scale).abs().max()) < 1e-9
     assert float(((exact - rough).abs() / (exact.abs() + 1e-3 * scale)).max()) < 1e-6
     assert float((exact / scale).abs().amax((0, 1)).min()) > 1e-3  # every angle acts
+
+
+def test_closed_form_against_the_chain_of_solutions(made):
+    """The adjoint formula of saint_venant.py against forward mode through the two warping problems."""
+    D = turned(made._C, made.angles.detach())
+    make = torch.Generator().manual_seed(7)
+    change = torch.randn(D.shape, generator=make, dtype=torch.float64) * D.abs().amax()
+    change = change + change.mT
+
+    def chain(D):
+        _, strain, stress = unit_fields(made.problem, D)
+        return made.geometry.energy(strain, stress)
+
+    short = jvp(lambda x: compliance(made.problem, x), (D,), (change,))[1]
+    long = jvp(chain, (D,), (change,))[1]
+    scale = long.diagonal().abs().sqrt()
+    assert_close(short / scale / scale[:, None], long / scale / scale[:, None], rtol=0, atol=1e-10)
 
 
 def test_forward_against_reverse_mode(made):

@@ -95,6 +95,10 @@ class SectionGeometry:
         result = element.new_zeros(*element.shape[:-3], layers, 6, 6)
         return result.index_add(-3, self.layer, element)
 
+    def members(self, layers: int) -> list[Tensor]:
+        """Indices of the elements of each layer."""
+        return [(self.layer == k).nonzero()[:, 0] for k in range(layers)]
+
     def _per_point(self, flat: Tensor, rows: int) -> Tensor:
         return flat.unflatten(-2, (-1, rows))
 

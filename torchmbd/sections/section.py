@@ -13,7 +13,7 @@ of the section is free in all three directions. A force F and moment M that vary
 Each gives six fields of strain for unit forces; S_ij = integral of eps_i' D eps_j is the section's compliance, K = S^-1.
 The shear strains gamma are those that make this energy 1/2 V gamma.
 
-Differentiable, forward and reverse, in the ply angles (warping.py), which may carry leading lanes.
+Differentiable, forward and reverse, in the ply angles (saint_venant.py), which may carry leading lanes.
 Assumed: prismatic beam, linear elasticity, forces applied at the ends (distributed forces act on the beam only).
 Source: V. Giavotto, M. Borri, P. Mantegazza et al., Anisotropic beam theory and applications, Computers & Structures
 16 (1983) 403-413, doi:10.1016/0045-7949(83)90179-7; J. P. Blasques, User's Manual for BECAS, Risoe-R-1785 (2012).
@@ -35,11 +35,11 @@ from torchmbd.numerics.inverse import balanced_inverse
 from torchmbd.sections.geometry import SectionGeometry
 from torchmbd.sections.mesh import SectionMesh
 from torchmbd.sections.orthotropic import Orthotropic, strain_rotation, turned
-from torchmbd.sections.warping import WarpingProblem, solve
+from torchmbd.sections.saint_venant import UnitFields, compliance, unit_fields
+from torchmbd.sections.warping import WarpingProblem
 
 #: The order of forces, moments and generalized strains.
 FORCES = ("N", "V_y", "V_z", "T", "M_y", "M_z")
-_CLASSICAL = [0, 3, 4, 5]
 
 
 class SectionStress(NamedTuple):
@@ -97,8 +97,7 @@ class Section(nn.Module):
 
     def compliance(self) -> Float[Tensor, "*lanes 6 6"]:
         """S = K^-1."""
-        strain, stress = self._unit_fields()
-        return self.geometry.energy(strain, stress)
+        return compliance(self.problem, turned(self._C, self.angles))
 
     def mass(self) -> Float[Tensor, "6 6"]:
         """Inertia per length of the velocities (v, omega) of the section's axes: kg/m, kg, kg m."""
@@ -128,42 +127,16 @@ class Section(nn.Module):
         load = torch.as_tensor(force, dtype=torch.float64)
         if load.shape[-1:] != (6,):
             raise InputError(f"force has shape {tuple(load.shape)}; allowed: [..., 6], {', '.join(FORCES)}")
-        strain, stress = self._unit_fields()
+        _, strain, stress = self.unit_fields()
         load = load[..., None, None, :, None]
         T = strain_rotation(self.angles)[..., self.geometry.layer, None, :, :]
         # sigma_ply = T^-T sigma_wall; T^-1 turns by the opposite angle
         back = strain_rotation(-self.angles)[..., self.geometry.layer, None, :, :].mT
         return SectionStress((T @ strain @ load)[..., 0], (back @ stress @ load)[..., 0], self.geometry.points)
 
-    def _unit_fields(self) -> tuple[Tensor, Tensor]:
-        """Strain and stress fields [..., m, g, 6, 6] in wall axes, one column for each unit force."""
-        g, problem = self.geometry, self.problem
-        D = turned(self._C, self.angles)
-        psi = torch.eye(6, dtype=D.dtype, device=D.device)[:, _CLASSICAL]
-        rigid = g.rigid_strain(psi)
-        u0 = -solve(problem, D, g.warp_force(g.stress(D, rigid)))
-        strain = rigid + g.warp_strain(u0)
-        stress = g.stress(D, strain)
-        S4 = balanced_inverse(g.resultant(stress)[..., _CLASSICAL, :])
-        # Unit V_y makes M_z' = -1, unit V_z makes M_y' = 1.
-        slope = torch.stack([-S4[..., 3], S4[..., 2]], dim=-1)
-        carried = g.carried(u0 @ slope)
-        tilted = g.stress(D, carried)
-        along = stress @ slope[..., None, None, :, :]
-        u1 = solve(problem, D, g.face_force(along) - g.warp_force(tilted))
-        bent = carried + g.warp_strain(u1)
-        bent_stress = g.stress(D, bent)
-        rest = S4 @ g.resultant(bent_stress)[..., _CLASSICAL, :]
-        rest = rest[..., None, None, :, :]
-        unit = S4[..., None, None, :, :]
-        pure, shear = strain @ unit, bent - strain @ rest
-        pure_stress, shear_stress = stress @ unit, bent_stress - stress @ rest
-        return _ordered(pure, shear), _ordered(pure_stress, shear_stress)
-
-
-def _ordered(classical: Tensor, shear: Tensor) -> Tensor:
-    """Columns N, T, M_y, M_z and V_y, V_z in the order of FORCES."""
-    return torch.cat([classical[..., :1], shear, classical[..., 1:]], dim=-1)
+    def unit_fields(self) -> UnitFields:
+        """Strains and stresses in wall axes for unit forces (saint_venant.py)."""
+        return unit_fields(self.problem, turned(self._C, self.angles))
 
 
 def _checked_angles(angles: Sequence[float] | Tensor) -> Tensor:
