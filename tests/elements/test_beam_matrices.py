@@ -98,7 +98,8 @@ def test_particles_have_the_mass_of_the_section():
     """The sum over the particles of [1, -arm~; arm~, -arm~ arm~] is the mass of the elements, at their ends, in mesh axes."""
     M, line = coupled_section().mass(), BeamLine.straight(1.3, 3, DIRECTION)
     matrices = BeamMatrices(line, ACROSS)
-    node, arm, mass = matrices.particles(M[None])
+    ends, arm, mass = matrices.particles(M[None])
+    node = ends[:, 0]
     turn = torch.block_diag(matrices.axes[0], matrices.axes[0])
     for k, share in enumerate((0.5, 1.0, 1.0, 0.5)):
         total = torch.zeros(6, 6, dtype=torch.float64)

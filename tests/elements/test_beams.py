@@ -10,8 +10,10 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.elements.beam_cases import coupled_section
+from torchmbd import sections
 from torchmbd.elements import Assembly, BeamLine, Beams, GivenSection, PointMasses, RigidLink
 from torchmbd.errors import InputError
+from torchmbd.sections import Orthotropic
 
 LINE = BeamLine([[0, 0, 0], [0.2, 0.05, 0], [0.4, 0.2, 0.1], [0.5, 0.4, 0.3]])
 ACROSS = (0.1, 0.2, 1.0)
@@ -23,10 +25,10 @@ def dense(x):
 
 def test_mass_of_the_assembly_is_that_of_the_elements():
     section = coupled_section()
-    assembly = Assembly(LINE, {"beam": Beams(LINE, section, ACROSS)})
-    M = dense(assembly.mass())
+    beams = Beams(LINE, section, ACROSS)
+    M = dense(Assembly(LINE, {"beam": beams}).mass())
     exact = torch.zeros(24, 24, dtype=torch.float64)
-    matrices = assembly.parts["beam"].matrices
+    matrices = beams.matrices
     for k, (axes, length) in enumerate(zip(matrices.axes, matrices.length, strict=True)):
         turn = torch.block_diag(axes, axes)
         for node in (k, k + 1):
@@ -36,14 +38,29 @@ def test_mass_of_the_assembly_is_that_of_the_elements():
     assert float(((M - exact) * d[:, None] * d).abs().max()) < 1e-12
 
 
+def test_consistent_mass_moves_rigidly_like_the_solid():
+    """A rigid motion sees the same inertia by both masses, and that of a straight beam exactly (Simpson's rule)."""
+    line, section = BeamLine.straight(0.9, 3), coupled_section()
+    motion = torch.zeros(4, 6, 6, dtype=torch.float64)
+    motion[:, :, :] = torch.eye(6, dtype=torch.float64)
+    for k, x in enumerate(line.nodes[:, 0].tolist()):  # rotations about y and z move along z and y
+        motion[k, 2, 4], motion[k, 1, 5] = -x, x
+    M = dense(Assembly(line, {"b": Beams(line, section, mass="consistent")}).mass())
+    flat = motion.flatten(0, 1)
+    found, m, c = flat.T @ M @ flat, section.mass() * 0.9, section.mass()[0, 0]
+    exact = m.clone()
+    exact[4, 4] += c * 0.9**3 / 3
+    exact[5, 5] += c * 0.9**3 / 3
+    assert_close(found[[0, 4, 5], [0, 4, 5]], exact[[0, 4, 5], [0, 4, 5]], rtol=1e-12, atol=0)
+    assert_close(found[3, 3], exact[3, 3], rtol=1e-12, atol=0)
+
+
 def test_two_sections_on_halves_are_two_parts():
     one, two = coupled_section(), GivenSection.isotropic(70e9, 0.3, 2700.0, 1e-3, 1e-7, 2e-7, 2e-7)
     parts = {"a": Beams(LINE, one, ACROSS, elements=[0, 2]), "b": Beams(LINE, two, ACROSS, elements=[1])}
     both = dense(Assembly(LINE, parts).stiffness())
-    alone = [Assembly(LINE, {"a": Beams(LINE, s, ACROSS)}) for s in (one, two)]
-    k = alone[0].parts["a"].matrices
     mixed = torch.stack([one.stiffness(), two.stiffness(), one.stiffness()]).detach()
-    assert_close(both, k.stiffness(mixed).dense(), rtol=1e-12, atol=1e-6)
+    assert_close(both, Beams(LINE, one, ACROSS).matrices.stiffness(mixed).dense(), rtol=1e-12, atol=1e-6)
 
 
 def test_offset_and_twist_are_a_rigid_arm():
@@ -81,6 +98,22 @@ def test_section_forces_are_about_the_sections_axes():
         assert_close(found[k], torch.cat([R @ load[:3], R @ moment]), rtol=0, atol=1e-6)
 
 
+def test_stresses_of_a_bent_beam():
+    """From the motion of the nodes to the stress in the material: M z / I at the place of the moment."""
+    line, b, h = BeamLine.straight(0.8, 4), 0.02, 0.03
+    section = sections.rectangle(b, h, Orthotropic.isotropic(210e9, 0.3, 7850.0), cells=(4, 6))
+    beams = Beams(line, section)
+    K = dense(Assembly(line, {"b": beams}, held=[0]).stiffness())
+    load = torch.zeros(24, dtype=torch.float64)
+    load[-4] = 50.0
+    u = torch.cat([torch.zeros(6, dtype=torch.float64), torch.linalg.solve(K, load)]).reshape(5, 6, 1)
+    forces = beams.section_forces(u)[..., 0]
+    found = section.stress(forces)  # of the four elements' ends
+    for k, x in enumerate((0.2, 0.4, 0.6, 0.8)):
+        wanted = -50.0 * (0.8 - x) * found.points[..., 1] / (b * h**3 / 12)
+        assert_close(found.stress[k, ..., 0].detach(), wanted, rtol=0, atol=1e-5 * 50 * 0.8 * h / 2 / (b * h**3 / 12))
+
+
 def test_a_mass_at_the_tip_joins_the_beam():
     line = BeamLine.straight(0.5, 6)
     section = GivenSection.isotropic(70e9, 0.3, 2700.0, 1e-4, 1e-9, 1e-9, 2e-9)
@@ -99,6 +132,7 @@ def test_a_mass_at_the_tip_joins_the_beam():
         ({"offset": [[0.0, 0.1]] * 2}, ["offset has shape (2, 2)", "[3, 2]"]),
         ({"twist": [0.1, 0.2]}, ["twist has shape (2,)", "[3]"]),
         ({"twist": 45.0}, ["twist is", "2 pi"]),
+        ({"mass": "lumpd"}, ["mass 'lumpd'", "did you mean 'lumped'"]),
         ({"orientation": [[0.0, 1.0, 0.0]] * 2}, ["orientation has shape (2, 3)"]),
     ],
 )

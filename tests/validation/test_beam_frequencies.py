@@ -15,31 +15,27 @@ from scipy.linalg import eigh
 from scipy.optimize import brentq
 
 from tests.elements.beam_cases import cantilever_residual, coupled_section
-from torchmbd.elements.beam import BeamMatrices
-from torchmbd.elements.beam_line import BeamLine
-from torchmbd.elements.beam_section import GivenSection
+from torchmbd.elements import Assembly, BeamLine, Beams, GivenSection
+from torchmbd.numerics.sparse import SparseMatrix
 
 E, NU, RHO, B, H, LENGTH = 70e9, 0.33, 2700.0, 0.03, 0.05, 0.4
 
 
 def frequencies(
-    section: GivenSection, elements: int, held: list[int], count: int, length: float = LENGTH
+    section: GivenSection, elements: int, held: list[int], count: int, length: float = LENGTH, mass: str = "lumped"
 ) -> np.ndarray:
     """Circular frequencies [1/s] of a straight beam along x, some freedoms of the first and last node held."""
     line = BeamLine.straight(length, elements)
-    matrices = BeamMatrices(line)
-    K = matrices.stiffness(section.stiffness()[None]).dense().detach().numpy()
-    M = np.zeros_like(K)
-    node, arm, mass = (x.numpy() for x in matrices.particles(section.mass()[None]))
-    for k, a, m in zip(node, arm, mass, strict=True):
-        lever = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
-        motion = np.hstack([np.eye(3), -lever])
-        M[6 * k : 6 * k + 6, 6 * k : 6 * k + 6] += m * motion.T @ motion
+    assembly = Assembly(line, {"beam": Beams(line, section, mass=mass)})
+    inertia = assembly.mass()
+    assert isinstance(inertia, SparseMatrix)
+    K, M = (A.dense().detach().numpy() for A in (assembly.stiffness(), inertia))
     free = np.setdiff1d(np.arange(len(K)), held)
     return np.sqrt(eigh(K[np.ix_(free, free)], M[np.ix_(free, free)], subset_by_index=[0, count - 1])[0])
 
 
-def test_simply_supported_timoshenko_beam():
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
+def test_simply_supported_timoshenko_beam(mass):
     """Both bending planes, extension and torsion; thick (length over height 8)."""
     section = GivenSection.isotropic(E, NU, RHO, B * H, B * H**3 / 12, H * B**3 / 12, 2.8e-7, 0.85, 0.83)
     K, M = section.stiffness().diagonal().tolist(), section.mass().diagonal().tolist()
@@ -54,7 +50,7 @@ def test_simply_supported_timoshenko_beam():
     exact = np.sort(exact)[:6]
     errors = []
     for n in (20, 40, 80):
-        found = frequencies(section, n, [0, 1, 2, 3, 6 * n + 1, 6 * n + 2], 6)
+        found = frequencies(section, n, [0, 1, 2, 3, 6 * n + 1, 6 * n + 2], 6, mass=mass)
         errors.append(np.abs(found / exact - 1))
     assert errors[-1].max() < 1.5e-3
     rates = np.log2(errors[1] / errors[2])

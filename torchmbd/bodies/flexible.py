@@ -158,6 +158,7 @@ class FlexibleBody(nn.Module):
         orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
         offset: Sequence[float] | Tensor = (0.0, 0.0),
         twist: float | Sequence[float] | Tensor = 0.0,
+        mass: str = "lumped",
     ) -> FlexibleBody:
         """A beam, straight or curved, with branches if need be.
 
@@ -166,7 +167,7 @@ class FlexibleBody(nn.Module):
                         element, where the same may come again: "section", else "section0", "section1", ...
         orientation     the section's y-axis in mesh axes, projected across the elements: [3], or one for each [m, 3]
         offset, twist   of the section's axes from the line of the nodes: y, z [m] and angle [rad], or one for each element
-        Others as in `plate`. The inertia of the section is lumped to the nodes, on rigid arms.
+        Others as in `plate`. The inertia of the section sits on rigid arms at the nodes (and middles, if consistent).
         """
         parts: dict[str, Part] = {}
         given: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
@@ -176,7 +177,7 @@ class FlexibleBody(nn.Module):
         distinct = list(dict.fromkeys(given))
         for k, own in enumerate(distinct):
             members = [e for e, s in enumerate(given) if s is own]
-            parts[f"section{k}"] = Beams(line, own, orientation, offset, twist, members)
+            parts[f"section{k}"] = Beams(line, own, orientation, offset, twist, members, mass)
         return cls(name, line, parts, modes, position, axes, reference, damping, reduction, interface, updated)
 
     @classmethod

@@ -47,9 +47,9 @@ class Line(Protocol):
 
 
 class Particles(NamedTuple):
-    """Point masses [kg] carried by nodes on rigid arms [m]."""
+    """Point masses [kg] on rigid arms [m], carried by the middles of node pairs; a pair (k, k) is node k."""
 
-    node: Int[Tensor, " p"]
+    ends: Int[Tensor, "p 2"]
     arm: Float[Tensor, "p 3"]
     mass: Float[Tensor, " p"]
 
@@ -110,14 +110,23 @@ class BeamMatrices:
         ends = motion[..., self.elements, :, :].flatten(-3, -2)
         return k @ (self._ends @ ends)
 
-    def particles(self, mass: Float[Tensor, "m 6 6"]) -> Particles:
-        """Halves of the elements at their ends, four particles each, from the section mass of each element (or [1, 6, 6])."""
+    def particles(self, mass: Float[Tensor, "m 6 6"], consistent: bool = False) -> Particles:
+        """Four particles at each place of each element, from the section mass of each element (or [1, 6, 6]).
+
+        Places: both ends, half of the mass each; or consistent with linear shape functions (Simpson's rule): a sixth at
+        each end, two thirds at the middle, which moves with the mean of the ends.
+        """
         per_length, at = section_particles(mass)
         m = len(self.length)
-        arm = (at.expand(m, 4, 2) @ self.axes[:, 1:]).unsqueeze(1).expand(m, 2, 4, 3)
-        half = (per_length.expand(m, 4) * self.length[:, None] / 2).unsqueeze(1).expand(m, 2, 4)
-        node = self.elements[:, :, None].expand(m, 2, 4)
-        return Particles(node.flatten(), arm.reshape(-1, 3), half.flatten())
+        i, j = self.elements.unbind(1)
+        pairs, shares = ((i, i), (j, j)), (0.5, 0.5)
+        if consistent:
+            pairs, shares = (*pairs, (i, j)), (1 / 6, 1 / 6, 2 / 3)
+        ends = torch.stack([torch.stack(pair, dim=-1) for pair in pairs], dim=1)  # [m, places, 2]
+        places = len(pairs)
+        arm = (at.expand(m, 4, 2) @ self.axes[:, 1:]).unsqueeze(1).expand(m, places, 4, 3)
+        whole = (per_length.expand(m, 4) * self.length[:, None])[:, None] * self.length.new_tensor(shares)[:, None]
+        return Particles(ends[:, :, None].expand(m, places, 4, 2).reshape(-1, 2), arm.reshape(-1, 3), whole.flatten())
 
 
 def section_particles(mass: Float[Tensor, "m 6 6"]) -> tuple[Float[Tensor, "m 4"], Float[Tensor, "m 4 2"]]:

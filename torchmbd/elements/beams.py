@@ -14,7 +14,8 @@ from torch import Tensor, nn
 from torchmbd.elements.assembly import MassPoints
 from torchmbd.elements.beam import BeamMatrices, Line
 from torchmbd.elements.beam_section import BeamSection, line_transform
-from torchmbd.errors import InputError
+from torchmbd.elements.plates import MASSES
+from torchmbd.errors import InputError, unknown
 
 
 class Beams:
@@ -24,6 +25,7 @@ class Beams:
     orientation   the section's y-axis in mesh axes, projected across each element: [3], or one for each [m, 3]
     offset        of the section's origin from the line of the nodes, along the beam's y and z [m]: [2], or [m, 2]
     twist         of the section's y-axis from `orientation`, about the beam's axis [rad]: one, or one for each [m]
+    mass          "lumped", half of each element at its ends; "consistent", with linear shape functions, for comparison
     elements      indices of the elements that are made of it; orientation, offset, twist count all elements of the mesh
     """
 
@@ -35,15 +37,19 @@ class Beams:
         offset: Sequence[float] | Tensor = (0.0, 0.0),
         twist: float | Sequence[float] | Tensor = 0.0,
         elements: Sequence[int] | Tensor | None = None,
+        mass: str = "lumped",
     ) -> None:
+        if mass not in MASSES:
+            raise unknown("mass", mass, MASSES)
         if not (isinstance(section, nn.Module) and isinstance(section, BeamSection)):
             raise InputError(f"section is {section!r}; allowed: a Section or a GivenSection")
         self.section = section
         self.matrices = BeamMatrices(mesh, orientation, elements)
         self.pattern = self.matrices.pattern
         self._to_line = _transforms(offset, twist, len(mesh.elements), self.matrices.members)
-        node, arm, mass = self.matrices.particles(self._to_line @ section.mass() @ self._to_line.mT)
-        self._points = MassPoints(node[:, None].expand(-1, 2), mass, torch.zeros_like(mass), arm)
+        at_line = self._to_line @ section.mass() @ self._to_line.mT
+        ends, arm, particles = self.matrices.particles(at_line, mass == "consistent")
+        self._points = MassPoints(ends, particles, torch.zeros_like(particles), arm)
 
     def values(self) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design."""
@@ -54,7 +60,7 @@ class Beams:
         return {"section": self.section}  # pyright: ignore[reportReturnType]
 
     def masses(self) -> MassPoints:
-        """Four particles for each end of each element; they do not depend on the design."""
+        """Particles at the ends (and middles) of the elements; they do not depend on the design."""
         return self._points
 
     def section_forces(self, motion: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 6 k"]:
