@@ -26,7 +26,7 @@ SPLIT = {
     "gap 1e-4": [0, 0, 0, 0],
 }
 # The distance to the neighbor limits what can be known: as a crossing to O(gap), as distinct to O(rounding / gap^2).
-VECTOR_TOLERANCE = {"gap 1e-8": 1e-8, "gap 1e-4": 1e-7}
+VECTOR_TOLERANCE = {"gap 1e-8": 1e-8, "gap 1e-4": 3e-8}
 
 
 def branches(family: Family, **options):

@@ -34,9 +34,11 @@ from torch.func import jvp
 
 from torchmbd.errors import InputError
 from torchmbd.numerics.sparse import SparseMatrix
-from torchmbd.reduction.basis import CLUSTER, open_pencil, solve
+from torchmbd.reduction.basis import CLUSTER, open_pencil, rounding, solve
+from torchmbd.reduction.eigenpairs import clusters
 from torchmbd.reduction.forms import Dense, Diagonal
 from torchmbd.reduction.series import retained_series
+from torchmbd.reduction.sharpen import Sharpen
 from torchmbd.reduction.transport import Pencil
 
 Matrix = Tensor | SparseMatrix
@@ -83,6 +85,7 @@ def eigenpair_branches(
         return K, M
 
     values, psi = solve(pencil, n, K, M, cluster)
+    psi = psi @ Sharpen.apply(pencil, K, M, psi, ~clusters(values, rounding(pencil, K, M), cluster))
     series = taylor(along, orders)
     Psi, Kr = retained_series(pencil, values, psi, [K for K, _ in series], [M for _, M in series])
     found = sorted(_split(Kr, cluster, values.abs().max().item(), 0), key=lambda branch: branch.order)

@@ -14,7 +14,8 @@ What happens where eigenvalues meet, C being the block of dKr that belongs to th
 - *Vectors closer than `cluster`*: dR = 0 within. The cluster moves as a span, without turning in itself: its
 projector and
   all responses are right, and no individual derivative is pretended. (Individual vectors are known to rounding / gap,
-  and their derivatives to rounding / gap^2, whatever the method.)
+  and their derivatives to rounding / gap^2, whatever the method: of K and M rounded to double precision more is not to be
+  had. sharpen.py gets that far.)
 - *Eigenvalues that are repeated*, that is, closer than rounding can tell. Forward mode: the eigenvalues of C in rising
   order, the one-sided derivatives of the sorted eigenvalues along each direction. They are not linear in the
   direction, for no linear derivative exists where the C of several variables do not commute. Reverse mode: the mean of
@@ -36,6 +37,7 @@ from torch import Tensor
 
 from torchmbd.numerics.sparse import SparseMatrix
 from torchmbd.reduction.basis import CLUSTER, modal_basis, open_pencil, rounding
+from torchmbd.reduction.sharpen import Sharpen
 from torchmbd.reduction.transport import SECOND
 
 
@@ -55,15 +57,24 @@ def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, clust
     """
     basis = modal_basis(K, M, n, cluster)
     pencil, K_values, M_values, lanes = open_pencil(K, M, n)
-    known_to = rounding(pencil, K_values.detach(), M_values.detach()).reshape(lanes)
-    values, R = _Split.apply(basis.stiffness, known_to, cluster)
-    return Eigenpairs(values, basis.vectors @ R)
+    K_values, M_values, Kr, psi = (x.detach() for x in (K_values, M_values, *basis[::-1]))
+    known_to = rounding(pencil, K_values, M_values)
+    values = Kr.diagonal(dim1=-2, dim2=-1).reshape(-1, n)
+    apart = ~clusters(values, known_to, cluster)
+    turn = Sharpen.apply(pencil, K_values, M_values, psi.reshape(-1, *psi.shape[-2:]), apart).reshape(*lanes, n, n)
+    values, R = _Split.apply(turn.mT @ basis.stiffness @ turn, known_to.reshape(lanes), cluster)
+    return Eigenpairs(values, basis.vectors @ (turn @ R))
 
 
 def _together(values: Tensor, distance: Tensor) -> Tensor:
     """Which sorted eigenvalues [..., n] are chained by steps of at most `distance` [..., n - 1 or 1]: [..., n, n]."""
     label = torch.nn.functional.pad((values.diff(dim=-1) > distance).cumsum(-1), (1, 0))
     return label[..., :, None] == label[..., None, :]
+
+
+def clusters(values: Tensor, known_to: Tensor, cluster: float) -> Tensor:
+    """Which eigenvalues are too near to have vectors of their own [..., n, n]."""
+    return _together(values, torch.maximum(cluster * values[..., 1:].abs(), known_to[..., None]))
 
 
 class _Split(torch.autograd.Function):
@@ -105,7 +116,7 @@ class _Split(torch.autograd.Function):
 
 def _inverse_gaps(values: Tensor, known_to: Tensor, cluster: float) -> Tensor:
     """1 / (lambda_i - lambda_j) at [j, i], zero within clusters."""
-    together = _together(values, torch.maximum(cluster * values[..., 1:].abs(), known_to[..., None]))
+    together = clusters(values, known_to, cluster)
     gaps = values[..., None, :] - values[..., :, None]
     return torch.where(together, 0.0, 1 / torch.where(together, 1.0, gaps))
 
