@@ -20,11 +20,20 @@ VARIANTS = {
     "mmfd-conjugate": ("mmfd", {"metric": "conjugate"}),
     "mmfd-second-order": ("mmfd", {"second_order": True}),
 }
-needs_nlopt = pytest.mark.skipif(find_spec("nlopt") is None, reason="nlopt is not installed")
 GRADIENT_FREE = ["differential_evolution"]  # slow and inexact: tests/optimizers/test_evolution.py
-REGISTERED = [m for m in sorted(OPTIMIZERS) if m not in GRADIENT_FREE]
-METHODS = [pytest.param(m, marks=needs_nlopt) if m in ("mma", "ccsaq") else m for m in (*REGISTERED, *VARIANTS)]
-CURVED = [m for m in METHODS if isinstance(m, str)]  # methods that learn curvature
+PACKAGES = {"mma": "nlopt", "ccsaq": "nlopt", "ipopt": "cyipopt"}
+
+
+def case(name: str):
+    """Return the method's name, to be skipped where its package is not installed."""
+    package = PACKAGES.get(name)
+    missing = package is not None and find_spec(package) is None
+    return pytest.param(name, marks=pytest.mark.skipif(missing, reason=f"{package} is not installed"))
+
+
+REGISTERED = [name for name in sorted(OPTIMIZERS) if name not in GRADIENT_FREE]
+METHODS = [case(name) for name in (*REGISTERED, *VARIANTS)]
+CURVED = [m for m in METHODS if m.values[0] not in ("mma", "ccsaq")]  # methods that learn curvature
 
 
 def solve(problem, case: str, **arguments):
@@ -312,7 +321,7 @@ def test_equalities_are_met_or_refused(method):
         "line", [4.0, 4.0], lambda x: x[0] ** 2 + 2 * x[1] ** 2 + 1, lambda x: [x[0] + x[1] - 3], lower=-9, upper=9
     )
     problem.equalities = [0]
-    if method in ("slsqp", "trust-constr"):
+    if method in ("slsqp", "trust-constr", "ipopt"):
         result = solve(problem, method, max_iterations=200)
         assert result.status == "converged"
         assert np.allclose(result.x, [2, 1], atol=1e-3)

@@ -1,6 +1,7 @@
 """Optimizers behind one door: arrays only, no mechanics."""
 
 from torchmbd.optimizers import evolution as evolution
+from torchmbd.optimizers import ipopt as ipopt
 from torchmbd.optimizers import mmfd as mmfd
 from torchmbd.optimizers import moving_asymptotes as moving_asymptotes
 from torchmbd.optimizers import slsqp as slsqp

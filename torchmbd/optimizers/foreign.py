@@ -119,7 +119,11 @@ def run_foreign(search: Search, run: Callable[[Guard], Stop], max_iterations: in
     first = search.begin()
     if not first.ok:
         return Ending(search.start, "failed", f"the start could not be evaluated: {first.status}")
-    y = departure(search, first)[0]
+    y, here = departure(search, first)
+    assert here.objective_gradient is not None
+    if search.violation(here) <= search.feasibility and not here.objective_gradient.any():
+        # Interior point methods would leave for the middle of the bounds.
+        return Ending(y, "converged", "the gradient is zero")
     walls: list[np.ndarray] = []
     unit, message = 1.0, ""
     for number in range(RUNS):
