@@ -132,7 +132,7 @@ def fixed_against_updated(folder: Path, cells: tuple[int, int], steps: int) -> d
             print(f"{number} ({degrees:4.0f} deg)  {place:7s} {sizes}  {share}", flush=True)
             found[f"layup_{number}_{place}_sensitivity"] = largest(updated)
             found[f"layup_{number}_{place}_fixed_minus_updated"] = difference
-            if place == "edge" and number in FIGURES:
+            if place == "edge" and number in (1, 7):
                 title = f"lay-up {number}: {degrees:g} degrees, mid node of the long edge"
                 save(curves(t, {"updated modes": updated, "fixed modes": fixed}, title), folder / FIGURES[number])
     return found
@@ -173,6 +173,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--folder", type=Path, help="where the figures go; default: the working folder")
     parser.add_argument("--track", action="store_true", help="log numbers and figures to MLflow, too")
+    parser.add_argument("--uri", help="MLflow store to log to; default: that of torchmbd run")
     parser.add_argument("--cells", default="12x2", help="mesh of the rod")
     parser.add_argument("--steps", type=int, default=300, help="time steps")
     arguments = parser.parse_args()
@@ -181,7 +182,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         folder = arguments.folder or (Path(scratch) if arguments.track else Path.cwd())
         folder.mkdir(parents=True, exist_ok=True)
-        tracker = ProcessTracker("slider_crank") if arguments.track else None
+        tracker = ProcessTracker("slider_crank", arguments.uri) if arguments.track else None
         numbers = run(folder, (length, width), arguments.steps)
         if tracker is not None:
             tracker.begin("figures", "figures4_7", params={"cells": arguments.cells, "steps": arguments.steps})
@@ -189,7 +190,8 @@ def main() -> None:
             for file in sorted(folder.glob("figure[4-7].*")):
                 tracker.artifact("figures", file, "figures")
             tracker.end("figures", "FINISHED")
-            tracker.close()
+            record = tracker.close()
+            print(f"logged to {record.uri} as run {record.runs['figures']}")
 
 
 if __name__ == "__main__":

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 import torch
 from torch.func import functional_call, jvp
 
 import torchmbd as mbd
 from tests.mechanisms import laminate, plate
+from torchmbd.experiment.load import load
+from torchmbd.reduction import CraigBampton, VibrationModes
 
 ANGLES = mbd.deg([20.0, -50.0, 75.0])
 DIRECTION = torch.tensor([0.7, -0.4, 1.0], dtype=torch.float64)
@@ -116,3 +120,20 @@ def test_bad_input_is_named(given, words):
         plate("plate", made_of=laminate(), **given)
     for word in [*words, "allowed"]:
         assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "reduction"),
+    [
+        (["options.updated=false"], VibrationModes(8, (), False)),
+        (["options.reduction=craig-bampton", "options.interface=[left, right]", "options.modes=2"], CraigBampton),
+    ],
+)
+def test_experiment_files_reach_the_reductions(overrides, reduction):
+    file = Path(__file__).parents[2] / "configs" / "slider_crank" / "l1_energy_integral.yaml"
+    found = load(file, overrides).system.body("rod")
+    if isinstance(reduction, VibrationModes):
+        assert found.reduction == reduction
+    else:
+        assert isinstance(found.reduction, reduction)
+        assert (found.reduction.n, found.modes) == (2, 14)
