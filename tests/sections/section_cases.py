@@ -79,6 +79,19 @@ def sixteen_plies(turn: float = 0.0, soft_bottom: bool = False) -> Section:
     return Section(mesh, plies, mbd.deg([*half, *(-x for x in half)]))
 
 
+def channel(
+    turn: float = 0.0, shift: tuple[float, float] = (0.0, 0.0), cells: tuple[int, int, int] = (16, 30, 3)
+) -> Section:
+    """ANBA4's channel: back of height 2 at y = 0, flanges of width 1, thickness 0.1, open to +y; then turned and moved."""
+    flange, back, through = cells
+    t, y, z = 0.1, line(0.1, 1.0, flange, 2), line(-0.9, 0.9, back, 2)
+    corner, low, high = line(0.0, t, through, 2), line(-1.0, -0.9, through, 2), line(0.9, 1.0, through, 2)
+    grids = [grid(corner, z), *(grid(x, rim) for rim in (low, high) for x in (corner, y))]
+    c, s = math.cos(turn), math.sin(turn)
+    patches = [Patch(points @ np.array([[c, s], [-s, c]]) + np.array(shift), 0) for points in grids]
+    return Section(joined(patches, 2), Orthotropic.isotropic(1.0, 0.33, 1.0))
+
+
 def largest_error(K: Tensor, reference: dict[tuple[int, int], float]) -> float:
     """Largest relative difference to the entries of a reference, by their indices from 1."""
     return max(abs(float(K[i - 1, j - 1]) / value - 1.0) for (i, j), value in reference.items())

@@ -201,6 +201,30 @@ def test_anba4_turned_plies_with_a_soft_one_on_its_mesh():
     assert float((K / printed - 1.0).abs().max()) < 1e-6
 
 
+def test_anba4_channel_turned_and_moved():
+    """Thin and open, by 30 degrees about a corner and off the origin: shear, torsion and bending all coupled."""
+    printed = torch.tensor(
+        [
+            [4.9983692052e-2, -6.4216083302e-3, 0, 0, 0, -6.0014130758e-2],
+            [-6.4216083302e-3, 5.7386051916e-2, 0, 0, 0, 1.6258740045e-1],
+            [0, 0, 3.7999999999938e-1, 4.3449999999927e-1, -1.2343967690105, 0],
+            [0, 0, 4.3449999999927e-1, 6.7776666666572e-1, -1.3277487113035, 0],
+            [0, 0, -1.2343967690105, -1.3277487113035, 4.0941472807348, 0],
+            [-6.0014130758e-2, 1.6258740045e-1, 0, 0, 0, 4.9662070025e-1],
+        ],
+        dtype=torch.float64,
+    )
+    made = cases.channel(torch.pi / 6, (3.0, 1.0))
+    K = becas(made)
+    scale = (printed.diagonal()[:, None] * printed.diagonal()).sqrt()
+    assert float(((K - printed) / scale).abs().max()) < 1e-3  # other meshes at the inner corners
+    torsion = 4.74048372e-4  # about its shear center
+    S = made.compliance().detach()
+    assert 1 / float(S[3, 3]) == pytest.approx(torsion, rel=5e-3)
+    height = float(made.mass()[0, 4]) / 0.38
+    assert height == pytest.approx(4.345e-1 / 0.38, rel=1e-9)
+
+
 def test_stresses_in_the_pipe():
     """Axial stress through the upper wall under a bending moment of 1000 lb in.
 
