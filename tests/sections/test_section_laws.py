@@ -9,7 +9,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.sections.section_cases import ANBA, AS4, general_section, scaled
 from torchmbd import sections
-from torchmbd.sections import Section, SectionMesh
+from torchmbd.sections import Section, SectionMesh, warping
 from torchmbd.sections.orthotropic import strain_rotation, turned
 
 
@@ -48,6 +48,27 @@ def test_reactions_at_the_held_nodes_are_zero(made):
     reaction = g.warp_force(stress[..., classical])
     size = g.warp_force(g.stress(D, g.rigid_strain(torch.eye(6, dtype=torch.float64)))).abs().max() * strain.abs().max()
     assert float(reaction.abs().max()) < 1e-11 * float(size)
+
+
+def test_where_the_section_is_held_does_not_matter(made, monkeypatch):
+    """Other nodes hold the rigid motions: the same matrix and the same stresses."""
+    monkeypatch.setattr(warping, "_held", lambda yz: [0, 1, 2, 3 * len(yz) - 1])
+    other = Section(made.mesh, ANBA, made.angles.detach())
+    assert other.problem.held.tolist() != made.problem.held.tolist()
+    assert_close(scaled(other.stiffness().detach()), scaled(made.stiffness().detach()), rtol=0, atol=1e-10)
+    load = [30.0, -20.0, 10.0, 0.4, 0.3, -0.5]
+    one, two = (s.stress(load).stress.detach() for s in (made, other))
+    assert_close(one, two, rtol=0, atol=1e-8 * float(one.abs().max()))
+
+
+def test_five_thousand_elements():
+    """A fine box against a coarse one: nothing is lost in the factorization of 50,000 freedoms."""
+    coarse, fine = (
+        sections.box(0.953, 0.53, AS4, mbd.deg([-15.0] * 6), 0.005, cells=cells)
+        for cells in ((20, 12, 1), (266, 150, 1))
+    )
+    assert len(fine.mesh.layer) == 4992
+    assert_close(scaled(fine.stiffness().detach()), scaled(coarse.stiffness().detach()), rtol=0, atol=2e-3)
 
 
 @pytest.mark.parametrize(("shift", "turn"), [((0.02, -0.03), 0.0), ((0.0, 0.0), 0.7), ((-0.01, 0.04), 2.1)])
