@@ -78,6 +78,22 @@ def test_operation_against_jvp(name, carries, lanes):
         assert_close(result.tangent[..., k : k + 1, :], slope, rtol=1e-14, atol=1e-14)
 
 
+@pytest.mark.parametrize(("name", "carries", "lanes"), list(cases()))
+def test_operation_on_pairs_kept_apart(name, carries, lanes):
+    """The form for compilation gives the same numbers."""
+    if not any(carries):
+        return
+    f, *shapes = OPERATIONS[name]
+    make = torch.Generator().manual_seed(5)
+    numbers = [number(shape, n, make) for shape, n in zip(shapes, lanes, strict=True)]
+    expected = f(*(x if c else x.value for x, c in zip(numbers, carries, strict=True)))
+    with pair.separate():
+        apart = [Pair.of(x.value, x.tangent) for x in numbers]
+        result = f(*(x if c else x.value for x, c in zip(apart, carries, strict=True)))
+        assert result.shape == expected.shape
+        assert_close(result.full, expected.full, rtol=1e-14, atol=1e-14)
+
+
 def test_pair_of_a_value_with_fewer_lanes():
     value, tangent = torch.randn(3, 1, 1, dtype=torch.float64), torch.randn(3, 2, 4, dtype=torch.float64)
     both = Pair.of(value, tangent)

@@ -35,7 +35,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.integrators.step import Model, State, Weights
-from torchmbd.numerics.pair import Pair
+from torchmbd.numerics.pair import Pair, separate
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Prescribed, Topology
@@ -92,11 +92,15 @@ class Signature:
 
     def unpack(self, arrays: list[Tensor]) -> dict[str, Any]:
         """Data by name."""
-        return {n: Pair(x) if p else x for n, x, p in zip(self.names, arrays, self.pairs, strict=True)}
+        return {n: _pair(x) if p else x for n, x, p in zip(self.names, arrays, self.pairs, strict=True)}
 
     def state(self, arrays: list[Tensor]) -> State:
         """A state of arrays."""
-        return State(*(Pair(x) if self.tangents else x for x in arrays))
+        return State(*(_pair(x) if self.tangents else x for x in arrays))
+
+
+def _pair(full: Tensor) -> Pair:
+    return Pair.of(full[..., :1, :], full[..., 1:, :]) if torch.compiler.is_exporting() else Pair(full)
 
 
 def bare(T: Topology) -> Topology:
@@ -329,7 +333,7 @@ def _package(module: _Operation, name: str, T: Topology, signature: Signature, p
         [{0: batch} if x is H else {2: batch} for x in rest],
     )
     weights = torch.rand(len(Weights._fields), dtype=torch.float64)
-    with torch.no_grad():
+    with torch.no_grad(), separate():
         program = torch.export.export(module, (weights, state, data, given, rest), dynamic_shapes=dims, strict=False)
         torch._inductor.aoti_compile_and_package(program, package_path=str(path))
 

@@ -109,13 +109,13 @@ def integrate(
         x = left.initial.condensation.state(x)
     model = compiled.CompiledModel.of(left, x, w) or Model(left.topology, left.saddle, w, left.data)
     march = _March(left, model, iterations, refresh)
-    times = [torch.tensor(i * h, dtype=torch.float64) for i in range(steps + 1)]
+    times = h * torch.arange(steps + 1, dtype=torch.float64)
     states = [x]
-    for i in range(steps):
-        states.append(march(i, states[-1], left.topology.prescribed(times[i + 1])))
+    for i, given in enumerate(left.topology.schedule(times[1:])):
+        states.append(march(i, states[-1], given))
     history = History.of(states)
     statistics = {"steps": steps, "step_size": h} | march.errors(history)
-    return _whole(dynamics, left, torch.stack(times), history), statistics
+    return _whole(dynamics, left, times, history), statistics
 
 
 def _whole(dynamics: Dynamics, left: Dynamics, times: Tensor, history: History) -> History:

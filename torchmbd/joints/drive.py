@@ -26,6 +26,10 @@ class ConstantSpeed:
     def __call__(self, t: Tensor) -> Tensor:
         return self.speed * t
 
+    def slopes(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Angle, speed and acceleration at the times t."""
+        return self.speed * t, torch.full_like(t, self.speed), torch.zeros_like(t)
+
 
 class Drive(Joint):
     """`Drive(a, b, axis="z", speed=...)` or `Drive(a, b, axis="z", angle=law)`.

@@ -156,33 +156,42 @@ def _row(x):
     return x.map(_row) if isinstance(x, Jet) else x[None]
 
 
-def prescribed(laws: Sequence[Law], t: Tensor, derivatives: bool = False) -> tuple:
-    """(cos th, sin th) of prescribed angles at time t, [n, 1, 1] each; jets with their time derivatives if asked for."""
+def angles(law: Law, times: Tensor) -> Tensor:
+    """Angles at many times [n]; a law is a function of one time unless it states its slopes, which take many."""
+    return law(times) if hasattr(law, "slopes") else torch.stack([law(t) for t in times])
 
-    def angles(s: Tensor) -> Tensor:
-        return torch.stack([law(s) for law in laws])[:, None, None]
 
-    if not derivatives:
-        th = angles(t)
-        return torch.cos(th), torch.sin(th)
+def prescribed(laws: Sequence[Law], times: Tensor) -> tuple[Tensor, Tensor]:
+    """(cos th, sin th) of prescribed angles at times [n], each [n, laws, 1, 1]."""
+    th = torch.stack([angles(law, times) for law in laws], 1)[..., None, None]
+    return torch.cos(th), torch.sin(th)
 
-    jet = Jet(*_slopes(angles, t))
+
+def prescribed_jets(laws: Sequence[Law], t: Tensor) -> tuple[Jet, Jet]:
+    """(cos th, sin th) of prescribed angles at time t, with their time derivatives, parts [laws, 1, 1]."""
+    parts = zip(*(slopes(law, t) for law in laws), strict=True)
+    jet = Jet(*(torch.stack(part)[:, None, None] for part in parts))
     return cos(jet), sin(jet)
 
 
-def _slopes(f: Law, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """A function of time with its first and second derivatives."""
+def slopes(law: Law, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """A law with its first and second derivatives at time t; a law may state them itself by a method of this name."""
+    own = getattr(law, "slopes", None)
+    if own is not None:
+        return own(t)
 
     def rates(s: Tensor) -> tuple:
-        return torch.func.jvp(f, (s,), (torch.ones_like(s),))
+        return torch.func.jvp(law, (s,), (torch.ones_like(s),))
 
     (x, velocity), (_, acceleration) = torch.func.jvp(rates, (t,), (torch.ones_like(t),))[:2]
     return x, velocity, acceleration
 
 
-def derivatives(law: Law, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """A law with its first and second derivatives at many times [n] each."""
-    return tuple(torch.stack(x) for x in zip(*(_slopes(law, t) for t in times), strict=True))  # pyright: ignore
+def slopes_at(law: Law, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The same at many times, [n] each."""
+    if hasattr(law, "slopes"):
+        return slopes(law, times)
+    return tuple(torch.stack(x) for x in zip(*(slopes(law, t) for t in times), strict=True))  # pyright: ignore
 
 
 KINDS: tuple[type[Primitive], ...] = (Coincide, Plane, Distance, Perpendicular, Angle)

@@ -10,6 +10,9 @@ A number of the motion stage is a plain tensor or a `Pair`. Both end with a slot
 Value and tangents share one tensor, so a linear map is one operator, and a product two. An eager operator costs about
 5 us whatever its size: this counts more than flops, and it is 3-6 times cheaper than functorch.
 
+For compilation the two are kept apart (`separate`): a compiler fuses elementwise operators whatever their number, but a
+write into a slice keeps it from using vector instructions.
+
 The functions below take tensors and pairs alike. Component axes are counted from the front, so one index means the
 same for both. Plain tensors are differentiable in reverse mode as any torch code.
 Checked in tests/numerics/test_pair.py against torch.func.jvp.
@@ -17,7 +20,8 @@ Checked in tests/numerics/test_pair.py against torch.func.jvp.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import torch
@@ -32,11 +36,13 @@ class Pair:
     def __init__(self, full: Tensor):
         self.full = full
 
-    @classmethod
-    def of(cls, value: Tensor, tangent: Tensor) -> Pair:
+    @staticmethod
+    def of(value: Tensor, tangent: Tensor) -> Pair:
         """Join a value [component..., 1, lane] and its tangents [component..., n_b, lane]."""
+        if _separate:
+            return _Apart(value, tangent)
         lanes = max(value.shape[-1], tangent.shape[-1])
-        return cls(torch.cat([x.expand(*x.shape[:-1], lanes) for x in (value, tangent)], -2))
+        return Pair(torch.cat([x.expand(*x.shape[:-1], lanes) for x in (value, tangent)], -2))
 
     @property
     def value(self) -> Tensor:
@@ -50,51 +56,116 @@ class Pair:
     def shape(self) -> torch.Size:
         return self.full.shape
 
+    def map(self, f: Callable[[Tensor], Tensor]) -> Pair:
+        """Apply a linear map of the component axes."""
+        return Pair(f(self.full))
+
+    def plus(self, other: Any, sign: float) -> Pair:
+        """self + sign other."""
+        full = other.full if isinstance(other, Pair) else _zero_tangents(other, self.full)
+        return Pair(torch.add(self.full, full, alpha=sign))
+
+    def times(self, other: Pair, f: Callable[[Tensor, Tensor], Tensor]) -> Pair:
+        """The product rule for a bilinear f: [a, da] b, then a db is added to the tangents."""
+        full = f(self.full, other.value)
+        if f is torch.mul:
+            full[..., 1:, :].addcmul_(self.value, other.tangent)
+        else:
+            full[..., 1:, :] += f(self.value, other.tangent)
+        return Pair(full)
+
     def __getitem__(self, index: Any) -> Pair:
-        return Pair(self.full[index])
+        return self.map(lambda x: x[index])
 
     def __neg__(self) -> Pair:
-        return Pair(-self.full)
+        return self.map(torch.neg)
 
     def __add__(self, other: Any) -> Pair:
-        if isinstance(other, Pair):
-            return Pair(self.full + other.full)
-        return Pair(self.full + _zero_tangents(other, self.full))
+        return self.plus(other, 1.0)
 
     __radd__ = __add__
 
     def __sub__(self, other: Any) -> Pair:
-        if isinstance(other, Pair):
-            return Pair(self.full - other.full)
-        return Pair(self.full - _zero_tangents(other, self.full))
+        return self.plus(other, -1.0)
 
     def __rsub__(self, other: Any) -> Pair:
-        return Pair(_zero_tangents(other, self.full) - self.full)
+        return (-self).plus(other, 1.0)
 
     def __mul__(self, other: Any) -> Pair:
-        if isinstance(other, Pair):
-            return _product(torch.mul, self, other)
-        return Pair(self.full * other)
+        return self.times(other, torch.mul) if isinstance(other, Pair) else self.map(lambda x: x * other)
 
     __rmul__ = __mul__
 
     def sum(self, dim: int | tuple[int, ...]) -> Pair:
-        return Pair(self.full.sum(dim))
+        return self.map(lambda x: x.sum(dim))
 
     def transpose(self, i: int, j: int) -> Pair:
-        return Pair(self.full.transpose(i, j))
+        return self.map(lambda x: x.transpose(i, j))
 
     def unsqueeze(self, dim: int) -> Pair:
-        return Pair(self.full.unsqueeze(dim))
+        return self.map(lambda x: x.unsqueeze(dim))
 
     def unflatten(self, dim: int, sizes: Sequence[int]) -> Pair:
-        return Pair(self.full.unflatten(dim, sizes))
+        return self.map(lambda x: x.unflatten(dim, sizes))
 
     def flatten(self, start: int, end: int) -> Pair:
-        return Pair(self.full.flatten(start, end))
+        return self.map(lambda x: x.flatten(start, end))
 
     def index_select(self, dim: int, index: Tensor) -> Pair:
-        return Pair(self.full.index_select(dim, index))
+        return self.map(lambda x: x.index_select(dim, index))
+
+
+class _Apart(Pair):
+    """The same with value and tangents in two tensors, which may differ in lanes: one or all."""
+
+    __slots__ = ("_tangent", "_value")
+
+    def __init__(self, value: Tensor, tangent: Tensor):
+        self._value, self._tangent = value, tangent
+
+    @property
+    def full(self) -> Tensor:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return torch.cat(_same_lanes([self._value, self._tangent]), -2)
+
+    @property
+    def value(self) -> Tensor:
+        return self._value
+
+    @property
+    def tangent(self) -> Tensor:
+        return self._tangent
+
+    @property
+    def shape(self) -> torch.Size:
+        slots = 1 + self._tangent.shape[-2]
+        lanes = max(self._value.shape[-1], self._tangent.shape[-1])
+        return torch.Size((*self._value.shape[:-2], slots, lanes))
+
+    def map(self, f: Callable[[Tensor], Tensor]) -> Pair:
+        return _Apart(f(self._value), f(self._tangent))
+
+    def plus(self, other: Any, sign: float) -> Pair:
+        if isinstance(other, Pair):
+            return _Apart(self._value + sign * other.value, self._tangent + sign * other.tangent)
+        total = self._value + sign * other
+        return _Apart(total, self._tangent.expand(*total.shape[:-2], *self._tangent.shape[-2:]))
+
+    def times(self, other: Pair, f: Callable[[Tensor, Tensor], Tensor]) -> Pair:
+        return _Apart(f(self._value, other.value), f(self._tangent, other.value) + f(self._value, other.tangent))
+
+
+_separate = False
+
+
+@contextmanager
+def separate() -> Iterator[None]:
+    """Keep values and tangents of the pairs made here apart."""
+    global _separate
+    _separate = True
+    try:
+        yield
+    finally:
+        _separate = False
 
 
 def _zero_tangents(x: Tensor | float, like: Tensor) -> Tensor:
@@ -115,24 +186,14 @@ def value(x: Any) -> Tensor:
 
 def linear(f: Callable[[Tensor], Tensor], x: Any) -> Any:
     """Apply a linear map to the component axes."""
-    return Pair(f(x.full)) if isinstance(x, Pair) else f(x)
-
-
-def _product(f: Callable[[Tensor, Tensor], Tensor], a: Pair, b: Pair) -> Pair:
-    """The product rule: [a, da] b, then a db is added to the tangents."""
-    full = f(a.full, b.value)
-    if f is torch.mul:
-        full[..., 1:, :].addcmul_(a.value, b.tangent)
-    else:
-        full[..., 1:, :] += f(a.value, b.tangent)
-    return Pair(full)
+    return x.map(f) if isinstance(x, Pair) else f(x)
 
 
 def bilinear(f: Callable[[Tensor, Tensor], Tensor], a: Any, b: Any) -> Any:
     """Apply a map that is linear in each of two numbers."""
     if isinstance(a, Pair):
-        return _product(f, a, b) if isinstance(b, Pair) else Pair(f(a.full, b))
-    return Pair(f(a, b.full)) if isinstance(b, Pair) else f(a, b)
+        return a.times(b, f) if isinstance(b, Pair) else a.map(lambda x: f(x, b))
+    return b.map(lambda x: f(a, x)) if isinstance(b, Pair) else f(a, b)
 
 
 def contract(a: Any, b: Any, dims: int | tuple[int, ...]) -> Any:
@@ -143,7 +204,7 @@ def contract(a: Any, b: Any, dims: int | tuple[int, ...]) -> Any:
 def function(f: Callable[[Tensor], Tensor], df: Callable[[Tensor], Tensor], x: Any) -> Any:
     """Apply a scalar function, elementwise, given with its derivative."""
     if isinstance(x, Pair):
-        return Pair(torch.cat([f(x.value), df(x.value) * x.tangent], -2))
+        return Pair.of(f(x.value), df(x.value) * x.tangent)
     return f(x)
 
 
@@ -159,11 +220,9 @@ def combine(x: Any, factor: Any, y: Any) -> Any:
     """x + factor y, for a factor without axes."""
     if isinstance(factor, Tensor):
         return x + factor * y
-    if isinstance(x, Pair) and isinstance(y, Pair):
-        return Pair(torch.add(x.full, y.full, alpha=factor))
-    if isinstance(x, Pair) or isinstance(y, Pair):
-        return x + factor * y
-    return torch.add(x, y, alpha=factor)
+    if isinstance(x, Pair):
+        return x.plus(y, factor) if isinstance(y, Pair) else x + factor * y
+    return x + factor * y if isinstance(y, Pair) else torch.add(x, y, alpha=factor)
 
 
 def cat(parts: Sequence[Any], dim: int = 0) -> Any:
@@ -171,10 +230,17 @@ def cat(parts: Sequence[Any], dim: int = 0) -> Any:
     pairs = [x for x in parts if isinstance(x, Pair)]
     if not pairs:
         return torch.cat(_same_lanes(list(parts)), dim)
+    if _separate:
+        nothing = pairs[0].tangent
+        parts = [x if isinstance(x, Pair) else _Apart(x, _no_tangents(x, nothing)) for x in parts]
+        return _Apart(*(torch.cat(_same_lanes(list(both)), dim) for both in zip(*((x.value, x.tangent) for x in parts))))
     like = pairs[0].full
-    return Pair(
-        torch.cat(_same_lanes([x.full if isinstance(x, Pair) else _zero_tangents(x, like) for x in parts]), dim)
-    )
+    full = [x.full if isinstance(x, Pair) else _zero_tangents(x, like) for x in parts]
+    return Pair(torch.cat(_same_lanes(full), dim))
+
+
+def _no_tangents(x: Tensor, like: Tensor) -> Tensor:
+    return like.new_zeros(1).expand(*x.shape[:-2], *like.shape[-2:])
 
 
 def _same_lanes(parts: list[Tensor]) -> list[Tensor]:

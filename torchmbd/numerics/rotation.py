@@ -73,8 +73,8 @@ def exponential(delta):
         c, s, _ = _half_angle(quarter)
         return cat([c[None], delta * (0.5 * s)])
     c, s, slope = _half_angle(quarter.value)
-    cosine = Pair(torch.cat([c, (-0.5 * s) * quarter.tangent], -2))
-    sinc = Pair(torch.cat([s, slope * quarter.tangent], -2))
+    cosine = Pair.of(c, (-0.5 * s) * quarter.tangent)
+    sinc = Pair.of(s, slope * quarter.tangent)
     return cat([cosine[None], delta * (0.5 * sinc)])
 
 

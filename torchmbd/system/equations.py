@@ -177,7 +177,7 @@ def constraint_jets(T: Topology, at: Placement, data: Data, v, a, t: Tensor) -> 
     assert not T.carriers
     parts = [T.arguments(part) for part in vector_jets(T, at, data, v, a).parts]
     phi = []
-    for i, (primitive, drive) in enumerate(zip(T.primitives, T.laws(t, derivatives=True), strict=True)):
+    for i, (primitive, drive) in enumerate(zip(T.primitives, T.law_jets(t), strict=True)):
         members = [Jet(*x) for x in zip(*(part[i] for part in parts), strict=True)]
         phi.append(primitive.phi(members, drive).map(lambda x: x.flatten(0, 1)))
     return Jet(*(cat([jet.parts[k] for jet in phi]) for k in range(3)))

@@ -27,7 +27,7 @@ from torch import Tensor
 from torchmbd.bodies import Ground
 from torchmbd.errors import InputError
 from torchmbd.joints.joint import Attached, Equation, Joint, Scribe
-from torchmbd.joints.primitive import KINDS, Primitive, derivatives, prescribed
+from torchmbd.joints.primitive import KINDS, Primitive, angles, prescribed, prescribed_jets, slopes_at
 from torchmbd.numerics.pair import cat, linear
 from torchmbd.numerics.rotation import euler_parameters, quaternion_product
 
@@ -100,13 +100,14 @@ class Carrier:
     center: Tensor
     law: Any = None
 
-    def pose(self, t: Tensor) -> tuple[Tensor, Tensor]:
-        """Rotation [3, 3] and origin [3] at a time."""
+    def poses(self, times: Tensor) -> tuple[Tensor, Tensor]:
+        """Rotations [3, 3, n] and origins [3, n] at times [n]."""
         if self.law is None:
-            return self.A, self.r
-        angle = self.law(t) - self.law(torch.zeros_like(t))
-        turn = torch.sin(angle) * self.spin + (1.0 - torch.cos(angle)) * (self.spin @ self.spin)
-        return self.A + turn @ self.A, self.r + turn @ (self.r - self.center)
+            return self.A[..., None].expand(3, 3, len(times)), self.r[:, None].expand(3, len(times))
+        angle = angles(self.law, times) - self.law(torch.zeros_like(times[0]))
+        turn = torch.sin(angle) * self.spin[..., None] + (1.0 - torch.cos(angle)) * (self.spin @ self.spin)[..., None]
+        A = self.A[..., None] + torch.einsum("ijn,jk->ikn", turn, self.A)
+        return A, self.r[:, None] + torch.einsum("ijn,j->in", turn, self.r - self.center)
 
     def turned(self, angle: Tensor) -> tuple[Tensor, Tensor]:
         """Euler parameters [n, 4] and origins [n, 3] at angles [n] from the start."""
@@ -122,7 +123,7 @@ class Carrier:
         if self.law is None:
             q = torch.cat([self.r, euler_parameters(self.A)])
             return q.expand(len(times), 7), q.new_zeros(len(times), 6), q.new_zeros(len(times), 6)
-        angle, rate, acceleration = (x[:, None] for x in derivatives(self.law, times))
+        angle, rate, acceleration = (x[:, None] for x in slopes_at(self.law, times))
         p, r = self.turned((angle - self.law(torch.zeros_like(times[0])))[:, 0])
         arm = (r - self.center) @ self.spin.T
         omega = (self.A.T @ _axis(self.spin)).expand(len(times), 3)
@@ -194,16 +195,24 @@ class Topology:
             start += n * len(primitive.members)
         return result
 
-    def laws(self, t: Tensor, derivatives: bool = False) -> list[tuple | None]:
-        """What the laws of driven primitives prescribe at time t, for each kind of primitive."""
-        return [prescribed(p.data, t, derivatives) if p.driven else None for p in self.primitives]
+    def law_jets(self, t: Tensor) -> list[tuple | None]:
+        """What the laws of driven primitives prescribe at time t, with time derivatives, for each kind of primitive."""
+        return [prescribed_jets(p.data, t) if p.driven else None for p in self.primitives]
 
     def prescribed(self, t: Tensor) -> Prescribed:
         """What is known at time t."""
-        poses = [carrier.pose(t) for carrier in self.carriers]
-        poses.append((torch.eye(3, dtype=t.dtype, device=t.device), torch.zeros(3, dtype=t.dtype, device=t.device)))
-        A, r = (torch.stack(x, -1)[..., None, None] for x in zip(*poses, strict=True))
-        return Prescribed(self.laws(t), A, r)
+        return self.schedule(t[None])[0]
+
+    def schedule(self, times: Tensor) -> list[Prescribed]:
+        """What is known at times [n], for each of them."""
+        n = len(times)
+        laws = [prescribed(p.data, times) if p.driven else None for p in self.primitives]
+        poses = [carrier.poses(times) for carrier in self.carriers]
+        eye = torch.eye(3, dtype=times.dtype, device=times.device)
+        poses.append((eye[..., None].expand(3, 3, n), times.new_zeros(3, n)))
+        A, r = (torch.stack(x, -2)[..., None, None].movedim(-3, 0).contiguous() for x in zip(*poses, strict=True))
+        at = [[None if law is None else tuple(x[i] for x in law) for law in laws] for i in range(n)]
+        return [Prescribed(*x) for x in zip(at, A, r, strict=True)]
 
     def row_slices(self) -> list[tuple[Primitive, slice]]:
         """Each kind of primitive with its rows among all."""
