@@ -35,6 +35,10 @@ def test_angles_of_the_section_are_the_parameters():
     assert [name for name, _ in tapered.named_parameters()] == ["section0.angles", "section1.angles"]
     with pytest.raises(InputError, match="2 sections for 4 elements of 'arm'"):
         mbd.FlexibleBody.beam("arm", BeamLine.straight(0.6, 4), [one, two])
+    with pytest.raises(InputError, match="line of 'arm' is a Mesh; allowed: a BeamLine"):
+        mbd.FlexibleBody.beam("arm", mbd.mesh.rectangle(1.0, 0.1, (2, 1)), one)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match="section is 'steel'; allowed: a Section or a GivenSection"):
+        mbd.FlexibleBody.beam("arm", BeamLine.straight(0.6, 4), "steel")  # pyright: ignore[reportArgumentType]
 
 
 def test_invariants_are_those_of_the_solid():

@@ -42,7 +42,9 @@ def test_any_nodes_and_branches():
     [
         ({"nodes": [[0, 0], [1, 0]]}, ["shape (2, 2)", "[n, 3]"]),
         ({"nodes": [[0, 0, 0], [1, math.nan, 0]]}, ["node 1", "finite"]),
-        ({"nodes": [[0, 0, 0], [1, 0, 0], [1, 0, 0]]}, ["element 1", "no length"]),
+        ({"nodes": [[0, 0, 0], [1, 0, 0], [1, 0, 0]]}, ["nodes 1 and 2 share one place"]),
+        ({"elements": [[0, 1], [1, 2], [1, 0]]}, ["elements 0 and 2 are duplicates", "[1, 0]"]),
+        ({"elements": [[0, 1], [2, 2]]}, ["element 1", "no length"]),
         ({"elements": [[0, 1], [1, 5]]}, ["element 1", "0 to 2"]),
         ({"elements": [[0, 1, 2]]}, ["shape (1, 3)", "[m, 2]"]),
         ({"elements": [[0, 1]]}, ["2 disconnected parts", "node 2"]),

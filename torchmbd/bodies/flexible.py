@@ -169,6 +169,8 @@ class FlexibleBody(nn.Module):
         offset, twist   of the section's axes from the line of the nodes: y, z [m] and angle [rad], or one for each element
         Others as in `plate`. The inertia of the section sits on rigid arms at the nodes (and middles, if consistent).
         """
+        if not isinstance(line, BeamLine):
+            raise InputError(f"line of {name!r} is a {type(line).__name__}; allowed: a BeamLine")
         parts: dict[str, Part] = {}
         given: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
         if len(given) != len(line.elements):

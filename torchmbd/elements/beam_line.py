@@ -89,6 +89,11 @@ def _check_nodes(nodes: Tensor) -> None:
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
         raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
+    twin = _repeated(nodes.numpy())
+    if twin:
+        raise InputError(
+            f"BeamLine: nodes {twin[0]} and {twin[1]} share one place {nodes[twin[1]].tolist()}; merge them"
+        )
 
 
 def _check_elements(nodes: Tensor, elements: Tensor) -> None:
@@ -99,6 +104,11 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
     if len(bad):
         raise InputError(
             f"BeamLine: element {int(bad[0])} has nodes {elements[bad[0]].tolist()}; allowed: 0 to {n - 1}"
+        )
+    twin = _repeated(np.sort(elements.numpy(), axis=1))
+    if twin:
+        raise InputError(
+            f"BeamLine: elements {twin[0]} and {twin[1]} are duplicates, nodes {elements[twin[1]].tolist()}"
         )
     length = (nodes[elements[:, 1]] - nodes[elements[:, 0]]).norm(dim=1)
     short = (length <= 1e-9 * length.max()).nonzero().flatten()
@@ -112,3 +122,10 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
         raise InputError(
             f"BeamLine: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
         )
+
+
+def _repeated(rows: np.ndarray) -> tuple[int, int] | None:
+    """The first row that repeats an earlier one, and that one."""
+    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    again = np.flatnonzero(first[inverse.ravel()] != np.arange(len(rows)))
+    return (int(first[inverse.ravel()[again[0]]]), int(again[0])) if len(again) else None
