@@ -22,6 +22,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.numerics.owned import indices, reals
 
 
 class BeamLine:
@@ -37,10 +38,10 @@ class BeamLine:
         elements: ArrayLike | Tensor | None = None,
         node_sets: Mapping[str, Sequence[int]] | None = None,
     ) -> None:
-        self.nodes = torch.as_tensor(np.array(nodes, dtype=np.float64))
+        self.nodes = reals("nodes of a BeamLine", nodes)
         _check_nodes(self.nodes)
         chain = np.array(list(pairwise(range(len(self.nodes)))))
-        self.elements = torch.as_tensor(np.array(chain if elements is None else elements, dtype=np.int64))
+        self.elements = indices("elements of a BeamLine", chain if elements is None else elements)
         _check_elements(self.nodes, self.elements)
         if node_sets is None:
             node_sets = {"start": [0], "end": [len(self.nodes) - 1]} if elements is None else {}

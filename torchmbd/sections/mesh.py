@@ -16,6 +16,7 @@ Checked in tests/sections/test_section_mesh.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,6 +27,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.numerics.owned import indices, reals
 from torchmbd.sections.shapes import rule, shape
 
 KINDS = (3, 4, 6, 8)
@@ -46,13 +48,13 @@ class SectionMesh:
         layer: ArrayLike | Tensor = 0,
         plane_angle: ArrayLike | Tensor | None = None,
     ) -> None:
-        self.nodes = torch.as_tensor(np.array(nodes, dtype=np.float64))
-        self.elements = tuple(torch.as_tensor(np.array(block, dtype=np.int64)) for block in _blocks(elements))
+        self.nodes = reals("nodes of a SectionMesh", nodes)
+        self.elements = tuple(indices("elements of a SectionMesh", block) for block in _blocks(elements))
         count = sum(len(block) for block in self.elements)
-        self.layer = _per_element("layer", np.array(layer, dtype=np.int64), count)
+        self.layer = _per_element("layer", indices("layer of a SectionMesh", layer), count)
         self.plane_angle = None
         if plane_angle is not None:
-            self.plane_angle = _per_element("plane_angle", np.array(plane_angle, dtype=np.float64), count)
+            self.plane_angle = _per_element("plane_angle", reals("plane_angle of a SectionMesh", plane_angle), count)
         self._check_nodes()
         self._check_elements()
         self._check_connected()
@@ -122,15 +124,21 @@ class SectionMesh:
 
 def _blocks(elements: ArrayLike | Tensor | Sequence[ArrayLike | Tensor]) -> Sequence[ArrayLike | Tensor]:
     """One array for each kind of element: a list whose first item is itself a list of rows, or one array alone."""
-    if isinstance(elements, list | tuple) and len(elements) and np.ndim(np.asarray(elements[0])) == 2:
+    if isinstance(elements, list | tuple) and elements and not _is_row(elements[0]):
         return elements
     return [elements]  # pyright: ignore[reportReturnType]
 
 
-def _per_element(name: str, given: np.ndarray, count: int) -> Tensor:
+def _is_row(given: Any) -> bool:
+    """Whether a list starts with one element's nodes, not with an array of elements."""
+    return given.ndim == 1 if hasattr(given, "ndim") else not (len(given) and hasattr(given[0], "__len__"))
+
+
+def _per_element(name: str, given: Tensor, count: int) -> Tensor:
     if given.shape not in ((), (count,)):
-        raise InputError(f"SectionMesh: {name} has shape {given.shape}; allowed: one number, or one for each element")
-    return torch.as_tensor(given).expand(count).clone()
+        shape = tuple(given.shape)
+        raise InputError(f"SectionMesh: {name} has shape {shape}; allowed: one number, or one for each element")
+    return given.expand(count).clone()
 
 
 def _corners(nodes: int) -> Tensor:

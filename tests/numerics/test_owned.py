@@ -1,0 +1,35 @@
+"""Arrays of a user become one's own, or are refused by name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from torchmbd.errors import InputError
+from torchmbd.numerics.owned import indices, reals
+
+
+@pytest.mark.parametrize("given", [[1, 2], (1.0, 2.0), np.array([1, 2]), torch.tensor([1.0, 2.0]), range(1, 3)])
+def test_kinds(given):
+    for read, dtype in ((reals, torch.float64), (indices, torch.int64)):
+        assert read("x", given).dtype is dtype
+        assert read("x", given).tolist() == [1, 2]
+
+
+def test_a_later_change_of_the_argument_changes_nothing():
+    for given in (np.array([1.0, 2.0]), torch.tensor([1.0, 2.0], dtype=torch.float64)):
+        own = reals("x", given)
+        given[0] = 5.0
+        assert own.tolist() == [1.0, 2.0]
+
+
+def test_what_is_none_is_named():
+    with pytest.raises(InputError, match="x is 'steel'; allowed: numbers"):
+        reals("x", "steel")
+    with pytest.raises(InputError, match=r"x is \[\[1, 2\], \[3\]\]; allowed: whole numbers"):
+        indices("x", [[1, 2], [3]])
+    with pytest.raises(InputError, match=r"x holds 1\.5; allowed: whole numbers"):
+        indices("x", [1.0, 1.5])
+    with pytest.raises(InputError, match="x holds nan"):
+        indices("x", [1.0, float("nan")])
