@@ -84,13 +84,15 @@ class Rod:
     def forward_differences(self, place: str) -> dict[float, np.ndarray]:
         """Sensitivity [m/rad] by forward differences of every step [rad], all of them in one batch."""
         system = build(1, [self.degrees], self.cells)
-        at = np.radians([[self.degrees]])
+        steps = np.array(STEPS)[:, None]
 
         def values(designs: np.ndarray) -> np.ndarray:
             motion = mbd.simulate(system, DURATION, designs={ANGLES: torch.from_numpy(designs)}, **self.options)
             return deflection(motion.require_ok(), place).numpy()
 
-        return {step: differences(values, at, step, "forward")[1][0, :, 0] for step in STEPS}
+        at = np.full_like(steps, np.radians(self.degrees))
+        _, slopes = differences(values, at, steps, "forward")
+        return {step: slope[:, 0] for step, slope in zip(STEPS, slopes, strict=True)}
 
 
 def curves(t: np.ndarray, lines: Mapping[str, np.ndarray], title: str) -> Figure:

@@ -16,8 +16,8 @@ from experiments.slider_crank import build
 from torchmbd.reduction import align
 
 ANGLES = "rod.laminate.angles"
-DURATION, STEPS, MODES = 0.006, 60, 6
-TIGHT = {"steps": STEPS, "iterations": (5, 5), "refresh": 1}
+DURATION, STEPS, MODES = 0.004, 40, 6
+TIGHT = {"steps": STEPS, "iterations": (4, 4), "refresh": 1}
 ENERGY = mbd.StrainEnergy("rod")
 # other angles [deg], bracket of the first one, the pair of modes (from zero), options of the rod
 DESIGNS = {
@@ -44,7 +44,7 @@ def crossing(system: mbd.System, others: tuple[float, ...], bracket: tuple[float
     low, high = bracket
     at_low, modes, mass = frequencies_and_modes(system, design(low))
     sign = torch.sign(at_low[first + 1] - at_low[first])
-    for _ in range(45):
+    for _ in range(40):
         middle = (low + high) / 2
         values, found, _ = frequencies_and_modes(system, design(middle))
         followed = align(modes[:, first : first + 2], found[:, first : first + 2], mass)

@@ -32,7 +32,7 @@ def differences(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Values [lanes, ...] and slopes [lanes, ..., n] of a function of a batch of designs [lanes, n], called once.
 
-    step     Delta b in the units of b, one for all variables or one for each
+    step     Delta b in the units of b: one for all variables, one for each [n], or of every design its own [lanes, n]
     scheme   "central" or "forward"
     Raises InputError for steps that are not positive, or so small that a design does not change.
     """
@@ -40,7 +40,7 @@ def differences(
         raise unknown("scheme", scheme, SCHEMES)
     X = np.asarray(X, dtype=float)
     lanes, n = X.shape
-    h = np.broadcast_to(_steps(step, n), X.shape)
+    h = np.broadcast_to(_steps(step, n, lanes), X.shape)
     sides = [h / 2, -h / 2] if scheme == "central" else [np.where(X + h > upper, -h, h)]
     # each variable alone by its own step: [lanes, n, n]
     ends = [X[:, None, :] + side[:, :, None] * np.eye(n) for side in sides]
@@ -54,13 +54,13 @@ def differences(
     return middle, np.moveaxis(slopes, 1, -1)
 
 
-def _steps(step: Any, n: int) -> np.ndarray:
+def _steps(step: Any, n: int, lanes: int | None = None) -> np.ndarray:
     h = np.asarray(step, dtype=float)
-    if h.shape not in ((), (n,)):
+    if h.shape not in ((), (n,), (lanes, n)):
         raise InputError(f"step has shape {h.shape}; allowed: a number, or {n} numbers")
     if not ((h > 0) & np.isfinite(h)).all():
         raise InputError(f"step is {step!r}; allowed: positive numbers")
-    return np.broadcast_to(h, (n,))
+    return h
 
 
 class Differences:
