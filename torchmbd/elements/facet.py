@@ -5,6 +5,7 @@
 axes     rows e1, e2, e3 of each triangle: local = axes @ global     [m, 3, 3]
 corners  x, y of the three corners from the centroid, local axes     [m, 3, 2], m
 area     [m], m2
+tilt     to the smooth shell that the facets stand for, at the worst corner (shell_normals.py)   [m], rad; 0: flat plate
 
 The laminate's x-axis *is* e1, so strains come out in laminate axes and the laminate needs no turning.
 Checked in tests/elements/test_facet.py.
@@ -19,6 +20,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchmbd.elements.shell_normals import corner_normals
 from torchmbd.errors import InputError
 from torchmbd.mesh import Mesh
 
@@ -33,6 +35,7 @@ class Facets:
     axes: Float[Tensor, "m 3 3"]
     corners: Float[Tensor, "m 3 2"]
     area: Float[Tensor, " m"]
+    tilt: Float[Tensor, " m"]
 
 
 def facets(mesh: Mesh, direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0), members: Tensor | None = None) -> Facets:
@@ -61,4 +64,5 @@ def facets(mesh: Mesh, direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0), me
     axes = torch.stack([e1, torch.linalg.cross(e3, e1), e3], dim=1)
     p = mesh.nodes[mesh.triangles[members]]
     corners = (p - p.mean(dim=1, keepdim=True)) @ axes.mT
-    return Facets(axes, corners[..., :2].contiguous(), mesh.areas[members])
+    tilt = (corner_normals(mesh) - mesh.normals[:, None]).norm(dim=2).amax(1)[members]
+    return Facets(axes, corners[..., :2].contiguous(), mesh.areas[members], tilt)

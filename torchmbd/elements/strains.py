@@ -4,10 +4,15 @@
 
 in the laminate's axes (facet.py), at the middles of the sides 12, 23, 31. Membrane: OPT with drilling freedoms;
 bending and transverse shear: DKMT. Flat triangles in space: the local freedoms are the global ones turned by `axes`.
-Limit: between facets that are tilted to each other, a bending rotation of one is partly a drilling rotation of its
-neighbour, and that is as stiff as a membrane. So thin, doubly curved or twisted shells need elements of about
-sqrt(thickness * radius) or smaller. Flat plates are free of it.
-Checked in tests/elements/test_plate_patch.py.
+
+Between facets that are tilted to each other, a bending rotation of one is partly a drilling rotation of its neighbour.
+That is as stiff as a membrane, so thin curved shells would lock: by membrane over bending stiffness, a ratio of about
+
+    r = (tilt sqrt(2 area) / h)^2        h = bending_length of the laminate, its thickness if it is homogeneous
+
+The drilling freedoms are softened by r where r is not small (opt_membrane.py). A flat plate has r = 0; on a curved shell
+r falls with the fourth power of the mesh size, so the limit is the same.
+Checked in tests/elements/test_plate_patch.py, tests/validation/test_curved_shells.py.
 """
 
 from __future__ import annotations
@@ -27,7 +32,8 @@ FREEDOMS = ("u1", "u2", "u3", "phi1", "phi2", "phi3")
 
 def strain_matrices(plane: Facets, mean: IsotropicMean) -> Float[Tensor, "m 3 8 18"]:
     """Return E of every triangle at its three points."""
-    membrane = membrane_strains(plane.corners, plane.area, mean.poisson)
+    softness = 2.0 * plane.area * (plane.tilt / mean.bending_length) ** 2
+    membrane = membrane_strains(plane.corners, plane.area, mean.poisson, softness)
     curvature, shear = plate_strains(plane.corners, plane.area, mean.shear_length)
     local = membrane.new_zeros(len(plane.area), 3, 8, 3, 6)
     local[:, :, :3, :, [0, 1, 5]] = membrane.unflatten(-1, (3, 3))

@@ -1,10 +1,11 @@
 """The isotropic plate that a laminate is on average over all directions in its plane.
 
     U1 = (3 X11 + 3 X22 + 2 X12 + 4 X66) / 8,   U4 = (X11 + X22 + 6 X12 - 4 X66) / 8     of X = A or D
-    poisson       = U4(A) / U1(A)
-    shear_length  = sqrt(12 U1(D) / ((As_xz + As_yz) / 2))     [m]
+    poisson        = U4(A) / U1(A)
+    shear_length   = sqrt(12 U1(D) / ((As_xz + As_yz) / 2))     [m]
+    bending_length = sqrt(12 U1(D) / U1(A))                    [m], the thickness of a homogeneous plate
 
-U1, U4 and the trace of As do not change when a ply is turned, so these two numbers depend on plies and thicknesses but
+U1, U4 and the trace of As do not change when a ply is turned, so these numbers depend on plies and thicknesses but
 on no ply angle. That is why an element may use them as constants and still be linear in the laminate's entries.
 Where the laminate takes As from the energy (shear_correction = "energy"), As does depend on the angles; the mean is then
 that of the stack whose every ply is replaced by its own isotropic mean.
@@ -27,16 +28,22 @@ from torchmbd.materials.transverse_shear import energy_shear_stiffness, shear_sh
 
 @dataclass(frozen=True)
 class IsotropicMean:
-    """Poisson's ratio in the plane, and the length [m] below which transverse shear dominates bending."""
+    """Poisson's ratio in the plane, and the lengths [m] below which transverse shear and membrane forces dominate bending.
+
+    An infinite bending_length is that of a flat plate, whatever the mesh.
+    """
 
     poisson: float
     shear_length: float
+    bending_length: float = math.inf
 
     def __post_init__(self) -> None:
         if not -1.0 < self.poisson < 1.0:
             raise InputError(f"IsotropicMean: poisson = {self.poisson!r}; allowed: -1 < poisson < 1")
         if not 0.0 < self.shear_length < math.inf:
             raise InputError(f"IsotropicMean: shear_length = {self.shear_length!r} m; allowed: a finite number > 0")
+        if not self.bending_length > 0.0:
+            raise InputError(f"IsotropicMean: bending_length = {self.bending_length!r} m; allowed: a number > 0")
 
     @classmethod
     def of(cls, laminate: Laminate | LaminateStiffness) -> IsotropicMean:
@@ -48,7 +55,8 @@ class IsotropicMean:
         if isinstance(laminate, Laminate) and laminate.shear_correction == "energy":
             As = _shear_of_isotropic_plies(laminate)
         shear = (As[0, 0] + As[1, 1]) / 2.0
-        return cls(poisson=float(_U4(A) / _U1(A)), shear_length=float((12.0 * _U1(D) / shear).sqrt()))
+        bending = 12.0 * _U1(D)
+        return cls(float(_U4(A) / _U1(A)), float((bending / shear).sqrt()), float((bending / _U1(A)).sqrt()))
 
 
 def _U1(X: Tensor) -> Tensor:

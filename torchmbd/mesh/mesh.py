@@ -31,7 +31,7 @@ from torchmbd.errors import InputError, unknown
 FLATNESS = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Mesh:
     """Nodes [n, 3] in m, triangles [m, 3] and named node sets; see the module header for what is checked."""
 
@@ -59,6 +59,9 @@ class Mesh:
             for k in members:
                 if not 0 <= k < len(nodes):
                     raise InputError(f"Mesh: node_sets[{name!r}] has node {k}; allowed: 0 to {len(nodes) - 1}")
+
+    def __repr__(self) -> str:
+        return f"Mesh({len(self.nodes)} nodes, {len(self.triangles)} triangles, {len(self.lines)} lines)"
 
     def node(self, name: str) -> int:
         """Return the index of a named single node."""
