@@ -3,6 +3,8 @@
 On a small soft pendulum; optima found by one formulation are checked by another, or by simulating neighbors.
 """
 
+# pyright: reportArgumentType=false, reportOperatorIssue=false, reportOptionalMemberAccess=false, reportOptionalOperand=false
+# Wrong types are given on purpose.
 from __future__ import annotations
 
 import math
@@ -15,6 +17,7 @@ from tests.mechanisms import CARBON, laminate, pendulum, plate
 from torchmbd.design import AtPeaks, AtTimes, DesignSpace, Mass, SmoothMax, WeightedSum
 from torchmbd.errors import InputError
 
+PLY: dict = CARBON
 ENERGY = mbd.StrainEnergy("rod")
 ANGLES, THICKNESS = "rod.laminate.angles", "rod.laminate.thickness"
 
@@ -189,7 +192,7 @@ def test_links_with_offsets_and_symmetric_laminates():
     space = DesignSpace(system, links={f"{name}[1]": {f"{name}[0]": 0.5, f"{name}[2]": -2.0, "constant": 0.1}})
     assert space.names == [f"{name}[0]", f"{name}[2]"]
     assert space.designs(np.array([[1.0, 3.0]]))[name].tolist() == [pytest.approx([1.0, 0.5 - 6.0 + 0.1, 3.0])]
-    half = mbd.Laminate(mbd.Ply(**CARBON), mbd.deg([10, 20]), 1e-3, symmetric=True)
+    half = mbd.Laminate(mbd.Ply(**PLY), mbd.deg([10, 20]), 1e-3, symmetric=True)
     assert DesignSpace(mbd.System([plate("two", made_of=half)])).names == [f"two.laminate.angles[{i}]" for i in (0, 1)]
 
 

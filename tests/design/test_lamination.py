@@ -11,6 +11,7 @@ from tests.mechanisms import CARBON
 from torchmbd.design.lamination import LaminationRules, between
 from torchmbd.errors import InputError
 
+PLY: dict = CARBON
 ALL = LaminationRules(symmetric=True, balanced=True, max_step=45.0, min_share=0.1)
 
 
@@ -70,12 +71,12 @@ def test_the_rules_mean_what_they_say_in_the_stiffness():
     symmetric, balanced = [30.0, -50.0, -50.0, 30.0], [30.0, -50.0, 50.0, -30.0]
     assert LaminationRules(symmetric=True).admits(symmetric)
     assert LaminationRules(balanced=True).admits(balanced)
-    C = mbd.Laminate(mbd.Ply(**CARBON), angles=mbd.deg(symmetric), thickness=1e-3).stiffness()
+    C = mbd.Laminate(mbd.Ply(**PLY), angles=mbd.deg(symmetric), thickness=1e-3).stiffness()
     assert_close(
         C.B, torch.zeros(3, 3, dtype=torch.float64), rtol=0, atol=1e-9 * float(C.A.detach().abs().max()) * 1e-3
     )
     assert float(C.A[0, 2].detach().abs()) > 1e6
-    C = mbd.Laminate(mbd.Ply(**CARBON), angles=mbd.deg(balanced), thickness=1e-3).stiffness()
+    C = mbd.Laminate(mbd.Ply(**PLY), angles=mbd.deg(balanced), thickness=1e-3).stiffness()
     assert_close(C.A[:2, 2], torch.zeros(2, dtype=torch.float64), rtol=0, atol=1e-12 * float(C.A.detach().abs().max()))
     assert float(C.B.detach().abs().max()) > 1e3
 

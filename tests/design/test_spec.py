@@ -1,0 +1,90 @@
+"""Responses as plain data: what experiment files can say, and where a wrong word is found."""
+
+from __future__ import annotations
+
+import pytest
+
+import torchmbd as mbd
+from torchmbd.design import (
+    AtPeaks,
+    AtTime,
+    Frequency,
+    Mass,
+    RelativeDisplacement,
+    SmoothMax,
+    Velocity,
+    WeightedSum,
+)
+from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.design.spec import HISTORIES, MEASURES, SpecError, measure_of
+
+ENERGY = mbd.StrainEnergy("rod")
+TWIST = RelativeDisplacement("rod", "left", "right", "z")
+TWIST_SPEC = {"relative_displacement": {"body": "rod", "a": "left", "b": "right", "axis": "z"}}
+
+
+@pytest.mark.parametrize(
+    ("spec", "expected"),
+    [
+        ({"integral": {"strain_energy": "rod"}}, mbd.Integral(ENERGY)),
+        ({"max": {"strain_energy": {"body": "rod"}}, "window": [0.01, 0.03]}, mbd.Max(ENERGY, window=(0.01, 0.03))),
+        ({"at_peaks": {"strain_energy": "rod"}, "count": 5}, AtPeaks(ENERGY, count=5)),
+        ({"smooth_max": {"strain_energy": "rod"}, "sharpness": 9.0, "scale": 2.0}, SmoothMax(ENERGY, None, 9.0, 2.0)),
+        ({"time": 0.02, "at_time": TWIST_SPEC}, AtTime(TWIST, 0.02)),
+        ({"integral": {"squared": TWIST_SPEC}}, mbd.Integral(TWIST**2)),
+        (
+            {"max": {"velocity": {"body": "rod", "node": "right", "axis": [0, 1, 1], "seen_from": "rod"}}},
+            mbd.Max(Velocity("rod", [0, 1, 1], node="right", seen_from="rod")),
+        ),
+        ({"frequency": {"body": "rod", "number": 2}}, Frequency("rod", 2)),
+        ({"mass": "rod"}, Mass("rod")),
+        (
+            {"weighted_sum": [{"weight": 0.6, "max": {"strain_energy": "rod"}}, {"weight": 2, "mass": "rod"}]},
+            WeightedSum([(0.6, mbd.Max(ENERGY)), (2.0, Mass("rod"))]),
+        ),
+        (
+            {"weighted_sum": [{"weight": 0.6, "mass": "rod"}], "normalize": [0.3]},
+            WeightedSum([(0.6, Mass("rod"))], normalize=[0.3]),
+        ),
+    ],
+    ids=str,
+)
+def test_what_a_file_can_say(spec, expected):
+    assert measure_of(spec) == expected
+
+
+def test_every_registered_name_can_be_said():
+    assert set(MEASURES) == {*COMBINATORS, *OF_DESIGN, "weighted_sum"}
+    assert set(HISTORIES) == {*RESPONSES, "squared"}
+
+
+@pytest.mark.parametrize(
+    ("spec", "path", "words"),
+    [
+        ("integral", (), ["'integral'", "must be a mapping"]),
+        ({}, (), ["has 0 of the keys; must have exactly one", "integral"]),
+        ({"integrl": {"strain_energy": "rod"}}, ("integrl",), ["unknown name", "did you mean 'integral'"]),
+        ({"max": {"strain_energie": "rod"}}, ("max", "strain_energie"), ["did you mean 'strain_energy'"]),
+        ({"max": {"strain_energy": "rod"}, "min": {"strain_energy": "rod"}}, (), ["has 2 of the keys"]),
+        ({"max": {"strain_energy": 3}}, ("max", "strain_energy"), ["= 3: must be a name", "body"]),
+        ({"max": {"strain_energy": "rod"}, "windw": [0, 1]}, ("windw",), ["unknown key", "did you mean 'window'"]),
+        ({"max": {"strain_energy": "rod"}, "window": [1, 0]}, (), ["window is [1, 0]", "t0 < t1"]),
+        ({"max": {"strain_energy": "rod", "window": [0, 1]}}, ("max", "window"), ["unknown key"]),
+        ({"max": {"velocity": "rod"}}, ("max", "velocity"), ["needs 'axis'"]),
+        ({"max": {"velocity": {"body": "rod", "axs": "x"}}}, ("max", "velocity", "axs"), ["did you mean 'axis'"]),
+        ({"at_time": {"strain_energy": "rod"}}, (), ["needs 'time'"]),
+        ({"at_time": {"strain_energy": "rod"}, "time": -1}, (), ["time is -1; allowed: zero or positive"]),
+        ({"mass": "rod", "number": 1}, ("number",), ["unknown key"]),
+        ({"weighted_sum": {}}, ("weighted_sum",), ["must be a list of measures"]),
+        ({"weighted_sum": [{"mass": "rod"}]}, ("weighted_sum", 0), ["needs the key 'weight'"]),
+        ({"weighted_sum": [{"mass": "rod", "weight": "1"}]}, ("weighted_sum", 0, "weight"), ["must be a number"]),
+        ({"weighted_sum": [{"maas": "rod", "weight": 1}]}, ("weighted_sum", 0, "maas"), ["did you mean 'mass'"]),
+    ],
+    ids=str,
+)
+def test_a_wrong_word_is_found_where_it_stands(spec, path, words):
+    with pytest.raises(SpecError) as error:
+        measure_of(spec)
+    assert error.value.path == path
+    for word in words:
+        assert word in str(error.value)

@@ -1,0 +1,118 @@
+"""Responses as plain data: what an experiment file says, read with the registries.
+
+    {max: {strain_energy: rod}}                                            a measure of a history
+    {max: {strain_energy: rod}, window: [0.01, 0.03]}                      with options of the measure
+    {rms: {velocity: {body: rod, node: right, axis: y}}}                   with arguments of the history
+    {integral: {squared: {relative_displacement: {body: rod, a: left, b: right, axis: z}}}}
+    {frequency: {body: rod, number: 2}}, {mass: rod}                       measures of the design
+    {weighted_sum: [{weight: 0.6, integral: ...}, {weight: 0.4, rms: ...}], normalize: initial}
+
+A single word stands for the first argument. Checked in tests/design/test_spec.py.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Collection, Mapping
+from typing import Any
+
+from torchmbd.design.response import History, Measure
+from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.design.weighted import WeightedSum
+from torchmbd.errors import InputError, nearest
+
+SUM, SQUARED = "weighted_sum", "squared"
+MEASURES = (*COMBINATORS, *OF_DESIGN, SUM)
+HISTORIES = (*RESPONSES, SQUARED)
+Path = tuple[str | int, ...]
+
+
+class SpecError(InputError):
+    """A response that cannot be read: `path` leads to the wrong entry, `text` says what is wrong with it."""
+
+    def __init__(self, path: Path, text: str):
+        self.path, self.text = path, text
+        super().__init__(f"{'.'.join(map(str, path)) or 'response'} {text}")
+
+
+def measure_of(spec: Any, path: Path = ()) -> Measure:
+    """Build a measure; SpecError for anything that is none."""
+    name, options = _one(spec, MEASURES, path)
+    inner = spec[name]
+    if name == SUM:
+        return _made(WeightedSum, (_terms(inner, (*path, name)),), options, path)
+    if name in OF_DESIGN:
+        if options:
+            key = next(iter(options))
+            raise SpecError((*path, key), f"unknown key{nearest(key, _arguments(OF_DESIGN[name]))}")
+        return _of_words(OF_DESIGN[name], inner, (*path, name))
+    return _made(COMBINATORS[name], (history_of(inner, (*path, name)),), options, path)
+
+
+def history_of(spec: Any, path: Path = ()) -> History:
+    """Build a history; SpecError for anything that is none."""
+    name, options = _one(spec, HISTORIES, path)
+    if options:
+        key = next(iter(options))
+        raise SpecError((*path, key), f"unknown key: arguments of {name!r} stand inside it")
+    if name == SQUARED:
+        return history_of(spec[name], (*path, name)) ** 2
+    return _of_words(RESPONSES[name], spec[name], (*path, name))
+
+
+def _terms(spec: Any, path: Path) -> list[tuple[float, Measure]]:
+    if not isinstance(spec, list) or not spec:
+        raise SpecError(path, f"= {spec!r}: must be a list of measures, each with its weight")
+    terms = []
+    for k, term in enumerate(spec):
+        here = (*path, k)
+        if not isinstance(term, Mapping) or "weight" not in term:
+            raise SpecError(here, "needs the key 'weight'")
+        weight = term["weight"]
+        if isinstance(weight, bool) or not isinstance(weight, (int, float)):
+            raise SpecError((*here, "weight"), f"= {weight!r}: must be a number")
+        terms.append((float(weight), measure_of({key: x for key, x in term.items() if key != "weight"}, here)))
+    return terms
+
+
+def _one(spec: Any, names: Collection[str], path: Path) -> tuple[str, dict[str, Any]]:
+    """The one registered name among the keys, and the other keys."""
+    if not isinstance(spec, Mapping):
+        raise SpecError(path, f"= {spec!r}: must be a mapping (key: value)")
+    found = [key for key in spec if key in names]
+    if len(found) == 1:
+        return found[0], {key: x for key, x in spec.items() if key != found[0]}
+    if len(found) > 1 or not spec:
+        raise SpecError(path, f"has {len(found)} of the keys; must have exactly one{nearest('', names)}")
+    key = next(iter(spec))
+    raise SpecError((*path, key), f"unknown name{nearest(key, names)}")
+
+
+def _of_words(kind: type, spec: Any, path: Path) -> Any:
+    """Build from the first argument as a word, or from a mapping of arguments."""
+    if isinstance(spec, Mapping):
+        return _made(kind, (), spec, path)
+    if not isinstance(spec, str):
+        raise SpecError(path, f"= {spec!r}: must be a name, or a mapping of {', '.join(_arguments(kind))}")
+    return _made(kind, (spec,), {}, path)
+
+
+def _made(kind: type, given: tuple, options: Mapping[str, Any], path: Path) -> Any:
+    allowed = _arguments(kind)[len(given) :]
+    for key in options:
+        if key not in allowed:
+            raise SpecError((*path, key), f"unknown key{nearest(key, allowed)}")
+    parameters = list(inspect.signature(kind).parameters.values())[len(given) :]
+    for parameter in parameters:
+        if parameter.default is parameter.empty and parameter.name not in options:
+            raise SpecError(path, f"needs {parameter.name!r}{nearest('', allowed)}")
+    try:
+        return kind(*given, **options)
+    except InputError as error:
+        raise SpecError(path, f": {error}") from error
+    except (TypeError, ValueError) as error:
+        raise SpecError(path, f"= {dict(options)!r}: {error}") from error
+
+
+def _arguments(kind: type) -> list[str]:
+    return list(inspect.signature(kind).parameters)
