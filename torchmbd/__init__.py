@@ -10,11 +10,13 @@ from torchmbd import mesh, sections, viz
 from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
 from torchmbd.design import Constraint, DesignSpace, Integral, Max, Problem, StrainEnergy
 from torchmbd.design.differences import Differences
+from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.elements import BeamLine, GivenSection
 from torchmbd.errors import InputError, MbdError, SimulationFailure
 from torchmbd.integrators import Trajectory, simulate
+from torchmbd.integrators.ply_history import PlyHistory
 from torchmbd.joints import Cylindrical, Distance, Drive, Fixed, Prismatic, Revolute, Spherical, Universal
-from torchmbd.materials import Laminate, Ply
+from torchmbd.materials import Laminate, Ply, Strength
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
 from torchmbd.optimizers import OptimizationResult, multistart, optimize, sobol
@@ -45,6 +47,8 @@ __all__ = [
     "Mesh",
     "OptimizationResult",
     "Ply",
+    "PlyFailure",
+    "PlyHistory",
     "Prismatic",
     "Problem",
     "Revolute",
@@ -52,6 +56,7 @@ __all__ = [
     "SimulationFailure",
     "Spherical",
     "StrainEnergy",
+    "Strength",
     "System",
     "Trajectory",
     "Universal",
