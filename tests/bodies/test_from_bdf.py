@@ -131,17 +131,47 @@ def test_a_symmetric_stack_repeats_its_blank_fields(body):
     assert float(made.laminate.total_thickness) == pytest.approx(10e-3)
 
 
-def test_beams_of_bars(body):
+SECTIONS = {
+    "PBARL": ["PBARL,5,2,,BAR", ",.01,.02"],
+    "PBAR": ["PBAR,5,2,2.-4,6.66667-9,1.66667-9,4.578-9", ",", ",.83333,.83333"],
+    "PBEAM": ["PBEAM,5,2,2.-4,6.66667-9,1.66667-9,0.,4.578-9", ",", ",NO,1.,2.-4,6.66667-9,1.66667-9,0.,4.578-9"],
+}
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_beams_of_bars(section, body):
     """A cantilever of ten bars: bending frequencies in both planes within 1 %, plane 1 along the orientation vector."""
+    name = "CBEAM" if section == "PBEAM" else "CBAR"
     lines = [f"GRID,{k},,{0.06 * k},0.,0." for k in range(1, 12)]
-    lines += [f"CBAR,{k},5,{k},{k + 1},0.,1.,1." for k in range(1, 11)]
-    lines += ["PBARL,5,2,,BAR", ",.01,.02", "MAT1,2,70.+9,,.3,2700.", "SPC1,1,123456,1"]
+    lines += [f"{name},{k},5,{k},{k + 1},0.,1.,1." for k in range(1, 11)]
+    lines += [*SECTIONS[section], "MAT1,2,70.+9,,.3,2700.", "SPC1,1,123456,1"]
     made = body("\n".join(lines), modes=2)
     first = [1.8751**2 * h / math.sqrt(12) / 0.6**2 * math.sqrt(70e9 / 2700) for h in (0.01, 0.02)]
     assert values(made).sqrt().tolist() == pytest.approx(first, rel=0.01)
     psi = made.structure()["psi"].detach()[made.mesh.node("grid_11"), :3, 0]
     soft = torch.tensor([0.0, 1.0, -1.0], dtype=torch.float64) / math.sqrt(2)  # across the vector of plane 1
     assert abs(float(psi @ soft)) == pytest.approx(float(psi.norm()), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("PBARL,5,2,,BAR", "PBARL,5,2,,I", ["PBARL 5", "TYPE is 'I'", "ROD, TUBE, BAR"]),
+        (",0.,1.,1.", ",0.,1.,1.\n,3", ["CBAR 1", "pins or offsets ('3')"]),
+        ("CBAR,1,5,1,2,0.,1.,1.", "CBAR,1,5,1,2,99", ["CBAR 1", "GRID 99 does not exist"]),
+        ("MAT1,2,70.+9,,.3", "MAT1,2,70.+9,,", ["MAT1 2", "two of E, G, NU"]),
+        ("PBARL,5,2,,BAR", "PBCOMP,5,2", ["CBAR 1", "property 5 does not exist"]),
+        ("PBARL,5,2,,BAR\n,.01,.02", "PBEAM,5,2,2.-4,6.-9,1.-9,0.,4.-9\n,\n,NO,1.,1.-4", ["PBEAM 5", "field 19"]),
+    ],
+)
+def test_what_is_wrong_with_beams_is_named(old, new, words, body):
+    text = "\n".join(
+        ["GRID,1,,0.,0.,0.", "GRID,2,,1.,0.,0.", "CBAR,1,5,1,2,0.,1.,1.", *SECTIONS["PBARL"], "MAT1,2,70.+9,,.3,2700."]
+    )
+    assert old in text
+    with pytest.raises(InputError) as error:
+        body(text.replace(old, new), modes=1)
+    assert all(word in str(error.value) for word in words), str(error.value)
 
 
 def test_a_stiffened_plate(body):

@@ -3,7 +3,7 @@
     MAT1, MAT8    -> Ply; strengths where all are given (MAT8: Xt, Xc, Yt, Yc, S; F12 as Tsai-Wu's interaction)
     PCOMP         -> Laminate, its angles design parameters; LAM = SYM is a symmetric one
     PSHELL        -> Laminate of one ply; its angle is no design parameter
-    PBAR, PBARL (ROD, TUBE, BAR)  -> GivenSection
+    PBAR, PBARL (ROD, TUBE, BAR), PBEAM (the same at both ends)  -> GivenSection
 
 Mass without stiffness (NSM) is spread over the thickness, or over the section. G1Z, G2Z of MAT8 that are blank mean
 infinite stiffness in Nastran; here they are taken as G12, with a warning.
@@ -165,25 +165,39 @@ def _with_extra_mass(ply: Ply, card: Card, position: int, thickness: float, data
 
 
 def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
-    """Make the beam section of a PBAR or PBARL: plane 1 is x-y, so I1 bends about z."""
+    """Make the beam section of a PBAR, PBARL or PBEAM: plane 1 is x-y, so I1 bends about z."""
     material = data.material(card, card.integer(2, "MID"))
     ply = ply_of(material, units, data.weight_to_mass)
     if material.name != "MAT1":
         raise InputError(f"{card}: {material} is the material of a beam; allowed: MAT1")
     if card.name == "PBARL":
         numbers, extra = _shape(card)
-    elif card.name == "PBAR":
-        if card.real(19, "I12", 0.0) != 0.0:
-            raise InputError(f"{card}: I12 is {card.text(19)}; allowed: 0, principal axes")
-        numbers = [card.real(k, name) for k, name in ((3, "A"), (4, "I1"), (5, "I2"), (6, "J"))]
-        numbers += [card.real(k, name, RIGID_IN_SHEAR) for k, name in ((17, "K1"), (18, "K2"))]
-        extra = card.real(7, "NSM", 0.0)
+    elif card.name in ("PBAR", "PBEAM"):
+        numbers, extra = _given(card)
     else:
-        raise InputError(f"{card}: this section cannot be read; allowed: PBAR, PBARL")
+        raise InputError(f"{card}: this section cannot be read; allowed: PBAR, PBARL, PBEAM")
     A, I1, I2, J, K1, K2 = numbers
     L = units.length
     density = ply.density + extra * units.mass / L * data.weight_to_mass / (A * L**2)
     return GivenSection.isotropic(ply.E1, ply.nu12, density, A * L**2, I2 * L**4, I1 * L**4, J * L**4, K1, K2)
+
+
+def _given(card: Card) -> tuple[list[float], float]:
+    """A, I1, I2, J, K1, K2 and mass per length without stiffness of a PBAR or PBEAM."""
+    beam = card.name == "PBEAM"
+    product = 6 if beam else 19
+    if card.real(product, "I12", 0.0) != 0.0:
+        raise InputError(f"{card}: I12 is {card.text(product)}; allowed: 0, principal axes")
+    places = ((3, "A"), (4, "I1"), (5, "I2"), (7, "J")) if beam else ((3, "A"), (4, "I1"), (5, "I2"), (6, "J"))
+    numbers = [card.real(k, name) for k, name in places]
+    if not beam:
+        shear = [card.real(k, name, RIGID_IN_SHEAR) for k, name in ((17, "K1"), (18, "K2"))]
+        return numbers + shear, card.real(7, "NSM", 0.0)
+    for k in range(19, len(card.fields) + 1):
+        at_start = card.real(k - 16, "end A", 0.0) if k < 25 else None
+        if card.text(k) and card.text(k).upper() not in ("YES", "NO", "YESA") and card.real(k, "end B") != at_start:
+            raise InputError(f"{card}: field {k} is {card.text(k)}; allowed: one station with the numbers of end A")
+    return [*numbers, 1.0, 1.0], card.real(8, "NSM", 0.0)
 
 
 def _shape(card: Card) -> tuple[list[float], float]:
