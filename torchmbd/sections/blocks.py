@@ -46,6 +46,13 @@ def line(start: float, end: float, cells: int, order: int) -> NDArray[np.float64
     return np.linspace(start, end, cells * order + 1)
 
 
+def graded(start: float, end: float, cells: int, order: int) -> NDArray[np.float64]:
+    """Places of the nodes of so many elements that become short towards both ends: warping bends most near corners."""
+    ends = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, cells + 1))
+    share = ends if order == 1 else np.insert(ends, np.arange(1, cells + 1), (ends[1:] + ends[:-1]) / 2)
+    return start + (end - start) * share
+
+
 def grid(y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points [I, J, 2] at y[i], z[j]."""
     return np.stack(np.meshgrid(y, z, indexing="ij"), axis=-1)

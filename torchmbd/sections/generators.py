@@ -4,6 +4,7 @@ Plies are listed along the wall's normal n: strip, rectangle and flanges and web
 (right), box and tube from inside to outside. The wall's tangent s = n cross x then runs clockwise around a box or a tube
 (seen from the tip of x with y to the right and z up), and the ply angle is counted from x to s. So the upper wall of a box
 is a plate in the x-y plane with normal z, and equal angles in all walls wind around it like a helix.
+Elements of strip, box and I become short towards corners and edges, where warping bends most; those of a rectangle are equal.
 All lengths in m, angles in rad; the origin of the section's axes is the center of the outer dimensions.
 Rounding of corners is left out. Plies of a box meet on the diagonals of its corners.
 Checked in tests/sections/test_section_generators.py.
@@ -20,7 +21,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Ply
-from torchmbd.sections.blocks import Patch, between, grid, joined, line
+from torchmbd.sections.blocks import Patch, between, graded, grid, joined, line
 from torchmbd.sections.orthotropic import Orthotropic
 from torchmbd.sections.section import Section
 
@@ -38,15 +39,9 @@ def strip(
     order: int = 2,
 ) -> Section:
     """A laminate as a beam: width along y, plies stacked along z; cells across the width and through each ply."""
-    t = _thicknesses(thickness, len(angles))
     _positive(width=width)
     _check_cells(cells, 2, order)
-    bottoms = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2
-    y = line(-width / 2, width / 2, cells[0], order)
-    patches = [
-        Patch(grid(y, line(low, high, cells[1], order)), layer) for layer, (low, high) in enumerate(pairwise(bottoms))
-    ]
-    return Section(joined(patches, order), ply, angles)
+    return _stack(graded(-width / 2, width / 2, cells[0], order), ply, angles, thickness, cells[1], order)
 
 
 def rectangle(
@@ -61,7 +56,7 @@ def rectangle(
     _positive(width=width, height=height)
     _check_cells(cells, 2, order)
     each = max(1, round(cells[1] / len(angles)))
-    return strip(width, ply, angles, height / len(angles), (cells[0], each), order)
+    return _stack(line(-width / 2, width / 2, cells[0], order), ply, angles, height / len(angles), each, order)
 
 
 def box(
@@ -93,7 +88,8 @@ def box(
     for w, wall in enumerate(WALLS):
         count = cells[w % 2]
         for k in range(layers):
-            inner, outer = (_edge(wall, width / 2 - d, height / 2 - d, count * order) for d in depth[k : k + 2])
+            along = graded(0.0, 1.0, count, order)
+            inner, outer = (_edge(wall, width / 2 - d, height / 2 - d, along) for d in depth[k : k + 2])
             points = between(inner, outer, cells[2], order)
             patches.append(Patch(points, k if shared else w * layers + k))
     plies = ply if shared or isinstance(ply, Ply | Orthotropic) else list(ply) * (4 if len(ply) == layers else 1)
@@ -141,7 +137,7 @@ def circle(
     square = line(-half, half, cells[0], order)
     patches = [Patch(grid(square, square), 0)]
     for w in range(4):
-        inner = _edge(WALLS[w], half, half, cells[0] * order)
+        inner = _edge(WALLS[w], half, half, line(0.0, 1.0, cells[0], order))
         rim = line(0.75 * math.pi, 0.25 * math.pi, cells[0], order) - w * math.pi / 2
         outer = radius * np.stack([np.cos(rim), np.sin(rim)], axis=-1)
         patches.append(Patch(between(inner, outer, cells[1], order), 0))
@@ -174,26 +170,35 @@ def i_section(
     if not (2 * t.sum() < height and t.sum() < width):
         raise InputError(f"i_section: walls of {t.sum():g} m do not fit into {width:g} m x {height:g} m")
     stack = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2  # across a wall
-    edges = [(-width / 2, stack[0], cells[0]), *((a, b, cells[2]) for a, b in pairwise(stack))]
-    edges.append((stack[-1], width / 2, cells[0]))
+    across = [line(a, b, cells[2], order) for a, b in pairwise(stack)]  # of the web, and of the flanges above it
+    free = [graded(-width / 2, stack[0], cells[0], order), graded(stack[-1], width / 2, cells[0], order)]
     patches = []
     for block, middle in ((0, (height - t.sum()) / 2), (2, (t.sum() - height) / 2)):
         for k in range(layers):
             z = line(middle + stack[k], middle + stack[k + 1], cells[2], order)
-            patches += [Patch(grid(line(a, b, n, order), z), block * layers + k) for a, b, n in edges]
-    web = line(height / 2 - t.sum(), t.sum() - height / 2, cells[1], order)
+            patches += [Patch(grid(y, z), block * layers + k) for y in (*free, *across)]
+    web = graded(height / 2 - t.sum(), t.sum() - height / 2, cells[1], order)
     for k in range(layers):
-        y = line(stack[k], stack[k + 1], cells[2], order)
-        patches.append(Patch(grid(y, web).transpose(1, 0, 2), layers + k))
+        patches.append(Patch(grid(across[k], web).transpose(1, 0, 2), layers + k))
     plies = ply if isinstance(ply, Ply | Orthotropic) else list(ply) * (3 if len(ply) == layers else 1)
     return Section(joined(patches, order), plies, np.concatenate([np.asarray(angles[n]) for n in names]).tolist())
 
 
-def _edge(wall: str, y: float, z: float, steps: int) -> np.ndarray:
-    """Points along one side of a rectangle of these half dimensions, clockwise."""
+def _stack(
+    y: np.ndarray, ply: Plies, angles: Angles, thickness: float | Sequence[float] | Tensor, each: int, order: int
+) -> Section:
+    """Plies across the places y, each of so many elements through its thickness."""
+    t = _thicknesses(thickness, len(angles))
+    faces = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2
+    patches = [Patch(grid(y, line(a, b, each, order)), layer) for layer, (a, b) in enumerate(pairwise(faces))]
+    return Section(joined(patches, order), ply, angles)
+
+
+def _edge(wall: str, y: float, z: float, along: np.ndarray) -> np.ndarray:
+    """Points at shares `along` of one side of a rectangle of these half dimensions, clockwise."""
     corners = {"top": ((-y, z), (y, z)), "right": ((y, z), (y, -z)), "bottom": ((y, -z), (-y, -z))}
     start, end = corners.get(wall, ((-y, -z), (-y, z)))
-    return np.linspace(start, end, steps + 1)
+    return np.array(start) + along[:, None] * (np.array(end) - np.array(start))
 
 
 def _walls(angles: Angles | Mapping[str, Angles]) -> Mapping[str, Angles]:

@@ -24,6 +24,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchmbd.errors import InputError
@@ -58,6 +59,7 @@ class SectionMesh:
         self._check_nodes()
         self._check_elements()
         self._check_connected()
+        self._check_conforming()
 
     @property
     def layers(self) -> int:
@@ -120,6 +122,40 @@ class SectionMesh:
             raise InputError(
                 f"SectionMesh: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
             )
+
+    def _check_conforming(self) -> None:
+        """Refuse a node in the middle of a side to which it does not belong: the parts would move independently."""
+        sides, owner = _sides(self.elements)
+        _, inverse, count = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True, return_counts=True)
+        rim = np.flatnonzero(count[inverse.ravel()] == 1)
+        x, (a, b) = self.nodes.numpy(), sides[rim].T
+        outer = np.unique(sides[rim])
+        span = x[b] - x[a]
+        length = np.linalg.norm(span, axis=1)
+        near = KDTree(x[outer]).query_ball_point((x[a] + x[b]) / 2, length * (0.5 - 1e-4))
+        k = np.repeat(np.arange(len(rim)), [len(hits) for hits in near])
+        node = outer[np.concatenate([np.asarray(hits, dtype=np.int64) for hits in near])]
+        offset = x[node] - x[a[k]]
+        away = np.abs(span[k, 0] * offset[:, 1] - span[k, 1] * offset[:, 0]) / length[k]
+        wrong = np.flatnonzero((away < 1e-6 * length[k]) & (node != a[k]) & (node != b[k]))
+        if len(wrong):
+            element, stray = int(owner[rim[k[wrong[0]]]]), int(node[wrong[0]])
+            raise InputError(
+                f"SectionMesh: node {stray} lies on a side of element {element} and is none of its nodes; "
+                "allowed: neighbors that share their sides"
+            )
+
+
+def _sides(elements: Sequence[Tensor]) -> tuple[np.ndarray, np.ndarray]:
+    """Node pairs along the sides of all elements (halves of quadratic sides), and the elements that own them."""
+    pairs, owner, start = [], [], 0
+    for block in elements:
+        nodes, k = block.numpy(), block.shape[1]
+        ring = nodes if k < 6 else nodes[:, np.arange(k).reshape(2, -1).T.ravel()]  # corner, middle, corner, ...
+        pairs.append(np.stack([ring, np.roll(ring, -1, axis=1)], axis=-1).reshape(-1, 2))
+        owner.append(np.repeat(np.arange(start, start + len(nodes)), k))
+        start += len(nodes)
+    return np.concatenate(pairs), np.concatenate(owner)
 
 
 def _blocks(elements: ArrayLike | Tensor | Sequence[ArrayLike | Tensor]) -> Sequence[ArrayLike | Tensor]:
