@@ -18,7 +18,7 @@ from torchmbd.optimizers import OPTIMIZERS, STATUSES, Evaluation, optimize
 VARIANTS = {
     "mmfd-newton": ("mmfd", {"metric": "newton"}),
     "mmfd-conjugate": ("mmfd", {"metric": "conjugate"}),
-    "mmfd-second-order": ("mmfd", {"second_order": True}),
+    "mmfd-first-order": ("mmfd", {"second_order": False}),
 }
 GRADIENT_FREE = ["differential_evolution"]  # slow and inexact: tests/optimizers/test_evolution.py
 PACKAGES = {"mma": "nlopt", "ccsaq": "nlopt", "ipopt": "cyipopt"}

@@ -7,7 +7,7 @@ import pytest
 from tests.optimizers.counts import count, error, plain_slsqp, problems
 from torchmbd.optimizers import optimize
 
-# From its start, MMFD runs into the saddle point of Colville's function (f = 7.877, one negative curvature of -0.12).
+# The way from its start leads into the saddle point of Colville's function (f = 7.877, one negative curvature of -0.12).
 SADDLE = "HS38"
 PROBLEMS = {p.name: p for p in problems()}
 
@@ -17,7 +17,7 @@ def ours_and_plain(name):
     return count(PROBLEMS[name], "mmfd"), plain_slsqp(PROBLEMS[name])
 
 
-@pytest.mark.parametrize("name", [name for name in PROBLEMS if name != SADDLE])
+@pytest.mark.parametrize("name", PROBLEMS)
 def test_solved_within_three_times_the_counts_of_slsqp(name):
     ours, plain = ours_and_plain(name)
     assert ours.status == "converged"
@@ -28,24 +28,26 @@ def test_solved_within_three_times_the_counts_of_slsqp(name):
         assert ours.gradients <= 3 * plain.gradients
 
 
-def test_all_together_need_hardly_more_than_slsqp():
-    """Guards the counts as a whole: a change that costs a few evaluations everywhere fails here."""
+def test_all_together_need_half_as_much_again_as_slsqp():
+    """Guards the counts as a whole: a change that costs a few evaluations everywhere fails here.
+
+    A fifth of ours is the check, in one batch, that the end is a minimum.
+    """
     both = [(ours, plain) for ours, plain in map(ours_and_plain, PROBLEMS) if ours.solved and plain.solved]
     assert len(both) >= 40
-    assert sum(ours.functions for ours, _ in both) <= 1.4 * sum(plain.functions for _, plain in both)
-    assert sum(ours.gradients for ours, _ in both) <= 1.1 * sum(plain.gradients for _, plain in both)
+    assert sum(ours.functions for ours, _ in both) <= 1.55 * sum(plain.functions for _, plain in both)
+    assert sum(ours.gradients for ours, _ in both) <= 1.2 * sum(plain.gradients for _, plain in both)
 
 
 def test_newton_needs_two_thirds_of_the_turns():
     """Turns are batches: with its neighbors in the same batch, a trial of Newton's costs one like any other."""
     turns = {"bfgs": 0, "newton": 0}
-    for name, problem in PROBLEMS.items():
+    for problem in PROBLEMS.values():
         for metric in turns:
             problem.reset()
             result = optimize(problem, "mmfd", metric=metric, max_iterations=200)
-            if (name, metric) != (SADDLE, "bfgs"):
-                assert error(problem, result.value) <= 1e-4
-                assert result.violation <= 1e-6
+            assert error(problem, result.value) <= 1e-4
+            assert result.violation <= 1e-6
             turns[metric] += len(problem.batches)
     assert turns["newton"] <= 0.75 * turns["bfgs"]
 
@@ -59,8 +61,7 @@ def test_conjugate_directions_solve_them_too(name):
     assert ours.violation <= 1e-6
 
 
-def test_the_saddle_is_reached_exactly_and_left_where_asked():
-    """A documented weakness, kept honest: the end is that stationary point and nothing worse, unless curvature is checked."""
-    ours, _ = ours_and_plain(SADDLE)
-    assert ours.error == pytest.approx(7.876967, abs=1e-3)
-    assert count(PROBLEMS[SADDLE], "mmfd", second_order=True).solved
+def test_the_saddle_is_left_by_the_check_of_the_curvature():
+    blind = count(PROBLEMS[SADDLE], "mmfd", second_order=False)
+    assert blind.status == "converged"
+    assert blind.error == pytest.approx(7.876967, abs=1e-3)

@@ -55,14 +55,29 @@ def slope(evaluation: Evaluation, multipliers: np.ndarray) -> np.ndarray:
     return evaluation.objective_gradient + evaluation.constraint_gradients.T @ multipliers
 
 
-def way_down(H: np.ndarray, gradients: np.ndarray, quality: KuhnTucker, pressed: float) -> tuple[np.ndarray, float]:
-    """Return the direction [n], of length one, and the curvature of the steepest way down from a Kuhn-Tucker point.
+def tangent(gradients: np.ndarray, quality: KuhnTucker, pressed: float) -> np.ndarray:
+    """Return an orthonormal basis [n, k] of the ways along what has a multiplier above `pressed`."""
+    bounds = np.eye(quality.bound_multipliers.size)[np.abs(quality.bound_multipliers) > pressed]
+    return null_space(np.vstack([gradients[quality.multipliers > pressed], bounds]))
 
-    Constraints and bounds with multipliers above `pressed` are followed; a curvature >= 0 says that there is no way.
-    """
-    bounds = np.eye(H.shape[0])[np.abs(quality.bound_multipliers) > pressed]
-    Z = null_space(np.vstack([gradients[quality.multipliers > pressed], bounds]))
-    if not Z.shape[1]:
-        return np.zeros(H.shape[0]), 0.0
-    values, vectors = np.linalg.eigh(Z.T @ H @ Z)
-    return Z @ vectors[:, 0], float(values[0])
+
+def along(search: Search, y: np.ndarray, here: Evaluation, multipliers: np.ndarray, Z: np.ndarray) -> np.ndarray | None:
+    """Return Z'H Z [k, k] by k designs a little along the columns of Z in one batch; None if one of them fails."""
+    steps = [_step(search, y, z) for z in Z.T]
+    others = [np.clip(y + step * z, search.lower, search.upper) for step, z in zip(steps, Z.T, strict=True)]
+    search.prefetch(others)
+    rows = []
+    for other, step in zip(others, steps, strict=True):
+        there = search.evaluate(other, gradients=True)
+        if not there.ok:
+            return None
+        rows.append((slope(there, multipliers) - slope(here, multipliers)) / step)
+    reduced = np.array(rows).reshape(-1, y.size) @ Z
+    return 0.5 * (reduced + reduced.T)
+
+
+def _step(search: Search, y: np.ndarray, z: np.ndarray) -> float:
+    """Return the length and sense of a small step along z that stays inside the bounds, if one does."""
+    step = DIFFERENCE / float((np.abs(z) / np.maximum(np.abs(y), 1.0)).max())
+    inside = np.all((y + step * z >= search.lower) & (y + step * z <= search.upper))
+    return step if inside else -step

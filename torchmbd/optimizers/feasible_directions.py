@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchmbd.optimizers.curvature import hessian, way_down
+from torchmbd.optimizers.curvature import tangent
 from torchmbd.optimizers.direction import Direction, find_direction
 from torchmbd.optimizers.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimizers.line_search import LineSearch, Trial
@@ -19,6 +19,7 @@ LOOKS = 3  # at a metric that depends on the multipliers
 PATIENCE = 5  # times ITRMOP iterations at rest may go on while a constraint is still violated
 RESETS = 2  # fresh starts of the metric before the search gives up
 ESCAPE = 0.25  # length of a step away from a saddle point (scaled)
+AT_REST = 0.1  # of the option kkt: a residual that needs no second look where the objective is at rest
 LOOSE = 2e-2  # Kuhn-Tucker residual up to which an objective at rest is believed to be optimal
 NO_KUHN_TUCKER = "the Kuhn-Tucker conditions do not hold"
 
@@ -47,6 +48,7 @@ class FeasibleDirections:
         self.weights = np.zeros(self.here.constraints.size)
         self.multipliers = np.zeros(self.here.constraints.size)
         self.resets = self.quiet = 0
+        self.believed = np.inf  # the objective where it was at rest, and nearly optimal
         self.reach = metric.first_reach
         self.metric.reset(self.first_curvature(self.weights))
 
@@ -91,6 +93,10 @@ class FeasibleDirections:
             self.multipliers = direction.multipliers if direction.beta == 1.0 else before
             if not again or np.allclose(before, self.multipliers, rtol=0.1, atol=1e-6):
                 break
+        if direction.beta == 1.0 and np.abs(direction.s).max(initial=0.0) >= 0.999 * self.reach:
+            # Our own limit takes the multipliers of the constraints upon itself: those of the design tell more.
+            multipliers = np.maximum(direction.multipliers, self.quality().multipliers)
+            direction = Direction(direction.s, multipliers, direction.beta)
         return direction
 
     def unit(self) -> np.ndarray:
@@ -179,10 +185,13 @@ class FeasibleDirections:
             return None if patient else self.no_step(direction, line)
         if line.failures:  # steps this short are no sign of an optimum
             return Ending(self.y, "stalled", f"the way down leads into designs that fail: {line.reason}")
-        if self.quality().residual <= LOOSE:
-            return Ending(self.y, "converged", f"the objective no longer changes ({self.quiet} iterations)")
-        if self.afresh(direction):
+        residual = self.quality().residual
+        if residual <= LOOSE:
+            self.believed = self.here.objective
+        if residual > AT_REST * self.settings.kkt and self.afresh(direction):
             return None
+        if self.here.objective >= self.believed - 10.0 * self.negligible:  # since then nothing came of a fresh start
+            return Ending(self.y, "converged", f"the objective no longer changes ({self.quiet} iterations)")
         return Ending(self.y, "stalled", f"the objective no longer changes, though {NO_KUHN_TUCKER}: a kink?")
 
     def escaped(self) -> bool:
@@ -190,14 +199,16 @@ class FeasibleDirections:
         if not self.settings.second_order:
             return False
         quality, search = self.quality(), self.search
-        H = hessian(search, self.y, self.here, quality.multipliers)
         assert self.here.constraint_gradients is not None
-        if H is None:
+        Z = tangent(self.here.constraint_gradients, quality, self.settings.kkt)
+        reduced = self.metric.reduced(search, self.y, self.here, quality.multipliers, Z)
+        if reduced is None or not reduced.size:
             return False
-        s, curvature = way_down(H, self.here.constraint_gradients, quality, self.settings.kkt)
-        if -curvature * ESCAPE**2 <= self.negligible:
+        values, vectors = np.linalg.eigh(reduced)
+        if -values[0] * ESCAPE**2 <= self.negligible:
             return False
-        self.metric.know(H)
+        s = Z @ vectors[:, 0]
+        self.metric.know(Z @ reduced @ Z.T + values[-1] * (np.eye(len(Z)) - Z @ Z.T))
         s *= ESCAPE / np.abs(s).max()
         both = [np.clip(self.y + sign * s, search.lower, search.upper) for sign in (1.0, -1.0)]
         search.prefetch([design for y in both for design in (y, *self.metric.companions(search, y))])

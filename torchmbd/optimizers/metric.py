@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from torchmbd.optimizers.curvature import along
 from torchmbd.optimizers.direction import Direction
 from torchmbd.optimizers.optimizer import Evaluation
 from torchmbd.optimizers.search import Search
@@ -36,8 +37,6 @@ class VariableMetric:
     first_reach, reach_if_short, reach_if_full = np.inf, 3.0, 10.0
     # Whether a line search should interpolate once more although its step is acceptable.
     refine = False
-    # Whether a Kuhn-Tucker point is checked for being a minimum.
-    second_order = False
 
     def __init__(self, size: int) -> None:
         self.B = np.eye(size)
@@ -62,6 +61,12 @@ class VariableMetric:
     def look(self, search: Search, y: np.ndarray, here: Evaluation, multipliers: np.ndarray) -> bool:
         """Take in what is known around `y`; return whether better multipliers would ask for another look."""
         return False
+
+    def reduced(
+        self, search: Search, y: np.ndarray, here: Evaluation, multipliers: np.ndarray, Z: np.ndarray
+    ) -> np.ndarray | None:
+        """Return Z'H Z, H the second derivatives of the Lagrangian; None if they cannot be had."""
+        return along(search, y, here, multipliers, Z)
 
     def know(self, H: np.ndarray) -> None:
         """Take in the second derivatives H [n, n]; where they are negative the metric is soft: leave quickly."""

@@ -10,7 +10,7 @@ Each iteration
 From a feasible design only feasible designs are accepted: whenever it is stopped, the last iterate can be built.
 CTMIN is the slack of the first iterations and shrinks with the promised gain down to the problem's feasibility
 tolerance. An infeasible start is restored first, with the weight Phi on the violation. A failed evaluation shortens
-the step. With `second_order` a Kuhn-Tucker point must be a minimum (curvature.py): a saddle point is left.
+the step. The end must be a minimum, not only a Kuhn-Tucker point (curvature.py): a saddle point is left.
 
 Options have the names of DOT. `metric` says how a direction is scaled: "bfgs" learns curvature along the way, "newton"
 simulates n neighbours with every trial and needs two thirds of the turns, "conjugate" is DOT's own (steepest descent or
@@ -54,12 +54,13 @@ def mmfd(
     dobj1: float = 0.5,
     dx1: float = 1.0,
     kkt: float = 1e-3,
-    second_order: bool = False,
+    second_order: bool = True,
 ) -> Ending:
     """Run the method on one start.
 
     `dobj1`, `dx1`: share of objective and variables that the first step may change. `second_order`: check that the end
-    is no saddle point, by n further analyses in one batch, and go on from there if it is ("newton" always does).
+    is no saddle point and leave it if it is; costs as many analyses as there are ways along the active constraints, in
+    one batch.
     """
     if metric not in METRICS:
         raise unknown("metric", metric, METRICS)
@@ -74,5 +75,5 @@ def mmfd(
     first = search.begin()
     if not first.ok:
         return Ending(search.start, "failed", f"the start could not be evaluated: {first.status}")
-    settings = Settings(ct, ctmin, delobj, dabobj, itrmop, dobj1, dx1, kkt, second_order or learner.second_order)
+    settings = Settings(ct, ctmin, delobj, dabobj, itrmop, dobj1, dx1, kkt, second_order)
     return FeasibleDirections(search, settings, learner, first).run(max_iterations)

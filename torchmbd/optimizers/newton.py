@@ -25,7 +25,6 @@ class NewtonMetric(VariableMetric):
     """B = |H| by differences of gradients."""
 
     first_reach, reach_if_short, reach_if_full = 0.5, 1.5, 2.0
-    second_order = True
 
     def companions(self, search: Search, y: np.ndarray) -> list[np.ndarray]:
         return neighbors(search, y)
@@ -36,3 +35,9 @@ class NewtonMetric(VariableMetric):
             return False
         self.know(H)
         return True
+
+    def reduced(
+        self, search: Search, y: np.ndarray, here: Evaluation, multipliers: np.ndarray, Z: np.ndarray
+    ) -> np.ndarray | None:
+        H = hessian(search, y, here, multipliers)  # the neighbors are known
+        return None if H is None else Z.T @ H @ Z
