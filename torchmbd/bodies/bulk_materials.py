@@ -1,7 +1,8 @@
 """Plies, laminates and beam sections from the property and material cards of a Nastran model, in SI units.
 
     MAT1, MAT8    -> Ply; strengths where all are given (MAT8: Xt, Xc, Yt, Yc, S; F12 as Tsai-Wu's interaction)
-    PCOMP         -> Laminate, its angles design parameters; LAM = SYM is a symmetric one
+    PCOMP         -> Laminate, its angles design parameters; LAM = SYM is a symmetric one; transverse shear stiffness of
+                     equal energy, which is right for sandwiches, too
     PSHELL        -> Laminate of one ply; its angle is no design parameter
     PBAR, PBARL (ROD, TUBE, BAR), PBEAM (the same at both ends)  -> GivenSection
 
@@ -156,7 +157,8 @@ def _stack(data: BulkData, card: Card, units: Units) -> Laminate:
         )
     plies = [ply_of(data.material(card, number), units, data.weight_to_mass) for number in materials]
     plies = [_with_extra_mass(ply, card, 3, total * units.length, data, units) for ply in plies]
-    return Laminate(plies, deg(angles), [t * units.length for t in thicknesses], symmetric=kind == "SYM")
+    thicknesses = [t * units.length for t in thicknesses]
+    return Laminate(plies, deg(angles), thicknesses, symmetric=kind == "SYM", shear_correction="energy")
 
 
 def _with_extra_mass(ply: Ply, card: Card, position: int, thickness: float, data: BulkData, units: Units) -> Ply:

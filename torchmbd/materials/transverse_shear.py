@@ -8,6 +8,9 @@ bending: M_xx,x = Q_x and M_yy,y = Q_y, all other derivatives of forces and mome
 and its integral is the unit matrix, for any stack: unbalanced, unsymmetric, sandwich. A homogeneous plate gets the
 parabola and As = 5/6 G h.
 
+The two states are taken along the axes of the laminate. So As is no exact tensor: a general stack whose axes are turned
+one way and its plies the other differs by up to a sixth of As; axes along the direction of bending are the best choice.
+
 Differentiable, forward and reverse, in angles and thicknesses, with lanes `...` (no linear solver inside).
 Source: R. Rolfes and K. Rohwer, Improved transverse shear stresses in composite finite elements based on first order
 shear deformation theory, Int. J. Numer. Methods Eng. 40 (1997) 51-60; P. Vlachoutsis, Shear correction factors for
