@@ -14,7 +14,16 @@ import pytest
 
 import torchmbd as mbd
 from tests.mechanisms import CARBON, laminate, pendulum, plate
-from torchmbd.design import AtPeaks, AtTimes, DesignSpace, Mass, SmoothMax, WeightedSum
+from torchmbd.design import (
+    AtPeaks,
+    AtTimes,
+    DesignSpace,
+    Frequency,
+    Mass,
+    RelativeDisplacement,
+    SmoothMax,
+    WeightedSum,
+)
 from torchmbd.errors import InputError
 
 PLY: dict = CARBON
@@ -45,6 +54,8 @@ def against_differences(p: mbd.Problem, x: np.ndarray, h: float = 2e-4, toleranc
     rows = np.array([[e.objective, *e.constraints] for e in p.evaluate(x + shifts, gradients=False)])
     a, b, c, d = rows.reshape(4, len(x), -1)
     slopes = ((a - 8 * b + 8 * c - d) / (12 * h)).T
+    assert found.objective_gradient is not None
+    assert found.constraint_gradients is not None
     exact = np.vstack([found.objective_gradient, found.constraint_gradients])
     assert exact == pytest.approx(slopes, abs=tolerance * np.abs(slopes).max())
 
@@ -114,7 +125,7 @@ def test_initial_limits_of_rows_are_the_largest():
 
 def test_weighted_sum_is_one_at_the_start():
     """(38), normalized by the initial design: weights 0.6 and 0.4 make one, whatever the units."""
-    lag = mbd.design.RelativeDisplacement("rod", 0, "right", "z")
+    lag = RelativeDisplacement("rod", 0, "right", "z")
     both = WeightedSum([(0.6, mbd.Integral(ENERGY)), (0.4, mbd.Integral(lag**2))])
     p = problem(both)
     (first,) = p.evaluate(p.start[None], gradients=False)
@@ -144,12 +155,12 @@ def test_equalities_are_met():
 
 
 def test_lower_limits_and_scales():
-    p = problem(subject_to=[mbd.Integral(ENERGY) >= 1e-6, mbd.design.Frequency("rod").equals(0.0, scale=10.0)])
+    p = problem(subject_to=[mbd.Integral(ENERGY) >= 1e-6, Frequency("rod").equals(0.0, scale=10.0)])
     motion = p.motion(p.start)
     (found,) = p.evaluate(p.start[None], gradients=False)
     integral, frequency = (
         float(mbd.Integral(ENERGY).value(motion)[0]),
-        float(mbd.design.Frequency("rod").value(motion)[0]),
+        float(Frequency("rod").value(motion)[0]),
     )
     assert found.constraints == pytest.approx([(1e-6 - integral) / 1e-6, frequency / 10.0])
     assert p.equalities.tolist() == [1]

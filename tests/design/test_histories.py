@@ -1,0 +1,109 @@
+"""Histories against mechanics: rates seen by a moving observer, reactions against Newton's law, what they refuse."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import GRAVITY, pendulum, tensor
+from torchmbd.design import Acceleration, Displacement, Position, Reaction, RelativeDisplacement, Velocity
+
+STEPS, DURATION = 200, 0.02
+HINGE, JOINT = "revolute_ground_arm", "universal_arm_rod"
+
+
+@pytest.fixture(scope="module")
+def motion() -> mbd.Trajectory:
+    return mbd.simulate(pendulum(), DURATION, steps=STEPS, iterations=(6, 6), refresh=1).require_ok()
+
+
+@pytest.mark.parametrize("observer", ["ground", "arm", "rod"])
+def test_rates_are_slopes_of_what_the_observer_sees(observer, motion):
+    def seen(kind):
+        parts = [kind("rod", axis, node=0, seen_from=observer).values(motion) for axis in "xyz"]
+        return torch.stack(parts, -1)
+
+    h = DURATION / STEPS
+    # What a moving observer sees is the difference of larger numbers, whose error in time it inherits.
+    point = motion.body("rod").at(0)
+    sizes = point.velocity, point.acceleration
+    for x, rate, size in zip(
+        (seen(Position), seen(Velocity)), (seen(Velocity), seen(Acceleration)), sizes, strict=True
+    ):
+        slope = (x[:, :-4] - 8 * x[:, 1:-3] + 8 * x[:, 3:-1] - x[:, 4:]) / (12 * h)
+        assert_close(rate[:, 2:-2], slope, rtol=0, atol=2e-3 * float(size.abs().max()))
+
+
+def test_axes_turn_a_vector_and_keep_its_length(motion):
+    def length(**given):
+        return sum(Velocity("rod", axis, node="right", **given).values(motion) ** 2 for axis in "xyz")
+
+    assert_close(length(axes="arm"), length(), rtol=1e-12, atol=0)
+    assert_close(length(seen_from="arm", axes="rod"), length(seen_from="arm"), rtol=1e-12, atol=0)
+    along = Velocity("rod", (3.0, 0.0, 4.0), node="right").values(motion)
+    x, z = (Velocity("rod", axis, node="right").values(motion) for axis in "xz")
+    assert_close(along, 0.6 * x + 0.8 * z)
+
+
+def test_displacements(motion):
+    """Seen from the body itself: elastic. Seen from elsewhere: what changed since the start."""
+    rod = motion.body("rod")
+    assert_close(Displacement("rod", "z", node=0).values(motion), rod.displacements[:, :, 0, 2])
+    seen = Displacement("rod", "x", node=0, seen_from="ground").values(motion)
+    assert_close(seen, rod.nodes[:, :, 0, 0] - rod.nodes[:, :1, 0, 0], rtol=0, atol=1e-14)
+    twist = RelativeDisplacement("rod", 0, "right", "z").values(motion)
+    right = rod.mesh.node("right")
+    assert_close(twist, rod.displacements[:, :, 0, 2] - rod.displacements[:, :, right, 2], rtol=0, atol=1e-18)
+    hung = Position("rod", "y", node="left", seen_from="arm").values(motion)
+    assert_close(hung, torch.full_like(hung, 0.1), rtol=0, atol=1e-9)
+
+
+def force(motion, joint: str, **given) -> torch.Tensor:
+    return torch.stack([Reaction(joint, axis, **given).values(motion) for axis in "xyz"], -1)
+
+
+def test_a_reaction_is_what_moves_the_body(motion):
+    """Newton: the joint carries the mass times acceleration of all nodes of the rod, less their weight."""
+    rod, body = motion.body("rod"), motion.system.body("rod")
+    laminate = body.laminate
+    mass = body.matrices.lumped_mass(laminate.mass_per_area, laminate.rotary_inertia_per_area).detach()[0::6]
+    rate = sum(m * (rod.at(k).acceleration - tensor(*GRAVITY)) for k, m in enumerate(mass))
+    found = force(motion, JOINT)
+    assert_close(found, rate, rtol=0, atol=1e-8 * float(found.abs().max()))
+    assert float(found.abs().max()) > 0.1
+
+
+def test_action_is_reaction_and_a_hinge_turns_freely(motion):
+    assert_close(force(motion, JOINT, on="arm"), -force(motion, JOINT), rtol=0, atol=1e-12)
+    torque = force(motion, HINGE, kind="torque")
+    hinge = motion.system.joints[0].a.axis("x")
+    size = float(torque.abs().max())
+    assert size > 1e-2
+    assert float((torque @ hinge).abs().max()) < 1e-9 * size
+    assert float((torque @ motion.system.joints[0].a.axis("y")).abs().max()) > 1e-2 * size
+
+
+@pytest.mark.parametrize(
+    ("history", "words"),
+    [
+        (Velocity("rod", "w"), "axis is 'w'; allowed: 'x', 'y', 'z', or a direction"),
+        (Velocity("rod", (0.0, 0.0, 0.0)), "axis is (0.0, 0.0, 0.0)"),
+        (Velocity("rod", "x", node="lefft"), "did you mean 'left'"),
+        (Velocity("arm", "x", node="left"), "body 'arm' is rigid"),
+        (Velocity("rod", "x", point=(0, 0, 0)), "point is (0, 0, 0) on the flexible body 'rod'; allowed: node"),
+        (Velocity("rod", "x", seen_from="amr"), "did you mean 'arm'"),
+        (Velocity("rod", "x", axes="amr"), "did you mean 'arm'"),
+        (Displacement("rod", "x", seen_from="rod"), "is zero; allowed: a node, or seen_from"),
+        (RelativeDisplacement("rod", 0, 999, "z"), "node is 999"),
+        (Reaction("universal_arm", "x"), "did you mean 'universal_arm_rod'"),
+        (Reaction(JOINT, "x", kind="moment"), "kind of reaction 'moment'"),
+        (Reaction(JOINT, "x", on="ground"), "'ground' does not exist; allowed: arm, rod"),
+    ],
+    ids=str,
+)
+def test_what_the_system_does_not_have(history, words):
+    with pytest.raises(mbd.InputError) as error:
+        history.check(pendulum())
+    assert words in str(error.value)
