@@ -16,7 +16,7 @@ from torchmbd.design import (
     WeightedSum,
 )
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
-from torchmbd.design.spec import HISTORIES, MEASURES, SpecError, measure_of
+from torchmbd.design.spec import HISTORIES, MEASURES, SpecError, leaf, measure_of, words
 
 ENERGY = mbd.StrainEnergy("rod")
 TWIST = RelativeDisplacement("rod", "left", "right", "z")
@@ -53,6 +53,17 @@ def test_what_a_file_can_say(spec, expected):
     assert measure_of(spec) == expected
 
 
+def test_responses_in_words():
+    both = {"weighted_sum": [{"weight": 1, "integral": {"squared": TWIST_SPEC}}, {"weight": 2, "mass": "rod"}]}
+    assert words(both) == "weighted sum of integral of squared of relative displacement of rod and mass of rod"
+    assert words({"window": [0, 1], "max": {"strain_energy": "rod"}}, bodies=False) == "max of strain energy"
+    assert leaf({"integral": {"squared": TWIST_SPEC}}, ("minimize",))[1:] == (
+        "integral",
+        "squared",
+        "relative_displacement",
+    )
+
+
 def test_every_registered_name_can_be_said():
     assert set(MEASURES) == {*COMBINATORS, *OF_DESIGN, "weighted_sum"}
     assert set(HISTORIES) == {*RESPONSES, "squared"}
@@ -62,10 +73,10 @@ def test_every_registered_name_can_be_said():
     ("spec", "path", "words"),
     [
         ("integral", (), ["'integral'", "must be a mapping"]),
-        ({}, (), ["has 0 of the keys; must have exactly one", "integral"]),
+        ({}, (), ["has 0 keys; must have exactly one", "integral"]),
         ({"integrl": {"strain_energy": "rod"}}, ("integrl",), ["unknown name", "did you mean 'integral'"]),
         ({"max": {"strain_energie": "rod"}}, ("max", "strain_energie"), ["did you mean 'strain_energy'"]),
-        ({"max": {"strain_energy": "rod"}, "min": {"strain_energy": "rod"}}, (), ["has 2 of the keys"]),
+        ({"max": {"strain_energy": "rod"}, "min": {"strain_energy": "rod"}}, (), ["has 2 keys"]),
         ({"max": {"strain_energy": 3}}, ("max", "strain_energy"), ["= 3: must be a name", "body"]),
         ({"max": {"strain_energy": "rod"}, "windw": [0, 1]}, ("windw",), ["unknown key", "did you mean 'window'"]),
         ({"max": {"strain_energy": "rod"}, "window": [1, 0]}, (), ["window is [1, 0]", "t0 < t1"]),

@@ -60,6 +60,26 @@ def history_of(spec: Any, path: Path = ()) -> History:
     return _of_words(RESPONSES[name], spec[name], (*path, name))
 
 
+def words(spec: Any, bodies: bool = True) -> str:
+    """A valid response in words: `integral of strain energy of rod`."""
+    [name] = [key for key in spec if key in MEASURES or key in HISTORIES]
+    inner, said = spec[name], name.replace("_", " ")
+    if name == SUM:
+        return f"{said} of {' and '.join(words(term, bodies) for term in inner)}"
+    if name in COMBINATORS or name == SQUARED:
+        return f"{said} of {words(inner, bodies)}"
+    body = inner if isinstance(inner, str) else next(iter(inner.values()))
+    return f"{said} of {body}" if bodies else said
+
+
+def leaf(spec: Any, path: Path = ()) -> Path:
+    """The path to the innermost response of a valid one, to which its names belong."""
+    [name] = [key for key in spec if key in MEASURES or key in HISTORIES]
+    inner = spec[name]
+    deeper = isinstance(inner, Mapping) and any(key in HISTORIES for key in inner)
+    return leaf(inner, (*path, name)) if deeper else (*path, name)
+
+
 def _terms(spec: Any, path: Path) -> list[tuple[float, Measure]]:
     if not isinstance(spec, list) or not spec:
         raise SpecError(path, f"= {spec!r}: must be a list of measures, each with its weight")
@@ -83,7 +103,7 @@ def _one(spec: Any, names: Collection[str], path: Path) -> tuple[str, dict[str, 
     if len(found) == 1:
         return found[0], {key: x for key, x in spec.items() if key != found[0]}
     if len(found) > 1 or not spec:
-        raise SpecError(path, f"has {len(found)} of the keys; must have exactly one{nearest('', names)}")
+        raise SpecError(path, f"has {len(found)} keys; must have exactly one{nearest('', names)}")
     key = next(iter(spec))
     raise SpecError((*path, key), f"unknown name{nearest(key, names)}")
 
