@@ -100,7 +100,7 @@ def test_a_lane_that_fails_is_named_and_leaves_the_others_alone(method, system, 
         sick.data["Kr"] = sick.data["Kr"].clone()
         sick.data["Kr"][..., 1] = torch.nan
         history, _, status = run(sick, DURATION, steps, method, dict(asked.options))
-        alone, _, healthy = run(system.dynamics(designs).lane(0), DURATION, steps, method, dict(asked.options))
+        alone, _, healthy = run(system.dynamics(designs).some([0]), DURATION, steps, method, dict(asked.options))
     assert healthy == ["ok"]
     assert status[0] == "ok"
     assert status[1].startswith("failed: ")

@@ -72,10 +72,28 @@ def test_the_command_lists_and_clears(cache: Path, capsys: pytest.CaptureFixture
 
 def test_packages_are_built_at_the_second_batch_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     built: list[Dynamics] = []
-    monkeypatch.setattr(compiled, "build_in_background", built.append)
+
+    def build(d: Dynamics) -> None:
+        built.append(d)
+        compiled._building[key(d)] = None  # type: ignore[assignment]
+
+    monkeypatch.setattr(compiled, "build_in_background", build)
+    monkeypatch.setattr(compiled, "_building", {})
+    monkeypatch.setattr(compiled, "_PATIENCE", 0.0)
+    counts = []
     for _ in range(4):
         assert model(dynamics()) is None
-    assert len(built) == 1
+        counts.append(len(built))
+    assert counts == [0, 1, 1, 1]
+
+
+def test_with_few_cores_a_build_waits(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    built: list[Dynamics] = []
+    monkeypatch.setattr(compiled, "build_in_background", built.append)
+    monkeypatch.setattr(compiled, "_FEW_CORES", 10**6)
+    for _ in range(3):
+        model(dynamics())
+    assert built == []
 
 
 def test_without_a_compiler_the_eager_route_works_and_says_so(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -156,3 +156,22 @@ def test_strain_energy_is_that_of_the_finite_elements(motion, system):
     K = body.matrices.stiffness(body.laminate.entries().detach()).dense()
     u = torch.einsum("lnim,ltm->ltni", motion.body("rod").psi, motion.body("rod").w).flatten(2)
     assert_close(motion.body("rod").strain_energy, 0.5 * torch.einsum("lti,ij,ltj->lt", u, K, u), rtol=1e-9, atol=1e-15)
+
+
+def test_a_lane_that_fails_is_tried_with_half_the_step():
+    from experiments.slider_crank import build
+
+    system = build(3, cells=(6, 2), modes=4)
+    designs = {"rod.laminate.angles": mbd.deg([[0, 0, 0], [90, 60, 90]])}
+
+    def run(steps: int, **options) -> mbd.Trajectory:
+        return mbd.simulate(system, 0.024, designs=designs, steps=steps, **options)
+
+    coarse, cured, fine = run(3, halvings=0), run(3), run(6)
+    assert coarse.status[0] == cured.status[0] == cured.status[1] == "ok"
+    assert "did not converge" in coarse.status[1]
+    assert cured.stats["halved"] == [1]
+    assert torch.equal(cured.q[0], coarse.q[0])
+    assert torch.equal(cured.lam[0], coarse.lam[0])
+    torch.testing.assert_close(cured.q[1], fine.q[1, ::2], rtol=1e-9, atol=1e-12)
+    torch.testing.assert_close(cured.lam[1], fine.lam[1, ::2], rtol=1e-6, atol=1e-6 * float(fine.lam.abs().max()))

@@ -29,6 +29,7 @@ from torchmbd.integrators import Trajectory, simulate
 from torchmbd.integrators.simulate import check
 from torchmbd.integrators.trajectory import OK
 from torchmbd.optimizers import Evaluation
+from torchmbd.reduction import CutCluster
 from torchmbd.system import System
 
 BOUND = "bound"  # name of the extra variable beta
@@ -175,8 +176,13 @@ class Problem:
         rows = self.peaks + sum(c.measure.rows for c in self.constraints)
         try:
             motion = self.simulate(X, gradients)
+        except CutCluster as error:  # the others of the batch go on together
+            failed = {lane: Evaluation.failure(f"failed: {error}", rows) for lane in error.lanes}
+            rest = [lane for lane in range(len(X)) if lane not in failed]
+            found = dict(zip(rest, self.evaluate(X[rest], gradients), strict=True)) if rest else {}
+            return [failed[lane] if lane in failed else found[lane] for lane in range(len(X))]
         except (InputError, SimulationFailure) as error:
-            # The structure stage refused a design (a cluster of modes cut at the truncation, say): find out which.
+            # The structure stage refused a design: find out which.
             if len(X) == 1:
                 return [Evaluation.failure(f"failed: {error}", rows)]
             return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]

@@ -25,6 +25,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
 import warnings
 import zipfile
 from dataclasses import dataclass, replace
@@ -42,8 +43,12 @@ from torchmbd.system.topology import Prescribed, Topology
 
 _SOURCES = ("numerics", "joints/primitive.py", "system", "integrators/step.py", "integrators/compiled.py")
 _READY = "ready"
+# Which batch starts a build: an optimization evaluates gradients again and again, values alone now and then. With one or
+# two cores a build slows the simulations beside it by half, so that a study of two minutes is better off without it.
+_GRADIENTS, _VALUES_ALONE = 2, 8
+_FEW_CORES, _PATIENCE = 2, 60.0  # [s] after the first batch
 _loaded: dict[str, Any] = {}
-_seen: dict[str, int] = {}
+_seen: dict[str, tuple[int, float]] = {}  # batches without packages, and when the first was
 _building: dict[str, subprocess.Popen] = {}
 
 
@@ -130,6 +135,16 @@ def key(T: Topology, signature: Signature) -> str:
     return digest.hexdigest()[:32]
 
 
+def _wanted(name: str, dynamics: Dynamics) -> None:
+    """Take note of a batch without packages; start to build them when it will pay."""
+    count, since = _seen.get(name, (0, time.monotonic()))
+    _seen[name] = (count + 1, since)
+    often = count + 1 >= (_GRADIENTS if dynamics.tangents else _VALUES_ALONE)
+    patient = time.monotonic() - since >= (_PATIENCE if len(os.sched_getaffinity(0)) <= _FEW_CORES else 0.0)
+    if often and patient and name not in _building:
+        build_in_background(dynamics)
+
+
 class _Operation(nn.Module):
     """One operation of a step on flat lists of tensors."""
 
@@ -190,16 +205,14 @@ class CompiledModel:
 
     @staticmethod
     def of(dynamics: Dynamics, x: State, w: Weights) -> CompiledModel | None:
-        """The compiled model of a topology, if its packages are ready; builds them in the background at the second call."""
+        """The compiled model of a topology if its packages are ready; asked for again, they are built in the background."""
         if not enabled():
             return None
         name = key(dynamics.topology, Signature.of(dynamics))
         if name not in _loaded:
             folder = cache_folder() / name
             if not (folder / _READY).exists():
-                _seen[name] = _seen.get(name, 0) + 1
-                if _seen[name] == 2:
-                    build_in_background(dynamics)
+                _wanted(name, dynamics)
                 return None
             packages = _load(folder, Signature.of(dynamics))
             if packages is None:

@@ -43,7 +43,7 @@ def simulate(
                    Adaptive methods choose their own steps between the outputs
     sensitivities  True: by every parameter that requires a gradient; or the names of parameters
     designs        parameter name -> values [lanes, ...]; others keep their own values
-    options        generalized_alpha: spectral_radius, iterations, refresh; torchdiffeq: rtol, atol, options
+    options        generalized_alpha: spectral_radius, iterations, refresh, halvings; torchdiffeq: rtol, atol, options
 
     A lane that fails is reported in `status`. Raises InputError for bad arguments.
     """
@@ -70,7 +70,9 @@ def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any]) ->
     if method not in METHODS:
         raise unknown("method", method, METHODS)
     allowed = (
-        ("spectral_radius", "iterations", "refresh") if method == "generalized_alpha" else ("rtol", "atol", "options")
+        ("spectral_radius", "iterations", "refresh", "halvings")
+        if method == "generalized_alpha"
+        else ("rtol", "atol", "options")
     )
     for name in options:
         if name not in allowed:
@@ -124,20 +126,55 @@ def default_steps(dynamics: Dynamics, duration: float) -> int:
 def run(
     dynamics: Dynamics, duration: float, steps: int, method: str, options: dict[str, Any]
 ) -> tuple[History, dict[str, Any], list[str]]:
-    """Integrate; a failure of an adaptive method in a batch is isolated by running the lanes one by one."""
+    """Integrate; a lane that fails does not take the others with it.
+
+    Equal steps: the lanes that failed are tried again with steps of half the size. Adaptive methods: the lanes are run
+    one by one.
+    """
     if method == "generalized_alpha":
-        history, stats = generalized_alpha.integrate(dynamics, duration, steps, **options)
-        return history, stats, _status(history, duration, steps, stats)
+        return _with_halving(dynamics, duration, steps, **options)
     try:
         history, stats = ode.integrate(dynamics, duration, steps, method, **options)
         return history, stats, _status(history, duration, steps, {})
     except FloatingPointError as error:
         if dynamics.lanes == 1:
             return _empty(dynamics, steps), {}, [f"failed: {error}"]
-    parts = [run(dynamics.lane(i), duration, steps, method, options) for i in range(dynamics.lanes)]
+    parts = [run(dynamics.some([i]), duration, steps, method, options) for i in range(dynamics.lanes)]
     q, v, vd, lam = (torch.cat([getattr(h, name) for h, _, _ in parts], -1) for name in ("q", "v", "vd", "lam"))
     counts = {"evaluations": sum(s.get("evaluations", 0) for _, s, _ in parts)}
     return History(q, v, vd, lambda: lam), counts, [status for _, _, statuses in parts for status in statuses]
+
+
+def _with_halving(
+    dynamics: Dynamics, duration: float, steps: int, halvings: int = 1, **options: Any
+) -> tuple[History, dict[str, Any], list[str]]:
+    """generalized_alpha; `halvings`: how many times the step may be halved for lanes that fail."""
+    if not isinstance(halvings, int) or halvings < 0:
+        raise InputError(f"halvings is {halvings!r}; allowed: a whole number, 0 or more")
+    history, stats = generalized_alpha.integrate(dynamics, duration, steps, **options)
+    status = _status(history, duration, steps, stats)
+    failed = [lane for lane, reason in enumerate(status) if reason != OK]
+    if not failed or not halvings:
+        return history, stats, status
+    finer, counts, retried = _with_halving(dynamics.some(failed), duration, 2 * steps, halvings - 1, **options)
+    cured = [(i, lane) for i, lane in enumerate(failed) if retried[i] == OK]
+    if not cured:
+        return history, stats, status
+    source, lanes = (list(x) for x in zip(*cured, strict=True))
+
+    def patch(x: Tensor, y: Tensor) -> Tensor:
+        x = x.clone()
+        x[..., lanes] = y[::2][..., source]
+        return x
+
+    q, v, vd = (patch(getattr(history, name), getattr(finer, name)) for name in ("q", "v", "vd"))
+    for name in ("iteration_error", "tangent_error"):
+        if name in stats:
+            stats[name][lanes] = counts[name][source]
+    for lane in lanes:
+        status[lane] = OK
+    stats["halved"] = sorted({*lanes, *(failed[i] for i in counts.get("halved", []))})
+    return History(q, v, vd, lambda: patch(history.lam, finer.lam)), stats, status
 
 
 def _empty(dynamics: Dynamics, steps: int) -> History:

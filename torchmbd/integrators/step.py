@@ -16,6 +16,7 @@ correction is mostly enough.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import torch
@@ -119,9 +120,13 @@ class Step:
 
     def __init__(self, model: Model, x: State, given: Prescribed):
         self.model, self.x, self.given = model, x, given
-        self._known_values = self._known(x.values())
+        self._known_values = self._from(x.values())
 
-    def _known(self, x: State) -> State:
+    @cached_property
+    def _known(self) -> State:
+        return self._from(self.x)
+
+    def _from(self, x: State) -> State:
         """What the known state gives to q (as an increment), v and a at the end of the step."""
         w = self.model.w
         a = combine(w.a_from_vd * x.vd, w.a_from_a, x.a)
@@ -154,7 +159,7 @@ class Step:
 
     def tangent(self, H: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected design tangents [n, n_b, lanes] of the unknowns, and the size of their correction [lanes]."""
-        R = self._residual(self.model.data, self.x.q, self._known(self.x), Pair.of(z, dz)).tangent
+        R = self._residual(self.model.data, self.x.q, self._known, Pair.of(z, dz)).tangent
         correction = apply(H, R)
         return dz - correction, self._size(correction)
 
@@ -164,7 +169,7 @@ class Step:
     def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
         """The new state."""
         T, w = self.model.T, self.model.w
-        known, both = (self._known_values, z) if dz is None else (self._known(self.x), Pair.of(z, dz))
+        known, both = (self._known_values, z) if dz is None else (self._known, Pair.of(z, dz))
         vd, lam = both[: T.n_v], both[T.n_v :]
         q0 = value(self.x.q) if dz is None else self.x.q
         q = equations.advance(T, q0, combine(known.q, w.scale, vd))

@@ -31,10 +31,11 @@ from torch import Tensor
 class Pair:
     """A value with its tangents for every design variable, side by side in `full` [component..., 1 + n_b, lane]."""
 
-    __slots__ = ("full",)
+    __slots__ = ("_tangent", "_value", "full")
 
     def __init__(self, full: Tensor):
         self.full = full
+        self._value = self._tangent = None
 
     @staticmethod
     def of(value: Tensor, tangent: Tensor) -> Pair:
@@ -44,13 +45,18 @@ class Pair:
         lanes = max(value.shape[-1], tangent.shape[-1])
         return Pair(torch.cat([x.expand(*x.shape[:-1], lanes) for x in (value, tangent)], -2))
 
+    # A view costs as much as a small operator: it is made once.
     @property
     def value(self) -> Tensor:
-        return self.full[..., :1, :]
+        if self._value is None:
+            self._value = self.full[..., :1, :]
+        return self._value
 
     @property
     def tangent(self) -> Tensor:
-        return self.full[..., 1:, :]
+        if self._tangent is None:
+            self._tangent = self.full[..., 1:, :]
+        return self._tangent
 
     @property
     def shape(self) -> torch.Size:
@@ -67,12 +73,12 @@ class Pair:
 
     def times(self, other: Pair, f: Callable[[Tensor, Tensor], Tensor]) -> Pair:
         """The product rule for a bilinear f: [a, da] b, then a db is added to the tangents."""
-        full = f(self.full, other.value)
+        product = Pair(f(self.full, other.value))
         if f is torch.mul:
-            full[..., 1:, :].addcmul_(self.value, other.tangent)
+            product.tangent.addcmul_(self.value, other.tangent)
         else:
-            full[..., 1:, :] += f(self.value, other.tangent)
-        return Pair(full)
+            product.tangent.add_(f(self.value, other.tangent))
+        return product
 
     def __getitem__(self, index: Any) -> Pair:
         return self.map(lambda x: x[index])
@@ -118,7 +124,7 @@ class Pair:
 class _Apart(Pair):
     """The same with value and tangents in two tensors, which may differ in lanes: one or all."""
 
-    __slots__ = ("_tangent", "_value")
+    __slots__ = ()
 
     def __init__(self, value: Tensor, tangent: Tensor):
         self._value, self._tangent = value, tangent
@@ -233,7 +239,12 @@ def cat(parts: Sequence[Any], dim: int = 0) -> Any:
     if _separate:
         nothing = pairs[0].tangent
         parts = [x if isinstance(x, Pair) else _Apart(x, _no_tangents(x, nothing)) for x in parts]
-        return _Apart(*(torch.cat(_same_lanes(list(both)), dim) for both in zip(*((x.value, x.tangent) for x in parts))))
+        return _Apart(
+            *(
+                torch.cat(_same_lanes(list(both)), dim)
+                for both in zip(*((x.value, x.tangent) for x in parts), strict=False)
+            )
+        )
     like = pairs[0].full
     full = [x.full if isinstance(x, Pair) else _zero_tangents(x, like) for x in parts]
     return Pair(torch.cat(_same_lanes(full), dim))

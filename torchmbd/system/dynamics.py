@@ -17,6 +17,7 @@ Checked in tests/system/, tests/sensitivity/.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -99,11 +100,12 @@ class Dynamics:
             return self
         return Dynamics(c.topology, c.saddle, c.data(self.data), CondensedStart(self, c), self.stabilization)
 
-    def lane(self, index: int) -> Dynamics:
-        """The dynamics of one design of the batch."""
+    def some(self, lanes: Sequence[int]) -> Dynamics:
+        """The dynamics of some designs of the batch."""
+        index = torch.tensor(list(lanes))
 
         def pick(x: Tensor) -> Tensor:
-            return x[..., index : index + 1] if x.shape[-1] > 1 else x
+            return x.index_select(-1, index.to(x.device)) if x.shape[-1] > 1 else x
 
         data = {name: Pair(pick(x.full)) if isinstance(x, Pair) else pick(x) for name, x in self.data.items()}
         return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)

@@ -23,6 +23,8 @@ from torchmbd.numerics.rotation import axial, skew
 from torchmbd.system.equations import Data, Placement, force_on_vectors, moments, split_v
 from torchmbd.system.topology import Fold, Topology
 
+Moments = tuple[Tensor, Tensor, Tensor | None]  # S, P and G of equations.moments
+
 
 class Saddle:
     """Gathers the blocks of one topology; index tensors made once."""
@@ -145,12 +147,16 @@ class Saddle:
                             stiffness of the multipliers `lam`, if they are given
         turn                rotations [3, bodies, 1, lanes] of an increment: Phi_q is then the derivative by the increment
         """
-        blocks = self._mass_blocks(data, at, stiffness, damping)
+        T = self.T
+        body = moments(T, data, at.w) if T.flexible else (data["S0"], data["P0"], None)
+        blocks = self._mass_blocks(data, at, body, stiffness, damping)
         blocks |= {f"{name}_back": blocks[name] for name in ("turn", "pull", "twist") if name in blocks}
         if v is not None:
-            self._add_gyroscopic(blocks, data, at, damping, v)
-        if v is not None and a is not None:
-            self._add_inertial(blocks, data, at, stiffness, v, a)
+            _, om, wd = split_v(T, v)
+            spin = skew(om)
+            self._add_gyroscopic(blocks, data, at, body, damping, (om, wd, spin))
+            if a is not None:
+                self._add_inertial(blocks, data, at, body, stiffness, (wd, spin), split_v(T, a))
         if lam is not None and self.T.rows:
             self._add_geometric(blocks, data, at, stiffness, lam)
         if self.T.rows:
@@ -171,12 +177,14 @@ class Saddle:
         half = cross(th, torque)
         return torque + 0.5 * half + (1.0 / 6.0) * cross(th, half)
 
-    def _mass_blocks(self, data: Data, at: Placement, stiffness: float, damping: float) -> dict[str, Tensor]:
+    def _mass_blocks(
+        self, data: Data, at: Placement, body: Moments, stiffness: float, damping: float
+    ) -> dict[str, Tensor]:
         T = self.T
         n, f = T.bodies, T.flexible
         eye = torch.eye(3, dtype=at.A.dtype, device=at.A.device)[:, :, None, None, None]
         A = at.A[:, :, :n]
-        S, P, G = moments(T, data, at.w) if f else (data["S0"], data["P0"], None)
+        S, P, G = body
         trace = P[0, 0] + P[1, 1] + P[2, 2]
         blocks = {
             "mass": data["mass"],
@@ -192,13 +200,19 @@ class Saddle:
             blocks["modal"] = modal + damping * data["D"] if "D" in data else modal
         return blocks
 
-    def _add_gyroscopic(self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, v: Tensor) -> None:
+    def _add_gyroscopic(
+        self,
+        blocks: dict[str, Tensor],
+        data: Data,
+        at: Placement,
+        body: Moments,
+        factor: float,
+        rates: tuple[Tensor, Tensor, Tensor],
+    ) -> None:
         """Add the derivatives of the inertia forces by om and w' (equations.py)."""
-        T = self.T
+        T, (om, wd, spin), (S, _, G) = self.T, rates, body
         f = T.flexible
-        _, om, wd = split_v(T, v)
-        A, spin, J = at.A[:, :, : T.bodies], skew(om), blocks["inertia"]
-        S, _, G = moments(T, data, at.w) if f else (data["S0"], None, None)
+        A, J = at.A[:, :, : T.bodies], blocks["inertia"]
         drift = cross(om, S)
         if G is not None:
             bending = drift[:, :f] + 2.0 * matvec(data["SR"][:3], wd)
@@ -226,17 +240,21 @@ class Saddle:
             blocks["modal"] = blocks["modal"] + factor * (data["H"] * om_f[:, None, None]).sum(0)
 
     def _add_inertial(
-        self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, v: Tensor, a: Tensor
+        self,
+        blocks: dict[str, Tensor],
+        data: Data,
+        at: Placement,
+        body: Moments,
+        factor: float,
+        rates: tuple[Tensor, Tensor],
+        accelerations: tuple[Tensor, Tensor, Tensor],
     ) -> None:
         """Add the derivatives of the inertia forces by the rotations and by w (equations.py)."""
-        T = self.T
+        T, (wd, spin), (rdd, omd, wdd), (S, _, G) = self.T, rates, accelerations, body
         f = T.flexible
-        rdd, omd, wdd = split_v(T, a)
-        _, om, wd = split_v(T, v)
-        A, spin = at.A[:, :, : T.bodies], skew(om)
+        A = at.A[:, :, : T.bodies]
         Z = skew(omd) + matmul(spin, spin)
         u = matvec_t(A, rdd - data["gravity"] if "gravity" in data else rdd)
-        S, _, G = moments(T, data, at.w) if f else (data["S0"], None, None)
         h = matvec(Z, S)
         if G is not None:
             S1, C1 = data["SR"][:3], data["C1"]
