@@ -1,0 +1,139 @@
+"""torchmbd and a peer side by side: `python -m experiments.benchmark [--json] [--peer exudyn] [--quick] [parts...]`
+
+Parts (default: all):
+
+    motion          gradients and values of batches of the slider-crank, three angles
+    motion8         the same with four angles and four thicknesses
+    pendulum        another mechanism: two laminated links, six angles
+    multistart      a whole optimization from 32 starts
+    structure       structure stage with tangents
+    variables       cost of one more variable
+    mesh            motion stage on a fine mesh
+    chain           cost per link of a flexible chain
+    gradients       error of the gradients
+    start           a fresh process to its first step
+    memory          peak memory per lane
+    compile         building the packages, cold
+    work-precision  all kinds of integrators
+
+One torch thread. Compiled packages that are missing are built first (minutes; kept in the cache); not with --quick, which
+also takes smaller sizes. What was not measured is null. Wall times, the fastest of several runs taken in turns.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from rich.console import Console
+
+import torchmbd as mbd
+from experiments import benchmark_costs as costs
+from experiments import benchmark_motion, exudyn_peer
+from experiments.benchmark_integrators import work_precision
+from experiments.benchmark_multistart import multistart
+from experiments.benchmark_report import Result, Settings
+
+PARTS: dict[str, Callable[[Settings], Result]] = {
+    "motion": benchmark_motion.slider_crank_part,
+    "motion8": benchmark_motion.eight_part,
+    "pendulum": benchmark_motion.pendulum_part,
+    "multistart": multistart,
+    "structure": costs.structure,
+    "variables": costs.variables,
+    "mesh": costs.mesh,
+    "chain": costs.chain,
+    "gradients": costs.gradient_error,
+    "start": costs.start,
+    "memory": costs.memory,
+    "compile": costs.compile_time,
+    "work-precision": work_precision,
+}
+FIGURES = (
+    "gradient_3x32",
+    "gradient_8x32",
+    "gradient_3x1",
+    "values_x32",
+    "eager_3x128",
+    "multistart",
+    "structure_ms",
+    "tenth_variable",
+    "mesh_ratio",
+    "chain_ratio",
+    "gradient_error",
+    "warm_start_s",
+    "mb_per_lane",
+    "compile_s",
+    "pendulum_6x32",
+    "pendulum_values_x32",
+)
+
+
+def machine() -> str:
+    """Processor and number of cores."""
+    name = platform.processor() or platform.machine()
+    with contextlib.suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), name)
+    return f"{name}, {os.cpu_count()} cores"
+
+
+def versions(peer: bool) -> dict[str, str | None]:
+    """Of everything that is measured."""
+    return {
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "torchmbd": mbd.__version__,
+        "exudyn": exudyn_peer.version() if peer else None,
+    }
+
+
+def report(
+    parts: Sequence[str], settings: Settings, tell: Callable[[Result], None] = lambda result: None
+) -> dict[str, Any]:
+    """Run parts; all figures by name, None where nothing was measured."""
+    figures: dict[str, Any] = dict.fromkeys(FIGURES)
+    for name in parts:
+        result = PARTS[name](settings)
+        tell(result)
+        figures |= result.figures
+    return figures | {"machine": machine(), "versions": versions(settings.peer)}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", help="parts to run; default: all")
+    parser.add_argument("--json", action="store_true", help="one JSON object instead of tables")
+    parser.add_argument("--peer", choices=["exudyn"], help="measure this code beside torchmbd")
+    parser.add_argument("--quick", action="store_true", help="small sizes, nothing is compiled")
+    options = parser.parse_args(arguments)
+    for part in options.parts:
+        if part not in PARTS:
+            parser.error(f"part {part!r}; allowed: {', '.join(PARTS)}")
+    if options.peer and not exudyn_peer.available():
+        parser.error("--peer exudyn, but the package exudyn is not installed: pip install exudyn")
+    torch.set_num_threads(1)
+    settings = Settings(peer=options.peer is not None, quick=options.quick)
+    console = Console(file=sys.stderr if options.json else sys.stdout)
+
+    def tell(result: Result) -> None:
+        for table in result.tables:
+            table.show(console)
+
+    # Exudyn greets on standard output, which belongs to the JSON object.
+    with contextlib.redirect_stdout(sys.stderr):
+        figures = report(options.parts or list(PARTS), settings, tell)
+    if options.json:
+        print(json.dumps(figures))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,163 @@
+"""Mechanisms of the benchmark: systems with a batch of designs, their motion stage, and what is looked at."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+import torchmbd as mbd
+from experiments import slider_crank
+from torchmbd.design.spline import Spline
+from torchmbd.integrators import compiled, generalized_alpha
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system import Dynamics, equations
+
+LINK, WIDTH = 0.3, 0.03  # of a link of the pendulum chain [m]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A mechanism with its design variables.
+
+    variables  parameters that are design variables, with the half-width in which designs lie around the system's own
+    """
+
+    title: str
+    system: mbd.System
+    duration: float
+    variables: Mapping[str, float]
+    peer: str  # function of experiments/exudyn_peer.py
+
+    @property
+    def count(self) -> int:
+        own = dict(self.system.named_parameters())
+        return sum(own[name].numel() for name in self.variables)
+
+    def designs(self, lanes: int) -> dict[str, Tensor]:
+        """Designs [lanes, ...], the same in every run."""
+        own = dict(self.system.named_parameters())
+        make = torch.Generator().manual_seed(7)
+        result = {}
+        for name, width in self.variables.items():
+            x = own[name].detach()
+            result[name] = x + width * (2.0 * torch.rand(lanes, *x.shape, generator=make, dtype=x.dtype) - 1.0)
+        return result
+
+    def dynamics(self, lanes: int, gradients: bool) -> Dynamics:
+        return self.system.dynamics(self.designs(lanes), tangents=list(self.variables) if gradients else [])
+
+
+def crank3(modes: int = 8, cells: tuple[int, int] = (24, 4)) -> Case:
+    """The slider-crank of the paper, three layers, three angles."""
+    system = slider_crank.build(3, modes=modes, cells=cells)
+    return Case("slider-crank, 3 angles", system, slider_crank.DURATION, {"rod.laminate.angles": 1.0}, "slider_crank")
+
+
+def crank8(modes: int = 8, cells: tuple[int, int] = (24, 4)) -> Case:
+    """Four layers, their angles and thicknesses."""
+    system = slider_crank.build(4, modes=modes, cells=cells)
+    variables = {"rod.laminate.angles": 1.0, "rod.laminate.thickness": 0.1 * slider_crank.THICKNESS / 4}
+    title = "slider-crank, 4 angles, 4 thicknesses"
+    return Case(title, system, slider_crank.DURATION, variables, "slider_crank")
+
+
+def pendulum(links: int = 2, modes: int = 8, cells: tuple[int, int] = (16, 2), duration: float = 0.06) -> Case:
+    """A chain of laminated links on spherical joints, level at the start, released under gravity; three angles each."""
+    ply = mbd.Ply(**slider_crank.CARBON)  # pyright: ignore[reportArgumentType]
+    axes = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
+    bodies = []
+    for i in range(links):
+        laminate = mbd.Laminate(ply, angles=mbd.deg([45, -45, 45]), thickness=1e-3)
+        mesh = mbd.mesh.rectangle(length=LINK, width=WIDTH, cells=cells)
+        at = ((i + 0.5) * LINK, 0, 0)
+        bodies.append(mbd.FlexibleBody.plate(f"link{i}", mesh, laminate, modes=modes, position=at, axes=axes))
+    ends = [mbd.Ground().at(0, 0, 0), *(body.at("right") for body in bodies)]
+    joints = [mbd.Spherical(end, body.at("left")) for end, body in zip(ends, bodies, strict=False)]
+    system = mbd.System(bodies, joints, gravity=(0.0, -9.81, 0.0))
+    variables = {f"link{i}.laminate.angles": 0.5 for i in range(links)}
+    return Case(f"pendulum of {links} laminated links", system, duration, variables, "chain")
+
+
+def energy(dynamics: Dynamics, history: generalized_alpha.History) -> Tensor:
+    """Strain energy of all flexible bodies and its design tangents [1 + n_b, lanes, times]."""
+    w = equations.split_q(dynamics.topology, history.q.movedim(0, -1))[2]  # [modes, flexible, slots, lanes, times]
+    Kr = dynamics.data["Kr"]
+    Kw = torch.einsum("abfl,bfslt->afslt", value(Kr)[:, :, :, 0], w)
+    U = torch.einsum("aflt,afslt->slt", w[:, :, 0], Kw)
+    U[0] *= 0.5
+    if isinstance(Kr, Pair):
+        U[1:] += 0.5 * torch.einsum("aflt,abfsl,bflt->slt", w[:, :, 0], Kr.tangent, w[:, :, 0])
+    return U
+
+
+def measures(t: Tensor, U: Tensor) -> Tensor:
+    """Peak and integral of histories U [..., times]: [2, ...]."""
+    return torch.stack([Spline.of(t, U).maximum(), torch.trapezoid(U, t, dim=-1)])
+
+
+def responses(duration: float, U: Tensor) -> tuple[Tensor, Tensor]:
+    """Peak and integral of the energy [2, lanes] and their gradients [2, lanes, n_b]."""
+    t = torch.linspace(0.0, duration, U.shape[-1], dtype=U.dtype)
+    zero = U.new_zeros(len(U) - 1)
+    gradient = torch.func.jacfwd(lambda d: measures(t, U[0] + torch.einsum("slt,s->lt", U[1:], d)))(zero)
+    return measures(t, U[0]), gradient  # type: ignore[return-value]
+
+
+def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> tuple[Tensor, Tensor]:
+    """The motion stage of a batch: from frozen dynamics to `responses`."""
+    with torch.no_grad():
+        history, _ = generalized_alpha.integrate(dynamics, duration, steps, **options)
+        U = energy(dynamics, history)
+        return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
+
+
+@contextlib.contextmanager
+def compilation(wanted: bool) -> Iterator[None]:
+    """Switch compiled packages on or off within a block."""
+    before = os.environ.get("TORCHMBD_COMPILE")
+    os.environ["TORCHMBD_COMPILE"] = "1" if wanted else "0"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["TORCHMBD_COMPILE"]
+        else:
+            os.environ["TORCHMBD_COMPILE"] = before
+
+
+def packaged(dynamics: Dynamics, build: bool = True) -> bool:
+    """Whether compiled packages serve these dynamics; missing ones are built now if `build`. False: no compiler."""
+    with compilation(True):
+        if not compiled.enabled():
+            return False
+        left = dynamics.condensed()
+        signature = compiled.Signature.of(left)
+        name = compiled.key(left.topology, signature)
+        folder = compiled.cache_folder()
+        if not (folder / name / "ready").exists():
+            if not build:
+                return False
+            folder.mkdir(parents=True, exist_ok=True)
+            compiled.build(compiled.bare(left.topology), signature, name)
+        return True
+
+
+def interleaved(functions: Mapping[str, Callable[[], object]], repeat: int) -> dict[str, float]:
+    """Wall seconds of the fastest of several runs, taken in turns so that a noisy machine hits all alike.
+
+    A function that returns a float has measured itself.
+    """
+    seconds: dict[str, list[float]] = {name: [] for name in functions}
+    for _ in range(repeat):
+        for name, function in functions.items():
+            start = time.perf_counter()
+            own = function()
+            seconds[name].append(own if isinstance(own, float) else time.perf_counter() - start)
+    return {name: min(found) for name, found in seconds.items()}

@@ -1,0 +1,215 @@
+"""What things cost: structure stage, one more variable, a finer mesh, a longer chain, the start, memory, compilation.
+
+`python -m experiments.benchmark_costs first-step` and `... memory LANES` are the fresh processes that `start` and
+`memory` measure.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from experiments import gradients, slider_crank
+from experiments.benchmark_cases import Case, compilation, crank3, interleaved, motion, packaged, pendulum
+from experiments.benchmark_modes import rod
+from experiments.benchmark_report import Cell, Grid, Result, Settings
+from torchmbd.numerics.pair import Pair
+from torchmbd.system import Dynamics
+
+STEPS, LANES = 500, 32
+TANGENTS = (3, 10)  # numbers of variables between which the cost of one more is taken
+ANGLES = "rod.laminate.angles"
+
+
+def structure(settings: Settings) -> Result:
+    """Structure stage with tangents: processor milliseconds per design."""
+    rows, figure = [], None
+    for layers, designs in ((3, 4),) if settings.quick else ((3, 1), (3, 32), (4, 32), (10, 32)):
+        found = rod(designs=designs, layers=layers)
+        rows.append([layers, designs, int(found["freedoms"]), found["values_ms"], found["structure_ms"]])
+        if (layers, designs) == (3, 32):
+            figure = found["structure_ms"]
+    columns = ["angles", "designs", "freedoms", "values, ms per design", "with tangents, ms per design"]
+    return Result({"structure_ms": figure}, [Grid("structure stage, processor time", columns, rows)])
+
+
+def variables(settings: Settings) -> Result:
+    """One more variable, in simulations of the batch: the mean between the third and the tenth of a ten-layer rod."""
+    system = slider_crank.build(10)
+    case = Case("ten angles", system, slider_crank.DURATION, {ANGLES: 1.0}, "slider_crank")
+    whole = case.dynamics(LANES, gradients=True)
+    some = {n: _first_tangents(whole, n) for n in TANGENTS}
+    batches = {"values": whole.values()} | {str(n): dynamics for n, dynamics in some.items()}
+    if not all(packaged(x, build=not settings.quick) for x in batches.values()):
+        return Result({"tenth_variable": None})
+    with compilation(True):
+        functions = {name: _stage(x, STEPS) for name, x in batches.items()}
+        for function in functions.values():
+            function()
+        seconds = interleaved(functions, settings.repeat)
+    few, many = TANGENTS
+    figure = (seconds[str(many)] - seconds[str(few)]) / (many - few) / seconds["values"]
+    rows = [[name, 1e3 * s / LANES] for name, s in seconds.items()]
+    title = f"variables: slider-crank, {LANES} lanes, {STEPS} steps"
+    return Result({"tenth_variable": figure}, [Grid(title, ["variables", "ms per design"], rows)])
+
+
+def _first_tangents(dynamics: Dynamics, count: int) -> Dynamics:
+    data = {k: Pair(x.full[..., : count + 1, :]) if isinstance(x, Pair) else x for k, x in dynamics.data.items()}
+    return replace(dynamics, data=data)
+
+
+def _stage(dynamics: Dynamics, steps: int, duration: float = slider_crank.DURATION) -> Callable[[], object]:
+    return lambda: motion(dynamics, duration, steps) and None
+
+
+def mesh(settings: Settings) -> Result:
+    """Motion stage of rods of about a hundred and ten thousand nodes, the same modes: values of a batch."""
+    batches, rows = {}, []
+    for cells in ((24, 4), (48, 8)) if settings.quick else ((24, 4), (332, 30)):
+        case = crank3(cells=cells)
+        nodes = len(case.system.body("rod").mesh.nodes)
+        batches[str(nodes)] = _widened(case.system.dynamics(), LANES)
+    ready = all(packaged(x, build=not settings.quick) for x in batches.values())
+    steps = STEPS if ready else 20
+    with compilation(ready):
+        functions = {name: _stage(x, steps, slider_crank.DURATION * steps / STEPS) for name, x in batches.items()}
+        for function in functions.values():
+            function()
+        seconds = interleaved(functions, settings.repeat if settings.quick else 10)
+    rows = [[name, 1e3 * s / LANES] for name, s in seconds.items()]
+    coarse, fine = seconds.values()
+    figure = None if settings.quick else fine / coarse
+    title = f"mesh: motion stage, values, {LANES} lanes, {steps} steps"
+    return Result({"mesh_ratio": figure}, [Grid(title, ["nodes", "ms per design"], rows)])
+
+
+def _widened(dynamics: Dynamics, lanes: int) -> Dynamics:
+    """The same design in every lane."""
+    return replace(dynamics, data={k: x.expand(*x.shape[:-1], lanes) for k, x in dynamics.data.items()})
+
+
+def chain(settings: Settings) -> Result:
+    """Cost per link of flexible pendulum chains, values, uncompiled: the largest over that of five links."""
+    lanes, steps, modes = 4, 10, 4
+    counts = (5, 10) if settings.quick else (2, 5, 10, 20, 50)
+    functions = {}
+    for links in counts:
+        case = pendulum(links, modes=modes, cells=(8, 2))
+        functions[str(links)] = _stage(_widened(case.system.dynamics(), lanes), steps, 0.06 * steps / STEPS)
+    with compilation(False):
+        seconds = interleaved(functions, min(settings.repeat, 3))
+    rows: list[list[Cell]] = [[int(n), 1e3 * s / steps, 1e3 * s / steps / int(n)] for n, s in seconds.items()]
+    last = str(counts[-1])
+    figure = (seconds[last] / int(last)) / (seconds["5"] / 5)
+    title = f"chain of flexible links, {lanes} lanes, {modes} modes each, eager"
+    columns = ["links", "ms per step", "ms per step and link"]
+    return Result({"chain_ratio": None if settings.quick else figure}, [Grid(title, columns, rows)])
+
+
+def gradient_error(settings: Settings) -> Result:
+    """Gradients at default settings against differences of the same discrete map: integral and peak of U."""
+    rows, worst = [], 0.0
+    for layers in (1,) if settings.quick else (1, 3):
+        p, x = gradients.problem(layers, steps=100 if settings.quick else STEPS), gradients.DESIGNS[layers]
+        error = gradients.relative(gradients.gradients(p, x), gradients.differences(p, x, 1e-4))
+        rows.append([f"L{layers}", float(error[0]), float(error[1])])
+        worst = max(worst, float(error.max()))
+    columns = ["laminate", "integral of U", "peak of U"]
+    title = "gradients against differences of the same discrete map, default settings"
+    return Result({"gradient_error": None if settings.quick else worst}, [Grid(title, columns, rows)])
+
+
+def _fresh(*arguments: str, **environment: str) -> dict[str, Any]:
+    """Run this file in a fresh process; what it printed."""
+    command = [sys.executable, "-m", "experiments.benchmark_costs", *arguments]
+    root = Path(__file__).parent.parent
+    found = subprocess.run(command, cwd=root, env=os.environ | environment, capture_output=True, text=True, check=True)
+    return json.loads(found.stdout.splitlines()[-1])
+
+
+def start(settings: Settings) -> Result:
+    """Seconds from the start of a fresh process to its first step with gradients, packages at hand."""
+    if not packaged(crank3().dynamics(LANES, gradients=True), build=not settings.quick):
+        return Result({"warm_start_s": None})
+    seconds = []
+    for _ in range(1 if settings.quick else 3):
+        begin = time.time()
+        seconds.append(_fresh("first-step", TORCHMBD_COMPILE="1")["at"] - begin)
+    rows = [["process to first step", min(seconds), max(seconds)]]
+    return Result(
+        {"warm_start_s": min(seconds)}, [Grid("start, packages at hand", ["what", "least s", "most s"], rows)]
+    )
+
+
+def memory(settings: Settings) -> Result:
+    """Peak memory per lane: growth of the largest resident set of fresh processes from few to many lanes."""
+    few, many = (2, 34) if settings.quick else (32, 160)
+    steps = 50 if settings.quick else STEPS
+    ready = packaged(crank3().dynamics(few, gradients=True), build=not settings.quick)
+    flag = {"TORCHMBD_COMPILE": "1" if ready else "0"}
+    # The structure stage of a batch has memory of its own: here every lane is the same design.
+    mb = [_fresh("memory", str(lanes), str(steps), **flag)["mb"] for lanes in (few, many)]
+    figure = (mb[1] - mb[0]) / (many - few)
+    rows = [[few, mb[0]], [many, mb[1]]]
+    title = f"largest resident set, {steps} steps, 3 variables"
+    return Result({"mb_per_lane": None if settings.quick else figure}, [Grid(title, ["lanes", "MB"], rows)])
+
+
+def compile_time(settings: Settings) -> Result:
+    """Seconds to build the packages of the slider-crank with three variables in an empty cache, in a fresh process."""
+    if settings.quick or not _compiler():
+        return Result({"compile_s": None})
+    with tempfile.TemporaryDirectory() as empty:
+        folders = {"TORCHMBD_CACHE": f"{empty}/packages", "TORCHINDUCTOR_CACHE_DIR": f"{empty}/inductor"}
+        seconds = _fresh("compile", TORCHMBD_COMPILE="1", **folders)["seconds"]
+    return Result({"compile_s": seconds}, [Grid("compilation", ["what", "s"], [["cold, 3 variables", seconds]])])
+
+
+def _compiler() -> bool:
+    from torchmbd.integrators import compiled
+
+    with compilation(True):
+        return compiled.enabled()
+
+
+def _resident_mb() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024  # kB on Linux
+
+
+def main(arguments: list[str]) -> None:
+    """What a fresh process does."""
+    torch.set_num_threads(1)
+    what = arguments[0]
+    if what == "first-step":
+        motion(crank3().dynamics(LANES, gradients=True), slider_crank.DURATION / STEPS, 1)
+        print(json.dumps({"at": time.time()}))
+    elif what == "memory":
+        lanes, steps = int(arguments[1]), int(arguments[2])
+        dynamics = crank3().dynamics(1, gradients=True)
+        data = {
+            k: Pair(x.full.expand(*x.full.shape[:-1], lanes)) if isinstance(x, Pair) else x.expand(*x.shape[:-1], lanes)
+            for k, x in dynamics.data.items()
+        }
+        motion(replace(dynamics, data=data), slider_crank.DURATION * steps / STEPS, steps)
+        print(json.dumps({"mb": _resident_mb()}))
+    elif what == "compile":
+        dynamics = crank3().dynamics(2, gradients=True)
+        begin = time.perf_counter()
+        packaged(dynamics)
+        print(json.dumps({"seconds": time.perf_counter() - begin}))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,272 @@
+"""The same mechanisms in Exudyn, a C++ multibody code: what experiments/benchmark.py compares with.
+
+A flexible body is an ObjectFFRFreducedOrder whose mode shapes, reduced stiffness and nodal masses come from torchmbd's
+structure stage. Exudyn has translations of nodes only: the rotary inertia of the nodes enters the modal mass (the modes
+are normalized with it) and the inertia of the whole body, not the Coriolis terms.
+
+Everything is chosen in Exudyn's favor: its fast binary (without range checks), one thread, a crank and a slider of one
+coordinate each, dense linear solver, modified Newton, and only the time of `SolveDynamic` is counted.
+Needs the package `exudyn` (https://github.com/jgerstm/EXUDYN).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+import torch
+from torch import Tensor, nn
+from torch.func import functional_call
+
+import torchmbd as mbd
+from experiments.slider_crank import CRANK, ROD, SLIDER_MASS, SPEED
+
+
+def load() -> Any:
+    """The package, its fast binary; its greeting goes to standard error."""
+    sys.exudynFast = True  # type: ignore[attr-defined]  # what exudyn/__init__.py asks for
+    with contextlib.redirect_stdout(sys.stderr):
+        import exudyn
+    return exudyn
+
+
+@dataclass(frozen=True)
+class ReducedBody:
+    """What a flexible body is to a multibody code; origin at its body frame, axes of the body.
+
+    nodes [n, 3] m    mass [n] kg    rotary: of all nodes [kg m2]    modes [3 n, m]    stiffness [m, m]
+    axes [3, 3]       body to ground at the start
+    """
+
+    nodes: np.ndarray
+    mass: np.ndarray
+    rotary: float
+    modes: np.ndarray
+    stiffness: np.ndarray
+    axes: np.ndarray
+
+
+class _Masses(nn.Module):
+    def __init__(self, body: Any):
+        super().__init__()
+        self.body = body
+
+    def forward(self) -> tuple[Tensor, Tensor]:
+        return self.body.assembly.masses()[1:3]
+
+
+def reduced(system: mbd.System, name: str, designs: Mapping[str, Tensor]) -> list[ReducedBody]:
+    """The structure stage of one body for a batch of designs, parameter name -> [lanes, ...]."""
+    body: Any = system.body(name)
+    own = {key.replace(f"{name}.", "body.", 1): x for key, x in designs.items() if key.startswith(f"{name}.")}
+    with torch.no_grad():
+        stage = functional_call(system, dict(designs), (name,))
+        mass, rotary = functional_call(_Masses(body), own, ())
+    lanes = max([x.shape[0] for x in own.values()], default=1)
+
+    def of(x: Tensor, rank: int, lane: int) -> np.ndarray:
+        return (x if x.dim() == rank else x[lane]).numpy()
+
+    nodes = (body.mesh.nodes - body.origin).numpy()
+    modes = [of(stage["psi"], 3, i)[:, :3].reshape(3 * len(nodes), -1) for i in range(lanes)]
+    return [
+        ReducedBody(
+            nodes,
+            of(mass, 1, i),
+            float(of(rotary, 1, i).sum()),
+            modes[i],
+            of(stage["Kr"], 2, i),
+            body.axes.numpy(),
+        )
+        for i in range(lanes)
+    ]
+
+
+@dataclass(frozen=True)
+class Run:
+    """Strain energy U [times] of all flexible bodies at equal times t [s] (nan where Exudyn failed), and the seconds
+    that it integrated."""
+
+    t: np.ndarray
+    U: np.ndarray
+    seconds: float
+
+
+class Model:
+    """A mechanism under construction."""
+
+    def __init__(self, gravity: float = 0.0):
+        self.exu = load()
+        self.mbs: Any = self.exu.SystemContainer().AddSystem()
+        self.gravity = gravity
+        self.energies: list[tuple[Any, np.ndarray]] = []
+        self.ground = self._add("Ground")
+
+    def _add(self, kind: str, **arguments: Any) -> Any:
+        import exudyn.itemInterface as items
+
+        return self.mbs.AddObject(getattr(items, f"Object{kind}")(**arguments))
+
+    def _marker(self, kind: str, **arguments: Any) -> Any:
+        import exudyn.itemInterface as items
+
+        return self.mbs.AddMarker(getattr(items, f"Marker{kind}")(**arguments))
+
+    def point(self, body: Any, position: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Any:
+        """Marker at a point of a rigid body."""
+        return self._marker("BodyPosition", bodyNumber=body, localPosition=position)
+
+    def node(self, body: Any, node: int) -> Any:
+        """Marker at a mesh node of a flexible body."""
+        return self._marker("SuperElementPosition", bodyNumber=body, meshNodeNumbers=[node], weightingFactors=[1.0])
+
+    def spherical(self, a: Any, b: Any) -> None:
+        """Let two markers coincide."""
+        self._add("JointSpherical", markerNumbers=[a, b])
+
+    def flexible(
+        self,
+        body: ReducedBody,
+        position: np.ndarray,
+        velocity: np.ndarray | None = None,
+        angular_velocity: np.ndarray | None = None,
+    ) -> Any:
+        """Flexible body with its frame at a position, turned as at the start; rates in ground axes. Returns its number."""
+        import exudyn.FEM as FEM
+        import exudyn.itemInterface as items
+
+        fem = FEM.FEMinterface()
+        fem.nodes = {"Position": body.nodes}
+        fem.massMatrix = scipy.sparse.diags_array(np.repeat(body.mass, 3)).tocsr()
+        fem.stiffnessMatrix = scipy.sparse.eye_array(3 * len(body.nodes)).tocsr()  # replaced below
+        fem.modeBasis = {"matrix": body.modes, "type": "NormalModes"}
+        cms = FEM.ObjectFFRFreducedOrderInterface(fem)
+        cms.stiffnessMatrixReduced = body.stiffness
+        cms.massMatrixReduced = np.eye(len(body.stiffness))
+        cms.inertiaLocal = cms.inertiaLocal + body.rotary * np.eye(3)
+        found = cms.AddObjectFFRFreducedOrder(
+            self.mbs,
+            positionRef=position,
+            initialVelocity=np.zeros(3) if velocity is None else velocity,
+            rotationMatrixRef=body.axes,
+            initialAngularVelocity=np.zeros(3) if angular_velocity is None else angular_velocity,
+            gravity=[0.0, -self.gravity, 0.0],
+        )
+        kind = self.exu.OutputVariableType.Coordinates
+        sensor = items.SensorNode(nodeNumber=found["nGenericODE2"], storeInternal=True, outputVariableType=kind)
+        self.energies.append((self.mbs.AddSensor(sensor), body.stiffness))
+        return found["oFFRFreducedOrder"]
+
+    def _coordinate(self, velocity: float) -> Any:
+        import exudyn.itemInterface as items
+
+        return self.mbs.AddNode(
+            items.Node1D(referenceCoordinates=[0.0], initialCoordinates=[0.0], initialVelocities=[velocity])
+        )
+
+    def crank(self, inertia: float, speed: float) -> Any:
+        """Body that turns about z at a prescribed speed [rad/s]."""
+        import exudyn.itemInterface as items
+
+        angle = self._coordinate(speed)
+        body = self._add("RotationalMass1D", inertia=inertia, nodeNumber=angle)
+        still = self.mbs.AddNode(items.NodePointGround())
+        markers = [self._marker("NodeCoordinate", nodeNumber=n, coordinate=0) for n in (still, angle)]
+        self._add("ConnectorCoordinate", markerNumbers=markers, velocityLevel=True, offset=speed)
+        return body
+
+    def slider(self, mass: float, position: float) -> Any:
+        """Body that slides along x."""
+        return self._add("Mass1D", mass=mass, nodeNumber=self._coordinate(0.0), referencePosition=(position, 0.0, 0.0))
+
+    def solve(self, duration: float, steps: int) -> Run:
+        """Integrate with equal steps (generalized-alpha, spectral radius 0.9)."""
+        self.mbs.Assemble()
+        settings = self.exu.SimulationSettings()
+        settings.parallel.numberOfThreads = 1
+        settings.linearSolver.solverType = self.exu.LinearSolverType.EigenDense
+        settings.solution.file.write = False
+        settings.solution.sensors.writePeriod = duration / steps
+        settings.timeIntegration.endTime = duration
+        settings.timeIntegration.numberOfSteps = steps
+        settings.timeIntegration.adaptiveStep = False
+        settings.timeIntegration.newton.useModifiedNewton = True
+        settings.timeIntegration.generalizedAlpha.spectralRadius = 0.9
+        start = time.perf_counter()
+        try:
+            with contextlib.redirect_stdout(sys.stderr):
+                self.mbs.SolveDynamic(settings, solverType=self.exu.DynamicSolverType.GeneralizedAlpha)
+        except self.exu.SolverError:
+            nothing = np.full(steps + 1, np.nan)
+            return Run(np.linspace(0.0, duration, steps + 1), nothing, time.perf_counter() - start)
+        seconds = time.perf_counter() - start
+        found = [(np.asarray(self.mbs.GetSensorStoredData(number)), K) for number, K in self.energies]
+        U = sum(0.5 * np.einsum("ti,ij,tj->t", x[:, 1:], K, x[:, 1:]) for x, K in found)
+        return Run(found[0][0][:, 0], np.asarray(U), seconds)
+
+
+def slider_crank(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[float, int], Run]]:
+    """Simulations (duration, steps) -> Run of a batch of designs of experiments/slider_crank.py.
+
+    The rod's second end is spherical as well: its spin about its own axis, which the universal joint of the original
+    holds, is free; the motion stays in the plane.
+    """
+    rod: Any = system.body("rod")
+    left, right = rod.mesh.node("left"), rod.mesh.node("right")
+
+    def run(body: ReducedBody, duration: float, steps: int) -> Run:
+        model = Model()
+        # The crank starts along x: the rod's near end moves with its tip, its far end stands still.
+        tip, turn = CRANK * SPEED, -CRANK * SPEED / ROD
+        at = -body.axes @ body.nodes[left]
+        link = model.flexible(
+            body,
+            at + np.array([CRANK, 0.0, 0.0]),
+            np.array([0.0, tip + turn * at[0], 0.0]),
+            np.array([0.0, 0.0, turn]),
+        )
+        model.spherical(model.point(model.crank(1e-4, SPEED), (CRANK, 0.0, 0.0)), model.node(link, left))
+        model.spherical(model.point(model.slider(SLIDER_MASS, CRANK + ROD)), model.node(link, right))
+        return model.solve(duration, steps)
+
+    return [lambda duration, steps, b=body: run(b, duration, steps) for body in reduced(system, "rod", designs)]
+
+
+def chain(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[float, int], Run]]:
+    """The same for the pendulum chains of experiments/benchmark_cases.py."""
+    names = [body.name for body in system.bodies]
+    bodies = [reduced(system, name, designs) for name in names]
+    lanes = max(len(lane) for lane in bodies)
+    meshes = [system.body(name).mesh for name in names]
+    gravity = 0.0 if system.gravity is None else float(system.gravity.norm())
+
+    def run(links: list[ReducedBody], duration: float, steps: int) -> Run:
+        model = Model(gravity)
+        last, at = model.point(model.ground), np.zeros(3)
+        for link, mesh in zip(links, meshes, strict=True):
+            left, right = mesh.node("left"), mesh.node("right")
+            number = model.flexible(link, at - link.axes @ link.nodes[left])
+            model.spherical(last, model.node(number, left))
+            last = model.node(number, right)
+            at = at + link.axes @ (link.nodes[right] - link.nodes[left])
+        return model.solve(duration, steps)
+
+    each = [[lane[min(i, len(lane) - 1)] for lane in bodies] for i in range(lanes)]
+    return [lambda duration, steps, links=links: run(links, duration, steps) for links in each]
+
+
+def available() -> bool:
+    """Whether Exudyn is installed."""
+    return importlib.util.find_spec("exudyn") is not None
+
+
+def version() -> str:
+    """Version of Exudyn."""
+    return str(load().__version__)

@@ -1,0 +1,169 @@
+"""The benchmark measures what it says: same mechanisms in both codes, exact gradients, honest gaps. Tiny sizes."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from experiments import benchmark, benchmark_costs, benchmark_motion, benchmark_multistart, exudyn_peer, slider_crank
+from experiments.benchmark_cases import Case, compilation, crank3, interleaved, motion, packaged, pendulum
+from experiments.benchmark_report import Settings
+
+
+@pytest.fixture(autouse=True)
+def eager(monkeypatch):
+    monkeypatch.setenv("TORCHMBD_COMPILE", "0")
+
+
+def small() -> Case:
+    return pendulum(2, modes=3, cells=(6, 2), duration=0.01)
+
+
+def spherical_crank(angles) -> Case:
+    """The slider-crank with the joint that the peer has at the slider."""
+    system = slider_crank.build(len(angles), angles, cells=(8, 2), modes=4)
+    crank, rod, slider = system.bodies
+    ground, r = mbd.Ground(), slider_crank.CRANK
+    joints = [
+        mbd.Revolute(ground.at(0, 0, 0), crank.at(0, 0, 0), axis="z"),
+        mbd.Drive(ground, crank, axis="z", speed=slider_crank.SPEED),
+        mbd.Spherical(crank.at(r, 0, 0), rod.at("left")),
+        mbd.Spherical(rod.at("right"), slider.at(0, 0, 0)),
+        mbd.Prismatic(ground.at(0, 0, 0), slider.at(0, 0, 0), axis="x"),
+    ]
+    system = mbd.System([crank, rod, slider], joints)
+    return Case("", system, 0.01, {"rod.laminate.angles": 0.3}, "slider_crank")
+
+
+@pytest.mark.parametrize("case", [small(), spherical_crank([45.0, -45.0, 45.0])], ids=["pendulum", "slider-crank"])
+def test_both_codes_simulate_the_same_mechanism(case):
+    pytest.importorskip("exudyn")
+    steps, lanes = 200, 2
+    ours = mbd.simulate(case.system, case.duration, steps=steps, designs=case.designs(lanes)).require_ok()
+    U = sum(ours.body(body.name).strain_energy for body in case.system.bodies if hasattr(body, "mesh"))
+    runs = getattr(exudyn_peer, case.peer)(case.system, case.designs(lanes))
+    for lane, run in enumerate(runs):
+        found = run(case.duration, steps)
+        np.testing.assert_allclose(found.t, ours.t.numpy(), atol=1e-9)
+        # Rotary inertia of the nodes is a part in a thousand of what matters here.
+        assert np.abs(found.U - U[lane].numpy()).max() < 2e-3 * float(U[lane].max())
+        assert found.seconds > 0.0
+
+
+def test_a_peer_that_fails_says_so_in_its_numbers():
+    pytest.importorskip("exudyn")
+    case = spherical_crank([45.0, -45.0, 45.0])
+    [run] = exudyn_peer.slider_crank(case.system, case.designs(1))
+    assert np.isnan(run(0.06, 5).U).all()
+
+
+def test_responses_are_those_of_the_measures_and_their_gradients():
+    case, lanes, steps = small(), 2, 60
+    values, gradients = motion(case.dynamics(lanes, True), case.duration, steps)
+    names = list(case.variables)
+    told = mbd.simulate(case.system, case.duration, steps=steps, designs=case.designs(lanes), sensitivities=names)
+    total = mbd.StrainEnergy("link0") + mbd.StrainEnergy("link1")
+    for row, measure in enumerate((mbd.Max(total), mbd.Integral(total))):
+        value, gradient = measure.value_and_gradient(told)
+        torch.testing.assert_close(values[row], value)
+        torch.testing.assert_close(gradients[row], gradient)
+    alone, nothing = motion(case.dynamics(lanes, False), case.duration, steps)
+    torch.testing.assert_close(alone, values, rtol=1e-9, atol=0.0)
+    assert nothing.numel() == 0
+
+
+def test_fewer_tangents_are_the_first_ones():
+    case = crank3(modes=3, cells=(6, 2))
+    whole = case.dynamics(2, True)
+    _, every = motion(whole, 0.002, 20)
+    _, two = motion(benchmark_costs._first_tangents(whole, 2), 0.002, 20)
+    assert two.shape[-1] == 2
+    torch.testing.assert_close(two, every[..., :2], rtol=1e-6, atol=1e-9 * float(every.abs().max()))
+
+
+def test_the_ladder_ends_at_the_first_rung_that_is_accurate_enough():
+    def run(steps):
+        error = torch.tensor([[40.0, 10.0], [20.0, -30.0]]) / steps**2
+        return (1.0 + error) * torch.tensor([[2.0, 3.0], [4.0, 5.0]]) if steps != 300 else torch.full((2, 2), torch.nan)
+
+    found = benchmark_motion.accuracy(run, ladder=(100, 200, 300, 400), converged=10**6)
+    assert found.steps == 400  # 40/200^2 is too much, 300 failed
+    assert found.peak == pytest.approx(40 / 400**2, rel=1e-4)
+    assert found.integral == pytest.approx(30 / 400**2, rel=1e-4)
+
+
+def test_runs_are_interleaved_and_the_fastest_counts():
+    order, own = [], iter([3.0, 1.0, 2.0])
+
+    def peer():
+        order.append("peer")
+        return next(own)
+
+    seconds = interleaved({"ours": lambda: order.append("ours"), "peer": peer}, 3)
+    assert order == ["ours", "peer"] * 3
+    assert seconds["peer"] == 1.0
+    assert seconds["ours"] < 1.0
+
+
+def test_differences_of_the_peer_become_gradients(monkeypatch):
+    def fake(X, steps):
+        peak, integral = 1.0 + (X**2).sum(1), 2.0 + X @ np.array([1.0, 2.0, 3.0])
+        return np.stack([peak, integral], 1), 0.5
+
+    monkeypatch.setattr(benchmark_multistart, "_peer_measures", fake)
+    pool = SimpleNamespace(starmap=lambda f, arguments: [benchmark_multistart._peer_measures(*a) for a in arguments])
+    start = np.array([0.5, 0.0, 0.0])
+    own = SimpleNamespace(start=start, lower=-start, upper=start, names=["a", "b", "c"], period=None, equalities=[])
+    problem = benchmark_multistart.PeerProblem(own, pool, steps=10)  # type: ignore[arg-type]
+    x = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 1.0]])
+    first, second = problem.evaluate(x, gradients=True)
+    assert first.objective == pytest.approx(3.4)
+    np.testing.assert_allclose(first.objective_gradient, [1.0, 2.0, 3.0], rtol=1e-6)
+    np.testing.assert_allclose(second.constraints, [2.0 / 1.25 - 1.0])
+    np.testing.assert_allclose(second.constraint_gradients, [[0.0, 0.0, 2.0 / 1.25]], atol=1e-3)
+    assert problem.evaluate(x, gradients=False)[0].objective_gradient is None
+
+
+def test_nothing_is_built_when_not_asked_for(monkeypatch, tmp_path):
+    monkeypatch.setenv("TORCHMBD_CACHE", str(tmp_path / "empty"))
+    dynamics = crank3(modes=2, cells=(4, 2)).dynamics(2, True)
+    assert not packaged(dynamics, build=False)
+    assert not (tmp_path / "empty").exists()
+    result = benchmark_motion.measured(crank3(modes=2, cells=(4, 2)), benchmark_motion.ROWS, Settings(quick=True))
+    assert set(result.figures.values()) == {None}
+
+
+def test_compilation_is_switched_within_a_block_only(monkeypatch):
+    import os
+
+    with compilation(True):
+        assert os.environ["TORCHMBD_COMPILE"] == "1"
+    assert os.environ["TORCHMBD_COMPILE"] == "0"
+    monkeypatch.delenv("TORCHMBD_COMPILE")
+    with compilation(False):
+        assert os.environ["TORCHMBD_COMPILE"] == "0"
+    assert "TORCHMBD_COMPILE" not in os.environ
+
+
+def test_json_is_one_object_with_every_figure(capsys):
+    benchmark.main(["--json", "--quick", "structure", "multistart"])
+    out, err = capsys.readouterr()
+    [line] = out.splitlines()
+    report = json.loads(line)
+    assert set(report) == {*benchmark.FIGURES, "machine", "versions"}
+    assert all(report[name] is None for name in benchmark.FIGURES)  # too small to be the figures they are named after
+    assert report["versions"]["torch"] == torch.__version__
+    assert "freedoms" in err
+
+
+def test_an_unknown_part_is_refused_with_the_names_of_all(capsys):
+    with pytest.raises(SystemExit):
+        benchmark.main(["gradiants"])
+    message = capsys.readouterr().err
+    assert "gradiants" in message
+    assert "work-precision" in message
