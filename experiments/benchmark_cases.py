@@ -70,7 +70,7 @@ def crank8(modes: int = 8, cells: tuple[int, int] = (24, 4)) -> Case:
 
 def pendulum(links: int = 2, modes: int = 8, cells: tuple[int, int] = (16, 2), duration: float = 0.06) -> Case:
     """A chain of laminated links on spherical joints, level at the start, released under gravity; three angles each."""
-    ply = mbd.Ply(**slider_crank.CARBON)  # pyright: ignore[reportArgumentType]
+    ply = mbd.Ply(**slider_crank.CARBON)
     axes = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     bodies = []
     for i in range(links):

@@ -12,6 +12,7 @@ Needs the package `exudyn` (https://github.com/jgerstm/EXUDYN).
 from __future__ import annotations
 
 import contextlib
+import importlib
 import importlib.util
 import sys
 import time
@@ -29,12 +30,11 @@ import torchmbd as mbd
 from experiments.slider_crank import CRANK, ROD, SLIDER_MASS, SPEED
 
 
-def load() -> Any:
-    """The package, its fast binary; its greeting goes to standard error."""
+def load(part: str = "") -> Any:
+    """The package, its fast binary, or a part of it (`.FEM`); its greeting goes to standard error."""
     sys.exudynFast = True  # type: ignore[attr-defined]  # what exudyn/__init__.py asks for
     with contextlib.redirect_stdout(sys.stderr):
-        import exudyn
-    return exudyn
+        return importlib.import_module(f"exudyn{part}")
 
 
 @dataclass(frozen=True)
@@ -110,12 +110,12 @@ class Model:
         self.ground = self._add("Ground")
 
     def _add(self, kind: str, **arguments: Any) -> Any:
-        import exudyn.itemInterface as items
+        items = load(".itemInterface")
 
         return self.mbs.AddObject(getattr(items, f"Object{kind}")(**arguments))
 
     def _marker(self, kind: str, **arguments: Any) -> Any:
-        import exudyn.itemInterface as items
+        items = load(".itemInterface")
 
         return self.mbs.AddMarker(getattr(items, f"Marker{kind}")(**arguments))
 
@@ -139,8 +139,8 @@ class Model:
         angular_velocity: np.ndarray | None = None,
     ) -> Any:
         """Flexible body with its frame at a position, turned as at the start; rates in ground axes. Returns its number."""
-        import exudyn.FEM as FEM
-        import exudyn.itemInterface as items
+        FEM = load(".FEM")
+        items = load(".itemInterface")
 
         fem = FEM.FEMinterface()
         fem.nodes = {"Position": body.nodes}
@@ -165,7 +165,7 @@ class Model:
         return found["oFFRFreducedOrder"]
 
     def _coordinate(self, velocity: float) -> Any:
-        import exudyn.itemInterface as items
+        items = load(".itemInterface")
 
         return self.mbs.AddNode(
             items.Node1D(referenceCoordinates=[0.0], initialCoordinates=[0.0], initialVelocities=[velocity])
@@ -173,7 +173,7 @@ class Model:
 
     def crank(self, inertia: float, speed: float) -> Any:
         """Body that turns about z at a prescribed speed [rad/s]."""
-        import exudyn.itemInterface as items
+        items = load(".itemInterface")
 
         angle = self._coordinate(speed)
         body = self._add("RotationalMass1D", inertia=inertia, nodeNumber=angle)

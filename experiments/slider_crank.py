@@ -8,10 +8,19 @@ given (printed), inferred (fits the printed numbers), chosen (free, no effect se
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torchmbd as mbd
 
-CARBON = {"E1": 128e9, "E2": 10.1e9, "G12": 5.36e9, "G13": 5.36e9, "G23": 5.36e9, "nu12": 0.23, "density": 1586.0}
+CARBON: dict[str, Any] = {
+    "E1": 128e9,
+    "E2": 10.1e9,
+    "G12": 5.36e9,
+    "G13": 5.36e9,
+    "G23": 5.36e9,
+    "nu12": 0.23,
+    "density": 1586.0,
+}
 THICKNESS, DEPTH, SPEED = 0.0075, 0.04, 124.8
 CRANK, ROD, SLIDER_MASS, DURATION = 0.152, 0.304, 0.0723, 0.06
 LABELS = {

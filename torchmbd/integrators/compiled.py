@@ -185,7 +185,7 @@ class _Finish(_Operation):
         return tuple(y.full if isinstance(y, Pair) else y for y in step.finish(*rest))
 
 
-_VALUES = {"correct": _Correct, "matrix": _Matrix, "finish": _Finish}
+_VALUES: dict[str, type[_Operation]] = {"correct": _Correct, "matrix": _Matrix, "finish": _Finish}
 
 
 def operations(signature: Signature) -> dict[str, type[_Operation]]:

@@ -207,7 +207,8 @@ def _null(J: Tensor) -> Tensor:
     N = Vh[int((s > _HELD * s[0]).sum()) :].T
     if not N.shape[1]:
         return N
-    _, _, order = scipy.linalg.qr(N.T.numpy(), mode="economic", pivoting=True)  # pyright: ignore[reportGeneralTypeIssues]
+    factors: Any = scipy.linalg.qr(N.T.numpy(), mode="economic", pivoting=True)
+    _, _, order = factors
     pivots = order[: N.shape[1]].tolist()
     N = N @ torch.linalg.inv(N[pivots])
     N[pivots] = torch.eye(len(pivots), dtype=N.dtype)
