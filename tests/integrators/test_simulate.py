@@ -162,14 +162,14 @@ def test_a_lane_that_fails_is_tried_with_half_the_step():
     from experiments.slider_crank import build
 
     system = build(3, cells=(6, 2), modes=4)
-    designs = {"rod.laminate.angles": mbd.deg([[0, 0, 0], [90, 60, 90]])}
+    designs = {"rod.laminate.angles": mbd.deg([[90, 60, 90], [0, 0, 0]])}
 
     def run(steps: int, **options) -> mbd.Trajectory:
         return mbd.simulate(system, 0.024, designs=designs, steps=steps, **options)
 
-    coarse, cured, fine = run(3, halvings=0), run(3), run(6)
+    coarse, cured, fine = run(16, halvings=0), run(16), run(32)
     assert coarse.status[0] == cured.status[0] == cured.status[1] == "ok"
-    assert "did not converge" in coarse.status[1]
+    assert "do not resolve the motion" in coarse.status[1]
     assert cured.stats["halved"] == [1]
     assert torch.equal(cured.q[0], coarse.q[0])
     assert torch.equal(cured.lam[0], coarse.lam[0])

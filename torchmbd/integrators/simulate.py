@@ -24,6 +24,9 @@ from torchmbd.system import Dynamics, System
 METHODS = ("generalized_alpha", *ode.METHODS)
 # A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
 ITERATION_ERROR = 1e-2
+TURN = 1.0  # [rad] of a body in one step
+STEP_ERROR = 1.0  # as large as the motion itself
+_LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
 
 
 def simulate(
@@ -168,7 +171,7 @@ def _with_halving(
         return x
 
     q, v, vd = (patch(getattr(history, name), getattr(finer, name)) for name in ("q", "v", "vd"))
-    for name in ("iteration_error", "tangent_error"):
+    for name in (*_LOOKED_AT, "tangent_error"):
         if name in stats:
             stats[name][lanes] = counts[name][source]
     for lane in lanes:
@@ -183,21 +186,29 @@ def _empty(dynamics: Dynamics, steps: int) -> History:
 
 
 def _status(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:
-    """Name the first time at which a lane is not finite, or an iteration that did not converge."""
+    """For each lane: the first time at which it is not finite, or what its steps leave to be desired."""
     good = torch.stack([torch.isfinite(x).all(2).all(1) for x in (history.q, history.v, history.vd)]).all(0)
     result = []
     for lane in range(good.shape[1]):
         bad = torch.nonzero(~good[:, lane])
-        left = float(stats["iteration_error"][lane]) if "iteration_error" in stats else 0.0
         if len(bad):
             result.append(f"failed: the motion is not finite from t = {duration * int(bad[0]) / steps:.6g} s on")
-        elif left > ITERATION_ERROR:
-            result.append(
-                f"failed: the iteration of a step did not converge (relative error {left:.1e}); more steps help"
-            )
         else:
-            result.append(OK)
+            result.append(_complaint({name: float(stats[name][lane]) for name in _LOOKED_AT if name in stats}))
     return result
+
+
+def _complaint(found: dict[str, float]) -> str:
+    """What is wrong with the steps of a finite motion, or "ok"."""
+    if found.get("iteration_error", 0.0) > ITERATION_ERROR:
+        left = found["iteration_error"]
+        return f"failed: the iteration of a step did not converge (relative error {left:.1e}); more steps help"
+    if found.get("turn", 0.0) > TURN:
+        return f"failed: a body turns by {found['turn']:.2g} rad in one step; allowed: {TURN:g}"
+    if found.get("step_error", 0.0) > STEP_ERROR:
+        error, more = found["step_error"], found["suggested_steps"]
+        return f"failed: the steps do not resolve the motion (estimated error {error:.1e}); try {more:.0f} steps"
+    return OK
 
 
 def _present(
