@@ -42,7 +42,20 @@ from torchmbd.elements import BeamLine, GivenSection
 from torchmbd.errors import InputError, MbdError, SimulationFailure
 from torchmbd.integrators import Trajectory, simulate
 from torchmbd.integrators.ply_history import PlyHistory
-from torchmbd.joints import Cylindrical, Distance, Drive, Fixed, Prismatic, Revolute, Spherical, Universal
+from torchmbd.joints import (
+    ConstantSpeed,
+    Cylindrical,
+    Distance,
+    Drive,
+    Fixed,
+    Planar,
+    Prismatic,
+    Revolute,
+    Sine,
+    SmoothStep,
+    Spherical,
+    Universal,
+)
 from torchmbd.materials import Laminate, Ply, Strength
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
@@ -59,6 +72,7 @@ __all__ = [
     "AtTime",
     "AtTimes",
     "BeamLine",
+    "ConstantSpeed",
     "Constraint",
     "Cylindrical",
     "DesignSpace",
@@ -85,6 +99,7 @@ __all__ = [
     "Mesh",
     "Min",
     "OptimizationResult",
+    "Planar",
     "Ply",
     "PlyFailure",
     "PlyHistory",
@@ -96,7 +111,9 @@ __all__ = [
     "Revolute",
     "RigidBody",
     "SimulationFailure",
+    "Sine",
     "SmoothMax",
+    "SmoothStep",
     "Spherical",
     "StrainEnergy",
     "Strength",

@@ -185,13 +185,7 @@ def _vector_modes(T: topology.Topology, stages: list[dict[str, Tensor]]) -> Tens
     """Modal rows Y [3, modes, vectors, 1, lanes] of the vectors attached to flexible bodies (bodies/frame.py)."""
     rows = []
     for attached, body in zip(T.attached[: T.attached_flexible], T.vector_flexible.tolist(), strict=True):
-        psi = stages[body]["psi"][..., attached.node, :, :]
-        if attached.is_point:
-            Y = psi[..., :3, :]
-        else:
-            e = attached.vector[:, None].expand_as(psi[..., 3:, :])
-            Y = torch.linalg.cross(psi[..., 3:, :], e, dim=-2)
-        rows.append(_pad(Y, T.modes, (-1,)))
+        rows.append(_pad(attached.modal_rows(stages[body]["psi"]), T.modes, (-1,)))
     if not rows:
         return stages[0]["psi"].new_zeros(3, T.modes, 0, 1, 1)
     return _together(rows, 2)
