@@ -145,8 +145,8 @@ class FlexibleBody(nn.Module):
         rigid           node sets that move as one rigid body each
         """
         parts = {"plate": Plates(mesh, laminate, mass=mass)}
-        own = (position, axes, reference, damping, reduction, interface, updated, (), rigid)
-        return cls(name, mesh, parts, modes, *own)
+        options = (position, axes, reference, damping, reduction, interface, updated, (), rigid)
+        return cls(name, mesh, parts, modes, *options)
 
     @classmethod
     def beam(
@@ -181,8 +181,8 @@ class FlexibleBody(nn.Module):
         parts: dict[str, Part] = {}
         given: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
         if len(given) != len(line.elements):
-            count = len(line.elements)
-            raise InputError(f"{len(given)} sections for {count} elements of {name!r}; allowed: one, or one for each")
+            wrong = f"{len(given)} sections for {len(line.elements)} elements of {name!r}"
+            raise InputError(f"{wrong}; allowed: one, or one for each")
         distinct = list(dict.fromkeys(given))
         for k, own in enumerate(distinct):
             members = [e for e, s in enumerate(given) if s is own]
