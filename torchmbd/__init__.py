@@ -30,6 +30,7 @@ from torchmbd.design import (
     RelativeDisplacement,
     SmoothMax,
     StrainEnergy,
+    Tradeoff,
     Velocity,
     WeightedSum,
     history,
@@ -59,7 +60,15 @@ from torchmbd.joints import (
 from torchmbd.materials import Laminate, Ply, Strength
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
-from torchmbd.optimizers import OptimizationResult, multistart, optimize, sobol
+from torchmbd.optimizers import (
+    OptimizationResult,
+    RobustProblem,
+    multistart,
+    optimize,
+    optimize_discrete,
+    pareto_front,
+    sobol,
+)
 from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis
 from torchmbd.system import Dynamics, System
 
@@ -110,6 +119,7 @@ __all__ = [
     "RelativeDisplacement",
     "Revolute",
     "RigidBody",
+    "RobustProblem",
     "SimulationFailure",
     "Sine",
     "SmoothMax",
@@ -118,6 +128,7 @@ __all__ = [
     "StrainEnergy",
     "Strength",
     "System",
+    "Tradeoff",
     "Trajectory",
     "Universal",
     "Velocity",
@@ -132,6 +143,8 @@ __all__ = [
     "modal_basis",
     "multistart",
     "optimize",
+    "optimize_discrete",
+    "pareto_front",
     "sections",
     "simulate",
     "sobol",

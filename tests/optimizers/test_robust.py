@@ -7,7 +7,7 @@ import pytest
 
 from tests.optimizers.analytic import Analytic
 from torchmbd.errors import InputError
-from torchmbd.optimizers import RobustProblem, multistart, optimize, sobol
+from torchmbd.optimizers import RobustProblem, multistart, optimize
 
 
 def bowl() -> Analytic:
