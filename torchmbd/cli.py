@@ -19,26 +19,46 @@ from rich.console import Console
 
 from torchmbd.errors import InputError, MbdError
 
+EXIT_INTERRUPTED = 130
+
 app = App(name="torchmbd", help="Optimization of flexible multibody systems made of composite materials.")
 
 
 @app.command
-def run(file: Path, /, *assignments: str) -> int:
-    """Run an experiment file.
+def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | None = None, fresh: bool = False) -> int:
+    """Run an experiment file; the same command goes on with a study that was interrupted or killed.
 
     Parameters
     ----------
     file
         The experiment file (YAML).
     assignments
-        Overrides of single values: optimizer.max_iterations=5 starts.count=4
+        Overrides of single values: optimizer.max_iterations=5 starts.count=4; several values, one study for each:
+        options.layers=1,2,3
+    workers
+        Processes that evaluate designs; 0: one for each core.
+    scheduler
+        Address of a Dask scheduler whose workers evaluate: tcp://host:8786
+    fresh
+        Forget the evaluations of this problem, and begin anew.
     """
     _one_thread()
-    from torchmbd.experiment import load, run_plan
+    from torchmbd.experiment import Plan, load, run_figures, run_plan
+    from torchmbd.experiment.overrides import combinations
 
     console = Console()
-    plan = load(file, assignments)
-    return run_plan(plan, console)
+    plans = [load(file, chosen) for chosen in combinations(assignments)]  # all are checked before the first runs
+    codes = []
+    for plan in plans:
+        if len(plans) > 1:
+            console.rule(" ".join(plan.overrides))
+        if isinstance(plan, Plan):
+            codes.append(run_plan(plan, console, workers=workers, scheduler=scheduler, fresh=fresh))
+        else:
+            codes.append(run_figures(plan, console))
+        if codes[-1] == EXIT_INTERRUPTED:
+            break
+    return max(codes)
 
 
 @app.command(name="list")
@@ -117,6 +137,18 @@ def ui(
     raise MbdError(f"the MLflow server ended with exit code {server.returncode}")
 
 
+@app.command
+def sync() -> int:
+    """Send what earlier studies could not: their MLflow server was away, or the power went off."""
+    from torchmbd.experiment.place import place
+    from torchmbd.tracking.process import deliver_all
+
+    waiting = deliver_all(place())
+    if not waiting:
+        print("everything is in its tracking store")
+    return min(waiting, 1)
+
+
 def _one_thread() -> None:
     """Keep numerical libraries to one thread: two make small batched solves 10 to 50 times slower."""
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -141,7 +173,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        return 130
+        return EXIT_INTERRUPTED
 
 
 if __name__ == "__main__":
