@@ -63,9 +63,9 @@ class RobustProblem:
                 )
         self.problem, self.kind, self.start = problem, kind, start
         self.shifts, self.weights = _expected(d) if kind == "expected" else _corners(d)
-        self._unit = 1.0
+        self.unit = 1.0
         if kind == "worst":
-            self._unit = self._worst_of_start()
+            self.unit = self._worst_of_start()
             self.names = [*self.names, BETA]
             self.start, self.period = np.append(start, 1.0), np.append(self.period, 0.0)
             self.lower, self.upper = np.append(self.lower, 0.0), np.append(self.upper, np.inf)
@@ -105,14 +105,14 @@ class RobustProblem:
             dc = np.concatenate(rows) if rows else np.zeros((0, df.shape[1]))
         if self.kind == "expected":
             return Evaluation(float(self.weights @ f), c, None if df is None else self.weights @ df, dc)
-        values = np.concatenate([f / self._unit - x[-1], c])
+        values = np.concatenate([f / self.unit - x[-1], c])
         if df is None or dc is None:
-            return Evaluation(float(x[-1]) * self._unit, values)
+            return Evaluation(float(x[-1]) * self.unit, values)
         n = df.shape[1]
         slopes = np.zeros((values.size, n + 1))
-        slopes[: f.size] = np.hstack([df / self._unit, -np.ones((f.size, 1))])
+        slopes[: f.size] = np.hstack([df / self.unit, -np.ones((f.size, 1))])
         slopes[f.size :, :n] = dc
-        return Evaluation(float(x[-1]) * self._unit, values, self._unit * np.eye(n + 1)[-1], slopes)
+        return Evaluation(float(x[-1]) * self.unit, values, self.unit * np.eye(n + 1)[-1], slopes)
 
 
 def _expected(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
