@@ -4,7 +4,13 @@ system = mbd.System(bodies, joints)      structure and topology
 motion = mbd.simulate(system, ...)       transient motion, with sensitivities
 problem = mbd.Problem(system, ...)       what to minimize, subject to what
 result = mbd.optimize(problem)           exact gradients inside
+study = mbd.load(run)                    a tracked study as objects again
 """
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from torchmbd import mesh, sections, viz
 from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
@@ -70,7 +76,23 @@ from torchmbd.optimizers import (
     sobol,
 )
 from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis
-from torchmbd.system import Dynamics, System
+from torchmbd.system import Dynamics, System, equilibrium
+
+if TYPE_CHECKING:
+    from torchmbd.experiment.archive import LoadedStudy
+
+
+def load(run: str, uri: str | None = None, folder: str | Path = ".") -> LoadedStudy:
+    """Load a study of the tracking store: system, best design, motion; see torchmbd.experiment.archive.
+
+    run     run id, its beginning, or the name of a study (its latest run)
+    uri     the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
+    folder  where the model's file lies, if the model is a file
+    """
+    from torchmbd.experiment.archive import load_run  # the experiment floor is imported when a study is wanted
+
+    return load_run(run, uri, folder)
+
 
 __version__ = "0.1.0"
 
@@ -137,7 +159,9 @@ __all__ = [
     "deg",
     "eigenpair_branches",
     "eigenpairs",
+    "equilibrium",
     "history",
+    "load",
     "measure",
     "mesh",
     "modal_basis",

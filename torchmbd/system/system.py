@@ -20,6 +20,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.joints.joint import Joint
 from torchmbd.numerics.pair import Pair
 from torchmbd.system import topology
+from torchmbd.system.description import Description, check_connected, describe
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.equations import INERTIA
 from torchmbd.system.initial import InitialConditions
@@ -34,6 +35,7 @@ class System(nn.Module):
     forces         applied forces
     gravity        acceleration of gravity in ground axes [m/s2]
     stabilization  time constant of the constraint stabilization of ODE methods [s]
+    free           names of bodies that no joint holds on purpose
     """
 
     def __init__(
@@ -43,6 +45,7 @@ class System(nn.Module):
         forces: Sequence[Any] = (),
         gravity: Sequence[float] | Tensor | None = None,
         stabilization: float = 5e-3,
+        free: Sequence[str] = (),
     ):
         super().__init__()
         names = [body.name for body in bodies]
@@ -58,6 +61,7 @@ class System(nn.Module):
         self.bodies = list(bodies)
         self.gravity = None if gravity is None else vector("gravity", gravity)
         self.stabilization = float(stabilization)
+        check_connected(self.bodies, list(joints), list(forces), list(free))
         self._join(joints)
         for body in self.bodies:
             if hasattr(self, body.name) or body.name in ("ground", "data"):
@@ -76,6 +80,10 @@ class System(nn.Module):
         other = copy.copy(self)
         other._join(joints)
         return other
+
+    def describe(self) -> Description:
+        """Bodies, joints, rank, freedoms, mass and first frequencies: print it, or use its numbers."""
+        return describe(self)
 
     def body(self, name: str) -> Any:
         """The body of that name; InputError names the nearest."""

@@ -17,6 +17,7 @@ joints, and no atomic additions.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -324,4 +325,15 @@ def _group(
         for component in range(kind.rows):
             suffix = f" {'xyz'[component]}" if kind.rows == 3 else ""
             names += [f"{joint.name}: {kind.__name__.lower()}{suffix}" for joint, _ in mine]
-    return tuple(primitives), tuple(names)
+    return tuple(primitives), _numbered(names)
+
+
+def _numbered(names: list[str]) -> tuple[str, ...]:
+    """Names of rows; those that occur several times carry their number."""
+    count = Counter(names)
+    seen: Counter[str] = Counter()
+    result = []
+    for name in names:
+        seen[name] += 1
+        result.append(f"{name} {seen[name]}" if count[name] > 1 else name)
+    return tuple(result)
