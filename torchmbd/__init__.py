@@ -76,7 +76,7 @@ from torchmbd.optimizers import (
     sobol,
 )
 from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis
-from torchmbd.system import Dynamics, System, equilibrium
+from torchmbd.system import Dynamics, System
 
 if TYPE_CHECKING:
     from torchmbd.experiment.archive import LoadedStudy
@@ -159,7 +159,6 @@ __all__ = [
     "deg",
     "eigenpair_branches",
     "eigenpairs",
-    "equilibrium",
     "history",
     "load",
     "measure",

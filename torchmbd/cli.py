@@ -1,4 +1,4 @@
-"""The command line: torchmbd run, list, cache, ui.
+"""The command line: torchmbd new, check, schema, run, sync; list, best, compare, report, ui; cache.
 
 Exit codes: 0 done, 1 something failed that was not the input, 2 bad input (every fault named), 130 interrupted.
 Nothing heavy is imported before it is needed: `torchmbd --help` answers at once.
@@ -6,6 +6,7 @@ Nothing heavy is imported before it is needed: `torchmbd --help` answers at once
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -59,6 +60,108 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
         if codes[-1] == EXIT_INTERRUPTED:
             break
     return max(codes)
+
+
+@app.command
+def check(file: Path, /, *assignments: str) -> int:
+    """Say everything that is wrong with an experiment file, or what it will cost; nothing is run or logged.
+
+    Parameters
+    ----------
+    file
+        The experiment file (YAML).
+    assignments
+        Overrides, as in run.
+    """
+    _one_thread()
+    from torchmbd.experiment import load
+    from torchmbd.experiment.estimate import print_estimate
+
+    print_estimate(load(file, assignments), Console())
+    return 0
+
+
+@app.command
+def new(file: Path, /, model: str | None = None) -> int:
+    """Write a first experiment file with every section explained.
+
+    Parameters
+    ----------
+    file
+        Its name: study.yaml
+    model
+        Your model, path/to/file.py:function or package.module:function; default: an example beside the file.
+    """
+    from torchmbd.experiment.beginning import begin
+
+    for written in begin(file, model):
+        print(f"wrote {written}")
+    print(f"next: torchmbd check {file}")
+    return 0
+
+
+@app.command
+def schema() -> int:
+    """Print the JSON schema of experiment files, for editors."""
+    from torchmbd.experiment.editor import json_schema
+
+    print(json.dumps(json_schema(), indent=1))
+    return 0
+
+
+@app.command
+def best(run: str | None = None, /, count: int = 5, uri: str | None = None) -> int:
+    """Print the best designs of a study.
+
+    Parameters
+    ----------
+    run
+        Run id, its beginning, or the name of a study; default: the latest study.
+    count
+        How many.
+    uri
+        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
+    """
+    from torchmbd.experiment.compare import print_best
+
+    print_best(run, uri, count, Console())
+    return 0
+
+
+@app.command
+def compare(a: str, b: str, /, uri: str | None = None) -> int:
+    """Print what two studies were told differently, and how they ended.
+
+    Parameters
+    ----------
+    a, b
+        Run ids, their beginnings, or names of studies.
+    uri
+        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
+    """
+    from torchmbd.experiment.compare import print_comparison
+
+    print_comparison(a, b, uri, Console())
+    return 0
+
+
+@app.command
+def report(run: str, /, output: Path | None = None, uri: str | None = None) -> int:
+    """Write the report of a study: one HTML file that needs nothing else.
+
+    Parameters
+    ----------
+    run
+        Run id, its beginning, or the name of a study.
+    output
+        Name of the file; default: the study's name and run id.
+    uri
+        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
+    """
+    from torchmbd.experiment.html_report import write_report
+
+    print(f"wrote {write_report(run, output, uri)}")
+    return 0
 
 
 @app.command(name="list")

@@ -12,7 +12,7 @@ from torchmbd.experiment.faults import Fault, StudyError, place
 from torchmbd.experiment.overrides import override
 from torchmbd.experiment.schema import Figures, Study
 from torchmbd.experiment.validation import kind_of, validate
-from torchmbd.experiment.yaml_file import read_yaml
+from torchmbd.experiment.yaml_file import Document, read_yaml
 from torchmbd.system import System
 
 
@@ -48,16 +48,21 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Plan | FiguresPlan:
     """Read, override, validate and build; StudyError with every fault, each with its line."""
     document = read_yaml(path)
     override(document, overrides)
+    return plan_of(document, Path(path), tuple(overrides))
+
+
+def plan_of(document: Document, path: Path, overrides: tuple[str, ...]) -> Plan | FiguresPlan:
+    """Validate and build what a document describes, as if it were the file `path`."""
     sections, faults = validate(document.data)
-    folder, figures = Path(path).absolute().parent, kind_of(document.data) is Figures
+    folder, figures = path.absolute().parent, kind_of(document.data) is Figures
     system, more = (None, figure_faults(sections, folder)) if figures else check(sections, folder)
     if faults or more or (system is None and not figures):
         known = [replace(fault, where=place(fault.path, document.lines)) for fault in faults + more]
-        raise StudyError(str(path), known)
+        raise StudyError(document.source, known)
     if system is None:
-        return FiguresPlan(Figures.model_validate(document.data), Path(path), tuple(overrides))
+        return FiguresPlan(Figures.model_validate(document.data), path, overrides)
     study = Study.model_validate(document.data)
-    return Plan(study, system, Columns.of(study.design, system), Path(path), tuple(overrides))
+    return Plan(study, system, Columns.of(study.design, system), path, overrides)
 
 
 def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Plan:

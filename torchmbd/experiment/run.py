@@ -33,6 +33,7 @@ from torchmbd.experiment.sweep import run_sweep
 from torchmbd.optimizers import Evaluation, Iterate, Study, multistart
 from torchmbd.tracking import ProcessTracker, Record, Status, Tracker, TrackingError
 from torchmbd.tracking.links import DEFAULT_BASE
+from torchmbd.tracking.process import deliver_soon
 from torchmbd.tracking.store import sqlite_file, store_uri
 
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
@@ -78,6 +79,7 @@ def run_plan(
             record = close(tracker, console)
         if store.trouble:
             console.print(f"The last evaluations are not on disk: {escape(store.trouble)}", style="red")
+    deliver_soon(place())
     known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known" * bool(
         remembered.known
     )
@@ -141,6 +143,8 @@ def run_study(
         journal.result(result, best is not None and result.start == best.start)
     print_results(plan, study, journal.failures, console)
     _summarize(study, journal)
+    if best is not None:
+        journal.design(best.x)
     study_pictures(plan, study, problem, journal, console)
     if study.interrupted:
         return "KILLED"

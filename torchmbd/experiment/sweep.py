@@ -57,6 +57,7 @@ def run_sweep(
     numbers = {"objective": evaluations[best].objective, "best_objective": evaluations[best].objective}
     numbers["reduction_percent"] = 100.0 * (1.0 - evaluations[best].objective / first.objective)
     journal.summary(numbers | plan.columns.shown(X[best]), {"best_point": str(best)})
+    journal.design(X[best])
     return "FINISHED"
 
 

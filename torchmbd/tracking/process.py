@@ -158,5 +158,15 @@ class ProcessTracker:
 
 def deliver_all(place: Path) -> int:
     """Send what studies that are over have left below a folder; return how many still wait for their store."""
-    command = [sys.executable, "-P", "-c", _BOOT, str(Path(__file__).parents[1]), str(place), "--all"]
-    return subprocess.run(command, stdin=subprocess.DEVNULL).returncode
+    return subprocess.run(_deliverer(place), stdin=subprocess.DEVNULL).returncode
+
+
+def deliver_soon(place: Path) -> None:
+    """The same, without waiting for it: nothing is started where nothing is left."""
+    if any(place.glob("*/*.jsonl")):
+        nothing = subprocess.DEVNULL
+        subprocess.Popen(_deliverer(place), stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True)
+
+
+def _deliverer(place: Path) -> list[str]:
+    return [sys.executable, "-P", "-c", _BOOT, str(Path(__file__).parents[1]), str(place), "--all"]
