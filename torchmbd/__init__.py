@@ -76,7 +76,7 @@ from torchmbd.optimizers import (
     sobol,
 )
 from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis
-from torchmbd.system import Dynamics, System
+from torchmbd.system import Dynamics, System, equilibrium
 
 if TYPE_CHECKING:
     from torchmbd.experiment.archive import LoadedStudy
@@ -159,6 +159,7 @@ __all__ = [
     "deg",
     "eigenpair_branches",
     "eigenpairs",
+    "equilibrium",
     "history",
     "load",
     "measure",
