@@ -47,7 +47,7 @@ from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.elements import BeamLine, GivenSection
 from torchmbd.errors import InputError, MbdError, SimulationFailure
-from torchmbd.integrators import Trajectory, simulate
+from torchmbd.integrators import Event, Phase, Trajectory, simulate
 from torchmbd.integrators.ply_history import PlyHistory
 from torchmbd.joints import (
     ConstantSpeed,
@@ -112,6 +112,7 @@ __all__ = [
     "Distance",
     "Drive",
     "Dynamics",
+    "Event",
     "Final",
     "Fixed",
     "FlexibleBody",
@@ -130,6 +131,7 @@ __all__ = [
     "Mesh",
     "Min",
     "OptimizationResult",
+    "Phase",
     "Planar",
     "Ply",
     "PlyFailure",

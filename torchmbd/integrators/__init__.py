@@ -1,6 +1,8 @@
 """Integrators: torchdiffeq and generalized-alpha behind one door, with sensitivities."""
 
+from torchmbd.integrators.events import Event
+from torchmbd.integrators.phases import Phase
 from torchmbd.integrators.simulate import METHODS, simulate
-from torchmbd.integrators.trajectory import Trajectory
+from torchmbd.integrators.trajectory import Switch, Trajectory
 
-__all__ = ["METHODS", "Trajectory", "simulate"]
+__all__ = ["METHODS", "Event", "Phase", "Switch", "Trajectory", "simulate"]

@@ -113,7 +113,7 @@ def integrate(
     if left is not dynamics:
         x = left.initial.condensation.state(x)
     model = compiled.CompiledModel.of(left, x, w) or Model(left.topology, left.saddle, w, left.data)
-    march = _March(left, model, iterations, refresh)
+    march = March(left, model, iterations, refresh)
     times = h * torch.arange(steps + 1, dtype=torch.float64)
     states = [x]
     for i, given in enumerate(left.topology.schedule(times[1:])):
@@ -159,7 +159,7 @@ def _whole(dynamics: Dynamics, left: Dynamics, times: Tensor, history: History) 
     return History(q, v, vd, lambda: multipliers(c, dynamics.data, times, q, v, vd, history.lam))
 
 
-class _March:
+class March:
     """Steps of one simulation; keeps the inverse and what the iterations leave."""
 
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):

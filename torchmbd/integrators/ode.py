@@ -45,32 +45,41 @@ def integrate(
 
     Raises FloatingPointError when the step size underflows: the caller makes a status of it.
     """
-    for name, tolerance in (("rtol", rtol), ("atol", atol)):
-        if not 0.0 < tolerance < 1.0:
-            raise InputError(f"{name} is {tolerance!r}; allowed: positive, below 1")
     T = dynamics.topology
     start = initial(dynamics)
     times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
-    y0 = torch.cat([_augment(start.q, dynamics), _augment(start.v, dynamics)])
+    y0 = torch.cat([augment(start.q, dynamics), augment(start.v, dynamics)])
+
+    before = dynamics.statistics["evaluations"]
+    y = flow(dynamics, y0, times, arguments(method, rtol, atol, options))
+    counts = {"evaluations": dynamics.statistics["evaluations"] - before}
+    a, lam = _accelerations(dynamics, times, y)
+    return History(y[:, : T.n_q], y[:, T.n_q :], a, lambda: lam), counts
+
+
+def arguments(method: str, rtol: float, atol: float, options: dict[str, Any] | None) -> dict[str, Any]:
+    """Arguments of torchdiffeq.odeint."""
+    for name, tolerance in (("rtol", rtol), ("atol", atol)):
+        if not 0.0 < tolerance < 1.0:
+            raise InputError(f"{name} is {tolerance!r}; allowed: positive, below 1")
+    tolerances = {} if method in FIXED else {"rtol": rtol, "atol": atol}
+    return {"method": method, "options": DEFAULTS.get(method, {}) | (options or {})} | tolerances
+
+
+def flow(dynamics: Dynamics, y0: Tensor, times: Tensor, given: dict[str, Any]) -> Tensor:
+    """The augmented state [times, n_z, 1 + n_b, lanes] at times [n] from y0 at the first; `given` by `arguments`."""
 
     def rates(t: Tensor, y: Tensor) -> Tensor:
         z = Pair(y) if y.shape[1] > 1 else y
-        return _augment(dynamics.rates(t, z), dynamics)
+        return augment(dynamics.rates(t, z), dynamics)
 
-    before = dynamics.statistics["evaluations"]
-    tolerances = {} if method in FIXED else {"rtol": rtol, "atol": atol}
     try:
-        y = torchdiffeq.odeint(
-            rates, y0, times, method=method, options=DEFAULTS.get(method, {}) | (options or {}), **tolerances
-        )
+        return torchdiffeq.odeint(rates, y0, times, **given)  # pyright: ignore[reportReturnType]
     except AssertionError as error:  # torchdiffeq's way to say that dt underflows or that the state is not finite
-        raise FloatingPointError(f"{method}: {error}") from error
-    counts = {"evaluations": dynamics.statistics["evaluations"] - before}
-    a, lam = _accelerations(dynamics, times, y)  # type: ignore[arg-type]
-    return History(y[:, : T.n_q], y[:, T.n_q :], a, lambda: lam), counts  # type: ignore[index]
+        raise FloatingPointError(f"{given['method']}: {error}") from error
 
 
-def _augment(x: Any, dynamics: Dynamics) -> Tensor:
+def augment(x: Any, dynamics: Dynamics) -> Tensor:
     """Value and tangents side by side [n, 1 + n_b, lanes]."""
     full = x.full if isinstance(x, Pair) else torch.cat([x, x.new_zeros(x.shape[0], dynamics.tangents, x.shape[2])], 1)
     return full.expand(-1, -1, dynamics.lanes)
@@ -82,5 +91,5 @@ def _accelerations(dynamics: Dynamics, times: Tensor, y: Tensor) -> tuple[Tensor
     parts = []
     for t, state in zip(times, y, strict=True):
         z = Pair(state) if state.shape[1] > 1 else state
-        parts.append([_augment(x, dynamics) for x in dynamics.accelerations(t, z[: T.n_q], z[T.n_q :])])
+        parts.append([augment(x, dynamics) for x in dynamics.accelerations(t, z[: T.n_q], z[T.n_q :])])
     return torch.stack([a for a, _ in parts]), torch.stack([lam for _, lam in parts])

@@ -9,14 +9,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.integrators import generalized_alpha, ode
+from torchmbd.integrators import generalized_alpha, ode, staged_alpha, staged_ode
+from torchmbd.integrators.course import Course
+from torchmbd.integrators.events import Views
 from torchmbd.integrators.generalized_alpha import History
+from torchmbd.integrators.phases import Phase, plan
 from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.numerics.pair import value
 from torchmbd.system import Dynamics, System
@@ -36,6 +40,7 @@ def simulate(
     steps: int | None = None,
     sensitivities: bool | Sequence[str] = False,
     designs: Mapping[str, Tensor] | None = None,
+    phases: Sequence[Phase] | None = None,
     **options: Any,
 ) -> Trajectory:
     """Simulate one design, or a batch of designs side by side (lanes).
@@ -46,21 +51,40 @@ def simulate(
                    Adaptive methods choose their own steps between the outputs
     sensitivities  True: by every parameter that requires a gradient; or the names of parameters
     designs        parameter name -> values [lanes, ...]; others keep their own values
-    options        generalized_alpha: spectral_radius, iterations, refresh, halvings; torchdiffeq: rtol, atol, options
+    phases         locks, releases and ends of the phases that follow each other (phases.py); default: one without either
+    options        generalized_alpha: spectral_radius, iterations, refresh, halvings (not with phases);
+                   torchdiffeq: rtol, atol, options
 
     A lane that fails is reported in `status`. Raises InputError for bad arguments.
     """
-    check(duration, method, steps, options)
+    check(duration, method, steps, options, phases is not None)
     names = design_names(system, sensitivities, designs)
     batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
+    if phases is not None:
+        system, stages = plan(system, phases, float(duration))
     dynamics = system.dynamics(batch, tangents=names)
     steps = steps or default_steps(dynamics, duration)
+    design = {"designs": batch, "parameters": labels(system, names)}
     with torch.no_grad():
-        history, stats, status = run(dynamics, float(duration), steps, method, options)
-    return _present(system, dynamics, history, stats, status, float(duration), batch, labels(system, names))
+        if phases is None:
+            history, stats, status = run(dynamics, float(duration), steps, method, options)
+            return _present(system, dynamics, history, stats, status, float(duration), **design)
+        course = Course(dynamics, stages, Views.of(system, dynamics, **design), float(duration), steps)
+        stats = _through(course, method, options)
+        found = _status(course.history, float(duration), steps, stats)
+        status = [own if own != OK else other for own, other in zip(course.status, found, strict=True)]
+    motion = _present(system, course.whole, course.history, stats, status, float(duration), **design)
+    return replace(motion, switches=course.switches)
 
 
-def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any]) -> None:
+def _through(course: Course, method: str, options: dict[str, Any]) -> dict[str, Any]:
+    """Integrate through all phases; statistics."""
+    if method == "generalized_alpha":
+        return staged_alpha.integrate(course, **options)
+    return staged_ode.integrate(course, method, **options)
+
+
+def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> None:
     """Refuse arguments of `simulate` that are wrong for every system; InputError names them."""
     if not isinstance(duration, (int, float)) or not 0 < duration < math.inf:
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
@@ -73,7 +97,7 @@ def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any]) ->
     if method not in METHODS:
         raise unknown("method", method, METHODS)
     allowed = (
-        ("spectral_radius", "iterations", "refresh", "halvings")
+        ("spectral_radius", "iterations", "refresh", *(() if phases else ("halvings",)))
         if method == "generalized_alpha"
         else ("rtol", "atol", "options")
     )

@@ -29,6 +29,25 @@ from torchmbd.system.dynamics import Dynamics
 OK = "ok"
 
 
+@dataclass(frozen=True, eq=False)
+class Switch:
+    """The passage of all lanes into a phase; derivatives follow the time of the switch, which moves with the design.
+
+    t [lanes] (inf: a lane that does not get there)   q [lanes, n_q]   v_before, v_after [lanes, n_v]
+    dt_db [lanes, n_b]   dq_db [lanes, n_q, n_b]   dv_before_db, dv_after_db [lanes, n_v, n_b]
+    """
+
+    phase: str
+    t: Tensor
+    q: Tensor
+    v_before: Tensor
+    v_after: Tensor
+    dt_db: Tensor | None = None
+    dq_db: Tensor | None = None
+    dv_before_db: Tensor | None = None
+    dv_after_db: Tensor | None = None
+
+
 @dataclass(eq=False)
 class Trajectory:
     """A motion of one design or of a batch; see the module header for shapes.
@@ -37,6 +56,7 @@ class Trajectory:
     stats       what the integrator counted
     designs     parameters of the lanes by name, [lanes, ...]
     parameters  names of the design variables of the sensitivities, one for each slot
+    switches    passages into the second phase and all later ones
     """
 
     t: Tensor
@@ -53,6 +73,7 @@ class Trajectory:
     da_db: Tensor | None = None
     designs: dict[str, Tensor] = field(default_factory=dict)
     parameters: tuple[str, ...] = ()
+    switches: list[Switch] = field(default_factory=list)
     _views: dict[str, BodyMotion] = field(default_factory=dict, repr=False)
     _modes: dict[str, Tensor] = field(default_factory=dict, repr=False)
     _mode_tangents: dict[str, Tensor] = field(default_factory=dict, repr=False)

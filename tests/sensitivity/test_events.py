@@ -1,0 +1,150 @@
+"""Sensitivities through events, locks, releases and impacts: closed forms, and differences of the same discrete map."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import pendulum, tensor
+from torchmbd.integrators import Trajectory
+
+HEIGHT, RESTITUTION, DURATION = 1.0, 0.8, 1.5
+STEP = 1e-4  # [rad]
+NAME = "rod.laminate.angles"
+
+
+class Falling(mbd.System):
+    """A mass in a gravity field that is a design variable."""
+
+    def __init__(self):
+        super().__init__([mbd.RigidBody("mass", mass=2.0, inertia=(0.1, 0.2, 0.2), position=(0.0, 0.0, HEIGHT))])
+        self.g = nn.Parameter(tensor(9.81))
+
+    def _data(self):
+        pull = torch.stack([torch.zeros_like(self.g), torch.zeros_like(self.g), -self.g])
+        return super()._data() | {"gravity": pull.reshape(3, 1, 1, -1)}
+
+
+def bounces(g: Tensor) -> tuple[Tensor, Tensor]:
+    """Times of the first two impacts."""
+    first = torch.sqrt(2.0 * HEIGHT / g)
+    return first, (1.0 + 2.0 * RESTITUTION) * first
+
+
+def bouncing(t: Tensor, g: Tensor) -> tuple[Tensor, Tensor]:
+    """Height and velocity at time t."""
+    first, second = bounces(g)
+    if t < first:
+        return HEIGHT - 0.5 * g * t * t, -g * t
+    speed, start = RESTITUTION * g * first, first
+    if t >= second:
+        speed, start = RESTITUTION * speed, second
+    return speed * (t - start) - 0.5 * g * (t - start) ** 2, speed - g * (t - start)
+
+
+def rebound(motion: Trajectory) -> Tensor:
+    """The same restitution as a map of the velocities."""
+    flip = torch.ones(6, dtype=torch.float64).index_fill(0, torch.tensor([2]), -RESTITUTION)
+    return motion.v * flip
+
+
+@pytest.mark.parametrize(
+    ("method", "impact"), [("generalized_alpha", RESTITUTION), ("generalized_alpha", rebound), ("rk4", RESTITUTION)]
+)
+def test_bouncing_mass_has_its_closed_form(method, impact):
+    """Three designs side by side, whose impacts lie between different output times."""
+    fields = tensor(9.81, 7.0, 20.0)
+    landing = mbd.Event(mbd.Position("mass", axis="z"), "falling")
+    phases = [mbd.Phase(until=landing, impact=impact)] * 2 + [mbd.Phase()]
+    motion = mbd.simulate(
+        Falling(), DURATION, method, 40, sensitivities=["g"], designs={"g": fields[:, None]}, phases=phases
+    ).require_ok()
+    assert motion.dq_db is not None
+    assert motion.dv_db is not None
+    for lane, g in enumerate(fields):
+        exact = torch.stack([torch.stack(bouncing(t, g)) for t in motion.t])
+        slopes = torch.stack(
+            [torch.stack(torch.func.jacfwd(lambda g, t=t: bouncing(t, g))(g)) for t in motion.t]  # pyright: ignore
+        )
+        assert_close(torch.stack([motion.q[lane, :, 2], motion.v[lane, :, 2]], 1), exact, rtol=0, atol=1e-10)
+        found = torch.stack([motion.dq_db[lane, :, 2, 0], motion.dv_db[lane, :, 2, 0]], 1)
+        assert_close(found, slopes, rtol=0, atol=1e-10)
+        rates = torch.func.jacfwd(bounces)(g)
+        for switch, time, rate in zip(motion.switches, bounces(g), rates, strict=True):
+            assert switch.dt_db is not None
+            assert_close(switch.t[lane], time, rtol=0, atol=1e-11)
+            assert_close(switch.dt_db[lane, 0], rate, rtol=0, atol=1e-11)
+
+
+def tip(motion: Trajectory) -> Tensor:
+    """Passes zero at about 0.04 s, and depends on the mode shapes."""
+    return motion.body("rod").at("right").position[..., 2] + 0.022
+
+
+# A lock at an event, a lock for a while after it, and a body let go.
+PHASES = [
+    mbd.Phase(until=mbd.Event(tip)),
+    mbd.Phase(lasting=0.013, lock=["universal_arm_rod"]),
+    mbd.Phase(lasting=0.011, lock=["revolute_ground_arm"]),
+    mbd.Phase(release=["revolute_ground_arm"]),
+]
+
+
+@pytest.fixture(scope="module")
+def swing() -> mbd.System:
+    return pendulum(damping=1e-4)
+
+
+@pytest.fixture(scope="module")
+def motion(swing) -> Trajectory:
+    """The design with sensitivities, and its neighbors a step up and down in both angles."""
+    b, h = dict(swing.named_parameters())[NAME].detach(), STEP
+    steps = h * torch.eye(2, dtype=torch.float64)
+    designs = {NAME: torch.cat([b[None], b + steps, b - steps])}
+    return mbd.simulate(
+        swing, 0.09, steps=50, sensitivities=True, designs=designs, phases=PHASES, iterations=(8, 8)
+    ).require_ok()
+
+
+def differences(x: Tensor) -> Tensor:
+    up, down = x[1:].chunk(2)
+    return ((up - down) / (2.0 * STEP)).movedim(0, -1)
+
+
+# Differences of accelerations have the rounding errors of the constraints over the square of the step.
+@pytest.mark.parametrize(("kind", "tolerance"), [("q", 1e-7), ("v", 1e-7), ("a", 1e-5)])
+def test_motion_through_phases_against_differences(kind, tolerance, motion):
+    x = getattr(motion, kind)
+    found, expected = getattr(motion, f"d{kind}_db")[0], differences(x)
+    assert float((found - expected).abs().max()) < tolerance * float(expected.abs().max())
+
+
+def test_switches_against_differences(motion):
+    assert [switch.phase for switch in motion.switches] == ["2", "3", "4"]
+    for switch in motion.switches:
+        assert float(switch.dt_db[0].abs().min()) > 1e-4
+        pairs = [
+            (switch.t, switch.dt_db),
+            (switch.q, switch.dq_db),
+            (switch.v_before, switch.dv_before_db),
+            (switch.v_after, switch.dv_after_db),
+        ]
+        for x, dx in pairs:
+            expected = differences(x)
+            assert float((dx[0] - expected).abs().max()) < 1e-7 * float(expected.abs().max())
+
+
+def test_both_routes_agree_on_what_comes_after_a_switch(swing):
+    """generalized_alpha is of second order in motion and sensitivities, through all switches."""
+    asked = {"sensitivities": True, "phases": [PHASES[0], mbd.Phase(lock=["universal_arm_rod"])]}
+    exact = mbd.simulate(swing, 0.06, "dopri5", steps=6, rtol=1e-7, atol=1e-9, **asked).require_ok()
+    coarse, fine = (mbd.simulate(swing, 0.06, steps=steps, **asked).require_ok() for steps in (30, 60))
+    for name in ("q", "dq_db"):
+        errors = [
+            float((getattr(found, name)[:, ::every] - getattr(exact, name))[:, -2:].abs().max())
+            for found, every in ((coarse, 5), (fine, 10))
+        ]
+        assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.1)

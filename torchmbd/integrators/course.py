@@ -1,0 +1,213 @@
+"""The course of a motion through its phases: what both families of integrators share.
+
+A motion is recorded on one grid of times for all lanes. Lanes pass from phase to phase at their own times t*, between the
+grid's. A `Passage` is where each of them stands, with *total* derivatives by the design; a `Switch` is its presentation.
+On the grid, derivatives are taken at fixed times.
+Checked in tests/integrators/test_phases.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators.events import Event, Views
+from torchmbd.integrators.generalized_alpha import History
+from torchmbd.integrators.phases import Stage
+from torchmbd.integrators.step import State
+from torchmbd.integrators.switch import Given, accelerations, at_time, jump, lane_of, mapped, marked, pick, side_by_side
+from torchmbd.integrators.trajectory import OK, Switch
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system import equations
+from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.saddle import Saddle
+from torchmbd.system.selection import selected
+
+CLOSED = 1e-6  # [m] or [-]: violation of a joint that begins to act
+
+
+class Passage(NamedTuple):
+    """Where lanes leave a phase: time t [1 + n_b, lanes] (inf: a lane that does not get there) and state."""
+
+    t: Any
+    x: State
+
+    def lane(self, lane: int) -> Passage:
+        return Passage(pick(self.t, [lane]), self.x.map(lambda y: pick(y, [lane])))
+
+
+@dataclass
+class Course:
+    """One simulation through all stages.
+
+    whole   dynamics of the system with all joints and locks; its data take up the marks of the locks
+    """
+
+    whole: Dynamics
+    stages: list[Stage]
+    views: Views
+    duration: float
+    steps: int
+    switches: list[Switch] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        T, lanes, slots = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
+        self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
+        self.status = [OK] * lanes
+
+        def nothing(rows: int) -> Tensor:
+            return torch.full((self.steps + 1, rows, slots, lanes), torch.nan, dtype=torch.float64)
+
+        self.q, self.v, self.vd, self.lam = (nothing(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
+
+    @property
+    def history(self) -> History:
+        """The motion on the grid."""
+        return History(self.q, self.v, self.vd, lambda: self.lam)
+
+    def recorded(self) -> History:
+        """The same with zeros where nothing is recorded."""
+        q, v, vd = (torch.nan_to_num(x, 0.0, 0.0, 0.0) for x in (self.q, self.v, self.vd))
+        return History(q, v, vd, lambda: self.lam)
+
+    def broken(self, lane: int) -> bool:
+        """Note the first time at which a lane that marched to the end is not finite; whether there is one."""
+        bad = [~torch.isfinite(x[..., lane]).flatten(1).all(1) for x in (self.q, self.v, self.vd)]
+        first = torch.nonzero(bad[0] | bad[1] | bad[2])
+        if len(first):
+            self.fail(lane, f"the motion is not finite from t = {float(self.times[first[0, 0]]):.6g} s on")
+        return bool(len(first))
+
+    def start(self) -> Passage:
+        """Consistent initial positions and velocities under the joints that close the mechanism."""
+        first = selected(self.whole.topology, self.stages[0].start)
+        opening = replace(self.whole.initial, topology=first)
+        dynamics = replace(self.whole, topology=first, saddle=Saddle(first), initial=opening)
+        q, v = (self._wide(x) for x in opening.solve(dynamics))
+        t = self._wide(torch.zeros(1, self.whole.lanes, dtype=torch.float64))
+        return Passage(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
+
+    def _wide(self, x: Any) -> Any:
+        """All lanes and tangents of a number."""
+        n, lanes = self.whole.tangents, self.whole.lanes
+        if isinstance(x, Pair) or not n:
+            return Pair(x.full.expand(*x.shape[:-1], lanes)) if isinstance(x, Pair) else x.expand(*x.shape[:-1], lanes)
+        return Pair.of(x, x.new_zeros(*x.shape[:-2], n, lanes))
+
+    def enter(self, number: int, passage: Passage) -> tuple[Dynamics, State]:
+        """The dynamics of a stage and the state in which its lanes begin, with consistent accelerations."""
+        stage, x = self.stages[number], passage.x
+        data = marked(self.whole.topology, self.whole.data, x.q, stage.locks)
+        self.whole = replace(self.whole, data=data)
+        dynamics = replace(self.whole, topology=stage.topology, saddle=stage.saddle, initial=Given(x.q, x.v))
+        parts = [self._begin(number, lane, lane_of(dynamics, lane), passage) for lane in range(self.whole.lanes)]
+        state = State(*(side_by_side(y) for y in zip(*parts, strict=True)))
+        if number:
+            self.switches.append(_switch(stage.name, passage, state))
+        return dynamics, state
+
+    def _begin(self, number: int, lane: int, dynamics: Dynamics, passage: Passage) -> State:
+        """The state of one lane after a switch."""
+        t, x = passage.lane(lane)
+        if not self.arrived(passage)[lane]:
+            rows = value(x.q).new_zeros(dynamics.topology.rows, *x.q.shape[1:])
+            q, v = x.q * torch.nan, x.v * torch.nan
+            return State(q, v, v, v, Pair(rows) if isinstance(x.q, Pair) else rows)
+        if number:
+            self._check_closed(number, lane, dynamics, t, x.q)
+        (v,) = at_time(jump, dynamics, t, x.q, x.v)
+        ended = self.stages[number - 1].phase if number else None
+        if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
+            v = mapped(ended.impact, ended.until, self.views, lane, dynamics, t, x._replace(v=v))
+        a, lam = at_time(accelerations, dynamics, t, x.q, v)
+        return State(x.q, v, a, a, lam)
+
+    def _check_closed(self, number: int, lane: int, dynamics: Dynamics, t: Any, q: Any) -> None:
+        T = dynamics.topology
+        if not T.rows:
+            return
+        values = {name: value(x) for name, x in dynamics.data.items()}
+        at = equations.placement(T, values, value(q), T.prescribed(value(t)[0, 0]))
+        phi = equations.constraints(T, at).abs().amax((1, 2))
+        if bool(phi.max() > CLOSED):
+            worst = int(phi.argmax())
+            self.fail(
+                lane,
+                f"{T.row_names[worst]} misses by {float(phi[worst]):.3g} when phase {self.stages[number].name!r} begins "
+                f"at t = {float(value(t)[0, 0]):.6g} s: a joint that begins to act must be closed",
+            )
+
+    def arrived(self, passage: Passage) -> Tensor:
+        """Which lanes take part in what follows [lanes]."""
+        good = torch.tensor([status == OK for status in self.status])
+        return torch.isfinite(value(passage.t)[0]) & good
+
+    def end(self, stage: Stage, t: Any) -> Any:
+        """Times at which a stage ends that begins at t, where that is known: a number [1 + n_b, lanes]."""
+        if not isinstance(stage.phase.until, (int, float)):
+            return None if stage.phase.lasting is None else t + torch.full_like(value(t), float(stage.phase.lasting))
+        until = float(stage.phase.until)
+        for lane in torch.nonzero(torch.isfinite(value(t)[0]) & (value(t)[0] >= until))[:, 0].tolist():
+            begins = float(value(t)[0, lane])
+            self.fail(lane, f"phase {stage.name!r} begins at t = {begins:.6g} s, after its end at t = {until:g} s")
+        return t * 0.0 + torch.full_like(value(t), until)
+
+    def fail(self, lane: int, reason: str) -> None:
+        """Note the first reason why a lane failed."""
+        if self.status[lane] == OK:
+            self.status[lane] = f"failed: {reason}"
+
+    def never_ends(self, stage: Stage, lane: int) -> None:
+        """Note that a lane stays in a stage until the simulation ends."""
+        what = "its event does not occur" if stage.phase.lasting is None else "it lasts longer than"
+        self.fail(
+            lane, f"phase {stage.name!r} never ends: {what} before the simulation ends at t = {self.duration:g} s"
+        )
+
+    def put(self, stage: Stage, i: int, lanes: Tensor, x: State) -> None:
+        """Record a state, of all lanes or of one, for some lanes (a mask) at a time of the grid."""
+        full = (y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, x.lam))
+        q, v, vd, lam = (y.expand(*y.shape[:-1], len(lanes)) for y in full)
+        for record, y in ((self.q, q), (self.v, v), (self.vd, vd)):
+            record[i, ..., lanes] = y[..., lanes]
+        rows = torch.zeros_like(self.lam[i])
+        rows[stage.rows] = lam
+        self.lam[i, ..., lanes] = rows[..., lanes]
+
+    def passage(self, stage: Stage, entry: Passage, left: dict[int, Passage], staying: list[int]) -> Passage:
+        """Where all lanes left a stage that they entered at `entry`; those that did not are at an infinite time.
+
+        left     passages of the lanes that left
+        staying  lanes that were in the stage when the simulation ended: an error, unless it is the last
+        """
+        for lane in staying:
+            if not self.broken(lane) and stage is not self.stages[-1]:
+                self.never_ends(stage, lane)
+        nowhere = Passage(entry.t * 0.0 + torch.inf, entry.x)
+        parts = [left.get(lane) or nowhere.lane(lane) for lane in range(self.whole.lanes)]
+        q, v, vd, a = (side_by_side(y) for y in zip(*(p.x[:4] for p in parts), strict=True))
+        return Passage(side_by_side([p.t for p in parts]), State(q, v, vd, a, entry.x.lam))
+
+
+def _switch(name: str, passage: Passage, after: State) -> Switch:
+    def values(x: Any) -> Tensor:
+        return value(x)[:, 0].T
+
+    def tangents(x: Any) -> Tensor | None:
+        return x.tangent.permute(2, 0, 1) if isinstance(x, Pair) else None
+
+    t = passage.t
+    return Switch(
+        phase=name,
+        t=value(t)[0],
+        q=values(passage.x.q),
+        v_before=values(passage.x.v),
+        v_after=values(after.v),
+        dt_db=t.tangent.T if isinstance(t, Pair) else None,
+        dq_db=tangents(passage.x.q),
+        dv_before_db=tangents(passage.x.v),
+        dv_after_db=tangents(after.v),
+    )

@@ -1,0 +1,179 @@
+"""Events: the first time at which a function of the motion passes zero, and its derivatives.
+
+    g(t*, x(t*, b)) = 0        dt*/db = -g_b / g_t        both total derivatives along the motion
+
+g is a function: motion -> [lanes, times], written as for a history; here it sees one time only. Its derivatives by
+design and time come from the neighbors of the motion, as those of every response do.
+Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.integrators.step import State
+from torchmbd.integrators.trajectory import OK, Trajectory
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system import equations
+from torchmbd.system.dynamics import Dynamics
+
+DIRECTIONS = {"falling": -1, "rising": 1, "either": 0}
+
+
+@dataclass(frozen=True)
+class Event:
+    """`Event(function, direction="either")`: when a function of the motion passes zero.
+
+    function   motion -> [lanes, times], written with torch operations; or a history, such as Position("mass", "z")
+    direction  "falling", "rising" or "either"
+    """
+
+    function: Any
+    direction: str = "either"
+
+    def __post_init__(self) -> None:
+        if not callable(self.function) and not hasattr(self.function, "values"):
+            raise InputError(
+                f"function of an event is {self.function!r}; allowed: a function motion -> [lanes, times] or a history"
+            )
+        if self.direction not in DIRECTIONS:
+            raise InputError(f"direction of an event is {self.direction!r}; allowed: {', '.join(DIRECTIONS)}")
+
+    def of(self, motion: Trajectory) -> Tensor:
+        """The function [lanes, times]; InputError if it returns anything else."""
+        g = self.function.values(motion) if hasattr(self.function, "values") else self.function(motion)
+        shape = (motion.q.shape[0], len(motion.t))
+        if not isinstance(g, Tensor) or g.shape != shape:
+            found = f"shape {tuple(g.shape)}" if isinstance(g, Tensor) else repr(g)
+            raise InputError(f"the function of an event returned {found}; allowed: a tensor [lanes, times], {shape}")
+        return g
+
+    def passed(self, before: Tensor, after: Tensor) -> Tensor:
+        """Whether the function passed zero between two values [lanes]; not if the first one is nothing but rounding."""
+        sign = DIRECTIONS[self.direction]
+        falls, rises = (before > 0) & (after <= 0), (before < 0) & (after >= 0)
+        passed = (falls & (sign <= 0)) | (rises & (sign >= 0))
+        return passed & (before.abs() > 1e-9 * after.abs())
+
+
+@dataclass
+class Views:
+    """Makes motions of one time, for functions of the motion to look at.
+
+    whole  the motion's system, designs and parameters, with all lanes; keeps the mode shapes that were asked for
+    """
+
+    whole: Trajectory
+
+    @classmethod
+    def of(cls, system: Any, dynamics: Dynamics, designs: dict[str, Tensor], parameters: tuple[str, ...]) -> Views:
+        T, lanes = dynamics.topology, dynamics.lanes
+        nothing = torch.zeros(lanes, 0, T.n_q, dtype=torch.float64)
+        whole = Trajectory(
+            t=nothing[0, :, 0],
+            q=nothing,
+            v=nothing[..., : T.n_v],
+            a=nothing[..., : T.n_v],
+            multipliers=lambda: (nothing, None),
+            status=[OK] * lanes,
+            stats={},
+            system=system,
+            dynamics=dynamics,
+            designs=designs,
+            parameters=parameters,
+        )
+        return cls(whole)
+
+    def values(self, event: Event, dynamics: Dynamics, t: Tensor, x: State) -> Tensor:
+        """The function at time t [] of all lanes [lanes]."""
+        motion = self._motion(self.whole, dynamics, t, x.values())
+        g = event.of(motion)[:, 0]
+        self.whole._modes.update(motion._modes)
+        return g
+
+    def _lane(self, lane: int, dynamics: Dynamics, t: Any, x: State) -> Trajectory:
+        """The motion of one lane at t [1 + n, 1]."""
+        whole, n = self.whole, t.shape[0] - 1
+        if n and whole.parameters:
+            whole.prepare_modes()
+        one = replace(
+            whole,
+            status=[OK],
+            designs={name: y[lane : lane + 1] for name, y in whole.designs.items()},
+            _modes={name: y[lane : lane + 1] for name, y in whole._modes.items()},
+            _mode_tangents={name: _wide(y[lane : lane + 1], n) for name, y in whole._mode_tangents.items() if n},
+        )
+        return self._motion(one, dynamics, value(t)[0, 0], x)
+
+    def neighbors(self, lane: int, dynamics: Dynamics, t: Any, x: State) -> Callable[[Tensor], Trajectory]:
+        """The motion of one lane at t, a number [1 + n, 1], as a function of delta [n], to first order."""
+        motion = self._lane(lane, dynamics, t, x)
+        if not isinstance(t, Pair):
+            return lambda delta: motion
+        return lambda delta: replace(motion.moved(delta), t=motion.t + delta @ t.tangent[:, 0], _views={})
+
+    def value(self, event: Event, lane: int, dynamics: Dynamics, t: Any, x: State) -> Tensor:
+        """The function of one lane []."""
+        return event.of(self._lane(lane, dynamics.values(), value(t), x.values()))[0, 0]
+
+    def slopes(self, event: Event, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Tensor, Tensor]:
+        """The function of one lane [] and its derivatives [n] in the directions of the pairs."""
+        moved = self.neighbors(lane, dynamics, t, x)
+        zero = torch.zeros(t.shape[0] - 1, dtype=torch.float64)
+        return event.of(moved(zero))[0, 0], torch.func.jacfwd(lambda delta: event.of(moved(delta))[0, 0])(zero)
+
+    @staticmethod
+    def _motion(base: Trajectory, dynamics: Dynamics, t: Tensor, x: State) -> Trajectory:
+        def values(y: Any) -> Tensor:
+            return value(y)[:, 0].T[:, None]
+
+        def tangents(y: Any) -> Tensor | None:
+            return y.tangent.permute(2, 0, 1)[:, None] if isinstance(y, Pair) else None
+
+        return replace(
+            base,
+            t=t[None],
+            q=values(x.q),
+            v=values(x.v),
+            a=values(x.vd),
+            multipliers=lambda: (values(x.lam), tangents(x.lam)),
+            dynamics=dynamics,
+            dq_db=tangents(x.q),
+            dv_db=tangents(x.v),
+            da_db=tangents(x.vd),
+            _views={},
+            _modes=dict(base._modes),
+        )
+
+
+def _wide(x: Tensor, n: int) -> Tensor:
+    """Tangents [..., n_b] with directions of zero up to n."""
+    return torch.cat([x, x.new_zeros(*x.shape[:-1], n - x.shape[-1])], -1)
+
+
+def normal(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Any, Any]:
+    """Derivatives of a gap g(q, t) of one lane: by increments of q [n_v, ...] and by time [1, ...]; pairs if x are."""
+    T = dynamics.topology
+    moved = views.neighbors(lane, dynamics, t, x)
+
+    def gap(step: Tensor, delta: Tensor) -> Tensor:
+        motion = moved(delta)
+        q = equations.advance(T, motion.q[0].T[:, None], step[: T.n_v, None, None])
+        there = replace(motion, q=q[:, 0].T[None], t=motion.t + step[T.n_v], _views={})
+        return event.of(there)[0, 0]
+
+    def slope(delta: Tensor) -> Tensor:
+        return torch.func.jacfwd(gap)(delta.new_zeros(T.n_v + 1), delta)  # pyright: ignore[reportReturnType]
+
+    zero = torch.zeros(t.shape[0] - 1, dtype=torch.float64)
+    both: Any = slope(zero)[:, None, None]
+    if isinstance(x.q, Pair):
+        tangents: Any = torch.func.jacfwd(slope)(zero)
+        both = Pair.of(both, tangents[..., None])
+    return both[: T.n_v], both[T.n_v :]

@@ -1,0 +1,88 @@
+"""Steps of generalized-alpha whose size depends on the design, and the state a little after a switch.
+
+Size h and end t1 of a step are numbers [1 + n, 1] with tangents; one lane. Iterated to rounding, values and tangents.
+Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators.step import Coefficients, Model, State, inverse
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system import equations
+from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.topology import Prescribed, Topology
+
+_MOST = 25  # corrections
+_ROUNDING = 1e-13  # relative
+
+
+def sized(dynamics: Dynamics, method: Coefficients, x: State, h: Any, t1: Any) -> State:
+    """The state of one lane after a step of size h that ends at t1; numbers [1 + n, 1], pairs if x are."""
+    model = Model(dynamics.topology, dynamics.saddle, method.weights(h), dynamics.data)
+    step = model.step(x, known(dynamics.topology, t1))
+    z = torch.cat([value(x.vd), value(x.lam)])
+    before = torch.inf
+    for _ in range(_MOST):
+        H = inverse(dynamics.determined(step.matrix(z)))
+        z, size = step.correct(H, z)
+        if _done(float(size), before, z):
+            break
+        before = float(size)
+    if not isinstance(x.q, Pair):
+        return step.finish(z)
+    dz, before = torch.cat([x.vd.tangent, x.lam.tangent]), torch.inf
+    for _ in range(_MOST):
+        dz, size = step.tangent(H, z, dz)
+        if _done(float(size), before, dz):
+            break
+        before = float(size)
+    return step.finish(z, dz)
+
+
+def _done(size: float, before: float, z: Tensor) -> bool:
+    """Whether a correction was rounding only: tiny, or no smaller than half the one before once these are small."""
+    scale = float(z.abs().max()) if z.numel() else 0.0
+    return not size > _ROUNDING * scale or (size > 0.5 * before and size < 1e-6 * scale)
+
+
+def known(T: Topology, t: Any) -> Prescribed:
+    """What is known at a time t [1 + n, 1]."""
+    given = T.prescribed(value(t)[0, 0])
+    if not isinstance(t, Pair):
+        return given
+    laws = [
+        None if law is None else tuple(Pair.of(x.value, x.velocity * t.tangent) for x in law)
+        for law in T.law_jets(value(t)[0, 0])
+    ]
+    return given._replace(laws=laws)
+
+
+def shortly_after(T: Topology, x: State, h: Any) -> State:
+    """The state a short time h [1 + n, 1] later: the first terms of the Taylor series."""
+    q = equations.advance(T, x.q, h * x.v + (0.5 * h * h) * x.vd)
+    return x._replace(q=q, v=x.v + h * x.vd)
+
+
+def widened(x: Any, extra: int = 1) -> Any:
+    """A number as a pair with further directions in which it does not change."""
+    if isinstance(x, Pair):
+        return Pair.of(x.value, torch.cat([x.tangent, x.full.new_zeros(*x.shape[:-2], extra, x.shape[-1])], -2))
+    return Pair.of(x, x.new_zeros(*x.shape[:-2], extra, x.shape[-1]))
+
+
+def widened_data(dynamics: Dynamics) -> Dynamics:
+    """The dynamics with one more direction of the tangents of its data."""
+    return replace(dynamics, data={k: widened(x) if isinstance(x, Pair) else x for k, x in dynamics.data.items()})
+
+
+def narrowed(x: Any, slope: Any) -> Any:
+    """The number as a function of the design alone, with the last direction's variable a function of slope [n] of it."""
+    if not len(slope):
+        return x.value
+    return Pair.of(x.value, x.tangent[..., :-1, :] + x.tangent[..., -1:, :] * slope[:, None])

@@ -1,0 +1,200 @@
+"""Generalized-alpha through the phases of a simulation: regular steps of all lanes, and steps of other sizes at switches.
+
+    h* : g(t + h*, x(h*)) = 0       the last step of a phase, by Newton's method on its size      dh*/db = -g_b / g_h
+    t_k - t*                        the first step of the next one, back to the grid
+
+The discrete map is differentiated as it stands: sizes are numbers with design tangents (sized.py), and while h* is sought
+it is one more design variable. Steps shorter than `SHORT` of the regular one are not made, for the index-3 equations do
+not bear them: the last step of a phase begins one point of the grid earlier instead, the first one ends one later, and
+the points between take the first terms of the Taylor series from the switch.
+
+All lanes march together in one phase; those that left it, or are not there yet, with numbers that nobody looks at.
+Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators import compiled
+from torchmbd.integrators.course import Course, Passage
+from torchmbd.integrators.events import Event
+from torchmbd.integrators.generalized_alpha import March, checked, largest_turn
+from torchmbd.integrators.sized import narrowed, shortly_after, sized, widened, widened_data
+from torchmbd.integrators.step import Coefficients, Model, State
+from torchmbd.integrators.switch import lane_of, pick
+from torchmbd.numerics.pair import Pair, value
+
+SHORT = 0.05  # of a regular step
+_SAME = 1e-9  # of a regular step: times that are equal
+_ROUND = 1e-13  # of the size
+_MOST = 40  # iterations for the size of a last step
+
+
+def integrate(
+    course: Course, spectral_radius: float = 0.9, iterations: tuple[int, int] = (3, 1), refresh: int = 1
+) -> dict[str, Any]:
+    """Integrate all lanes through all stages; options and statistics as of generalized_alpha.integrate."""
+    checked(iterations, refresh)
+    method = Coefficients(spectral_radius)
+    passage, errors = course.start(), {}
+    for number in range(len(course.stages)):
+        passage, found = _Leg(course, number, passage, method).run(iterations, refresh)
+        for name, x in found.items():
+            errors[name] = torch.maximum(errors.get(name, x), x)
+    h = course.duration / course.steps
+    return {"steps": course.steps, "step_size": h, "turn": largest_turn(course.whole, course.recorded(), h)} | errors
+
+
+class _Leg:
+    """All lanes in one stage, from `entry` to where they leave it."""
+
+    def __init__(self, course: Course, number: int, entry: Passage, method: Coefficients):
+        self.course, self.stage, self.method = course, course.stages[number], method
+        self.h, self.times = course.duration / course.steps, course.times
+        self.dynamics, x = course.enter(number, entry)
+        self.ends = course.end(self.stage, entry.t)
+        self.entry, self.alive = Passage(entry.t, x), course.arrived(entry)
+        self.lanes = len(self.alive)
+        self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
+        self.event = self.stage.phase.until if isinstance(self.stage.phase.until, Event) else None
+        self.g = self._start_values()
+        self.left: dict[int, Passage] = {}
+
+    def run(self, iterations: tuple[int, int], refresh: int) -> tuple[Passage, dict[str, Tensor]]:
+        """March until every lane has left the stage, or to the end; what the iterations leave as in generalized_alpha."""
+        d, w, x = self.dynamics, self.method.weights(self.h), self.entry.x
+        model = compiled.CompiledModel.of(d, x, w) or Model(d.topology, d.saddle, w, d.data)
+        march = March(d, model, iterations, refresh)
+        self._put_shortly_after()
+        schedule = d.topology.schedule(self.times)
+        alive, inside = self.alive, torch.zeros_like(self.alive)
+        older = recent = x
+        for i in range(int(self.first.min()), len(self.times)):
+            if bool(inside.any()):
+                older, recent, x = recent, x, march(i, x, schedule[i])
+                march.sizes[-1] = torch.where(inside, march.sizes[-1], 0.0)
+            for lane in torch.nonzero(alive & (self.first == i))[:, 0].tolist():
+                x, march.H = _placed(x, lane, self._arrival(lane)), None
+                inside[lane] = True
+            passed, g = self._passed(i, x, inside)
+            self.course.put(self.stage, i, inside & ~(passed & self._beyond(i)), x)
+            for lane in torch.nonzero(passed)[:, 0].tolist():
+                self.left[lane] = self._leave(lane, i, (recent, older), g)
+            self.g = torch.where(inside, g, self.g)
+            inside, alive = inside & ~passed, alive & ~passed
+            if not bool(alive.any()):
+                break
+        errors = march.errors(self.course.recorded(), self.course.duration) if march.sizes else {}
+        staying = torch.nonzero(alive)[:, 0].tolist()
+        return self.course.passage(self.stage, self.entry, self.left, staying), errors
+
+    def _first(self, lane: int) -> int:
+        """The first point of the grid that a lane marches to."""
+        t = float(value(self.entry.t)[0, lane])
+        if not self.alive[lane]:
+            return len(self.times)
+        k = math.ceil(t / self.h - _SAME)
+        if self._on_grid(lane, k):
+            return k
+        return k + (k * self.h - t < SHORT * self.h)
+
+    def _on_grid(self, lane: int, k: int) -> bool:
+        """Whether a lane enters at a point of the grid, whatever the design."""
+        t = pick(self.entry.t, [lane])
+        moves = isinstance(t, Pair) and bool(t.tangent.any())
+        return not moves and abs(float(value(t)) - k * self.h) < _SAME * self.h
+
+    def _arrival(self, lane: int) -> State:
+        """The state of a lane at its first point of the grid."""
+        k, (t, x) = int(self.first[lane]), self.entry.lane(lane)
+        if self._on_grid(lane, k):
+            return x
+        end = t * 0.0 + float(self.times[k])
+        return sized(lane_of(self.dynamics, lane), self.method, x, end - t, end)
+
+    def _put_shortly_after(self) -> None:
+        """Record the points of the grid that lie between a switch and the first that a lane marches to."""
+        t = value(self.entry.t)[0]
+        for k in range(len(self.times)):
+            between = self.alive & (t <= self.times[k] + _SAME * self.h) & (k < self.first)
+            if bool(between.any()):
+                h = self._time(k) - self.entry.t
+                self.course.put(self.stage, k, between, shortly_after(self.dynamics.topology, self.entry.x, h))
+
+    def _start_values(self) -> Tensor:
+        """The event's function [lanes] where the lanes enter."""
+        g = torch.zeros(self.lanes, dtype=torch.float64)
+        if self.event is not None:
+            for lane in torch.nonzero(self.alive)[:, 0].tolist():
+                g[lane] = self.course.views.value(
+                    self.event, lane, lane_of(self.dynamics, lane), *self.entry.lane(lane)
+                )
+        return g
+
+    def _passed(self, i: int, x: State, inside: Tensor) -> tuple[Tensor, Tensor]:
+        """Which lanes leave the stage before, or little after, a point of the grid; and the event's function there."""
+        if self.event is not None:
+            g = self.course.views.values(self.event, self.dynamics, self.times[i], x)
+            return inside & self.event.passed(self.g, g), g
+        if self.ends is None:
+            return torch.zeros_like(inside), self.g
+        return inside & (self.times[i] > value(self.ends)[0] - SHORT * self.h), self.g
+
+    def _beyond(self, i: int) -> Tensor:
+        """Which of the leaving lanes had left before a point of the grid."""
+        if self.ends is None:
+            return torch.ones_like(self.alive)
+        return self.times[i] > value(self.ends)[0] - _SAME * self.h
+
+    def _leave(self, lane: int, i: int, states: tuple[State, State], g: Tensor) -> Passage:
+        """Where a lane leaves between the point i of the grid and the one before, or its entry."""
+        grid = [Passage(self._time(i - 1 - k), states[k]) for k in range(min(2, i - int(self.first[lane])))]
+        points = [*grid, self.entry]
+        share = float(self.g[lane] / (self.g[lane] - g[lane]))
+        before = points[1 if self.event is not None and share < SHORT and grid else 0]
+        t, x = before.lane(lane)
+        if self.event is None:
+            end = pick(self.ends, [lane])
+            return Passage(end, sized(lane_of(self.dynamics, lane), self.method, x, end - t, end))
+        return self._located(self.event, lane, Passage(t, x), float(self.times[i] - value(t)[0, 0]), share)
+
+    def _time(self, i: int) -> Any:
+        """A time of the grid, which no design moves."""
+        return self.entry.t * 0.0 + float(self.times[i])
+
+    def _located(self, event: Event, lane: int, base: Passage, most: float, share: float) -> Passage:
+        """Where the event's function of a lane vanishes, within the time `most` after a point."""
+        wide = widened_data(lane_of(self.dynamics, lane))
+        x, t = base.x.map(widened), widened(base.t)
+        one = widened(torch.zeros(1, 1, dtype=torch.float64), t.shape[0] - 1)
+        one.full[-1] = 1.0
+        low, high = 0.0, most
+        h = most - (1.0 - share) * min(self.h, most)
+        sign = math.copysign(1.0, float(self.g[lane]))
+        for _ in range(_MOST):
+            size = one + h
+            y = sized(wide, self.method, x, size, t + size)
+            g, slope = self.course.views.slopes(event, lane, wide, t + size, y)
+            low, high = (h, high) if float(g) * sign > 0.0 else (low, h)
+            better = h - float(g / slope[-1])
+            if abs(better - h) <= _ROUND * most:
+                break
+            h = better if low < better < high else 0.5 * (low + high)
+        rate = -slope[:-1] / slope[-1]
+        return Passage(narrowed(t + size, rate), y.map(lambda z: narrowed(z, rate)))
+
+
+def _placed(x: State, lane: int, new: State) -> State:
+    """The state with one lane put in its place."""
+
+    def put(y: Any, z: Any) -> Any:
+        full = (y.full if isinstance(y, Pair) else y).clone()
+        full[..., lane] = (z.full if isinstance(z, Pair) else z)[..., 0]
+        return Pair(full) if isinstance(y, Pair) else full
+
+    return State(*(put(y, z) for y, z in zip(x, new, strict=True)))
