@@ -16,7 +16,7 @@ from torchmbd.design import (
     WeightedSum,
 )
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
-from torchmbd.design.spec import HISTORIES, MEASURES, SpecError, leaf, measure_of, words
+from torchmbd.design.spec import HISTORIES, MEASURES, SpecError, leaf, measure_of, terms, words
 
 ENERGY = mbd.StrainEnergy("rod")
 TWIST = RelativeDisplacement("rod", "left", "right", "z")
@@ -55,7 +55,10 @@ def test_what_a_file_can_say(spec, expected):
 
 def test_responses_in_words():
     both = {"weighted_sum": [{"weight": 1, "integral": {"squared": TWIST_SPEC}}, {"weight": 2, "mass": "rod"}]}
-    assert words(both) == "weighted sum of integral of squared of relative displacement of rod and mass of rod"
+    assert words(both) == "weighted sum"
+    assert words(both["weighted_sum"][0]) == "integral of squared relative displacement of rod"
+    assert terms(both, ("minimize",))[1] == ({"mass": "rod"}, ("minimize", "weighted_sum", 1))
+    assert terms({"mass": "rod"}) == [({"mass": "rod"}, ())]
     assert words({"window": [0, 1], "max": {"strain_energy": "rod"}}, bodies=False) == "max of strain energy"
     assert leaf({"integral": {"squared": TWIST_SPEC}}, ("minimize",))[1:] == (
         "integral",

@@ -279,7 +279,8 @@ def flexible(system: System, name: str):
     """The flexible body of that name; InputError for a rigid one."""
     body = system.body(name)
     if not hasattr(body, "mesh"):
-        raise InputError(f"body {name!r} is rigid; allowed here: a flexible body")
+        others = ", ".join(other.name for other in system.bodies if hasattr(other, "mesh")) or "(the system has none)"
+        raise InputError(f"body {name!r} is rigid; allowed: {others}")
     return body
 
 

@@ -61,12 +61,14 @@ def history_of(spec: Any, path: Path = ()) -> History:
 
 
 def words(spec: Any, bodies: bool = True) -> str:
-    """A valid response in words: `integral of strain energy of rod`."""
+    """A valid response in a few words: `integral of strain energy of rod`; a sum says only that it is one."""
     [name] = [key for key in spec if key in MEASURES or key in HISTORIES]
     inner, said = spec[name], name.replace("_", " ")
     if name == SUM:
-        return f"{said} of {' and '.join(words(term, bodies) for term in inner)}"
-    if name in COMBINATORS or name == SQUARED:
+        return said
+    if name == SQUARED:
+        return f"{said} {words(inner, bodies)}"
+    if name in COMBINATORS:
         return f"{said} of {words(inner, bodies)}"
     body = inner if isinstance(inner, str) else next(iter(inner.values()))
     return f"{said} of {body}" if bodies else said
@@ -78,6 +80,16 @@ def leaf(spec: Any, path: Path = ()) -> Path:
     inner = spec[name]
     deeper = isinstance(inner, Mapping) and any(key in HISTORIES for key in inner)
     return leaf(inner, (*path, name)) if deeper else (*path, name)
+
+
+def terms(spec: Any, path: Path = ()) -> list[tuple[dict[str, Any], Path]]:
+    """The parts of a valid measure with their paths: the terms of a weighted sum, or the measure itself."""
+    if SUM not in spec:
+        return [(spec, path)]
+    found = []
+    for k, term in enumerate(spec[SUM]):
+        found += terms({key: x for key, x in term.items() if key != "weight"}, (*path, SUM, k))
+    return found
 
 
 def _terms(spec: Any, path: Path) -> list[tuple[float, Measure]]:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import cast
-
 import numpy as np
 
-from torchmbd.design import History, Measure, Problem
-from torchmbd.design.responses import COMBINATORS, RESPONSES
+from torchmbd.design import Constraint, Problem
+from torchmbd.design.spec import measure_of
 from torchmbd.experiment.check import vector
 from torchmbd.experiment.load import Plan
 from torchmbd.optimizers import Starts, given, latin_hypercube, sobol
@@ -21,8 +18,8 @@ def problem_of(plan: Plan) -> Problem:
     return Problem(
         plan.system,
         duration=study.simulate.duration,
-        minimize=measure(study.minimize),
-        subject_to=[measure(c.measure) <= c.at_most for c in study.subject_to],
+        minimize=measure_of(study.minimize),
+        subject_to=[Constraint(measure_of(c.measure), c.limit, c.kind, c.scale) for c in study.subject_to],
         bounds=(lower, upper),
         variables=list(study.design),
         start=start,
@@ -30,15 +27,6 @@ def problem_of(plan: Plan) -> Problem:
         steps=study.simulate.steps,
         **study.simulate.options,
     )
-
-
-def measure(spec: Mapping[str, Mapping[str, str]]) -> Measure:
-    """Build a response from `{integral: {strain_energy: rod}}`."""
-    [(combinator, inner)] = spec.items()
-    [(response, body)] = inner.items()
-    build = cast(Callable[..., Measure], COMBINATORS[combinator])
-    history = cast(Callable[..., History], RESPONSES[response])
-    return build(history(body))
 
 
 def starts_of(plan: Plan, start: np.ndarray) -> Starts:

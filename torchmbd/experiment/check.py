@@ -6,12 +6,14 @@ Works on the sections that are valid, so that a wrong word in one section does n
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
 
+from torchmbd.design.spec import leaf, measure_of, terms
 from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, Path, shown
 from torchmbd.experiment.model import build_model, find_model, option_faults
@@ -38,7 +40,7 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
         system = build_model(builder, sections["options"])
     except InputError as error:
         return None, [*faults, Fault(("options",), f"= {shown(sections['options'])}: {error}")]
-    faults += [fault for measure, path in _measures(sections) for fault in _body_faults(measure, path, system)]
+    faults += _response_faults(sections, system)
     if "design" in sections:
         faults += _design_faults(sections["design"], system)
         if not faults:
@@ -96,22 +98,29 @@ def _keywords(function: Callable[..., Any]) -> set[str]:
     return {p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
 
 
-def _measures(sections: Sections) -> list[tuple[Mapping[str, Mapping[str, str]], Path]]:
-    found: list[tuple[Mapping[str, Mapping[str, str]], Path]] = []
+def _response_faults(sections: Sections, system: System) -> list[Fault]:
+    """Names, windows and rows of the responses, against the model and the simulated time."""
+    duration = sections["simulate"].duration if "simulate" in sections else math.inf
+    given: list[tuple[Mapping[str, Any], Path]] = []
     if "minimize" in sections:
-        found.append((sections["minimize"], ("minimize",)))
-    return found + [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
-
-
-def _body_faults(measure: Mapping[str, Mapping[str, str]], path: Path, system: System) -> list[Fault]:
-    flexible = [body.name for body in system.bodies if getattr(body, "mesh", None) is not None]
-    [(combinator, response)] = measure.items()
-    [(name, body)] = response.items()
-    if body in flexible:
-        return []
-    return [
-        Fault((*path, combinator, name), f"= {shown(body)}: no flexible body of that name{nearest(body, flexible)}")
-    ]
+        given.append((sections["minimize"], ("minimize",)))
+        if measure_of(sections["minimize"]).rows > 1:
+            text = "has several rows; allowed: one number to minimize, such as max: {strain_energy: rod}"
+            return [Fault(leaf(sections["minimize"], ("minimize",))[:2], text)]
+    given += [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
+    faults = []
+    for spec, path in given:
+        for part, place in terms(spec, path):
+            try:
+                measure = measure_of(part)
+                measure.check(system)
+            except InputError as error:
+                faults.append(Fault(leaf(part, place), f": {error}"))
+                continue
+            if measure.until > duration * (1.0 + 1e-9):
+                text = f"looks at t = {measure.until:g} s; allowed: up to simulate.duration = {duration:g}"
+                faults.append(Fault(place, text))
+    return faults
 
 
 def _design_faults(design: Mapping[str, Variable], system: System) -> list[Fault]:

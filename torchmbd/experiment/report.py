@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.design import Problem
+from torchmbd.design.spec import words
 from torchmbd.errors import MbdError
 from torchmbd.experiment.journal import Journal
 from torchmbd.experiment.load import Plan
@@ -49,7 +50,7 @@ def study_pictures(plan: Plan, study: Study, problem: Problem, journal: Journal,
         {name: [i.objective for i in history] for name, history in histories.items()},
         {name: [i.violation for i in history] for name, history in histories.items()},
         best=None if best is None else f"start {best.start}",
-        ylabel=_words(plan),
+        ylabel=words(plan.study.minimize),
     )
     journal.file(save(figure, journal.folder / "convergence.png"), "figures")
     if best is None or study.interrupted:  # the motion costs two simulations more: not what Ctrl-C asks for
@@ -75,9 +76,3 @@ def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal:
     for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
         path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{plan.name}: {label}")
         journal.file(path)
-
-
-def _words(plan: Plan) -> str:
-    [(combinator, inner)] = plan.study.minimize.items()
-    [(response, body)] = inner.items()
-    return f"{combinator} of {response.replace('_', ' ')} of {body}"

@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from torchmbd.design import Problem
+from torchmbd.design.spec import words
 from torchmbd.experiment.check import swept_index
 from torchmbd.experiment.journal import Journal, child
 from torchmbd.experiment.load import Plan
@@ -41,7 +42,7 @@ def run_sweep(plan: Plan, problem: Problem, journal: Journal, console: Console) 
     journal.evaluated(designs, [first, *evaluations])
     for k, (x, evaluation) in enumerate(zip(X, evaluations, strict=True)):
         _file_point(journal, k, x, evaluation, first)
-    criteria = _criteria(plan, problem.limits, first, evaluations)
+    criteria = _criteria(plan, problem, first, evaluations)
     best = int(np.nanargmin([e.objective for e in evaluations])) if any(e.status == "ok" for e in evaluations) else None
     start = float(problem.start[index] / plan.columns.factors[index])
     _show(plan, journal, console, index, start, values, criteria, best)
@@ -65,19 +66,17 @@ def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation,
     journal.end(child(k), "FINISHED" if evaluation.status == "ok" else "FAILED")
 
 
-def _criteria(
-    plan: Plan, limits: np.ndarray, first: Evaluation, evaluations: list[Evaluation]
-) -> dict[str, list[float]]:
+def _criteria(plan: Plan, problem: Problem, first: Evaluation, evaluations: list[Evaluation]) -> dict[str, list[float]]:
     """Return the objective, and the constrained responses, each divided by its value at the start design."""
-    [(combinator, inner)] = plan.study.minimize.items()
-    name = f"{combinator} of {next(iter(inner)).replace('_', ' ')}"
+    name = words(plan.study.minimize, bodies=False)
     result = {name: [e.objective / first.objective if e.status == "ok" else math.nan for e in evaluations]}
-    for i, constraint in enumerate(plan.study.subject_to):
-        [(combinator, inner)] = constraint.measure.items()
-        name = f"{combinator} of {next(iter(inner)).replace('_', ' ')}"
-        size = abs(limits[i]) or 1.0  # a constraint is (response - limit) / |limit|
-        responses = [float(e.constraints[i]) * size + limits[i] for e in (first, *evaluations)]  # nan where it failed
-        result.setdefault(name, [response / responses[0] for response in responses[1:]])
+    row = 0
+    for given, constraint in zip(plan.study.subject_to, problem.constraints, strict=True):
+        here = slice(row, row := row + constraint.measure.rows)
+        scale, limit = problem.reference.scale[here], problem.limits[here]  # a constraint is (response - limit) / scale
+        # the largest of the rows; nan where it failed
+        responses = [float((e.constraints[here] * scale + limit).max()) for e in (first, *evaluations)]
+        result.setdefault(words(given.measure, bodies=False), [response / responses[0] for response in responses[1:]])
     return result
 
 

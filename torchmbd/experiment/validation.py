@@ -13,7 +13,6 @@ from typing import Any, Union, cast, get_args, get_origin
 from pydantic import ValidationError, create_model
 from pydantic_core import ErrorDetails
 
-from torchmbd.design.responses import COMBINATORS, RESPONSES
 from torchmbd.errors import nearest
 from torchmbd.experiment.faults import Fault, Path, shown
 from torchmbd.experiment.schema import Section, Study
@@ -65,7 +64,7 @@ def _path(details: ErrorDetails, data: Any) -> Path:
             data, path = cast(Any, data)[part], (*path, part)
         elif details["type"] == "missing" and k == len(location) - 1:
             path = (*path, part)
-    return path
+    return (*path, *details.get("ctx", {}).get("path", ()))
 
 
 def _text(details: ErrorDetails, path: Path) -> str:
@@ -74,17 +73,16 @@ def _text(details: ErrorDetails, path: Path) -> str:
         return "is missing"
     if kind == "extra_forbidden":
         return f"unknown key{nearest(path[-1], _keys(path[:-1]))}"
-    if kind == "name" and details["loc"][-1] == "[key]":
-        return f"unknown name; {details['msg']}"
+    if kind == "response":
+        return details["msg"]
     if kind == "name":
         return f"= {shown(value)}: {details['msg']}"
     if kind in ("model_type", "dict_type"):
         return f"= {shown(value)}: must be a mapping (key: value)"
+    if kind == "too_short" and path == ("design",):
+        return "is empty; must have at least one parameter of the model"
     if kind in ("too_short", "too_long") and isinstance(value, dict):
-        if path == ("design",):
-            return "is empty; must have at least one parameter of the model"
-        names = {1: COMBINATORS, 2: RESPONSES}.get(len(path), ()) if path[0] == "minimize" else ()
-        return f"has {len(value)} keys; must have exactly one{nearest('', names) if names else ''}"
+        return f"has {len(value)} keys; must have exactly one"
     if kind in ("kind", "sampler"):
         return f": {details['msg']}"
     return f"= {shown(value)}: {details['msg'].replace('Input should', 'must')}"

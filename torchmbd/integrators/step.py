@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.numerics.pair import Pair, cat, combine, value
+from torchmbd.numerics.pair import Pair, cat, combine, reciprocal, value
 from torchmbd.system import equations
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Prescribed, Topology
@@ -76,8 +76,8 @@ class Coefficients:
         """da1/dv1'."""
         return (1.0 - self.af) / (1.0 - self.am)
 
-    def weights(self, h: float) -> Weights:
-        """Weights of a step of size h [s]."""
+    def weights(self, h: Any) -> Weights:
+        """Weights of a step of size h [s]: a float, or a number [1, 1] that may be a pair (staged.py)."""
         scale = self.beta * h * h * self.share
         return Weights(
             share=self.share,
@@ -90,13 +90,16 @@ class Coefficients:
             v_from_new=h * self.gamma,
             scale=scale,
             rate=self.gamma * h * self.share,
-            inverse_scale=1.0 / scale,
+            inverse_scale=reciprocal(scale),
             half=0.5 * h,
         )
 
 
 class Weights(NamedTuple):
-    """Numbers of one method and step size; floats, or tensors without axes for a compiled step."""
+    """Numbers of one method and step size.
+
+    Floats; tensors without axes for a compiled step; pairs [1 + n_b, 1] for a step whose size depends on the design.
+    """
 
     share: Any  # da1/dv1'
     a_from_vd: Any
@@ -111,55 +114,66 @@ class Weights(NamedTuple):
     inverse_scale: Any
     half: Any
 
+    def values(self) -> Weights:
+        return Weights(*(value(x) for x in self))
+
 
 class Step:
     """A step from the state x to a time at which `given` is known.
 
-    w     weights of the method; data, values: of the dynamics, with tangents and without
+    Where the size or the end of the step depends on the design, the weights and `given` are pairs.
     """
 
     def __init__(self, model: Model, x: State, given: Prescribed):
         self.model, self.x, self.given = model, x, given
-        self._known_values = self._from(x.values())
+        self._given_values = given.values()
+        self._known_values = self._from(x.values(), model.plain)
 
     @cached_property
     def _known(self) -> State:
-        return self._from(self.x)
+        return self._from(self.x, self.model.w)
 
-    def _from(self, x: State) -> State:
+    @staticmethod
+    def _from(x: State, w: Weights) -> State:
         """What the known state gives to q (as an increment), v and a at the end of the step."""
-        w = self.model.w
         a = combine(w.a_from_vd * x.vd, w.a_from_a, x.a)
         step = combine(combine(w.h * x.v, w.step_from_a, x.a), w.step_from_new, a)
         v = combine(combine(x.v, w.v_from_a, x.a), w.v_from_new, a)
         return State(step, v, x.vd, a, x.lam)
 
-    def _residual(self, data: equations.Data, q0: Any, known: State, z: Any) -> Any:
+    def _residual(self, z: Any) -> Any:
         """R [n_v + rows, ...] of the unknowns z."""
-        T, w = self.model.T, self.model.w
+        T, w, q0, known, given, data = self._side(isinstance(z, Pair))
         vd, lam = z[: T.n_v], z[T.n_v :]
         q = equations.advance(T, q0, combine(known.q, w.scale, vd))
-        at = equations.placement(T, data, q, self.given)
+        at = equations.placement(T, data, q, given)
         forces = equations.dynamic_residual(T, data, at, combine(known.v, w.rate, vd), vd, lam)
         return cat([forces, equations.constraints(T, at) * w.inverse_scale]) if T.rows else forces
 
+    def _side(self, tangents: bool) -> tuple:
+        """What a residual is made of, with tangents or without."""
+        m = self.model
+        if tangents:
+            return m.T, m.w, self.x.q, self._known, self.given, m.data
+        return m.T, m.plain, value(self.x.q), self._known_values, self._given_values, m.values
+
     def correct(self, H: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected unknowns, and the size of the correction of the accelerations [lanes]."""
-        correction = apply(H, self._residual(self.model.values, value(self.x.q), self._known_values, z))
+        correction = apply(H, self._residual(z))
         return z - correction, self._size(correction)
 
     def matrix(self, z: Tensor) -> Tensor:
         """Iteration matrix [lanes, n, n]."""
-        T, w, data, known = self.model.T, self.model.w, self.model.values, self._known_values
+        T, w, q0, known, given, data = self._side(False)
         vd, lam = z[: T.n_v], z[T.n_v :]
         step = combine(known.q, w.scale, vd)
-        at = equations.placement(T, data, equations.advance(T, value(self.x.q), step), self.given)
+        at = equations.placement(T, data, equations.advance(T, q0, step), given)
         turn, v = equations.split_v(T, step)[1], combine(known.v, w.rate, vd)
         return self.model.saddle.matrix(data, at, w.scale, w.rate, v, vd, lam, turn)
 
     def tangent(self, H: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected design tangents [n, n_b, lanes] of the unknowns, and the size of their correction [lanes]."""
-        R = self._residual(self.model.data, self.x.q, self._known, Pair.of(z, dz)).tangent
+        R = self._residual(Pair.of(z, dz)).tangent
         correction = apply(H, R)
         return dz - correction, self._size(correction)
 
@@ -168,10 +182,9 @@ class Step:
 
     def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
         """The new state."""
-        T, w = self.model.T, self.model.w
-        known, both = (self._known_values, z) if dz is None else (self._known, Pair.of(z, dz))
+        both = z if dz is None else Pair.of(z, dz)
+        T, w, q0, known, _, _ = self._side(dz is not None)
         vd, lam = both[: T.n_v], both[T.n_v :]
-        q0 = value(self.x.q) if dz is None else self.x.q
         q = equations.advance(T, q0, combine(known.q, w.scale, vd))
         return State(q, combine(known.v, w.rate, vd), vd, combine(known.a, w.share, vd), lam)
 
@@ -181,6 +194,7 @@ class Model:
 
     def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: equations.Data):
         self.T, self.saddle, self.w, self.data = T, saddle, w, data
+        self.plain = w.values()
         self.values = {name: value(y) for name, y in data.items()}
 
     def step(self, x: State, given: Prescribed) -> Step:

@@ -222,9 +222,13 @@ def cos(x: Any) -> Any:
     return function(torch.cos, lambda y: -torch.sin(y), x)
 
 
+def reciprocal(x: Any) -> Any:
+    return function(lambda y: 1.0 / y, lambda y: -1.0 / (y * y), x)
+
+
 def combine(x: Any, factor: Any, y: Any) -> Any:
-    """x + factor y, for a factor without axes."""
-    if isinstance(factor, Tensor):
+    """x + factor y, for a factor without component axes."""
+    if isinstance(factor, (Tensor, Pair)):
         return x + factor * y
     if isinstance(x, Pair):
         return x.plus(y, factor) if isinstance(y, Pair) else x + factor * y

@@ -8,8 +8,9 @@ share a laminate share its angles. A batch of designs is the same module with le
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
@@ -54,17 +55,27 @@ class System(nn.Module):
             raise InputError("forces is not empty; allowed so far: no applied forces but gravity")
         if not stabilization > 0:
             raise InputError(f"stabilization is {stabilization!r} s; allowed: a positive time constant")
-        self.bodies, self.joints = list(bodies), list(joints)
+        self.bodies = list(bodies)
         self.gravity = None if gravity is None else vector("gravity", gravity)
         self.stabilization = float(stabilization)
-        self.topology = topology.build(self.bodies, self.joints)
-        ordered = [self.body(name) for name in self.topology.names]
-        self._saddle = Saddle(self.topology)
-        self._initial = InitialConditions.of(self.topology, ordered)
+        self._join(joints)
         for body in self.bodies:
             if hasattr(self, body.name) or body.name in ("ground", "data"):
                 raise InputError(f"body name {body.name!r} is taken by torchmbd; allowed: any other identifier")
             self.add_module(body.name, body)
+
+    def _join(self, joints: Sequence[Joint]) -> None:
+        self.joints = list(joints)
+        self.topology = topology.build(self.bodies, self.joints)
+        ordered = [self.body(name) for name in self.topology.names]
+        self._saddle = Saddle(self.topology)
+        self._initial = InitialConditions.of(self.topology, ordered)
+
+    def with_joints(self, joints: Sequence[Joint]) -> Self:
+        """The same bodies, forces and parameters under other joints; bodies and parameters are shared."""
+        other = copy.copy(self)
+        other._join(joints)
+        return other
 
     def body(self, name: str) -> Any:
         """The body of that name; InputError names the nearest."""

@@ -28,7 +28,7 @@ from torchmbd.bodies import Ground
 from torchmbd.errors import InputError
 from torchmbd.joints.joint import Attached, Equation, Joint, Scribe
 from torchmbd.joints.primitive import KINDS, Primitive, angles, prescribed, prescribed_jets, slopes_at
-from torchmbd.numerics.pair import cat, linear
+from torchmbd.numerics.pair import cat, linear, value
 from torchmbd.numerics.rotation import euler_parameters, quaternion_product
 
 
@@ -82,6 +82,11 @@ class Prescribed(NamedTuple):
     laws: list[tuple | None]
     A: Tensor  # rotations [3, 3, carriers, 1, 1], the ground last
     r: Tensor  # origins [3, carriers, 1, 1]
+
+    def values(self) -> Prescribed:
+        """The same without tangents."""
+        laws = [None if law is None else tuple(value(x) for x in law) for law in self.laws]
+        return self._replace(laws=laws, A=value(self.A), r=value(self.r))
 
 
 @dataclass(frozen=True)
