@@ -6,7 +6,7 @@ problem = mbd.Problem(system, ...)       what to minimize, subject to what
 result = mbd.optimize(problem)           exact gradients inside
 """
 
-from torchmbd import mesh, sections, viz
+from torchmbd import forces, mesh, sections, viz
 from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
 from torchmbd.design import (
     RMS,
@@ -40,6 +40,14 @@ from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.elements import BeamLine, GivenSection
 from torchmbd.errors import InputError, MbdError, SimulationFailure
+from torchmbd.forces import (
+    AxialSpringDamper,
+    Bushing,
+    Force,
+    RotationalSpringDamper,
+    SpringDamper,
+    Torque,
+)
 from torchmbd.integrators import Trajectory, simulate
 from torchmbd.integrators.ply_history import PlyHistory
 from torchmbd.joints import Cylindrical, Distance, Drive, Fixed, Prismatic, Revolute, Spherical, Universal
@@ -58,7 +66,9 @@ __all__ = [
     "AtPeaks",
     "AtTime",
     "AtTimes",
+    "AxialSpringDamper",
     "BeamLine",
+    "Bushing",
     "Constraint",
     "Cylindrical",
     "DesignSpace",
@@ -70,6 +80,7 @@ __all__ = [
     "Final",
     "Fixed",
     "FlexibleBody",
+    "Force",
     "Frame",
     "Frequency",
     "GivenSection",
@@ -95,12 +106,15 @@ __all__ = [
     "RelativeDisplacement",
     "Revolute",
     "RigidBody",
+    "RotationalSpringDamper",
     "SimulationFailure",
     "SmoothMax",
     "Spherical",
+    "SpringDamper",
     "StrainEnergy",
     "Strength",
     "System",
+    "Torque",
     "Trajectory",
     "Universal",
     "Velocity",
@@ -109,6 +123,7 @@ __all__ = [
     "deg",
     "eigenpair_branches",
     "eigenpairs",
+    "forces",
     "history",
     "measure",
     "mesh",

@@ -13,7 +13,7 @@ Checked in tests/system/test_condensation.py: against the same system with nothi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import scipy.linalg
@@ -23,7 +23,7 @@ from torch import Tensor
 from torchmbd.numerics.rotation import rotation_matrix, skew
 from torchmbd.system import equations
 from torchmbd.system.saddle import Saddle
-from torchmbd.system.topology import Carrier, Prescribed, Topology, assemble
+from torchmbd.system.topology import Carrier, Topology, assemble
 
 _HELD = 1e-9  # [m] or [-]: violation of a row that counts as none, and share of a singular value that counts as zero
 _FAR = (0.4, -1.1, 2.3)  # [rad] or [m]: where subspaces and turns are tried
@@ -114,7 +114,9 @@ class _Hold:
 
 
 def _holds(T: Topology) -> list[_Hold]:
-    holds = {b: _Hold(b, [], [], []) for b in range(T.flexible, T.bodies)}
+    # A body with applied forces keeps its equations of motion: the forces may depend on its rates.
+    loaded = set() if T.action_slots is None else set(T.vector_body[T.action_slots].tolist())
+    holds = {b: _Hold(b, [], [], []) for b in range(T.flexible, T.bodies) if b not in loaded}
     for primitive, rows in T.row_slices():
         n = len(primitive.members[0])
         bodies = torch.stack([T.vector_body[m] for m in primitive.members]).T.tolist()
@@ -144,7 +146,7 @@ class _Poses:
         at_start = self.T.prescribed(q.new_zeros(()))
         c, s = torch.cos(q.new_tensor(angle)), torch.sin(q.new_tensor(angle))
         laws = [None if x is None else (x[0] * c - x[1] * s, x[1] * c + x[0] * s) for x in at_start.laws]
-        given = Prescribed(laws, at_start.A, at_start.r)
+        given = at_start._replace(laws=laws)
         return equations.constraints(self.T, equations.placement(self.T, self.data, q[:, None, None], given))[:, 0, 0]
 
     def moved(self, q: Tensor, step: Tensor) -> Tensor:
@@ -263,6 +265,7 @@ def _condensation(T: Topology, carriers: dict[int, Carrier], guided: dict[int, T
         if kept:
             parts.append((primitive, kept))
             used |= {int(m[j]) for m in primitive.members for j in kept}
+    used |= {int(i) for action in T.actions for member in action.members for i in member}
     vectors = sorted(used)
     place = {old: new for new, old in enumerate(vectors)}
     primitives = tuple(
@@ -280,6 +283,9 @@ def _condensation(T: Topology, carriers: dict[int, Carrier], guided: dict[int, T
         [number[b] for b in T.vector_body[vectors].tolist()],
         primitives,
         tuple(T.row_names[i] for i in rows),
+        tuple(
+            replace(a, members=tuple(torch.tensor([place[int(i)] for i in m]) for m in a.members)) for a in T.actions
+        ),
         tuple(carriers.values()),
         rates,
     )
