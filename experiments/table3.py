@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 import torchmbd as mbd
-from experiments.slider_crank import DURATION, build
+from experiments.slider_crank import DURATION, LABELS, build
 
 # laminate: start [deg], integral of 2U at start and optimum, reduction [%], optimum [deg], all as printed
 PAPER = {
@@ -24,11 +24,11 @@ PAPER = {
 }
 
 
-def problem(layers: int, angles: Sequence[float], steps: int = 600) -> mbd.Problem:
-    """The optimization problem of one laminate."""
+def problem(layers: int, angles: Sequence[float], steps: int = 600, **options) -> mbd.Problem:
+    """The optimization problem of one laminate; `options` of the model, such as cells."""
     energy = mbd.StrainEnergy("rod")
     return mbd.Problem(
-        build(layers, angles),
+        build(layers, angles, **options),
         DURATION,
         minimize=mbd.Integral(energy),
         subject_to=[mbd.Max(energy) <= "initial"],
@@ -50,18 +50,19 @@ def main() -> None:
     parser.add_argument("--methods", default="mmfd,slsqp")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
+    print("; ".join(f"{name}: {label}" for name, label in LABELS.items()))
     for layers, (start, initial, optimum, reduction, angles) in PAPER.items():
         printed = f"{initial / 2:.6f} -> {optimum / 2:.6f}  {reduction:5.1f}  %  {angles}"
         print(f"L{layers} {'paper / 2':19s} {printed}", flush=True)
         p = problem(layers, start)
+        first = p.evaluate(p.start[None], gradients=False)[0].objective
         for method in arguments.methods.split(","):
             result = mbd.optimize(p, method=method)
-            print(row(f"L{layers} {method}", result, result.history[0].objective), flush=True)
+            print(row(f"L{layers} {method}", result, first), flush=True)
         if arguments.starts:
             study = mbd.multistart(p, method="mmfd", starts=mbd.sobol(arguments.starts, seed=7))
-            best = study.best
-            if best is not None:
-                print(row(f"L{layers} best of {arguments.starts}", best, best.history[0].objective), flush=True)
+            if study.best is not None:
+                print(row(f"L{layers} best of {arguments.starts}", study.best, first), flush=True)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 import pytest
 import torch
@@ -11,12 +12,28 @@ from hypothesis import settings
 import torchmbd as mbd
 from experiments.slider_crank import build
 from torchmbd.integrators import Trajectory
+from torchmbd.tracking.store import open_store
 
 # Packages compiled by an earlier run would decide which code a test runs; tests of compilation switch it on themselves.
 os.environ["TORCHMBD_COMPILE"] = "0"
 torch.set_num_threads(1)
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def store(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Evaluations and journals of studies that a test runs go where nobody finds them."""
+    os.environ["TORCHMBD_STORE"] = str(tmp_path_factory.mktemp("torchmbd"))
+
+
+@pytest.fixture(scope="session")
+def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A tracking store without runs, to be copied: MLflow takes five seconds to make one."""
+    file = tmp_path_factory.mktemp("empty") / "runs.db"
+    open_store(f"sqlite:///{file}")
+    return file
+
 
 ANGLES = (30.0, -20.0, 50.0)
 

@@ -27,6 +27,8 @@ def folder(tmp_path, monkeypatch):
     shutil.copy(HERE / "study.yaml", tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    monkeypatch.delenv("TORCHMBD_STORE")
+    monkeypatch.setenv("TORCHMBD_PATIENCE", "0.5")
     return tmp_path
 
 
@@ -93,6 +95,7 @@ def test_a_store_that_cannot_be_written_costs_no_result(folder):
     assert "Traceback" not in error
     assert "2 starts" in output
     assert "Tracking failed: the store" in output
+    assert "torchmbd sync" in output
 
 
 def test_list_names_configs_and_studies(folder, capsys):

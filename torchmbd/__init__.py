@@ -4,7 +4,13 @@ system = mbd.System(bodies, joints)      structure and topology
 motion = mbd.simulate(system, ...)       transient motion, with sensitivities
 problem = mbd.Problem(system, ...)       what to minimize, subject to what
 result = mbd.optimize(problem)           exact gradients inside
+study = mbd.load(run)                    a tracked study as objects again
 """
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from torchmbd import forces, mesh, sections, viz
 from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
@@ -30,6 +36,7 @@ from torchmbd.design import (
     RelativeDisplacement,
     SmoothMax,
     StrainEnergy,
+    Tradeoff,
     Velocity,
     WeightedSum,
     history,
@@ -50,13 +57,50 @@ from torchmbd.forces import (
 )
 from torchmbd.integrators import Trajectory, simulate
 from torchmbd.integrators.ply_history import PlyHistory
-from torchmbd.joints import Cylindrical, Distance, Drive, Fixed, Prismatic, Revolute, Spherical, Universal
+from torchmbd.joints import (
+    ConstantSpeed,
+    Cylindrical,
+    Distance,
+    Drive,
+    Fixed,
+    Planar,
+    Prismatic,
+    Revolute,
+    Sine,
+    SmoothStep,
+    Spherical,
+    Universal,
+)
 from torchmbd.materials import Laminate, Ply, Strength
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
-from torchmbd.optimizers import OptimizationResult, multistart, optimize, sobol
+from torchmbd.optimizers import (
+    OptimizationResult,
+    RobustProblem,
+    multistart,
+    optimize,
+    optimize_discrete,
+    pareto_front,
+    sobol,
+)
 from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis
-from torchmbd.system import Dynamics, System
+from torchmbd.system import Dynamics, System, equilibrium
+
+if TYPE_CHECKING:
+    from torchmbd.experiment.archive import LoadedStudy
+
+
+def load(run: str, uri: str | None = None, folder: str | Path = ".") -> LoadedStudy:
+    """Load a study of the tracking store: system, best design, motion; see torchmbd.experiment.archive.
+
+    run     run id, its beginning, or the name of a study (its latest run)
+    uri     the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
+    folder  where the model's file lies, if the model is a file
+    """
+    from torchmbd.experiment.archive import load_run  # the experiment floor is imported when a study is wanted
+
+    return load_run(run, uri, folder)
+
 
 __version__ = "0.1.0"
 
@@ -69,6 +113,7 @@ __all__ = [
     "AxialSpringDamper",
     "BeamLine",
     "Bushing",
+    "ConstantSpeed",
     "Constraint",
     "Cylindrical",
     "DesignSpace",
@@ -96,6 +141,7 @@ __all__ = [
     "Mesh",
     "Min",
     "OptimizationResult",
+    "Planar",
     "Ply",
     "PlyFailure",
     "PlyHistory",
@@ -106,15 +152,19 @@ __all__ = [
     "RelativeDisplacement",
     "Revolute",
     "RigidBody",
+    "RobustProblem",
     "RotationalSpringDamper",
     "SimulationFailure",
+    "Sine",
     "SmoothMax",
+    "SmoothStep",
     "Spherical",
     "SpringDamper",
     "StrainEnergy",
     "Strength",
     "System",
     "Torque",
+    "Tradeoff",
     "Trajectory",
     "Universal",
     "Velocity",
@@ -123,13 +173,17 @@ __all__ = [
     "deg",
     "eigenpair_branches",
     "eigenpairs",
+    "equilibrium",
     "forces",
     "history",
+    "load",
     "measure",
     "mesh",
     "modal_basis",
     "multistart",
     "optimize",
+    "optimize_discrete",
+    "pareto_front",
     "sections",
     "simulate",
     "sobol",

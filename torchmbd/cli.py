@@ -1,4 +1,4 @@
-"""The command line: torchmbd run, list, cache, ui.
+"""The command line: torchmbd new, check, schema, run, sync; list, best, compare, report, ui; cache.
 
 Exit codes: 0 done, 1 something failed that was not the input, 2 bad input (every fault named), 130 interrupted.
 Nothing heavy is imported before it is needed: `torchmbd --help` answers at once.
@@ -6,6 +6,7 @@ Nothing heavy is imported before it is needed: `torchmbd --help` answers at once
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -19,26 +20,148 @@ from rich.console import Console
 
 from torchmbd.errors import InputError, MbdError
 
+EXIT_INTERRUPTED = 130
+
 app = App(name="torchmbd", help="Optimization of flexible multibody systems made of composite materials.")
 
 
 @app.command
-def run(file: Path, /, *assignments: str) -> int:
-    """Run an experiment file.
+def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | None = None, fresh: bool = False) -> int:
+    """Run an experiment file; the same command goes on with a study that was interrupted or killed.
 
     Parameters
     ----------
     file
         The experiment file (YAML).
     assignments
-        Overrides of single values: optimizer.max_iterations=5 starts.count=4
+        Overrides of single values: optimizer.max_iterations=5 starts.count=4; several values, one study for each:
+        options.layers=1,2,3
+    workers
+        Processes that evaluate designs; 0: one for each core.
+    scheduler
+        Address of a Dask scheduler whose workers evaluate: tcp://host:8786
+    fresh
+        Forget the evaluations of this problem, and begin anew.
     """
     _one_thread()
-    from torchmbd.experiment import load, run_plan
+    from torchmbd.experiment import Plan, load, run_figures, run_plan
+    from torchmbd.experiment.overrides import combinations
 
     console = Console()
-    plan = load(file, assignments)
-    return run_plan(plan, console)
+    plans = [load(file, chosen) for chosen in combinations(assignments)]  # all are checked before the first runs
+    codes = []
+    for plan in plans:
+        if len(plans) > 1:
+            console.rule(" ".join(plan.overrides))
+        if isinstance(plan, Plan):
+            codes.append(run_plan(plan, console, workers=workers, scheduler=scheduler, fresh=fresh))
+        else:
+            codes.append(run_figures(plan, console))
+        if codes[-1] == EXIT_INTERRUPTED:
+            break
+    return max(codes)
+
+
+@app.command
+def check(file: Path, /, *assignments: str) -> int:
+    """Say everything that is wrong with an experiment file, or what it will cost; nothing is run or logged.
+
+    Parameters
+    ----------
+    file
+        The experiment file (YAML).
+    assignments
+        Overrides, as in run.
+    """
+    _one_thread()
+    from torchmbd.experiment import load
+    from torchmbd.experiment.estimate import print_estimate
+
+    print_estimate(load(file, assignments), Console())
+    return 0
+
+
+@app.command
+def new(file: Path, /, model: str | None = None) -> int:
+    """Write a first experiment file with every section explained.
+
+    Parameters
+    ----------
+    file
+        Its name: study.yaml
+    model
+        Your model, path/to/file.py:function or package.module:function; default: an example beside the file.
+    """
+    from torchmbd.experiment.beginning import begin
+
+    for written in begin(file, model):
+        print(f"wrote {written}")
+    print(f"next: torchmbd check {file}")
+    return 0
+
+
+@app.command
+def schema() -> int:
+    """Print the JSON schema of experiment files, for editors."""
+    from torchmbd.experiment.editor import json_schema
+
+    print(json.dumps(json_schema(), indent=1))
+    return 0
+
+
+@app.command
+def best(run: str | None = None, /, count: int = 5, uri: str | None = None) -> int:
+    """Print the best designs of a study.
+
+    Parameters
+    ----------
+    run
+        Run id, its beginning, or the name of a study; default: the latest study.
+    count
+        How many.
+    uri
+        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
+    """
+    from torchmbd.experiment.compare import print_best
+
+    print_best(run, uri, count, Console())
+    return 0
+
+
+@app.command
+def compare(a: str, b: str, /, uri: str | None = None) -> int:
+    """Print what two studies were told differently, and how they ended.
+
+    Parameters
+    ----------
+    a, b
+        Run ids, their beginnings, or names of studies.
+    uri
+        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
+    """
+    from torchmbd.experiment.compare import print_comparison
+
+    print_comparison(a, b, uri, Console())
+    return 0
+
+
+@app.command
+def report(run: str, /, output: Path | None = None, uri: str | None = None) -> int:
+    """Write the report of a study: one HTML file that needs nothing else.
+
+    Parameters
+    ----------
+    run
+        Run id, its beginning, or the name of a study.
+    output
+        Name of the file; default: the study's name and run id.
+    uri
+        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
+    """
+    from torchmbd.experiment.html_report import write_report
+
+    print(f"wrote {write_report(run, output, uri)}")
+    return 0
 
 
 @app.command(name="list")
@@ -117,6 +240,18 @@ def ui(
     raise MbdError(f"the MLflow server ended with exit code {server.returncode}")
 
 
+@app.command
+def sync() -> int:
+    """Send what earlier studies could not: their MLflow server was away, or the power went off."""
+    from torchmbd.experiment.place import place
+    from torchmbd.tracking.process import deliver_all
+
+    waiting = deliver_all(place())
+    if not waiting:
+        print("everything is in its tracking store")
+    return min(waiting, 1)
+
+
 def _one_thread() -> None:
     """Keep numerical libraries to one thread: two make small batched solves 10 to 50 times slower."""
     for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
@@ -141,7 +276,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 1
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        return 130
+        return EXIT_INTERRUPTED
 
 
 if __name__ == "__main__":

@@ -106,8 +106,3 @@ def test_a_node_that_does_not_exist_is_named():
     for index in (-1, 15):
         with pytest.raises(InputError, match=rf"node is {index}; allowed: a node name or 0 to 14"):
             body.at(index)
-
-
-def test_a_node_set_of_several_nodes_is_no_frame():
-    with pytest.raises(InputError, match="left_edge"):
-        plate("rod").at("left_edge")

@@ -38,6 +38,14 @@ def about(axis: str, angle: float) -> Tensor:
     return turned(*(angle * unit(axis)).tolist())
 
 
+def across(axis: str, x: Tensor) -> Tensor:
+    return x - x["xyz".index(axis)] * unit(axis)
+
+
+def ahead(axis: str, x: Tensor) -> Tensor:
+    return across(axis, x) + float(law(tensor(0.7))) * unit(axis)
+
+
 @dataclass(frozen=True, eq=False)
 class Case:
     """A joint, its equations, and the motions of b that it allows: 3 numbers -> (translation, rotation) in axes of frame a."""
@@ -65,7 +73,9 @@ for axis in "xyz":
         Case("revolute", 5, lambda x, k=axis: (ZERO, about(k, float(x[0]))), given),
         Case("prismatic", 5, lambda x, e=e: (x[0] * e, ONE), given),
         Case("cylindrical", 4, lambda x, k=axis, e=e: (x[0] * e, about(k, float(x[1]))), given),
+        Case("planar", 3, lambda x, k=axis: (across(k, x), about(k, float(x[2]))), {"normal": axis}),
         Case("drive", 1, lambda x, k=axis: (x, about(k, float(law(tensor(0.7))))), given | {"angle": law}),
+        Case("drive", 1, lambda x, k=axis: (ahead(k, x), turned(*x.tolist())), given | {"position": law}),
     ]
 for first, second in ("xy", "yz", "zx", "yx", "zy", "xz"):
     cross = lambda x, i=first, j=second: (ZERO, about(i, float(x[0])) @ about(j, float(x[1])))  # noqa: E731
@@ -251,7 +261,7 @@ def test_axes_bend_with_their_node(pair):
     at = equations.placement(T, data, q, T.prescribed(torch.zeros((), dtype=torch.float64)))
     for k, attached in enumerate(T.attached[: T.attached_flexible]):
         flexible = T.names.index(attached.body.name)
-        moves = attached.body.structure()["psi"].detach()[attached.node] @ (w * (1.0 + flexible))
+        moves = attached.body.structure()["psi"].detach()[attached.mount.nodes[0]] @ (w * (1.0 + flexible))
         change = moves[:3] if attached.is_point else cross_matrix(moves[3:]) @ attached.vector
         assert_close(at.g[:, k, 0, 0], attached.vector + change, rtol=0, atol=1e-15)
     assert T.attached_flexible >= 2

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from torchmbd.joints.primitive import KINDS, Primitive, prescribed, prescribed_jets
+from torchmbd.joints.primitive import KINDS, Angle, Primitive
 from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair
 
@@ -31,7 +31,8 @@ def random(*shape: int, seed: int) -> Tensor:
 def drive_of(kind: type[Primitive], t: Tensor, derivatives: bool = False):
     if not kind.driven:
         return None
-    return prescribed_jets(LAWS, t) if derivatives else tuple(x[0] for x in prescribed(LAWS, t[None]))
+    P = primitive(kind)
+    return P.prescribed_jets(t) if derivatives else tuple(x[0] for x in P.prescribed(t[None]))
 
 
 def numbers(kind: type[Primitive], slots: int = 1) -> list[Tensor]:
@@ -107,7 +108,7 @@ def test_design_tangents_of_phi_and_forces(kind):
 def test_a_constant_law_beside_one_of_a_high_power():
     """A law that does not depend on time has no derivatives to give, but must not lose those of its neighbor."""
     laws = (lambda t: torch.full_like(t, 0.7), lambda t: t**5)
-    c, s = prescribed_jets(laws, torch.tensor(0.9, dtype=torch.float64))
+    c, s = Angle((), laws).prescribed_jets(torch.tensor(0.9, dtype=torch.float64))
     th, rate, bend = 0.9**5, 5 * 0.9**4, 20 * 0.9**3
     expected = {
         "c": ([cos(0.7), cos(th)], [0.0, -sin(th) * rate], [0.0, -sin(th) * bend - cos(th) * rate**2]),

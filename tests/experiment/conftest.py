@@ -1,14 +1,20 @@
-"""A valid experiment file, and variations of it."""
+"""A valid experiment file, variations of it, and a study that has run."""
 
 from __future__ import annotations
 
+import io
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 import yaml
+from rich.console import Console
+
+from torchmbd.experiment import load_study, run_plan
+from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
 VALID = Path(__file__).with_name("study.yaml").read_text()
 
@@ -33,3 +39,19 @@ def write(folder: Path) -> Callable[..., Path]:
         return file
 
     return write
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory, empty_store):
+    """A short study that has run twice, with other options the second time: folder, store, run ids, final designs."""
+    folder = tmp_path_factory.mktemp("finished")
+    shutil.copy(Path(__file__).with_name("rod_model.py"), folder)
+    file, uri = folder / "short.yaml", f"sqlite:///{shutil.copy(empty_store, folder)}"
+    file.write_text(VALID)
+    runs = []
+    for steps in (8, 10):
+        tracker = MlflowTracker("finished", uri)
+        plan = load_study(file, ["simulate.duration=0.002", f"simulate.steps={steps}"])
+        assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
+        runs.append(tracker.runs["study"])
+    return SimpleNamespace(folder=folder, file=file, uri=uri, runs=runs, client=tracker.client)

@@ -14,7 +14,7 @@ import yaml
 from rich.console import Console
 
 from torchmbd.errors import SimulationFailure
-from torchmbd.experiment.load import load
+from torchmbd.experiment.load import load_study as load
 from torchmbd.experiment.run import run_plan
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
@@ -23,11 +23,11 @@ STUDY = yaml.safe_load(Path(__file__).with_name("study.yaml").read_text())
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def run(tmp_path_factory, empty_store):
     """Run a variation of the test study; return exit code, output and what the store holds."""
     folder = tmp_path_factory.mktemp("runs")
     shutil.copy(Path(__file__).with_name("rod_model.py"), folder)
-    uri = f"sqlite:///{folder / 'runs.db'}"
+    uri = f"sqlite:///{shutil.copy(empty_store, folder)}"
 
     def run(name, raises=None, **sections):
         data = {key: value for key, value in (STUDY | sections).items() if value is not None}

@@ -8,13 +8,14 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from torchmbd.experiment.load import load
+from torchmbd.experiment.load import Plan, load, load_study
 from torchmbd.experiment.run import run_plan
 from torchmbd.experiment.shelf import QUESTION_MISSING, configs
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
 CONFIGS = configs(Path(__file__).parents[2] / "configs")
+STUDIES = [file for file in CONFIGS if isinstance(load(file), Plan)]
 SMALL = ["simulate.duration=0.004", "simulate.steps=40", "options.cells=[4, 2]", "options.modes=4"]
 
 
@@ -40,14 +41,14 @@ def test_every_config_opens_with_its_question_and_is_valid(file):
     assert plan.study.model_validate(resolved).resolved() == resolved
 
 
-@pytest.mark.parametrize("file", CONFIGS, ids=lambda file: file.stem)
-def test_every_config_runs(file, uri):
+@pytest.mark.parametrize("file", STUDIES, ids=lambda file: file.stem)
+def test_every_study_runs(file, uri):
     overrides = [*SMALL]
-    if load(file).study.sweep is None:
+    if load_study(file).study.sweep is None:
         overrides += ["optimizer.max_iterations=2", "starts.count=2"]
     else:
         overrides += ["sweep.rod.laminate.angles.count=5"]
-    plan = load(file, overrides)
+    plan = load_study(file, overrides)
     tracker = MlflowTracker(file.stem, uri)
     output = io.StringIO()
     assert run_plan(plan, Console(file=output), tracker) == 0

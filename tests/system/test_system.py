@@ -200,7 +200,7 @@ class TestJointDoor:
         "given", [{}, {"speed": 1.0, "angle": torch.sin}, {"speed": math.nan}, {"speed": math.inf}]
     )
     def test_drive(self, given):
-        with pytest.raises(InputError, match=r"'drive_a_b' (has speed=|is nan|is inf).*; allowed"):
+        with pytest.raises(InputError, match=r"'drive_a_b' (has|is nan|is inf).*; allowed"):
             mbd.Drive(box("a"), box("b"), **given)
 
     @pytest.mark.parametrize("law", [0.3, lambda t: 0.3, lambda t: t.expand(1), lambda t: t / 0])
@@ -219,7 +219,7 @@ def test_a_drive_takes_bodies_of_every_kind():
     """Without a frame it acts on the axes of the body; on a flexible body, those of its reference node."""
     body = plate("rod", reference="left")
     drive = mbd.Drive(mbd.Ground(), body, axis="x", speed=2.0)
-    assert drive.b.node == body.reference[0]
+    assert drive.b.mount.nodes == tuple(body.reference)
     system = mbd.System([body], [drive])
     z = system().initial_state()[0].detach()
     assert_close(z[system.topology.n_q :][3:6], tensor(2.0, 0.0, 0.0), rtol=1e-12, atol=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,8 +20,8 @@ TRACKERS = [MlflowTracker, ProcessTracker]
 
 
 @pytest.fixture(scope="module")
-def uri(tmp_path_factory):
-    return f"sqlite:///{tmp_path_factory.mktemp('store') / 'runs.db'}"
+def uri(tmp_path_factory, empty_store):
+    return f"sqlite:///{shutil.copy(empty_store, tmp_path_factory.mktemp('store'))}"
 
 
 @pytest.mark.parametrize("tracker_type", TRACKERS)
@@ -88,7 +89,8 @@ def test_what_cannot_be_written_is_an_error(tracker_type, uri, bad, message):
 
 
 @pytest.mark.parametrize("tracker_type", TRACKERS)
-def test_a_store_that_cannot_be_opened_is_named(tracker_type, tmp_path):
+def test_a_store_that_cannot_be_opened_is_named(tracker_type, tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCHMBD_PATIENCE", "0.2")
     (tmp_path / "file").write_text("")
     bad = f"sqlite:///{tmp_path / 'file' / 'runs.db'}"
 
@@ -122,9 +124,9 @@ if __name__ == "__main__":
 """
 
 
-def test_a_study_that_is_killed_leaves_no_run_running(tmp_path):
+def test_a_study_that_is_killed_leaves_no_run_running(tmp_path, empty_store):
     """kill -9: no handler runs in the study; its writer sees the pipe close."""
-    uri = f"sqlite:///{tmp_path / 'runs.db'}"
+    uri = f"sqlite:///{shutil.copy(empty_store, tmp_path)}"
     MlflowTracker("killed", uri).close()
     study = subprocess.Popen([sys.executable, "-c", STUDY, uri], stdout=subprocess.PIPE, text=True)
     assert study.stdout is not None

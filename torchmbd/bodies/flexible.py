@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from torchmbd.bodies.bulk_body import read_bdf
 from torchmbd.bodies.frame import Frame, identifier, rotation, vector
+from torchmbd.bodies.mount import Mount, node_indices, rigid_links
 from torchmbd.bodies.plausibility import warn_units
 from torchmbd.bodies.zones import zone_parts
 from torchmbd.elements import (
@@ -48,6 +49,7 @@ class FlexibleBody(nn.Module):
 
     parts   name -> part of the assembly
     links   nodes that follow others
+    rigid   sets of nodes that move as one rigid body; the first of each leads and may carry what the whole set carries
     Others as in `plate`.
     """
 
@@ -65,18 +67,20 @@ class FlexibleBody(nn.Module):
         interface: str | int | Sequence[str | int] = (),
         updated: bool = True,
         links: Sequence[RigidLink | Average] = (),
+        rigid: Sequence[str | Sequence[int]] = (),
     ):
         super().__init__()
         self.name = identifier("flexible body", name)
         self.mesh = mesh
         self.position, self.axes = vector(f"position of {name!r}", position), rotation(f"axes of {name!r}", axes)
         self.velocity = self.angular_velocity = torch.zeros(3, dtype=torch.float64)
+        links = [*links, *rigid_links(mesh, rigid)]
         self.reference = _reference(mesh, parts, reference, links)
         self.origin = mesh.nodes[self.reference].mean(0)
         self._register(parts)
         self.assembly = Assembly(mesh, parts, self.reference, links)
         self.free = self.assembly.freedoms.free
-        held = self._rows(_nodes(mesh, interface))
+        held = self._rows(node_indices(mesh, interface))
         least, most = 0 if held else 1, len(self.free) - len(held)
         if not isinstance(modes, int) or not least <= modes <= most:
             raise InputError(f"modes of {name!r} is {modes!r}; allowed: {least} to {most}, the freedoms of the mesh")
@@ -123,6 +127,7 @@ class FlexibleBody(nn.Module):
         interface: str | int | Sequence[str | int] = (),
         updated: bool = True,
         mass: str = "lumped",
+        rigid: Sequence[str | Sequence[int]] = (),
     ) -> FlexibleBody:
         """A laminated plate or shell.
 
@@ -137,9 +142,11 @@ class FlexibleBody(nn.Module):
         interface       nodes whose motion is kept, those that carry joints or loads
         updated         False: modes are held fixed in derivatives (eq. 36), for comparison only: gradients are wrong
         mass            "lumped" (eq. 2), or "consistent", for comparison
+        rigid           node sets that move as one rigid body each
         """
         parts = {"plate": Plates(mesh, laminate, mass=mass)}
-        return cls(name, mesh, parts, modes, position, axes, reference, damping, reduction, interface, updated)
+        options = (position, axes, reference, damping, reduction, interface, updated, (), rigid)
+        return cls(name, mesh, parts, modes, *options)
 
     @classmethod
     def beam(
@@ -174,8 +181,8 @@ class FlexibleBody(nn.Module):
         parts: dict[str, Part] = {}
         given: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
         if len(given) != len(line.elements):
-            count = len(line.elements)
-            raise InputError(f"{len(given)} sections for {count} elements of {name!r}; allowed: one, or one for each")
+            wrong = f"{len(given)} sections for {len(line.elements)} elements of {name!r}"
+            raise InputError(f"{wrong}; allowed: one, or one for each")
         distinct = list(dict.fromkeys(given))
         for k, own in enumerate(distinct):
             members = [e for e, s in enumerate(given) if s is own]
@@ -224,10 +231,20 @@ class FlexibleBody(nn.Module):
         warn_units(body)
         return body
 
-    def at(self, node: str | int, axes: Sequence | Tensor | None = None) -> Frame:
-        """Frame on a mesh node, by its name or index; `axes`: columns of its triad in body axes."""
-        index = _node(self.mesh, node)
-        return Frame(self, self.mesh.nodes[index] - self.origin, rotation("axes", axes), index)
+    def at(
+        self,
+        node: str | int | Sequence[str | int],
+        axes: Sequence | Tensor | None = None,
+        offset: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        weights: Sequence[float] | None = None,
+    ) -> Frame:
+        """Frame on a mesh node, or on the mean motion of several (mount.py).
+
+        node           name or index of a node, name of a node set, or a list with weights (None: equal ones)
+        axes, offset   columns of its triad, and the rigid arm from the center of the nodes [m], in body axes
+        """
+        mount, x = Mount.on(node_indices(self.mesh, node), weights), self.mesh.nodes - self.origin
+        return Frame(self, mount.center(x) + vector("offset", offset), rotation("axes", axes), mount)
 
     def structure(self) -> dict[str, Tensor]:
         """Run the structure stage.
@@ -278,22 +295,7 @@ def _reference(
         distance = ((mesh.nodes - center) ** 2).sum(1)
         distance[[link.node for link in links]] = torch.inf  # a node that follows cannot be held
         return [int(distance.argmin())]
-    nodes = _nodes(mesh, reference)
+    nodes = node_indices(mesh, reference)
     if not nodes:
         raise InputError(f"reference is {reference!r}; allowed: a node, a node set or a list of at least one node")
     return nodes
-
-
-def _nodes(mesh: Mesh | BeamLine, given: str | int | Sequence[str | int]) -> list[int]:
-    """Indices of a node, of a node set, or of a list of nodes."""
-    if isinstance(given, str) and len(mesh.node_sets.get(given, ())) > 1:
-        return [int(i) for i in mesh.node_sets[given]]
-    return [_node(mesh, node) for node in ([given] if isinstance(given, (str, int)) else given)]
-
-
-def _node(mesh: Mesh | BeamLine, node: str | int) -> int:
-    if isinstance(node, str):
-        return mesh.node(node)
-    if not hasattr(node, "__index__") or not 0 <= int(node) < len(mesh.nodes):
-        raise InputError(f"node is {node!r}; allowed: a node name or 0 to {len(mesh.nodes) - 1}")
-    return int(node)

@@ -5,11 +5,12 @@ body of the paper (section 2.2, refs. 24-25), fixed rigidly to a node of a flexi
 rule: with b the position of the node in the undeformed body, psi_t, psi_r the translation and rotation rows of its
 modes, w the modal coordinates, and e an axis of the frame,
 
-    point  r + A (b + psi_t w)          axis  A (e + (psi_r w) x e)
+    point  r + A (b + psi_t w + (psi_r w) x d)          axis  A (e + (psi_r w) x e)
 
-so both are *vectors attached to a body*: a constant part plus a map of the modal coordinates.
+so both are *vectors attached to a body*: a constant part plus a map of the modal coordinates. d is the arm from the
+node to the point. A frame on several nodes takes their mean motion for psi (mount.py).
 Assumed: elastic rotations are small (linear floating-frame theory).
-Checked in tests/physics/test_virtual_bodies.py.
+Checked in tests/physics/test_virtual_bodies.py, tests/bodies/test_mount.py.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from torchmbd.bodies.mount import Mount
 from torchmbd.errors import InputError
 
 
@@ -38,20 +40,23 @@ class Frame:
 
     point   position in the undeformed body, in body axes [3] [m]
     axes    columns: the axes of the frame in body axes [3, 3]
-    node    mesh node that carries the frame; None on a rigid body
+    mount   mesh nodes that carry the frame; None on a rigid body
     """
 
     body: Any
     point: Tensor
     axes: Tensor = field(default_factory=lambda: torch.eye(3, dtype=torch.float64))
-    node: int | None = None
+    mount: Mount | None = None
 
     def axis(self, name: str) -> Tensor:
         """Unit vector "x", "y" or "z" of the frame, in body axes [3]."""
         return self.axes[:, axis_index(name)]
 
     def __repr__(self) -> str:
-        where = f"node {self.node}" if self.node is not None else tuple(float(x) for x in self.point)
+        if self.mount is None:
+            where = ", ".join(f"{float(x):.6g}" for x in self.point)
+        else:
+            where = f"node {self.mount.nodes[0]}" if len(self.mount.nodes) == 1 else f"nodes {list(self.mount.nodes)}"
         return f"{self.body.name}.at({where})"
 
 

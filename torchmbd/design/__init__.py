@@ -16,11 +16,12 @@ from torchmbd.design.response import Constraint, History, Measure, history, meas
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.rows import AtPeaks, AtTimes
 from torchmbd.design.space import DesignSpace
+from torchmbd.design.tradeoff import Tradeoff
 from torchmbd.design.weighted import WeightedSum
 
 __all__ = [
     "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "AtPeaks", "AtTime", "AtTimes", "Constraint",
     "DesignSpace", "Displacement", "Final", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min",
-    "PlyFailure", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Velocity",
-    "WeightedSum", "history", "measure",
+    "PlyFailure", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Tradeoff",
+    "Velocity", "WeightedSum", "history", "measure",
 ]  # fmt: skip

@@ -25,9 +25,8 @@ from torch import Tensor
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import Trajectory
-from torchmbd.joints.joint import Joint
-from torchmbd.numerics.pair import value
-from torchmbd.system import System, equations
+from torchmbd.integrators.reaction import frame_point, joint_named, reaction_on
+from torchmbd.system import System
 
 GROUND = "ground"
 Direction = str | Sequence[float]
@@ -182,7 +181,7 @@ class Reaction(History):
 
     def check(self, system: System) -> None:
         direction(self.axis)
-        joint = self._joint(system)
+        joint = joint_named(system, self.joint)
         if self.kind not in ("force", "torque"):
             raise unknown("kind of reaction", self.kind, ("force", "torque"))
         if self.on is not None and self.on not in (joint.a.body.name, joint.b.body.name):
@@ -190,66 +189,11 @@ class Reaction(History):
         if self.axes not in (None, GROUND):
             system.body(self.axes)
 
-    def _joint(self, system: System) -> Joint:
-        found = [joint for joint in system.joints if joint.name == self.joint]
-        if not found:
-            raise unknown("joint", self.joint, [joint.name for joint in system.joints])
-        if len(found) > 1:
-            raise InputError(f"joint name {self.joint!r} is used {len(found)} times; allowed here: a unique name")
-        return found[0]
-
     def values(self, motion: Trajectory) -> Tensor:
-        return component(motion, self._reaction(motion), self.axis, GROUND, self.axes)
-
-    def _reaction(self, motion: Trajectory) -> Tensor:
-        """Vector in ground axes [lanes, times, 3]: minus the gradient of lam . Phi by the vectors of the joint."""
-        joint, T = self._joint(motion.system), motion.dynamics.topology
-        frame = joint.b if self.on in (None, joint.b.body.name) else joint.a
-        rows = [name.rpartition(": ")[0] == joint.name for name in T.row_names]
-        at, force = _constraint_forces(motion, torch.tensor(rows))
-        mine = [i for i, attached in enumerate(T.attached) if attached.body is frame.body]
-        total = torch.zeros_like(motion.v[..., :3])
-        for i in mine:
-            f, g = _back(motion, force[:, i]), _back(motion, at.g[:, i])
-            if self.kind == "torque":
-                arm = g - self._point(motion, frame) if T.attached[i].is_point else g
-                total = total - _cross(arm, f)
-            elif T.attached[i].is_point:
-                total = total - f
-        return total
-
-    @staticmethod
-    def _point(motion: Trajectory, frame) -> Tensor:
-        if frame.body.name == GROUND:
-            return frame.point
-        where = frame.point.tolist() if frame.node is None else frame.node
-        return motion.body(frame.body.name).at(where).position
-
-
-def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Placement, Tensor]:
-    """Attached vectors and the forces on them [3, vectors, 1, lanes x times] of the constraint rows chosen."""
-    T, data = motion.dynamics.topology, motion.dynamics.data
-    lanes, times = motion.q.shape[:2]
-
-    def flat(x: Tensor) -> Tensor:
-        return x.permute(2, 0, 1).flatten(1)[:, None]
-
-    def spread(x: Tensor) -> Tensor:
-        return x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x
-
-    known = [T.prescribed(t) for t in motion.t]
-    laws = [
-        None if kind[0] is None else tuple(torch.cat(part, -1).repeat(1, 1, lanes) for part in zip(*kind, strict=True))
-        for kind in zip(*(each.laws for each in known), strict=True)
-    ]
-    vectors = {key: spread(value(data[key])) for key in ("x", "Y") if key in data}
-    at = equations.placement(T, vectors, flat(motion.q), known[0]._replace(laws=laws))
-    return at, equations.force_on_vectors(T, at, flat(motion.lam * rows))
-
-
-def _back(motion: Trajectory, x: Tensor) -> Tensor:
-    """[3, 1, lanes x times] -> [lanes, times, 3]."""
-    return x[:, 0].unflatten(-1, motion.q.shape[:2]).permute(1, 2, 0)
+        joint = joint_named(motion.system, self.joint)
+        side = joint.b if self.on in (None, joint.b.body.name) else joint.a
+        force, torque = reaction_on(motion, joint, side, frame_point(motion, side))
+        return component(motion, force if self.kind == "force" else torque, self.axis, GROUND, self.axes)
 
 
 def component(motion: Trajectory, x: Tensor, axis: Direction, observer: str, axes: str | None) -> Tensor:

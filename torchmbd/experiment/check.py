@@ -16,7 +16,7 @@ import numpy as np
 from torchmbd.design.spec import leaf, measure_of, terms
 from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, Path, shown
-from torchmbd.experiment.model import build_model, find_model, option_faults
+from torchmbd.experiment.model import build_model, find_function, find_model, option_faults, require_returns
 from torchmbd.experiment.schema import UNITS, Optimizer, Range, Simulation, Starts, Variable
 from torchmbd.integrators import generalized_alpha, ode
 from torchmbd.optimizers import OPTIMIZERS, multistart
@@ -46,6 +46,20 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
         if not faults:
             faults += _start_faults(sections, system)
     return system, faults
+
+
+def figure_faults(sections: Sections, folder: FilePath) -> list[Fault]:
+    """Return what is wrong with the function that draws figures, and with its options."""
+    if "figures" not in sections:
+        return []
+    try:
+        draw = find_function(sections["figures"], folder)
+        require_returns(sections["figures"], draw, ("dict", "Mapping"))
+    except InputError as error:
+        return [Fault(("figures",), str(error))]
+    taken = {"folder": None, **sections.get("options", {})}
+    faults = [Fault(("options", "folder"), "is given by torchmbd")] if "folder" in sections.get("options", {}) else []
+    return faults + option_faults(draw, taken)
 
 
 def values(given: float | Sequence[float], size: int) -> np.ndarray | None:

@@ -1,7 +1,7 @@
 """What a study tells its tracker: one parent run, one child per start (or per point of a sweep).
 
 parent   params: the resolved file; tags: versions, commit, machine, seed; metrics: best_objective over iterations,
-         evaluations, failed_evaluations; files: config, figures, animation, table
+         evaluations, failed_evaluations; files: config, best design, figures, animation, table
 child    params: start design; metrics over iterations: objective, violation, constraint_1, ..., angle_1_deg, ...,
          analyses; at the end reduction_percent, iterations, failed_evaluations; tags: status, message, best
 """
@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 
 from torchmbd.experiment.load import Plan
+from torchmbd.experiment.place import model_source
 from torchmbd.optimizers.optimizer import Evaluation, Iterate, OptimizationResult
 from torchmbd.tracking import Status, Tracker
 from torchmbd.tracking.provenance import provenance
@@ -40,6 +41,7 @@ class Journal:
         study = self.plan.study
         resolved = study.resolved()
         tags = {"kind": kind, "mlflow.source.name": str(self.plan.file), **provenance(self.plan.file.parent)}
+        tags["model_source"] = model_source(self.plan)
         if self.plan.overrides:
             tags["overrides"] = " ".join(self.plan.overrides)
         if study.starts is not None:
@@ -123,6 +125,15 @@ class Journal:
         """Log the outcome of the whole study on the parent."""
         self.tracker.metrics(PARENT, _finite(numbers), self.iterates)
         self.tracker.tags(PARENT, tags)
+
+    def design(self, x: np.ndarray) -> None:
+        """File the best design [SI] by the names of the parameters, for torchmbd.experiment.archive."""
+        values: dict[str, list[float]] = {}
+        for label, value in zip(self.plan.columns.labels, x.tolist(), strict=True):
+            values.setdefault(label.rpartition("[")[0], []).append(value)
+        file = self.folder / "design.yaml"
+        file.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
+        self.file(file)
 
     def file(self, path: Path, folder: str = "") -> None:
         """File something under the parent."""

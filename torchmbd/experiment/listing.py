@@ -61,7 +61,7 @@ def print_links(store: str, base: str, console: Console) -> None:
     for entry in found[:_RECENT]:
         console.print(f"{escape(entry.name)}, {entry.began:%d %b %H:%M}, {entry.status.lower()}", style="bold")
         links = study_links(base, entry.experiment_id, entry.run_id, entry.kind, entry.status)
-        runs = children(store, entry)
+        runs = [run.run_id for run in children(store, entry)]
         if 1 < len(runs) <= _COMPARED:
             links["compare"] = compare_link(base, entry.experiment_id, runs)
         print_links_of(links, console)

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from torchmbd.experiment.check import check
+from torchmbd.experiment.check import check, figure_faults
 from torchmbd.experiment.columns import Columns
-from torchmbd.experiment.faults import StudyError, place
+from torchmbd.experiment.faults import Fault, StudyError, place
 from torchmbd.experiment.overrides import override
-from torchmbd.experiment.schema import Study
-from torchmbd.experiment.validation import validate
-from torchmbd.experiment.yaml_file import read_yaml
+from torchmbd.experiment.schema import Figures, Study
+from torchmbd.experiment.validation import kind_of, validate
+from torchmbd.experiment.yaml_file import Document, read_yaml
 from torchmbd.system import System
 
 
@@ -31,14 +31,43 @@ class Plan:
         return self.file.stem
 
 
-def load(path: str | Path, overrides: Sequence[str] = ()) -> Plan:
+@dataclass(frozen=True)
+class FiguresPlan:
+    """Figures to be drawn, and where the order came from."""
+
+    study: Figures
+    file: Path
+    overrides: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        return self.file.stem
+
+
+def load(path: str | Path, overrides: Sequence[str] = ()) -> Plan | FiguresPlan:
     """Read, override, validate and build; StudyError with every fault, each with its line."""
     document = read_yaml(path)
     override(document, overrides)
+    return plan_of(document, Path(path), tuple(overrides))
+
+
+def plan_of(document: Document, path: Path, overrides: tuple[str, ...]) -> Plan | FiguresPlan:
+    """Validate and build what a document describes, as if it were the file `path`."""
     sections, faults = validate(document.data)
-    system, more = check(sections, Path(path).absolute().parent)
-    if faults or more or system is None:
+    folder, figures = path.absolute().parent, kind_of(document.data) is Figures
+    system, more = (None, figure_faults(sections, folder)) if figures else check(sections, folder)
+    if faults or more or (system is None and not figures):
         known = [replace(fault, where=place(fault.path, document.lines)) for fault in faults + more]
-        raise StudyError(str(path), known)
+        raise StudyError(document.source, known)
+    if system is None:
+        return FiguresPlan(Figures.model_validate(document.data), path, overrides)
     study = Study.model_validate(document.data)
-    return Plan(study, system, Columns.of(study.design, system), Path(path), tuple(overrides))
+    return Plan(study, system, Columns.of(study.design, system), path, overrides)
+
+
+def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Plan:
+    """Load a file that optimizes or sweeps; InputError for one that draws figures."""
+    plan = load(path, overrides)
+    if isinstance(plan, FiguresPlan):
+        raise StudyError(str(path), [Fault(("figures",), ": draws figures; allowed here: a study or a sweep")])
+    return plan

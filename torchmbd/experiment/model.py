@@ -1,7 +1,10 @@
 """The model of an experiment file: a function of the user's, in a module or in a file, that returns a System.
 
 package.module:function      as Python finds it
-path/to/file.py:function     relative to the experiment file
+path/to/file.py:function     in the folder of the experiment file or below it
+
+An experiment file names what is called with which arguments, so not everything may be called: only a Python function
+that says what it returns, `-> mbd.System` for a model. Checked in tests/experiment/test_load.py, test_malicious.py.
 """
 
 from __future__ import annotations
@@ -25,15 +28,45 @@ Builder = Callable[..., System]
 
 def find_model(spec: str, folder: Path) -> Builder:
     """Return the function that `spec` names; InputError says what is missing."""
+    function = find_function(spec, folder)
+    require_returns(spec, function, ("System",))
+    return cast(Builder, function)
+
+
+def find_function(spec: str, folder: Path) -> Callable[..., Any]:
+    """Return the Python function that `spec` names, of a module or of a file below `folder`."""
     module_name, _, function_name = spec.rpartition(":")
-    module = _from_file(folder / module_name) if module_name.endswith(".py") else _from_name(module_name)
-    builder = getattr(module, function_name, None)
-    if not callable(builder):
+    module = _from_file(_inside(module_name, folder)) if module_name.endswith(".py") else _from_name(module_name)
+    function = getattr(module, function_name, None)
+    if not inspect.isfunction(function):
         functions = [name for name, value in vars(module).items() if inspect.isfunction(value) and name[0] != "_"]
         raise InputError(
             f"= {shown(spec)}: {module_name} has no function {function_name!r}{nearest(function_name, functions)}"
         )
-    return cast(Builder, builder)  # what it returns is checked when it is called
+    return function
+
+
+def require_returns(spec: str, function: Callable[..., Any], allowed: tuple[str, ...]) -> None:
+    """Refuse a function that does not say that it returns what is wanted."""
+    annotation = function.__annotations__.get("return")
+    said = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
+    if annotation is None or said.partition("[")[0].rpartition(".")[2] not in allowed:
+        told = "nothing" if annotation is None else f"-> {said}"
+        raise InputError(
+            f"= {shown(spec)}: the function says {told} about what it returns; "
+            f"allowed: a function annotated with -> {' or '.join(allowed)}"
+        )
+
+
+def _inside(name: str, folder: Path) -> Path:
+    """Return the path of a file below the folder; InputError for one that lies outside."""
+    file = (folder / name).resolve()
+    if Path(name).is_absolute() or not file.is_relative_to(folder.resolve()):
+        raise InputError(
+            f"= {shown(name)}: lies outside the folder of the experiment file; "
+            f"allowed: a Python file in {folder} or below, or an importable module"
+        )
+    return file
 
 
 def option_faults(builder: Builder, options: Mapping[str, Any]) -> list[Fault]:

@@ -5,12 +5,15 @@
     design.rod.laminate.angles.start=[10]     the names of design variables hold dots themselves: a key of the file
                                               that fits the longest piece of the path wins
 
+    options.layers=1,2,3                      several values: one study for each, all combinations of such lists
+
 An override may set a key that the file leaves to its default. Checked in tests/experiment/test_overrides.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import Any
 
 from torchmbd.errors import nearest
@@ -18,6 +21,31 @@ from torchmbd.experiment.faults import Fault, Path, StudyError, dotted
 from torchmbd.experiment.yaml_file import Document, parse_yaml
 
 _NAMED_BY_PATH = ("design", "sweep")  # sections whose keys are dotted names of parameters
+
+
+def combinations(assignments: Sequence[str]) -> list[tuple[str, ...]]:
+    """Spread `key=1,2,3` over several lists of assignments; a comma inside brackets or quotes separates nothing."""
+    choices = []
+    for text in assignments:
+        key, equals, written = text.partition("=")
+        values = _split(written)
+        choices.append([text] if len(values) < 2 else [f"{key}{equals}{value}" for value in values])
+    return list(product(*choices))
+
+
+def _split(text: str) -> list[str]:
+    parts, depth, quote = [""], 0, ""
+    for c in text:
+        if quote:
+            quote = "" if c == quote else quote
+        elif c in "'\"":
+            quote = c
+        depth += (c in "[{") - (c in "]}") if not quote else 0
+        if c == "," and not depth and not quote:
+            parts.append("")
+        else:
+            parts[-1] += c
+    return [part.strip() for part in parts]
 
 
 def override(document: Document, assignments: Sequence[str]) -> None:

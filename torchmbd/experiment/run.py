@@ -2,13 +2,16 @@
 
 Whatever happens, the runs end with a status that is true: FINISHED, KILLED (Ctrl-C, with what was computed),
 FAILED (an exception, or no start succeeded). Results are told before pictures are drawn: no picture costs a result.
+Every evaluation is on disk before anybody hears of it (evaluations.py), so the same command goes on where a study
+ended, however it ended. Checked in tests/experiment/test_run.py, test_resume.py.
 """
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +20,12 @@ from rich.markup import escape
 
 from torchmbd.design import Problem
 from torchmbd.experiment.assemble import problem_of, starts_of
+from torchmbd.experiment.evaluations import Evaluations, Remembered
+from torchmbd.experiment.farm import Farm
 from torchmbd.experiment.journal import PARENT, Journal
 from torchmbd.experiment.listing import print_links_of, study_links
 from torchmbd.experiment.load import Plan
+from torchmbd.experiment.place import evaluations_file, place, problem_key, study_key
 from torchmbd.experiment.progress import Progress
 from torchmbd.experiment.report import print_results, study_pictures
 from torchmbd.experiment.schema import Optimizer
@@ -27,54 +33,90 @@ from torchmbd.experiment.sweep import run_sweep
 from torchmbd.optimizers import Evaluation, Iterate, Study, multistart
 from torchmbd.tracking import ProcessTracker, Record, Status, Tracker, TrackingError
 from torchmbd.tracking.links import DEFAULT_BASE
-from torchmbd.tracking.store import sqlite_file
+from torchmbd.tracking.process import deliver_soon
+from torchmbd.tracking.store import sqlite_file, store_uri
 
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
 
 
-class Observed:
-    """A problem as optimizers see it, whose evaluations a listener sees as well."""
+def run_plan(
+    plan: Plan,
+    console: Console,
+    tracker: Tracker | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    fresh: bool = False,
+) -> int:
+    """Run a study or a sweep and return the exit code.
 
-    def __init__(self, problem: Problem, listener: Callable[[np.ndarray, list[Evaluation]], None]) -> None:
-        self._problem, self._listener = problem, listener
-        self.names, self.start, self.lower, self.upper = problem.names, problem.start, problem.lower, problem.upper
-
-    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
-        evaluations = self._problem.evaluate(X, gradients)
-        self._listener(X, evaluations)
-        return evaluations
-
-
-def run_plan(plan: Plan, console: Console, tracker: Tracker | None = None) -> int:
-    """Run a study or a sweep and return the exit code."""
-    problem = problem_of(plan)
-    tracking = plan.study.tracking
-    tracker = tracker or ProcessTracker(tracking.experiment, tracking.uri)
-    began = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="torchmbd-") as folder:
-        journal = Journal(plan, tracker, Path(folder))
+    workers    processes that evaluate: 1: this one; more: a Dask cluster on this machine; 0: one for each core
+    scheduler  address of a Dask scheduler to use instead
+    fresh      forget the evaluations of this problem, and begin the study anew
+    """
+    problem, tracking, began = problem_of(plan), plan.study.tracking, time.monotonic()
+    with ExitStack() as stack:
+        store = Evaluations(evaluations_file(), problem_key(plan))
+        stack.callback(store.close)
+        if fresh:
+            store.forget()
+        if tracker is None:
+            study = study_key(plan, store_uri(tracking.uri))
+            folder = place() / study
+            tracker = ProcessTracker(tracking.experiment, tracking.uri, folder, None if fresh else study)
+        compute = _compute(problem, plan, workers, scheduler, stack)
+        journal = Journal(plan, tracker, stack.enter_context(folder_of(tracker)))
+        remembered = Remembered(problem, store, compute, journal.evaluated)
         status: Status = "FAILED"
         try:
-            kind = run_sweep if plan.study.sweep else run_study
-            status = kind(plan, problem, journal, console)
+            if plan.study.sweep:
+                status = run_sweep(plan, problem, remembered.evaluate, journal, console)
+            else:
+                status = run_study(plan, problem, remembered, store, journal, console)
         except KeyboardInterrupt:
             status = "KILLED"
         finally:
             journal.end_all(status)
-            record = _close(tracker, console)
-    console.print(f"{plan.name}: {status.lower()} after {time.monotonic() - began:.1f} s")
+            record = close(tracker, console)
+        if store.trouble:
+            console.print(f"The last evaluations are not on disk: {escape(store.trouble)}", style="red")
+    deliver_soon(place())
+    known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known" * bool(
+        remembered.known
+    )
+    console.print(f"{plan.name}: {status.lower()} after {time.monotonic() - began:.1f} s{known}")
     if record is None:
         return 1
-    _print_links(record, "sweep" if plan.study.sweep else "study", status, console)
+    print_run_links(record, "sweep" if plan.study.sweep else "study", status, console)
     return EXIT[status]
 
 
-def run_study(plan: Plan, problem: Problem, journal: Journal, console: Console) -> Status:
+def _compute(
+    problem: Problem, plan: Plan, workers: int, scheduler: str | None, stack: ExitStack
+) -> Callable[[np.ndarray, bool], list[Evaluation]]:
+    """Return what evaluates designs: the problem itself, or workers."""
+    if workers == 1 and scheduler is None:
+        return problem.evaluate
+    rows = problem.peaks + sum(constraint.measure.rows for constraint in problem.constraints)
+    return stack.enter_context(Farm(plan, problem_key(plan), rows, workers, scheduler)).evaluate
+
+
+@contextmanager
+def folder_of(tracker: Tracker) -> Iterator[Path]:
+    """Where a study puts its files: with its journal, which keeps them until the store has them, or for now only."""
+    if isinstance(tracker, ProcessTracker):
+        yield tracker.files
+        return
+    with tempfile.TemporaryDirectory(prefix="torchmbd-") as folder:
+        yield Path(folder)
+
+
+def run_study(
+    plan: Plan, problem: Problem, remembered: Remembered, store: Evaluations, journal: Journal, console: Console
+) -> Status:
     """Optimize from every start."""
     optimizer = plan.study.optimizer or Optimizer()
     recipe = starts_of(plan, problem.start)
-    observed = Observed(problem, journal.evaluated)
-    points = recipe.points(observed)
+    points = recipe.points(remembered)
     journal.begin("study")
     for index, point in enumerate(points):
         journal.begin_start(index, point)
@@ -84,11 +126,12 @@ def run_study(plan: Plan, problem: Problem, journal: Journal, console: Console) 
         def callback(iterate: Iterate) -> None:
             journal.iterate(iterate)
             progress.iterate(iterate)
-            if getattr(journal.tracker, "lost", False):
-                progress.note("The tracking store cannot be written: the study goes on unrecorded.")
+            for trouble in (store.trouble, getattr(journal.tracker, "trouble", None)):
+                if trouble:
+                    progress.note(f"{trouble}; the study goes on, and keeps it in memory")
 
         study = multistart(
-            observed,
+            remembered,
             optimizer.name,
             list(points),
             callback,
@@ -100,6 +143,8 @@ def run_study(plan: Plan, problem: Problem, journal: Journal, console: Console) 
         journal.result(result, best is not None and result.start == best.start)
     print_results(plan, study, journal.failures, console)
     _summarize(study, journal)
+    if best is not None:
+        journal.design(best.x)
     study_pictures(plan, study, problem, journal, console)
     if study.interrupted:
         return "KILLED"
@@ -119,7 +164,8 @@ def _summarize(study: Study, journal: Journal) -> None:
     journal.summary(numbers, tags)
 
 
-def _close(tracker: Tracker, console: Console) -> Record | None:
+def close(tracker: Tracker, console: Console) -> Record | None:
+    """Wait for the tracker; None, and a message, if not everything is in its store."""
     try:
         with console.status("writing the last of it to MLflow"):
             return tracker.close()
@@ -128,7 +174,8 @@ def _close(tracker: Tracker, console: Console) -> Record | None:
         return None
 
 
-def _print_links(record: Record, kind: str, status: Status, console: Console) -> None:
+def print_run_links(record: Record, kind: str, status: Status, console: Console) -> None:
+    """Print where to look at a run."""
     run = record.runs.get(PARENT)
     if run is None:
         return

@@ -2,10 +2,14 @@
 
     model      module:function or file.py:function that returns a System      options   its arguments
     design     parameter -> start, lower, upper, unit                        simulate  duration, method, steps, ...
-    minimize   {integral: {strain_energy: rod}}                              subject_to  [{max: ..., at_most: initial}]
+    minimize   {integral: {strain_energy: rod}}, see design/spec.py          subject_to  [{max: ..., at_most: initial}]
     optimizer  name, max_iterations, the method's own options                starts    sampler, count, seed, ...
     sweep      one design variable from .. to ..: evaluated as one batch, instead of optimizer and starts
     tracking   experiment, uri
+
+or, for pictures that are no optimization,
+
+    figures    module:function or file.py:function that draws into a folder  options   its arguments      tracking
 
 Numbers of `design`, `starts.points` and `sweep` are in the unit of their variable; everything else is SI.
 Pydantic validates strictly (no text for a number, no true for 1) and collects every fault; names of the model's own
@@ -31,13 +35,15 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from torchmbd.design.responses import COMBINATORS, RESPONSES
+from torchmbd.design.spec import SpecError, measure_of
 from torchmbd.errors import nearest
 from torchmbd.integrators import METHODS
 from torchmbd.optimizers import OPTIMIZERS
 from torchmbd.tracking.store import SCHEMES
 
 UNITS = {"deg": math.pi / 180.0, "rad": 1.0, "m": 1.0, "mm": 1e-3, "none": 1.0}  # unit -> SI
+KINDS = ("at_most", "at_least", "equal")  # of constraints
+FUNCTION = r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$"
 SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
 
 
@@ -54,8 +60,18 @@ def _one_of(names: Collection[str] | Callable[[], Collection[str]]) -> AfterVali
 
 
 Numbers = float | Annotated[list[float], Len(min_length=1)]
-Response = Annotated[dict[Annotated[str, _one_of(RESPONSES)], str], Len(1, 1)]
-Measure = Annotated[dict[Annotated[str, _one_of(COMBINATORS)], Response], Len(1, 1)]
+Limit = Literal["initial"] | float
+
+
+def _readable(spec: dict[str, Any]) -> dict[str, Any]:
+    try:
+        measure_of(spec)
+    except SpecError as error:
+        raise PydanticCustomError("response", "{text}", {"text": error.text, "path": error.path}) from error
+    return spec
+
+
+Measure = Annotated[dict[str, Any], AfterValidator(_readable)]
 
 
 class Section(BaseModel):
@@ -87,18 +103,42 @@ class Simulation(Section):
 
 
 class Constraint(Section):
-    """`{max: {strain_energy: rod}, at_most: initial}`: at most its value at the start design, or a number [SI]."""
+    """`{max: {strain_energy: rod}, at_most: initial}`: a response and a limit, its value at the start or a number [SI]."""
 
     measure: Measure
-    at_most: Literal["initial"] | float
+    at_most: Limit | None = None
+    at_least: Limit | None = None
+    equal: Limit | None = None
+    scale: float | None = Field(default=None, gt=0)  # what a violation is divided by; default: the limit
 
     @model_validator(mode="before")
     @classmethod
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict) or "measure" in data:
             return data
-        rest = {key: value for key, value in data.items() if key != "at_most"}
-        return {"measure": rest} | {key: data[key] for key in ("at_most",) if key in data}
+        own = (*KINDS, "scale")
+        rest = {key: value for key, value in data.items() if key not in own}
+        return {"measure": rest} | {key: data[key] for key in own if key in data}
+
+    @model_validator(mode="after")
+    def _one_limit(self) -> Self:
+        given = [key for key in KINDS if getattr(self, key) is not None]
+        if len(given) != 1:
+            text = f"has {' and '.join(given) or 'no limit'}; must have exactly one of {', '.join(KINDS)}"
+            raise PydanticCustomError("kind", "{text}", {"text": text})
+        return self
+
+    @property
+    def kind(self) -> str:
+        return next(key for key in KINDS if getattr(self, key) is not None)
+
+    @property
+    def limit(self) -> float | str:
+        return getattr(self, self.kind)
+
+    def resolved(self) -> dict[str, Any]:
+        """Return the constraint in the form of the file."""
+        return {**self.measure, self.kind: self.limit, **({"scale": self.scale} if self.scale is not None else {})}
 
 
 class Optimizer(Section):
@@ -158,10 +198,22 @@ class Tracking(Section):
         return uri
 
 
-class Study(Section):
-    """A whole experiment file."""
+class Figures(Section):
+    """An experiment file that draws figures."""
 
-    model: Annotated[str, Field(pattern=r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$")]
+    figures: Annotated[str, Field(pattern=FUNCTION)]
+    options: dict[str, Any] = {}
+    tracking: Tracking = Tracking()
+
+    def resolved(self) -> dict[str, Any]:
+        """Return the file with every default filled in."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+
+class Study(Section):
+    """An experiment file that optimizes, or sweeps a variable."""
+
+    model: Annotated[str, Field(pattern=FUNCTION)]
     options: dict[str, Any] = {}
     design: Annotated[dict[str, Variable], Len(min_length=1)]
     simulate: Simulation
@@ -186,5 +238,5 @@ class Study(Section):
         if self.sweep is None:
             data["optimizer"] = (self.optimizer or Optimizer()).model_dump(mode="json")
             data["starts"] = (self.starts or Starts()).model_dump(mode="json", exclude_none=True)
-        data["subject_to"] = [c.measure | {"at_most": c.at_most} for c in self.subject_to]
+        data["subject_to"] = [constraint.resolved() for constraint in self.subject_to]
         return data

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Callable
 
 import numpy as np
 from rich.console import Console
@@ -22,7 +23,13 @@ from torchmbd.tracking import Status
 from torchmbd.viz import criterion, save
 
 
-def run_sweep(plan: Plan, problem: Problem, journal: Journal, console: Console) -> Status:
+def run_sweep(
+    plan: Plan,
+    problem: Problem,
+    evaluate: Callable[[np.ndarray, bool], list[Evaluation]],
+    journal: Journal,
+    console: Console,
+) -> Status:
     """Evaluate the sweep, draw it, and file every point as a child run."""
     sweep = plan.study.sweep
     assert sweep is not None
@@ -35,11 +42,10 @@ def run_sweep(plan: Plan, problem: Problem, journal: Journal, console: Console) 
     journal.begin("sweep")
     with console.status(f"{plan.name}: {span.count} designs in one batch"):
         designs = np.vstack([problem.start, X])
-        first, *evaluations = problem.evaluate(designs, False)
+        first, *evaluations = evaluate(designs, False)
     if first.status != "ok":
         console.print(f"The start design cannot be evaluated: {first.status}", style="red")
         return "FAILED"
-    journal.evaluated(designs, [first, *evaluations])
     for k, (x, evaluation) in enumerate(zip(X, evaluations, strict=True)):
         _file_point(journal, k, x, evaluation, first)
     criteria = _criteria(plan, problem, first, evaluations)
@@ -51,6 +57,7 @@ def run_sweep(plan: Plan, problem: Problem, journal: Journal, console: Console) 
     numbers = {"objective": evaluations[best].objective, "best_objective": evaluations[best].objective}
     numbers["reduction_percent"] = 100.0 * (1.0 - evaluations[best].objective / first.objective)
     journal.summary(numbers | plan.columns.shown(X[best]), {"best_point": str(best)})
+    journal.design(X[best])
     return "FINISHED"
 
 

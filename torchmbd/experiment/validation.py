@@ -15,29 +15,35 @@ from pydantic_core import ErrorDetails
 
 from torchmbd.errors import nearest
 from torchmbd.experiment.faults import Fault, Path, shown
-from torchmbd.experiment.schema import Section, Study
+from torchmbd.experiment.schema import Figures, Section, Study
+
+
+def kind_of(data: Any) -> type[Study] | type[Figures]:
+    """Return which kind of experiment a file describes."""
+    return Figures if isinstance(data, dict) and "figures" in data else Study
 
 
 def validate(data: Any) -> tuple[dict[str, Any], list[Fault]]:
     """Return the sections that are valid, by name, and the faults of the others."""
     if not isinstance(data, dict):
         return {}, [Fault((), f"is {shown(data)}; allowed: sections such as model:, design:, simulate:, minimize:")]
+    kind = kind_of(data)
     try:
-        return dict(Study.model_validate(data)), []
+        return dict(kind.model_validate(data)), []
     except ValidationError as error:
         faults = _faults(error, data)
     sections: dict[str, Any] = {}
-    for name in Study.model_fields:
+    for name in kind.model_fields:
         if not any(fault.path[:1] == (name,) for fault in faults):
-            alone = _alone(name).model_validate({name: data[name]} if name in data else {})
+            alone = _alone(kind, name).model_validate({name: data[name]} if name in data else {})
             sections[name] = getattr(alone, name)
     return sections, faults
 
 
 @cache
-def _alone(name: str) -> type[Section]:
-    """Return a model of one section of a study."""
-    field = Study.model_fields[name]
+def _alone(kind: type[Section], name: str) -> type[Section]:
+    """Return a model of one section of a file."""
+    field = kind.model_fields[name]
     fields: dict[str, Any] = {name: (field.rebuild_annotation(), field.get_default())}
     return create_model(name, __base__=Section, **fields)
 
@@ -48,7 +54,7 @@ def _faults(error: ValidationError, data: Any) -> list[Fault]:
     for path, details in located:
         if isinstance(details["input"], list) and any(other[:-1] == path for other, _ in located):
             continue  # not the list is wrong but an entry of it
-        text = _text(details, path)
+        text = _text(details, path, kind_of(data))
         if text not in texts.setdefault(path, []):
             texts[path].append(text)
     return [Fault(path, _either(found)) for path, found in texts.items()]
@@ -67,12 +73,12 @@ def _path(details: ErrorDetails, data: Any) -> Path:
     return (*path, *details.get("ctx", {}).get("path", ()))
 
 
-def _text(details: ErrorDetails, path: Path) -> str:
+def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str:
     kind, value = details["type"], details["input"]
     if kind == "missing":
         return "is missing"
     if kind == "extra_forbidden":
-        return f"unknown key{nearest(path[-1], _keys(path[:-1]))}"
+        return f"unknown key{nearest(path[-1], _keys(path[:-1], kind_of_file))}"
     if kind == "response":
         return details["msg"]
     if kind == "name":
@@ -94,9 +100,8 @@ def _either(texts: list[str]) -> str:
     return first + "".join(f"; or {other.rpartition(': ')[2]}" for other in others)
 
 
-def _keys(path: Path) -> list[str]:
-    """Return the keys that a section may have."""
-    section: Any = Study
+def _keys(path: Path, section: Any) -> list[str]:
+    """Return the keys that a part of a file may have."""
     for part in path:
         if isinstance(section, type) and issubclass(section, Section):
             section = _plain(section.model_fields[str(part)].annotation)

@@ -18,12 +18,16 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from torchmbd.bodies import Frame
 from torchmbd.errors import InputError
+from torchmbd.joints.joint import Attached
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.numerics.rotation import rotation_matrix
 
 if TYPE_CHECKING:
     from torchmbd.integrators.trajectory import Trajectory
+
+Where = str | int | Sequence[float] | Frame | None
 
 
 class BodyMotion:
@@ -132,8 +136,11 @@ class BodyMotion:
         local = body.mesh.nodes - body.origin + self.displacements
         return self.r[:, :, None] + torch.einsum("ltij,ltnj->ltni", self.A, local)
 
-    def at(self, where: str | int | Sequence[float] | None = None) -> PointMotion:
-        """A point of the body: a mesh node by name or index, or a position in body axes on a rigid body; None: the origin."""
+    def at(self, where: Where = None) -> PointMotion:
+        """A point of the body.
+
+        where   a node or node set of the mesh, a position in body axes on a rigid body, or a frame; None: the origin
+        """
         return PointMotion.of(self, where)
 
 
@@ -152,15 +159,15 @@ class PointMotion:
     fast: Tensor  # its rate
 
     @classmethod
-    def of(cls, body: BodyMotion, where: str | int | Sequence[float] | None) -> PointMotion:
+    def of(cls, body: BodyMotion, where: Where) -> PointMotion:
         """The point `where` of a body; InputError if it has no such point."""
         frame = _frame(body, where)
         still = torch.zeros_like(body.r)
         if frame is None:
             return cls(body, still, still, still, still)
-        if frame.node is None:
+        if frame.mount is None:
             return cls(body, still, frame.point + still, still, still)
-        psi = body.psi[:, frame.node, :3]
+        psi = Attached(frame.body, frame.point, frame.mount, True).modal_rows(body.psi)
         u, slow, fast = (torch.einsum("lim,ltm->lti", psi, x) for x in (body.w, body.wd, body.wdd))
         return cls(body, u, frame.point + u, slow, fast)
 
@@ -191,11 +198,11 @@ def _cross(a: Tensor, b: Tensor) -> Tensor:
     return torch.linalg.cross(a, b, dim=-1)
 
 
-def _frame(view: BodyMotion, where: str | int | Sequence[float] | None):
+def _frame(view: BodyMotion, where: Where) -> Frame | None:
     """The frame of a point of a body, None for its origin."""
     body = view.motion.system.body(view.name)
-    if where is None:
-        return None
+    if where is None or isinstance(where, Frame):
+        return where
     if view.mesh is not None:
         return body.at(where)
     if isinstance(where, (str, int)) or len(where) != 3:

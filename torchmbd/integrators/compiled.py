@@ -29,6 +29,7 @@ import time
 import warnings
 import zipfile
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -125,7 +126,7 @@ def key(T: Topology, signature: Signature) -> str:
         path = package / source
         for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:
             digest.update(file.read_bytes())
-    attached = [(a.node is None, a.is_point) for a in T.attached]
+    attached = [(a.mount is None, a.is_point) for a in T.attached]
     members = [(type(p).__name__, [m.tolist() for m in p.members], () if p.driven else p.data) for p in T.primitives]
     actions = [(type(a).__name__, [m.tolist() for m in a.members], repr(a.laws)) for a in T.actions]
     folds = [f.table.tolist() for f in (T.vector_fold, T.body_fold, T.modal_fold)]
@@ -176,8 +177,8 @@ class _Operation(nn.Module):
         self, weights: Tensor, state: list[Tensor], data: list[Tensor], given: list[Tensor], rest: list[Tensor]
     ) -> tuple[Tensor, ...]:
         A, r, t, *laws = given
-        pairs = iter(laws)
-        known = [(next(pairs), next(pairs)) if p.driven else None for p in self.T.primitives]
+        parts = iter(laws)
+        known = [tuple(islice(parts, p.driven)) if p.driven else None for p in self.T.primitives]
         model = Model(self.T, self.saddle, Weights(*weights.unbind(0)), self.signature.unpack(data))
         return self.run(model.step(self.signature.state(state), Prescribed(known, A, r, t)), *rest)
 
@@ -251,7 +252,7 @@ class CompiledStep:
     def __init__(self, model: CompiledModel, x: State, given: Prescribed):
         self.model = model
         state = [self._lanes(y.full if isinstance(y, Pair) else y) for y in x]
-        laws = [part.contiguous() for pair in given.laws if pair is not None for part in pair]
+        laws = [part.contiguous() for law in given.laws if law is not None for part in law]
         self.start = [model.weights, *state, *model.data, given.A.contiguous(), given.r.contiguous(), given.t, *laws]
 
     def _call(self, name: str, *rest: Tensor) -> list[Tensor]:
@@ -352,9 +353,7 @@ def _package(module: _Operation, name: str, T: Topology, signature: Signature, p
     carriers = 1 + len(T.carriers)
     given = [torch.rand(*shape, carriers, 1, 1, dtype=torch.float64) for shape in ((3, 3), (3,))]
     given.append(torch.rand((), dtype=torch.float64))
-    given += [
-        torch.ones(len(p.members[0]), 1, 1, dtype=torch.float64) for p in T.primitives if p.driven for _ in range(2)
-    ]
+    given += [torch.ones(len(p.members[0]), 1, 1, dtype=torch.float64) for p in T.primitives for _ in range(p.driven)]
     z, dz = numbers(n, 1), [numbers(n, signature.tangents)] if signature.tangents else []
     H = torch.rand(lanes, n, n, dtype=torch.float64)
     rest = {"correct": [H, z], "matrix": [z], "finish": [z, *dz], "tangent": [H, z, *dz]}[name]

@@ -122,7 +122,7 @@ def integrate(
     error = step_error(left, history, spectral_radius, h)
     suggested = (steps * (error / GOOD_STEP).sqrt()).ceil()
     statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": largest_turn(left, history, h)}
-    statistics |= {"step_error": error, "suggested_steps": suggested} | march.errors(history)
+    statistics |= {"step_error": error, "suggested_steps": suggested} | march.errors(history, duration)
     return _whole(dynamics, left, times, history), statistics
 
 
@@ -207,14 +207,16 @@ class _March:
             self.passes += 1
         return dz
 
-    def errors(self, history: History) -> dict[str, Tensor]:
+    def errors(self, history: History, duration: float) -> dict[str, Tensor]:
         """Estimated relative errors of the iteration [lanes].
 
-        The next correction of values would be |last|^2 / |one before|, relative to the largest value of the motion.
+        The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the
+        motion, or to the largest rate over the duration: a uniform motion has accelerations of rounding size.
         """
         before, last = torch.stack(self.sizes, -1)
         left = last if self.corrections == 1 else last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
-        largest = history.vd[:, :, 0].abs().amax((0, 1)).clamp_min(torch.finfo(last.dtype).tiny)
+        largest, uniform = (x[:, :, 0].abs().amax((0, 1)) for x in (history.vd, history.v))
+        largest = largest.maximum(uniform / duration).clamp_min(torch.finfo(last.dtype).tiny)
         found = {"iteration_error": left.amax(-1) / largest}
         return found | ({"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {})
 

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from torchmbd.errors import SimulationFailure, unknown
 from torchmbd.integrators.body_motion import BodyMotion
+from torchmbd.integrators.reaction import JointReaction, reaction
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
@@ -89,6 +90,10 @@ class Trajectory:
         if name not in self._views:
             self._views[name] = BodyMotion(self, name)
         return self._views[name]
+
+    def reaction(self, joint: str) -> JointReaction:
+        """Force and torque of a joint on its second body, in the frame of its first."""
+        return reaction(self, joint)
 
     def coordinates(self, rows: Sequence[int]) -> tuple[Tensor, Tensor | None]:
         """Chosen rows of q [lanes, times, k] and their sensitivities [lanes, times, k, n_b]."""

@@ -5,6 +5,8 @@ from torchmbd.joints.distance import Distance
 from torchmbd.joints.drive import Drive
 from torchmbd.joints.fixed import Fixed
 from torchmbd.joints.joint import Joint
+from torchmbd.joints.laws import ConstantSpeed, Sine, SmoothStep
+from torchmbd.joints.planar import Planar
 from torchmbd.joints.prismatic import Prismatic
 from torchmbd.joints.revolute import Revolute
 from torchmbd.joints.spherical import Spherical
@@ -12,18 +14,22 @@ from torchmbd.joints.universal import Universal
 
 JOINTS: dict[str, type[Joint]] = {
     kind.__name__.lower(): kind
-    for kind in (Cylindrical, Distance, Drive, Fixed, Prismatic, Revolute, Spherical, Universal)
+    for kind in (Cylindrical, Distance, Drive, Fixed, Planar, Prismatic, Revolute, Spherical, Universal)
 }
 
 __all__ = [
     "JOINTS",
+    "ConstantSpeed",
     "Cylindrical",
     "Distance",
     "Drive",
     "Fixed",
     "Joint",
+    "Planar",
     "Prismatic",
     "Revolute",
+    "Sine",
+    "SmoothStep",
     "Spherical",
     "Universal",
 ]

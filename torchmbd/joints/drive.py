@@ -1,6 +1,6 @@
-"""Drive: a prescribed rotation of body b relative to body a about an axis. One equation.
+"""Drive: a prescribed rotation of body b about an axis of frame a, or a prescribed travel along it. One equation.
 
-The angle is measured from the given initial positions, so a law starts at zero or the assembly moves there.
+Angle and travel are measured from the given initial positions, so a law starts at zero or the assembly moves there.
 """
 
 from __future__ import annotations
@@ -14,30 +14,19 @@ from torch import Tensor
 from torchmbd.bodies.frame import axis_index
 from torchmbd.errors import InputError
 from torchmbd.joints.joint import Equation, Joint, Scribe, as_frame, others
-from torchmbd.joints.primitive import Angle, Law
-
-
-class ConstantSpeed:
-    """theta(t) = speed * t [rad]."""
-
-    def __init__(self, speed: float):
-        self.speed = float(speed)
-
-    def __call__(self, t: Tensor) -> Tensor:
-        return self.speed * t
-
-    def slopes(self, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Angle, speed and acceleration at the times t."""
-        return self.speed * t, torch.full_like(t, self.speed), torch.zeros_like(t)
+from torchmbd.joints.laws import ConstantSpeed, Finite, finite
+from torchmbd.joints.primitive import Angle, Law, Travel
 
 
 class Drive(Joint):
-    """`Drive(a, b, axis="z", speed=...)` or `Drive(a, b, axis="z", angle=law)`.
+    """`Drive(a, b, axis="z", speed=...)`, or one of `angle`, `velocity`, `position` instead of `speed`.
 
-    speed   constant angular speed [rad/s]
-    angle   a torch function of time [s] -> angle [rad], twice differentiable; instead of `speed`
+    speed      constant angular speed about `axis` of frame a [rad/s]
+    angle      law of the rotation about it: a torch function of time [s] -> [rad], or one of joints/laws.py
+    velocity   constant velocity of the point of b along `axis` of frame a [m/s]
+    position   law of the travel along it [m]
 
-    Add a joint that leaves this rotation free (Revolute, Cylindrical): a drive holds nothing else.
+    Add a joint that leaves this motion free (Revolute, Prismatic, Cylindrical): a drive holds nothing else.
     """
 
     def __init__(
@@ -47,28 +36,41 @@ class Drive(Joint):
         axis: str = "z",
         speed: float | None = None,
         angle: Law | None = None,
+        velocity: float | None = None,
+        position: Law | None = None,
         name: str | None = None,
     ):
         super().__init__(as_frame(a), as_frame(b), name)
         axis_index(axis)
-        if (speed is None) == (angle is None):
-            raise InputError(f"{self.name!r} has speed={speed!r} and angle={angle!r}; allowed: exactly one of the two")
-        if speed is not None and not torch.isfinite(torch.tensor(float(speed))):
-            raise InputError(f"speed of {self.name!r} is {speed!r} rad/s; allowed: a finite number")
-        if angle is not None:
-            _check_law(self.name, angle)
-        self.axis = axis
-        self.law: Law = ConstantSpeed(speed) if speed is not None else angle  # type: ignore[assignment]
+        given = {"speed": speed, "angle": angle, "velocity": velocity, "position": position}
+        given = {key: x for key, x in given.items() if x is not None}
+        if len(given) != 1:
+            raise InputError(
+                f"{self.name!r} has {given or 'no law'}; allowed: exactly one of speed, angle, velocity, position"
+            )
+        ((key, x),) = given.items()
+        self.axis, self.travels = axis, key in ("velocity", "position")
+        if key in ("speed", "velocity"):
+            x = ConstantSpeed(finite(f"{key} of {self.name!r}", x))
+        self.law = _checked(self.name, key, x)
 
     def equations(self, scribe: Scribe) -> Iterator[Equation]:
-        x, y = others(self.axis)
-        axes = scribe.axis(self.a, x), scribe.axis(self.a, y), scribe.twin(self.a, x, self.b)
-        yield Equation(Angle, axes, self.law)
+        if self.travels:
+            points = scribe.twin_point(self.b, self.a), scribe.point(self.b)
+            yield Equation(Travel, (*points, scribe.axis(self.a, self.axis)), self.law)
+        else:
+            x, y = others(self.axis)
+            axes = scribe.axis(self.a, x), scribe.axis(self.a, y), scribe.twin(self.a, x, self.b)
+            yield Equation(Angle, axes, self.law)
 
 
-def _check_law(name: str, angle: Any) -> None:
-    start = angle(torch.zeros((), dtype=torch.float64)) if callable(angle) else angle
-    if not isinstance(start, Tensor) or start.shape != () or not bool(torch.isfinite(start)):
+def _checked(name: str, key: str, law: Any) -> Finite:
+    start = law(torch.zeros((), dtype=torch.float64)) if callable(law) else law
+    if not callable(law) or not isinstance(start, Tensor) or start.shape != () or not bool(torch.isfinite(start)):
+        unit = "rad" if key == "angle" else "m"
         raise InputError(
-            f"angle of {name!r} gives {start!r} at t = 0; allowed: a torch function of time, [] [s] -> finite [] [rad]"
+            f"{key} of {name!r} gives {start!r} at t = 0; "
+            f"allowed: a torch function of time, [] [s] -> finite [] [{unit}]"
         )
+    prescribed: Any = law
+    return Finite(name, prescribed)

@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.bodies.frame import Frame, axis_index
+from torchmbd.bodies.mount import Mount
 from torchmbd.bodies.rigid import Ground
 from torchmbd.errors import InputError
 
@@ -38,8 +39,18 @@ class Attached:
 
     body: Any
     vector: Tensor
-    node: int | None
+    mount: Mount | None
     is_point: bool
+
+    def modal_rows(self, psi: Tensor) -> Tensor:
+        """How the vector moves with the modes: rows [..., 3, modes] out of the motion psi [..., nodes, 6, modes]."""
+        if self.mount is None:
+            return torch.zeros_like(psi[..., 0, :3, :])
+        x = self.body.mesh.nodes - self.body.origin
+        moved = self.mount.motion(x, psi)
+        lever = self.vector - self.mount.center(x) if self.is_point else self.vector
+        turned = torch.linalg.cross(moved[..., 3:, :], lever[:, None].expand_as(moved[..., 3:, :]), dim=-2)
+        return moved[..., :3, :] + turned if self.is_point else turned
 
 
 @dataclass
@@ -49,25 +60,30 @@ class Scribe:
     vectors: list[Attached] = field(default_factory=list)
     _known: dict[tuple, int] = field(default_factory=dict)
 
-    def _add(self, body: Any, vector: Tensor, node: int | None, is_point: bool) -> int:
-        key = (id(body), node, is_point, tuple(vector.tolist()))
+    def _add(self, body: Any, vector: Tensor, mount: Mount | None, is_point: bool) -> int:
+        key = (id(body), mount, is_point, tuple(vector.tolist()))
         if key not in self._known:
             self._known[key] = len(self.vectors)
-            self.vectors.append(Attached(body, vector, node, is_point))
+            self.vectors.append(Attached(body, vector, mount, is_point))
         return self._known[key]
 
     def point(self, frame: Frame) -> int:
         """Index of the frame's point."""
-        return self._add(frame.body, frame.point, frame.node, True)
+        return self._add(frame.body, frame.point, frame.mount, True)
 
     def axis(self, frame: Frame, axis: str) -> int:
         """Index of an axis of the frame."""
-        return self._add(frame.body, frame.axis(axis), frame.node, False)
+        return self._add(frame.body, frame.axis(axis), frame.mount, False)
 
     def twin(self, frame: Frame, axis: str, other: Frame) -> int:
         """Index of the axis on the other body that coincides now with an axis of the first frame."""
         ground = frame.body.axes @ frame.axis(axis)
-        return self._add(other.body, other.body.axes.T @ ground, other.node, False)
+        return self._add(other.body, other.body.axes.T @ ground, other.mount, False)
+
+    def twin_point(self, frame: Frame, other: Frame) -> int:
+        """Index of the point on the other body that coincides now with the point of the first frame."""
+        ground = frame.body.position + frame.body.axes @ frame.point
+        return self._add(other.body, other.body.axes.T @ (ground - other.body.position), other.mount, True)
 
 
 class Joint:
@@ -102,7 +118,7 @@ def as_frame(x: Any) -> Frame:
     if isinstance(x, Frame):
         return x
     if hasattr(x, "mesh"):
-        return Frame(x, torch.zeros(3, dtype=torch.float64), node=x.reference[0])
+        return x.at(x.reference)
     if hasattr(x, "at"):
         return x.at()
     raise InputError(f"joint got {x!r}; allowed: a body or a frame, such as body.at(...)")

@@ -9,6 +9,7 @@ All primitives of one kind are evaluated together; `members` holds, for each arg
     Plane          (g_b - g_a) . u_a = 0                       1      m
     Distance       (|g_b - g_a|^2 - L^2) / (2 L) = 0           1      m
     Angle          cos(th) y_a . x_b - sin(th) x_a . x_b = 0   1      -     th(t): the prescribed angle [rad]
+    Travel         (g_b - g_a) . u_a - s = 0                   1      m     s(t): the prescribed travel [m]
 
 The contract of a kind:
 
@@ -16,7 +17,9 @@ The contract of a kind:
     phi(vectors, drive)          [rows, n, ...] on numbers or on time jets: velocities and gamma come from the jets
     forces(vectors, lam, drive)  gradient of sum(lam * phi) by each vector, [3, n, ...] for each argument
 
-`drive` is what a law prescribes at the time of evaluation: (cos th, sin th), numbers or jets; None without a law.
+    drive(x)                     what the equation takes of a prescribed x, number or jet: (cos th, sin th), or (s,)
+
+`drive` of phi and forces is that at the time of evaluation; None without a law.
 
 Nothing else is written for a constraint: Phi_q and the generalized constraint forces are `forces` carried to the
 bodies, gamma is the acceleration part of the jet, the design tangents come from pairs (numerics/pair.py).
@@ -26,7 +29,7 @@ Checked in tests/contracts/test_primitives.py: `forces` against autograd, jets a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -44,13 +47,14 @@ class Primitive:
 
     members  for each argument the indices of its vectors, long [n]
     data     for each primitive its length, its law, or None
+    driven   how many numbers of a law the equation takes; 0: no law
     """
 
     members: tuple[Tensor, ...]
     data: tuple = ()
     rows: ClassVar[int]
     arguments: ClassVar[tuple[str, ...]]
-    driven: ClassVar[bool] = False
+    driven: ClassVar[int] = 0
 
     def phi(self, vectors, drive=None):
         """Constraint violations [rows, n, ...] of vectors [3, n, ...], numbers or jets."""
@@ -59,6 +63,20 @@ class Primitive:
     def forces(self, vectors, lam, drive=None) -> list:
         """Gradient of sum(lam * phi) by each argument, [3, n, ...]; lam [rows, n, ...]."""
         raise NotImplementedError
+
+    @classmethod
+    def drive(cls, x) -> tuple:
+        """What the equation takes of a prescribed x, a number or a jet."""
+        raise NotImplementedError
+
+    def prescribed(self, times: Tensor) -> tuple[Tensor, ...]:
+        """What the laws prescribe at times [n], parts [n, laws, 1, 1]."""
+        return self.drive(torch.stack([values_at(law, times) for law in self.data], 1)[..., None, None])
+
+    def prescribed_jets(self, t: Tensor) -> tuple[Jet, ...]:
+        """The same at time t with time derivatives, parts [laws, 1, 1]."""
+        parts = zip(*(slopes(law, t) for law in self.data), strict=True)
+        return self.drive(Jet(*(torch.stack(part)[:, None, None] for part in parts)))
 
 
 class Coincide(Primitive):
@@ -132,23 +150,49 @@ class Angle(Primitive):
 
     rows = 1
     arguments = ("axis", "axis", "axis")
-    driven = True
+    driven = 2
 
-    @staticmethod
-    def _law(drive: tuple | None) -> tuple:
-        if drive is None:
-            raise TypeError("a driven primitive needs what its law prescribes")
-        return drive
+    @classmethod
+    def drive(cls, x):
+        return cos(x), sin(x)
 
     def phi(self, vectors, drive=None):
         x, y, b = vectors
-        c, s = self._law(drive)
+        c, s = _given(drive)
         return _row(dot(y, b) * c - dot(x, b) * s)
 
     def forces(self, vectors, lam, drive=None):
         x, y, b = vectors
-        c, s = (lam * part for part in self._law(drive))
+        c, s = (lam * part for part in _given(drive))
         return [-(s * b), c * b, c * y - s * x]
+
+
+class Travel(Primitive):
+    """Point b has a prescribed distance from the plane through point a with the normal u, along u."""
+
+    rows = 1
+    arguments = ("point", "point", "axis")
+    driven = 1
+
+    @classmethod
+    def drive(cls, x):
+        return (x,)
+
+    def phi(self, vectors, drive=None):
+        a, b, u = vectors
+        (s,) = _given(drive)
+        return _row(dot(b - a, u) - s)
+
+    def forces(self, vectors, lam, drive=None):
+        a, b, u = vectors
+        pull = lam * u
+        return [-pull, pull, lam * (b - a)]
+
+
+def _given(drive: tuple | None) -> tuple:
+    if drive is None:
+        raise TypeError("a driven primitive needs what its law prescribes")
+    return drive
 
 
 def _row(x):
@@ -156,22 +200,9 @@ def _row(x):
     return x.map(_row) if isinstance(x, Jet) else x[None]
 
 
-def angles(law: Law, times: Tensor) -> Tensor:
-    """Angles at many times [n]; a law is a function of one time unless it states its slopes, which take many."""
+def values_at(law: Law, times: Tensor) -> Tensor:
+    """Values at many times [n]; a law is a function of one time unless it states its slopes, which take many."""
     return law(times) if hasattr(law, "slopes") else torch.stack([law(t) for t in times])
-
-
-def prescribed(laws: Sequence[Law], times: Tensor) -> tuple[Tensor, Tensor]:
-    """(cos th, sin th) of prescribed angles at times [n], each [n, laws, 1, 1]."""
-    th = torch.stack([angles(law, times) for law in laws], 1)[..., None, None]
-    return torch.cos(th), torch.sin(th)
-
-
-def prescribed_jets(laws: Sequence[Law], t: Tensor) -> tuple[Jet, Jet]:
-    """(cos th, sin th) of prescribed angles at time t, with their time derivatives, parts [laws, 1, 1]."""
-    parts = zip(*(slopes(law, t) for law in laws), strict=True)
-    jet = Jet(*(torch.stack(part)[:, None, None] for part in parts))
-    return cos(jet), sin(jet)
 
 
 def slopes(law: Law, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -194,4 +225,4 @@ def slopes_at(law: Law, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     return tuple(torch.stack(x) for x in zip(*(slopes(law, t) for t in times), strict=True))  # pyright: ignore
 
 
-KINDS: tuple[type[Primitive], ...] = (Coincide, Plane, Distance, Perpendicular, Angle)
+KINDS: tuple[type[Primitive], ...] = (Coincide, Plane, Distance, Perpendicular, Angle, Travel)

@@ -20,6 +20,7 @@ import scipy.linalg
 import torch
 from torch import Tensor
 
+from torchmbd.joints.primitive import values_at
 from torchmbd.numerics.rotation import rotation_matrix, skew
 from torchmbd.system import equations
 from torchmbd.system.saddle import Saddle
@@ -143,10 +144,14 @@ class _Poses:
 
     def phi(self, q: Tensor, angle: float = 0.0) -> Tensor:
         """Violations [rows] at q [n_q], laws ahead of their start by an angle."""
-        at_start = self.T.prescribed(q.new_zeros(()))
-        c, s = torch.cos(q.new_tensor(angle)), torch.sin(q.new_tensor(angle))
-        laws = [None if x is None else (x[0] * c - x[1] * s, x[1] * c + x[0] * s) for x in at_start.laws]
-        given = at_start._replace(laws=laws)
+        start = q.new_zeros(1)
+        laws = [
+            p.drive(torch.stack([values_at(law, start)[0] + angle for law in p.data])[:, None, None])
+            if p.driven
+            else None
+            for p in self.T.primitives
+        ]
+        given = self.T.prescribed(start[0])._replace(laws=laws)
         return equations.constraints(self.T, equations.placement(self.T, self.data, q[:, None, None], given))[:, 0, 0]
 
     def moved(self, q: Tensor, step: Tensor) -> Tensor:
@@ -200,7 +205,8 @@ def condense(T: Topology, q: Tensor) -> Condensation | None:
         if free.shape[1] and _constant(poses, q, hold, free):
             guided[hold.body] = free
             gone |= set(hold.rows)
-    return _condensation(T, carriers, guided, gone) if gone else None
+    # A system whose whole motion is known keeps its bodies: an integrator needs unknowns.
+    return _condensation(T, carriers, guided, gone) if gone and len(carriers) < T.bodies else None
 
 
 def _null(J: Tensor) -> Tensor:

@@ -22,8 +22,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import numpy as np
-import scipy.linalg
 import torch
 from torch import Tensor
 
@@ -32,6 +30,7 @@ from torchmbd.numerics.pair import Pair, cat, value
 from torchmbd.system import equations
 from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import Data
+from torchmbd.system.rank import jacobians, rank_of
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Topology
 
@@ -66,20 +65,13 @@ class Dynamics:
 
     @cached_property
     def redundant(self) -> tuple[str, ...]:
-        """Names of constraint rows that follow from the others at the initial position (pivoted QR of Phi_q)."""
-        T = self.topology
-        if not T.rows:
+        """Names of constraint rows that follow from the others at the initial position (rank.py)."""
+        if not self.topology.rows:
             return ()
-        values = {name: value(x).detach() for name, x in self.data.items()}
-        q, _ = self.initial.solve(self.values())
-        at = equations.placement(T, values, q.detach(), T.prescribed(q.new_zeros(())))
-        J = self.saddle.jacobian(values, at)[0]
-        J = J / J.norm(dim=1, keepdim=True)
-        factors: Any = scipy.linalg.qr(J.T.cpu().numpy(), mode="economic", pivoting=True)
-        _, R, order = factors
-        diagonal = np.abs(np.diag(R))
-        rank = int((diagonal > 1e-9 * diagonal[0]).sum())
-        return tuple(T.row_names[i] for i in sorted(order[rank:]))
+        with torch.no_grad():
+            q, _ = self.initial.solve(self.values())
+            J = jacobians(self, q[:, 0, :1].T, q.new_zeros(1))[0]
+        return rank_of(self.topology, J.cpu().numpy()).redundant
 
     def determined(self, K: Tensor) -> Tensor:
         """The saddle-point matrices K [lanes, n, n], regularized where constraint rows are redundant."""

@@ -276,9 +276,9 @@ def dynamic_residual(T: Topology, data: Data, at: Placement, v, a, lam):
 
 
 def total_on_vectors(T: Topology, data: Data, at: Placement, v, lam):
-    """Phi_q' lam - g on the attached vectors [3, vectors, ...]; None without joints and forces."""
+    """Phi_q' lam - g on the attached vectors [3, vectors, ...]; None without any. Without rates v, of the joints alone."""
     pulls = force_on_vectors(T, at, lam) if T.rows else None
-    if not T.actions:
+    if not T.actions or v is None:
         return pulls
     applied = applied_on_vectors(T, data, at, v)
     return -applied if pulls is None else pulls - applied

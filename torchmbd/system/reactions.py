@@ -76,7 +76,7 @@ def _given(T: Topology, times: Tensor, lanes: int) -> Prescribed:
         return torch.cat(parts, -1).repeat_interleave(lanes, -1)
 
     laws = [
-        None if law is None else tuple(side_by_side([k.laws[i][m] for k in known]) for m in range(2))  # pyright: ignore
+        None if law is None else tuple(side_by_side([k.laws[i][m] for k in known]) for m in range(len(law)))  # pyright: ignore
         for i, law in enumerate(known[0].laws)
     ]
     return known[0]._replace(laws=laws)

@@ -165,7 +165,7 @@ class Saddle:
             self._add_gyroscopic(blocks, data, at, body, damping, (om, wd, spin))
             if a is not None:
                 self._add_inertial(blocks, data, at, body, stiffness, (wd, spin), split_v(T, a))
-        if v is not None and lam is not None:
+        if lam is not None:
             pulls = total_on_vectors(T, data, at, v, lam)
             if pulls is not None:
                 self._add_geometric(blocks, data, at, stiffness, pulls)

@@ -21,6 +21,7 @@ from torchmbd.forces.force import ForceElement
 from torchmbd.joints.joint import Joint
 from torchmbd.numerics.pair import Pair
 from torchmbd.system import topology
+from torchmbd.system.description import Description, check_connected, describe
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.equations import INERTIA
 from torchmbd.system.initial import InitialConditions
@@ -35,6 +36,7 @@ class System(nn.Module):
     forces         force elements between frames of these bodies and the ground
     gravity        acceleration of gravity in ground axes [m/s2]
     stabilization  time constant of the constraint stabilization of ODE methods [s]
+    free           names of bodies that no joint holds on purpose
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class System(nn.Module):
         forces: Sequence[ForceElement] = (),
         gravity: Sequence[float] | Tensor | None = None,
         stabilization: float = 5e-3,
+        free: Sequence[str] = (),
     ):
         super().__init__()
         names = [body.name for body in bodies]
@@ -61,6 +64,7 @@ class System(nn.Module):
             if not isinstance(force, ForceElement):
                 raise InputError(f"forces has {force!r}; allowed: force elements, such as mbd.SpringDamper(...)")
         self.forces = list(forces)
+        check_connected(self.bodies, list(joints), list(forces), list(free))
         self._join(joints)
         for body in self.bodies:
             if hasattr(self, body.name) or body.name in ("ground", "data"):
@@ -79,6 +83,10 @@ class System(nn.Module):
         other = copy.copy(self)
         other._join(joints)
         return other
+
+    def describe(self) -> Description:
+        """Bodies, joints, rank, freedoms, mass and first frequencies: print it, or use its numbers."""
+        return describe(self)
 
     def body(self, name: str) -> Any:
         """The body of that name; InputError names the nearest."""
@@ -188,13 +196,7 @@ def _vector_modes(T: topology.Topology, stages: list[dict[str, Tensor]]) -> Tens
     """Modal rows Y [3, modes, vectors, 1, lanes] of the vectors attached to flexible bodies (bodies/frame.py)."""
     rows = []
     for attached, body in zip(T.attached[: T.attached_flexible], T.vector_flexible.tolist(), strict=True):
-        psi = stages[body]["psi"][..., attached.node, :, :]
-        if attached.is_point:
-            Y = psi[..., :3, :]
-        else:
-            e = attached.vector[:, None].expand_as(psi[..., 3:, :])
-            Y = torch.linalg.cross(psi[..., 3:, :], e, dim=-2)
-        rows.append(_pad(Y, T.modes, (-1,)))
+        rows.append(_pad(attached.modal_rows(stages[body]["psi"]), T.modes, (-1,)))
     if not rows:
         return stages[0]["psi"].new_zeros(3, T.modes, 0, 1, 1)
     return _together(rows, 2)

@@ -17,6 +17,7 @@ joints, and no atomic additions.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -30,7 +31,7 @@ from torchmbd.forces.action import KINDS as ACTIONS
 from torchmbd.forces.action import Action
 from torchmbd.forces.force import Applied, ForceElement
 from torchmbd.joints.joint import Attached, Equation, Joint, Scribe
-from torchmbd.joints.primitive import KINDS, Primitive, angles, prescribed, prescribed_jets, slopes_at
+from torchmbd.joints.primitive import KINDS, Primitive, slopes_at, values_at
 from torchmbd.numerics.pair import cat, linear, value
 from torchmbd.numerics.rotation import euler_parameters, quaternion_product
 
@@ -113,7 +114,7 @@ class Carrier:
         """Rotations [3, 3, n] and origins [3, n] at times [n]."""
         if self.law is None:
             return self.A[..., None].expand(3, 3, len(times)), self.r[:, None].expand(3, len(times))
-        angle = angles(self.law, times) - self.law(torch.zeros_like(times[0]))
+        angle = values_at(self.law, times) - self.law(torch.zeros_like(times[0]))
         turn = torch.sin(angle) * self.spin[..., None] + (1.0 - torch.cos(angle)) * (self.spin @ self.spin)[..., None]
         A = self.A[..., None] + torch.einsum("ijn,jk->ikn", turn, self.A)
         return A, self.r[:, None] + torch.einsum("ijn,j->in", turn, self.r - self.center)
@@ -207,7 +208,7 @@ class Topology:
 
     def law_jets(self, t: Tensor) -> list[tuple | None]:
         """What the laws of driven primitives prescribe at time t, with time derivatives, for each kind of primitive."""
-        return [prescribed_jets(p.data, t) if p.driven else None for p in self.primitives]
+        return [p.prescribed_jets(t) if p.driven else None for p in self.primitives]
 
     def prescribed(self, t: Tensor) -> Prescribed:
         """What is known at time t."""
@@ -216,7 +217,7 @@ class Topology:
     def schedule(self, times: Tensor) -> list[Prescribed]:
         """What is known at times [n], for each of them."""
         n = len(times)
-        laws = [prescribed(p.data, times) if p.driven else None for p in self.primitives]
+        laws = [p.prescribed(times) if p.driven else None for p in self.primitives]
         poses = [carrier.poses(times) for carrier in self.carriers]
         eye = torch.eye(3, dtype=times.dtype, device=times.device)
         poses.append((eye[..., None].expand(3, 3, n), times.new_zeros(3, n)))
@@ -369,4 +370,15 @@ def _group(
         for component in range(kind.rows):
             suffix = f" {'xyz'[component]}" if kind.rows == 3 else ""
             names += [f"{joint.name}: {kind.__name__.lower()}{suffix}" for joint, _ in mine]
-    return tuple(primitives), tuple(names)
+    return tuple(primitives), _numbered(names)
+
+
+def _numbered(names: list[str]) -> tuple[str, ...]:
+    """Names of rows; those that occur several times carry their number."""
+    count = Counter(names)
+    seen: Counter[str] = Counter()
+    result = []
+    for name in names:
+        seen[name] += 1
+        result.append(f"{name} {seen[name]}" if count[name] > 1 else name)
+    return tuple(result)

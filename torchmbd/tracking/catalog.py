@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime
+from pathlib import Path
 from typing import Any
 
+from torchmbd.errors import InputError, nearest
 from torchmbd.tracking.store import open_store, sqlite_file
 
+KINDS = ("study", "sweep", "figures")
 _PAGE = 1000  # runs that are listed at most
 
 
@@ -19,11 +22,13 @@ class Entry:
     experiment_id: str
     run_id: str
     name: str
-    kind: str  # "study" or "sweep"
+    kind: str  # "study", "sweep" or "figures"
     status: str
     began: datetime
     seconds: float | None  # None while it runs
     metrics: dict[str, float]
+    params: dict[str, str]
+    tags: dict[str, str]
 
 
 def studies(uri: str) -> list[Entry]:
@@ -34,26 +39,65 @@ def studies(uri: str) -> list[Entry]:
     client = open_store(uri)
     names = {e.experiment_id: e.name for e in client.search_experiments()}
     found = []
-    for kind in ("study", "sweep"):
+    for kind in KINDS:
         runs = client.search_runs(list(names), f"tags.kind = '{kind}'", max_results=_PAGE) if names else []
         found += [_entry(run, kind, names[run.info.experiment_id]) for run in runs]
     return sorted(found, key=lambda entry: entry.began, reverse=True)
 
 
-def children(uri: str, entry: Entry) -> list[str]:
-    """Return the run ids of a study's children, the best objective first."""
+def find(uri: str, run: str) -> Entry:
+    """Return the study of a run id, of the beginning of one, or the latest of a name; InputError if there is none."""
+    found = studies(uri)
+    for entry in found:
+        if entry.run_id.startswith(run) or entry.name == run:
+            return entry
+    names = dict.fromkeys(entry.name for entry in found)
+    raise InputError(f"run {run!r} is not in {uri}{nearest(run, names)}, or a run id")
+
+
+def fetch(uri: str, entry: Entry, name: str, folder: Path) -> Path | None:
+    """Copy a file of a run into a folder; None if the run has no such file."""
+    client = open_store(uri)
+    parent = str(Path(name).parent) if "/" in name else None
+    if all(item.path != name for item in client.list_artifacts(entry.run_id, parent)):
+        return None
+    return Path(client.download_artifacts(entry.run_id, name, str(folder)))
+
+
+def files(uri: str, entry: Entry, folder: str) -> list[str]:
+    """Return the names of the files in a folder of a run."""
+    return [item.path for item in open_store(uri).list_artifacts(entry.run_id, folder) if not item.is_dir]
+
+
+def children(uri: str, entry: Entry) -> list[Entry]:
+    """Return a study's children, the best objective first."""
     parent = f"tags.mlflow.parentRunId = '{entry.run_id}'"
     runs = open_store(uri).search_runs(
         [entry.experiment_id], parent, max_results=_PAGE, order_by=["metrics.objective ASC"]
     )
-    return [run.info.run_id for run in runs]
+    return [_entry(run, run.data.tags.get("kind", "start"), entry.experiment) for run in runs]
+
+
+def history(uri: str, entry: Entry, metric: str) -> list[float]:
+    """Return a metric of a run over its steps."""
+    points = {point.step: point.value for point in open_store(uri).get_metric_history(entry.run_id, metric)}
+    return [points[step] for step in sorted(points)]
 
 
 def _entry(run: Any, kind: str, experiment: str) -> Entry:
     info = run.info
     seconds = None if info.end_time is None else (info.end_time - info.start_time) / 1000
     began = datetime.fromtimestamp(info.start_time / 1000)
-    name = info.run_name
     return Entry(
-        experiment, info.experiment_id, info.run_id, name, kind, info.status, began, seconds, dict(run.data.metrics)
+        experiment,
+        info.experiment_id,
+        info.run_id,
+        info.run_name,
+        kind,
+        info.status,
+        began,
+        seconds,
+        dict(run.data.metrics),
+        dict(run.data.params),
+        dict(run.data.tags),
     )

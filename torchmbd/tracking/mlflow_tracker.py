@@ -1,7 +1,9 @@
 """Runs in an MLflow store, by MlflowClient and explicit run ids: no global state, many runs at once.
 
-Metrics are collected and written by log_batch, all steps of a run in one call: at `flush`, before anything else
-is written to the run, and at `end`.
+Metrics are collected and written by log_batch, all steps of a run in one call: at `flush` and at `end`.
+
+A study that died is gone on with: its root run (tags study_key and run_key, any status but FINISHED) and the children
+of it are opened again under their keys, and what they hold of metrics (`steps`) is not written twice.
 """
 
 from __future__ import annotations
@@ -17,18 +19,31 @@ from torchmbd.tracking.store import experiment_id, open_store, store_uri
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 
 _MAX_BATCH = 1000  # metrics in one log_batch; MLflow's own limit
+_MAX_RUNS = 50_000  # children of one study
 _MAX_VALUE = 6000  # characters of a parameter; MLflow's own limit
 
 
 class MlflowTracker:
     """Keeps the contract of torchmbd.tracking.tracker here and now."""
 
-    def __init__(self, experiment: str, uri: str | None = None) -> None:
+    def __init__(
+        self,
+        experiment: str,
+        uri: str | None = None,
+        study: str | None = None,
+        runs: Mapping[str, str] | None = None,
+        steps: Mapping[str, Mapping[str, int]] | None = None,
+    ) -> None:
+        """`runs`, `steps`: what an earlier writer of this study has written, by the key of the run."""
         self.uri = store_uri(uri)
         self.client = open_store(self.uri)
         self.experiment_id = experiment_id(self.client, experiment, self.uri)
-        self._runs: dict[str, str] = {}
-        self._open: list[str] = []
+        self.study = study
+        self.runs: dict[str, str] = dict(runs or {})
+        self.steps = {run: dict(last) for run, last in (steps or {}).items()}
+        self._written = {run: dict(last) for run, last in self.steps.items()}
+        self._open = [run for run, id in self.runs.items() if self._running(id)]
+        self._earlier: dict[str, str] | None = None  # run ids of an earlier life of the study
         self._waiting: dict[str, list[Any]] = {}
 
     def begin(
@@ -41,25 +56,56 @@ class MlflowTracker:
     ) -> None:
         from mlflow.entities import Param
 
-        if run in self._runs:
+        if run in self.runs:
             raise TrackingError(f"run {run!r} has begun already")
         everything = dict(tags or {})
+        if self.study is not None:
+            everything |= {"study_key": self.study, "run_key": run}
         if parent is not None:
             everything["mlflow.parentRunId"] = self._id(parent)
-        created = self.client.create_run(self.experiment_id, tags=everything, run_name=name)
-        self._runs[run] = created.info.run_id
+        earlier = self._found(run, parent)
+        if earlier is None:
+            self.runs[run] = self.client.create_run(self.experiment_id, tags=everything, run_name=name).info.run_id
+            self.steps.pop(run, None)
+            self._written.pop(run, None)
+        else:
+            self.runs[run] = earlier
+            self.client.update_run(earlier, status="RUNNING")
         self._open.append(run)
         if params:
             texts = [Param(key, str(value)[:_MAX_VALUE]) for key, value in params.items()]
-            self.client.log_batch(self._runs[run], params=texts)
+            self.client.log_batch(self.runs[run], params=texts)
+
+    def _found(self, run: str, parent: str | None) -> str | None:
+        """Return the id of a run of an earlier life of this study, None if there is none to go on with."""
+        if self.study is None:
+            return None
+        if parent is None:
+            mine = f"tags.study_key = '{self.study}' and tags.run_key = '{run}' and attributes.status != 'FINISHED'"
+            roots = self.client.search_runs([self.experiment_id], mine, max_results=1)
+            self._earlier = {run: roots[0].info.run_id} if roots else {}
+        elif self._earlier is None or parent not in self._earlier:
+            return None
+        elif len(self._earlier) == 1:
+            below = f"tags.mlflow.parentRunId = '{self._earlier[parent]}'"
+            found = self.client.search_runs([self.experiment_id], below, max_results=_MAX_RUNS)
+            self._earlier |= {child.data.tags["run_key"]: child.info.run_id for child in found}
+        return (self._earlier or {}).get(run)
 
     def metrics(self, run: str, values: Mapping[str, float], step: int = 0) -> None:
         from mlflow.entities import Metric
 
         self._id(run)
         now = int(time.time() * 1000)
-        batch = self._waiting.setdefault(run, [])
-        batch.extend(Metric(key, float(value), now, step) for key, value in values.items())
+        batch, written, last = (
+            self._waiting.setdefault(run, []),
+            self._written.get(run, {}),
+            self.steps.setdefault(run, {}),
+        )
+        for key, value in values.items():
+            if step > written.get(key, -1):
+                batch.append(Metric(key, float(value), now, step))
+                last[key] = max(step, last.get(key, -1))
 
     def tags(self, run: str, values: Mapping[str, str]) -> None:
         from mlflow.entities import RunTag
@@ -88,24 +134,51 @@ class MlflowTracker:
     def end(self, run: str, status: Status) -> None:
         self.flush()
         self.client.set_terminated(self._id(run), status)
-        self._open.remove(run)
+        if run in self._open:
+            self._open.remove(run)
 
     def flush(self) -> None:
         """Write the metrics that wait."""
-        waiting, self._waiting = self._waiting, {}
-        for run, batch in waiting.items():
-            for first in range(0, len(batch), _MAX_BATCH):
-                self.client.log_batch(self._runs[run], metrics=batch[first : first + _MAX_BATCH])
+        for run, batch in list(self._waiting.items()):
+            while batch:
+                self.client.log_batch(self.runs[run], metrics=batch[:_MAX_BATCH])
+                del batch[:_MAX_BATCH]
+            del self._waiting[run]
+
+    def forget(self) -> None:
+        """Drop the metrics that wait."""
+        self._waiting.clear()
+
+    def probe(self) -> None:
+        """Raise whatever the store raises if it cannot be read and written now."""
+        self.client.search_experiments(max_results=1)
+        self.client.set_experiment_tag(self.experiment_id, "torchmbd.probe", str(time.time()))
 
     def close(self) -> Record:
+        self.flush()
         for run in reversed(list(self._open)):  # children before their parent
             self.end(run, "KILLED")
-        return Record(self.uri, self.experiment_id, dict(self._runs))
+        return self.record()
+
+    def record(self) -> Record:
+        """Return where the runs are."""
+        return Record(self.uri, self.experiment_id, dict(self.runs))
+
+    @property
+    def finished(self) -> bool:
+        """Whether no run of this study is left to go on with."""
+        return not self._open and all(self._status(run) == "FINISHED" for run in list(self.runs.values())[:1])
+
+    def _status(self, run_id: str) -> str:
+        return self.client.get_run(run_id).info.status
+
+    def _running(self, run_id: str) -> bool:
+        return self._status(run_id) == "RUNNING"
 
     def _id(self, run: str) -> str:
-        if run not in self._runs:
+        if run not in self.runs:
             raise TrackingError(f"run {run!r} has not begun")
-        return self._runs[run]
+        return self.runs[run]
 
 
 def _quoted(column: str) -> str:

@@ -1,29 +1,31 @@
-"""Tracking in a process of its own: the study waits for no database, and a study that dies leaves no run RUNNING.
+"""Tracking in a process of its own: the study waits for no store, loses nothing to one that is away, and dies cleanly.
 
-    study                                        writer (`main` of this file)
-    ProcessTracker.metrics(...)  -- JSON line -> queue -> MlflowTracker.metrics(...)
-    ProcessTracker.close()       -- end of file -> MlflowTracker.close() -- JSON line -> Record
+    study                                           writer (writer.py)
+    ProcessTracker.metrics(...) -> journal on disk -> MlflowTracker.metrics(...)
+    ProcessTracker.close()      -> end of its pipe -> MlflowTracker.close() -> JSON line: Record
 
-The writer imports MLflow (3 s) and migrates the store beside the study's own start. It reads its input ahead of its
-writing, so the study never blocks on a slow store, and whatever has gathered meanwhile is written as one batch.
+The journal (spool.py) is the truth, the store a copy of it that may lag behind: a server that is away for minutes is
+caught up with, a writer that is killed is replaced by another that goes on at the same line, and what is not in the
+store when the study ends is sent by the next study of the same place, or by `deliver_all`.
 When the study is killed, its end of the pipe closes: the writer then ends every open run as KILLED.
-It has a session of its own: Ctrl-C in the terminal is the study's to handle.
+The writer has a session of its own: Ctrl-C in the terminal is the study's to handle. It imports MLflow (3 s) and
+migrates the store beside the study's own start.
 """
 
 from __future__ import annotations
 
-import importlib
 import json
-import queue
 import subprocess
 import sys
 import tempfile
-import threading
+import uuid
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from torchmbd.errors import MbdError
+from torchmbd.tracking.spool import Journal, clear, locked
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 
 # The package without its __init__, which imports torch: 3 seconds and 250 MB that the writer has no use for.
@@ -32,26 +34,49 @@ import sys, types
 package = types.ModuleType("torchmbd")
 package.__path__ = [sys.argv[1]]
 sys.modules["torchmbd"] = package
-from torchmbd.tracking.process import main
-sys.exit(main(sys.argv[2]))
+from torchmbd.tracking.writer import main
+sys.exit(main(*sys.argv[2:]))
 """
+_WRITERS = 5  # that may die before the study goes on without
 
 
 class ProcessTracker:
-    """Keeps the contract of torchmbd.tracking.tracker in another process."""
+    """Keeps the contract of torchmbd.tracking.tracker in another process.
 
-    def __init__(self, experiment: str, uri: str | None = None) -> None:
-        package = Path(__file__).parents[1]
-        self._log = tempfile.TemporaryFile("w+")  # noqa: SIM115 - read when the writer fails, closed in close()
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _BOOT, str(package), json.dumps([experiment, uri])],
+    folder  where the study's journal and files are until the store has them; None: a temporary folder
+    study   the same for every life of a study: its unfinished runs are gone on with; None: a new study
+    """
+
+    def __init__(
+        self, experiment: str, uri: str | None = None, folder: Path | None = None, study: str | None = None
+    ) -> None:
+        self._temporary = folder is None
+        self.folder = folder or Path(tempfile.mkdtemp(prefix="torchmbd-"))
+        self._locks = ExitStack()
+        if not self._locks.enter_context(locked(self.folder, "study.lock", wait=False)):
+            raise MbdError(f"the same study is running in another process (its folder is {self.folder})")
+        self._journal = Journal(self.folder, ["session", experiment, uri, study or uuid.uuid4().hex])
+        self._log = tempfile.TemporaryFile("w+")  # noqa: SIM115 - read when a writer fails, closed in close()
+        self._writers = 0
+        self._process = self._start()
+
+    def _start(self) -> subprocess.Popen[str]:
+        self._writers += 1
+        return subprocess.Popen(
+            [sys.executable, "-P", "-c", _BOOT, str(Path(__file__).parents[1]), str(self.folder)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
             start_new_session=True,
             text=True,
         )
-        self._broken = False
+
+    @property
+    def files(self) -> Path:
+        """Where the study puts what it files: it stays until the store has it."""
+        folder = self.folder / "files"
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
 
     def begin(
         self,
@@ -79,76 +104,69 @@ class ProcessTracker:
         self._send("end", run, status)
 
     def close(self) -> Record:
-        """Wait until everything is written; TrackingError if anything was not."""
-        try:
+        """Wait until everything is in the store; TrackingError says what is not, and where it waits."""
+        self._send("close")
+        held, reply = self._journal.held, self._farewell()
+        self._journal.close()
+        self._log.close()
+        if reply.get("finished"):
+            clear(self.folder)
+        self._locks.close()
+        if held:
+            raise TrackingError(f"{held} entries could not be written to {self.folder}: {self._journal.trouble}")
+        if "waiting" in reply:
+            raise TrackingError(
+                f"{reply['waiting']}\nNothing is lost: what the store does not have yet waits in {self.folder}; "
+                "the next study sends it, or `torchmbd sync`"
+            )
+        if self._temporary:
+            clear(self.folder)
+        if reply["refused"]:
+            raise TrackingError("; ".join(reply["refused"]))
+        return Record(reply["uri"], reply["experiment_id"], reply["runs"])
+
+    def _farewell(self) -> dict[str, Any]:
+        """Close the writer's pipe and wait for its answer, from another writer if this one dies on it."""
+        while True:
             answer, _ = self._process.communicate()
             lines = [line for line in answer.splitlines() if line.startswith("{")]
-            reply: dict[str, Any] = (
-                json.loads(lines[-1]) if lines else {"failure": f"the writer died: {self._last_words()}"}
-            )
-        finally:
-            self._log.close()
-        if "failure" in reply:
-            raise TrackingError(reply["failure"])
-        return Record(**reply)
+            if lines:
+                return json.loads(lines[-1])
+            if self._writers >= _WRITERS:
+                return {"waiting": f"the writer died: {self._last_words()}"}
+            self._process = self._start()
 
     @property
-    def lost(self) -> bool:
-        """Whether the writer is gone: what comes from now on is not recorded, close() will tell why."""
-        return self._broken or self._process.poll() is not None
+    def trouble(self) -> str | None:
+        """What is wrong with the recording now, if anything: the study goes on in any case."""
+        if self._journal.trouble:
+            return f"the journal of the study cannot be written: {self._journal.trouble}"
+        if self._writers >= _WRITERS and self._process.poll() is not None:
+            return f"nothing is sent to the tracking store: {self._last_words()}"
+        return None
 
     def _send(self, method: str, *arguments: object) -> None:
-        if self._broken:
-            return
-        assert self._process.stdin is not None
-        try:
-            self._process.stdin.write(json.dumps([method, *arguments]) + "\n")
-            self._process.stdin.flush()
-        except BrokenPipeError:
-            self._broken = True
+        self._journal.append([method, *arguments])
+        if self._process.poll() is not None and self._writers < _WRITERS:
+            self._process.communicate()
+            self._process = self._start()
 
     def _last_words(self) -> str:
         self._log.seek(0)
         return (self._log.read().strip().splitlines() or ["no message"])[-1]
 
 
-def write(experiment: str, uri: str | None) -> Record:
-    """Carry out what comes on standard input until it ends."""
-    lines: queue.SimpleQueue[str | None] = queue.SimpleQueue()
-    threading.Thread(target=_read_ahead, args=(lines,), daemon=True).start()
-    importlib.import_module("mlflow")  # 3 seconds, while the study begins
-    first = lines.get()  # a study that is refused at the door ends here and creates no store
-    if first is None:
-        return Record(uri or "", "")
-    from torchmbd.tracking.mlflow_tracker import MlflowTracker
-
-    tracker = MlflowTracker(experiment, uri)
-    line: str | None = first
-    try:
-        while line is not None:
-            method, *arguments = json.loads(line)
-            getattr(tracker, method)(*arguments)
-            if lines.empty():
-                tracker.flush()
-            line = lines.get()
-    finally:
-        record = tracker.close()  # also when a write has failed: no run of a dead writer is RUNNING
-    return record
+def deliver_all(place: Path) -> int:
+    """Send what studies that are over have left below a folder; return how many still wait for their store."""
+    return subprocess.run(_deliverer(place), stdin=subprocess.DEVNULL).returncode
 
 
-def _read_ahead(lines: queue.SimpleQueue[str | None]) -> None:
-    for line in sys.stdin:
-        if line.endswith("\n"):  # a line cut short by the study's death says nothing
-            lines.put(line)
-    lines.put(None)
+def deliver_soon(place: Path) -> None:
+    """The same, without waiting for it: nothing is started where nothing is left."""
+    if any(place.glob("*/*.jsonl")):
+        nothing = subprocess.DEVNULL
+        subprocess.Popen(_deliverer(place), stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True)
 
 
-def main(where: str) -> int:
-    """Run the writer; its last line of output is the record or the failure."""
-    try:
-        record = write(*json.loads(where))
-    except MbdError as error:
-        print(json.dumps({"failure": str(error)}))
-        return 1
-    print(json.dumps({"uri": record.uri, "experiment_id": record.experiment_id, "runs": record.runs}))
-    return 0
+def _deliverer(place: Path) -> list[str]:
+    return [sys.executable, "-P", "-c", _BOOT, str(Path(__file__).parents[1]), str(place), "--all"]

@@ -80,7 +80,7 @@ def _scene(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
             entry["points"] = points.tolist()
             local = points[None] if len(points) else np.zeros((1, 1, 3))
         else:
-            local, size = _flexible(entry, state, lane, frames, {side.node for side in mine})
+            local, size = _flexible(entry, state, lane, frames, {node for side in mine for node in side.mount.nodes})
             largest = max(largest, size)
         visited.append(r[:, None] + np.einsum("tij,tnj->tni", A, np.broadcast_to(local, (len(r), *local.shape[1:]))))
         bodies.append(entry)
@@ -101,7 +101,7 @@ def _scene(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
 
 
 def _flexible(
-    entry: dict[str, Any], state: Any, lane: int, frames: np.ndarray, joint_nodes: set[int | None]
+    entry: dict[str, Any], state: Any, lane: int, frames: np.ndarray, joint_nodes: set[int]
 ) -> tuple[np.ndarray, float]:
     """Add mesh, shapes and energy to the entry; return the deformed nodes in body axes and the largest deformation."""
     u = _array(state.displacements)[lane][frames]
@@ -109,7 +109,7 @@ def _flexible(
     x = (nodes - r) @ A - u[0]
     shapes, weights = _low_rank(u.reshape(len(frames), -1))
     modes = shapes.reshape(len(shapes), -1, 3)
-    relative = modes - _through_joints(x, modes, sorted(node for node in joint_nodes if node is not None))
+    relative = modes - _through_joints(x, modes, sorted(joint_nodes))
     entry.update(
         x=_packed(x),
         triangles=_array(state.mesh.triangles).reshape(-1).tolist(),
@@ -146,12 +146,19 @@ def _markers(joint: Any, index: dict[str, int]) -> list[dict[str, Any]]:
     sides = sorted((joint.a, joint.b), key=lambda side: side.body.name in index)  # the ground first
     shown = sides if sides[0].body.name not in index else [joint.b]
     markers = [
-        {"body": index.get(side.body.name, -1), "point": _array(side.point).tolist(), "node": side.node}
+        {"body": index.get(side.body.name, -1), "point": _array(side.point).tolist(), "node": _node(side)}
         for side in shown
     ]
     if len(markers) == 2:
         markers[1]["rail"] = markers[0]["point"]
     return markers
+
+
+def _node(side: Any) -> int | None:
+    """The mesh node to draw a frame at."""
+    if side.mount is None:
+        return None
+    return side.mount.nearest(side.body.mesh.nodes - side.body.origin, side.point)
 
 
 def _unique(points: Iterable[list[float]]) -> list[list[float]]:

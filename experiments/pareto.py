@@ -1,0 +1,80 @@
+"""Energy against torsion: the Pareto front of the rod. `python -m experiments.pareto`
+
+The two criteria of eq. (38), integral of 2U and integral of the twist of the rod's end squared, by the normalized normal
+constraint method, from which every weighted sum of Table 5 is one point. Prints the points with their exchange rate (the
+weights of the sum that they minimize, each criterion in units of its range) and draws the front with the designs that were
+simulated on the way. Two layers, coarse as in experiments/discrete.py (chosen).
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib.figure import Figure
+
+import torchmbd as mbd
+from experiments.discrete import COARSE
+from experiments.slider_crank import DURATION, build
+from experiments.table5 import CRITERIA
+from torchmbd.optimizers import Front
+
+UNITS = (1.0, 1e6)  # of the criteria as shown: J s, mm2 s
+
+
+def tradeoff(layers: int, cells: tuple[int, int], modes: int, steps: int) -> mbd.Tradeoff:
+    """Both criteria of the rod."""
+    names = ("energy", "torsion")
+    criteria = {name: unit * measure for name, unit, measure in zip(names, UNITS, CRITERIA, strict=True)}
+    return mbd.Tradeoff(
+        build(layers, cells=cells, modes=modes), DURATION, criteria, bounds=mbd.deg([-90, 90]), steps=steps
+    )
+
+
+def drawn(front: Front, others: np.ndarray) -> Figure:
+    """The front, and the criteria [designs, 2] of other designs behind it."""
+    figure = Figure(figsize=(6.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    axes.scatter(*others.T, s=9, color="#c0c0c0", label="designs spread over the bounds")
+    axes.plot(*front.criteria.T, color="#0072b2", marker="o", ms=4, lw=1.2, label="Pareto front")
+    axes.set_xlabel("integral of 2U [J s]")
+    axes.set_ylabel("integral of the twist squared [mm2 s]")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    axes.legend(frameon=False)
+    axes.grid(color="#e8e8e8", lw=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--layers", type=int, default=2)
+    parser.add_argument("--divisions", type=int, default=8)
+    parser.add_argument("--folder", type=Path, default=Path.cwd(), help="where the picture goes")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    problem = tradeoff(arguments.layers, **COARSE)
+    starts = mbd.sobol(4, seed=7, include_initial=True)
+    front = mbd.pareto_front(problem, arguments.divisions, starts=starts)
+    print(
+        f"{len(front.points)} points, {front.dropped} dropped, {front.failed} not found; {front.analyses} simulations"
+    )
+    print("energy [J s]  torsion [mm2 s]  weights      angles [deg]")
+    for point in front.points:
+        weights = "/".join(f"{w:.2f}" for w in point.weights)
+        angles = "/".join(f"{a:z.2f}" for a in np.degrees(point.x))
+        print(f"{point.criteria[0]:12.6f}  {point.criteria[1]:15.6f}  {weights:11s}  {angles}")
+    spread = mbd.sobol(256, seed=1).points(problem)
+    others = np.array([criteria.values for criteria in problem.evaluate(spread, False) if criteria.ok])
+    arguments.folder.mkdir(parents=True, exist_ok=True)
+    for ending in (".png", ".pdf"):
+        mbd.viz.save(drawn(front, others), arguments.folder / f"pareto{ending}")
+    better = sum(bool(np.any(np.all(front.criteria <= other, axis=1))) for other in others)
+    print(f"{better} of {len(others)} designs spread over the bounds are dominated by a point of the front")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""`torchmbd new`: what it writes is valid and runs."""
+
+from __future__ import annotations
+
+import io
+
+import pytest
+from rich.console import Console
+
+from torchmbd.errors import InputError
+from torchmbd.experiment import load_study, run_plan
+from torchmbd.experiment.beginning import begin
+from torchmbd.experiment.shelf import question
+from torchmbd.tracking.mlflow_tracker import MlflowTracker
+
+
+def test_the_example_runs(tmp_path, empty_store):
+    file, model = begin(tmp_path / "arm.yaml")
+    assert model.name == "arm_model.py"
+    assert "?" in question(file)
+    overrides = ["simulate.duration=0.01", "simulate.steps=20", "optimizer.max_iterations=1", "starts.count=1"]
+    plan = load_study(file, overrides)
+    assert plan.columns.names == ("angle_1_deg", "angle_2_deg")
+    assert run_plan(plan, Console(file=io.StringIO()), MlflowTracker("new", f"sqlite:///{empty_store}")) == 0
+
+
+def test_a_model_of_the_users_names_its_own_parts(folder):
+    (file,) = begin(folder / "mine.yaml", "rod_model.py:build")
+    plan = load_study(file)
+    assert plan.study.minimize == {"integral": {"strain_energy": "rod"}}
+    assert plan.study.options == {"layers": 2, "cells": 4}
+    assert plan.study.design["rod.laminate.angles"].start == [45.0, -45.0]
+
+
+def test_nothing_is_overwritten(folder):
+    begin(folder / "mine.yaml", "rod_model.py:build")
+    with pytest.raises(InputError, match="exists already"):
+        begin(folder / "mine.yaml", "rod_model.py:build")
+    with pytest.raises(InputError, match=r"ends in \.yaml"):
+        begin(folder / "mine.txt")
+    with pytest.raises(InputError, match="has no function 'buld'"):
+        begin(folder / "other.yaml", "rod_model.py:buld")
+    assert not (folder / "other.yaml").exists()

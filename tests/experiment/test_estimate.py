@@ -1,0 +1,45 @@
+"""What `torchmbd check` says a study will cost: counted, and compared with a batch that is really run."""
+
+from __future__ import annotations
+
+import io
+import time
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from torchmbd.experiment.assemble import problem_of
+from torchmbd.experiment.estimate import estimate, print_estimate
+from torchmbd.experiment.load import load_study
+
+
+def test_simulations_are_counted(write):
+    plan = load_study(
+        write(starts={"sampler": "sobol", "count": 70, "seed": 1}, simulate={"duration": 1e-3, "steps": 4})
+    )
+    cost = estimate(plan, problem_of(plan))
+    assert (cost.simulations, cost.lanes) == (70 * 3, 64)
+    assert cost.seconds == pytest.approx(3 * 2 * cost.batch_seconds)
+    sweep = {"rod.laminate.angles[0]": {"from": 0, "to": 1, "count": 9}}
+    plan = load_study(write(sweep=sweep, starts=None, optimizer=None, simulate={"duration": 1e-3, "steps": 4}))
+    assert estimate(plan, problem_of(plan)).simulations == 10  # with the start design
+
+
+def test_the_time_is_that_of_a_batch_within_a_factor_of_three(write):
+    plan = load_study(write(simulate={"duration": 0.01, "steps": 60}))
+    problem = problem_of(plan)
+    cost = estimate(plan, problem)
+    began = time.perf_counter()
+    motion = problem.simulate(np.tile(problem.start, (2, 1)), True)
+    took = time.perf_counter() - began
+    assert took / 3 < cost.batch_seconds < 3 * took
+    assert cost.memory > 3 * 2 * motion.dq_db[0].numel() * 8
+
+
+def test_a_valid_file_is_told_with_its_cost(write):
+    output = io.StringIO()
+    print_estimate(load_study(write(simulate={"duration": 1e-3, "steps": 4})), Console(file=output, width=200))
+    text = output.getvalue()
+    assert "is valid: integral of strain energy of rod, 2 design variables, 1 constraints" in text
+    assert "at most about 6 simulations in batches of 2" in text

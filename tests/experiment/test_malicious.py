@@ -1,0 +1,69 @@
+"""Files that want more than to describe an experiment are refused, and nothing of them is carried out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from torchmbd import cli
+from torchmbd.experiment.faults import StudyError
+from torchmbd.experiment.load import load
+from torchmbd.experiment.yaml_file import parse_yaml
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("layers: 2", "layers: !!python/object/apply:os.system ['touch {proof}']", "is not allowed"),
+        ("layers: 2", "layers: !!python/object/new:os.system ['touch {proof}']", "is not allowed"),
+        ("model: rod_model.py:build", "model: !!python/name:os.system", "is not allowed"),
+        ("model: rod_model.py:build", "model: ../outside.py:build", "lies outside the folder of the experiment file"),
+        ("model: rod_model.py:build", "model: {outside}:build", "lies outside the folder of the experiment file"),
+        ("model: rod_model.py:build", "model: link.py:build", "lies outside the folder of the experiment file"),
+        (
+            "model: rod_model.py:build\noptions: {layers: 2}",
+            "model: os:system\noptions: {command: touch {proof}}",
+            "os",
+        ),
+        (
+            "model: rod_model.py:build\noptions: {layers: 2}",
+            "model: subprocess:run\noptions: {args: [touch, {proof}]}",
+            "says nothing about what it returns",
+        ),
+        (
+            "model: rod_model.py:build\noptions: {layers: 2}",
+            "model: subprocess:check_output\noptions: {args: [touch, {proof}]}",
+            "subprocess",
+        ),
+    ],
+)
+def test_nothing_of_it_is_carried_out(folder, tmp_path_factory, old, new, message):
+    proof, outside = folder / "proof", tmp_path_factory.mktemp("outside") / "outside.py"
+    outside.write_text(f"open({str(proof)!r}, 'w')\n")
+    (folder.parent / "outside.py").write_text(outside.read_text())
+    (folder / "link.py").symlink_to(outside)
+    text = Path(__file__).with_name("study.yaml").read_text()
+    file = folder / "study.yaml"
+    file.write_text(text.replace(old, new.replace("{proof}", str(proof)).replace("{outside}", str(outside))))
+    with pytest.raises(StudyError) as caught:
+        load(file)
+    assert message in str(caught.value)
+    assert not proof.exists()
+
+
+def test_a_file_that_multiplies_itself_is_refused():
+    bomb = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+        f"{chr(98 + k)}: &{chr(98 + k)} [{', '.join(['*' + chr(97 + k)] * 9)}]\n" for k in range(9)
+    )
+    with pytest.raises(StudyError, match="anchors"):
+        parse_yaml(bomb)
+
+
+def test_a_deep_file_is_refused():
+    with pytest.raises(StudyError, match="nested more than"):
+        parse_yaml("a: " + "[" * 5000)
+
+
+def test_the_server_is_bound_to_loopback_unless_asked():
+    assert cli.ui.__defaults__[1] == "127.0.0.1"

@@ -1,0 +1,148 @@
+"""Studies that are killed and go on: the same table, nothing computed twice, one run for each start, none RUNNING."""
+
+from __future__ import annotations
+
+import io
+import multiprocessing
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from torchmbd.design import Problem
+from torchmbd.experiment.load import load_study
+from torchmbd.experiment.run import run_plan
+from torchmbd.tracking.mlflow_tracker import MlflowTracker
+from torchmbd.tracking.store import open_store
+
+
+@pytest.fixture
+def study(write, folder, empty_store, monkeypatch):
+    """A study of its own place and store."""
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("TORCHMBD_STORE")
+    uri = f"sqlite:///{shutil.copy(empty_store, folder)}"
+    return write(simulate={"duration": 0.002, "steps": 8}, tracking={"experiment": "killed", "uri": uri})
+
+
+def table(output: str) -> list[str]:
+    """The lines of the final table: start, objective, ..., status."""
+    return [line.split()[:9] for line in output.splitlines() if re.match(r" +\d+ +[\d.e-]+ +-?[\d.]+ %", line)]
+
+
+def run(file: Path, tracker=None) -> str:
+    output = io.StringIO()
+    run_plan(load_study(file), Console(file=output, width=120), tracker)
+    return output.getvalue()
+
+
+class Silent:
+    """A tracker that hears nothing."""
+
+    def __getattr__(self, name):
+        return lambda *arguments, **options: None
+
+
+def _killed_in_batch(file: Path, number: int) -> None:
+    """Run the study in a process that kills itself inside its batch `number`."""
+    evaluate, batches = Problem.evaluate, []
+
+    def deadly(self, X, gradients):
+        batches.append(len(X))
+        if len(batches) == number:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return evaluate(self, X, gradients)
+
+    Problem.evaluate = deadly
+    run(file, Silent())
+
+
+def test_a_killed_study_repeats_no_evaluation(study, monkeypatch):
+    undisturbed = run(study, Silent())
+    assert "evaluations known" not in undisturbed
+    total = int(re.findall(r"(\d+) of (\d+) evaluations known", run(study, Silent()))[0][1])
+    for file in Path(".torchmbd").glob("evaluations.db*"):
+        file.unlink()
+    fork = multiprocessing.get_context("fork")
+    for number in (2, 2):  # the second life dies in its own second batch
+        process = fork.Process(target=_killed_in_batch, args=(study, number))
+        process.start()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL
+    output = run(study, Silent())
+    assert table(output) == table(undisturbed)
+    assert table(output)
+    assert re.findall(r"(\d+) of (\d+) evaluations known", output) == [("4", str(total))]
+
+
+def test_a_study_that_was_interrupted_goes_on_in_its_runs(study, folder):
+    """The first life ends by Ctrl-C after its first batch, the second by itself."""
+    uri = f"sqlite:///{folder / 'runs.db'}"
+    plan = load_study(study)
+    lives = []
+    for interrupted in (True, False):
+        tracker = MlflowTracker("killed", uri, study="k")
+        if interrupted:
+            tell, tracker.metrics = tracker.metrics, _interrupting(tracker.metrics)
+        run_plan(plan, Console(file=io.StringIO()), tracker)
+        if interrupted:
+            tracker.metrics = tell
+        runs = open_store(uri).search_runs([tracker.experiment_id])
+        lives.append({run.info.run_id: run.info.status for run in runs})
+    assert set(lives[0].values()) == {"KILLED"}
+    assert set(lives[1].values()) == {"FINISHED"}
+    assert lives[0].keys() == lives[1].keys()
+
+
+def _interrupting(metrics):
+    def tell(run, values, step=0):
+        metrics(run, values, step)
+        if "evaluations" in values and values["evaluations"] > 2:
+            raise KeyboardInterrupt
+
+    return tell
+
+
+@pytest.mark.slow
+def test_killed_at_twenty_random_moments(write, folder, monkeypatch):
+    """kill -9 of the study or of its writer; then the same table, the same runs, no zombie."""
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("TORCHMBD_STORE", str(folder / "place"))
+    uri = f"sqlite:///{folder / 'runs.db'}"
+    file = write(
+        starts={"sampler": "sobol", "count": 32, "seed": 7},
+        optimizer={"name": "mmfd", "max_iterations": 12},
+        tracking={"experiment": "killed", "uri": uri},
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    command = [sys.executable, "-m", "torchmbd.cli", "run", str(file)]
+    chance = random.Random(3)
+    for _ in range(20):
+        process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
+        time.sleep(4 + chance.uniform(0, 6))
+        target = chance.choice([process.pid, *_writers(process.pid)])
+        os.kill(target, signal.SIGKILL)
+        if target != process.pid:
+            time.sleep(1)
+            process.kill()
+        process.communicate()
+    last = subprocess.run(command, env=environment, capture_output=True, text=True).stdout
+    client = open_store(uri)
+    runs = client.search_runs([client.get_experiment_by_name("killed").experiment_id], max_results=1000)
+    assert {run.info.status for run in runs} == {"FINISHED"}
+    assert len(runs) == 33
+    monkeypatch.setenv("TORCHMBD_STORE", str(folder / "undisturbed"))
+    assert table(run(file, Silent())) == table(last)
+    assert len(table(last)) == 32
+
+
+def _writers(parent: int) -> list[int]:
+    return [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]

@@ -1,0 +1,166 @@
+"""The journal on disk: a store that is away is caught up with, dead writers are replaced, dead studies gone on with."""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import pytest
+
+from torchmbd.tracking import ProcessTracker, TrackingError
+from torchmbd.tracking.spool import Journal, Sent, load_sent, locked, read_lines, save_sent
+from torchmbd.tracking.store import open_store
+from torchmbd.tracking.writer import Writer, deliver
+
+
+@pytest.fixture(autouse=True)
+def runs_db(empty_store, tmp_path):
+    (tmp_path / "store").mkdir()
+    shutil.copy(empty_store, tmp_path / "store")
+
+
+def hide(tmp_path: Path) -> None:
+    """Put a file where the store's folder should be: it cannot be opened until it is shown again."""
+    (tmp_path / "store").rename(tmp_path / "hidden")
+    (tmp_path / "store").write_text("")
+
+
+def show(tmp_path: Path) -> None:
+    (tmp_path / "store").unlink()
+    (tmp_path / "hidden").rename(tmp_path / "store")
+
+
+def written(tmp_path: Path) -> list:
+    """All runs of the store below tmp_path/store."""
+    client = open_store(f"sqlite:///{tmp_path}/store/runs.db")
+    return client.search_runs([e.experiment_id for e in client.search_experiments()])
+
+
+def told(folder: Path, tmp_path: Path, steps: int, status: str | None = None, key: str = "k") -> Path:
+    """A session of a study as its process leaves it."""
+    journal = Journal(folder, ["session", "spooled", f"sqlite:///{tmp_path}/store/runs.db", key])
+    journal.append(["begin", "study", "s", None, {"a": "1"}, {}])
+    journal.append(["begin", "start_0", "start 0", "study", {}, {}])
+    for step in range(steps):
+        journal.append(["metrics", "start_0", {"objective": 1.0 / (step + 1)}, step])
+    for run in ("start_0", "study") if status else ():
+        journal.append(["end", run, status])
+    journal.close()
+    return journal.file
+
+
+def test_lines_are_read_whole_and_from_an_offset(tmp_path):
+    journal = Journal(tmp_path, ["head"])
+    journal.append(["a", 1])
+    with journal.file.open("a") as file:
+        file.write('["torn')
+    lines, end = read_lines(journal.file, 0)
+    assert [line for line, _ in lines] == [["head"], ["a", 1]]
+    assert read_lines(journal.file, lines[0][1]) == ([(["a", 1], end)], end)
+
+
+def test_a_full_disk_holds_lines_back_until_there_is_room(tmp_path):
+    """A real limit of the kernel on the size of files stands for the disk."""
+    journal = Journal(tmp_path, ["head"])
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20, limits[1]))
+        journal.append(["a", "x" * 50])
+        journal.append(["b"])
+        assert journal.trouble
+        assert journal.held == 2
+        assert [line for line, _ in read_lines(journal.file, 0)[0]] == [["head"]]
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    journal.append(["c"])
+    assert journal.trouble is None
+    assert [line[0] for line, _ in read_lines(journal.file, 0)[0]] == ["head", "a", "b", "c"]
+
+
+def test_sent_survives_half_a_file(tmp_path):
+    save_sent(tmp_path, Sent("1", 10, {"study": "r"}))
+    assert load_sent(tmp_path).runs == {"study": "r"}
+    (tmp_path / "sent.json").write_text('{"session": "1", "off')
+    assert load_sent(tmp_path) == Sent()
+
+
+def test_the_same_study_does_not_run_twice(tmp_path):
+    with locked(tmp_path, "study.lock") as first, locked(tmp_path, "study.lock", wait=False) as second:
+        assert (first, second) == (True, False)
+
+
+def test_a_store_that_is_away_is_caught_up_with(tmp_path):
+    hide(tmp_path)
+    folder = tmp_path / "study"
+    file = told(folder, tmp_path, 3, "FINISHED")
+    reply = Writer(folder, file, lambda: True, patience=0.0).run()
+    assert "cannot be opened" in reply["waiting"]
+    show(tmp_path)
+    assert deliver(folder) is None
+    runs = written(tmp_path)
+    assert {run.info.status for run in runs} == {"FINISHED"}
+    assert any(run.data.metrics == {"objective": 1.0 / 3} for run in runs)
+    assert not folder.exists()
+
+
+def test_a_study_that_goes_on_goes_on_in_its_runs(tmp_path):
+    folder = tmp_path / "study"
+    Writer(folder, told(folder, tmp_path, 3), lambda: True).run()
+    first = {run.info.run_id: run.info.status for run in written(tmp_path)}
+    assert set(first.values()) == {"KILLED"}
+    assert len(first) == 2
+    reply = Writer(folder, told(folder, tmp_path, 5, "FINISHED"), lambda: True).run()
+    assert set(reply["runs"].values()) == set(first)
+    assert {run.info.status for run in written(tmp_path)} == {"FINISHED"}
+    history = open_store(reply["uri"]).get_metric_history(reply["runs"]["start_0"], "objective")
+    assert sorted((point.step, point.value) for point in history) == [(k, 1.0 / (k + 1)) for k in range(5)]
+    third = Writer(folder, told(folder, tmp_path, 1, "FINISHED"), lambda: True).run()  # over: a study of its own
+    assert not set(third["runs"].values()) & set(first)
+
+
+def test_what_the_store_refuses_is_named_and_holds_nothing_up(tmp_path):
+    folder = tmp_path / "study"
+    journal = Journal(folder, ["session", "refused", f"sqlite:///{tmp_path}/store/runs.db", "k"])
+    journal.append(["begin", "study", "s", None, {}, {}])
+    journal.append(["artifact", "study", "/does/not/exist", ""])
+    journal.append(["metrics", "study", {"objective": 2.0}, 0])
+    journal.append(["end", "study", "FINISHED"])
+    reply = Writer(folder, journal.file, lambda: True).run()
+    assert "does/not/exist" in reply["refused"][0]
+    (run,) = written(tmp_path)
+    assert run.data.metrics == {"objective": 2.0}
+    assert run.info.status == "FINISHED"
+
+
+def test_a_writer_that_is_killed_is_replaced(tmp_path):
+    tracker = ProcessTracker("writers", f"sqlite:///{tmp_path}/store/runs.db", tmp_path / "study", "k")
+    tracker.begin("study", "s")
+    os.kill(tracker._process.pid, signal.SIGKILL)
+    while tracker._process.poll() is None:
+        time.sleep(0.01)
+    tracker.metrics("study", {"objective": 1.0}, 0)
+    tracker.end("study", "FINISHED")
+    record = tracker.close()
+    (run,) = written(tmp_path)
+    assert run.info.run_id == record.runs["study"]
+    assert run.info.status == "FINISHED"
+    assert run.data.metrics == {"objective": 1.0}
+
+
+def test_what_waits_is_named(tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCHMBD_PATIENCE", "0")
+    hide(tmp_path)
+    tracker = ProcessTracker("away", f"sqlite:///{tmp_path}/store/runs.db", tmp_path / "study", "k")
+    tracker.begin("study", "s")
+    tracker.end("study", "FINISHED")
+    with pytest.raises(TrackingError, match="torchmbd sync"):
+        tracker.close()
+    show(tmp_path)
+    assert deliver(tmp_path / "study") is None
+    assert [run.info.status for run in written(tmp_path)] == ["FINISHED"]

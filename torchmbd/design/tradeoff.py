@@ -1,0 +1,71 @@
+"""Several criteria of one motion, for a Pareto front.
+
+    minimize f_1(b) .. f_k(b)   subject to   g_i(b) <= c_i,   lower <= b <= upper
+
+    tradeoff = mbd.Tradeoff(
+        system, 0.06, {"energy": mbd.Integral(U), "torsion": mbd.Integral(twist**2)}, bounds=mbd.deg([-90, 90])
+    )
+    front = mbd.pareto_front(tradeoff)
+
+A batch of designs is one simulation for all criteria. Checked in tests/design/test_tradeoff.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from torchmbd.design.problem import Problem
+from torchmbd.design.response import Constraint, Measure, all_measures
+from torchmbd.errors import InputError
+from torchmbd.integrators import Trajectory
+from torchmbd.optimizers import Criteria
+from torchmbd.system import System
+
+
+class Tradeoff:
+    """A transient problem of several criteria.
+
+    minimize   name -> measure of one number, two at least
+    others     as in Problem
+    """
+
+    def __init__(
+        self,
+        system: System,
+        duration: float,
+        minimize: Mapping[str, Measure],
+        subject_to: Sequence[Constraint] = (),
+        **options: Any,
+    ):
+        self.criteria = list(minimize)
+        if len(self.criteria) < 2:
+            raise InputError(f"minimize has {self.criteria}; allowed: two criteria at least; for one, use Problem")
+        all_measures(minimize.values(), "tradeoff")
+        first, *others = minimize.values()
+        # Criteria but the first come as rows without limit and scale among the constraints.
+        rows = [Constraint(measure, 0.0, scale=1.0) for measure in others]
+        self.problem = Problem(system, duration, first, [*rows, *subject_to], **options)
+        if self.problem.equalities.size:
+            raise InputError("subject_to has equalities; allowed: inequalities")
+        self.names, self.start, self.period = self.problem.names, self.problem.start, self.problem.period
+        self.lower, self.upper = self.problem.lower, self.problem.upper
+
+    def motion(self, x: np.ndarray) -> Trajectory:
+        """Motion of one design [n]."""
+        return self.problem.motion(x)
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Criteria]:
+        """Evaluate designs [lanes, n] as one batch."""
+        others = len(self.criteria) - 1
+        result = []
+        for e in self.problem.evaluate(X, gradients):
+            values = np.append(e.objective, e.constraints[:others])
+            if e.objective_gradient is None or e.constraint_gradients is None:
+                result.append(Criteria(values, e.constraints[others:], status=e.status))
+                continue
+            slopes = np.vstack([e.objective_gradient, e.constraint_gradients[:others]])
+            result.append(Criteria(values, e.constraints[others:], slopes, e.constraint_gradients[others:]))
+        return result

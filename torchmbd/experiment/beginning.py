@@ -1,0 +1,130 @@
+"""`torchmbd new`: a first experiment file with every section explained, for a model of the user's or for an example.
+
+The model is built once, so that the file names its own parameters, bodies and options.
+Checked in tests/experiment/test_beginning.py.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from pathlib import Path
+
+from torchmbd.errors import InputError
+from torchmbd.experiment.model import build_model, find_model
+from torchmbd.system import System
+
+EXAMPLE = '''"""A robot arm: a laminated strip that a motor turns about the vertical. Change it into your own mechanism."""
+
+import torchmbd as mbd
+
+
+def build(layers: int = 2, length: float = 0.5, speed: float = 3.0) -> mbd.System:
+    """Arm of `length` [m] that turns with `speed` [rad/s]."""
+    carbon = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
+    angles = mbd.deg([45.0 if k % 2 == 0 else -45.0 for k in range(layers)])  # these become design variables
+    laminate = mbd.Laminate(carbon, angles=angles, thickness=2e-3 / layers)
+    mesh = mbd.mesh.rectangle(length=length, width=0.05, cells=(8, 2))
+    upright = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]  # columns: axes of the mesh in ground axes
+    arm = mbd.FlexibleBody.plate("arm", mesh, laminate, modes=4, position=(length / 2, 0, 0), axes=upright)
+    hub = mbd.RigidBody("hub", mass=0.2, inertia=(1e-4, 1e-4, 1e-4))
+    ground = mbd.Ground()
+    return mbd.System(
+        bodies=[hub, arm],
+        joints=[
+            mbd.Revolute(ground.at(0, 0, 0), hub.at(0, 0, 0), axis="z"),
+            mbd.Drive(ground, hub, axis="z", speed=speed),
+            mbd.Fixed(hub.at(0, 0, 0), arm.at("left")),
+        ],
+    )
+'''
+
+TEXT = """\
+# {question}
+# torchmbd check {name} says whether it is valid and what it costs, torchmbd run {name} runs it,
+# torchmbd schema > study.schema.json lets an editor complete it.
+
+model: {model}                # file.py:function or package.module:function, returns a torchmbd.System
+options: {options}            # arguments of that function
+
+design:                       # design variables: parameters of the model with bounds; start: as the model is built
+{design}
+simulate:                     # SI units; more keys are options of the method
+  duration: 0.1               # seconds
+  steps: 200
+
+minimize:                     # integral, mean, rms, max, min, final ... of strain_energy, displacement, velocity ...
+  integral: {{strain_energy: {body}}}
+subject_to:                   # each at_most, at_least or equal: a number, or initial, its value at the start
+  - {{max: {{strain_energy: {body}}}, at_most: initial}}
+
+optimizer:
+  name: mmfd                  # or slsqp, trust_constr, ...: torchmbd check names them all
+  max_iterations: 30
+starts:                       # where the optimizer starts: the model's own design and points between the bounds
+  sampler: sobol
+  count: 8
+  seed: 7
+
+tracking:
+  experiment: {experiment}    # in MLflow; torchmbd ui shows it
+"""
+
+
+def begin(file: Path, model: str | None = None) -> list[Path]:
+    """Write an experiment file, and an example model beside it where none is given; return what was written."""
+    if file.suffix not in (".yaml", ".yml"):
+        raise InputError(f"file = {str(file)!r}: allowed: a name that ends in .yaml")
+    written = [file]
+    if model is None:
+        written.append(file.with_name(f"{file.stem.replace('-', '_')}_model.py"))
+    for new in written:
+        if new.exists():
+            raise InputError(f"{new} exists already; allowed: a name that is free")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if model is None:
+        written[1].write_text(EXAMPLE, encoding="utf-8")
+        model = f"{written[1].name}:build"
+    function = find_model(model, file.absolute().parent)
+    needed = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
+    if needed:
+        raise InputError(
+            f"model {model!r} needs {', '.join(needed)}; allowed here: a function whose arguments have defaults"
+        )
+    file.write_text(_text(file, model, build_model(function, {}), _options(function)), encoding="utf-8")
+    return written
+
+
+def _text(file: Path, model: str, system: System, options: str) -> str:
+    bodies = [body.name for body in system.bodies if hasattr(body, "mesh")]
+    if not bodies:
+        raise InputError(f"model {model!r} has no flexible body; allowed: a system with one at least")
+    return TEXT.format(
+        question=f"Which design of {bodies[0]} stores least strain energy?",
+        name=file.name,
+        model=model,
+        options=options,
+        design="".join(_variable(name, x.detach().numpy()) for name, x in system.named_parameters() if x.requires_grad),
+        body=bodies[0],
+        experiment=file.stem,
+    )
+
+
+def _variable(name: str, x) -> str:
+    """Write one parameter: angles in degrees between -90 and 90, others between half and twice their value."""
+    if name.endswith("angles"):
+        values, lower, upper, unit = x * 180.0 / math.pi, "-90", "90", "deg"
+    else:
+        values, unit = x, "none"
+        lower, upper = (str([float(f"{f * v:.4g}") for v in x.ravel()]) for f in (0.5, 2.0))
+    start = [float(f"{v:.6g}") for v in values.ravel()]
+    return f"  {name}: {{start: {start}, lower: {lower}, upper: {upper}, unit: {unit}}}\n"
+
+
+def _options(function) -> str:
+    plain = {
+        p.name: p.default
+        for p in inspect.signature(function).parameters.values()
+        if isinstance(p.default, (int, float)) and not isinstance(p.default, bool)
+    }
+    return "{" + ", ".join(f"{name}: {value}" for name, value in plain.items()) + "}"

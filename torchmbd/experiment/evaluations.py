@@ -1,0 +1,151 @@
+"""Every evaluation of every study, on disk as soon as it is there: nothing that was simulated is simulated again.
+
+    problem    hash of all that the numbers depend on: model and its source, options, start design, simulation,
+               objective, constraints, and the source of torchmbd below the optimizers
+    design     design vector, bit for bit [n] float64                      gradients  whether they were asked for
+    numbers    objective, constraints [m], gradients [n], [m, n] as float64; status "ok", or the reason of the failure
+
+Optimizers are deterministic, so a study that was killed asks for the same designs again: the store answers up to the
+batch that was in flight, and the study goes on from there as if nothing had happened.
+SQLite, one transaction for a batch, on the disk before anybody hears of it. What cannot be written (a full disk) is
+kept in memory, told once, and written with the next batch that can be.
+Assumed: what the model imports from other files of the user's does not change.
+Checked in tests/experiment/test_evaluations.py.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import MbdError
+from torchmbd.optimizers import Evaluation
+
+_TABLE = """
+create table if not exists evaluations (
+    problem text, design blob, gradients integer, m integer, status text, numbers blob,
+    primary key (problem, design, gradients)
+) without rowid
+"""
+_SECONDS = 60  # to wait for another study that is writing
+
+
+class Evaluations:
+    """The evaluations of one problem in a file that many studies share."""
+
+    def __init__(self, file: Path, problem: str) -> None:
+        self.problem = problem
+        self.trouble: str | None = None  # why evaluations are kept in memory
+        self._waiting: dict[tuple[bytes, bool], tuple[int, str, bytes]] = {}
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            self._base = sqlite3.connect(file, timeout=_SECONDS)
+            self._base.execute("pragma journal_mode=wal")
+            self._base.execute("pragma synchronous=full")  # a power cut costs no batch either
+            self._base.execute(_TABLE)
+        except (OSError, sqlite3.Error) as error:
+            raise MbdError(f"the store of evaluations {file} cannot be opened: {error}") from error
+
+    def find(self, X: np.ndarray, gradients: bool) -> list[Evaluation | None]:
+        """Return what is known of designs [lanes, n]."""
+        return [self._row(np.ascontiguousarray(x, dtype=np.float64), gradients) for x in X]
+
+    def _row(self, x: np.ndarray, gradients: bool) -> Evaluation | None:
+        key = x.tobytes(), gradients
+        row = self._waiting.get(key)
+        if row is None:
+            query = "select m, status, numbers from evaluations where problem = ? and design = ? and gradients = ?"
+            row = self._base.execute(query, (self.problem, *key)).fetchone()
+        if row is None:
+            return None
+        m, status, numbers = row
+        return _evaluation(m, status, numbers, len(x), gradients)
+
+    def keep(self, X: np.ndarray, gradients: bool, evaluations: Sequence[Evaluation]) -> None:
+        """Write a batch, and what could not be written before."""
+        for x, evaluation in zip(X, evaluations, strict=True):
+            self._waiting[np.ascontiguousarray(x, dtype=np.float64).tobytes(), gradients] = _numbers(evaluation)
+        rows = [(self.problem, *key, *row) for key, row in self._waiting.items()]
+        try:
+            with self._base:
+                self._base.executemany("insert or replace into evaluations values (?, ?, ?, ?, ?, ?)", rows)
+        except sqlite3.Error as error:
+            self.trouble = str(error)
+        else:
+            self.trouble = None
+            self._waiting.clear()
+
+    def forget(self) -> None:
+        """Remove what is known of this problem."""
+        with self._base:
+            self._base.execute("delete from evaluations where problem = ?", (self.problem,))
+
+    def count(self) -> int:
+        """Evaluations of this problem on disk."""
+        query = "select count(*) from evaluations where problem = ?"
+        return int(self._base.execute(query, (self.problem,)).fetchone()[0])
+
+    def designs(self) -> list[tuple[np.ndarray, Evaluation]]:
+        """Return every evaluation of this problem with its design [n]."""
+        query = "select design, m, status, numbers, gradients from evaluations where problem = ?"
+        found = []
+        for design, m, status, numbers, gradients in self._base.execute(query, (self.problem,)):
+            x = np.frombuffer(design)
+            found.append((x, _evaluation(m, status, numbers, len(x), bool(gradients))))
+        return found
+
+    def close(self) -> None:
+        self._base.close()
+
+
+class Remembered:
+    """A problem as optimizers see it: known designs come from the store, the others from `compute`.
+
+    compute   evaluates designs [lanes, n]: here, or on workers
+    listener  hears of every batch, known or not
+    """
+
+    def __init__(
+        self,
+        problem: Any,
+        store: Evaluations,
+        compute: Callable[[np.ndarray, bool], list[Evaluation]],
+        listener: Callable[[np.ndarray, list[Evaluation]], None],
+    ) -> None:
+        self.names, self.start, self.lower, self.upper = problem.names, problem.start, problem.lower, problem.upper
+        self.equalities, self.period = problem.equalities, problem.period
+        self.known = self.computed = 0
+        self._store, self._compute, self._listener = store, compute, listener
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        found = self._store.find(X, gradients)
+        missing = [k for k, evaluation in enumerate(found) if evaluation is None]
+        if missing:
+            fresh = self._compute(X[missing], gradients)
+            self._store.keep(X[missing], gradients, fresh)
+            for k, evaluation in zip(missing, fresh, strict=True):
+                found[k] = evaluation
+        self.computed += len(missing)
+        self.known += len(X) - len(missing)
+        evaluations = [evaluation for evaluation in found if evaluation is not None]
+        self._listener(X, evaluations)
+        return evaluations
+
+
+def _numbers(evaluation: Evaluation) -> tuple[int, str, bytes]:
+    parts = [np.array([evaluation.objective]), np.atleast_1d(evaluation.constraints)]
+    if evaluation.objective_gradient is not None and evaluation.constraint_gradients is not None:
+        parts += [evaluation.objective_gradient, np.asarray(evaluation.constraint_gradients).ravel()]
+    return len(parts[1]), evaluation.status, np.concatenate(parts).astype(np.float64).tobytes()
+
+
+def _evaluation(m: int, status: str, numbers: bytes, n: int, gradients: bool) -> Evaluation:
+    x = np.frombuffer(numbers).copy()
+    if not gradients or len(x) == 1 + m:  # a failed evaluation has no gradients
+        return Evaluation(float(x[0]), x[1 : 1 + m], status=status)
+    slopes = x[1 + m :].reshape(1 + m, n)
+    return Evaluation(float(x[0]), x[1 : 1 + m], slopes[0], slopes[1:], status)

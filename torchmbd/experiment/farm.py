@@ -1,0 +1,124 @@
+"""Evaluation on Dask workers: a cluster on this machine, or any scheduler by its address.
+
+A batch of designs is cut into one piece for each worker; a worker builds the model once, from the experiment file's
+own words, and evaluates its piece as one batch. Pieces are pure functions of the designs: one that a worker takes
+with it when it dies is evaluated again by another, and nothing depends on which.
+The optimizers, the store of evaluations and the tracker stay with the parent, so a study is the same on any cluster.
+
+Assumed: workers see the model's file at the same path, and run the same torchmbd (a hash of both is compared).
+One thread each: a worker must be started with OMP_NUM_THREADS=1 (the local cluster does).
+Dask, its messages are pickled: connect to schedulers that you trust only. The local cluster listens on loopback.
+Checked in tests/experiment/test_farm.py.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from torchmbd.errors import InputError, MbdError
+from torchmbd.experiment.assemble import problem_of
+from torchmbd.experiment.columns import Columns
+from torchmbd.experiment.load import Plan
+from torchmbd.experiment.model import build_model, find_model
+from torchmbd.experiment.place import problem_key
+from torchmbd.experiment.schema import Study
+from torchmbd.optimizers import Evaluation
+
+_DEATHS = 3  # of workers under the same piece, until its designs count as failed
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+_START = 60  # seconds to wait for the first worker
+
+
+class Farm:
+    """A context manager that evaluates designs of one plan on workers.
+
+    rows     constraints of the problem
+    workers  processes of the local cluster; 0: one for each core
+    """
+
+    def __init__(self, plan: Plan, key: str, rows: int, workers: int = 0, scheduler: str | None = None) -> None:
+        if workers < 0:
+            raise InputError(f"workers = {workers}: must be 0 (one for each core) or more")
+        self.rows, self._workers, self._scheduler = rows, workers or os.cpu_count() or 1, scheduler
+        folder = str(plan.file.absolute().parent)
+        self._order = (json.dumps(plan.study.resolved()), folder, key)
+
+    def __enter__(self) -> Self:
+        try:
+            import dask  # pyright: ignore[reportMissingImports]
+            from distributed import Client, LocalCluster  # pyright: ignore[reportMissingImports]
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: --workers 1"
+            ) from None
+        dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS})
+        self._cluster = None
+        if self._scheduler is None:
+            self._cluster = LocalCluster(
+                n_workers=self._workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address=None,
+                memory_limit=0,
+                silence_logs=logging.CRITICAL,
+                env=_ONE_THREAD,
+            )
+        try:
+            self._client = Client(self._cluster or self._scheduler, timeout=_START)
+            self._client.wait_for_workers(1, timeout=_START)
+        except (OSError, TimeoutError, ValueError) as error:
+            where = self._scheduler or "this machine"
+            raise MbdError(f"no worker answers on {where} after {_START} s: {error}") from error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._client.close(timeout=5)
+        if self._cluster is not None:
+            self._cluster.close(timeout=5)
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        """Evaluate designs [lanes, n], a piece on each worker."""
+        from distributed import CancelledError, KilledWorker  # pyright: ignore[reportMissingImports]
+
+        workers = max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+        pieces = [piece for piece in np.array_split(X, min(workers, len(X))) if len(piece)]
+        futures = [self._client.submit(evaluate_piece, *self._order, piece, gradients, pure=False) for piece in pieces]
+        found: list[Evaluation] = []
+        try:
+            for piece, future in zip(pieces, futures, strict=True):
+                try:
+                    found += future.result()
+                except KilledWorker:
+                    found += [Evaluation.failure(f"failed: {_DEATHS} workers died of it", self.rows) for _ in piece]
+        except CancelledError as error:
+            raise MbdError(f"the scheduler {self._scheduler or ''} is gone: {error}") from error
+        except BaseException:
+            self._client.cancel(futures, force=True)
+            raise
+        return found
+
+
+def evaluate_piece(study: str, folder: str, key: str, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+    """What a worker does: evaluate designs [lanes, n] of the study that `study` (JSON) and `folder` describe."""
+    return _problem(study, folder, key).evaluate(X, gradients)
+
+
+@cache
+def _problem(study_json: str, folder: str, key: str) -> Any:
+    import torch
+
+    torch.set_num_threads(1)
+    study = Study.model_validate(json.loads(study_json))
+    system = build_model(find_model(study.model, Path(folder)), study.options)
+    plan = Plan(study, system, Columns.of(study.design, system), Path(folder) / "worker")
+    if problem_key(plan) != key:
+        raise MbdError("a worker has another model file or another torchmbd than the study; allowed: the same on all")
+    return problem_of(plan)

@@ -1,0 +1,83 @@
+"""Rank of the constraint Jacobian: rows that follow from others, and how near a position is to losing rank.
+
+    Phi_q with rows of length one = U diag(s) V'          rank: singular values above 1e-9 of the largest
+
+A row is redundant if it depends on others: the motion does not need it, its multiplier is not determined (the one of
+least norm is taken). A drive that depends on the rows without a law moves what they hold: an error.
+Near a singular position the last singular value that counts goes to zero; the row combination that is lost then is its
+left vector.
+Checked in tests/system/test_rank.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.numerics.pair import value
+from torchmbd.system import equations
+from torchmbd.system.topology import Topology
+
+RELATIVE = 1e-9  # of the largest singular value: what counts as zero
+_SHARE = 0.3  # of the largest entry of a left vector: rows that are named
+
+
+@dataclass(frozen=True)
+class Rank:
+    """rank of Phi_q, and the names of the rows ("joint: row") that depend on the others."""
+
+    rank: int
+    redundant: tuple[str, ...]
+
+
+def rank_of(T: Topology, J: np.ndarray) -> Rank:
+    """Rank of a Jacobian [rows, n_v]; rows without a law count first. Raises InputError for a drive that has no freedom."""
+    driven = np.array([i for p, rows in T.row_slices() if p.driven for i in range(rows.start, rows.stop)], dtype=int)
+    others = np.setdiff1d(np.arange(T.rows), driven)
+    J = J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), np.finfo(float).tiny)
+    rank, dependent = _pivoted(J[others])
+    total, _ = _pivoted(np.concatenate([J[others], J[driven]]))
+    if total < rank + len(driven):
+        held = [T.row_names[i] for i in driven if _pivoted(np.concatenate([J[others], J[i : i + 1]]))[0] == rank]
+        which = held or [T.row_names[i] for i in driven]
+        raise InputError(
+            f"{', '.join(repr(name) for name in which)}: the other joints leave no freedom for this at the initial position; "
+            "allowed: a drive along a motion that the joints leave free"
+        )
+    return Rank(total, tuple(T.row_names[others[i]] for i in sorted(dependent)))
+
+
+def _pivoted(J: np.ndarray) -> tuple[int, list[int]]:
+    """Rank, and rows that depend on the others, by pivoted QR."""
+    if not J.size:
+        return 0, list(range(len(J)))
+    factors: Any = scipy.linalg.qr(J.T, mode="economic", pivoting=True)
+    _, R, order = factors
+    diagonal = np.abs(np.diag(R))
+    rank = int((diagonal > RELATIVE * max(diagonal[0], np.finfo(float).tiny)).sum())
+    return rank, order[rank:].tolist()
+
+
+def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
+    """Phi_q with rows of length one [n, rows, n_v] at positions q [n, n_q] and times [n] of one design."""
+    T, saddle = dynamics.topology, dynamics.saddle
+    data = {name: value(x).detach() for name, x in dynamics.data.items()}
+    parts = []
+    for given, state in zip(T.schedule(times), q, strict=True):
+        at = equations.placement(T, data, state[:, None, None], given.values())
+        parts.append(saddle.jacobian(data, at)[0])
+    J = torch.stack(parts)
+    return J / J.norm(dim=2, keepdim=True).clamp_min(torch.finfo(J.dtype).tiny)
+
+
+def lost_rows(T: Topology, left: Tensor) -> tuple[str, ...]:
+    """Names of the rows with a large part in a left singular vector [rows], largest first."""
+    size = left.abs()
+    order = torch.argsort(size, descending=True).tolist()
+    return tuple(T.row_names[i] for i in order if size[i] > _SHARE * size[order[0]])

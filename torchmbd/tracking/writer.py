@@ -1,0 +1,223 @@
+"""The process that brings a study's journal into the store; see process.py.
+
+A line is sent until the store takes it. If it fails, is the store there at all? If not, the writer tries again, for
+as long as the study lives and `PATIENCE` seconds longer. If it is, the line itself is at fault: it is noted and left out.
+What is sent is noted in sent.json after every batch and every new run, so that no writer sends a run twice.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from torchmbd.tracking.spool import (
+    Line,
+    Sent,
+    clear,
+    drop_session,
+    drop_sessions,
+    last_session,
+    load_sent,
+    locked,
+    read_lines,
+    save_sent,
+)
+from torchmbd.tracking.tracker import TrackingError
+
+if TYPE_CHECKING:
+    from torchmbd.tracking.mlflow_tracker import MlflowTracker
+
+PATIENCE = float(os.environ.get("TORCHMBD_PATIENCE", "15"))  # seconds for a store that is away when the study is over
+_POLL, _PAUSE = 0.1, (0.5, 1.0, 2.0, 5.0, 10.0)  # seconds
+
+
+class Away(Exception):
+    """The store does not answer."""
+
+
+@dataclass
+class Writer:
+    """Sends one session of one folder."""
+
+    folder: Path
+    file: Path
+    over: Callable[[], bool]  # whether the study is
+    patience: float = PATIENCE
+    tracker: MlflowTracker | None = None
+    sent: Sent = field(default_factory=Sent)
+    where: list[str | None] = field(default_factory=list)  # experiment, uri, study
+    _ended: float | None = None
+
+    def run(self) -> dict:
+        """Send until the study is over and everything of it is in the store; return the last word."""
+        earlier = load_sent(self.folder)
+        self.sent = earlier if earlier.session == self.file.stem else Sent(self.file.stem, steps=earlier.steps)
+        drop_sessions(self.folder, before=self.file)
+        while True:
+            over = self.over()  # asked before the lines are read: what comes later is nothing
+            lines, _ = read_lines(self.file, self.sent.offset)
+            if lines:
+                failure = self._insist(lambda lines=lines: self._send(lines))
+                if failure:
+                    return {"waiting": failure}
+            elif over:
+                break
+            else:
+                time.sleep(_POLL)
+        return self._close()
+
+    def _insist(self, action: Callable[[], None]) -> str | None:
+        """Do it, again and again while the store is away; return why it was given up."""
+        pauses = iter(_PAUSE)
+        pause = next(pauses)
+        while True:
+            try:
+                action()
+            except Away as error:
+                if self.over():
+                    self._ended = self._ended or time.monotonic()
+                    if time.monotonic() - self._ended > self.patience:
+                        return str(error)
+                time.sleep(min(pause, 1.0) if self.over() else pause)
+                pause = next(pauses, pause)
+            else:
+                return None
+
+    def _send(self, lines: list[tuple[Line, int]]) -> None:
+        for line, end in lines:
+            if end <= self.sent.offset:
+                continue  # sent before the store went away
+            method, *arguments = line
+            if method == "session":
+                self.where = arguments
+            elif method != "close":
+                self._command(method, arguments)
+            if method != "metrics":
+                self._flush()
+                self._note(end)
+        self._flush()
+        self._note(lines[-1][1])
+
+    def _command(self, method: str, arguments: list) -> None:
+        try:
+            getattr(self._opened(), method)(*arguments)
+        except Away:
+            raise
+        except Exception as error:  # MLflow's, the database's, the network's: told apart by asking the store
+            self._require_store(error)
+            self.sent.refused.append(f"{method} {arguments[0] if arguments else ''}: {_first_line(error)}")
+
+    def _flush(self) -> None:
+        if self.tracker is None:
+            return
+        try:
+            self.tracker.flush()
+        except Exception as error:
+            self._require_store(error)
+            self.sent.refused.append(f"metrics: {_first_line(error)}")
+            self.tracker.forget()
+
+    def _opened(self) -> MlflowTracker:
+        if self.tracker is None:
+            from torchmbd.tracking.mlflow_tracker import MlflowTracker
+
+            experiment, uri, study = self.where or read_lines(self.file, 0)[0][0][0][1:]
+            try:
+                self.tracker = MlflowTracker(str(experiment), uri, study, self.sent.runs, self.sent.steps)
+            except (TrackingError, OSError) as error:
+                raise Away(_first_line(error)) from error
+        return self.tracker
+
+    def _require_store(self, error: Exception) -> None:
+        """Raise Away unless the store can be read and written."""
+        try:
+            if self.tracker is None:
+                raise error
+            self.tracker.probe()
+        except Exception as reason:
+            raise Away(_first_line(reason)) from error
+
+    def _note(self, offset: int) -> None:
+        self.sent.offset = offset
+        if self.tracker is not None:
+            self.sent.runs, self.sent.steps = self.tracker.runs, self.tracker.steps
+        try:
+            save_sent(self.folder, self.sent)
+        except OSError as error:
+            raise Away(f"{self.folder}: {error.strerror}") from error
+
+    def _close(self) -> dict:
+        if self.tracker is None and not self.sent.runs:  # refused at the door: no store is created for it
+            return {"uri": "", "experiment_id": "", "runs": {}, "refused": self.sent.refused, "finished": True}
+        failure = self._insist(self._end)
+        if failure or self.tracker is None:
+            return {"waiting": failure or "the store was not opened"}
+        record = self.tracker.record()
+        return {
+            "uri": record.uri,
+            "experiment_id": record.experiment_id,
+            "runs": record.runs,
+            "refused": self.sent.refused,
+            "finished": self.tracker.finished,
+        }
+
+    def _end(self) -> None:
+        tracker = self._opened()
+        try:
+            tracker.close()
+        except Exception as error:
+            self._require_store(error)
+            self.sent.refused.append(f"end: {_first_line(error)}")
+        self.sent.closed = True
+        self._note(self.sent.offset)
+        drop_session(self.file)
+
+
+def deliver(folder: Path, patience: float = PATIENCE) -> str | None:
+    """Send what a study that is over has left in its folder; return why it still waits, None if it does not."""
+    file = last_session(folder)
+    if file is None:
+        return None
+    with locked(folder, "study.lock", wait=False) as mine:
+        if not mine:
+            return None  # it lives, and has a writer of its own
+        with locked(folder, "writer.lock", wait=False) as free:
+            if not free or not file.exists():
+                return None
+            word = Writer(folder, file, lambda: True, patience).run()
+        if word.get("finished"):
+            clear(folder)
+        return word.get("waiting")
+
+
+def main(folder: str, mode: str = "") -> int:
+    """Run the writer of a study (its last line of output is its last word), or deliver a whole place (`--all`)."""
+    os.environ.setdefault("MLFLOW_HTTP_REQUEST_MAX_RETRIES", "1")  # trying again is the writer's own affair
+    os.environ.setdefault("MLFLOW_HTTP_REQUEST_TIMEOUT", "20")
+    place = Path(folder)
+    if mode == "--all":
+        waiting = {left: reason for left in sorted(place.glob("*/")) if (reason := deliver(left))}
+        for left, reason in waiting.items():
+            print(f"{left} waits for its store: {reason}")
+        return len(waiting)
+    file = last_session(place)
+    assert file is not None
+    ended = threading.Event()
+    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    importlib.import_module("mlflow")  # 3 seconds, while the study begins
+    with locked(place, "writer.lock"):  # the writer of a study that was killed may still be at work
+        word = Writer(place, file, ended.is_set).run()
+    print(json.dumps(word))
+    return 0
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0]
