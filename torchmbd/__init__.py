@@ -12,7 +12,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchmbd import mesh, sections, viz
+from torchmbd import forces, mesh, sections, viz
 from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
 from torchmbd.design import (
     RMS,
@@ -47,6 +47,14 @@ from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.elements import BeamLine, GivenSection
 from torchmbd.errors import InputError, MbdError, SimulationFailure
+from torchmbd.forces import (
+    AxialSpringDamper,
+    Bushing,
+    Force,
+    RotationalSpringDamper,
+    SpringDamper,
+    Torque,
+)
 from torchmbd.integrators import Event, Phase, Trajectory, simulate
 from torchmbd.integrators.ply_history import PlyHistory
 from torchmbd.joints import (
@@ -102,7 +110,9 @@ __all__ = [
     "AtPeaks",
     "AtTime",
     "AtTimes",
+    "AxialSpringDamper",
     "BeamLine",
+    "Bushing",
     "ConstantSpeed",
     "Constraint",
     "Cylindrical",
@@ -116,6 +126,7 @@ __all__ = [
     "Final",
     "Fixed",
     "FlexibleBody",
+    "Force",
     "Frame",
     "Frequency",
     "GivenSection",
@@ -144,14 +155,17 @@ __all__ = [
     "Revolute",
     "RigidBody",
     "RobustProblem",
+    "RotationalSpringDamper",
     "SimulationFailure",
     "Sine",
     "SmoothMax",
     "SmoothStep",
     "Spherical",
+    "SpringDamper",
     "StrainEnergy",
     "Strength",
     "System",
+    "Torque",
     "Tradeoff",
     "Trajectory",
     "Universal",
@@ -162,6 +176,7 @@ __all__ = [
     "eigenpair_branches",
     "eigenpairs",
     "equilibrium",
+    "forces",
     "history",
     "load",
     "measure",

@@ -1,1 +1,28 @@
-"""Applied forces on frames."""
+"""Applied forces: lists of actions between frames. A new force element is one file and one line here."""
+
+from torchmbd.forces.bushing import Bushing
+from torchmbd.forces.force import ForceElement
+from torchmbd.forces.laws import Gap, OfTime, Pieces, Spring, Table
+from torchmbd.forces.load import Force, Torque
+from torchmbd.forces.spring_damper import AxialSpringDamper, RotationalSpringDamper, SpringDamper
+
+FORCES: dict[str, type[ForceElement]] = {
+    kind.__name__.lower(): kind
+    for kind in (AxialSpringDamper, Bushing, Force, RotationalSpringDamper, SpringDamper, Torque)
+}
+
+__all__ = [
+    "FORCES",
+    "AxialSpringDamper",
+    "Bushing",
+    "Force",
+    "ForceElement",
+    "Gap",
+    "OfTime",
+    "Pieces",
+    "RotationalSpringDamper",
+    "Spring",
+    "SpringDamper",
+    "Table",
+    "Torque",
+]

@@ -36,13 +36,14 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchmbd.forces.laws import LAWS
 from torchmbd.integrators.step import Model, State, Weights
 from torchmbd.numerics.pair import Pair, separate
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Prescribed, Topology
 
-_SOURCES = ("numerics", "joints/primitive.py", "system", "integrators/step.py", "integrators/compiled.py")
+_SOURCES = ("numerics", "joints/primitive.py", "forces", "system", "integrators/step.py", "integrators/compiled.py")
 _READY = "ready"
 # Which batch starts a build: an optimization evaluates gradients again and again, values alone now and then. With one or
 # two cores a build slows the simulations beside it by half, so that a study of two minutes is better off without it.
@@ -127,13 +128,32 @@ def key(T: Topology, signature: Signature) -> str:
             digest.update(file.read_bytes())
     attached = [(a.mount is None, a.is_point) for a in T.attached]
     members = [(type(p).__name__, [m.tolist() for m in p.members], () if p.driven else p.data) for p in T.primitives]
+    actions = [(type(a).__name__, [m.tolist() for m in a.members], repr(a.laws)) for a in T.actions]
     folds = [f.table.tolist() for f in (T.vector_fold, T.body_fold, T.modal_fold)]
     vectors = [x.tolist() for x in (T.vector_body, T.vector_origin, T.vector_flexible)]
     rates = None if T.rates is None else T.rates.tolist()
-    facts = [len(T.names), len(T.carriers), T.flexible, T.modes, attached, members, folds, vectors, rates, signature]
+    facts = [
+        len(T.names),
+        len(T.carriers),
+        T.flexible,
+        T.modes,
+        attached,
+        members,
+        actions,
+        folds,
+        vectors,
+        rates,
+        signature,
+    ]
     versions = [torch.__version__, sys.version_info[:2], platform.machine(), torch.backends.cpu.get_cpu_capability()]
     digest.update(repr([facts, versions]).encode())
     return digest.hexdigest()[:32]
+
+
+def _known_laws(T: Topology) -> bool:
+    """Whether all laws of forces are numbers of a known form: the code of a user's own is not in the key."""
+    laws = [law for action in T.actions for law in action.laws]
+    return all(type(law) in LAWS and not callable(getattr(law, "law", None)) for law in laws)
 
 
 def _wanted(name: str, dynamics: Dynamics) -> None:
@@ -156,11 +176,11 @@ class _Operation(nn.Module):
     def forward(
         self, weights: Tensor, state: list[Tensor], data: list[Tensor], given: list[Tensor], rest: list[Tensor]
     ) -> tuple[Tensor, ...]:
-        A, r, *laws = given
+        A, r, t, *laws = given
         parts = iter(laws)
         known = [tuple(islice(parts, p.driven)) if p.driven else None for p in self.T.primitives]
         model = Model(self.T, self.saddle, Weights(*weights.unbind(0)), self.signature.unpack(data))
-        return self.run(model.step(self.signature.state(state), Prescribed(known, A, r)), *rest)
+        return self.run(model.step(self.signature.state(state), Prescribed(known, A, r, t)), *rest)
 
     def run(self, step: Any, *rest: Tensor) -> tuple[Tensor, ...]:
         raise NotImplementedError
@@ -207,7 +227,7 @@ class CompiledModel:
     @staticmethod
     def of(dynamics: Dynamics, x: State, w: Weights) -> CompiledModel | None:
         """The compiled model of a topology if its packages are ready; asked for again, they are built in the background."""
-        if not enabled():
+        if not enabled() or not _known_laws(dynamics.topology):
             return None
         name = key(dynamics.topology, Signature.of(dynamics))
         if name not in _loaded:
@@ -233,7 +253,7 @@ class CompiledStep:
         self.model = model
         state = [self._lanes(y.full if isinstance(y, Pair) else y) for y in x]
         laws = [part.contiguous() for law in given.laws if law is not None for part in law]
-        self.start = [model.weights, *state, *model.data, given.A.contiguous(), given.r.contiguous(), *laws]
+        self.start = [model.weights, *state, *model.data, given.A.contiguous(), given.r.contiguous(), given.t, *laws]
 
     def _call(self, name: str, *rest: Tensor) -> list[Tensor]:
         # Flat inputs go past the package's own unpacking of nested lists, which costs as much as a small operation.
@@ -332,6 +352,7 @@ def _package(module: _Operation, name: str, T: Topology, signature: Signature, p
     data = [numbers(*s, slots if p else 1) for s, p in zip(signature.shapes, signature.pairs, strict=True)]
     carriers = 1 + len(T.carriers)
     given = [torch.rand(*shape, carriers, 1, 1, dtype=torch.float64) for shape in ((3, 3), (3,))]
+    given.append(torch.rand((), dtype=torch.float64))
     given += [torch.ones(len(p.members[0]), 1, 1, dtype=torch.float64) for p in T.primitives for _ in range(p.driven)]
     z, dz = numbers(n, 1), [numbers(n, signature.tangents)] if signature.tangents else []
     H = torch.rand(lanes, n, n, dtype=torch.float64)

@@ -43,7 +43,7 @@ from torchmbd.system.equations import split_v
 from torchmbd.system.reactions import multipliers
 
 CHECK = 25  # steps between two looks at what the correction of tangents leaves
-TANGENT_ERROR = 1e-6  # relative; more than this gets another correction
+TANGENT_ERROR = 5e-6  # relative; more than this gets another correction
 MOST = 4  # corrections of tangents
 GOOD_STEP = 0.01  # estimated error of a step that keeps energies within 1e-3
 _STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only

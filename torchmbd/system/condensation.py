@@ -13,7 +13,7 @@ Checked in tests/system/test_condensation.py: against the same system with nothi
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import scipy.linalg
@@ -115,7 +115,9 @@ class _Hold:
 
 
 def _holds(T: Topology) -> list[_Hold]:
-    holds = {b: _Hold(b, [], [], []) for b in range(T.flexible, T.bodies)}
+    # A body with applied forces keeps its equations of motion: the forces may depend on its rates.
+    loaded = set() if T.action_slots is None else set(T.vector_body[T.action_slots].tolist())
+    holds = {b: _Hold(b, [], [], []) for b in range(T.flexible, T.bodies) if b not in loaded}
     for primitive, rows in T.row_slices():
         n = len(primitive.members[0])
         bodies = torch.stack([T.vector_body[m] for m in primitive.members]).T.tolist()
@@ -144,7 +146,9 @@ class _Poses:
         """Violations [rows] at q [n_q], laws ahead of their start by an angle."""
         start = q.new_zeros(1)
         laws = [
-            p.drive(torch.stack([values_at(law, start)[0] + angle for law in p.data])[:, None, None]) if p.driven else None
+            p.drive(torch.stack([values_at(law, start)[0] + angle for law in p.data])[:, None, None])
+            if p.driven
+            else None
             for p in self.T.primitives
         ]
         given = self.T.prescribed(start[0])._replace(laws=laws)
@@ -267,6 +271,7 @@ def _condensation(T: Topology, carriers: dict[int, Carrier], guided: dict[int, T
         if kept:
             parts.append((primitive, kept))
             used |= {int(m[j]) for m in primitive.members for j in kept}
+    used |= {int(i) for action in T.actions for member in action.members for i in member}
     vectors = sorted(used)
     place = {old: new for new, old in enumerate(vectors)}
     primitives = tuple(
@@ -284,6 +289,9 @@ def _condensation(T: Topology, carriers: dict[int, Carrier], guided: dict[int, T
         [number[b] for b in T.vector_body[vectors].tolist()],
         primitives,
         tuple(T.row_names[i] for i in rows),
+        tuple(
+            replace(a, members=tuple(torch.tensor([place[int(i)] for i in m]) for m in a.members)) for a in T.actions
+        ),
         tuple(carriers.values()),
         rates,
     )

@@ -96,7 +96,8 @@ def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], fre
     unknown = [name for name in free if name not in [body.name for body in bodies]]
     if unknown:
         raise InputError(f"free names {unknown}; allowed: names of bodies, {[body.name for body in bodies]}")
-    held = {id(frame.body) for item in [*joints, *forces] for frame in vars(item).values() if hasattr(frame, "body")}
+    frames = [frame for joint in joints for frame in (joint.a, joint.b)] + [x for force in forces for x in force.frames]
+    held = {id(frame.body) for frame in frames}
     loose = [body.name for body in bodies if id(body) not in held and body.name not in free]
     if joints and loose:
         raise InputError(

@@ -50,6 +50,7 @@ class Placement:
     g     [3, vectors]         vectors in ground axes; points include the origin of their body
     arguments                  the same, for each argument of each kind of primitive
     drives                     what the laws prescribe at this time, for each kind of primitive
+    t                          the time
     """
 
     A: Any
@@ -59,6 +60,7 @@ class Placement:
     g: Any
     arguments: list[list[Any]]
     drives: list[tuple | None]
+    t: Any = None
 
 
 def split_q(T: Topology, q):
@@ -94,7 +96,7 @@ def placement(T: Topology, data: Data, q, given: Prescribed) -> Placement:
         rho = cat([rho[:, :n] + bent, rho[:, n:]], 1) if n < len(T.attached) else rho + bent
     A_of = A.index_select(2, T.vector_body)
     g = matvec(A_of, rho) + r.index_select(1, T.vector_origin)
-    return Placement(A, w, A_of, rho, g, T.arguments(g), given.laws)
+    return Placement(A, w, A_of, rho, g, T.arguments(g), given.laws, given.t)
 
 
 def _modal_vector(T: Topology, Y, w):
@@ -189,8 +191,8 @@ def vector_jets(T: Topology, at: Placement, data: Data, v, a) -> Jet:
     rdd, omd, wdd = split_v(T, a)
     spin = skew(om)
     Z = skew(omd) + matmul(spin, spin)
-    spin, Z = (_with_ground(x, 2).index_select(2, T.vector_body) for x in (spin, Z))
-    rd, rdd = (_with_ground(x, 1).index_select(1, T.vector_origin) for x in (rd, rdd))
+    spin, Z = (_with_carriers(T, x, 2).index_select(2, T.vector_body) for x in (spin, Z))
+    rd, rdd = (_with_carriers(T, x, 1).index_select(1, T.vector_origin) for x in (rd, rdd))
     velocity, acceleration = matvec(spin, at.rho), matvec(Z, at.rho)
     n = T.attached_flexible
     if n:
@@ -201,13 +203,46 @@ def vector_jets(T: Topology, at: Placement, data: Data, v, a) -> Jet:
     return Jet(at.g, rd + matvec(at.A_of, velocity), rdd + matvec(at.A_of, acceleration))
 
 
-def _with_ground(x, dim: int):
-    return cat([x, linear(lambda y: torch.zeros_like(y.narrow(dim, 0, 1)), x)], dim)
+def vector_velocities(T: Topology, at: Placement, data: Data, v):
+    """Velocities of the attached vectors [3, vectors, ...], in ground axes; of those on carriers as if they were at rest."""
+    rd, om, wd = split_v(T, v)
+    om = _with_carriers(T, om, 1).index_select(1, T.vector_body)
+    velocity = cross(om, at.rho)
+    n = T.attached_flexible
+    if n:
+        bending = velocity[:, :n] + _modal_vector(T, data["Y"], wd)
+        velocity = cat([bending, velocity[:, n:]], 1) if n < len(T.attached) else bending
+    return _with_carriers(T, rd, 1).index_select(1, T.vector_origin) + matvec(at.A_of, velocity)
+
+
+def _with_carriers(T: Topology, x, dim: int):
+    """Append zeros for the carriers and the ground."""
+
+    def zeros(y: Tensor) -> Tensor:
+        return torch.zeros_like(y.narrow(dim, 0, 1)).repeat_interleave(1 + len(T.carriers), dim)
+
+    return cat([x, linear(zeros, x)], dim)
 
 
 def constraint_forces(T: Topology, data: Data, at: Placement, lam):
     """Phi_q' lam: ground forces [3, bodies], body torques [3, bodies], modal forces [modes, flexible]."""
     return generalized_forces(T, data, at, force_on_vectors(T, at, lam))
+
+
+def applied_on_vectors(T: Topology, data: Data, at: Placement, v):
+    """What the actions do to the attached vectors [3, vectors, ...], in ground axes."""
+    slots = []
+    for action, (s, rate, direction) in zip(T.actions, action_states(T, data, at, v), strict=True):
+        f = action.strength(s, rate, at.t)
+        slots += [f * d for d in direction]
+    return T.action_fold(*slots)  # pyright: ignore[reportOptionalCall]
+
+
+def action_states(T: Topology, data: Data, at: Placement, v) -> list[tuple]:
+    """s, s' [n, ...] and the direction of each kind of action."""
+    velocities = T.action_arguments(vector_velocities(T, at, data, v))
+    vectors = T.action_arguments(at.g)
+    return [action.state(x, xd) for action, x, xd in zip(T.actions, vectors, velocities, strict=True)]
 
 
 def force_on_vectors(T: Topology, at: Placement, lam):
@@ -225,17 +260,28 @@ def generalized_forces(T: Topology, data: Data, at: Placement, force):
     if T.attached_flexible:
         modal = T.modal_fold(matvec_t(data["Y"], local[:, : T.attached_flexible]))
     else:
-        modal = linear(torch.zeros_like, at.w)
+        none = T.modes, T.flexible
+        modal = linear(lambda y: y.new_zeros(*none, *y.shape[2:]), force)
     return both[:, : T.bodies], both[:, T.bodies :], modal
 
 
 def dynamic_residual(T: Topology, data: Data, at: Placement, v, a, lam):
     """M a + s + K q + Phi_q' lam - g  [n_v, ...]: zero along a motion; eq. (5)."""
     forces = inertia_forces(T, data, at, v, a)
-    if T.rows:
-        forces = [x + y for x, y in zip(forces, constraint_forces(T, data, at, lam), strict=True)]
+    pulls = total_on_vectors(T, data, at, v, lam)
+    if pulls is not None:
+        forces = [x + y for x, y in zip(forces, generalized_forces(T, data, at, pulls), strict=True)]
     force = cat([x.flatten(0, 1) for x in forces])
     return force if T.gather is None else T.gather(force)
+
+
+def total_on_vectors(T: Topology, data: Data, at: Placement, v, lam):
+    """Phi_q' lam - g on the attached vectors [3, vectors, ...]; None without any. Without rates v, of the joints alone."""
+    pulls = force_on_vectors(T, at, lam) if T.rows else None
+    if not T.actions or v is None:
+        return pulls
+    applied = applied_on_vectors(T, data, at, v)
+    return -applied if pulls is None else pulls - applied
 
 
 def coordinate_rates(T: Topology, q, v):

@@ -79,7 +79,7 @@ def _given(T: Topology, times: Tensor, lanes: int) -> Prescribed:
         None if law is None else tuple(side_by_side([k.laws[i][m] for k in known]) for m in range(len(law)))  # pyright: ignore
         for i, law in enumerate(known[0].laws)
     ]
-    return Prescribed(laws, known[0].A, known[0].r)
+    return known[0]._replace(laws=laws)
 
 
 def _columns(T: Topology, data: Data, at: Placement, rows: Tensor) -> Tensor:

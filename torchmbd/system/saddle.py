@@ -20,7 +20,15 @@ from torch import Tensor
 
 from torchmbd.numerics.pair import cross, matmul, matvec, matvec_t
 from torchmbd.numerics.rotation import axial, skew
-from torchmbd.system.equations import Data, Placement, force_on_vectors, moments, split_v
+from torchmbd.system.equations import (
+    Data,
+    Placement,
+    action_states,
+    generalized_forces,
+    moments,
+    split_v,
+    total_on_vectors,
+)
 from torchmbd.system.topology import Fold, Topology
 
 Moments = tuple[Tensor, Tensor, Tensor | None]  # S, P and G of equations.moments
@@ -157,8 +165,10 @@ class Saddle:
             self._add_gyroscopic(blocks, data, at, body, damping, (om, wd, spin))
             if a is not None:
                 self._add_inertial(blocks, data, at, body, stiffness, (wd, spin), split_v(T, a))
-        if lam is not None and self.T.rows:
-            self._add_geometric(blocks, data, at, stiffness, lam)
+        if lam is not None:
+            pulls = total_on_vectors(T, data, at, v, lam)
+            if pulls is not None:
+                self._add_geometric(blocks, data, at, stiffness, pulls)
         if self.T.rows:
             blocks |= self._row_blocks(data, at)
             blocks["row_turn"] = self._by_increment(blocks["row_torque"], turn)
@@ -167,7 +177,29 @@ class Saddle:
         flat = torch.cat([flat, flat.new_zeros(1, lanes)])
         size = self.T.n_v + self.T.rows
         flat = flat.index_select(0, self._index) if self._project is None else self._project(flat)
-        return flat.reshape(size, size, lanes).permute(2, 0, 1).contiguous()
+        K = flat.reshape(size, size, lanes).permute(2, 0, 1).contiguous()
+        if v is not None and T.actions:
+            K[:, : T.n_v, : T.n_v] += self._action_slopes(data, at, v, stiffness, damping)
+        return K
+
+    def _action_slopes(self, data: Data, at: Placement, v: Tensor, stiffness: float, damping: float) -> Tensor:
+        """Derivatives of the applied forces through their laws [lanes, n_v, n_v]."""
+        T = self.T
+        total = sum(len(action.laws) for action in T.actions)
+        slots, weights, start = [], [], 0
+        for action, (s, rate, direction) in zip(T.actions, action_states(T, data, at, v), strict=True):
+            n = len(action.laws)
+            unit = torch.eye(total, dtype=s.dtype, device=s.device)[
+                start : start + n, :, None
+            ]  # one slot for each action
+            slots += [d * unit for d in direction]
+            by_s, by_rate = action.slopes(s, rate, at.t)
+            weights.append(-(stiffness * by_s + damping * by_rate)[:, 0])
+            start += n
+        force = T.action_fold(*slots)  # pyright: ignore[reportOptionalCall]
+        D = torch.cat([x.flatten(0, 1) for x in generalized_forces(T, data, at, force)])
+        D = (D if T.gather is None else T.gather(D)).permute(2, 0, 1)
+        return (D * torch.cat(weights).T[:, None]) @ D.transpose(1, 2)
 
     def _by_increment(self, torque: Tensor, turn: Tensor | None) -> Tensor:
         """A change d of the increment th turns a body by (1 - ~th/2 + ~th~th/6) d, here to the third order."""
@@ -272,14 +304,16 @@ class Saddle:
         blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(h))
         blocks["inertia"] = blocks["inertia"] + factor * matmul(skew(S), skew(u))
 
-    def _add_geometric(self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, lam: Tensor) -> None:
-        """Add what the constraint forces change by when bodies turn and bend under them, forces held in ground axes.
+    def _add_geometric(
+        self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: float, pulls: Tensor
+    ) -> None:
+        """Add what the forces on attached vectors change by when bodies turn and bend under them, forces held in ground axes.
 
         A rod under tension has a mode of small inertia in which its frame turns against its bending; there this
         matters as much as the inertia.
         """
         T = self.T
-        local = matvec_t(at.A_of, force_on_vectors(T, at, lam))
+        local = matvec_t(at.A_of, pulls)
         turned = matmul(skew(at.rho), skew(local))
         torque = self._body_fold(turned.flatten(0, 1)).unflatten(0, (3, 3))
         blocks["inertia"] = blocks["inertia"] + factor * torque

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from torchmbd.bodies.frame import vector
 from torchmbd.errors import InputError, unknown
+from torchmbd.forces.force import ForceElement
 from torchmbd.joints.joint import Joint
 from torchmbd.numerics.pair import Pair
 from torchmbd.system import topology
@@ -32,7 +33,7 @@ class System(nn.Module):
 
     bodies         rigid and flexible bodies; their names are unique
     joints         between frames of these bodies and the ground
-    forces         applied forces
+    forces         force elements between frames of these bodies and the ground
     gravity        acceleration of gravity in ground axes [m/s2]
     stabilization  time constant of the constraint stabilization of ODE methods [s]
     free           names of bodies that no joint holds on purpose
@@ -42,7 +43,7 @@ class System(nn.Module):
         self,
         bodies: Sequence[Any],
         joints: Sequence[Joint] = (),
-        forces: Sequence[Any] = (),
+        forces: Sequence[ForceElement] = (),
         gravity: Sequence[float] | Tensor | None = None,
         stabilization: float = 5e-3,
         free: Sequence[str] = (),
@@ -54,13 +55,15 @@ class System(nn.Module):
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"body name {name!r} is used {names.count(name)} times; allowed: unique names")
-        if forces:
-            raise InputError("forces is not empty; allowed so far: no applied forces but gravity")
         if not stabilization > 0:
             raise InputError(f"stabilization is {stabilization!r} s; allowed: a positive time constant")
         self.bodies = list(bodies)
         self.gravity = None if gravity is None else vector("gravity", gravity)
         self.stabilization = float(stabilization)
+        for force in forces:
+            if not isinstance(force, ForceElement):
+                raise InputError(f"forces has {force!r}; allowed: force elements, such as mbd.SpringDamper(...)")
+        self.forces = list(forces)
         check_connected(self.bodies, list(joints), list(forces), list(free))
         self._join(joints)
         for body in self.bodies:
@@ -70,7 +73,7 @@ class System(nn.Module):
 
     def _join(self, joints: Sequence[Joint]) -> None:
         self.joints = list(joints)
-        self.topology = topology.build(self.bodies, self.joints)
+        self.topology = topology.build(self.bodies, self.joints, self.forces)
         ordered = [self.body(name) for name in self.topology.names]
         self._saddle = Saddle(self.topology)
         self._initial = InitialConditions.of(self.topology, ordered)

@@ -27,6 +27,9 @@ from torch import Tensor
 
 from torchmbd.bodies import Ground
 from torchmbd.errors import InputError
+from torchmbd.forces.action import KINDS as ACTIONS
+from torchmbd.forces.action import Action
+from torchmbd.forces.force import Applied, ForceElement
 from torchmbd.joints.joint import Attached, Equation, Joint, Scribe
 from torchmbd.joints.primitive import KINDS, Primitive, slopes_at, values_at
 from torchmbd.numerics.pair import cat, linear, value
@@ -83,11 +86,12 @@ class Prescribed(NamedTuple):
     laws: list[tuple | None]
     A: Tensor  # rotations [3, 3, carriers, 1, 1], the ground last
     r: Tensor  # origins [3, carriers, 1, 1]
+    t: Any  # the time [1, 1] or []
 
     def values(self) -> Prescribed:
         """The same without tangents."""
         laws = [None if law is None else tuple(value(x) for x in law) for law in self.laws]
-        return self._replace(laws=laws, A=value(self.A), r=value(self.r))
+        return self._replace(laws=laws, A=value(self.A), r=value(self.r), t=value(self.t))
 
 
 @dataclass(frozen=True)
@@ -165,6 +169,9 @@ class Topology:
     vector_fold: Fold  # slots of constraint forces -> vectors
     body_fold: Fold  # [forces of points | torques] of vectors -> [forces | torques] of bodies
     modal_fold: Fold  # modal forces of flexible vectors -> flexible bodies
+    actions: tuple[Action, ...] = ()
+    action_slots: Tensor | None = None  # vectors of all arguments of all actions, in order
+    action_fold: Fold | None = None  # slots of applied forces -> vectors
     carriers: tuple[Carrier, ...] = ()
     rates: Tensor | None = None  # [rates of all bodies, independent rates]
     spread: SparseMap | None = None  # the same
@@ -193,13 +200,11 @@ class Topology:
 
     def arguments(self, g: Any) -> list[list[Any]]:
         """The vectors [3, n, ...] of each primitive's arguments, out of all attached vectors: one gather."""
-        g = g.index_select(1, self.slots)
-        result, start = [], 0
-        for primitive in self.primitives:
-            n = len(primitive.members[0])
-            result.append([g[:, start + k * n : start + (k + 1) * n] for k in range(len(primitive.members))])
-            start += n * len(primitive.members)
-        return result
+        return _arguments(g.index_select(1, self.slots), self.primitives)
+
+    def action_arguments(self, g: Any) -> list[list[Any]]:
+        """The same for the actions."""
+        return _arguments(g.index_select(1, self.action_slots), self.actions)
 
     def law_jets(self, t: Tensor) -> list[tuple | None]:
         """What the laws of driven primitives prescribe at time t, with time derivatives, for each kind of primitive."""
@@ -218,7 +223,7 @@ class Topology:
         poses.append((eye[..., None].expand(3, 3, n), times.new_zeros(3, n)))
         A, r = (torch.stack(x, -2)[..., None, None].movedim(-3, 0).contiguous() for x in zip(*poses, strict=True))
         at = [[None if law is None else tuple(x[i] for x in law) for law in laws] for i in range(n)]
-        return [Prescribed(*x) for x in zip(at, A, r, strict=True)]
+        return [Prescribed(*x) for x in zip(at, A, r, times, strict=True)]
 
     def row_slices(self) -> list[tuple[Primitive, slice]]:
         """Each kind of primitive with its rows among all."""
@@ -242,21 +247,33 @@ class Topology:
         return [7 * self.bodies + a * self.flexible + flexible for a in range(self.own_modes[flexible])]
 
 
-def build(bodies: Sequence[Any], joints: Sequence[Joint]) -> Topology:
-    """Order the bodies, scribe all joints and make the index tensors."""
+def _arguments(g: Any, kinds: Sequence[Primitive | Action]) -> list[list[Any]]:
+    result, start = [], 0
+    for kind in kinds:
+        n = len(kind.members[0])
+        result.append([g[:, start + k * n : start + (k + 1) * n] for k in range(len(kind.members))])
+        start += n * len(kind.members)
+    return result
+
+
+def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[ForceElement] = ()) -> Topology:
+    """Order the bodies, scribe all joints and forces and make the index tensors."""
     order = sorted(bodies, key=lambda body: not hasattr(body, "mesh"))
     number = {id(body): i for i, body in enumerate(order)}
     flexible = sum(hasattr(body, "mesh") for body in order)
     ground = len(order)
     scribe = Scribe()
     equations = [(joint, equation) for joint in joints for equation in _checked(joint, scribe, number)]
+    applied = [action for force in forces for action in _acting(force, scribe, number)]
     bends = [number.get(id(x.body), ground) < flexible for x in scribe.vectors]
     arrangement = sorted(range(len(bends)), key=lambda i: not bends[i])
     position = {old: new for new, old in enumerate(arrangement)}
     attached = tuple(scribe.vectors[i] for i in arrangement)
     body_of = [number.get(id(x.body), ground) for x in attached]
     own = tuple(body.modes for body in order[:flexible])
-    return assemble([body.name for body in order], own, attached, body_of, *_group(equations, position))
+    primitives, rows = _group(equations, position)
+    actions = _group_actions(applied, position)
+    return assemble([body.name for body in order], own, attached, body_of, primitives, rows, actions)
 
 
 def assemble(
@@ -266,12 +283,15 @@ def assemble(
     body_of: list[int],
     primitives: tuple[Primitive, ...],
     row_names: tuple[str, ...],
+    actions: tuple[Action, ...] = (),
     carriers: tuple[Carrier, ...] = (),
     rates: Tensor | None = None,
 ) -> Topology:
     """Make the index tensors. body_of: body of each attached vector, carriers after the bodies; flexible bodies first."""
     n, flexible, ground = len(names), len(own_modes), len(names) + len(carriers)
-    slots = [int(i) for primitive in primitives for member in primitive.members for i in member]
+    slots, action_slots = (
+        [int(i) for kind in kinds for member in kind.members for i in member] for kinds in (primitives, actions)
+    )
     bent = [body for body in body_of if body < flexible]
     force_of = [body if x.is_point and body < n else -1 for x, body in zip(attached, body_of, strict=True)]
     torque_of = [n + body if body < n else -1 for body in body_of]
@@ -293,6 +313,9 @@ def assemble(
         vector_fold=Fold(slots, len(attached)),
         body_fold=Fold(force_of + torque_of, 2 * n),
         modal_fold=Fold(bent, flexible),
+        actions=actions,
+        action_slots=torch.tensor(action_slots, dtype=torch.long) if actions else None,
+        action_fold=Fold(action_slots, len(attached)) if actions else None,
         carriers=carriers,
         rates=rates,
         spread=None if rates is None else SparseMap(rates),
@@ -307,6 +330,28 @@ def _checked(joint: Joint, scribe: Scribe, number: dict[int, int]) -> list[Equat
                 f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
             )
     return list(joint.equations(scribe))
+
+
+def _acting(force: ForceElement, scribe: Scribe, number: dict[int, int]) -> list[Applied]:
+    for frame in force.frames:
+        if id(frame.body) not in number and not isinstance(frame.body, Ground):
+            raise InputError(
+                f"force {force.name!r} acts on body {frame.body.name!r}, which is not among the bodies of the system"
+            )
+    return list(force.actions(scribe))
+
+
+def _group_actions(applied: list[Applied], position: dict[int, int]) -> tuple[Action, ...]:
+    """Collect the actions kind by kind."""
+    result = []
+    for kind in ACTIONS:
+        mine = [action for action in applied if action.kind is kind]
+        if mine:
+            members = tuple(
+                torch.tensor([position[action.vectors[k]] for action in mine]) for k in range(len(kind.arguments))
+            )
+            result.append(kind(members, tuple(action.law for action in mine)))
+    return tuple(result)
 
 
 def _group(

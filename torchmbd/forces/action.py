@@ -1,0 +1,159 @@
+"""Actions: the few kinds of applied generalized forces that every force element is a list of.
+
+An action has a coordinate s of the vectors attached to its bodies and a law f(s, s', t). By virtual work it pulls with
+
+    force on each vector = f ds/dvector          power = f s'
+
+so what it does to the bodies is derived as for a constraint, momentum is kept, and energy is what the law says.
+
+    kind      coordinate                                  arguments                   unit of f
+    Length    |g_b - g_a|                                 point, point                N
+    Along     (g_b - g_a) . u                             point, point, axis u        N
+    Turn      angle of x_b from x_a towards y_a           axis x_a, axis y_a, axis    N m
+    Push      none: a force along u                       point, axis u               N
+    Twist     none: a torque about u                      axis u, triad of the body   N m
+
+The contract of a kind:
+
+    direction(vectors)   what f = 1 does to each argument [3, n, ...]; the gradient of s where there is one
+    measure(vectors)     s [n, ...]; kinds without one see s = s' = 0
+
+Nothing else is written for a force: design tangents come from pairs, the iteration matrix from the slopes of the law.
+`Turn` measures within half a turn around the `center` of its law (0 by default).
+A law is elementwise: it sees s and s' of shape [1, 1, lanes] and returns that shape.
+Checked in tests/contracts/test_actions.py: direction against autograd, momentum, slopes of laws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchmbd.numerics.pair import cat, cross, dot, lifted, linear, reciprocal, slopes, sqrt, value
+
+Law = Callable[[Tensor, Tensor, Tensor], Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class Action:
+    """All actions of one kind in a system.
+
+    members  for each argument the indices of its vectors, long [n]
+    laws     f(s, s', t) of each
+    """
+
+    members: tuple[Tensor, ...]
+    laws: tuple[Law, ...]
+    arguments: ClassVar[tuple[str, ...]]
+
+    def direction(self, vectors) -> list:
+        """What a unit generalized force does to each argument [3, n, ...], in ground axes."""
+        raise NotImplementedError
+
+    def measure(self, vectors):
+        """Coordinate s [n, ...]."""
+        return linear(torch.zeros_like, vectors[0][0])
+
+    def state(self, vectors, velocities) -> tuple[Any, Any, list]:
+        """s, s' [n, ...] and the direction."""
+        direction = self.direction(vectors)
+        s = self.measure(vectors)
+        if type(self).measure is Action.measure:
+            return s, s, direction
+        rates = [dot(d, x) for d, x in zip(direction, velocities, strict=True)]
+        return s, sum(rates[1:], rates[0]), direction
+
+    def strength(self, s, rate, t):
+        """Generalized forces f [n, ...]."""
+        return cat([lifted(law, s[i : i + 1], rate[i : i + 1], t) for i, law in enumerate(self.laws)])
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Any) -> tuple[Tensor, Tensor]:
+        """df/ds and df/ds' [n, ...] of plain numbers."""
+        parts = [slopes(law, s[i : i + 1], rate[i : i + 1], value(t)) for i, law in enumerate(self.laws)]
+        return torch.cat([p[0] for p in parts]), torch.cat([p[1] for p in parts])
+
+
+class Length(Action):
+    """Distance of two points."""
+
+    arguments = ("point", "point")
+
+    def direction(self, vectors) -> list:
+        a, b = vectors
+        u = (b - a) * reciprocal(self.measure(vectors))
+        return [-u, u]
+
+    def measure(self, vectors):
+        a, b = vectors
+        return sqrt(dot(b - a, b - a))
+
+
+class Along(Action):
+    """Position of point b from point a along an axis."""
+
+    arguments = ("point", "point", "axis")
+
+    def direction(self, vectors) -> list:
+        a, b, u = vectors
+        return [-u, u, b - a]
+
+    def measure(self, vectors):
+        a, b, u = vectors
+        return dot(b - a, u)
+
+
+class Turn(Action):
+    """Angle of the axis x of body b from the axis x of body a, towards y of a."""
+
+    arguments = ("axis", "axis", "axis")
+
+    def direction(self, vectors) -> list:
+        x, y, b = vectors
+        c, s = dot(x, b), dot(y, b)
+        inverse = reciprocal(c * c + s * s)
+        c, s = c * inverse, s * inverse
+        return [-(s * b), c * b, c * y - s * x]
+
+    def measure(self, vectors):
+        x, y, b = vectors
+        c, s = dot(x, b), dot(y, b)
+        parts = [_angle(s[i : i + 1], c[i : i + 1], getattr(law, "center", 0.0)) for i, law in enumerate(self.laws)]
+        return cat(parts)
+
+
+class Push(Action):
+    """A force along an axis."""
+
+    arguments = ("point", "axis")
+
+    def direction(self, vectors) -> list:
+        _, u = vectors
+        return [u, linear(torch.zeros_like, u)]
+
+
+class Twist(Action):
+    """A torque about an axis u: with the triad e of the body, sum e_k x (u x e_k) / 2 = u."""
+
+    arguments = ("axis", "axis", "axis", "axis")
+
+    def direction(self, vectors) -> list:
+        u, *triad = vectors
+        return [linear(torch.zeros_like, u), *(0.5 * cross(u, e) for e in triad)]
+
+
+def _angle(s: Any, c: Any, center: float) -> Any:
+    """The angle of (c, s) within half a turn of a center."""
+
+    def angle(s: Tensor, c: Tensor) -> Tensor:
+        half = torch.full_like(s, center)
+        turned = torch.atan2(s * torch.cos(half) - c * torch.sin(half), c * torch.cos(half) + s * torch.sin(half))
+        return turned + half
+
+    return lifted(angle, s, c)
+
+
+KINDS: tuple[type[Action], ...] = (Length, Along, Turn, Push, Twist)

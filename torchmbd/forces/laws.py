@@ -1,0 +1,164 @@
+"""Laws of actions: generalized force f(s, s', t) in the direction of growing s.
+
+    Spring     f = -k (s - s0) - c s'
+    Table      f = piecewise linear in s through knots, constant outside, - c s'
+    Pieces     f = a_i + k_i s on intervals, jumps smoothed over a stated width, - c s'
+    OfTime     f = g(t)
+
+Any torch function of (s, s', t) that works elementwise is a law as well. `center`: where the range of an angle, half a
+turn to both sides, has its middle.
+Checked in tests/forces/test_laws.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+
+
+@dataclass(frozen=True)
+class Spring:
+    """Linear spring and damper: stiffness k, damping c, rest s0."""
+
+    stiffness: float
+    damping: float = 0.0
+    rest: float = 0.0
+
+    @property
+    def center(self) -> float:
+        return self.rest
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return -self.stiffness * (s - self.rest) - self.damping * rate
+
+
+@dataclass(frozen=True)
+class Table:
+    """Continuous, piecewise linear: knots (s, f) with growing s, constant outside; and damping c."""
+
+    knots: tuple[tuple[float, float], ...]
+    damping: float = 0.0
+    center: float = 0.0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "knots", tuple((float(s), float(f)) for s, f in self.knots))
+        x = [s for s, _ in self.knots]
+        if len(x) < 2 or any(not a < b for a, b in pairwise(x)):
+            raise InputError(f"knots are {self.knots!r}; allowed: two or more pairs (s, f) with growing s")
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        x, f = zip(*self.knots, strict=True)
+        k = [(f[i + 1] - f[i]) / (x[i + 1] - x[i]) for i in range(len(x) - 1)]
+        bends = [b - a for a, b in zip([0.0, *k], [*k, 0.0], strict=True)]
+        total = f[0] - self.damping * rate
+        for knot, bend in zip(x, bends, strict=True):
+            total = total + bend * torch.clamp_min(s - knot, 0.0)
+        return total
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Piecewise linear with jumps: f = intercepts[i] + slopes[i] s between borders[i - 1] and borders[i].
+
+    borders  growing, one less than pieces
+    width    every jump is spread over s = border +- width, by a cubic step; a number that changes results, so state it
+    """
+
+    borders: tuple[float, ...]
+    intercepts: tuple[float, ...]
+    slopes: tuple[float, ...]
+    width: float
+    damping: float = 0.0
+    center: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = len(self.borders)
+        if len(self.intercepts) != n + 1 or len(self.slopes) != n + 1 or not self.width > 0:
+            raise InputError(
+                f"{n} borders, {len(self.intercepts)} intercepts, {len(self.slopes)} slopes, width {self.width!r}; "
+                "allowed: one border less than pieces, a positive width"
+            )
+        if any(not b - a >= 2.0 * self.width for a, b in pairwise(self.borders)):
+            raise InputError(
+                f"borders are {self.borders!r}; allowed: growing, at least 2 width = {2 * self.width} apart"
+            )
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        total = self.intercepts[0] + self.slopes[0] * s - self.damping * rate
+        for i, border in enumerate(self.borders):
+            u = torch.clamp((s - border) / (2.0 * self.width) + 0.5, 0.0, 1.0)
+            step = u * u * (3.0 - 2.0 * u)
+            change = self.intercepts[i + 1] - self.intercepts[i] + (self.slopes[i + 1] - self.slopes[i]) * s
+            total = total + step * change
+        return total
+
+
+@dataclass(frozen=True)
+class OfTime:
+    """A force that is a torch function of time alone, or constant."""
+
+    law: Callable[[Tensor], Tensor] | float
+    factor: float = 1.0
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        f = self.law(t) if callable(self.law) else self.law
+        return self.factor * f + torch.zeros_like(s)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A one-sided stop: f = k d - c d' s' for the penetration d = limit - s > 0 (sign +1), or s - limit (sign -1).
+
+    smooth  the stiffness rises from zero over this penetration, so that the law has a continuous slope
+    """
+
+    stiffness: float
+    limit: float = 0.0
+    sign: float = 1.0
+    damping: float = 0.0
+    smooth: float = 0.0
+    center: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.sign not in (1.0, -1.0) or not math.isfinite(self.limit):
+            raise InputError(f"sign is {self.sign!r}, limit {self.limit!r}; allowed: 1.0 or -1.0, a finite limit")
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        depth = torch.clamp_min(self.sign * (self.limit - s), 0.0)
+        if self.smooth:
+            share = torch.clamp_max(depth / self.smooth, 1.0)
+            share = share * share * (3.0 - 2.0 * share)
+        else:
+            share = (depth > 0).to(s.dtype)
+        return self.sign * self.stiffness * depth * share - self.damping * share * rate
+
+
+LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap)
+
+
+def checked(name: str, law: object) -> object:
+    """The law, tried once; InputError names its force element."""
+    if not callable(law):
+        raise InputError(f"law of {name!r} is {law!r}; allowed: a torch function of (s, s', t)")
+    zero = torch.zeros(1, 1, 1, dtype=torch.float64)
+    found = law(zero, zero, zero[0, 0, 0])
+    if not isinstance(found, Tensor) or found.shape != zero.shape or not bool(torch.isfinite(found).all()):
+        raise InputError(
+            f"law of {name!r} gives {found!r} at s = s' = t = 0; allowed: a finite tensor of the shape of s, [1, 1, lanes]"
+        )
+    return law
+
+
+def numbers(name: str, x: Sequence[float] | float, count: int) -> list[float]:
+    """`count` finite numbers, or one for all."""
+    values = [float(x)] * count if isinstance(x, (int, float)) else [float(y) for y in x]
+    if len(values) != count or not all(math.isfinite(y) for y in values):
+        raise InputError(f"{name} is {x!r}; allowed: {count} finite numbers, or one for all")
+    return values
