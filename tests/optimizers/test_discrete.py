@@ -10,6 +10,7 @@ import pytest
 
 from tests.optimizers.analytic import Analytic
 from tests.optimizers.structures import three_bar_truss
+from torchmbd.design.lamination import LaminationRules
 from torchmbd.errors import InputError
 from torchmbd.optimizers import optimize_discrete, sobol
 from torchmbd.optimizers.grid import Grid
@@ -74,6 +75,30 @@ def test_equals_exhaustive_enumeration(case):
     assert result.certificate.holds
     assert result.analyses == sum(count for count, _ in problem.batches)
     assert result.analyses <= share * result.size
+
+
+RULES = {
+    "balanced": LaminationRules(balanced=True),
+    "45 degrees between neighbors": LaminationRules(max_step=45.0),
+}
+
+
+@pytest.mark.parametrize("name", RULES)
+def test_rules_of_a_laminate_are_kept(name):
+    """The best of all stacks that keep the rules, by enumeration."""
+    problem, rules = angles(), RULES[name]
+    result = optimize_discrete(problem, 15.0, starts=sobol(16, seed=3, include_initial=True), admits=rules.admits)
+    X = np.array([x for x in product(np.arange(-90.0, 91.0, 15.0), repeat=4) if rules.admits(x)])
+    F, C = np.asarray(problem.f(list(X.T))), problem.c(list(X.T))[0]
+    assert result.best.value == pytest.approx(F[C <= 1e-6].min(), rel=1e-9)
+    assert result.certificate.holds
+    assert all(rules.admits(candidate.x) for candidate in result.candidates)
+
+
+def test_rules_that_no_design_keeps():
+    result = optimize_discrete(valley(), 1.0, admits=lambda x: False)
+    assert result.status == "failed"
+    assert "no design on the allowed values" in result.message
 
 
 def test_plain_rounding_is_worse_in_a_valley():

@@ -16,6 +16,8 @@ from torchmbd.optimizers.optimizer import Evaluation, OptimizationResult
 from torchmbd.optimizers.search import Ask, Report, Search, variable_scale
 
 WORTH = 1e-9  # relative improvement that counts
+STEPS = 2  # increments: of the certificate, and of the way to an admitted design
+MAX_NEIGHBORS = 1000
 
 
 @dataclass(frozen=True)
@@ -123,7 +125,8 @@ class Branching:
     def confirm(self, X: np.ndarray) -> list[Candidate]:
         """Round designs [k, n] and evaluate them; return those that could be evaluated, in their order."""
         found: list[Candidate] = []
-        rounded = [self.grid.nearest(x) for x in X]
+        nearest = [self.grid.nearest_admitted(x, STEPS, MAX_NEIGHBORS) for x in X]
+        rounded = [x for x in nearest if x is not None]
         for first in range(0, len(rounded), self.max_lanes):
             designs = np.array(rounded[first : first + self.max_lanes])
             for x, evaluation in zip(designs, self.archive.evaluate(designs, False), strict=True):
@@ -164,6 +167,6 @@ class Branching:
         found = [
             self.candidate(x, evaluation)
             for x, evaluation in self.archive.known.values()
-            if evaluation.ok and np.array_equal(self.grid.nearest(x), x)
+            if evaluation.ok and np.array_equal(self.grid.nearest(x), x) and self.grid.admits(x)
         ]
         return sorted(found, key=self.rank)

@@ -15,22 +15,20 @@ Gupta and Ravindran, Branch and bound experiments in convex nonlinear integer pr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from torchmbd.optimizers.archive import Archive
-from torchmbd.optimizers.branching import Branching, Candidate
+from torchmbd.optimizers.branching import MAX_NEIGHBORS, STEPS, Branching, Candidate
 from torchmbd.optimizers.door import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimizers.grid import Allowed, Grid
 from torchmbd.optimizers.multistart import Study, multistart
 from torchmbd.optimizers.optimizer import OptimizationResult, Problem, find_method, require_range
 from torchmbd.optimizers.sampling import Starts
 from torchmbd.optimizers.search import Search
-
-STEPS = 2  # increments, of the certificate
 
 
 @dataclass(frozen=True)
@@ -69,7 +67,8 @@ def optimize_discrete(
     max_iterations: int = MAX_ITERATIONS,
     max_lanes: int = 64,
     max_boxes: int = 1000,
-    max_neighbors: int = 1000,
+    max_neighbors: int = MAX_NEIGHBORS,
+    admits: Callable[[np.ndarray], bool] = lambda x: True,
     feasibility: float = FEASIBILITY,
     **options: Any,
 ) -> DiscreteResult:
@@ -78,14 +77,17 @@ def optimize_discrete(
     `allowed`: one entry per variable, an increment in its unit, a list of values, or None (continuous); one increment
     serves all. `starts`, `max_lanes`, `options`: of the relaxation, as in `multistart`. `max_boxes`: boxes searched at most.
     `max_neighbors`: where more lie within two increments per variable, the certificate takes two increments in all.
-    Continuous variables keep their values among neighbors. InputError as in `multistart`, and where no value is in bounds.
+    `admits`: rules that a design on the values must keep, such as those of a laminate; rounding then takes the nearest
+    admitted design within two increments (a rule that ties variables, such as symmetry, is better a link of the problem, for
+    few designs keep it). Continuous variables keep their values among neighbors. InputError as in
+    `multistart`, and where no value is in bounds.
     """
     function = find_method(method, options)
     require_limits(max_iterations, None)
     require_range("max_boxes", max_boxes, 0, 1_000_000)
     require_range("max_neighbors", max_neighbors, 0, 1_000_000)
     box = checked_box(problem)
-    grid = Grid(problem, allowed, box[1], box[2], getattr(problem, "period", None))
+    grid = Grid(problem, allowed, box[1], box[2], getattr(problem, "period", None), admits)
     archive = Archive(problem)
     relaxed = multistart(
         archive,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 
 import numpy as np
@@ -19,6 +19,7 @@ class Grid:
 
     `allowed` has one entry per variable: an increment (its multiples are allowed), a list of values, or None; a single
     increment or None serves all. A variable with a `period` whose values fill it has neighbors across its ends.
+    `admits(x)` says whether a design on the values keeps the user's rules.
     """
 
     def __init__(
@@ -28,7 +29,9 @@ class Grid:
         lower: np.ndarray,
         upper: np.ndarray,
         period: np.ndarray | None,
+        admits: Callable[[np.ndarray], bool] = lambda x: True,
     ) -> None:
+        self.admits = admits
         names = list(problem.names)
         entries = [allowed] * len(names) if allowed is None or np.isscalar(allowed) else list(allowed)  # type: ignore[arg-type]
         if len(entries) != len(names):
@@ -49,6 +52,14 @@ class Grid:
         """Return x [n] rounded."""
         return np.array([a if v is None else v[np.argmin(np.abs(v - a))] for a, v in zip(x, self.values, strict=True)])
 
+    def nearest_admitted(self, x: np.ndarray, steps: int, at_most: int) -> np.ndarray | None:
+        """Return the rounded x [n], or the nearest design within `steps` increments of it that is admitted; or None."""
+        rounded = self.nearest(x)
+        if self.admits(rounded):
+            return rounded
+        X, _ = self.neighbors(rounded, steps, at_most)
+        return X[np.argmin(((X - x) ** 2).sum(axis=1))] if len(X) else None
+
     def off(self, x: np.ndarray) -> np.ndarray:
         """Return how far each variable is from its values, as a share of the gap it lies in: 0 to 0.5 [n]."""
         distances = np.zeros(x.size)
@@ -68,7 +79,7 @@ class Grid:
         )
 
     def neighbors(self, x: np.ndarray, steps: int, at_most: int) -> tuple[np.ndarray, str]:
-        """Return the designs [k, n] within `steps` increments of x, which is on the grid, and in words which these are.
+        """Return the admitted designs [k, n] within `steps` increments of x, on the grid, and in words which these are.
 
         Each variable may move so many increments; where these are more than `at_most` designs, all together may.
         """
@@ -79,8 +90,8 @@ class Grid:
         else:
             words = f"up to {steps} increments away in all"
             combined = [[value for _, value in choice] for choice in _within(moves, steps)]
-        X = np.array(combined)
-        return X[(x != X).any(axis=1)], words
+        X = [y for y in np.array(combined) if (x != y).any() and self.admits(y)]
+        return np.array(X).reshape(-1, x.size), words
 
     def _moves(self, value: float, j: int, steps: int) -> list[tuple[int, float]]:
         """Return increments and the value of variable j that they lead to, none twice."""
