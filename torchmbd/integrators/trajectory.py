@@ -23,6 +23,7 @@ from torch import Tensor
 from torchmbd.errors import SimulationFailure, unknown
 from torchmbd.integrators.body_motion import BodyMotion
 from torchmbd.integrators.reaction import JointReaction, reaction
+from torchmbd.integrators.singular import SingularPosition, singular_positions
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
@@ -115,6 +116,10 @@ class Trajectory:
     def reaction(self, joint: str) -> JointReaction:
         """Force and torque of a joint on its second body, in the frame of its first."""
         return reaction(self, joint)
+
+    def singular_positions(self) -> list[SingularPosition]:
+        """Where and when the motion came near a position at which its constraints lose rank."""
+        return singular_positions(self)
 
     def coordinates(self, rows: Sequence[int]) -> tuple[Tensor, Tensor | None]:
         """Chosen rows of q [lanes, times, k] and their sensitivities [lanes, times, k, n_b]."""
