@@ -26,7 +26,7 @@ def test_a_grid_and_its_mirror_image_are_all_designs(layers, increment):
 
 def test_enumeration_says_what_the_problem_says_of_the_mirror_images():
     problem = problem_of("3f", 2, **TINY)
-    found = enumerate_all({"": problem}, 45.0, lanes=7)[""]
+    found = enumerate_all({"": problem}, 15.0, lanes=41)[""]
     told = problem.evaluate(-found.X, False)
     feasible = np.array([e.constraints.max() <= 1e-6 for e in told])
     assert 0 < feasible.sum() < len(told)
