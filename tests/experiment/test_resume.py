@@ -146,3 +146,28 @@ def test_killed_at_twenty_random_moments(write, folder, monkeypatch):
 
 def _writers(parent: int) -> list[int]:
     return [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+
+
+@pytest.mark.slow
+def test_a_full_disk_is_a_message_and_no_loss(write, folder, monkeypatch):
+    """No file may grow beyond 100 KiB: MLflow's database and that of the evaluations cannot be written."""
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("TORCHMBD_STORE")
+    file = write(starts={"sampler": "sobol", "count": 12, "seed": 7}, tracking={"experiment": "full"})
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "TORCHMBD_PATIENCE": "1"}
+    command = f"trap '' XFSZ; ulimit -f {{}}; exec {sys.executable} -m torchmbd.cli run {file.name}"
+
+    def shell(limit):
+        return subprocess.run(["bash", "-c", command.format(limit)], env=environment, capture_output=True, text=True)
+
+    full = shell(100)
+    assert full.returncode == 1
+    assert "Traceback" not in full.stderr
+    assert "Nothing is lost" in full.stdout
+    assert len(table(full.stdout)) == 12
+    again = shell("unlimited")
+    assert again.returncode == 0, again.stdout + again.stderr
+    assert table(again.stdout) == table(full.stdout)
+    runs = open_store(f"sqlite:///{folder / 'mlflow.db'}").search_runs(["1"])
+    assert {run.info.status for run in runs} == {"FINISHED"}
+    assert len(runs) == 13

@@ -32,6 +32,7 @@ class Journal:
         self.plan, self.tracker, self.folder = plan, tracker, folder
         self.first: dict[int, float] = {}
         self.evaluations = self.iterates = 0
+        self.trouble: str | None = None  # why a file is missing
         self.failures: list[str] = []  # reason and design
         self._best = math.inf
         self._open: list[str] = []
@@ -49,13 +50,9 @@ class Journal:
         self.tracker.begin(PARENT, self.plan.name, params=flat(resolved), tags=tags)
         self._open = [PARENT]
         self.tracker.view(PARENT, self._columns(kind), "metrics.objective")
-        config = self.folder / "config.yaml"
-        config.write_text(yaml.safe_dump(resolved, sort_keys=False), encoding="utf-8")
-        self.file(config)
+        self.text("config.yaml", yaml.safe_dump(resolved, sort_keys=False))
         if self.plan.file.is_file():
-            original = self.folder / "config_as_given.yaml"
-            original.write_bytes(self.plan.file.read_bytes())
-            self.file(original)
+            self.text("config_as_given.yaml", self.plan.file.read_text(encoding="utf-8"))
 
     def _columns(self, kind: str) -> list[str]:
         """Return what the table of the children shows."""
@@ -131,9 +128,16 @@ class Journal:
         values: dict[str, list[float]] = {}
         for label, value in zip(self.plan.columns.labels, x.tolist(), strict=True):
             values.setdefault(label.rpartition("[")[0], []).append(value)
-        file = self.folder / "design.yaml"
-        file.write_text(yaml.safe_dump(values, sort_keys=False), encoding="utf-8")
-        self.file(file)
+        self.text("design.yaml", yaml.safe_dump(values, sort_keys=False))
+
+    def text(self, name: str, content: str) -> None:
+        """Write a small file and file it; a full disk costs the file, not the study."""
+        try:
+            (self.folder / name).write_text(content, encoding="utf-8")
+        except OSError as error:
+            self.trouble = f"{name} cannot be written: {error.strerror}"
+        else:
+            self.file(self.folder / name)
 
     def file(self, path: Path, folder: str = "") -> None:
         """File something under the parent."""

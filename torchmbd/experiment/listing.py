@@ -68,8 +68,8 @@ def print_links(store: str, base: str, console: Console) -> None:
 
 
 def study_links(base: str, experiment_id: str, run_id: str, kind: str, status: str) -> dict[str, str]:
-    """Return the links of a "study" or "sweep" by what they show; only a finished study has a motion to show."""
-    links = {"table": view_link(base, experiment_id, run_id)}
+    """Return the links of a study, sweep or figures by what they show; only a finished study has a motion to show."""
+    links = {} if kind == "figures" else {"table": view_link(base, experiment_id, run_id)}
     if kind == "study":
         links["charts"] = view_link(base, experiment_id, run_id, charts=True)
     if kind == "study" and status == "FINISHED":

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -55,21 +56,27 @@ def study_pictures(
     if not histories:
         return
     best = study.best
-    figure = convergence(
-        {name: [i.objective for i in history] for name, history in histories.items()},
-        {name: [i.violation for i in history] for name, history in histories.items()},
-        best=None if best is None else f"start {best.start}",
-        ylabel=words(plan.study.minimize),
-    )
-    journal.file(save(figure, journal.folder / "convergence.png"), "figures")
-    if len(plan.columns.names) <= 2:
-        journal.file(save(_map(plan, study, visited), journal.folder / "design_map.png"), "figures")
-    if best is None or study.interrupted:  # the motion costs two simulations more: not what Ctrl-C asks for
-        return
+    with no_picture_costs_a_result(console):
+        figure = convergence(
+            {name: [i.objective for i in history] for name, history in histories.items()},
+            {name: [i.violation for i in history] for name, history in histories.items()},
+            best=None if best is None else f"start {best.start}",
+            ylabel=words(plan.study.minimize),
+        )
+        journal.file(save(figure, journal.folder / "convergence.png"), "figures")
+        if len(plan.columns.names) <= 2:
+            journal.file(save(_map(plan, study, visited), journal.folder / "design_map.png"), "figures")
+        if best is not None and not study.interrupted:  # two simulations more: not what Ctrl-C asks for
+            _motion_pictures(plan, np.stack([problem.start, best.x]), problem, journal)
+
+
+@contextmanager
+def no_picture_costs_a_result(console: Console) -> Iterator[None]:
+    """Say why a picture is missing (a motion that fails, a full disk), and go on."""
     try:
-        _motion_pictures(plan, np.stack([problem.start, best.x]), problem, journal)
-    except MbdError as error:
-        console.print(f"No picture of the motion: {escape(str(error))}", style="red")
+        yield
+    except (MbdError, OSError) as error:
+        console.print(f"No picture: {escape(str(error))}", style="red")
 
 
 def _map(plan: Plan, study: Study, visited: Visited) -> Figure:

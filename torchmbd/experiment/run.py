@@ -77,8 +77,9 @@ def run_plan(
         finally:
             journal.end_all(status)
             record = close(tracker, console)
-        if store.trouble:
-            console.print(f"The last evaluations are not on disk: {escape(store.trouble)}", style="red")
+        for what, trouble in (("The last evaluations are not on disk", store.trouble), ("A file", journal.trouble)):
+            if trouble:
+                console.print(f"{what}: {escape(trouble)}", style="red")
     deliver_soon(place())
     known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known" * bool(
         remembered.known

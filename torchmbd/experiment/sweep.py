@@ -18,6 +18,7 @@ from torchmbd.experiment.check import swept_index
 from torchmbd.experiment.journal import Journal, child
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.progress import print_table, table_of
+from torchmbd.experiment.report import no_picture_costs_a_result
 from torchmbd.optimizers import Evaluation
 from torchmbd.tracking import Status
 from torchmbd.viz import criterion, save
@@ -103,13 +104,14 @@ def _show(
         cells = [f"{ratios[k]:.4f}" if math.isfinite(ratios[k]) else "failed" for ratios in criteria.values()]
         table.add_row(f"{value:.2f}", *cells, style="bold" if k == best else None)
     print_table(table, console)
-    file = journal.folder / "sweep.csv"
-    with file.open("w", newline="", encoding="utf-8") as out:
-        writer = csv.writer(out)
-        writer.writerow([plan.columns.names[index], *criteria])
-        writer.writerows(zip(values.tolist(), *criteria.values(), strict=True))
-    journal.file(file)
-    if np.isfinite(next(iter(criteria.values()))).any():
-        figure = criterion(values.tolist(), criteria, heading, mark=start)
-        for ending in ("png", "pdf"):
-            journal.file(save(figure, journal.folder / f"sweep.{ending}"), "figures")
+    with no_picture_costs_a_result(console):
+        file = journal.folder / "sweep.csv"
+        with file.open("w", newline="", encoding="utf-8") as out:
+            writer = csv.writer(out)
+            writer.writerow([plan.columns.names[index], *criteria])
+            writer.writerows(zip(values.tolist(), *criteria.values(), strict=True))
+        journal.file(file)
+        if np.isfinite(next(iter(criteria.values()))).any():
+            figure = criterion(values.tolist(), criteria, heading, mark=start)
+            for ending in ("png", "pdf"):
+                journal.file(save(figure, journal.folder / f"sweep.{ending}"), "figures")

@@ -58,6 +58,8 @@ def design_map(
         axes.plot(across, up, color=color, lw=0.9, marker="o", ms=2, label=label)
         axes.plot(across[:1], up[:1], "s", color=color, ms=5, mfc="white")
         axes.plot(across[-1:], up[-1:], "*", color=color, ms=11, mec="black", mew=0.5)
+    axes.use_sticky_edges = False  # contours: what lies at the border is seen as a whole
+    axes.autoscale_view()
     axes.set_xlabel(headings[0])
     axes.set_ylabel(headings[1] if len(headings) == 2 else objective)
     if named - {None}:

@@ -84,7 +84,7 @@ class _Stage:
         for body in scene["bodies"]:
             corners = np.array(body.get("triangles", []), dtype=int).reshape(-1, 3)
             ends = np.array(body.get("lines", []), dtype=int).reshape(-1, 2)
-            plates = PolyCollection([], facecolor="#2a788e", edgecolor="#1f5a6a", linewidth=0.3)
+            plates = PolyCollection([], facecolor="#2a788e", edgecolor="#1f5a6a", linewidth=1.2)
             beams = LineCollection([], color="#2a788e", linewidth=3.0)
             (links,) = axes.plot([], [], color="#667", marker="o", ms=4, lw=3.0 if "points" in body else 0.0)
             axes.add_collection(plates)

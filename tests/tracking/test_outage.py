@@ -1,0 +1,53 @@
+"""A real MLflow server that goes away in the middle of a study and comes back."""
+
+from __future__ import annotations
+
+import socket
+import time
+
+import pytest
+
+from torchmbd.tracking import ProcessTracker
+from torchmbd.tracking.server import serving
+from torchmbd.tracking.spool import load_sent
+from torchmbd.tracking.store import open_store
+
+
+def free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@pytest.mark.slow
+def test_a_server_that_goes_away_costs_nothing(tmp_path, empty_store, monkeypatch):
+    monkeypatch.setenv("TORCHMBD_PATIENCE", "60")
+    port = free_port()
+    store, base = f"sqlite:///{empty_store}", f"http://127.0.0.1:{port}"
+    folder = tmp_path / "study"
+    with serving(store, port=port):
+        tracker = ProcessTracker("outage", base, folder, "k")
+        tracker.begin("study", "s")
+        tracker.metrics("study", {"objective": 3.0}, 0)
+        for _ in range(600):
+            if load_sent(folder).runs:
+                break
+            time.sleep(0.1)
+    assert load_sent(folder).runs
+    began = time.monotonic()
+    for step in range(1, 50):
+        tracker.metrics("study", {"objective": 3.0 / step}, step)
+    tracker.begin("start_0", "start 0", parent="study")
+    tracker.end("start_0", "FINISHED")
+    tracker.end("study", "FINISHED")
+    assert time.monotonic() - began < 1.0  # the study waits for nobody
+    assert tracker.trouble is None
+    time.sleep(3)
+    with serving(store, port=port):
+        record = tracker.close()
+    client = open_store(store)
+    history = client.get_metric_history(record.runs["study"], "objective")
+    assert sorted({point.step for point in history}) == list(range(50))
+    assert {client.get_run(run).info.status for run in record.runs.values()} == {"FINISHED"}
+    assert len(client.search_runs([record.experiment_id])) == 2
+    assert not folder.exists()
