@@ -130,3 +130,20 @@ def test_limits_of_constraints(limit):
         _ = mbd.Max(ENERGY) <= limit
     with pytest.raises(InputError, match=r"constraint on .*; allowed: a measure"):
         Constraint(ENERGY, 1.0)
+
+
+def test_a_problem_may_have_phases():
+    """A joint is locked on the way: the gradient is that of the motion through both phases."""
+    lock = [mbd.Phase(until=0.0105), mbd.Phase(lock=["universal_arm_rod"])]
+    found, h = problem(phases=lock, subject_to=[]), 1e-4
+    x = np.radians([20.0, -50.0])
+    step = np.array([h, 0.0])
+    neighbors = np.array([x, x + step, x - step])
+    middle, up, down = found.evaluate(neighbors, gradients=True)
+    assert middle.objective_gradient is not None
+    assert middle.objective_gradient[0] == pytest.approx((up.objective - down.objective) / (2.0 * h), rel=1e-5)
+    assert middle.objective != pytest.approx(
+        problem(subject_to=[]).evaluate(x[None], gradients=False)[0].objective, rel=0.01
+    )
+    with pytest.raises(InputError, match="the joint 'hook' does not exist"):
+        problem(phases=[mbd.Phase(lock=["hook"])])

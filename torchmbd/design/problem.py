@@ -25,7 +25,8 @@ import numpy as np
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
-from torchmbd.integrators import Trajectory, simulate
+from torchmbd.integrators import Phase, Trajectory, simulate
+from torchmbd.integrators.phases import plan
 from torchmbd.integrators.simulate import check
 from torchmbd.integrators.trajectory import OK
 from torchmbd.optimizers import Evaluation
@@ -63,7 +64,7 @@ class Problem:
     start       initial design [n]; default: the system's own
     links       entries that follow others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
     bound       (start, upper) of the extra variable, where `minimize` has several rows
-    method, steps, options   as in `simulate`
+    method, steps, phases, options   as in `simulate`
     """
 
     def __init__(
@@ -79,6 +80,7 @@ class Problem:
         steps: int | None = None,
         links: Any = None,
         bound: tuple[float, float] = (1.0, 1.0),
+        phases: Sequence[Phase] | None = None,
         **options: Any,
     ):
         if not isinstance(minimize, Measure):
@@ -86,7 +88,9 @@ class Problem:
         for constraint in subject_to:
             if not isinstance(constraint, Constraint):
                 raise InputError(f"subject_to has {constraint!r}; allowed: constraints, such as Max(...) <= 'initial'")
-        check(duration, method, steps, options)
+        check(duration, method, steps, options, phases is not None)
+        if phases is not None:
+            plan(system, phases, duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
             measure.check(system)
             if measure.until > duration * (1.0 + 1e-9):
@@ -98,7 +102,7 @@ class Problem:
         self.system, self.duration, self.objective = system, duration, minimize
         self.constraints = list(subject_to)
         self.space = DesignSpace(system, variables, bounds, start, links)
-        self.simulation = {"method": method, "steps": steps, **options}
+        self.simulation = {"method": method, "steps": steps, "phases": phases, **options}
         # Rows of the extra variable come first among the constraints.
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound
