@@ -18,6 +18,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box, cross_matrix, plate, tensor, turned
+from torchmbd.errors import InputError
 from torchmbd.joints import JOINTS
 from torchmbd.numerics.rotation import euler_parameters
 from torchmbd.system import equations
@@ -73,6 +74,7 @@ for axis in "xyz":
         Case("revolute", 5, lambda x, k=axis: (ZERO, about(k, float(x[0]))), given),
         Case("prismatic", 5, lambda x, e=e: (x[0] * e, ONE), given),
         Case("cylindrical", 4, lambda x, k=axis, e=e: (x[0] * e, about(k, float(x[1]))), given),
+        Case("pointonplane", 1, lambda x, k=axis: (across(k, x), turned(*x.flip(0).tolist())), {"normal": axis}),
         Case("planar", 3, lambda x, k=axis: (across(k, x), about(k, float(x[2]))), {"normal": axis}),
         Case("drive", 1, lambda x, k=axis: (x, about(k, float(law(tensor(0.7))))), given | {"angle": law}),
         Case("drive", 1, lambda x, k=axis: (ahead(k, x), turned(*x.tolist())), given | {"position": law}),
@@ -100,15 +102,16 @@ class Joined:
 
 
 def body(kind: str, name: str) -> tuple[Any, mbd.Frame]:
-    """A body of a kind, and a frame off its origin with axes of its own."""
+    """A body of a kind, and a frame off its origin; the first body's with axes of its own, which are those of the joint."""
+    own = name == "a"
     if kind == "ground":
         ground = mbd.Ground()
-        return ground, ground.at(0.2, -0.1, 0.3, axes=turned(0.3, 1.0, -0.5))
+        return ground, ground.at(0.2, -0.1, 0.3, axes=turned(0.3, 1.0, -0.5) if own else None)
     if kind == "rigid":
         made = box(name)
-        return made, made.at(0.1, -0.05, 0.2, axes=turned(-0.8, 0.4, 0.6))
+        return made, made.at(0.1, -0.05, 0.2, axes=turned(-0.8, 0.4, 0.6) if own else None)
     made = plate(name)
-    return made, made.at("left" if name == "a" else "corner_right_top", axes=turned(0.5, 0.7, -0.2))
+    return made, made.at("left" if own else "corner_right_top", axes=turned(0.5, 0.7, -0.2) if own else None)
 
 
 @functools.cache
@@ -265,3 +268,18 @@ def test_axes_bend_with_their_node(pair):
         change = moves[:3] if attached.is_point else cross_matrix(moves[3:]) @ attached.vector
         assert_close(at.g[:, k, 0, 0], attached.vector + change, rtol=0, atol=1e-15)
     assert T.attached_flexible >= 2
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic", "cylindrical", "planar", "drive"])
+def test_axes_that_contradict_are_refused(kind):
+    """Both frames have axes of their own; at the given positions they must agree along the axis of the joint."""
+    ground, a = mbd.Ground(), box("a", axes=turned(0.2, -0.4, 0.3))
+    given = {"normal": "y"} if kind == "planar" else {"axis": "y"} | ({"speed": 1.0} if kind == "drive" else {})
+    frame = ground.at(axes=turned(0.5, 0.1, 0.7))
+    agree = a.axes.T @ frame.axes @ turned(0.0, 1.3, 0.0)  # turned about the common axis: still agrees
+    JOINTS[kind](frame, a.at(axes=agree), **given)
+    JOINTS[kind](frame, a.at(), **given)
+    with pytest.raises(
+        InputError, match=r"axes of 'odd' contradict: .*'y' is \(.*\) by ground.at.* by a\.at.*; allowed"
+    ):
+        JOINTS[kind](frame, a.at(axes=turned(1.0, 0.0, 0.0)), name="odd", **given)

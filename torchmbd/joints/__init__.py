@@ -7,6 +7,7 @@ from torchmbd.joints.fixed import Fixed
 from torchmbd.joints.joint import Joint
 from torchmbd.joints.laws import ConstantSpeed, Sine, SmoothStep
 from torchmbd.joints.planar import Planar
+from torchmbd.joints.point_on_plane import PointOnPlane
 from torchmbd.joints.prismatic import Prismatic
 from torchmbd.joints.revolute import Revolute
 from torchmbd.joints.spherical import Spherical
@@ -14,7 +15,7 @@ from torchmbd.joints.universal import Universal
 
 JOINTS: dict[str, type[Joint]] = {
     kind.__name__.lower(): kind
-    for kind in (Cylindrical, Distance, Drive, Fixed, Planar, Prismatic, Revolute, Spherical, Universal)
+    for kind in (Cylindrical, Distance, Drive, Fixed, Planar, PointOnPlane, Prismatic, Revolute, Spherical, Universal)
 }
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "Fixed",
     "Joint",
     "Planar",
+    "PointOnPlane",
     "Prismatic",
     "Revolute",
     "Sine",

@@ -11,7 +11,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.bodies.frame import axis_index
 from torchmbd.errors import InputError
 from torchmbd.joints.joint import Equation, Joint, Scribe, as_frame, others
 from torchmbd.joints.laws import ConstantSpeed, Finite, finite
@@ -41,7 +40,6 @@ class Drive(Joint):
         name: str | None = None,
     ):
         super().__init__(as_frame(a), as_frame(b), name)
-        axis_index(axis)
         given = {"speed": speed, "angle": angle, "velocity": velocity, "position": position}
         given = {key: x for key, x in given.items() if x is not None}
         if len(given) != 1:
@@ -49,7 +47,7 @@ class Drive(Joint):
                 f"{self.name!r} has {given or 'no law'}; allowed: exactly one of speed, angle, velocity, position"
             )
         ((key, x),) = given.items()
-        self.axis, self.travels = axis, key in ("velocity", "position")
+        self.axis, self.travels = self.common_axis(axis), key in ("velocity", "position")
         if key in ("speed", "velocity"):
             x = ConstantSpeed(finite(f"{key} of {self.name!r}", x))
         self.law = _checked(self.name, key, x)

@@ -103,8 +103,27 @@ class Joint:
         """Yield the primitives of the joint."""
         raise NotImplementedError(type(self).__name__)
 
+    def common_axis(self, axis: str) -> str:
+        """The letter of an axis that both bodies share; a second frame with axes of its own must agree to 0.1 rad.
+
+        A second frame without axes agrees with anything: its twin is scribed.
+        """
+        axis_index(axis)
+        a, b = self.a, self.b
+        one, other = a.body.axes @ a.axis(axis), b.body.axes @ b.axis(axis)
+        if not torch.equal(b.axes, torch.eye(3, dtype=torch.float64)) and float((one - other).norm()) > 0.1:
+            raise InputError(
+                f"axes of {self.name!r} contradict: at the given positions {axis!r} is {_shown(one)} by {a!r} "
+                f"and {_shown(other)} by {b!r}; allowed: the same direction, or no axes on the second frame"
+            )
+        return axis
+
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.a!r}, {self.b!r})"
+
+
+def _shown(direction: Tensor) -> str:
+    return f"({', '.join(f'{x:.3g}' for x in direction.tolist())})"
 
 
 def others(axis: str) -> tuple[str, str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from torchmbd.bodies.frame import Frame, axis_index
+from torchmbd.bodies.frame import Frame
 from torchmbd.joints.joint import Equation, Joint, Scribe, others
 from torchmbd.joints.primitive import Perpendicular, Plane
 
@@ -14,8 +14,7 @@ class Planar(Joint):
 
     def __init__(self, a: Frame, b: Frame, normal: str = "z", name: str | None = None):
         super().__init__(a, b, name)
-        axis_index(normal)
-        self.normal = normal
+        self.normal = self.common_axis(normal)
 
     def equations(self, scribe: Scribe) -> Iterator[Equation]:
         yield Equation(Plane, (scribe.point(self.a), scribe.point(self.b), scribe.axis(self.a, self.normal)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from torchmbd.bodies.frame import Frame, axis_index
+from torchmbd.bodies.frame import Frame
 from torchmbd.joints.joint import Equation, Joint, Scribe, others
 from torchmbd.joints.primitive import Coincide, Perpendicular
 
@@ -14,8 +14,7 @@ class Revolute(Joint):
 
     def __init__(self, a: Frame, b: Frame, axis: str = "z", name: str | None = None):
         super().__init__(a, b, name)
-        axis_index(axis)
-        self.axis = axis
+        self.axis = self.common_axis(axis)
 
     def equations(self, scribe: Scribe) -> Iterator[Equation]:
         yield Equation(Coincide, (scribe.point(self.a), scribe.point(self.b)))

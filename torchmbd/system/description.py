@@ -40,6 +40,7 @@ class Description:
 
     bodies: tuple[Entry, ...]
     joints: tuple[Entry, ...]
+    forces: tuple[Entry, ...]
     rows: int
     rank: int
     redundant: tuple[str, ...]
@@ -55,6 +56,8 @@ class Description:
             *_table("body", self.bodies),
             "",
             *_table("joint", self.joints),
+            "",
+            *_table("force", self.forces),
             "",
             f"rows        {self.rows}, rank {self.rank}",
             f"redundant   {', '.join(self.redundant) or 'none'}",
@@ -80,6 +83,7 @@ def describe(system: Any) -> Description:
     return Description(
         bodies=tuple(_body(body, mass[body.name]) for body in system.bodies),
         joints=tuple(_joint(joint, T.row_names) for joint in system.joints),
+        forces=tuple(_force(force) for force in system.forces),
         rows=T.rows,
         rank=found.rank,
         redundant=found.redundant,
@@ -115,6 +119,10 @@ def _body(body: Any, mass: float) -> Entry:
 def _joint(joint: Any, row_names: tuple[str, ...]) -> Entry:
     rows = sum(name.rpartition(": ")[0] == joint.name for name in row_names)
     return Entry(joint.name, type(joint).__name__, {"rows": rows, "between": f"{joint.a!r} - {joint.b!r}"})
+
+
+def _force(force: Any) -> Entry:
+    return Entry(force.name, type(force).__name__, {"on": " - ".join(map(repr, force.frames))})
 
 
 def _separate(bodies: list[Any], joints: list[Any]) -> tuple[tuple[str, ...], ...]:
