@@ -112,6 +112,7 @@ def integrate(
     left = dynamics.condensed()
     if left is not dynamics:
         x = left.initial.condensation.state(x)
+        x = x._replace(lam=left.carried(x.lam))
     model = compiled.CompiledModel.of(left, x, w) or Model(left.topology, left.saddle, w, left.data)
     march = March(left, model, iterations, refresh)
     times = h * torch.arange(steps + 1, dtype=torch.float64)

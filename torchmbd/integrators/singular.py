@@ -55,6 +55,7 @@ def of_lane(motion: Trajectory, lane: int, below: float = NEAR) -> list[Singular
     with torch.no_grad():
         dynamics = motion.dynamics.values().some([lane if motion.dynamics.lanes > 1 else 0])
         J = jacobians(dynamics, q, t)
+        J[:, list(dynamics.rank.left_out)] = 0.0
         sound = torch.isfinite(J).all(2).all(1)
         t = t[sound]
         U, s, _ = torch.linalg.svd(J[sound], full_matrices=False)

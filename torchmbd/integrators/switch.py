@@ -124,7 +124,7 @@ def at_time(f: Callable[..., tuple], dynamics: Dynamics, t: Any, *state: Any) ->
     if not (isinstance(t, Pair) and bool(t.tangent.any())):
         return found
     plain, values = dynamics.values(), [value(x) for x in state]
-    _ = plain.redundant  # found once, outside of the derivative
+    _ = plain.rank  # found once, outside of the derivative
     _, rates = torch.func.jvp(lambda s: f(plain, s, *values), (now,), (torch.ones_like(now),))[:2]
     return tuple(Pair.of(value(x), x.tangent + rate * t.tangent) for x, rate in zip(found, rates, strict=True))
 

@@ -8,7 +8,8 @@ The index-1 form of the constrained equations, with the accelerations from one s
 
 alpha = 1 / `stabilization` time constant. It is zero along an exact motion, so it does not change the solution.
 Redundant constraint rows leave the multipliers undetermined, not the motion: a small -eps in their block of the matrix
-picks one solution, and refinement with the exact matrix removes what eps changes.
+picks one solution, and refinement with the exact matrix removes what eps changes. Rows that only hold together while flexible
+bodies are undeformed are left out (rank.py): nothing but -1e30 on the diagonal.
 For design tangents the saddle-point matrix is factored once; the right-hand sides of eqs. (31)-(33) are tangents of
 the residual with accelerations and multipliers held fixed.
 Differentiable: plain tensors in reverse mode (torchdiffeq.odeint and backward), design tangents through `rates`.
@@ -26,14 +27,15 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.numerics.pair import Pair, cat, value
+from torchmbd.numerics.pair import Pair, cat, linear, value
 from torchmbd.system import equations
 from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import Data
-from torchmbd.system.rank import jacobians, rank_of
+from torchmbd.system.rank import Rank, jacobians, rank_of
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Topology
 
+LEFT_OUT = 1e30  # on the diagonal of a row without other entries: its multiplier is zero
 REGULARIZATION = 1e-6  # against C M^-1 C', of order 1/kg or more: only undetermined multipliers notice
 
 
@@ -64,21 +66,45 @@ class Dynamics:
         return max(slots, default=0)
 
     @cached_property
-    def redundant(self) -> tuple[str, ...]:
-        """Names of constraint rows that follow from the others at the initial position (rank.py)."""
+    def rank(self) -> Rank:
+        """Rank of the constraints at the initial position."""
         if not self.topology.rows:
-            return ()
+            return Rank(0, ())
         with torch.no_grad():
             q, _ = self.initial.solve(self.values())
             J = jacobians(self, q[:, 0, :1].T, q.new_zeros(1))[0]
-        return rank_of(self.topology, J.cpu().numpy()).redundant
+        return rank_of(self.topology, J.cpu().numpy())
+
+    @property
+    def redundant(self) -> tuple[str, ...]:
+        """Names of constraint rows that follow from the others at the initial position (rank.py)."""
+        return self.rank.redundant
+
+    @cached_property
+    def _diagonal(self) -> tuple[Tensor, Tensor]:
+        """For the saddle-point matrix: which rows and columns stay, 1 or 0 [n], and what its diagonal loses [n]."""
+        n, left_out = self.topology.n_v, list(self.rank.left_out)
+        stay = torch.ones(n + self.topology.rows, dtype=torch.float64)
+        lost = torch.zeros_like(stay)
+        if len(left_out) < len(self.redundant):
+            lost[n:] = REGULARIZATION
+        for i in left_out:
+            stay[n + i], lost[n + i] = 0.0, LEFT_OUT
+        return stay, lost
 
     def determined(self, K: Tensor) -> Tensor:
-        """The saddle-point matrices K [lanes, n, n], regularized where constraint rows are redundant."""
-        if self.redundant:
-            K = K.clone()
-            K.diagonal(dim1=-2, dim2=-1)[:, self.topology.n_v :] -= REGULARIZATION
-        return K
+        """The saddle-point matrices K [lanes, n, n]: regularized where rows are redundant, without those left out."""
+        if not self.redundant:
+            return K
+        stay, lost = (x.to(K.device) for x in self._diagonal)
+        return K * (stay[:, None] * stay) - torch.diag(lost)
+
+    def carried(self, lam: Any) -> Any:
+        """Multipliers [rows, ...] with zeros in rows that are left out."""
+        if not self.rank.left_out:
+            return lam
+        stay = self._diagonal[0][self.topology.n_v :, None, None]
+        return linear(lambda x: x * stay, lam)
 
     def values(self) -> Dynamics:
         """The same dynamics without design tangents."""

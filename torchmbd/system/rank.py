@@ -4,6 +4,9 @@
 
 A row is redundant if it depends on others: the motion does not need it, its multiplier is not determined (the one of
 least norm is taken). A drive that depends on the rows without a law moves what they hold: an error.
+Two rows that are dependent where a flexible body is undeformed contradict each other where it is not: an edge that twists by
+u gets longer by u^2 / 2L, for elastic displacements are linear, and two hinge points on it hold its length. Such a row is
+left out of the motion, its multiplier is zero.
 Near a singular position the last singular value that counts goes to zero; the row combination that is lost then is its
 left vector.
 Checked in tests/system/test_rank.py.
@@ -30,10 +33,14 @@ _SHARE = 0.3  # of the largest entry of a left vector: rows that are named
 
 @dataclass(frozen=True)
 class Rank:
-    """rank of Phi_q, and the names of the rows ("joint: row") that depend on the others."""
+    """rank of Phi_q, and the names of the rows ("joint: row") that depend on the others.
+
+    left_out   indices of those among them that depend on rows of flexible bodies
+    """
 
     rank: int
     redundant: tuple[str, ...]
+    left_out: tuple[int, ...] = ()
 
 
 def rank_of(T: Topology, J: np.ndarray) -> Rank:
@@ -50,7 +57,27 @@ def rank_of(T: Topology, J: np.ndarray) -> Rank:
             f"{', '.join(repr(name) for name in which)}: the other joints leave no freedom for this at the initial position; "
             "allowed: a drive along a motion that the joints leave free"
         )
-    return Rank(total, tuple(T.row_names[others[i]] for i in sorted(dependent)))
+    dependent = sorted(int(others[i]) for i in dependent)
+    return Rank(total, tuple(T.row_names[i] for i in dependent), _left_out(T, J, dependent))
+
+
+def _left_out(T: Topology, J: np.ndarray, dependent: list[int]) -> tuple[int, ...]:
+    """Dependent rows that are combinations of rows of which any is attached to a flexible body."""
+    elastic = _elastic(T)
+    if not dependent or not elastic.any():
+        return ()
+    free = np.setdiff1d(np.arange(T.rows), dependent)
+    share = np.abs(np.linalg.lstsq(J[free].T, J[dependent].T, rcond=RELATIVE)[0]) > RELATIVE
+    return tuple(i for k, i in enumerate(dependent) if elastic[i] or elastic[free[share[:, k]]].any())
+
+
+def _elastic(T: Topology) -> np.ndarray:
+    """Which rows are attached to a flexible body [rows]."""
+    found = np.zeros(T.rows, dtype=bool)
+    for primitive, rows in T.row_slices():
+        vectors = torch.stack(primitive.members)
+        found[rows] = np.tile((vectors < T.attached_flexible).any(0).numpy(), primitive.rows)
+    return found
 
 
 def _pivoted(J: np.ndarray) -> tuple[int, list[int]]:
