@@ -52,7 +52,7 @@ def refine_grid(full: mbd.Problem) -> dict:
 def print_study(study: Study, stored: dict | None) -> None:
     """Print the minima, the estimate of those left, and the comparison with the grid."""
     for k, minimum in enumerate(study.minima):
-        print(f"minimum {k + 1}: {minimum.value:.7f} at {angles(minimum.x):20s} {minimum.count} starts")
+        print(f"minimum {k + 1}: {minimum.value:.7g} at {angles(minimum.x):20s} {minimum.count} starts")
     print(
         f"{study.converged} of {len(study.results)} starts converged in {study.analyses} analyses; estimated minima left: "
         f"{study.minima_left:.2f}, share of the space covered: {100 * study.covered:.0f} %"
@@ -73,14 +73,14 @@ def main() -> None:
         stored = refine_grid(full)
         STORED.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
         print(
-            f"best of {stored['designs']} designs refined: {stored['best']:.7f}, {stored['seconds']} s, in {STORED.name}"
+            f"best of {stored['designs']} designs refined: {stored['best']:.7g}, {stored['seconds']} s, in {STORED.name}"
         )
     elif arguments.gradient_free:
         coarse = problem(3, START, **COARSE)
         by_gradients = mbd.multistart(coarse, "mmfd", mbd.sobol(16, seed=7))
         print_study(by_gradients, None)
         without = mbd.optimize(coarse, "differential_evolution", max_iterations=100, population=8)
-        print(f"differential evolution: {without.value:.7f} at {angles(without.x)} in {without.analyses} analyses")
+        print(f"differential evolution: {without.value:.7g} at {angles(without.x)} in {without.analyses} analyses")
     else:
         stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else None
         print_study(mbd.multistart(full, "mmfd", mbd.sobol(arguments.starts, seed=7)), stored)

@@ -62,10 +62,7 @@ def plate(
     """A laminated plate of 0.3 m x 0.1 m with an initial velocity."""
     mesh = mbd.mesh.rectangle(length=0.3, width=0.1, cells=cells)
     body = mbd.FlexibleBody.plate(name, mesh, made_of or laminate(), modes=modes, **given)
-    body.velocity, body.angular_velocity = (
-        torch.as_tensor(x, dtype=torch.float64) for x in (velocity, angular_velocity)
-    )
-    return body
+    return body.moving(velocity, angular_velocity)
 
 
 def pendulum(angles: Sequence[float] = (20.0, -50.0), modes: int = 2, damping: float = 0.0) -> mbd.System:

@@ -119,9 +119,9 @@ def test_the_filed_config_runs_the_same_study(study):
 
 
 def test_pictures_are_filed(study):
-    expected = {"config.yaml", "config_as_given.yaml", "motion_start.html", "motion_best.html"}
+    expected = {"config.yaml", "config_as_given.yaml", "design.yaml", "motion_start.html", "motion_best.html"}
     assert files(study) == expected | {
-        f"figures/{name}" for name in ("convergence.png", "energy_rod.png", "energy_rod.pdf")
+        f"figures/{name}" for name in ("convergence.png", "design_map.png", "energy_rod.png", "energy_rod.pdf")
     }
 
 

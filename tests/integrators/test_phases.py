@@ -47,7 +47,7 @@ def test_a_lock_keeps_momentum_and_position(method):
     phases = [mbd.Phase(until=0.0325), mbd.Phase(lock=["hinge"])]
     motion = mbd.simulate(rotors(), 0.1, method, 20, phases=phases).require_ok()
     (switch,) = motion.switches
-    before, after = (momentum(motion, (switch.q, v)) for v in (switch.v_before, switch.v_after))
+    before, after = (momentum(motion, (side.q, side.v)) for side in (switch.before, switch.after))
     assert_close(after, before, rtol=1e-12, atol=0)
     end = momentum(motion, (motion.q[:, -1], motion.v[:, -1]))
     assert_close(end, before, rtol=1e-5 if method == "generalized_alpha" else 1e-8, atol=0)
@@ -57,7 +57,7 @@ def test_a_lock_keeps_momentum_and_position(method):
     relative = motion.body("first").A[0].mT @ motion.body("second").A[0]
     assert_close(relative[7:], relative[7:8].expand(14, 3, 3), rtol=0, atol=1e-8)
     # The jump is the one that loses least: M (v+ - v-) does no work on any motion that the locked joints allow.
-    assert float(switch.v_before.abs().max()) == pytest.approx(8.0, rel=0.1)
+    assert float(switch.before.v.abs().max()) == pytest.approx(8.0, rel=0.1)
 
 
 def test_a_lock_from_the_start_holds_the_initial_position():
@@ -101,13 +101,13 @@ def pushed(angle: float) -> mbd.System:
 @pytest.mark.parametrize("method", ["generalized_alpha", "dopri5"])
 def test_laws_go_on_through_phases(method):
     """Phases without locks are the motion without phases; the drive's law is a function of absolute time."""
-    system, options = pushed(0.7), {"rtol": 1e-8, "atol": 1e-10} if method == "dopri5" else {"iterations": (5, 1)}
+    system, options = pushed(0.7), {"rtol": 1e-6, "atol": 1e-8} if method == "dopri5" else {"iterations": (5, 1)}
     phases = [mbd.Phase(until=0.023), mbd.Phase(lasting=0.02), mbd.Phase()]
     steps = 5 if method == "dopri5" else 50
     found, whole = (mbd.simulate(system, 0.05, method, steps, phases=p, **options).require_ok() for p in (phases, None))
-    assert_close(found.q, whole.q, rtol=0, atol=1e-7 if method == "dopri5" else 1e-5)
+    assert_close(found.q, whole.q, rtol=0, atol=1e-5)
     angle = 0.7 * torch.sin(9.0 * found.t)
-    assert_close(found.body("arm").A[0, :, 0, 0], torch.cos(angle), rtol=0, atol=1e-7)
+    assert_close(found.body("arm").A[0, :, 0, 0], torch.cos(angle), rtol=0, atol=1e-6)
     assert_close(found.body("arm").omega[0, :, 2], 6.3 * torch.cos(9.0 * found.t), rtol=0, atol=2e-4)
     assert [float(s.t) for s in found.switches] == pytest.approx([0.023, 0.043])
 
@@ -117,7 +117,7 @@ def test_a_released_drive_leaves_the_arm_its_velocity():
     motion = mbd.simulate(pushed(0.7), 0.06, steps=60, phases=phases, iterations=(5, 1)).require_ok()
     (switch,) = motion.switches
     # The last step leaves velocities that fit the joints to the order of the method.
-    assert_close(switch.v_after, switch.v_before, rtol=0, atol=2e-4)
+    assert_close(switch.after.v, switch.before.v, rtol=0, atol=2e-4)
     rows = torch.tensor([name.startswith("motor") for name in motion.dynamics.topology.row_names])
     assert float(motion.lam[0, :20, rows].abs().min()) > 0.1
     assert float(motion.lam[0, 21:, rows].abs().max()) == 0.0
@@ -160,16 +160,16 @@ def test_a_phase_that_never_ends_is_the_status_of_its_lane():
 @pytest.mark.parametrize("restitution", [0.0, 0.6])
 def test_a_jointed_body_rebounds_from_a_wall(restitution):
     """A pendulum that hits a wall turns back with its own restitution; the joint takes an impulse as well."""
-    arm = box("arm", axes=turned(0.0, 0.7, 0.0))
+    arm = box("arm", axes=turned(0.0, 1.2, 0.0), angular_velocity=(0.0, 2.0, 0.0))
     system = mbd.System([arm], [mbd.Revolute(GROUND.at(), arm.at(-0.5, 0.0, 0.0), axis="y")], gravity=(0.0, 0.0, -9.81))
     gap = mbd.Event(lambda motion: 0.05 - motion.body("arm").at((0.5, 0.0, 0.0)).position[..., 0])
     phases = [mbd.Phase(until=gap, impact=restitution), mbd.Phase()]
-    motion = mbd.simulate(system, 0.8, "dopri5", steps=20, phases=phases, rtol=1e-9, atol=1e-11).require_ok()
+    motion = mbd.simulate(system, 0.3, "rk4", steps=100, phases=phases).require_ok()
     (switch,) = motion.switches
-    assert float(switch.v_before[0, 4].abs()) > 1.0
-    assert_close(switch.v_after[0, 4], -restitution * switch.v_before[0, 4], rtol=0, atol=1e-8)
-    at_hinge = [motion.body("arm").at((-0.5, 0.0, 0.0)).velocity[0, i] for i in (-1, -6)]
-    assert_close(torch.stack(at_hinge), torch.zeros(2, 3, dtype=torch.float64), rtol=0, atol=1e-6)
+    assert float(switch.before.v[0, 4].abs()) > 1.0
+    assert_close(switch.after.v[0, 4], -restitution * switch.before.v[0, 4], rtol=0, atol=1e-6)
+    after = motion.at_moment(0, switch.t[0], switch.after).body("arm").at((-0.5, 0.0, 0.0)).velocity
+    assert_close(after, torch.zeros_like(after), rtol=0, atol=1e-10)
 
 
 class TestDoor:

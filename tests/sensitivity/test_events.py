@@ -126,15 +126,23 @@ def test_switches_against_differences(motion):
     assert [switch.phase for switch in motion.switches] == ["2", "3", "4"]
     for switch in motion.switches:
         assert float(switch.dt_db[0].abs().min()) > 1e-4
-        pairs = [
-            (switch.t, switch.dt_db),
-            (switch.q, switch.dq_db),
-            (switch.v_before, switch.dv_before_db),
-            (switch.v_after, switch.dv_after_db),
-        ]
+        pairs = [(switch.t, switch.dt_db)]
+        for side in (switch.before, switch.after):
+            pairs += [(side.q, side.dq_db), (side.v, side.dv_db)]
         for x, dx in pairs:
             expected = differences(x)
             assert float((dx[0] - expected).abs().max()) < 1e-7 * float(expected.abs().max())
+
+
+@pytest.mark.parametrize("window", [None, (0.011, 0.0571)])
+def test_integral_of_a_history_that_jumps_against_differences(window, motion):
+    """The speed of the arm jumps where it is locked; the time of the jump moves with the design."""
+    speed = mbd.history(lambda motion: motion.body("arm").omega[..., 0])
+    measures = [kind(speed, window) for kind in (mbd.Integral, mbd.RMS)]
+    for measure in (*measures, mbd.Integral(mbd.StrainEnergy("rod"), window)):
+        found = measure.value_and_gradient(motion)
+        expected = differences(found.value)
+        assert float((found.gradient[0] - expected).abs().max()) < 1e-6 * float(expected.abs().max())
 
 
 def test_both_routes_agree_on_what_comes_after_a_switch(swing):

@@ -149,3 +149,16 @@ def test_what_falls_has_no_equilibrium():
     system = mbd.System([a], [mbd.Prismatic(mbd.Ground().at(), a.at(), axis="y")], gravity=(0.0, -G, 0.0))
     with pytest.raises(InputError, match=r"no static equilibrium.*6\.87 N or N m remain on force y of 'a'"):
         mbd.equilibrium(system)
+
+
+def test_springs_and_dampers_count():
+    """A mass on a guide: the spring is stretched by m g / k, the pole is that of the damped oscillator."""
+    m, k, c = 0.7, 300.0, 4.0
+    a, ground = box("a"), mbd.Ground()
+    spring = mbd.AxialSpringDamper(ground.at(), a.at(), axis="y", stiffness=k, damping=c, rest=-0.1)
+    system = mbd.System([a], [mbd.Prismatic(ground.at(), a.at(), axis="y")], [spring], gravity=(0.0, -G, 0.0))
+    found = mbd.equilibrium(system)
+    assert float(found.q[0, 1]) == pytest.approx(-0.1 - m * G / k, rel=1e-10)
+    assert float(found.frequencies[0, 0]) == pytest.approx(math.sqrt(k / m) / (2 * math.pi), rel=1e-12)
+    assert found.vibrations[0].poles.real.tolist() == pytest.approx([-c / (2 * m)] * 2, rel=1e-10)
+    assert system.describe().frequencies == pytest.approx(found.frequencies[0].tolist())

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import torch
 from torch import Tensor, nn
@@ -23,6 +23,7 @@ from torchmbd.bodies.bulk_body import read_bdf
 from torchmbd.bodies.frame import Frame, identifier, rotation, vector
 from torchmbd.bodies.mount import Mount, node_indices, rigid_links
 from torchmbd.bodies.plausibility import warn_units
+from torchmbd.bodies.reference import reference_nodes
 from torchmbd.bodies.zones import zone_parts
 from torchmbd.elements import (
     Assembly,
@@ -75,7 +76,7 @@ class FlexibleBody(nn.Module):
         self.position, self.axes = vector(f"position of {name!r}", position), rotation(f"axes of {name!r}", axes)
         self.velocity = self.angular_velocity = torch.zeros(3, dtype=torch.float64)
         links = [*links, *rigid_links(mesh, rigid)]
-        self.reference = _reference(mesh, parts, reference, links)
+        self.reference = reference_nodes(mesh, parts, reference, links)
         self.origin = mesh.nodes[self.reference].mean(0)
         self._register(parts)
         self.assembly = Assembly(mesh, parts, self.reference, links)
@@ -246,6 +247,17 @@ class FlexibleBody(nn.Module):
         mount, x = Mount.on(node_indices(self.mesh, node), weights), self.mesh.nodes - self.origin
         return Frame(self, mount.center(x) + vector("offset", offset), rotation("axes", axes), mount)
 
+    def moving(
+        self,
+        velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        angular_velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+    ) -> Self:
+        """Give the body an approximate initial velocity of its origin, in ground axes [m/s], and angular velocity,
+        in body axes [rad/s]; the modes start at rest. Returns the body."""
+        self.velocity = vector(f"velocity of {self.name!r}", velocity)
+        self.angular_velocity = vector(f"angular_velocity of {self.name!r}", angular_velocity)
+        return self
+
     def structure(self) -> dict[str, Tensor]:
         """Run the structure stage.
 
@@ -279,23 +291,3 @@ def _reduction(name: str, kind: str, modes: int, interface: tuple[int, ...], upd
         return REDUCTIONS[kind](modes, interface, updated)
     except InputError as error:
         raise InputError(f"reduction of {name!r}: {error}") from None
-
-
-def _reference(
-    mesh: Mesh | BeamLine,
-    parts: Mapping[str, Part],
-    reference: str | int | Sequence[int] | None,
-    links: Sequence[RigidLink | Average],
-) -> list[int]:
-    if reference is None:
-        points = [part.masses() for part in parts.values()]
-        x = torch.cat([mesh.nodes[p.ends].mean(1) for p in points])
-        m = torch.cat([p.mass for p in points]).detach()
-        center = (m[:, None] * x).sum(0) / m.sum()
-        distance = ((mesh.nodes - center) ** 2).sum(1)
-        distance[[link.node for link in links]] = torch.inf  # a node that follows cannot be held
-        return [int(distance.argmin())]
-    nodes = node_indices(mesh, reference)
-    if not nodes:
-        raise InputError(f"reference is {reference!r}; allowed: a node, a node set or a list of at least one node")
-    return nodes

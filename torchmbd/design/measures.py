@@ -25,9 +25,9 @@ from torch import Tensor
 
 from torchmbd.design.histories import flexible
 from torchmbd.design.response import History, Measure
-from torchmbd.design.spline import Spline, Window, checked
+from torchmbd.design.spline import Jump, Spline, Window, checked
 from torchmbd.errors import InputError
-from torchmbd.integrators import Trajectory
+from torchmbd.integrators import Moment, Switch, Trajectory
 from torchmbd.system import System
 
 
@@ -53,32 +53,43 @@ class OfHistory(Measure):
         return 0.0 if self.window is None else self.window[1]
 
     def value(self, motion: Trajectory) -> Tensor:
-        return self.reduce(Spline.of(motion.t, self.history.values(motion), self.window))
+        y = self.history.values(motion)
+        return self.reduce(Spline.of(motion.t, y, self.window, _jumps(self.history, motion)))
 
     def reduce(self, curve: Spline) -> Tensor:
         """The numbers [lanes] or [lanes, rows] of the history as a curve."""
         raise NotImplementedError(type(self).__name__)
 
 
+def _jumps(history: History, motion: Trajectory) -> tuple[Jump, ...]:
+    """What a history does where the lanes pass from phase to phase."""
+
+    def side(switch: Switch, moment: Moment) -> Tensor:
+        there = [motion.at_moment(lane, t, moment) for lane, t in enumerate(switch.t)]
+        return torch.cat([history.values(one)[:, 0] for one in there])
+
+    return tuple(Jump(s.t, side(s, s.before), side(s, s.after)) for s in motion.switches)
+
+
 class Integral(OfHistory):
     """Integral of a history over time."""
 
     def reduce(self, curve: Spline) -> Tensor:
-        return torch.trapezoid(curve.y, curve.t, dim=-1)
+        return curve.integral()
 
 
 class Mean(OfHistory):
     """Mean of a history over time."""
 
     def reduce(self, curve: Spline) -> Tensor:
-        return torch.trapezoid(curve.y, curve.t, dim=-1) / (curve.t[-1] - curve.t[0])
+        return curve.integral() / (curve.t[-1] - curve.t[0])
 
 
 class RMS(OfHistory):
     """Root of the mean square of a history over time; not differentiable where the history vanishes."""
 
     def reduce(self, curve: Spline) -> Tensor:
-        return torch.sqrt(torch.trapezoid(curve.y**2, curve.t, dim=-1) / (curve.t[-1] - curve.t[0]))
+        return torch.sqrt(curve.integral(torch.square) / (curve.t[-1] - curve.t[0]))
 
 
 class Max(OfHistory):

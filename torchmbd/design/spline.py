@@ -8,12 +8,16 @@ order. The curve is C1, so its maximum is differentiable, and continuously so wh
 Peaks are located without derivative and evaluated with it: at a maximum the derivative by its time is zero, at an end
 the time does not move (envelope theorem), so value and gradient belong together. The gradient taken at the best sample
 is 2 % off at 500 samples.
+Where a motion passes from phase to phase (integrators/phases.py), a history may jump, at a time that moves with the
+design: a `Jump`. Integrals take both of its sides as further samples, so their derivatives hold what the moving jump adds.
 Checked in tests/design/test_spline.py.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -23,18 +27,27 @@ from torchmbd.errors import InputError
 Window = tuple[float, float] | None
 
 
+class Jump(NamedTuple):
+    """Time [lanes] of a jump and the values on its sides [lanes]."""
+
+    t: Tensor
+    before: Tensor
+    after: Tensor
+
+
 @dataclass(frozen=True)
 class Spline:
-    """Knots t [n], increasing; values y and slopes dy/dt m [..., n]."""
+    """Knots t [n], increasing; values y and slopes dy/dt m [..., n]; jumps between them."""
 
     t: Tensor
     y: Tensor
     m: Tensor
+    jumps: tuple[Jump, ...] = ()
 
     @classmethod
-    def of(cls, t: Tensor, y: Tensor, window: Window = None) -> Spline:
+    def of(cls, t: Tensor, y: Tensor, window: Window = None, jumps: tuple[Jump, ...] = ()) -> Spline:
         """Spline of equally spaced samples y [..., n], on a window (t0, t1) of time only."""
-        whole = cls(t, y, _slopes(y) / (t[1] - t[0]))
+        whole = cls(t, y, _slopes(y) / (t[1] - t[0]), jumps)
         return whole if window is None else whole.cut(window)
 
     def cut(self, window: tuple[float, float]) -> Spline:
@@ -52,7 +65,22 @@ class Spline:
         def bounded(x: Tensor, at_ends: Tensor) -> Tensor:
             return torch.cat([at_ends[..., :1], x[..., inside], at_ends[..., 1:]], -1)
 
-        return Spline(bounded(self.t, ends), bounded(self.y, self.at(ends)), bounded(self.m, self.at(ends, slope=True)))
+        y, m = bounded(self.y, self.at(ends)), bounded(self.m, self.at(ends, slope=True))
+        return Spline(bounded(self.t, ends), y, m, self.jumps)
+
+    def integral(self, f: Callable[[Tensor], Tensor] = lambda y: y) -> Tensor:
+        """Integral of f(y) over time [...], by the trapezoidal rule on the knots and on both sides of the jumps."""
+        if not self.jumps:
+            return torch.trapezoid(f(self.y), self.t, dim=-1)
+        times, values = [], []
+        for jump in self.jumps:
+            inside = (jump.t > self.t[0]) & (jump.t < self.t[-1])
+            times += 2 * [torch.where(inside, jump.t, self.t[0])]  # elsewhere an interval of no length
+            values += [f(jump.before), f(jump.after)]
+        t = torch.cat([torch.stack(times, -1), self.t.expand_as(self.y)], -1)
+        y = torch.cat([torch.stack(values, -1), f(self.y)], -1)
+        order = torch.argsort(t.detach(), dim=-1, stable=True)
+        return torch.trapezoid(y.gather(-1, order), t.gather(-1, order), dim=-1)
 
     def at(self, times: Tensor, slope: bool = False) -> Tensor:
         """Values, or slopes, at times [k] within the knots: [..., k]."""

@@ -89,14 +89,12 @@ class Evaluations:
         query = "select count(*) from evaluations where problem = ?"
         return int(self._base.execute(query, (self.problem,)).fetchone()[0])
 
-    def designs(self) -> list[tuple[np.ndarray, Evaluation]]:
-        """Return every evaluation of this problem with its design [n]."""
-        query = "select design, m, status, numbers, gradients from evaluations where problem = ?"
-        found = []
-        for design, m, status, numbers, gradients in self._base.execute(query, (self.problem,)):
-            x = np.frombuffer(design)
-            found.append((x, _evaluation(m, status, numbers, len(x), bool(gradients))))
-        return found
+    def visited(self, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return every design [m, n] of this problem on disk with its objective [m], nan where it failed."""
+        query = "select design, numbers from evaluations where problem = ?"
+        rows = self._base.execute(query, (self.problem,)).fetchall()
+        designs = np.array([np.frombuffer(design) for design, _ in rows]).reshape(-1, n)
+        return designs, np.array([np.frombuffer(numbers)[0] for _, numbers in rows])
 
     def close(self) -> None:
         self._base.close()

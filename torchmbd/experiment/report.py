@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Console
@@ -15,7 +16,10 @@ from torchmbd.experiment.journal import Journal
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.progress import outcome, print_table, table_of
 from torchmbd.optimizers import Study
-from torchmbd.viz import animate, convergence, energy_over_time, save
+from torchmbd.viz import animate, convergence, design_map, energy_over_time, save
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def print_results(plan: Plan, study: Study, failures: Sequence[str], console: Console) -> None:
@@ -40,8 +44,13 @@ def print_results(plan: Plan, study: Study, failures: Sequence[str], console: Co
         )
 
 
-def study_pictures(plan: Plan, study: Study, problem: Problem, journal: Journal, console: Console) -> None:
-    """Draw convergence, energy before and after, and the motion of the best design; file them under the study."""
+Visited = tuple[np.ndarray, np.ndarray]  # designs [m, n], objectives [m]
+
+
+def study_pictures(
+    plan: Plan, study: Study, problem: Problem, visited: Visited, journal: Journal, console: Console
+) -> None:
+    """Draw convergence, the map of a small design space, energy and motion before and after; file them."""
     histories = {f"start {r.start}": r.history for r in study.results if r.history}
     if not histories:
         return
@@ -53,12 +62,29 @@ def study_pictures(plan: Plan, study: Study, problem: Problem, journal: Journal,
         ylabel=words(plan.study.minimize),
     )
     journal.file(save(figure, journal.folder / "convergence.png"), "figures")
+    if len(plan.columns.names) <= 2:
+        journal.file(save(_map(plan, study, visited), journal.folder / "design_map.png"), "figures")
     if best is None or study.interrupted:  # the motion costs two simulations more: not what Ctrl-C asks for
         return
     try:
         _motion_pictures(plan, np.stack([problem.start, best.x]), problem, journal)
     except MbdError as error:
         console.print(f"No picture of the motion: {escape(str(error))}", style="red")
+
+
+def _map(plan: Plan, study: Study, visited: Visited) -> Figure:
+    """Draw where the starts went, and in which of the distinct minima they ended."""
+    factors = plan.columns.factors
+    moved = [result for result in study.results if result.history]
+    ends = {f"start {start}": k for k, minimum in enumerate(study.minima) for start in minimum.starts}
+    return design_map(
+        {f"start {r.start}": np.array([i.x for i in r.history]) / factors for r in moved},
+        {f"start {r.start}": np.array([i.objective for i in r.history]) for r in moved},
+        plan.columns.headings,
+        ends,
+        (visited[0] / factors, visited[1]),
+        words(plan.study.minimize),
+    )
 
 
 def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal: Journal) -> None:

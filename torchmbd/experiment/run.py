@@ -145,7 +145,7 @@ def run_study(
     _summarize(study, journal)
     if best is not None:
         journal.design(best.x)
-    study_pictures(plan, study, problem, journal, console)
+    study_pictures(plan, study, problem, store.visited(len(points[0])), journal, console)
     if study.interrupted:
         return "KILLED"
     return "FINISHED" if best is not None else "FAILED"

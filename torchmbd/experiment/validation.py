@@ -15,7 +15,7 @@ from pydantic_core import ErrorDetails
 
 from torchmbd.errors import nearest
 from torchmbd.experiment.faults import Fault, Path, shown
-from torchmbd.experiment.schema import Figures, Section, Study
+from torchmbd.experiment.schema import KINDS, Figures, Section, Study
 
 
 def kind_of(data: Any) -> type[Study] | type[Figures]:
@@ -79,6 +79,8 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
         return "is missing"
     if kind == "extra_forbidden":
         return f"unknown key{nearest(path[-1], _keys(path[:-1], kind_of_file))}"
+    if kind == "response" and path[0] == "subject_to" and len(path) == 3:  # perhaps a limit that is misspelt
+        return f"{details['msg']}; a limit is one of {', '.join(KINDS)}"
     if kind == "response":
         return details["msg"]
     if kind == "name":

@@ -3,6 +3,6 @@
 from torchmbd.integrators.events import Event
 from torchmbd.integrators.phases import Phase
 from torchmbd.integrators.simulate import METHODS, simulate
-from torchmbd.integrators.trajectory import Switch, Trajectory
+from torchmbd.integrators.trajectory import Moment, Switch, Trajectory
 
-__all__ = ["METHODS", "Event", "Phase", "Switch", "Trajectory", "simulate"]
+__all__ = ["METHODS", "Event", "Moment", "Phase", "Switch", "Trajectory", "simulate"]

@@ -18,8 +18,19 @@ from torchmbd.integrators.events import Event, Views
 from torchmbd.integrators.generalized_alpha import History
 from torchmbd.integrators.phases import Stage
 from torchmbd.integrators.step import State
-from torchmbd.integrators.switch import Given, accelerations, at_time, jump, lane_of, mapped, marked, pick, side_by_side
-from torchmbd.integrators.trajectory import OK, Switch
+from torchmbd.integrators.switch import (
+    Given,
+    accelerations,
+    at_time,
+    jump,
+    lane_of,
+    mapped,
+    marked,
+    pick,
+    side_by_side,
+    together,
+)
+from torchmbd.integrators.trajectory import OK, Moment, Switch
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics
@@ -104,10 +115,20 @@ class Course:
         self.whole = replace(self.whole, data=data)
         dynamics = replace(self.whole, topology=stage.topology, saddle=stage.saddle, initial=Given(x.q, x.v))
         parts = [self._begin(number, lane, lane_of(dynamics, lane), passage) for lane in range(self.whole.lanes)]
-        state = State(*(side_by_side(y) for y in zip(*parts, strict=True)))
+        state = together(parts)
         if number:
-            self.switches.append(_switch(stage.name, passage, state))
+            self.switches.append(self._switch(number, passage, state))
         return dynamics, state
+
+    def _switch(self, number: int, passage: Passage, after: State) -> Switch:
+        n, t = self.whole.topology.rows, passage.t
+        return Switch(
+            self.stages[number].name,
+            value(t)[0],
+            _moment(passage.x, self.stages[number - 1].rows, n),
+            _moment(after, self.stages[number].rows, n),
+            t.tangent.T if isinstance(t, Pair) else None,
+        )
 
     def _begin(self, number: int, lane: int, dynamics: Dynamics, passage: Passage) -> State:
         """The state of one lane after a switch."""
@@ -126,14 +147,16 @@ class Course:
         return State(x.q, v, a, a, lam)
 
     def _check_closed(self, number: int, lane: int, dynamics: Dynamics, t: Any, q: Any) -> None:
-        T = dynamics.topology
-        if not T.rows:
+        """Fail a lane in which a joint begins to act that is not closed."""
+        T, before = dynamics.topology, set(self.stages[number - 1].rows)
+        new = [k for k, row in enumerate(self.stages[number].rows) if row not in before]
+        if not new:
             return
         values = {name: value(x) for name, x in dynamics.data.items()}
         at = equations.placement(T, values, value(q), T.prescribed(value(t)[0, 0]))
         phi = equations.constraints(T, at).abs().amax((1, 2))
-        if bool(phi.max() > CLOSED):
-            worst = int(phi.argmax())
+        worst = max(new, key=lambda k: float(phi[k]))
+        if bool(phi[worst] > CLOSED):
             self.fail(
                 lane,
                 f"{T.row_names[worst]} misses by {float(phi[worst]):.3g} when phase {self.stages[number].name!r} begins "
@@ -188,26 +211,13 @@ class Course:
                 self.never_ends(stage, lane)
         nowhere = Passage(entry.t * 0.0 + torch.inf, entry.x)
         parts = [left.get(lane) or nowhere.lane(lane) for lane in range(self.whole.lanes)]
-        q, v, vd, a = (side_by_side(y) for y in zip(*(p.x[:4] for p in parts), strict=True))
-        return Passage(side_by_side([p.t for p in parts]), State(q, v, vd, a, entry.x.lam))
+        return Passage(side_by_side([p.t for p in parts]), together([p.x for p in parts]))
 
 
-def _switch(name: str, passage: Passage, after: State) -> Switch:
-    def values(x: Any) -> Tensor:
-        return value(x)[:, 0].T
-
-    def tangents(x: Any) -> Tensor | None:
-        return x.tangent.permute(2, 0, 1) if isinstance(x, Pair) else None
-
-    t = passage.t
-    return Switch(
-        phase=name,
-        t=value(t)[0],
-        q=values(passage.x.q),
-        v_before=values(passage.x.v),
-        v_after=values(after.v),
-        dt_db=t.tangent.T if isinstance(t, Pair) else None,
-        dq_db=tangents(passage.x.q),
-        dv_before_db=tangents(passage.x.v),
-        dv_after_db=tangents(after.v),
-    )
+def _moment(x: State, rows: list[int], all_rows: int) -> Moment:
+    """Lanes first; multipliers among those of the whole."""
+    full = [y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, x.lam)]
+    lam = full[3].new_zeros(all_rows, *full[3].shape[1:])
+    full[3] = lam.index_copy(0, torch.tensor(rows, dtype=torch.long), full[3])
+    tangents = [y[:, 1:].permute(2, 0, 1) if isinstance(x.q, Pair) else None for y in full]
+    return Moment(*(y[:, 0].T for y in full), *tangents)

@@ -21,6 +21,7 @@ from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.generalized_alpha import History
 from torchmbd.integrators.phases import Phase, plan
+from torchmbd.integrators.singular import explained
 from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.numerics.pair import value
 from torchmbd.system import Dynamics, System
@@ -68,7 +69,7 @@ def simulate(
     with torch.no_grad():
         if phases is None:
             history, stats, status = run(dynamics, float(duration), steps, method, options)
-            return _present(system, dynamics, history, stats, status, float(duration), **design)
+            return explained(_present(system, dynamics, history, stats, status, float(duration), **design))
         course = Course(dynamics, stages, Views.of(system, dynamics, **design), float(duration), steps)
         stats = _through(course, method, options)
         found = _status(course.history, float(duration), steps, stats)

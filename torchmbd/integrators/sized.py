@@ -61,7 +61,7 @@ def known(T: Topology, t: Any) -> Prescribed:
         None if law is None else tuple(Pair.of(x.value, x.velocity * t.tangent) for x in law)
         for law in T.law_jets(value(t)[0, 0])
     ]
-    return given._replace(laws=laws)
+    return given._replace(laws=laws, t=t)
 
 
 def shortly_after(T: Topology, x: State, h: Any) -> State:

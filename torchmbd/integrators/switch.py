@@ -58,6 +58,12 @@ def side_by_side(parts: Sequence[Any]) -> Any:
     return torch.cat(list(parts), -1)
 
 
+def together(states: Sequence[State]) -> State:
+    """Lanes of several states as one."""
+    q, v, vd, a, lam = (side_by_side(x) for x in zip(*states, strict=True))
+    return State(q, v, vd, a, lam)
+
+
 def lane_of(dynamics: Dynamics, lane: int) -> Dynamics:
     """The dynamics of one lane."""
     one = dynamics.some([lane])

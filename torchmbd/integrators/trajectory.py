@@ -23,6 +23,7 @@ from torch import Tensor
 from torchmbd.errors import SimulationFailure, unknown
 from torchmbd.integrators.body_motion import BodyMotion
 from torchmbd.integrators.reaction import JointReaction, reaction
+from torchmbd.integrators.singular import SingularPosition, singular_positions
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
@@ -30,22 +31,45 @@ OK = "ok"
 
 
 @dataclass(frozen=True, eq=False)
-class Switch:
-    """The passage of all lanes into a phase; derivatives follow the time of the switch, which moves with the design.
+class Moment:
+    """The state of all lanes on one side of a switch [lanes, n], with sensitivities [lanes, n, n_b]."""
 
-    t [lanes] (inf: a lane that does not get there)   q [lanes, n_q]   v_before, v_after [lanes, n_v]
-    dt_db [lanes, n_b]   dq_db [lanes, n_q, n_b]   dv_before_db, dv_after_db [lanes, n_v, n_b]
+    q: Tensor
+    v: Tensor
+    a: Tensor
+    lam: Tensor
+    dq_db: Tensor | None = None
+    dv_db: Tensor | None = None
+    da_db: Tensor | None = None
+    dlam_db: Tensor | None = None
+
+    def moved(self, delta: Tensor) -> Moment:
+        """Of all designs moved by delta [n_b], to first order."""
+        names = ("q", "v", "a", "lam")
+        return Moment(*(_move(getattr(self, name), getattr(self, f"d{name}_db"), delta) for name in names))
+
+
+@dataclass(frozen=True, eq=False)
+class Switch:
+    """The passage of all lanes into a phase; sensitivities follow the time of the switch, which moves with the design.
+
+    t [lanes] (inf: a lane that does not get there), dt_db [lanes, n_b]; before, after: equal positions
     """
 
     phase: str
     t: Tensor
-    q: Tensor
-    v_before: Tensor
-    v_after: Tensor
+    before: Moment
+    after: Moment
     dt_db: Tensor | None = None
-    dq_db: Tensor | None = None
-    dv_before_db: Tensor | None = None
-    dv_after_db: Tensor | None = None
+
+    def moved(self, delta: Tensor) -> Switch:
+        """Of all designs moved by delta [n_b], to first order."""
+        t = _move(self.t, self.dt_db, delta)
+        return Switch(self.phase, t, self.before.moved(delta), self.after.moved(delta))
+
+
+def _move(x: Tensor, dx: Tensor | None, delta: Tensor) -> Tensor:
+    return x if dx is None else x + dx @ delta
 
 
 @dataclass(eq=False)
@@ -116,6 +140,10 @@ class Trajectory:
         """Force and torque of a joint on its second body, in the frame of its first."""
         return reaction(self, joint)
 
+    def singular_positions(self) -> list[SingularPosition]:
+        """Where and when the motion came near a position at which its constraints lose rank."""
+        return singular_positions(self)
+
     def coordinates(self, rows: Sequence[int]) -> tuple[Tensor, Tensor | None]:
         """Chosen rows of q [lanes, times, k] and their sensitivities [lanes, times, k, n_b]."""
         index = torch.as_tensor(list(rows), device=self.q.device)
@@ -155,7 +183,7 @@ class Trajectory:
         """
 
         def move(x: Tensor, dx: Tensor | None) -> Tensor:
-            return x if dx is None else x + dx @ delta
+            return _move(x, dx, delta)
 
         data = {
             name: x.value + (x.tangent * delta[:, None]).sum(-2, keepdim=True) if isinstance(x, Pair) else x
@@ -172,5 +200,29 @@ class Trajectory:
             system=self.system,
             dynamics=replace(self.dynamics, data=data),
             designs=self._moved_designs(delta),
+            switches=[switch.moved(delta) for switch in self.switches],
             _modes={name: move(psi, self._mode_tangents.get(name)) for name, psi in self._modes.items()},
+        )
+
+    def at_moment(self, lane: int, t: Tensor, moment: Moment) -> Trajectory:
+        """One lane at one side of a switch at its time t [], as a motion of one time without sensitivities."""
+        one = slice(lane, lane + 1)
+        return replace(
+            self,
+            t=t[None],
+            q=moment.q[one, None],
+            v=moment.v[one, None],
+            a=moment.a[one, None],
+            multipliers=lambda: (moment.lam[one, None], None),
+            status=self.status[one],
+            dynamics=self.dynamics.some([lane]),
+            dq_db=None,
+            dv_db=None,
+            da_db=None,
+            designs={name: x[one] for name, x in self.designs.items()},
+            parameters=(),
+            switches=[],
+            _views={},
+            _modes={name: psi[one] for name, psi in self._modes.items()},
+            _mode_tangents={},
         )

@@ -1,7 +1,20 @@
 """Pictures: figures of studies, and the animation of a motion."""
 
 from torchmbd.viz.animation import animate
+from torchmbd.viz.design_map import design_map
 from torchmbd.viz.figures import convergence, criterion, energy_over_time, save
+from torchmbd.viz.film import film
 from torchmbd.viz.vtu import save_mesh, save_modes, save_motion
 
-__all__ = ["animate", "convergence", "criterion", "energy_over_time", "save", "save_mesh", "save_modes", "save_motion"]
+__all__ = [
+    "animate",
+    "convergence",
+    "criterion",
+    "design_map",
+    "energy_over_time",
+    "film",
+    "save",
+    "save_mesh",
+    "save_modes",
+    "save_motion",
+]

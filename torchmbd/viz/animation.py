@@ -9,6 +9,7 @@ Deformation is shown relative to the joints: the affine field through the displa
 taken off what is exaggerated, so the parts stay joined at any scale, and at scale 1 the picture is the true motion.
 
     plates    triangles, colored by the size of that deformation
+    beams     lines, colored the same way
     rigid     a link through the joint frames of the body, a box where there is only one
     joints    white disks; a triangle where a joint stands on the ground
 """
@@ -26,6 +27,7 @@ import numpy as np
 from torchmbd.errors import InputError
 
 _VIEWER = Path(__file__).with_name("viewer.html")
+_NONE = np.empty(0, dtype=int)  # elements of a kind that a body has not
 _TOLERANCE = 1e-5  # of the largest displacement: below a pixel at any useful scale
 
 
@@ -53,7 +55,7 @@ def animate(
         raise InputError(f"max_frames = {max_frames}: allowed: 2 or more")
     if motion.status[lane] != "ok":
         raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
-    scene = _scene(motion, lane, max_frames)
+    scene = scene_of(motion, lane, max_frames)
     scene["title"] = title or " - ".join(body["name"] for body in scene["bodies"])
     if scale is not None:
         scene["scale"] = float(scale)
@@ -62,7 +64,8 @@ def animate(
     return path
 
 
-def _scene(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
+def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
+    """Return what the viewer reads: see viewer.html, and film.py, which reads it as well."""
     t = _array(motion.t)
     stride = max(1, -(-(len(t) - 1) // (max_frames - 1)))
     frames = np.unique([*range(0, len(t), stride), len(t) - 1])
@@ -112,7 +115,8 @@ def _flexible(
     relative = modes - _through_joints(x, modes, sorted(joint_nodes))
     entry.update(
         x=_packed(x),
-        triangles=_array(state.mesh.triangles).reshape(-1).tolist(),
+        triangles=_array(getattr(state.mesh, "triangles", _NONE)).reshape(-1).tolist(),
+        lines=_array(getattr(state.mesh, "elements", getattr(state.mesh, "lines", _NONE))).reshape(-1).tolist(),
         modes=_packed(shapes),
         relative=_packed(relative),
         weights=_packed(weights),

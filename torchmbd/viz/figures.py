@@ -32,7 +32,7 @@ def convergence(
     """Objective and largest constraint violation of every start over its iterations; the best start stands out."""
     if not objectives or not any(len(values) for values in objectives.values()):
         raise InputError("objectives is empty; allowed: at least one start with one iteration")
-    figure, (top, bottom) = _figure(5.4, rows=2, ratios=(3, 1))
+    figure, (top, bottom) = figure_of(5.4, rows=2, ratios=(3, 1))
     for name in sorted(objectives, key=lambda name: name == best):  # the best is drawn last, on top
         style = {"color": BEST, "lw": 2.0, "label": f"best: {name}"} if name == best else {"color": OTHER, "lw": 0.9}
         steps = range(len(objectives[name]))
@@ -53,7 +53,7 @@ def convergence(
 
 def energy_over_time(t: Numbers, energies: Mapping[str, Numbers]) -> Figure:
     """Deformation energy of several designs of one motion (Fig. 9). t [s], energies [J] by the name of the design."""
-    figure, (axes,) = _figure(3.4)
+    figure, (axes,) = figure_of(3.4)
     for (label, energy), color in zip(energies.items(), CYCLE * len(energies), strict=False):
         axes.plot(t, energy, color=color, lw=1.3, label=label)
     axes.set_xlabel("time [s]")
@@ -76,7 +76,7 @@ def criterion(
     criteria  name -> criterion divided by its value at the start design; nan where it could not be evaluated
     mark      design variable of the start design
     """
-    figure, (axes,) = _figure(3.6)
+    figure, (axes,) = figure_of(3.6)
     x = np.asarray(values, dtype=float)
     for (label, criterion), color in zip(criteria.items(), CYCLE[1:] * len(criteria), strict=False):
         y = np.asarray(criterion, dtype=float)
@@ -106,7 +106,8 @@ def save(figure: Figure, path: str | Path) -> Path:
     return path
 
 
-def _figure(height: float, rows: int = 1, ratios: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
+def figure_of(height: float, rows: int = 1, ratios: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
+    """Return a figure of one column, in the style of all, with its axes."""
     from matplotlib.figure import Figure  # half a second: imported when a figure is drawn
 
     figure = Figure(figsize=(6.0, height), layout="constrained")

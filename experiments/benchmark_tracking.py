@@ -1,0 +1,168 @@
+"""What do the experiment layer, its logging and its workers cost? `python -m experiments.benchmark_tracking`
+
+    overhead   a study of cheap evaluations (a rod of 4x2 cells, 2 angles) through `torchmbd run`'s own path, beside the same
+               multistart called in Python, both in this process; starting up and drawing the pictures are told apart
+    logging    200 starts of 30 iterations told to a journal, as a share of a study whose evaluations take 10 ms each
+               (short for a simulation); and how long the writer needs, beside the study, to have it in MLflow's SQLite
+    start      seconds from `torchmbd run` to the first iteration on the screen (`--start FILE`)
+    scaling    the same batch on one and on two Dask workers (`--scaling`)
+
+Wall time on whatever else the machine does; processor time of this process beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from rich.console import Console
+
+from torchmbd.experiment import load_study, run_plan
+from torchmbd.experiment.assemble import problem_of, starts_of
+from torchmbd.experiment.farm import Farm
+from torchmbd.experiment.journal import PARENT, Journal
+from torchmbd.experiment.place import problem_key
+from torchmbd.optimizers import multistart
+from torchmbd.optimizers.optimizer import Iterate
+from torchmbd.tracking import ProcessTracker
+
+STUDY = """
+model: experiments.slider_crank:build
+options: {layers: 2, cells: [4, 2], modes: 4}
+design:
+  rod.laminate.angles: {start: [45, -45], lower: -90, upper: 90, unit: deg}
+simulate: {duration: 0.02, steps: 60}
+minimize: {integral: {strain_energy: rod}}
+subject_to:
+  - {max: {strain_energy: rod}, at_most: initial}
+optimizer: {name: mmfd, max_iterations: 12}
+starts: {sampler: sobol, count: 16, seed: 7}
+tracking: {experiment: benchmark}
+"""
+STARTS, ITERATIONS, EVALUATION = 200, 30, 0.010  # seconds for one design in a batch
+LANES = 64
+
+
+def timed(action: Callable[[], object]) -> tuple[float, float]:
+    """Wall and processor time [s] of an action."""
+    wall, processor = time.perf_counter(), time.process_time()
+    action()
+    return time.perf_counter() - wall, time.process_time() - processor
+
+
+def overhead(file: Path) -> None:
+    """The study in Python alone, and through the whole layer."""
+    plan = load_study(file)
+    problem = problem_of(plan)
+    optimizer = plan.study.optimizer
+    assert optimizer is not None
+    points = starts_of(plan, problem.start).points(problem)
+
+    def alone() -> None:
+        multistart(problem_of(plan), optimizer.name, list(points), max_iterations=optimizer.max_iterations)
+
+    def whole() -> None:
+        run_plan(plan, Console(file=io.StringIO()), fresh=True)
+
+    timed(alone)  # what is done once per process
+    bare, layered = timed(alone), timed(whole)
+    pictures = timed(lambda: problem.simulate(np.stack([problem.start] * 2)))
+    print(
+        f"overhead: multistart alone {bare[0]:.2f} s ({bare[1]:.2f} s of processor), whole study {layered[0]:.2f} s",
+        end="",
+    )
+    print(f" ({layered[1]:.2f} s), of which {pictures[0]:.2f} s simulate the motions of the pictures")
+
+
+def logging(file: Path) -> None:
+    """A journal of many iterates, and the writer's catching up."""
+    plan = load_study(file)
+    n = len(plan.columns.names)
+    with tempfile.TemporaryDirectory() as folder:
+        uri = f"sqlite:///{folder}/runs.db"
+        tracker = ProcessTracker("logging", uri, Path(folder) / "study")
+        journal = Journal(plan, tracker, tracker.files)
+
+        def tell() -> None:
+            journal.begin("study")
+            x = np.full(n, 0.1)
+            for k in range(STARTS):
+                journal.begin_start(k, x)
+            for iteration in range(ITERATIONS + 1):
+                for k in range(STARTS):
+                    journal.iterate(Iterate(k, iteration, x, 1.0 / (1 + iteration), 0.0, np.zeros(1), iteration + 1))
+
+        told = timed(tell)
+        began = time.perf_counter()
+        journal.end_all("FINISHED")
+        tracker.close()
+        caught = time.perf_counter() - began
+    study = STARTS * ITERATIONS * EVALUATION
+    print(
+        f"logging: {STARTS} starts x {ITERATIONS} iterations told in {told[0]:.2f} s, {100 * told[0] / study:.1f} % of a study "
+        f"of {study:.0f} s; in MLflow {told[0] + caught:.1f} s after the first word ({PARENT} and {STARTS} runs)"
+    )
+
+
+def start(file: Path) -> None:
+    """Wait for the first iteration of a real command."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-u", "-m", "torchmbd.cli", "run", str(file.absolute())]
+        environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+        began = time.perf_counter()
+        with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            next(line for line in process.stdout if "iteration" in line)
+            print(f"start: first iteration of {file.name} after {time.perf_counter() - began:.1f} s")
+            process.terminate()
+            process.stdout.read()
+
+
+def scaling(file: Path) -> None:
+    """One batch with gradients on one and on two workers."""
+    plan = load_study(
+        file, ["options.cells=[24, 4]", "options.modes=8", "simulate.duration=0.06", "simulate.steps=300"]
+    )
+    problem = problem_of(plan)
+    rng = np.random.default_rng(1)
+    X = rng.uniform(problem.lower, problem.upper, (LANES, len(problem.lower)))
+    seconds = []
+    for workers in (1, 2):
+        with Farm(plan, problem_key(plan), 1, workers) as farm:
+            farm.evaluate(X[: 2 * workers], True)  # the model is built, the limits are known
+            seconds.append(timed(lambda farm=farm: farm.evaluate(X, True))[0])
+    print(
+        f"scaling: {LANES} designs on 1 worker {seconds[0]:.1f} s, on 2 {seconds[1]:.1f} s: {seconds[0] / seconds[1]:.2f}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--start", type=Path, help="an experiment file whose first iteration is waited for")
+    parser.add_argument("--scaling", action="store_true", help="also one and two workers")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["TORCHMBD_STORE"] = f"{folder}/place"
+        os.environ["MLFLOW_TRACKING_URI"] = f"sqlite:///{folder}/runs.db"
+        file = Path(folder) / "study.yaml"
+        file.write_text(STUDY, encoding="utf-8")
+        overhead(file)
+        logging(file)
+        if arguments.scaling:
+            scaling(file)
+        if arguments.start:
+            start(arguments.start)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""Exhaustive enumeration on a tiny rod: mirror pairs, what is best, what is a minimum; the stored grid."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from experiments.discrete import problem_of
+from experiments.enumeration import Enumeration, enumerate_all, grid
+from experiments.minima import STORED
+
+TINY = {"cells": (4, 2), "modes": 3, "steps": 16}
+
+
+@pytest.mark.parametrize(("layers", "increment"), [(1, 45.0), (2, 30.0), (3, 45.0)])
+def test_a_grid_and_its_mirror_image_are_all_designs(layers, increment):
+    X, size = grid(layers, increment)
+    degrees = np.rint(np.degrees(X))
+    both = {tuple(x) for x in degrees} | {tuple(np.where(x == 90, 90, -x + 0.0)) for x in degrees}
+    assert len(both) == size == round(180 / increment) ** layers
+    fixed = (np.abs(degrees) % 90 == 0).all(axis=1).sum()  # their own mirror image
+    assert 2 * len(X) - fixed == size
+
+
+def test_enumeration_says_what_the_problem_says_of_the_mirror_images():
+    problem = problem_of("3f", 2, **TINY)
+    found = enumerate_all({"": problem}, 15.0, lanes=41)[""]
+    told = problem.evaluate(-found.X, False)
+    feasible = np.array([e.constraints.max() <= 1e-6 for e in told])
+    assert 0 < feasible.sum() < len(told)
+    np.testing.assert_allclose(found.value[feasible], np.array([e.objective for e in told])[feasible], rtol=1e-8)
+    assert np.isinf(found.value[~feasible]).all()
+    assert found.value[[np.array_equal(x, found.best) for x in found.X].index(True)] == found.value.min()
+    assert found.rank(float(np.sort(found.value)[2])) == 2
+
+
+def test_minima_of_a_grid():
+    """Two valleys on the circle of one angle, at 0 and at 90 degrees; every angle of the half that is listed."""
+    X, size = grid(1, 15.0)
+    enumeration = Enumeration(X, 2.0 - np.cos(4 * X[:, 0]) - 0.3 * np.cos(2 * X[:, 0]), size)
+    minima = enumeration.minima(np.radians(15.0))
+    np.testing.assert_allclose(np.degrees(enumeration.X[minima, 0]), [0.0, 90.0], atol=1e-9)
+
+
+def test_the_stored_grid_is_complete():
+    stored = json.loads(STORED.read_text(encoding="utf-8"))
+    assert stored["designs"] == 36**3
+    assert len(stored["refined"]) == len(stored["minima_of_the_grid"])
+    assert stored["best"] == min(end["value"] for end in stored["refined"])

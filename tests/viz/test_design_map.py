@@ -1,0 +1,51 @@
+"""Maps of design spaces: what is drawn is what was visited."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from torchmbd.errors import InputError
+from torchmbd.viz import design_map, save
+
+RNG = np.random.default_rng(2)
+PATHS = {name: RNG.normal(size=(k, 2)) for name, k in (("a", 4), ("b", 3), ("c", 2))}
+OBJECTIVES = {name: RNG.random(len(path)) for name, path in PATHS.items()}
+
+
+def lines(axes) -> list[np.ndarray]:
+    return [line.get_xydata() for line in axes.lines]
+
+
+def test_two_variables(tmp_path):
+    X, y = RNG.normal(size=(30, 2)), RNG.random(30)
+    y[3] = np.nan
+    figure = design_map(PATHS, OBJECTIVES, ["one [deg]", "two"], {"a": 0, "b": 0}, (X, y))
+    axes, bar = figure.axes
+    drawn = lines(axes)
+    for k, path in enumerate(PATHS.values()):
+        assert_array_equal(drawn[3 * k], path)
+        assert_array_equal(drawn[3 * k + 2][0], path[-1])  # where it ended
+    colors = [line.get_color() for line in axes.lines[::3]]
+    assert colors[0] == colors[1] != colors[2]  # one basin, and a search that ended nowhere
+    (dots,) = [c for c in axes.collections if len(c.get_offsets()) == 29]  # the failed one is left out
+    assert_array_equal(dots.get_array(), y[np.isfinite(y)])
+    assert (axes.get_xlabel(), axes.get_ylabel(), bar.get_ylabel()) == ("one [deg]", "two", "objective")
+    assert save(figure, tmp_path / "map.png").stat().st_size > 5000
+
+
+def test_one_variable():
+    paths = {name: path[:, :1] for name, path in PATHS.items()}
+    X = np.array([[3.0], [1.0], [2.0]])
+    figure = design_map(paths, OBJECTIVES, ["angle [deg]"], {"c": 1}, (X, np.array([9.0, 7.0, 8.0])), "energy")
+    drawn = lines(figure.axes[0])
+    assert_array_equal(drawn[0], [[1, 7], [2, 8], [3, 9]])
+    assert_array_equal(drawn[1], np.c_[paths["a"], OBJECTIVES["a"]])
+    assert figure.axes[0].get_ylabel() == "energy"
+
+
+@pytest.mark.parametrize("size", [3, 0])
+def test_more_variables_are_refused(size):
+    with pytest.raises(InputError, match="allowed: one or two variables"):
+        design_map({"a": np.zeros((2, size))}, {"a": np.zeros(2)}, ["x"] * size)

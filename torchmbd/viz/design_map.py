@@ -1,0 +1,79 @@
+"""The design space of one or two variables: what was visited, where searches went, in which minimum they ended.
+
+One variable: objective over the variable, all evaluations as dots, the paths of the starts on them.
+Two variables: evaluations as dots colored by their objective, contours between them where they are enough.
+Searches that end in the same minimum have the same color: its basin, as far as it was seen.
+Checked in tests/viz/test_design_map.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.viz.figures import CYCLE, OTHER, figure_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_CONTOURS = 12  # evaluations from which on contours are drawn
+
+
+def design_map(
+    paths: Mapping[str, np.ndarray],
+    objectives: Mapping[str, np.ndarray],
+    headings: Sequence[str],
+    ends: Mapping[str, int] | None = None,
+    visited: tuple[np.ndarray, np.ndarray] | None = None,
+    objective: str = "objective",
+) -> Figure:
+    """Draw the paths of searches through a space of one or two variables.
+
+    paths       designs of every search [k, n], n = 1 or 2, in the units of the headings
+    objectives  their objectives [k]
+    ends        number of the minimum in which a search ended; searches without one are gray
+    visited     designs [m, n] and objectives [m] of every evaluation; those that are not finite are left out
+    """
+    sizes = {np.asarray(path).shape[1:] for path in paths.values()}
+    if sizes not in ({(1,)}, {(2,)}) or len(headings) != next(iter(sizes))[0]:
+        raise InputError(
+            f"paths have designs of shape {sizes or 'none'}; allowed: one or two variables, each with a heading"
+        )
+    figure, (axes,) = figure_of(4.2)
+    X, y = visited if visited is not None else (np.zeros((0, len(headings))), np.zeros(0))
+    seen = np.isfinite(y)
+    (_one if len(headings) == 1 else _two)(axes, X[seen], y[seen], objective)
+    named = set()
+    for name, path in paths.items():
+        end = None if ends is None else ends.get(name)
+        color = OTHER if end is None else CYCLE[1:][end % (len(CYCLE) - 1)]
+        label = None if end is None or end in named else f"ends in minimum {end + 1}"
+        named.add(end)
+        across = np.asarray(path)[:, 0]
+        up = np.asarray(objectives[name]) if len(headings) == 1 else np.asarray(path)[:, 1]
+        axes.plot(across, up, color=color, lw=0.9, marker="o", ms=2, label=label)
+        axes.plot(across[:1], up[:1], "s", color=color, ms=5, mfc="white")
+        axes.plot(across[-1:], up[-1:], "*", color=color, ms=11, mec="black", mew=0.5)
+    axes.set_xlabel(headings[0])
+    axes.set_ylabel(headings[1] if len(headings) == 2 else objective)
+    if named - {None}:
+        axes.legend(frameon=False, fontsize=8)
+    return figure
+
+
+def _one(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str) -> None:
+    order = np.argsort(X[:, 0])
+    axes.plot(X[order, 0], y[order], ".", color="#c0c0c0", ms=4, zorder=1)
+
+
+def _two(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str) -> None:
+    if not len(X):
+        return
+    if len(X) >= _CONTOURS and np.linalg.matrix_rank(X - X.mean(0)) == 2:
+        axes.tricontour(X[:, 0], X[:, 1], y, levels=12, colors="#dddddd", linewidths=0.7, zorder=0)
+    dots = axes.scatter(X[:, 0], X[:, 1], c=y, s=12, cmap="viridis", zorder=1)
+    axes.figure.colorbar(dots, ax=axes, label=objective)

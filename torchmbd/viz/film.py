@@ -1,0 +1,113 @@
+"""A motion as a film for slides and papers: GIF, or MP4 where ffmpeg is installed.
+
+The picture is that of animation.py, seen along one axis: the same scene, deformation exaggerated the same way.
+Drawn by matplotlib, without a display. Checked in tests/viz/test_film.py.
+"""
+
+from __future__ import annotations
+
+import base64
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.viz.animation import scene_of
+
+_ACROSS = {"x": (1, 2), "y": (0, 2), "z": (0, 1)}  # axes of the picture, by the axis along which one looks
+_WRITERS = {".gif": "pillow", ".mp4": "ffmpeg"}
+
+
+def film(
+    motion: Any,
+    path: str | Path,
+    lane: int = 0,
+    scale: float | None = None,
+    view: str | None = None,
+    seconds: float = 6.0,
+    frames_per_second: int = 15,
+) -> Path:
+    """Write the motion of one lane as a film and return its path.
+
+    scale    exaggeration of the deformation; None: the largest is drawn as 5 % of the picture
+    view     axis along which one looks, "x", "y" or "z"; None: the shortest side of the visited space
+    seconds  how long the film lasts, however long the motion [s]
+    """
+    from matplotlib.animation import FuncAnimation, writers
+    from matplotlib.figure import Figure
+
+    path = Path(path)
+    if path.suffix not in _WRITERS:
+        raise InputError(f"path = {str(path)!r}: allowed: a name that ends in {' or '.join(_WRITERS)}")
+    if not writers.is_available(_WRITERS[path.suffix]):
+        raise InputError(f"path = {str(path)!r}: needs {_WRITERS[path.suffix]}, which is not installed; allowed: .gif")
+    if not 0 <= lane < len(motion.status) or motion.status[lane] != "ok":
+        raise InputError(f"lane = {lane}: allowed: the lanes with a motion, of {motion.status}")
+    count = round(seconds * frames_per_second)
+    if count < 2 or frames_per_second < 1:
+        raise InputError(f"seconds = {seconds}, frames_per_second = {frames_per_second}: allowed: two frames or more")
+    scene = scene_of(motion, lane, count)
+    axis = view or scene["view"]
+    if axis not in _ACROSS:
+        raise InputError(f"view = {view!r}; allowed: {', '.join(_ACROSS)}")
+    shown = scene["scale"] if scale is None else float(scale)
+    figure = Figure(figsize=(6.4, 4.0), layout="constrained")
+    draw = _Stage(figure, scene, shown, list(_ACROSS[axis]))
+    movie = FuncAnimation(figure, draw.frame, frames=len(draw.t), interval=1000.0 / frames_per_second, blit=False)
+    movie.save(path, writer=writers[_WRITERS[path.suffix]](fps=frames_per_second), dpi=100)
+    return path
+
+
+def positions(body: dict[str, Any], frames: int, scale: float) -> np.ndarray:
+    """Points of a body of a scene in ground axes [frames, n, 3]: deformed nodes, or the joints of a rigid body."""
+    r, A = _array(body["r"], frames, 1, 3), _array(body["A"], frames, 3, 3)
+    if "weights" not in body:
+        local = np.array(body["points"] or [[0.0, 0.0, 0.0]])[None]
+    else:
+        weights = _array(body["weights"], frames, -1)
+        full, relative = (_array(body[key], weights.shape[1], -1, 3) for key in ("modes", "relative"))
+        local = _array(body["x"], -1, 3) + np.einsum("tk,knc->tnc", weights, full + (scale - 1.0) * relative)
+    return r + np.einsum("tij,tnj->tni", A, np.broadcast_to(local, (frames, *local.shape[1:])))
+
+
+class _Stage:
+    """The drawing: one collection for each body, moved from frame to frame."""
+
+    def __init__(self, figure: Any, scene: dict[str, Any], scale: float, across: list[int]) -> None:
+        from matplotlib.collections import LineCollection, PolyCollection
+
+        self.t = _array(scene["t"], -1)
+        axes = figure.subplots()
+        self.bodies = [positions(body, len(self.t), scale)[..., across] for body in scene["bodies"]]
+        self.parts = []
+        for body in scene["bodies"]:
+            corners = np.array(body.get("triangles", []), dtype=int).reshape(-1, 3)
+            ends = np.array(body.get("lines", []), dtype=int).reshape(-1, 2)
+            plates = PolyCollection([], facecolor="#2a788e", edgecolor="#1f5a6a", linewidth=0.3)
+            beams = LineCollection([], color="#2a788e", linewidth=3.0)
+            (links,) = axes.plot([], [], color="#667", marker="o", ms=4, lw=3.0 if "points" in body else 0.0)
+            axes.add_collection(plates)
+            axes.add_collection(beams)
+            self.parts.append((corners, ends, plates, beams, links, "points" in body))
+        everything = np.concatenate([x.reshape(-1, 2) for x in self.bodies])
+        low, high = everything.min(0), everything.max(0)
+        margin = 0.08 * float((high - low).max() or 1.0)
+        axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin), aspect="equal")
+        axes.set(xlabel=f"{'xyz'[across[0]]} [m]", ylabel=f"{'xyz'[across[1]]} [m]")
+        axes.spines[["top", "right"]].set_visible(False)
+        exaggerated = "" if scale == 1.0 else f", deformation x {scale:g}"
+        self.title, self.words = axes.set_title("", loc="left", fontsize=9), exaggerated
+
+    def frame(self, k: int) -> list[Any]:
+        for x, (corners, ends, plates, beams, links, rigid) in zip(self.bodies, self.parts, strict=True):
+            plates.set_verts(x[k][corners])
+            beams.set_segments(list(x[k][ends]))
+            if rigid:
+                links.set_data(x[k, :, 0], x[k, :, 1])
+        self.title.set_text(f"t = {1e3 * self.t[k]:.2f} ms{self.words}")
+        return [self.title]
+
+
+def _array(text: str, *shape: int) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(text), "<f4").reshape(shape)
