@@ -175,3 +175,12 @@ def test_a_lane_that_fails_is_tried_with_half_the_step():
     assert torch.equal(cured.lam[0], coarse.lam[0])
     torch.testing.assert_close(cured.q[1], fine.q[1, ::2], rtol=1e-9, atol=1e-12)
     torch.testing.assert_close(cured.lam[1], fine.lam[1, ::2], rtol=1e-6, atol=1e-6 * float(fine.lam.abs().max()))
+
+
+def test_a_system_at_rest_stays_there():
+    """Nothing but rounding moves: that is no failure of the iteration."""
+    ground, left, right = mbd.Ground(), plate("left", position=(0.15, 0, 0)), plate("right", position=(0.45, 0, 0))
+    joints = [mbd.Spherical(ground.at(), left.at("left")), mbd.Spherical(left.at("right"), right.at("left"))]
+    motion = mbd.simulate(mbd.System([left, right], joints), 0.01, steps=10, halvings=0)
+    motion.require_ok()
+    assert float(motion.v.abs().max()) < 1e-9

@@ -36,9 +36,10 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrators import compiled
-from torchmbd.integrators.step import Coefficients, Model, State, inverse
+from torchmbd.integrators.step import Coefficients, Model, State
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.elimination import Elimination, inverse, pays
 from torchmbd.system.equations import split_v
 from torchmbd.system.reactions import multipliers
 
@@ -46,6 +47,7 @@ CHECK = 25  # steps between two looks at what the correction of tangents leaves
 TANGENT_ERROR = 5e-6  # relative; more than this gets another correction
 MOST = 4  # corrections of tangents
 GOOD_STEP = 0.01  # estimated error of a step that keeps energies within 1e-3
+_ROUNDING = 1e-12  # of coordinates, with room for what equations and inverse make of it
 _STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only
 
 
@@ -80,11 +82,29 @@ class History:
     @classmethod
     def of(cls, states: list[State]) -> History:
         """Stack states."""
-        q, v, vd, lam = (
-            torch.stack([x.full if isinstance(x, Pair) else x for x in parts])
-            for parts in zip(*((x.q, x.v, x.vd, x.lam) for x in states), strict=True)
-        )
-        return cls(q, v, vd, lambda: lam)
+        record = Record(states[0], len(states))
+        for i, x in enumerate(states):
+            record.put(i, x)
+        return record.history()
+
+
+class Record:
+    """States as they come, in arrays of their final size: nothing is kept twice."""
+
+    def __init__(self, x: State, count: int):
+        shapes = [y.shape for y in (x.q, x.v, x.vd, x.lam)]
+        lanes = max(shape[-1] for shape in shapes)
+        self.parts = [value(x.q).new_empty(count, *shape[:-1], lanes) for shape in shapes]
+
+    def put(self, i: int, x: State) -> None:
+        """Keep the state of time i."""
+        for part, y in zip(self.parts, (x.q, x.v, x.vd, x.lam), strict=True):
+            part[i] = y.full if isinstance(y, Pair) else y
+
+    def history(self) -> History:
+        """What was kept."""
+        q, v, vd, lam = self.parts
+        return History(q, v, vd, lambda: lam)
 
 
 def integrate(
@@ -116,15 +136,18 @@ def integrate(
     model = compiled.CompiledModel.of(left, x, w) or Model(left.topology, left.saddle, w, left.data)
     march = March(left, model, iterations, refresh)
     times = h * torch.arange(steps + 1, dtype=torch.float64)
-    states = [x]
+    record = Record(x, steps + 1)
+    record.put(0, x)
     for i, given in enumerate(left.topology.schedule(times[1:])):
-        states.append(march(i, states[-1], given))
-    history = History.of(states)
+        x = march(i, x, given)
+        record.put(i + 1, x)
+    history = record.history()
     error = step_error(left, history, spectral_radius, h)
     suggested = (steps * (error / GOOD_STEP).sqrt()).ceil()
     statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": largest_turn(left, history, h)}
     statistics |= {"step_error": error, "suggested_steps": suggested} | march.errors(history, duration)
-    return _whole(dynamics, left, times, history), statistics
+    del history
+    return _whole(dynamics, left, times, record), statistics
 
 
 def step_error(dynamics: Dynamics, history: History, spectral_radius: float, h: float) -> Tensor:
@@ -151,13 +174,14 @@ def largest_turn(dynamics: Dynamics, history: History, h: float) -> Tensor:
     return h * omega.square().sum(0).sqrt().amax((0, 1))
 
 
-def _whole(dynamics: Dynamics, left: Dynamics, times: Tensor, history: History) -> History:
-    """The motion of the whole system, of which `left` was integrated."""
+def _whole(dynamics: Dynamics, left: Dynamics, times: Tensor, record: Record) -> History:
+    """The motion of the whole system, of which `left` was integrated; empties the record."""
     if left is dynamics:
-        return history
+        return record.history()
     c = left.initial.condensation
-    q, v, vd = c.expand(times, history.q, history.v, history.vd)
-    return History(q, v, vd, lambda: multipliers(c, dynamics.data, times, q, v, vd, history.lam))
+    lam = record.parts.pop()
+    q, v, vd = c.expand(times, record.parts)
+    return History(q, v, vd, lambda: multipliers(c, dynamics.data, times, q, v, vd, lam))
 
 
 class March:
@@ -166,6 +190,7 @@ class March:
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
         self.dynamics, self.model, self.refresh = dynamics, model, refresh
         self.corrections, self.passes = iterations
+        self.invert = Elimination(dynamics.topology) if pays(dynamics.topology) else inverse
         self.H: Tensor | None = None
         self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each look
@@ -183,7 +208,7 @@ class March:
         return step.finish(z, dz)
 
     def _inverse(self, step: Any, z: Tensor) -> Tensor:
-        return inverse(self.dynamics.determined(step.matrix(z)))
+        return self.invert(self.dynamics.determined(step.matrix(z)))
 
     def _values(self, step: Any, z: Tensor, renew: bool) -> Tensor:
         """Unknowns of one step."""
@@ -212,12 +237,15 @@ class March:
         """Estimated relative errors of the iteration [lanes].
 
         The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the
-        motion, or to the largest rate over the duration: a uniform motion has accelerations of rounding size.
+        motion, or to the largest rate over the duration: a uniform motion has accelerations of rounding size. Or to what
+        the rounding of coordinates makes of them: a system at rest has nothing else.
         """
         before, last = torch.stack(self.sizes, -1)
         left = last if self.corrections == 1 else last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
         largest, uniform = (x[:, :, 0].abs().amax((0, 1)) for x in (history.vd, history.v))
-        largest = largest.maximum(uniform / duration).clamp_min(torch.finfo(last.dtype).tiny)
+        h = duration / (len(history.q) - 1)
+        rounding = _ROUNDING * history.q[0, :, 0].abs().amax(0) / (h * h)
+        largest = largest.maximum(uniform / duration).maximum(rounding)
         found = {"iteration_error": left.amax(-1) / largest}
         return found | ({"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {})
 

@@ -12,10 +12,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.step import Coefficients, Model, State, inverse
+from torchmbd.integrators.step import Coefficients, Model, State
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.elimination import inverse
 from torchmbd.system.topology import Prescribed, Topology
 
 _MOST = 25  # corrections

@@ -202,12 +202,6 @@ class Model:
         return Step(self, x, given)
 
 
-def inverse(K: Tensor) -> Tensor:
-    """Inverses of matrices [lanes, n, n]. A lane whose matrix is singular becomes nan, alone."""
-    H, info = torch.linalg.inv_ex(K)
-    return torch.where((info == 0)[:, None, None], H, torch.nan)
-
-
 def apply(H: Tensor, R: Tensor) -> Tensor:
     """Multiply right-hand sides [n, slots, lanes] by matrices [lanes, n, n]."""
     return torch.bmm(H, R.permute(2, 0, 1)).permute(1, 2, 0)

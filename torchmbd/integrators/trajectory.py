@@ -22,6 +22,7 @@ from torch import Tensor
 
 from torchmbd.errors import SimulationFailure, unknown
 from torchmbd.integrators.body_motion import BodyMotion
+from torchmbd.integrators.energies import Energies, energies
 from torchmbd.integrators.reaction import JointReaction, reaction
 from torchmbd.integrators.singular import SingularPosition, singular_positions
 from torchmbd.numerics.pair import Pair
@@ -139,6 +140,11 @@ class Trajectory:
     def reaction(self, joint: str) -> JointReaction:
         """Force and torque of a joint on its second body, in the frame of its first."""
         return reaction(self, joint)
+
+    @cached_property
+    def energies(self) -> Energies:
+        """Kinetic, strain and potential energy, what was dissipated, and the work of forces and drives, over time."""
+        return energies(self)
 
     def singular_positions(self) -> list[SingularPosition]:
         """Where and when the motion came near a position at which its constraints lose rank."""

@@ -68,8 +68,8 @@ class Condensation:
         vd, a = (y.index_select(0, self.independent) for y in (x.vd, x.a))
         return type(x)(q, v, vd, a, x.lam.index_select(0, self.rows))
 
-    def expand(self, times: Tensor, q: Tensor, v: Tensor, a: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """q, v and a [times, component, slots, lanes] of the whole."""
+    def expand(self, times: Tensor, parts: list[Tensor]) -> list[Tensor]:
+        """q, v and a [times, component, slots, lanes] of the whole; takes them off the list: they are large."""
         T = self.topology
         motions = [carrier.motion(times) for carrier in T.carriers]
         numbers = [self.whole.names.index(carrier.name) for carrier in T.carriers]
@@ -82,12 +82,11 @@ class Condensation:
                 result[:, [k * self.whole.bodies + number for k in range(each)], 0] = y[..., None]
             return result
 
-        v, a = (_spread(T, x) for x in (v, a))
-        return (
-            whole(q, 7, [m[0] for m in motions]),
-            whole(v, 6, [m[1] for m in motions]),
-            whole(a, 6, [m[2] for m in motions]),
-        )
+        known = ([m[k] for m in motions] for k in range(3))
+        return [
+            whole(parts.pop(0), 7, next(known)),
+            *(whole(_spread(T, parts.pop(0)), 6, next(known)) for _ in range(2)),
+        ]
 
 
 def _component_rows(T: Topology, bodies: list[int], each: int) -> Tensor:

@@ -1,0 +1,60 @@
+"""The books of energy: against sums over the nodes, and balanced to the order of the method."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import GRAVITY, SOFT, box, laminate, pendulum, plate, turned
+from tests.physics.nodal_sums import sums
+
+
+def test_energies_are_those_of_the_nodes():
+    motion = mbd.simulate(pendulum(), 0.05, steps=50).require_ok()
+    found, expected = motion.energies, sums(motion)
+    for name in ("kinetic", "strain", "potential"):
+        assert_close(getattr(found, name)[0], getattr(expected, name), rtol=1e-9, atol=1e-12)
+
+
+def fed() -> mbd.System:
+    """A driven arm, a soft damped plate on a spring and a bushing, a load in time, gravity: every term of the books."""
+    ground = mbd.Ground()
+    arm = box("arm", axes=turned(0.0, 0.0, 0.3))
+    soft = laminate((20.0, -50.0), 3e-3, SOFT)
+    rod = plate("rod", modes=2, made_of=soft, position=(0.3, 0.0, 0.0), damping=1e-3)
+    joints = [
+        mbd.Revolute(ground.at(), arm.at(), axis="z"),
+        mbd.Drive(ground, arm, axis="z", angle=lambda t: 30.0 * t * t),
+        mbd.Spherical(arm.at(0.15, 0.0, 0.0), rod.at("left")),
+    ]
+    forces = [
+        mbd.SpringDamper(ground.at(0.5, 0.2, 0.1), rod.at("right"), stiffness=300.0, damping=2.0, rest=0.1),
+        mbd.RotationalSpringDamper(arm.at(), rod.at("left"), stiffness=2.0, damping=0.02),
+        mbd.Force(rod.at("right"), lambda t: torch.stack([torch.sin(40.0 * t), 2.0 * t, 0.0 * t + 1.0])),
+    ]
+    return mbd.System([arm, rod], joints, forces, gravity=GRAVITY)
+
+
+def test_the_balance_closes_to_second_order():
+    system, worst = fed(), []
+    for steps in (100, 200):
+        motion = mbd.simulate(system, 0.1, steps=steps, spectral_radius=0.95).require_ok()
+        found = motion.energies
+        for name in ("kinetic", "strain", "potential", "dissipated", "applied", "driven"):
+            term = getattr(found, name)
+            assert float((term - term[:, :1]).abs().max()) > 1e-3, name
+        worst.append(float(found.balance.abs().max() / found.kinetic.max()))
+    assert worst[1] < 2e-3
+    assert worst[0] / worst[1] == pytest.approx(4.0, rel=0.35)
+
+
+def test_lanes_keep_their_own_books():
+    system = pendulum()
+    angles = system.body("rod").laminate.angles.detach()
+    designs = {"rod.laminate.angles": torch.stack([angles, angles + 0.4])}
+    both = mbd.simulate(system, 0.02, steps=20, designs=designs).require_ok().energies
+    second = mbd.simulate(system, 0.02, steps=20, designs={"rod.laminate.angles": angles[None] + 0.4}).energies
+    assert_close(both.strain[1:], second.strain, rtol=1e-8, atol=1e-14)
+    assert not torch.allclose(both.strain[0], both.strain[1], rtol=1e-3)

@@ -1,0 +1,133 @@
+"""Where the energy of a motion is, where it came from and where it went.
+
+    kinetic     1/2 v' M v                                        strain      1/2 w' Kr w
+    potential   - sum (m r + A S) . g                             dissipated  integral of w' . D w'
+    applied     integral of sum f s'   (forces, with their own springs and dampers: forces/action.py)
+    driven      integral of lam . dPhi/dt   (joints with a law of time)
+
+    balance = kinetic + strain + potential + dissipated - applied - driven, less its value at the start
+
+is zero along an exact motion; what is left of it tells what steps and iterations did. Integrals are trapezoidal over
+the output times. Rates lost in impacts and locks of later phases are not in it: `driven` and `balance` are of one phase.
+Values only. All functions of time [lanes, times] [J].
+Checked in tests/physics/test_energies.py: against nodal sums, and the balance to second order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.numerics.pair import dot, matvec, value
+from torchmbd.system import equations
+from torchmbd.system.topology import Prescribed
+
+if TYPE_CHECKING:
+    from torchmbd.integrators.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Energies:
+    """Energies of a motion and the work done on it; see the module header."""
+
+    kinetic: Tensor
+    strain: Tensor
+    potential: Tensor
+    dissipated: Tensor
+    applied: Tensor
+    driven: Tensor
+
+    @property
+    def stored(self) -> Tensor:
+        """Kinetic, strain and potential energy together."""
+        return self.kinetic + self.strain + self.potential
+
+    @property
+    def balance(self) -> Tensor:
+        """What is missing or too much since the start."""
+        total = self.stored + self.dissipated - self.applied - self.driven
+        return total - total[:, :1]
+
+
+def energies(motion: Trajectory) -> Energies:
+    """Of all lanes of a motion of one phase."""
+    if motion.switches:
+        raise InputError(f"the motion has {1 + len(motion.switches)} phases; allowed here: one")
+    parts = [_lane(motion, lane) for lane in range(motion.q.shape[0])]
+    energy = [torch.stack(x) for x in zip(*(p[0] for p in parts), strict=True)]
+    power = [torch.stack(x) for x in zip(*(p[1] for p in parts), strict=True)]
+    return Energies(*energy, *(_work(p, motion.t) for p in power))
+
+
+def _work(power: Tensor, t: Tensor) -> Tensor:
+    return torch.cat([torch.zeros_like(power[:, :1]), torch.cumulative_trapezoid(power, t)], 1)
+
+
+def _lane(motion: Trajectory, lane: int) -> tuple[list[Tensor], list[Tensor]]:
+    """Energies and powers [times] of one lane: its times take the place of lanes."""
+    T = motion.dynamics.topology
+    q, v, lam = (x[lane].T[:, None] for x in (motion.q, motion.v, motion.lam))
+    data = {name: _of(value(x), lane) for name, x in motion.dynamics.data.items()}
+    given = _given(motion)
+    at = equations.placement(T, data, q, given)
+    w, wd = at.w, equations.split_v(T, v)[2]
+    plain = {name: x for name, x in data.items() if name not in ("gravity", "D")}
+    strain = dissipation = torch.zeros_like(v[0])
+    if T.flexible:
+        strain = 0.5 * (w * matvec(data["Kr"], w)).sum((0, 1))
+        plain["Kr"] = torch.zeros_like(data["Kr"])
+        if "D" in data:
+            dissipation = (wd * matvec(data["D"], wd)).sum((0, 1))
+    momentum = torch.cat([x.flatten(0, 1) for x in equations.inertia_forces(T, plain, at, torch.zeros_like(v), v)])
+    energy = [0.5 * dot(v, momentum), strain, _potential(motion, data, at, q)]
+    powers = [dissipation, _applied(motion, data, at, v), _driven(motion, data, q, lam)]
+    return [x[0] for x in energy], [x[0] for x in powers]
+
+
+def _of(x: Tensor, lane: int) -> Tensor:
+    return x if x.shape[-1] == 1 else x[..., lane : lane + 1]
+
+
+def _given(motion: Trajectory) -> Prescribed:
+    """What is known at the times of a motion, side by side as lanes."""
+    known = motion.dynamics.topology.schedule(motion.t)
+    laws = [
+        None if law is None else tuple(torch.cat([k.laws[i][m] for k in known], -1) for m in range(len(law)))  # pyright: ignore
+        for i, law in enumerate(known[0].laws)
+    ]
+    return Prescribed(laws, known[0].A, known[0].r, motion.t)
+
+
+def _potential(motion: Trajectory, data: equations.Data, at: equations.Placement, q: Tensor) -> Tensor:
+    T = motion.dynamics.topology
+    if "gravity" not in data:
+        return torch.zeros_like(q[0])
+    S = equations.moments(T, data, at.w)[0] if T.flexible else data["S0"]
+    weight = data["mass"] * equations.split_q(T, q)[0] + matvec(at.A[:, :, : T.bodies], S)
+    return -(weight * data["gravity"]).sum((0, 1))
+
+
+def _applied(motion: Trajectory, data: equations.Data, at: equations.Placement, v: Tensor) -> Tensor:
+    """Power of the applied forces: what they do to the bodies times the rates."""
+    T = motion.dynamics.topology
+    if not T.actions:
+        return torch.zeros_like(v[0])
+    forces = equations.generalized_forces(T, data, at, equations.applied_on_vectors(T, data, at, v))
+    return dot(torch.cat([x.flatten(0, 1) for x in forces]), v)
+
+
+def _driven(motion: Trajectory, data: equations.Data, q: Tensor, lam: Tensor) -> Tensor:
+    """lam . dPhi/dt: constraints without laws do no work."""
+    T = motion.dynamics.topology
+    power = torch.zeros_like(q[0])
+    if not any(p.driven for p in T.primitives):
+        return power
+    still = q.new_zeros(T.n_v, 1, 1)
+    for i, t in enumerate(motion.t):
+        at = equations.placement(T, data, q[..., i : i + 1], T.prescribed(t))
+        power[:, i : i + 1] = dot(lam[..., i : i + 1], equations.constraint_jets(T, at, data, still, still, t).velocity)
+    return power
