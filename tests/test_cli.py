@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -96,6 +97,33 @@ def test_a_store_that_cannot_be_written_costs_no_result(folder):
     assert "2 starts" in output
     assert "Tracking failed: the store" in output
     assert "torchmbd sync" in output
+
+
+def test_several_values_of_a_key_are_several_studies(folder, capsys, empty_store):
+    shutil.copy(empty_store, folder / "mlflow.db")
+    arguments = ["run", "study.yaml", "options.cells=3,4", "simulate.duration=0.002", "simulate.steps=8"]
+    assert cli.main([*arguments, "starts.count=1", "optimizer.max_iterations=1"]) == 0
+    assert "options.cells=3 " in (output := capsys.readouterr().out)
+    assert output.count("1 starts") == 2
+    assert cli.main([*arguments, "starts.sampler=sobel"]) == 2  # all are checked before the first runs
+    assert cli.main(["best"]) == 0
+    assert "torchmbd.load(" in capsys.readouterr().out
+    assert cli.main(["compare", "study", "nothing"]) == 2
+    assert "run 'nothing' is not in" in capsys.readouterr().err
+    assert cli.main(["report", "study", "--output", "study.html"]) == 0
+    assert (folder / "study.html").exists()
+    assert cli.main(["sync"]) == 0
+    assert "everything is in its tracking store" in capsys.readouterr().out
+
+
+def test_new_check_and_schema(folder, capsys):
+    assert cli.main(["new", "mine.yaml", "--model", "rod_model.py:build"]) == 0
+    assert cli.main(["check", "mine.yaml", "simulate.duration=0.002", "simulate.steps=8", "starts.count=2"]) == 0
+    assert "mine.yaml is valid" in (output := capsys.readouterr().out)
+    assert "90 simulations" in output
+    assert not (folder / "mlflow.db").exists()
+    assert cli.main(["schema"]) == 0
+    assert json.loads(capsys.readouterr().out)["title"] == "torchmbd experiment"
 
 
 def test_list_names_configs_and_studies(folder, capsys):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from torchmbd.experiment.faults import StudyError
-from torchmbd.experiment.overrides import override
+from torchmbd.experiment.overrides import combinations, override
 from torchmbd.experiment.yaml_file import parse_yaml
 
 FILE = """
@@ -61,3 +61,19 @@ def test_every_bad_override_is_named_at_once():
     assert len(caught.value.faults) == 7
     assert "no such place in a list of 1" in str(caught.value)
     assert "options.layers is the value 3" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("assignments", "studies"),
+    [
+        ([], [()]),
+        (["a=1"], [("a=1",)]),
+        (["a=1,2", "b=x, y"], [("a=1", "b=x"), ("a=1", "b=y"), ("a=2", "b=x"), ("a=2", "b=y")]),
+        (["a=[1, 2]"], [("a=[1, 2]",)]),
+        (["a=[1,2],[3]", "b={c: 1, d: 2}"], [("a=[1,2]", "b={c: 1, d: 2}"), ("a=[3]", "b={c: 1, d: 2}")]),
+        (["a='x,y'"], [("a='x,y'",)]),
+        (["nothing"], [("nothing",)]),
+    ],
+)
+def test_several_values_are_several_studies(assignments, studies):
+    assert combinations(assignments) == studies
