@@ -15,8 +15,11 @@ GROUND = mbd.Ground()
 NAME = "rod.laminate.angles"
 
 
-def rotors() -> mbd.System:
-    """A rotor on the ground's z-axis carries another off it; both spin. No gravity: momentum about z stays."""
+def rotors(hinges: int = 1) -> mbd.System:
+    """A rotor on the ground's z-axis carries another off it; both spin. No gravity: momentum about z stays.
+
+    A second hinge on the same axis is redundant.
+    """
     first = box("first", angular_velocity=(0.0, 0.0, 3.0))
     second = box("second", position=(0.4, 0.1, 0.2), axes=turned(0.0, 0.0, 0.5), angular_velocity=(0.0, 0.0, -8.0))
     return mbd.System(
@@ -24,7 +27,8 @@ def rotors() -> mbd.System:
         joints=[
             mbd.Revolute(GROUND.at(), first.at(), axis="z", name="shaft"),
             mbd.Revolute(first.at(0.4, 0.1, 0.2), second.at(), axis="z", name="hinge"),
-        ],
+            mbd.Revolute(first.at(0.4, 0.1, 0.3), second.at(0.0, 0.0, 0.1), axis="z", name="second_hinge"),
+        ][: 1 + hinges],
     )
 
 
@@ -42,10 +46,10 @@ def momentum(motion: Trajectory, state: tuple[Tensor, Tensor]) -> Tensor:
     return total
 
 
-@pytest.mark.parametrize("method", ["generalized_alpha", "dopri5"])
-def test_a_lock_keeps_momentum_and_position(method):
+@pytest.mark.parametrize(("method", "hinges"), [("generalized_alpha", 1), ("generalized_alpha", 2), ("dopri5", 1)])
+def test_a_lock_keeps_momentum_and_position(method, hinges):
     phases = [mbd.Phase(until=0.0325), mbd.Phase(lock=["hinge"])]
-    motion = mbd.simulate(rotors(), 0.1, method, 20, phases=phases).require_ok()
+    motion = mbd.simulate(rotors(hinges), 0.1, method, 20, phases=phases).require_ok()
     (switch,) = motion.switches
     before, after = (momentum(motion, (side.q, side.v)) for side in (switch.before, switch.after))
     assert_close(after, before, rtol=1e-12, atol=0)

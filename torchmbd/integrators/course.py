@@ -19,7 +19,7 @@ from torchmbd.integrators.generalized_alpha import History
 from torchmbd.integrators.phases import Stage
 from torchmbd.integrators.step import State
 from torchmbd.integrators.switch import (
-    Given,
+    Opening,
     accelerations,
     at_time,
     jump,
@@ -98,6 +98,7 @@ class Course:
         opening = replace(self.whole.initial, topology=first)
         dynamics = replace(self.whole, topology=first, saddle=Saddle(first), initial=opening)
         q, v = (self._wide(x) for x in opening.solve(dynamics))
+        self.opening = Opening(value(q)[..., :1], value(v)[..., :1])
         t = self._wide(torch.zeros(1, self.whole.lanes, dtype=torch.float64))
         return Passage(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
 
@@ -113,7 +114,7 @@ class Course:
         stage, x = self.stages[number], passage.x
         data = marked(self.whole.topology, self.whole.data, x.q, stage.locks)
         self.whole = replace(self.whole, data=data)
-        dynamics = replace(self.whole, topology=stage.topology, saddle=stage.saddle, initial=Given(x.q, x.v))
+        dynamics = replace(self.whole, topology=stage.topology, saddle=stage.saddle, initial=self.opening)
         parts = [self._begin(number, lane, lane_of(dynamics, lane), passage) for lane in range(self.whole.lanes)]
         state = together(parts)
         if number:
@@ -144,7 +145,7 @@ class Course:
         if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
             v = mapped(ended.impact, ended.until, self.views, lane, dynamics, t, x._replace(v=v))
         a, lam = at_time(accelerations, dynamics, t, x.q, v)
-        return State(x.q, v, a, a, lam)
+        return State(x.q, v, a, a, dynamics.carried(lam))
 
     def _check_closed(self, number: int, lane: int, dynamics: Dynamics, t: Any, q: Any) -> None:
         """Fail a lane in which a joint begins to act that is not closed."""

@@ -33,16 +33,16 @@ from torchmbd.system.topology import Topology
 
 
 @dataclass(frozen=True, eq=False)
-class Given:
-    """Initial conditions of a phase: the state at the switch."""
+class Opening:
+    """Where a simulation of phases started: there, bodies undeformed, the rank of the constraints of each is judged."""
 
-    q: Any
-    v: Any
+    q: Tensor
+    v: Tensor
     condensed: None = None
 
     def solve(self, dynamics: Dynamics) -> tuple[Any, Any]:
-        """q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs if the data of `dynamics` are."""
-        return (self.q, self.v) if dynamics.tangents else (value(self.q), value(self.v))
+        """q [n_q, 1, 1] and v [n_v, 1, 1], of the first lane."""
+        return self.q, self.v
 
 
 def pick(x: Any, lanes: Sequence[int]) -> Any:
@@ -66,9 +66,7 @@ def together(states: Sequence[State]) -> State:
 
 def lane_of(dynamics: Dynamics, lane: int) -> Dynamics:
     """The dynamics of one lane."""
-    one = dynamics.some([lane])
-    start = dynamics.initial
-    return replace(one, initial=Given(pick(start.q, [lane]), pick(start.v, [lane])), statistics=dynamics.statistics)
+    return replace(dynamics.some([lane]), statistics=dynamics.statistics)
 
 
 def marked(T: Topology, data: equations.Data, q: Any, locks: Sequence[Lock]) -> equations.Data:
