@@ -3,6 +3,7 @@
 A batch of designs is cut into one piece for each worker; a worker builds the model once, from the experiment file's
 own words, and evaluates its piece as one batch. Pieces are pure functions of the designs: one that a worker takes
 with it when it dies is evaluated again by another, and nothing depends on which.
+Half a batch takes more than half its time (a step costs the same operations): it is many starts that workers speed up.
 The optimizers, the store of evaluations and the tracker stay with the parent, so a study is the same on any cluster.
 
 Assumed: workers see the model's file at the same path, and run the same torchmbd (a hash of both is compared).
@@ -73,7 +74,7 @@ class Farm:
             )
         try:
             self._client = Client(self._cluster or self._scheduler, timeout=_START)
-            self._client.wait_for_workers(1, timeout=_START)
+            self._client.wait_for_workers(1 if self._cluster is None else self._workers, timeout=_START)
         except (OSError, TimeoutError, ValueError) as error:
             where = self._scheduler or "this machine"
             raise MbdError(f"no worker answers on {where} after {_START} s: {error}") from error
@@ -84,12 +85,16 @@ class Farm:
         if self._cluster is not None:
             self._cluster.close(timeout=5)
 
+    @property
+    def size(self) -> int:
+        """Workers there are now."""
+        return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n], a piece on each worker."""
         from distributed import CancelledError, KilledWorker  # pyright: ignore[reportMissingImports]
 
-        workers = max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
-        pieces = [piece for piece in np.array_split(X, min(workers, len(X))) if len(piece)]
+        pieces = [piece for piece in np.array_split(X, min(self.size, len(X))) if len(piece)]
         futures = [self._client.submit(evaluate_piece, *self._order, piece, gradients, pure=False) for piece in pieces]
         found: list[Evaluation] = []
         try:

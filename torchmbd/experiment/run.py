@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -36,6 +37,7 @@ from torchmbd.tracking.links import DEFAULT_BASE
 from torchmbd.tracking.process import deliver_soon
 from torchmbd.tracking.store import sqlite_file, store_uri
 
+LANES = 64  # designs in one batch of one process: more gain little, and cost memory
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
 
 
@@ -63,7 +65,7 @@ def run_plan(
             study = study_key(plan, store_uri(tracking.uri))
             folder = place() / study
             tracker = ProcessTracker(tracking.experiment, tracking.uri, folder, None if fresh else study)
-        compute = _compute(problem, plan, workers, scheduler, stack)
+        compute, lanes = _compute(problem, plan, workers, scheduler, stack)
         journal = Journal(plan, tracker, stack.enter_context(folder_of(tracker)))
         remembered = Remembered(problem, store, compute, journal.evaluated)
         status: Status = "FAILED"
@@ -71,7 +73,7 @@ def run_plan(
             if plan.study.sweep:
                 status = run_sweep(plan, problem, remembered.evaluate, journal, console)
             else:
-                status = run_study(plan, problem, remembered, store, journal, console)
+                status = run_study(plan, problem, remembered, store, lanes, journal, console)
         except KeyboardInterrupt:
             status = "KILLED"
         finally:
@@ -93,12 +95,13 @@ def run_plan(
 
 def _compute(
     problem: Problem, plan: Plan, workers: int, scheduler: str | None, stack: ExitStack
-) -> Callable[[np.ndarray, bool], list[Evaluation]]:
-    """Return what evaluates designs: the problem itself, or workers."""
+) -> tuple[Callable[[np.ndarray, bool], list[Evaluation]], int]:
+    """Return what evaluates designs, the problem itself or workers, and how many at once: each worker its own batch."""
     if workers == 1 and scheduler is None:
-        return problem.evaluate
+        return problem.evaluate, LANES
     rows = problem.peaks + sum(constraint.measure.rows for constraint in problem.constraints)
-    return stack.enter_context(Farm(plan, problem_key(plan), rows, workers, scheduler)).evaluate
+    farm = stack.enter_context(Farm(plan, problem_key(plan), rows, workers, scheduler))
+    return farm.evaluate, LANES * farm.size
 
 
 @contextmanager
@@ -112,11 +115,18 @@ def folder_of(tracker: Tracker) -> Iterator[Path]:
 
 
 def run_study(
-    plan: Plan, problem: Problem, remembered: Remembered, store: Evaluations, journal: Journal, console: Console
+    plan: Plan,
+    problem: Problem,
+    remembered: Remembered,
+    store: Evaluations,
+    lanes: int,
+    journal: Journal,
+    console: Console,
 ) -> Status:
-    """Optimize from every start."""
+    """Optimize from every start, `lanes` of them at once."""
     optimizer = plan.study.optimizer or Optimizer()
     recipe = starts_of(plan, problem.start)
+    options: dict[str, Any] = {"max_lanes": lanes} | optimizer.options
     points = recipe.points(remembered)
     journal.begin("study")
     for index, point in enumerate(points):
@@ -137,7 +147,7 @@ def run_study(
             list(points),
             callback,
             max_iterations=optimizer.max_iterations,
-            **optimizer.options,
+            **options,
         )
     best = study.best
     for result in study.results:
