@@ -5,10 +5,12 @@
     applied     integral of sum f s'   (forces, with their own springs and dampers: forces/action.py)
     driven      integral of lam . dPhi/dt   (joints with a law of time)
 
-    balance = kinetic + strain + potential + dissipated - applied - driven, less its value at the start
+    lost        at switches between phases: kinetic energy, by locks and impacts (drives may give some)
+
+    balance = kinetic + strain + potential + dissipated + lost - applied - driven, less its value at the start
 
 is zero along an exact motion; what is left of it tells what steps and iterations did. Integrals are trapezoidal over
-the output times. Rates lost in impacts and locks of later phases are not in it: `driven` and `balance` are of one phase.
+the output times, and on both sides of every switch.
 Values only. All functions of time [lanes, times] [J].
 Checked in tests/physics/test_energies.py: against nodal sums, and the balance to second order.
 """
@@ -16,15 +18,14 @@ Checked in tests/physics/test_energies.py: against nodal sums, and the balance t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
 from torchmbd.numerics.pair import dot, matvec, value
 from torchmbd.system import equations
-from torchmbd.system.topology import Prescribed
+from torchmbd.system.topology import Prescribed, Topology
 
 if TYPE_CHECKING:
     from torchmbd.integrators.trajectory import Trajectory
@@ -40,6 +41,7 @@ class Energies:
     dissipated: Tensor
     applied: Tensor
     driven: Tensor
+    lost: Tensor
 
     @property
     def stored(self) -> Tensor:
@@ -49,30 +51,48 @@ class Energies:
     @property
     def balance(self) -> Tensor:
         """What is missing or too much since the start."""
-        total = self.stored + self.dissipated - self.applied - self.driven
+        total = self.stored + self.dissipated + self.lost - self.applied - self.driven
         return total - total[:, :1]
 
 
 def energies(motion: Trajectory) -> Energies:
-    """Of all lanes of a motion of one phase."""
-    if motion.switches:
-        raise InputError(f"the motion has {1 + len(motion.switches)} phases; allowed here: one")
+    """Of all lanes of a motion."""
     parts = [_lane(motion, lane) for lane in range(motion.q.shape[0])]
-    energy = [torch.stack(x) for x in zip(*(p[0] for p in parts), strict=True)]
-    power = [torch.stack(x) for x in zip(*(p[1] for p in parts), strict=True)]
-    return Energies(*energy, *(_work(p, motion.t) for p in power))
+    return Energies(*(torch.stack(x) for x in zip(*parts, strict=True)))
 
 
-def _work(power: Tensor, t: Tensor) -> Tensor:
-    return torch.cat([torch.zeros_like(power[:, :1]), torch.cumulative_trapezoid(power, t)], 1)
+class _Samples(NamedTuple):
+    """One lane: times [n], q, v, lam [rows, 1, n]; which are output times, and which begin a phase."""
+
+    t: Tensor
+    q: Tensor
+    v: Tensor
+    lam: Tensor
+    output: Tensor
+    begins: Tensor
+
+    @classmethod
+    def of(cls, motion: Trajectory, lane: int) -> _Samples:
+        """The output times and both sides of the switches, in order; of equal times the output comes last."""
+        passed = [s for s in motion.switches if bool(torch.isfinite(s.t[lane]))]
+        sides = [side for s in passed for side in (s.before, s.after)]
+        t = torch.cat([torch.stack([s.t[lane], s.t[lane]]) for s in passed] + [motion.t])
+        order = torch.argsort(t, stable=True)
+
+        def sampled(name: str) -> Tensor:
+            x = torch.stack([*(getattr(side, name)[lane] for side in sides), *getattr(motion, name)[lane]])
+            return x[order].T[:, None]
+
+        begins = (order < len(sides)) & (order % 2 == 1)
+        return cls(t[order], sampled("q"), sampled("v"), sampled("lam"), order >= len(sides), begins)
 
 
-def _lane(motion: Trajectory, lane: int) -> tuple[list[Tensor], list[Tensor]]:
-    """Energies and powers [times] of one lane: its times take the place of lanes."""
-    T = motion.dynamics.topology
-    q, v, lam = (x[lane].T[:, None] for x in (motion.q, motion.v, motion.lam))
+def _lane(motion: Trajectory, lane: int) -> list[Tensor]:
+    """Energies and works [times] of one lane: its times take the place of lanes."""
+    T, samples = motion.dynamics.topology, _Samples.of(motion, lane)
+    t, q, v, lam = samples[:4]
     data = {name: _of(value(x), lane) for name, x in motion.dynamics.data.items()}
-    given = _given(motion)
+    given = _given(T, t)
     at = equations.placement(T, data, q, given)
     w, wd = at.w, equations.split_v(T, v)[2]
     plain = {name: x for name, x in data.items() if name not in ("gravity", "D")}
@@ -84,22 +104,25 @@ def _lane(motion: Trajectory, lane: int) -> tuple[list[Tensor], list[Tensor]]:
             dissipation = (wd * matvec(data["D"], wd)).sum((0, 1))
     momentum = torch.cat([x.flatten(0, 1) for x in equations.inertia_forces(T, plain, at, torch.zeros_like(v), v)])
     energy = [0.5 * dot(v, momentum), strain, _potential(motion, data, at, q)]
-    powers = [dissipation, _applied(motion, data, at, v), _driven(motion, data, q, lam)]
-    return [x[0] for x in energy], [x[0] for x in powers]
+    powers = [dissipation, _applied(motion, data, at, v), _driven(T, data, t, q, lam)]
+    drop = -energy[0][0].diff(prepend=energy[0][0, :1])
+    lost = torch.where(samples.begins, drop, 0.0).cumsum(0)
+    works = [torch.nn.functional.pad(torch.cumulative_trapezoid(x[0], t), (1, 0)) for x in powers]
+    return [x[samples.output] for x in (*(e[0] for e in energy), *works, lost)]
 
 
 def _of(x: Tensor, lane: int) -> Tensor:
     return x if x.shape[-1] == 1 else x[..., lane : lane + 1]
 
 
-def _given(motion: Trajectory) -> Prescribed:
-    """What is known at the times of a motion, side by side as lanes."""
-    known = motion.dynamics.topology.schedule(motion.t)
+def _given(T: Topology, t: Tensor) -> Prescribed:
+    """What is known at times t, side by side as lanes."""
+    known = T.schedule(t)
     laws = [
         None if law is None else tuple(torch.cat([k.laws[i][m] for k in known], -1) for m in range(len(law)))  # pyright: ignore
         for i, law in enumerate(known[0].laws)
     ]
-    return Prescribed(laws, known[0].A, known[0].r, motion.t)
+    return Prescribed(laws, known[0].A, known[0].r, t)
 
 
 def _potential(motion: Trajectory, data: equations.Data, at: equations.Placement, q: Tensor) -> Tensor:
@@ -120,14 +143,13 @@ def _applied(motion: Trajectory, data: equations.Data, at: equations.Placement, 
     return dot(torch.cat([x.flatten(0, 1) for x in forces]), v)
 
 
-def _driven(motion: Trajectory, data: equations.Data, q: Tensor, lam: Tensor) -> Tensor:
+def _driven(T: Topology, data: equations.Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
     """lam . dPhi/dt: constraints without laws do no work."""
-    T = motion.dynamics.topology
     power = torch.zeros_like(q[0])
     if not any(p.driven for p in T.primitives):
         return power
     still = q.new_zeros(T.n_v, 1, 1)
-    for i, t in enumerate(motion.t):
+    for i, t in enumerate(times):
         at = equations.placement(T, data, q[..., i : i + 1], T.prescribed(t))
         power[:, i : i + 1] = dot(lam[..., i : i + 1], equations.constraint_jets(T, at, data, still, still, t).velocity)
     return power

@@ -20,7 +20,7 @@ import scipy.linalg
 import torch
 from torch import Tensor
 
-from torchmbd.joints.primitive import values_at
+from torchmbd.joints.primitive import Primitive, values_at
 from torchmbd.numerics.rotation import rotation_matrix, skew
 from torchmbd.system import equations
 from torchmbd.system.saddle import Saddle
@@ -144,12 +144,12 @@ class _Poses:
     def phi(self, q: Tensor, angle: float = 0.0) -> Tensor:
         """Violations [rows] at q [n_q], laws ahead of their start by an angle."""
         start = q.new_zeros(1)
-        laws = [
-            p.drive(torch.stack([values_at(law, start)[0] + angle for law in p.data])[:, None, None])
-            if p.driven
-            else None
-            for p in self.T.primitives
-        ]
+
+        def ahead(p: Primitive) -> tuple | None:
+            values = [values_at(law, start)[0] + angle for law in p.data] if p.driven else []
+            return p.drive(torch.stack(values)[:, None, None]) if values else None
+
+        laws = [ahead(p) for p in self.T.primitives]
         given = self.T.prescribed(start[0])._replace(laws=laws)
         return equations.constraints(self.T, equations.placement(self.T, self.data, q[:, None, None], given))[:, 0, 0]
 

@@ -36,7 +36,7 @@ from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Topology
 
 LEFT_OUT = 1e30  # on the diagonal of a row without other entries: its multiplier is zero
-REGULARIZATION = 1e-6  # against C M^-1 C', of order 1/kg or more: only undetermined multipliers notice
+REGULARIZATION = 1e-8  # against C M^-1 C', of order 1/kg or more: only undetermined multipliers notice
 
 
 @dataclass(eq=False)
