@@ -203,7 +203,9 @@ def test_slopes_of_laws(law):
     make = torch.Generator().manual_seed(2)
     s, rate = (2.0 * torch.rand(2, 40, generator=make, dtype=torch.float64) - 1.0)[..., None, None]
     t, h = tensor(0.0)[0], 1e-7
-    found = slopes(law, s, rate, t)[:2]
+    found = law.slopes(s, rate, t)
+    for slope, own in zip(found, slopes(law, s, rate, t)[:2], strict=True):
+        assert_close(slope, own, rtol=1e-12, atol=1e-12)
     differences = (
         (law(s + h, rate, t) - law(s - h, rate, t)) / (2 * h),
         (law(s, rate + h, t) - law(s, rate - h, t)) / (2 * h),

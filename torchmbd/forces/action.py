@@ -20,12 +20,14 @@ The contract of a kind:
 
 Nothing else is written for a force: design tangents come from pairs, the iteration matrix from the slopes of the law.
 `Turn` measures within half a turn around the `center` of its law (0 by default).
-A law is elementwise: it sees s and s' of shape [1, 1, lanes] and returns that shape.
+A law is elementwise: it sees s and s' of shape [1, 1, lanes] and returns that shape. It may state its own derivatives by s
+and s' (`slopes`, as the laws of laws.py do); otherwise they come from forward mode, and the step is not compiled.
 Checked in tests/contracts/test_actions.py: direction against autograd, momentum, slopes of laws.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -33,7 +35,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
-from torchmbd.numerics.pair import cat, cross, dot, lifted, linear, reciprocal, slopes, sqrt, value
+from torchmbd.numerics.pair import Pair, cat, cross, dot, lifted, linear, reciprocal, slopes, sqrt, value
 
 Law = Callable[[Tensor, Tensor, Tensor], Tensor]
 
@@ -69,11 +71,11 @@ class Action:
 
     def strength(self, s, rate, t):
         """Generalized forces f [n, ...]."""
-        return cat([lifted(law, s[i : i + 1], rate[i : i + 1], t) for i, law in enumerate(self.laws)])
+        return cat([_force(law, s[i : i + 1], rate[i : i + 1], t) for i, law in enumerate(self.laws)])
 
     def slopes(self, s: Tensor, rate: Tensor, t: Any) -> tuple[Tensor, Tensor]:
         """df/ds and df/ds' [n, ...] of plain numbers."""
-        parts = [slopes(law, s[i : i + 1], rate[i : i + 1], value(t)) for i, law in enumerate(self.laws)]
+        parts = [_slopes(law, s[i : i + 1], rate[i : i + 1], value(t)) for i, law in enumerate(self.laws)]
         return torch.cat([p[0] for p in parts]), torch.cat([p[1] for p in parts])
 
 
@@ -145,15 +147,33 @@ class Twist(Action):
         return [linear(torch.zeros_like, u), *(0.5 * cross(u, e) for e in triad)]
 
 
+def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
+    """A law applied; one that states its slopes needs no differentiation, which could not be compiled."""
+    if isinstance(t, Pair) or not (hasattr(law, "slopes") and isinstance(s, Pair)):
+        return lifted(law, s, rate, t)
+    by_s, by_rate = _slopes(law, value(s), value(rate), t)
+    return Pair.of(law(value(s), value(rate), t), by_s * s.tangent + by_rate * rate.tangent)
+
+
+def _slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+    own = getattr(law, "slopes", None)
+    if own is not None:
+        return own(s, rate, t)
+    by_s, by_rate, _ = slopes(law, s, rate, t)
+    return by_s, by_rate
+
+
 def _angle(s: Any, c: Any, center: float) -> Any:
     """The angle of (c, s) within half a turn of a center."""
+    c0, s0 = math.cos(center), math.sin(center)
 
     def angle(s: Tensor, c: Tensor) -> Tensor:
-        half = torch.full_like(s, center)
-        turned = torch.atan2(s * torch.cos(half) - c * torch.sin(half), c * torch.cos(half) + s * torch.sin(half))
-        return turned + half
+        return torch.atan2(s * c0 - c * s0, c * c0 + s * s0) + center
 
-    return lifted(angle, s, c)
+    if not isinstance(s, Pair):
+        return angle(s, c)
+    square = s.value * s.value + c.value * c.value
+    return Pair.of(angle(s.value, c.value), (c.value * s.tangent - s.value * c.tangent) / square)
 
 
 KINDS: tuple[type[Action], ...] = (Length, Along, Turn, Push, Twist)

@@ -22,6 +22,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 
+Slopes = tuple[Tensor, Tensor]
+
 
 @dataclass(frozen=True)
 class Spring:
@@ -37,6 +39,10 @@ class Spring:
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         return -self.stiffness * (s - self.rest) - self.damping * rate
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        return torch.full_like(s, -self.stiffness), torch.full_like(s, -self.damping)
 
 
 @dataclass(frozen=True)
@@ -54,18 +60,28 @@ class Table:
             raise InputError(f"knots are {self.knots!r}; allowed: two or more pairs (s, f) with growing s")
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
-        x, f = zip(*self.knots, strict=True)
-        k = [(f[i + 1] - f[i]) / (x[i + 1] - x[i]) for i in range(len(x) - 1)]
-        bends = [b - a for a, b in zip([0.0, *k], [*k, 0.0], strict=True)]
-        total = f[0] - self.damping * rate
-        for knot, bend in zip(x, bends, strict=True):
+        total = self.knots[0][1] - self.damping * rate
+        for knot, bend in self._bends():
             total = total + bend * torch.clamp_min(s - knot, 0.0)
         return total
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        by_s = torch.zeros_like(s)
+        for knot, bend in self._bends():
+            by_s = by_s + bend * (s > knot).to(s.dtype)
+        return by_s, torch.full_like(s, -self.damping)
+
+    def _bends(self) -> list[tuple[float, float]]:
+        """Where the slope changes, and by how much."""
+        x, f = zip(*self.knots, strict=True)
+        k = [(f[i + 1] - f[i]) / (x[i + 1] - x[i]) for i in range(len(x) - 1)]
+        return list(zip(x, [b - a for a, b in zip([0.0, *k], [*k, 0.0], strict=True)], strict=True))
 
 
 @dataclass(frozen=True)
 class Pieces:
-    """Piecewise linear with jumps: f = intercepts[i] + slopes[i] s between borders[i - 1] and borders[i].
+    """Piecewise linear with jumps: f = intercepts[i] + inclines[i] s between borders[i - 1] and borders[i].
 
     borders  growing, one less than pieces
     width    every jump is spread over s = border +- width, by a cubic step; a number that changes results, so state it
@@ -73,16 +89,16 @@ class Pieces:
 
     borders: tuple[float, ...]
     intercepts: tuple[float, ...]
-    slopes: tuple[float, ...]
+    inclines: tuple[float, ...]
     width: float
     damping: float = 0.0
     center: float = 0.0
 
     def __post_init__(self) -> None:
         n = len(self.borders)
-        if len(self.intercepts) != n + 1 or len(self.slopes) != n + 1 or not self.width > 0:
+        if len(self.intercepts) != n + 1 or len(self.inclines) != n + 1 or not self.width > 0:
             raise InputError(
-                f"{n} borders, {len(self.intercepts)} intercepts, {len(self.slopes)} slopes, width {self.width!r}; "
+                f"{n} borders, {len(self.intercepts)} intercepts, {len(self.inclines)} inclines, width {self.width!r}; "
                 "allowed: one border less than pieces, a positive width"
             )
         if any(not b - a >= 2.0 * self.width for a, b in pairwise(self.borders)):
@@ -91,13 +107,24 @@ class Pieces:
             )
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
-        total = self.intercepts[0] + self.slopes[0] * s - self.damping * rate
+        total = self.intercepts[0] + self.inclines[0] * s - self.damping * rate
         for i, border in enumerate(self.borders):
             u = torch.clamp((s - border) / (2.0 * self.width) + 0.5, 0.0, 1.0)
-            step = u * u * (3.0 - 2.0 * u)
-            change = self.intercepts[i + 1] - self.intercepts[i] + (self.slopes[i + 1] - self.slopes[i]) * s
-            total = total + step * change
+            total = total + u * u * (3.0 - 2.0 * u) * self._change(i, s)
         return total
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        by_s = torch.full_like(s, self.inclines[0])
+        for i, border in enumerate(self.borders):
+            u = torch.clamp((s - border) / (2.0 * self.width) + 0.5, 0.0, 1.0)
+            rising = 3.0 * u * (1.0 - u) / self.width
+            by_s = by_s + rising * self._change(i, s)
+            by_s = by_s + u * u * (3.0 - 2.0 * u) * (self.inclines[i + 1] - self.inclines[i])
+        return by_s, torch.full_like(s, -self.damping)
+
+    def _change(self, i: int, s: Tensor) -> Tensor:
+        return self.intercepts[i + 1] - self.intercepts[i] + (self.inclines[i + 1] - self.inclines[i]) * s
 
 
 @dataclass(frozen=True)
@@ -110,6 +137,10 @@ class OfTime:
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         f = self.law(t) if callable(self.law) else self.law
         return self.factor * f + torch.zeros_like(s)
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        return torch.zeros_like(s), torch.zeros_like(s)
 
 
 @dataclass(frozen=True)
@@ -131,13 +162,23 @@ class Gap:
             raise InputError(f"sign is {self.sign!r}, limit {self.limit!r}; allowed: 1.0 or -1.0, a finite limit")
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
-        depth = torch.clamp_min(self.sign * (self.limit - s), 0.0)
-        if self.smooth:
-            share = torch.clamp_max(depth / self.smooth, 1.0)
-            share = share * share * (3.0 - 2.0 * share)
-        else:
-            share = (depth > 0).to(s.dtype)
+        depth, share, _ = self._depth(s)
         return self.sign * self.stiffness * depth * share - self.damping * share * rate
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        depth, share, rising = self._depth(s)
+        inside = (depth > 0).to(s.dtype)
+        by_s = -self.stiffness * (share * inside + depth * rising) + self.sign * self.damping * rising * rate
+        return by_s, -self.damping * share
+
+    def _depth(self, s: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Penetration, the share of stiffness and damping that acts there, and its derivative."""
+        depth = torch.clamp_min(self.sign * (self.limit - s), 0.0)
+        if not self.smooth:
+            return depth, (depth > 0).to(s.dtype), torch.zeros_like(s)
+        u = torch.clamp_max(depth / self.smooth, 1.0)
+        return depth, u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / self.smooth
 
 
 LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap)
