@@ -11,10 +11,12 @@ The paper prints counts, panels, material, lay-ups, eq. (39) and results. Joint 
 are a stand-in whose hub and rod points were picked after seeing two of the paper's numbers: a calibration, not a reproduction.
 `LABELS` says which is which: given (printed), inferred, chosen. The reference values beside which the commands print ours
 are those of an independent code with these data (experiments/sar_antenna_tables.py).
+Checked in tests/experiments/test_sar_antenna.py.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,6 +39,7 @@ IM6: dict[str, Any] = {
 }
 LENGTH, WIDTH, PLY = 1.994, 1.300, 0.5e-3
 STOWED, DAMPING, DURATION = 3.12, 0.5, 3.0
+MIDDLE = math.pi / 2  # of the range in which angles are told
 HALF, HUB = LENGTH / 2, 0.0
 ROD_POINT = (0.74775, 0.4875)
 CRANK = HALF + ROD_POINT[0]  # parallel to panel 3
@@ -60,7 +63,7 @@ LABELS = {
 
 def continuous_law(strength: float = 1.0) -> Table:
     """Eq. (39) through its knots, without the jumps of the printed pieces: torque on the crank about Y [N m]."""
-    return Table(tuple((s, -strength * M) for s, M in KNOTS), damping=DAMPING, center=HALF_TURN)
+    return Table(tuple((s, -strength * M) for s, M in KNOTS), damping=DAMPING, center=MIDDLE)
 
 
 def printed_law(strength: float = 1.0, width: float = 2e-3) -> Pieces:
@@ -69,11 +72,14 @@ def printed_law(strength: float = 1.0, width: float = 2e-3) -> Pieces:
     M.append((0.10 + 9.00 * 3.12, -9.00))
     borders = (-0.2, 0.2, 2.63, 3.02, 3.08)
     return Pieces(
-        borders, tuple(-strength * a for a, _ in M), tuple(-strength * k for _, k in M), width, DAMPING, HALF_TURN
+        borders, tuple(-strength * a for a, _ in M), tuple(-strength * k for _, k in M), width, DAMPING, MIDDLE
     )
 
 
-HALF_TURN = math.pi / 2  # middle of the range in which theta is told
+ROD_JOINTS = {
+    "spherical": lambda a, b, name: mbd.Spherical(a, b, name=name),
+    "universal": lambda a, b, name: mbd.Universal(a, b, axes="yz", name=name),
+}
 LAWS = {"continuous": continuous_law, "printed": printed_law}
 
 
@@ -88,7 +94,7 @@ class Truss:
 
     kind: str = "rigid"
     radius: float = 5e-3
-    modes: int = 8
+    modes: int = 4
 
     def between(self, name: str, start: Tensor, end: Tensor, clamped: bool = False) -> tuple[Any, mbd.Frame, mbd.Frame]:
         """A truss between two points in ground axes, and the frames at its ends; `clamped`: frame at the start, not amid."""
@@ -164,6 +170,7 @@ def build(
     cells: tuple[int, int] = (16, 8),
     law: str = "continuous",
     trusses: str = "rigid",
+    rods: str = "spherical",
     radius: float = 5e-3,
     arm: float = 0.0,
     strength: float = 1.0,
@@ -177,13 +184,19 @@ def build(
     cells     cells of a panel's mesh, multiples of (16, 8)
     law       "continuous", or "printed" with its jumps spread over 2e-3 rad
     trusses   "rigid" or "beam"
+    rods      their joints at the crank: "spherical", as printed, or "universal": they cannot spin
     radius    of the trusses [m]
     arm       of all joints from the mid-surfaces of the panels [m]
     strength  factor of the actuator's law
     mass      of the panels: "lumped", as in the paper, or "consistent"
     """
-    if law not in LAWS:
-        raise mbd.InputError(f"law is {law!r}; allowed: {', '.join(LAWS)}")
+    for name, given, allowed in (
+        ("law", law, LAWS),
+        ("rods", rods, ROD_JOINTS),
+        ("trusses", trusses, ("rigid", "beam")),
+    ):
+        if given not in allowed:
+            raise mbd.InputError(f"{name} is {given!r}; allowed: {', '.join(allowed)}")
     ground, truss = mbd.Ground(), Truss(trusses, radius)
     flat, up = folded(STOWED), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     hinge = LENGTH * flat[:, 0]
@@ -195,7 +208,7 @@ def build(
     crank, crank_hub, crank_tip = truss.between("crank", hub, tip, clamped=True)
     x, y = ROD_POINT
     ends = [center3 + torch.tensor([x, side * y, 0.0], dtype=torch.float64) for side in (-1, 1)]
-    rods = [truss.between(f"rod{side}", tip, end) for side, end in zip("ab", ends, strict=True)]
+    made = [truss.between(f"rod{side}", tip, end) for side, end in zip("ab", ends, strict=True)]
     joints: list[Any] = []
     for side, k in ((-1, 1), (1, 2)):
         edge = side * WIDTH / 2
@@ -205,12 +218,12 @@ def build(
             mbd.Spherical(panel2.at(HALF, edge), panel3.at(-HALF, edge), name=f"S{k + 2}"),
             mbd.PointOnPlane(corner, panel2.at(HALF, edge), normal="z", name="DE"[k - 1]),
         ]
-    for k, (y_rod, (_, start, end)) in enumerate(zip((-y, y), rods, strict=True), 1):
-        joints.append(mbd.Spherical(crank_tip, start, name=f"S{k + 4}"))
+    for k, (y_rod, (_, start, end)) in enumerate(zip((-y, y), made, strict=True), 1):
+        joints.append(ROD_JOINTS[rods](crank_tip, start, f"S{k + 4}"))
         joints.append(mbd.Spherical(end, panel3.at(x, y_rod), name=f"S{k + 6}"))
     joints.append(mbd.Revolute(panel2.at(HUB, 0.0), crank_hub, axis="y", name="R3"))
     actuator = mbd.RotationalSpringDamper(panel2.at(HUB, 0.0), crank_hub, axis="y", law=LAWS[law](strength), name="A")
-    return mbd.System([panel2.body, panel3.body, crank, *(rod for rod, _, _ in rods)], joints, [actuator])
+    return mbd.System([panel2.body, panel3.body, crank, *(rod for rod, _, _ in made)], joints, [actuator])
 
 
 def _panels(
@@ -236,7 +249,21 @@ def _panels(
 
 def theta(motion: mbd.Trajectory) -> Tensor:
     """Angle of the crank from panel 2 about Y [lanes, times] [rad]."""
-    A = motion.body("panel2").A.mT @ motion.body("crank").A
-    c, s = A[..., 0, 0], -A[..., 2, 0]
-    half = torch.full_like(c, HALF_TURN)
-    return torch.atan2(s * torch.cos(half) - c * torch.sin(half), c * torch.cos(half) + s * torch.sin(half)) + half
+    return _turned(motion, "panel2", "crank")
+
+
+def phi3(motion: mbd.Trajectory) -> Tensor:
+    """Angle of panel 3 from panel 2 about Y [lanes, times] [rad]; that of the crank if all is rigid."""
+    return _turned(motion, "panel2", "panel3")
+
+
+def _turned(motion: mbd.Trajectory, a: str, b: str) -> Tensor:
+    A = motion.body(a).A.mT @ motion.body(b).A
+    turn = torch.complex(A[..., 0, 0], -A[..., 2, 0])
+    return torch.angle(turn * cmath.exp(-1j * MIDDLE)) + MIDDLE
+
+
+if __name__ == "__main__":
+    from experiments.sar_antenna_tables import main  # the commands import this model
+
+    main()

@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from torchmbd.elements import PlyBasis, ply_basis, ply_points
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import CRITERIA
+from torchmbd.numerics.called import called
 
 if TYPE_CHECKING:
     from torchmbd.integrators.trajectory import Trajectory
@@ -48,7 +49,7 @@ class PlyHistory:
         require_plies(body)
         recovery = _Recovery(motion.system, name)
         designs = {f"system.{key}": x for key, x in motion.designs.items()}
-        self.basis = torch.func.functional_call(recovery, designs, (view.psi,))
+        self.basis = called(recovery, designs, view.psi)
         points = {key: ply_points(part.matrices, part.laminate) for key, part in body.plates.items()}
         self.points = torch.cat(list(points.values()))
         self.strength = _strength(body, points)

@@ -25,6 +25,7 @@ from torchmbd.integrators.body_motion import BodyMotion
 from torchmbd.integrators.energies import Energies, energies
 from torchmbd.integrators.reaction import JointReaction, reaction
 from torchmbd.integrators.singular import SingularPosition, singular_positions
+from torchmbd.numerics.called import called
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
@@ -163,7 +164,7 @@ class Trajectory:
         return self._modes[name]
 
     def _structure(self, name: str, designs: dict[str, Tensor]) -> Tensor:
-        psi = torch.func.functional_call(self.system, designs, (name,))["psi"]
+        psi = called(self.system, designs, name)["psi"]
         return psi if psi.dim() == 4 else psi[None].expand(self.q.shape[0], *psi.shape)
 
     def prepare_modes(self) -> None:

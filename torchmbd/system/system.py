@@ -19,6 +19,7 @@ from torchmbd.bodies.frame import vector
 from torchmbd.errors import InputError, unknown
 from torchmbd.forces.force import ForceElement
 from torchmbd.joints.joint import Joint
+from torchmbd.numerics.called import called
 from torchmbd.numerics.pair import Pair
 from torchmbd.system import topology
 from torchmbd.system.description import Description, check_connected, describe
@@ -127,7 +128,7 @@ class System(nn.Module):
                 raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(given)}")
 
         def stage(values: dict[str, Tensor]) -> dict[str, Tensor]:
-            return torch.func.functional_call(self, values, ("data",))
+            return called(self, values, "data")
 
         with torch.no_grad():
             if tangents:

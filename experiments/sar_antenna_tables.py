@@ -1,0 +1,175 @@
+"""The antenna's first phase beside the paper and an independent code. `python -m experiments.sar_antenna COMMAND`
+
+    describe    bodies, joints, rank, redundant rows, freedoms of the whole antenna and of phase 1
+    times       when theta reaches 0: rigid panels, lay-ups 1 and 2, initial and optimum design
+    integrals   eq. (40) at the initial design and the optimum, share of panel 2, --study: modes and meshes
+    failures    joints on arms of 50 mm, a stronger actuator: recognized as the failure of Fig. 17
+    clearance   smallest distances of panels and trusses
+    gradient    of eq. (40) at 40/-30 against differences of the same discrete map
+    animate     phase 1 as an HTML file
+
+Reference: a C++ code with the data of experiments/sar_antenna.py, rigid trusses, 12 modes, 16 x 8 cells, 1 ms steps. The
+stand-in geometry was calibrated with that code to the paper's two integrals, so the columns say how far two codes agree; the
+agreement with the paper is no reproduction.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+
+import torchmbd as mbd
+from experiments.sar_antenna import DURATION, build, phi3, theta
+from experiments.sar_antenna_clearance import gaps, verdict
+from experiments.sar_antenna_whole import whole
+
+LAYUPS: dict[str, tuple[float, float] | None] = {
+    "rigid": None,
+    "lay-up 1": (0.0, 0.0),
+    "lay-up 2": (0.0, 90.0),
+    "initial": (55.0, -55.0),
+    "optimum": (1.06, -47.0),
+}
+REFERENCE_TIMES = {"rigid": 8.26, "lay-up 1": 8.18, "lay-up 2": 8.19, "initial": 7.99, "optimum": 8.19}
+# eq. (40) [J s]: reference, paper; share of panel 2 in the reference
+REFERENCE = {"initial": (0.02175, 0.0219814, 0.94), "optimum": (0.00088, 0.00097180, 0.91)}
+STUDY = {"initial": (0.02035, 0.02175, 0.02215, 0.02265), "optimum": (0.00086, 0.00088, 0.000965, 0.000995)}
+MODES, CELLS = (8, 12, 16, 24), ((16, 8), (32, 16), (64, 32))
+ENERGY = {panel: mbd.StrainEnergy(panel) for panel in ("panel2", "panel3")}
+OBJECTIVE = mbd.Integral(ENERGY["panel2"] + ENERGY["panel3"])  # eq. (40)
+ANGLES = "panel2.laminate.angles"  # of both panels
+SOON = 0.02  # [rad] before the dead point, where a rigid parallelogram locks
+
+
+def reaches_zero(motion: mbd.Trajectory) -> float:
+    """Time at which theta comes to 0 [s], from where it passes `SOON` and its rate there; nan if it does not."""
+    angle = theta(motion)[0]
+    passed = torch.nonzero(angle <= SOON)
+    if not len(passed):
+        return math.nan
+    i = int(passed[0, 0])
+    rate = float((angle[i] - angle[i - 1]) / (motion.t[i] - motion.t[i - 1]))
+    return float(motion.t[i]) - float(angle[i]) / rate
+
+
+def times(steps: int) -> None:
+    """Print when theta reaches 0."""
+    print("design     theta = 0 (s)  reference  difference")
+    for name, angles in LAYUPS.items():
+        motion = mbd.simulate(build(angles), 8.4, steps=round(8.4 * steps), halvings=0)
+        found = reaches_zero(motion)
+        print(
+            f"{name:9s}  {found:13.2f}  {REFERENCE_TIMES[name]:9.2f}  {found - REFERENCE_TIMES[name]:+10.2f}",
+            flush=True,
+        )
+
+
+def shares(motion: mbd.Trajectory) -> tuple[float, float]:
+    """Eq. (40) [J s], and the share of panel 2."""
+    parts = [float(mbd.Integral(energy).value(motion.require_ok())[0]) for energy in ENERGY.values()]
+    return sum(parts), parts[0] / sum(parts)
+
+
+def integrals(steps: int, study: bool, **options: Any) -> None:
+    """Print eq. (40) beside the reference and the paper."""
+    print("design   modes  cells  law         trusses  eq. (40)   / reference  / paper  panel 2 (ref.)  wall (s)")
+    totals = {}
+    for name, (reference, paper, share) in REFERENCE.items():
+        cases = [(12, (16, 8))]
+        if study:
+            cases += [(modes, (16, 8)) for modes in MODES if modes != 12] + [(12, cells) for cells in CELLS[1:]]
+        for modes, cells in cases:
+            start = time.perf_counter()
+            system = build(LAYUPS[name], modes=modes, cells=cells, **options)
+            motion = mbd.simulate(system, DURATION, steps=round(DURATION * steps), halvings=0)
+            total, own = shares(motion)
+            totals.setdefault(name, total)
+            print(
+                f"{name}  {modes:5d}  {cells[0]}x{cells[1]:<3d}  {options.get('law', 'continuous'):10s}  "
+                f"{options.get('trusses', 'rigid'):7s}  {total:.6f}  {total / reference:11.3f}  {total / paper:7.3f}  "
+                f"{own:.3f} ({share})    {time.perf_counter() - start:8.1f}",
+                flush=True,
+            )
+    print(f"reduction {100 * (1 - totals['optimum'] / totals['initial']):.1f} % (reference 96.0, paper 95.6)")
+    if study:
+        print(f"reference with {', '.join(map(str, MODES))} modes: {STUDY}")
+
+
+def failures(steps: int) -> None:
+    """Print what becomes of antennas that fail."""
+    cases: dict[str, dict[str, Any]] = {
+        "initial": {},
+        "initial, arms of 50 mm": {"arm": 0.05},
+        "lay-up 1, arms of 50 mm": {"arm": 0.05, "angles": (0.0, 0.0)},
+        "lay-up 2, arms of 50 mm": {"arm": 0.05, "angles": (0.0, 90.0)},
+        "optimum, arms of 50 mm": {"arm": 0.05, "angles": (1.06, -47.0)},
+        "initial, twice the torque": {"strength": 2.0},
+    }
+    for name, options in cases.items():
+        motion = mbd.simulate(build(**options), DURATION, steps=round(DURATION * steps), halvings=0)
+        print(f"{name:26s} theta {theta(motion)[0, -1]:.2f}, panel 3 {phi3(motion)[0, -1]:.2f}: {verdict(motion)}")
+
+
+def clearance(steps: int, duration: float) -> None:
+    """Print the smallest gap of every pair over the motion, and when."""
+    for name in ("initial", "optimum"):
+        motion = mbd.simulate(build(LAYUPS[name]), duration, steps=round(duration * steps), halvings=0)
+        for pair, gap in gaps(motion).items():
+            least, when = gap[0].min(0)
+            told = "interference" if least < 0 else "clear"
+            print(f"{name}  {pair:18s} {1e3 * float(least):8.2f} mm at {float(motion.t[when]):.2f} s  {told}")
+
+
+def gradient(steps: int, angles: Sequence[float] = (40.0, -30.0), step: float = 1e-4, **options: Any) -> float:
+    """Largest difference of the gradient of eq. (40) from central differences, over its largest entry; prints both."""
+    system, given = build(angles, **options), {"steps": steps, "halvings": 0, "iterations": (5, 2)}
+    motion = mbd.simulate(system, DURATION, sensitivities=[ANGLES], **given).require_ok()
+    value, exact = OBJECTIVE.value_and_gradient(motion)
+    assert exact is not None
+    offsets = step * torch.cat([torch.eye(2), -torch.eye(2)]).to(exact)
+    designs = {ANGLES: mbd.deg(list(angles)) + offsets}
+    f = OBJECTIVE.value(mbd.simulate(system, DURATION, designs=designs, **given).require_ok())
+    differences = (f[:2] - f[2:]) / (2 * step)
+    error = float((exact[0] - differences).abs().max() / differences.abs().max())
+    print(f"J {float(value):.6g} J s, gradient {exact[0].tolist()}, differences {differences.tolist()}: {error:.1e}")
+    return error
+
+
+def animate(path: str, name: str, duration: float, steps: int) -> None:
+    """Write the first phase as an HTML file."""
+    motion = mbd.simulate(build(LAYUPS[name]), duration, steps=round(duration * steps), halvings=0)
+    print(mbd.viz.animate(motion, path, title=f"SAR antenna, phase 1, {name}"))
+
+
+def main() -> None:
+    """Run one command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = ("describe", "times", "integrals", "failures", "clearance", "gradient", "animate")
+    parser.add_argument("command", choices=commands)
+    parser.add_argument("--steps", type=int, default=200, help="steps per second; 200 are within 0.1 %% of 1000")
+    parser.add_argument("--study", action="store_true", help="integrals: other numbers of modes and finer meshes")
+    parser.add_argument("--trusses", choices=("rigid", "beam"), default="rigid")
+    parser.add_argument("--law", choices=("continuous", "printed"), default="continuous")
+    parser.add_argument("--design", choices=tuple(LAYUPS), default="initial", help="animate: which")
+    parser.add_argument("--duration", type=float, default=DURATION, help="clearance, animate [s]")
+    parser.add_argument("--output", default="sar_antenna.html")
+    given = parser.parse_args()
+    if given.command == "describe":
+        print(whole().describe(), build(LAYUPS[given.design]).describe(), sep="\n\nPhase 1\n")
+    elif given.command == "times":
+        times(given.steps)
+    elif given.command == "integrals":
+        integrals(given.steps, given.study, trusses=given.trusses, law=given.law)
+    elif given.command == "failures":
+        failures(given.steps)
+    elif given.command == "clearance":
+        clearance(given.steps, given.duration)
+    elif given.command == "gradient":
+        gradient(round(DURATION * given.steps))
+    else:
+        animate(given.output, given.design, given.duration, given.steps)

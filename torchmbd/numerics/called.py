@@ -1,0 +1,28 @@
+"""A module called with other values of its parameters.
+
+torch.func.functional_call restores a parameter once for each of its names: where one module has two, as a laminate that two
+bodies share, it leaves the new value behind (torch 2.13). Here every parameter of every module is replaced once, also
+where several modules hold the same one.
+Checked in tests/numerics/test_called.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+
+def called(module: nn.Module, values: Mapping[str, Tensor], *args: Any) -> Any:
+    """module(*args) with the named parameters at other values; differentiable by these."""
+    places: dict[tuple[int, str], str] = {}
+    for name, _ in module.named_parameters(remove_duplicate=False):
+        owner, _, own = name.rpartition(".")
+        places.setdefault((id(module.get_submodule(owner)), own), name)
+    names: dict[int, list[str]] = {}
+    for name in places.values():
+        names.setdefault(id(module.get_parameter(name)), []).append(name)
+    given = {place: x for name, x in values.items() for place in names[id(module.get_parameter(name))]}
+    return torch.func.functional_call(module, given, args, tie_weights=False)
