@@ -8,6 +8,7 @@ own name on the index-1 form. Both return the same Trajectory and agree within t
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -30,7 +31,7 @@ METHODS = ("generalized_alpha", *ode.METHODS)
 # A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
 ITERATION_ERROR = 1e-2
 TURN = 1.0  # [rad] of a body in one step
-STEP_ERROR = 1.0  # as large as the motion itself
+STEP_ERROR = 1.0  # as large as the vibrations themselves: worth a warning
 _LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
 
 
@@ -231,8 +232,12 @@ def _complaint(found: dict[str, float]) -> str:
     if found.get("turn", 0.0) > TURN:
         return f"failed: a body turns by {found['turn']:.2g} rad in one step; allowed: {TURN:g}"
     if found.get("step_error", 0.0) > STEP_ERROR:
-        error, more = found["step_error"], found["suggested_steps"]
-        return f"failed: the steps do not resolve the motion (estimated error {error:.1e}); try {more:.0f} steps"
+        # Not a failure: of a stiff body only the gross motion may be wanted, which damped vibrations leave right.
+        warnings.warn(
+            f"the steps do not resolve the vibrations of a flexible body (estimated error {found['step_error']:.1e} of the "
+            f"largest): its energies mean little; {found['suggested_steps']:.0f} steps would resolve them",
+            stacklevel=6,
+        )
     return OK
 
 
