@@ -103,15 +103,15 @@ def _least(gap: Tensor, above: Tensor) -> Tensor:
 
 
 def verdict(motion: mbd.Trajectory, lane: int = 0) -> str:
-    """What became of the deployment: "deploys", or how it fails (Fig. 17 of the paper)."""
-    if motion.status[lane] != "ok":
-        return motion.status[lane]
+    """What became of the deployment: "deploys", or how it fails (Fig. 17 of the paper), or why the motion does."""
     crank, panel = theta(motion)[lane], phi3(motion)[lane]
-    ahead = panel - crank
-    if float(ahead.max()) > APART:
-        first = int(torch.nonzero(ahead > APART)[0, 0])
-        return (
-            f"fails as in Fig. 17: from t = {float(motion.t[first]):.3g} s on the crank runs ahead, at the end by "
-            f"{float(ahead[-1]):.2f} rad; panel 3 turned by {float(panel[0] - panel[-1]):.2f} rad"
-        )
-    return "deploys"
+    good = torch.isfinite(crank) & torch.isfinite(panel)
+    t, crank, panel = motion.t[good], crank[good], panel[good]
+    passed = torch.nonzero(panel - crank > APART)
+    ended = "" if motion.status[lane] == "ok" else f"; {motion.status[lane]}"
+    if not len(passed):
+        return "deploys" if not ended else motion.status[lane]
+    return (
+        f"fails as in Fig. 17: from t = {float(t[passed[0, 0]]):.3g} s on the crank runs ahead, at {float(t[-1]):.3g} s by "
+        f"{float(panel[-1] - crank[-1]):.2f} rad; panel 3 turned by {float(panel[0] - panel[-1]):.2f} rad{ended}"
+    )
