@@ -9,6 +9,7 @@ import torch
 
 import torchmbd as mbd
 from experiments.slider_crank import build
+from tests.mechanisms import box, plate
 from torchmbd.cli import main
 from torchmbd.integrators import compiled
 from torchmbd.integrators.generalized_alpha import initial
@@ -111,6 +112,41 @@ def test_compiled_and_eager_agree(cache: Path, monkeypatch: pytest.MonkeyPatch, 
     for switch in ("0", "1"):
         monkeypatch.setenv("TORCHMBD_COMPILE", switch)
         motions.append(mbd.simulate(system, 0.004, steps=80, sensitivities=True, designs={NAME: ANGLES[:lanes]}))
+    assert key(d) in compiled._loaded
+    eager, fast = motions
+    torch.testing.assert_close(fast.q, eager.q, rtol=0, atol=1e-10)
+    assert float((fast.dq_db - eager.dq_db).abs().max()) < 1e-8 * float(eager.dq_db.abs().max())
+
+
+def sprung(law=None) -> mbd.System:
+    """A rigid arm and a flexible plate with springs, an actuator and a load between them."""
+    ground, arm, rod = mbd.Ground(), box("arm"), plate("rod", modes=2, position=(0.3, 0.0, 0.0))
+    table = mbd.forces.Table(((-2.0, 1.0), (0.0, 0.2), (1.0, -1.0)), damping=0.02)
+    forces = [
+        mbd.SpringDamper(arm.at(0.1, 0.0, 0.0), rod.at("right"), stiffness=300.0, damping=1.0, rest=0.1),
+        mbd.RotationalSpringDamper(arm.at(), rod.at("left"), law=law or table),
+        mbd.Force(rod.at("right"), (0.0, 1.0, 0.0)),
+    ]
+    joints = [mbd.Revolute(ground.at(), arm.at()), mbd.Spherical(arm.at(0.15, 0.0, 0.0), rod.at("left"))]
+    return mbd.System([arm, rod], joints, forces, gravity=(0.0, 0.0, -9.81))
+
+
+def test_a_law_of_the_user_is_never_looked_up_in_the_cache(cache: Path) -> None:
+    """Its code is not in the key, so a package could be that of another law."""
+    for law, known in ((None, True), (lambda s, rate, t: -s, False)):
+        assert compiled._known_laws(sprung(law)().condensed().topology) is known
+
+
+@pytest.mark.slow
+def test_forces_are_compiled(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    system = sprung()
+    designs = {NAME: system.body("rod").laminate.angles.detach() + torch.tensor([[0.0], [0.2]], dtype=torch.float64)}
+    d = system.dynamics(designs, tangents=[NAME]).condensed()
+    compiled.build(compiled.bare(d.topology), compiled.Signature.of(d), key(d))
+    motions = []
+    for switch in ("0", "1"):
+        monkeypatch.setenv("TORCHMBD_COMPILE", switch)
+        motions.append(mbd.simulate(system, 0.01, steps=20, sensitivities=True, designs=designs))
     assert key(d) in compiled._loaded
     eager, fast = motions
     torch.testing.assert_close(fast.q, eager.q, rtol=0, atol=1e-10)
