@@ -209,21 +209,29 @@ def build(
     x, y = ROD_POINT
     ends = [center3 + torch.tensor([x, side * y, 0.0], dtype=torch.float64) for side in (-1, 1)]
     made = [truss.between(f"rod{side}", tip, end) for side, end in zip("ab", ends, strict=True)]
-    joints: list[Any] = []
-    for side, k in ((-1, 1), (1, 2)):
-        edge = side * WIDTH / 2
-        corner = ground.at(*(hinge + torch.tensor([0.0, edge, 0.0])).tolist(), axes=flat)
-        joints += [
-            mbd.Spherical(ground.at(0, edge, 0), panel2.at(-HALF, edge), name=f"S{k}"),
-            mbd.Spherical(panel2.at(HALF, edge), panel3.at(-HALF, edge), name=f"S{k + 2}"),
-            mbd.PointOnPlane(corner, panel2.at(HALF, edge), normal="z", name="DE"[k - 1]),
-        ]
+    joints = _hinges(ground, panel2, panel3)
     for k, (y_rod, (_, start, end)) in enumerate(zip((-y, y), made, strict=True), 1):
         joints.append(ROD_JOINTS[rods](crank_tip, start, f"S{k + 4}"))
         joints.append(mbd.Spherical(end, panel3.at(x, y_rod), name=f"S{k + 6}"))
     joints.append(mbd.Revolute(panel2.at(HUB, 0.0), crank_hub, axis="y", name="R3"))
     actuator = mbd.RotationalSpringDamper(panel2.at(HUB, 0.0), crank_hub, axis="y", law=LAWS[law](strength), name="A")
     return mbd.System([panel2.body, panel3.body, crank, *(rod for rod, _, _ in made)], joints, [actuator])
+
+
+def _hinges(ground: mbd.Ground, panel2: Panel, panel3: Panel) -> list[Any]:
+    """Both hinge lines, and what holds the outer corners of panel 2 across its plane."""
+    flat = folded(STOWED)
+    outer = LENGTH * flat[:, 0]
+    joints: list[Any] = []
+    for side, k in ((-1, 1), (1, 2)):
+        edge = side * WIDTH / 2
+        corner = ground.at(float(outer[0]), edge, float(outer[2]), axes=flat)
+        joints += [
+            mbd.Spherical(ground.at(0, edge, 0), panel2.at(-HALF, edge), name=f"S{k}"),
+            mbd.Spherical(panel2.at(HALF, edge), panel3.at(-HALF, edge), name=f"S{k + 2}"),
+            mbd.PointOnPlane(corner, panel2.at(HALF, edge), normal="z", name="DE"[k - 1]),
+        ]
+    return joints
 
 
 def _panels(

@@ -2,7 +2,8 @@
 
     gap = normal . (x - surface under x)      of points x that lie above a panel, from its mid-surface   [m]
 
-Panel 1 is the ground plane below Z = 0..WIDTH; panels 2 and 3 carry trusses and each other on their backs (local -z).
+Panel 1 is the rectangle X = -LENGTH to 0 of the ground plane Z = 0, its front up; panels 2 and 3 have trusses and each other
+behind their backs (local -z).
 Negative: a body passed through a panel. Points within `NEAR` of a place where both are joined are left out.
 Elastic displacements of a panel are interpolated in its grid of nodes.
 Checked in tests/experiments/test_sar_antenna.py.
