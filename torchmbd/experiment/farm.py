@@ -53,24 +53,19 @@ class Farm:
 
     def __enter__(self) -> Self:
         try:
-            import dask  # pyright: ignore[reportMissingImports]
+            from dask import config  # pyright: ignore[reportMissingImports]
             from distributed import Client, LocalCluster  # pyright: ignore[reportMissingImports]
         except ModuleNotFoundError as error:
             raise InputError(
                 f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: --workers 1"
             ) from None
-        dask.config.set({"distributed.scheduler.allowed-failures": _DEATHS})
+        config.set({"distributed.scheduler.allowed-failures": _DEATHS})
         self._cluster = None
         if self._scheduler is None:
+            # untyped: no dashboard is None, which the annotation of distributed leaves out
+            options: dict[str, Any] = {"dashboard_address": None, "memory_limit": 0, "silence_logs": logging.CRITICAL}
             self._cluster = LocalCluster(
-                n_workers=self._workers,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address=None,
-                memory_limit=0,
-                silence_logs=logging.CRITICAL,
-                env=_ONE_THREAD,
+                n_workers=self._workers, threads_per_worker=1, host="127.0.0.1", env=_ONE_THREAD, **options
             )
         try:
             self._client = Client(self._cluster or self._scheduler, timeout=_START)
