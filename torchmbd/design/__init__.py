@@ -1,5 +1,6 @@
 """Design: responses with gradients, the design space, the optimization problem."""
 
+from torchmbd.design.functions import history, measure
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -12,7 +13,7 @@ from torchmbd.design.histories import (
 from torchmbd.design.measures import RMS, AtTime, Final, Frequency, Integral, Mass, Max, Mean, Min, SmoothMax
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.problem import Problem
-from torchmbd.design.response import Constraint, History, Measure, history, measure
+from torchmbd.design.response import Constraint, History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.rows import AtPeaks, AtTimes
 from torchmbd.design.space import DesignSpace
