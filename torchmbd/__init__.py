@@ -45,6 +45,7 @@ from torchmbd.design import (
 from torchmbd.design.differences import Differences
 from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.ply_stress import PlyStress
 from torchmbd.elements import BeamLine, GivenSection
 from torchmbd.errors import InputError, MbdError, SimulationFailure
 from torchmbd.forces import (
@@ -149,6 +150,7 @@ __all__ = [
     "Ply",
     "PlyFailure",
     "PlyHistory",
+    "PlyStress",
     "PointOnPlane",
     "Position",
     "Prismatic",
