@@ -28,7 +28,7 @@ def validate(data: Any, kind: type[Section] | None = None) -> tuple[dict[str, An
     kind = kind or kind_of(data)
     if not isinstance(data, dict):
         keys = ", ".join(f"{key}:" for key in _keys((), kind))
-        return {}, [Fault((), f"is {shown(data)}; allowed: sections {keys}")]
+        return {}, [Fault((), f"is {shown(data)}; allowed: sections such as {keys}")]
     try:
         return dict(kind.model_validate(data)), []
     except ValidationError as error:
@@ -45,7 +45,7 @@ def validate(data: Any, kind: type[Section] | None = None) -> tuple[dict[str, An
 def _alone(kind: type[Section], name: str) -> type[Section]:
     """Return a model of one section of a file."""
     field = kind.model_fields[name]
-    fields: dict[str, Any] = {name: (field.rebuild_annotation(), field.get_default())}
+    fields: dict[str, Any] = {name: (field.rebuild_annotation(), field.get_default(call_default_factory=True))}
     return create_model(name, __base__=Section, **fields)
 
 
