@@ -18,7 +18,8 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments.sar_antenna import CRANK, HALF, HUB, LENGTH, ROD_POINT, WIDTH, phi3, theta
+from experiments.sar_antenna import phi3, theta
+from experiments.sar_antenna_data import CRANK, HALF, HUB, LENGTH, ROD_POINT, WIDTH
 
 NEAR = 0.15  # [m]
 APART = 0.3  # [rad] by which the crank may run ahead of panel 3, whose angles are equal in a rigid parallelogram

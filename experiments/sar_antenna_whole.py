@@ -18,7 +18,9 @@ from typing import Any
 import torch
 
 import torchmbd as mbd
-from experiments.sar_antenna import CRANK, HALF, ROD_POINT, STOWED, Truss, build, folded
+from experiments.sar_antenna import build
+from experiments.sar_antenna_bodies import Truss, folded
+from experiments.sar_antenna_data import CRANK, HALF, ROD_POINT, STOWED
 
 DRIVER_AT, DRIVER, HANDLE = -1.8, 0.5, 0.2  # X of R1, length of the driver, half width of its handle [m]; chosen
 

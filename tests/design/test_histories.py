@@ -8,7 +8,15 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, pendulum, tensor
-from torchmbd.design import Acceleration, Displacement, Position, Reaction, RelativeDisplacement, Velocity
+from torchmbd.design import (
+    Acceleration,
+    Displacement,
+    Position,
+    Reaction,
+    RelativeDisplacement,
+    StrainEnergy,
+    Velocity,
+)
 
 STEPS, DURATION = 200, 0.02
 HINGE, JOINT = "revolute_ground_arm", "universal_arm_rod"
@@ -34,6 +42,47 @@ def test_rates_are_slopes_of_what_the_observer_sees(observer, motion):
     ):
         slope = (x[:, :-4] - 8 * x[:, 1:-3] + 8 * x[:, 3:-1] - x[:, 4:]) / (12 * h)
         assert_close(rate[:, 2:-2], slope, rtol=0, atol=2e-3 * float(size.abs().max()))
+
+
+@pytest.fixture(scope="module")
+def precise() -> mbd.Trajectory:
+    return mbd.simulate(pendulum(), 0.004, steps=80, method="dopri8", rtol=1e-11, atol=1e-13).require_ok()
+
+
+@pytest.mark.parametrize(
+    "history",
+    [
+        StrainEnergy("rod"),
+        Position("rod", "x", node="right"),
+        Position("rod", (1.0, 2.0, -2.0), node=0, seen_from="arm"),
+        Displacement("rod", "z", node="right"),
+        Displacement("arm", "x", point=(0.2, 0.1, -0.05)),
+        RelativeDisplacement("rod", 0, "right", "z"),
+        1e3 * Displacement("rod", "z", node="right") ** 2 - 0.5 * StrainEnergy("rod"),
+    ],
+    ids=lambda history: type(history).__name__,
+)
+def test_known_rates_are_slopes_of_the_history(history, precise):
+    """Against differences of fourth order of a motion at close tolerances."""
+    y, h = history.values(precise), 0.004 / 80
+    for order, rate in enumerate(history.rates(precise), start=1):
+        y = (y[:, :-4] - 8 * y[:, 1:-3] + 8 * y[:, 3:-1] - y[:, 4:]) / (12 * h)
+        cut = slice(2 * order, -2 * order)
+        assert_close(rate[:, cut], y, rtol=0, atol=1e-4 * float(rate.abs().max()))
+
+
+@pytest.mark.parametrize(
+    "history",
+    [
+        Velocity("rod", "x", node="right"),
+        Displacement("rod", "z", node="right", axes="ground"),
+        RelativeDisplacement("rod", 0, "right", "z", axes="ground"),
+        StrainEnergy("rod") - Reaction(JOINT, "x"),
+    ],
+    ids=lambda history: type(history).__name__,
+)
+def test_rates_that_are_not_known_are_not_claimed(history, motion):
+    assert history.rates(motion) is None
 
 
 def test_axes_turn_a_vector_and_keep_its_length(motion):

@@ -66,7 +66,52 @@ def test_between_the_samples_at_third_order():
     assert math.log2(errors[0] / errors[1]) == pytest.approx(3.0, abs=0.2)
     assert errors[1] < 2e-5
     slope = 4 * B[0] * torch.cos(4 * times + B[1]) + B[2]
-    assert_close(wave(161).at(times, slope=True)[0], slope, rtol=0, atol=2e-3)
+    assert_close(wave(161).at(times, 1)[0], slope, rtol=0, atol=2e-3)
+
+
+def vibration(n: int, b: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor]]:
+    """y = b0 sin(30 t + b1) + b1 t at n times in 0..1 [s], with its rates; five samples per period for n = 25."""
+    t = torch.linspace(0, 1, n, dtype=torch.float64)
+    y, slope = b[0] * torch.sin(30 * t + b[1]) + b[1] * t, 30 * b[0] * torch.cos(30 * t + b[1]) + b[1]
+    return t, y[None], (slope[None], -900 * b[0] * torch.sin(30 * t + b[1])[None])
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.3, 0.7, 1.1, 1.9])
+def test_known_rates_find_the_peaks_of_a_coarsely_sampled_vibration(phase):
+    """Among 20,000 points of the formula itself; differences of the samples are 50 times worse."""
+    b = torch.tensor([1.3, phase], dtype=torch.float64)
+    exact = float(vibration(20_001, b)[1].max())
+    t, y, rates = vibration(25, b)
+    curve = Spline.of(t, y, rates=rates)
+    assert float(curve.maximum()) == pytest.approx(exact, abs=2e-4 * exact)
+    assert float(curve.peaks(1)) == float(curve.maximum())
+    lowest = float(-vibration(20_001, b)[1].min())
+    assert float(curve.negative().maximum()) == pytest.approx(lowest, abs=2e-4 * lowest)
+
+    def largest(x: Tensor) -> Tensor:
+        t, y, rates = vibration(25, x)
+        return Spline.of(t, y, rates=rates).maximum()[0]
+
+    h = 1e-6 * torch.eye(2, dtype=torch.float64)
+    slopes = torch.stack([(largest(b + e) - largest(b - e)) / 2e-6 for e in h])
+    assert_close(torch.func.jacfwd(largest)(b), slopes, rtol=0, atol=1e-7)
+
+
+def test_with_known_rates_between_the_samples_at_sixth_order():
+    times = torch.linspace(0, 1, 1001, dtype=torch.float64)
+    b = torch.tensor([1.3, 0.4], dtype=torch.float64)
+    exact = b[0] * torch.sin(30 * times + b[1]) + b[1] * times
+    errors = []
+    for n in (41, 81):
+        t, y, rates = vibration(n, b)
+        errors.append(float((Spline.of(t, y, rates=rates).at(times)[0] - exact).abs().max()))
+    assert math.log2(errors[0] / errors[1]) == pytest.approx(6.0, abs=0.1)
+    assert errors[1] < 1.2e-7
+    t, y, rates = vibration(81, b)
+    part = Spline.of(t, y, (0.2031, 0.7777), rates=rates)
+    inside = times[(times > 0.21) & (times < 0.77)]
+    assert_close(part.at(inside), Spline.of(t, y, rates=rates).at(inside), rtol=0, atol=1e-12)
+    assert_close(part.at(inside, 2), Spline.of(t, y, rates=rates).at(inside, 2), rtol=0, atol=1e-8)
 
 
 def test_a_window_is_the_same_curve():

@@ -10,8 +10,9 @@ import torch
 from scipy.integrate import solve_ivp
 
 import torchmbd as mbd
-from experiments.sar_antenna import CRANK, DAMPING, HALF, IM6, KNOTS, LENGTH, STOWED, WIDTH, build, phi3, theta
+from experiments.sar_antenna import build, phi3, theta
 from experiments.sar_antenna_clearance import gaps, verdict
+from experiments.sar_antenna_data import CRANK, DAMPING, HALF, IM6, KNOTS, LENGTH, STOWED, WIDTH
 from experiments.sar_antenna_tables import ANGLES, OBJECTIVE, gradient, reaches_zero
 from experiments.sar_antenna_whole import whole
 

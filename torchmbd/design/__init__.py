@@ -1,5 +1,6 @@
 """Design: responses with gradients, the design space, the optimization problem."""
 
+from torchmbd.design.functions import history, measure
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -11,8 +12,9 @@ from torchmbd.design.histories import (
 )
 from torchmbd.design.measures import RMS, AtTime, Final, Frequency, Integral, Mass, Max, Mean, Min, SmoothMax
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.problem import Problem
-from torchmbd.design.response import Constraint, History, Measure, history, measure
+from torchmbd.design.response import Constraint, History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.rows import AtPeaks, AtTimes
 from torchmbd.design.space import DesignSpace
@@ -22,6 +24,6 @@ from torchmbd.design.weighted import WeightedSum
 __all__ = [
     "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "AtPeaks", "AtTime", "AtTimes", "Constraint",
     "DesignSpace", "Displacement", "Final", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min",
-    "PlyFailure", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Tradeoff",
-    "Velocity", "WeightedSum", "history", "measure",
+    "PlyFailure", "PlyStress", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy",
+    "Tradeoff", "Velocity", "WeightedSum", "history", "measure",
 ]  # fmt: skip

@@ -11,6 +11,8 @@ A vector is told by a component: an axis "x", "y", "z" or a direction of three n
 in those of another body (`axes`). Seen from a body with rotation A and origin r, a point g is at y = A'(g - r), and
 
     y' = A'(g - r)' - om x y          y'' = A'(g - r)'' - om x (A'(g - r)' + y') - om' x y
+
+Rates by time are known exactly, but for velocities, accelerations, reactions and components in axes of another body.
 """
 
 from __future__ import annotations
@@ -43,6 +45,12 @@ class StrainEnergy(History):
 
     def values(self, motion: Trajectory) -> Tensor:
         return motion.body(self.body).strain_energy
+
+    def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor]:
+        body = motion.body(self.body)
+        Kr, w, wd, wdd = body.stiffness[0], body.w, body.wd, body.wdd
+        slope, power = (torch.einsum("lti,lij,ltj->lt", x, Kr, y) for x, y in ((wd, w), (wd, wd)))
+        return slope, power + torch.einsum("lti,lij,ltj->lt", wdd, Kr, w)
 
 
 @dataclass(frozen=True)
@@ -82,6 +90,15 @@ class Position(History):
 
     def values(self, motion: Trajectory) -> Tensor:
         return component(motion, self.vector(motion), self.axis, self.observer, self.axes)
+
+    def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor] | None:
+        if self.order or self.axes not in (
+            None,
+            self.observer,
+        ):  # the third rate, and those of other axes, are not known
+            return None
+        _, slow, fast = (x @ direction(self.axis) for x in self._seen(motion))
+        return slow, fast
 
     def vector(self, motion: Trajectory) -> Tensor:
         """The vector [lanes, times, 3] in the axes of the observer."""
@@ -160,6 +177,12 @@ class RelativeDisplacement(History):
         body = motion.body(self.body)
         u = body.at(self.a).displacement - body.at(self.b).displacement
         return component(motion, u, self.axis, self.body, self.axes)
+
+    def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor] | None:
+        if self.axes not in (None, self.body):
+            return None
+        a, b = (motion.body(self.body).at(node) for node in (self.a, self.b))
+        return (a.slow - b.slow) @ direction(self.axis), (a.fast - b.fast) @ direction(self.axis)
 
 
 @dataclass(frozen=True)

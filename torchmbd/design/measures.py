@@ -53,8 +53,8 @@ class OfHistory(Measure):
         return 0.0 if self.window is None else self.window[1]
 
     def value(self, motion: Trajectory) -> Tensor:
-        y = self.history.values(motion)
-        return self.reduce(Spline.of(motion.t, y, self.window, _jumps(self.history, motion)))
+        y, rates = self.history.values(motion), self.history.rates(motion)
+        return self.reduce(Spline.of(motion.t, y, self.window, _jumps(self.history, motion), rates))
 
     def reduce(self, curve: Spline) -> Tensor:
         """The numbers [lanes] or [lanes, rows] of the history as a curve."""
@@ -103,7 +103,7 @@ class Min(OfHistory):
     """Smallest value of a history, located between the samples."""
 
     def reduce(self, curve: Spline) -> Tensor:
-        return -Spline(curve.t, -curve.y, -curve.m).maximum()
+        return -curve.negative().maximum()
 
 
 class Final(OfHistory):
@@ -132,7 +132,7 @@ class AtTime(Measure):
         return float(self.time)
 
     def value(self, motion: Trajectory) -> Tensor:
-        curve = Spline.of(motion.t, self.history.values(motion))
+        curve = Spline.of(motion.t, self.history.values(motion), rates=self.history.rates(motion))
         return curve.sampled(curve.t.new_tensor([float(self.time)]))[..., 0]
 
 

@@ -1,6 +1,7 @@
 """What a response is: a number at every time of a motion, or numbers of a whole motion, as plain torch functions of it.
 
     History   values(motion) [lanes, times]             strain energy, displacement, reaction, ...
+              rates(motion) [lanes, times] twice        y', y'' where they are known exactly: peaks lie between the samples
     Measure   value(motion)  [lanes] or [lanes, rows]   integral, maximum, frequency, ... ; rows: one limit holds for all
 
 Nothing else is written for a response: its gradient is the Jacobian of the same function along the first-order neighbors
@@ -57,6 +58,10 @@ class History:
         """Value [lanes, times]: a differentiable function of the motion."""
         raise NotImplementedError(type(self).__name__)
 
+    def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor] | None:
+        """First and second derivative by time [lanes, times] where they are known exactly; None: by differences."""
+        return None
+
     def check(self, system: System) -> None:
         """Raise InputError where the history asks for what the system does not have."""
 
@@ -96,6 +101,23 @@ class Combined(History):
 
     def values(self, motion: Trajectory) -> Tensor:
         return self.operation(*(part.values(motion) if isinstance(part, History) else part for part in self.parts))
+
+    def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor] | None:
+        rates = [part.rates(motion) if isinstance(part, History) else () for part in self.parts]
+        if any(rate is None for rate in rates):
+            return None
+        # The operation along y + y' tau + y'' tau^2 / 2, differentiated twice by tau.
+        parts = [(part.values(motion) if rate else part, rate) for part, rate in zip(self.parts, rates, strict=True)]
+
+        def moved(tau: Tensor) -> Tensor:
+            return self.operation(*(y + (r[0] + 0.5 * r[1] * tau) * tau if r else y for y, r in parts))
+
+        def rate(tau: Tensor) -> Tensor:
+            return torch.func.jvp(moved, (tau,), (torch.ones_like(tau),))[1]
+
+        zero = torch.zeros((), dtype=motion.q.dtype)
+        first, second, *_ = torch.func.jvp(rate, (zero,), (torch.ones_like(zero),))
+        return first, second
 
     def check(self, system: System) -> None:
         for part in self.parts:
@@ -259,43 +281,3 @@ class Constraint:
 
 def _finite(x: Any) -> bool:
     return not isinstance(x, (str, bool)) and abs(float(x)) < float("inf")
-
-
-@dataclass(frozen=True)
-class FunctionHistory(History):
-    """A function of the motion as a history; made by `history`."""
-
-    function: Callable[[Any], Tensor]
-
-    def values(self, motion: Trajectory) -> Tensor:
-        return shaped(self.function, motion, (motion.q.shape[0], len(motion.t)))
-
-
-@dataclass(frozen=True)
-class FunctionMeasure(Measure):
-    """A function of the motion as a measure; made by `measure`."""
-
-    function: Callable[[Any], Tensor]
-
-    def value(self, motion: Trajectory) -> Tensor:
-        return shaped(self.function, motion, (motion.q.shape[0],))
-
-
-def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[int, ...]) -> Tensor:
-    """Call a user's function; InputError if it does not return what it must."""
-    result = function(motion)
-    if not isinstance(result, Tensor) or result.shape != shape:
-        found = f"shape {tuple(result.shape)}" if isinstance(result, Tensor) else repr(result)
-        name = getattr(function, "__name__", repr(function))
-        raise InputError(f"response {name!r} returned {found}; allowed: a tensor of shape {shape}")
-    return result
-
-
-def history(function: Callable[[Any], Tensor]) -> History:
-    """Make a history of a function: motion -> [lanes, times], written with torch operations."""
-    return FunctionHistory(function)
-
-
-def measure(function: Callable[[Any], Tensor]) -> Measure:
-    """Make a measure of a function: motion -> [lanes], written with torch operations."""
-    return FunctionMeasure(function)

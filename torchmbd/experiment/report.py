@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from rich.console import Console
@@ -17,10 +17,8 @@ from torchmbd.experiment.journal import Journal
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.progress import outcome, print_table, table_of
 from torchmbd.optimizers import Study
-from torchmbd.viz import animate, convergence, design_map, energy_over_time, save
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from torchmbd.viz import animate
+from torchmbd.viz.studio import STUDIO
 
 
 def print_results(plan: Plan, study: Study, failures: Sequence[str], console: Console) -> None:
@@ -56,18 +54,29 @@ def study_pictures(
     if not histories:
         return
     best = study.best
+    STUDIO.draw(
+        "convergence",
+        [journal.folder / "convergence.png"],
+        objectives={name: [i.objective for i in history] for name, history in histories.items()},
+        violations={name: [i.violation for i in history] for name, history in histories.items()},
+        best=None if best is None else f"start {best.start}",
+        ylabel=words(plan.study.minimize),
+    )
+    if len(plan.columns.names) <= 2:
+        STUDIO.draw("design_map", [journal.folder / "design_map.png"], **_map(plan, study, visited))
     with no_picture_costs_a_result(console):
-        figure = convergence(
-            {name: [i.objective for i in history] for name, history in histories.items()},
-            {name: [i.violation for i in history] for name, history in histories.items()},
-            best=None if best is None else f"start {best.start}",
-            ylabel=words(plan.study.minimize),
-        )
-        journal.file(save(figure, journal.folder / "convergence.png"), "figures")
-        if len(plan.columns.names) <= 2:
-            journal.file(save(_map(plan, study, visited), journal.folder / "design_map.png"), "figures")
         if best is not None and not study.interrupted:  # two simulations more: not what Ctrl-C asks for
             _motion_pictures(plan, np.stack([problem.start, best.x]), problem, journal)
+    file_figures(journal, console)
+
+
+def file_figures(journal: Journal, console: Console) -> None:
+    """File what the studio has drawn; say why a figure is missing."""
+    for drawn in STUDIO.finish():
+        for file in drawn.files:
+            journal.file(file, "figures")
+        if drawn.trouble:
+            console.print(f"No picture: {escape(drawn.trouble)}", style="red")
 
 
 @contextmanager
@@ -79,19 +88,19 @@ def no_picture_costs_a_result(console: Console) -> Iterator[None]:
         console.print(f"No picture: {escape(str(error))}", style="red")
 
 
-def _map(plan: Plan, study: Study, visited: Visited) -> Figure:
-    """Draw where the starts went, and in which of the distinct minima they ended."""
+def _map(plan: Plan, study: Study, visited: Visited) -> dict[str, Any]:
+    """Return the arguments of a map of where the starts went, and in which of the distinct minima they ended."""
     factors = plan.columns.factors
     moved = [result for result in study.results if result.history]
     ends = {f"start {start}": k for k, minimum in enumerate(study.minima) for start in minimum.starts}
-    return design_map(
-        {f"start {r.start}": np.array([i.x for i in r.history]) / factors for r in moved},
-        {f"start {r.start}": np.array([i.objective for i in r.history]) for r in moved},
-        plan.columns.headings,
-        ends,
-        (visited[0] / factors, visited[1]),
-        words(plan.study.minimize),
-    )
+    return {
+        "paths": {f"start {r.start}": np.array([i.x for i in r.history]) / factors for r in moved},
+        "objectives": {f"start {r.start}": [i.objective for i in r.history] for r in moved},
+        "headings": plan.columns.headings,
+        "ends": ends,
+        "visited": (visited[0] / factors, visited[1]),
+        "objective": words(plan.study.minimize),
+    }
 
 
 def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal: Journal) -> None:
@@ -103,9 +112,8 @@ def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal:
         if motion.body(body.name).mesh is None:
             continue
         energy = motion.body(body.name).strain_energy.numpy()
-        figure = energy_over_time(t, dict(zip(labels, energy, strict=True)))
-        for ending in ("png", "pdf"):
-            journal.file(save(figure, journal.folder / f"energy_{body.name}.{ending}"), "figures")
+        files = [journal.folder / f"energy_{body.name}.{ending}" for ending in ("png", "pdf")]
+        STUDIO.draw("energy_over_time", files, t=t, energies=dict(zip(labels, energy, strict=True)))
     for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
         path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{plan.name}: {label}")
         journal.file(path)

@@ -36,6 +36,7 @@ from torchmbd.tracking import ProcessTracker, Record, Status, Tracker, TrackingE
 from torchmbd.tracking.links import DEFAULT_BASE
 from torchmbd.tracking.process import deliver_soon
 from torchmbd.tracking.store import sqlite_file, store_uri
+from torchmbd.viz.studio import STUDIO
 
 LANES = 64  # designs in one batch of one process: more gain little, and cost memory
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
@@ -129,6 +130,7 @@ def run_study(
     options: dict[str, Any] = {"max_lanes": lanes} | optimizer.options
     points = recipe.points(remembered)
     journal.begin("study")
+    STUDIO.open()
     for index, point in enumerate(points):
         journal.begin_start(index, point)
     title = f"{plan.name}: {optimizer.name} from {len(points)} start{'s' if len(points) > 1 else ''}"

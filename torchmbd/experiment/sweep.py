@@ -18,10 +18,10 @@ from torchmbd.experiment.check import swept_index
 from torchmbd.experiment.journal import Journal, child
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.progress import print_table, table_of
-from torchmbd.experiment.report import no_picture_costs_a_result
+from torchmbd.experiment.report import file_figures, no_picture_costs_a_result
 from torchmbd.optimizers import Evaluation
 from torchmbd.tracking import Status
-from torchmbd.viz import criterion, save
+from torchmbd.viz.studio import STUDIO
 
 
 def run_sweep(
@@ -41,6 +41,7 @@ def run_sweep(
     X = np.tile(problem.start, (span.count, 1))
     X[:, index] = values * plan.columns.factors[index]
     journal.begin("sweep")
+    STUDIO.open()
     with console.status(f"{plan.name}: {span.count} designs in one batch"):
         designs = np.vstack([problem.start, X])
         first, *evaluations = evaluate(designs, False)
@@ -111,7 +112,7 @@ def _show(
             writer.writerow([plan.columns.names[index], *criteria])
             writer.writerows(zip(values.tolist(), *criteria.values(), strict=True))
         journal.file(file)
-        if np.isfinite(next(iter(criteria.values()))).any():
-            figure = criterion(values.tolist(), criteria, heading, mark=start)
-            for ending in ("png", "pdf"):
-                journal.file(save(figure, journal.folder / f"sweep.{ending}"), "figures")
+    if np.isfinite(next(iter(criteria.values()))).any():
+        files = [journal.folder / f"sweep.{ending}" for ending in ("png", "pdf")]
+        STUDIO.draw("criterion", files, values=values, criteria=criteria, xlabel=heading, mark=start)
+    file_figures(journal, console)

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import tempfile
 import uuid
 from collections.abc import Mapping, Sequence
@@ -24,19 +23,12 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from torchmbd.bare import command
 from torchmbd.errors import MbdError
 from torchmbd.tracking.spool import Journal, clear, locked
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 
-# The package without its __init__, which imports torch: 3 seconds and 250 MB that the writer has no use for.
-_BOOT = """
-import sys, types
-package = types.ModuleType("torchmbd")
-package.__path__ = [sys.argv[1]]
-sys.modules["torchmbd"] = package
-from torchmbd.tracking.writer import main
-sys.exit(main(*sys.argv[2:]))
-"""
+_WRITER = "torchmbd.tracking.writer"
 _WRITERS = 5  # that may die before the study goes on without
 
 
@@ -63,7 +55,7 @@ class ProcessTracker:
     def _start(self) -> subprocess.Popen[str]:
         self._writers += 1
         return subprocess.Popen(
-            [sys.executable, "-P", "-c", _BOOT, str(Path(__file__).parents[1]), str(self.folder)],
+            command(_WRITER, str(self.folder)),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
@@ -169,4 +161,4 @@ def deliver_soon(place: Path) -> None:
 
 
 def _deliverer(place: Path) -> list[str]:
-    return [sys.executable, "-P", "-c", _BOOT, str(Path(__file__).parents[1]), str(place), "--all"]
+    return command(_WRITER, str(place), "--all")

@@ -44,7 +44,8 @@ def design_map(
             f"paths have designs of shape {sizes or 'none'}; allowed: one or two variables, each with a heading"
         )
     figure, (axes,) = figure_of(4.2)
-    X, y = visited if visited is not None else (np.zeros((0, len(headings))), np.zeros(0))
+    X, y = (np.asarray(x, dtype=float) for x in (visited if visited is not None else ((), ())))
+    X = X.reshape(-1, len(headings))
     seen = np.isfinite(y)
     (_one if len(headings) == 1 else _two)(axes, X[seen], y[seen], objective)
     named = set()

@@ -1,0 +1,129 @@
+"""Bodies of the SAR antenna: laminated panels with frames at their joints, and trusses.
+
+Checked in tests/experiments/test_sar_antenna.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+import torchmbd as mbd
+from experiments.sar_antenna_data import HALF, IM6, LENGTH, PLY, ROD_POINT, WIDTH
+
+
+@dataclass(frozen=True)
+class Truss:
+    """Solid circular trusses of one ply, fibers along the axis.
+
+    kind    "rigid" or "beam"
+    radius  [m]
+    modes   of a beam
+    """
+
+    kind: str = "rigid"
+    radius: float = 5e-3
+    modes: int = 4
+
+    def between(self, name: str, start: Tensor, end: Tensor, clamped: bool = False) -> tuple[Any, mbd.Frame, mbd.Frame]:
+        """A truss between two points in ground axes, and the frames at its ends; `clamped`: frame at the start, not amid."""
+        length = float((end - start).norm())
+        x = (end - start) / length
+        z = torch.linalg.cross(x, torch.tensor([0.0, 1.0, 0.0], dtype=x.dtype))
+        z = z / z.norm()
+        axes = torch.stack([x, torch.linalg.cross(z, x), z], 1)
+        area = math.pi * self.radius**2
+        if self.kind == "rigid":
+            mass, spin = IM6["density"] * area * length, self.radius**2 / 2
+            across = mass * (length**2 / 12 + spin / 2)
+            inertia, center = (mass * spin, across, across), (length / 2, 0.0, 0.0)
+            rigid = mbd.RigidBody(name, mass, inertia, center, position=start, axes=axes)
+            return rigid, rigid.at(), rigid.at(length)
+        second = math.pi * self.radius**4 / 4
+        E, G, shear, rho = IM6["E1"], IM6["G12"], 6.0 / 7.0, IM6["density"]
+        stiffness = [E * area, shear * G * area, shear * G * area, 2 * G * second, E * second, E * second]
+        inertia = [rho * area] * 3 + [2 * rho * second, rho * second, rho * second]
+        section = mbd.GivenSection(*(torch.diag(torch.tensor(x, dtype=torch.float64)) for x in (stiffness, inertia)))
+        where = {"reference": "start" if clamped else "center", "position": start if clamped else (start + end) / 2}
+        line = mbd.BeamLine.straight(length, 16)
+        beam = mbd.FlexibleBody.beam(name, line, section, self.modes, axes=axes, **where)
+        return beam, beam.at("start"), beam.at("end")
+
+
+def folded(angle: float) -> Tensor:
+    """Axes of a panel that is turned by an angle from X towards Z."""
+    c, s = math.cos(angle), math.sin(angle)
+    return torch.tensor([[c, 0, -s], [0, 1, 0], [s, 0, c]], dtype=torch.float64)
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A panel: its body, and frames on it by their places in the plane of its joints.
+
+    arm   from the plane of the joints to the mid-surface along the normal [m]
+    """
+
+    body: Any
+    arm: float
+
+    def at(self, x: float, y: float) -> mbd.Frame:
+        """Frame at a place from the center [m]; on a flexible panel that of a mesh node."""
+        if isinstance(self.body, mbd.RigidBody):
+            return self.body.at(x, y, -self.arm)
+        return self.body.at(node_at(self.body.mesh, self.body.name, x, y), offset=(0.0, 0.0, -self.arm))
+
+
+def rigid_panel(name: str, **where: Any) -> mbd.RigidBody:
+    """A rigid panel of the mass of the laminate."""
+    h = 4 * PLY
+    m = IM6["density"] * LENGTH * WIDTH * h
+    inertia = (m * (WIDTH**2 + h**2) / 12, m * (LENGTH**2 + h**2) / 12, m * (LENGTH**2 + WIDTH**2) / 12)
+    return mbd.RigidBody(name, m, inertia, **where)
+
+
+def laminate(angles: Sequence[float]) -> mbd.Laminate:
+    """Laminate of four layers; `angles` [deg] of the lower two, if it is symmetric, or of all four."""
+    return mbd.Laminate(mbd.Ply(**IM6), mbd.deg(list(angles)), PLY, symmetric=len(angles) == 2)
+
+
+# Joints of the panels, in the plane of the mesh.
+EDGES = tuple((side * HALF, across * WIDTH / 2) for side in (-1, 1) for across in (-1, 1))
+JOINTS = {"panel2": EDGES, "panel3": (*EDGES[:2], *((ROD_POINT[0], side * ROD_POINT[1]) for side in (-1, 1)))}
+
+
+def panels(
+    angles: Sequence[float] | None,
+    angles3: Sequence[float] | None,
+    places: tuple[dict[str, Any], dict[str, Any]],
+    modes: int,
+    cells: tuple[int, int],
+    mass: str,
+    reduction: str,
+) -> list[Any]:
+    """Panels 2 and 3; the arguments are those of experiments.sar_antenna.build."""
+    if angles is None:
+        return [rigid_panel(name, **place) for name, place in zip(("panel2", "panel3"), places, strict=True)]
+    mesh = mbd.mesh.rectangle(LENGTH, WIDTH, (cells[0], cells[1]))
+    stack = laminate(angles)
+    # Panel 2: a bonded axle over the full width; a clamp at a point does not converge with the mesh.
+    axle = torch.nonzero(mesh.nodes[:, 0].abs() < 1e-9)[:, 0].tolist()
+    given = ("panel2", stack, axle), ("panel3", stack if angles3 is None else laminate(angles3), "center")
+    made = []
+    for (name, own, reference), place in zip(given, places, strict=True):
+        kept = [node_at(mesh, name, *joint) for joint in JOINTS[name]] if reduction == "craig-bampton" else ()
+        options = {"reference": reference, "mass": mass, "reduction": reduction, "interface": kept}
+        made.append(mbd.FlexibleBody.plate(name, mesh, own, modes, **options, **place))
+    return made
+
+
+def node_at(mesh: mbd.Mesh, name: str, x: float, y: float) -> int:
+    """Node at a place of the mesh of a panel [m]; InputError if there is none."""
+    distance = (mesh.nodes - torch.tensor([x, y, 0.0], dtype=torch.float64)).norm(dim=1)
+    if float(distance.min()) > 1e-9:
+        raise mbd.InputError(f"no node at ({x}, {y}) m of {name!r}; allowed: cells in multiples of (16, 8)")
+    return int(distance.argmin())

@@ -1,0 +1,61 @@
+"""Responses of one's own: a function of the motion as a history or a measure.
+
+    @mbd.history
+    def reach(motion):
+        return motion.body("rod").at("right").position.norm(dim=-1)
+
+Written with torch operations; the gradient comes as for every response (response.py).
+Checked in tests/contracts/test_responses.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from torch import Tensor
+
+from torchmbd.design.response import History, Measure
+from torchmbd.errors import InputError
+from torchmbd.integrators import Trajectory
+
+
+@dataclass(frozen=True)
+class FunctionHistory(History):
+    """A function of the motion as a history; made by `history`."""
+
+    function: Callable[[Any], Tensor]
+
+    def values(self, motion: Trajectory) -> Tensor:
+        return shaped(self.function, motion, (motion.q.shape[0], len(motion.t)))
+
+
+@dataclass(frozen=True)
+class FunctionMeasure(Measure):
+    """A function of the motion as a measure; made by `measure`."""
+
+    function: Callable[[Any], Tensor]
+
+    def value(self, motion: Trajectory) -> Tensor:
+        return shaped(self.function, motion, (motion.q.shape[0],))
+
+
+def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[int, ...]) -> Tensor:
+    """Call a user's function; InputError if it does not return what it must."""
+    result = function(motion)
+    if not isinstance(result, Tensor) or result.shape != shape:
+        found = f"shape {tuple(result.shape)}" if isinstance(result, Tensor) else repr(result)
+        name = getattr(function, "__name__", repr(function))
+        raise InputError(f"response {name!r} returned {found}; allowed: a tensor of shape {shape}")
+    return result
+
+
+def history(function: Callable[[Any], Tensor]) -> History:
+    """Make a history of a function: motion -> [lanes, times], written with torch operations."""
+    return FunctionHistory(function)
+
+
+def measure(function: Callable[[Any], Tensor]) -> Measure:
+    """Make a measure of a function: motion -> [lanes], written with torch operations."""
+    return FunctionMeasure(function)
