@@ -58,6 +58,7 @@ from torchmbd.forces import (
 )
 from torchmbd.integrators import Event, Phase, Trajectory, simulate
 from torchmbd.integrators.ply_history import PlyHistory
+from torchmbd.integrators.section_history import SectionHistory
 from torchmbd.joints import (
     ConstantSpeed,
     Cylindrical,
@@ -160,6 +161,7 @@ __all__ = [
     "RigidBody",
     "RobustProblem",
     "RotationalSpringDamper",
+    "SectionHistory",
     "SimulationFailure",
     "Sine",
     "SmoothMax",

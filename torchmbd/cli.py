@@ -192,7 +192,7 @@ def cache(clear: bool = False) -> int:
     clear
         Remove them all.
     """
-    from torchmbd.integrators.compiled import cache_folder, entries
+    from torchmbd.integrators.library import cache_folder, entries
 
     console = Console()
     for path, size, ready in entries():

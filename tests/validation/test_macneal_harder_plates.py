@@ -60,7 +60,7 @@ TWISTED = Laminate(Ply.isotropic(29e6, 0.22, 1.0), [0.0], 0.32)
         (curved, CURVED, (6, 1), V, 0.08734, 0.04),
         (curved, CURVED, (12, 2), V, 0.08734, 0.005),
         (curved, CURVED, (6, 1), W, 0.5022, 0.12),  # torsion of a section 2 : 1: its edge layers need a fine mesh
-        (curved, CURVED, (96, 16), W, 0.5022, 0.035),
+        (curved, CURVED, (96, 16), W, 0.5022, 0.02),  # 0.993 of it at the limit, see test_twisted_strip.py
         (twisted, TWISTED, (12, 2), W, 0.005424, 0.01),
         (twisted, TWISTED, (12, 2), V, 0.001754, 0.01),
     ],

@@ -107,6 +107,11 @@ class FlexibleBody(nn.Module):
         return {key: part for key, part in self.assembly.parts.items() if isinstance(part, Plates)}
 
     @property
+    def beams(self) -> dict[str, Beams]:
+        """The beams of one section each by their names."""
+        return {key: part for key, part in self.assembly.parts.items() if isinstance(part, Beams)}
+
+    @property
     def matrices(self) -> PlateMatrices:
         """The matrices of a body of one laminate."""
         if len(self.plates) != 1:
@@ -165,7 +170,7 @@ class FlexibleBody(nn.Module):
         updated: bool = True,
         orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
         offset: Sequence[float] | Tensor = (0.0, 0.0),
-        twist: float | Sequence[float] | Tensor = 0.0,
+        twist: float | Sequence | Tensor = 0.0,
         mass: str = "lumped",
     ) -> FlexibleBody:
         """A beam, straight or curved, with branches if need be.
@@ -174,7 +179,8 @@ class FlexibleBody(nn.Module):
         section         a Section (its `angles` [rad] are the body's design parameters) or a GivenSection; or one for each
                         element, where the same may come again: "section", else "section0", "section1", ...
         orientation     the section's y-axis in mesh axes, projected across the elements: [3], or one for each [m, 3]
-        offset, twist   of the section's axes from the line of the nodes: y, z [m] and angle [rad], or one for each element
+        offset, twist   of the section's axes from the line of the nodes: y, z [m] and angle [rad], or one for each element;
+                        twist also at the start and the end of each [m, 2]
         Others as in `plate`. The inertia of the section sits on rigid arms at the nodes (and middles, if consistent).
         """
         if not isinstance(line, BeamLine):

@@ -20,7 +20,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import generalized_alpha, ode, staged_alpha, staged_ode
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
-from torchmbd.integrators.generalized_alpha import History
+from torchmbd.integrators.march import History
 from torchmbd.integrators.phases import Phase, plan
 from torchmbd.integrators.singular import explained
 from torchmbd.integrators.trajectory import OK, Trajectory
