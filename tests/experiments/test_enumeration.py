@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from itertools import product
 
 import numpy as np
 import pytest
 
-from experiments.discrete import problem_of
+from experiments.discrete import Within, problem_of
 from experiments.enumeration import Enumeration, enumerate_all, grid
 from experiments.minima import STORED
 
@@ -22,6 +23,22 @@ def test_a_grid_and_its_mirror_image_are_all_designs(layers, increment):
     assert len(both) == size == round(180 / increment) ** layers
     fixed = (np.abs(degrees) % 90 == 0).all(axis=1).sum()  # their own mirror image
     assert 2 * len(X) - fixed == size
+
+
+def test_a_grid_within_a_limit():
+    X, size = grid(2, 15.0, 45.0)
+    degrees = np.rint(np.degrees(X))
+    assert {tuple(x) for x in degrees} | {tuple(-x + 0.0) for x in degrees} == set(
+        product(range(-45, 46, 15), repeat=2)
+    )
+    assert (len(X), size) == (25, 49)  # all zero is its own mirror image
+
+
+def test_a_problem_within_a_limit():
+    whole = problem_of("3f", 2, **TINY)
+    within = Within(whole, 45.0)
+    np.testing.assert_allclose(np.degrees([*within.lower, *within.upper]), [-45, -45, 45, 45])
+    assert within.names == whole.names
 
 
 def test_enumeration_says_what_the_problem_says_of_the_mirror_images():

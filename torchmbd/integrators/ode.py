@@ -18,7 +18,8 @@ from torch import Tensor
 from torchdiffeq._impl.odeint import SOLVERS
 
 from torchmbd.errors import InputError
-from torchmbd.integrators.generalized_alpha import History, initial
+from torchmbd.integrators.generalized_alpha import initial
+from torchmbd.integrators.march import History
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
