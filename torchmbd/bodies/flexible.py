@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from torchmbd.bodies.bulk_body import read_bdf
 from torchmbd.bodies.frame import Frame, identifier, rotation, vector
+from torchmbd.bodies.modal_damping import ModalDamping
 from torchmbd.bodies.mount import Mount, node_indices, rigid_links
 from torchmbd.bodies.plausibility import warn_units
 from torchmbd.bodies.reference import reference_nodes
@@ -87,9 +88,7 @@ class FlexibleBody(nn.Module):
             raise InputError(f"modes of {name!r} is {modes!r}; allowed: {least} to {most}, the freedoms of the mesh")
         self.reduction = _reduction(name, reduction, modes, held, updated)
         self.modes = self.reduction.size
-        if not 0 <= damping < float("inf"):
-            raise InputError(f"damping of {name!r} is {damping!r} s; allowed: zero or positive")
-        self.damping = damping
+        self.damping = ModalDamping(name, damping)
 
     def _register(self, parts: Mapping[str, Part]) -> None:
         owners = [key for key, part in parts.items() if part.modules()]
@@ -141,7 +140,7 @@ class FlexibleBody(nn.Module):
         laminate        its `angles` [rad] are the body's design parameters
         modes           retained vibration modes of the body fixed at its reference nodes (and its interface)
         position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); joints close the rest
-        reference       nodes fixed to the body frame: a node or node set; None: the node nearest to the center of mass
+        reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
                         of `interface`; the highest frequencies are then those of these nodes: give `steps` to simulate
@@ -262,6 +261,11 @@ class FlexibleBody(nn.Module):
         in body axes [rad/s]; the modes start at rest. Returns the body."""
         self.velocity = vector(f"velocity of {self.name!r}", velocity)
         self.angular_velocity = vector(f"angular_velocity of {self.name!r}", angular_velocity)
+        return self
+
+    def damped(self, ratio: float | Sequence[float]) -> Self:
+        """Give the modes damping ratios, besides `damping`: one, or one for each by growing frequency. Returns the body."""
+        self.damping = self.damping.with_ratios(ratio, self.modes)
         return self
 
     def structure(self) -> dict[str, Tensor]:
