@@ -77,9 +77,9 @@ def line(name: str, result: mbd.OptimizationResult, initial: float) -> str:
     return f"{row(name, angles, initial)}  {beta}between samples {between:+.0e}"
 
 
-def refined(layers: int, start: Sequence[float], x: np.ndarray, steps: int) -> mbd.OptimizationResult:
-    """The optimum of the paper's formulation next to a design x [rad]."""
-    p = problem(layers, start, "bound", steps)
+def refined(layers: int, start: Sequence[float], x: np.ndarray, **options) -> mbd.OptimizationResult:
+    """The optimum of the paper's formulation next to a design x [rad]; `options` as in `problem`."""
+    p = problem(layers, start, "bound", **options)
     peak = float(mbd.Max(ENERGY).value(p.motion(np.append(x, 1.0)))[0])
     return mbd.optimize(p, method="slsqp", start=np.append(x, min(1.001 * peak / p.reference.unit, 1.0)))
 
@@ -112,7 +112,10 @@ def main() -> None:
                     print(line(f"L{layers} {formulation} best of {arguments.starts}", study.best, first), flush=True)
         if best:
             x = min(best, key=lambda result: result.value).x[:layers]
-            print(line(f"L{layers} bound from the best", refined(layers, start, x, arguments.steps), first), flush=True)
+            print(
+                line(f"L{layers} bound from the best", refined(layers, start, x, steps=arguments.steps), first),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":
