@@ -13,11 +13,11 @@ Parts (default: all):
     gradients       error of the gradients
     start           a fresh process to its first step
     memory          peak memory per lane
-    compile         building the packages, cold
+    compile         compiling, with an empty cache
     work-precision  all kinds of integrators
 
-One torch thread. Compiled packages that are missing are built first (minutes; kept in the cache); not with --quick, which
-also takes smaller sizes. What was not measured is null. Wall times, the fastest of several runs taken in turns.
+One torch thread. Compiled code that is missing is built first (kept in the cache); not with --quick, which also takes smaller
+sizes. What was not measured is null. Wall times, the fastest of several runs taken in turns.
 """
 
 from __future__ import annotations

@@ -15,7 +15,8 @@ from torch import Tensor
 import torchmbd as mbd
 from experiments import slider_crank
 from torchmbd.design.spline import Spline
-from torchmbd.integrators import compiled, generalized_alpha
+from torchmbd.integrators import generalized_alpha, library
+from torchmbd.integrators.march import History
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import Dynamics, equations
 
@@ -85,7 +86,7 @@ def pendulum(links: int = 2, modes: int = 8, cells: tuple[int, int] = (16, 2), d
     return Case(f"pendulum of {links} laminated links", system, duration, variables, "chain")
 
 
-def energy(dynamics: Dynamics, history: generalized_alpha.History) -> Tensor:
+def energy(dynamics: Dynamics, history: History) -> Tensor:
     """Strain energy of all flexible bodies and its design tangents [1 + n_b, lanes, times]."""
     w = equations.split_q(dynamics.topology, history.q.movedim(0, -1))[2]  # [modes, flexible, slots, lanes, times]
     Kr = dynamics.data["Kr"]
@@ -120,7 +121,7 @@ def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> t
 
 @contextlib.contextmanager
 def compilation(wanted: bool) -> Iterator[None]:
-    """Switch compiled packages on or off within a block."""
+    """Switch compiled code on or off within a block."""
     before = os.environ.get("TORCHMBD_COMPILE")
     os.environ["TORCHMBD_COMPILE"] = "1" if wanted else "0"
     try:
@@ -133,19 +134,15 @@ def compilation(wanted: bool) -> Iterator[None]:
 
 
 def packaged(dynamics: Dynamics, build: bool = True) -> bool:
-    """Whether compiled packages serve these dynamics; missing ones are built now if `build`. False: no compiler."""
+    """Whether compiled code serves these dynamics; a missing one is built now if `build`. False: no compiler."""
     with compilation(True):
-        if not compiled.enabled():
+        if not library.enabled():
             return False
         left = dynamics.condensed()
-        signature = compiled.Signature.of(left)
-        name = compiled.key(left.topology, signature)
-        folder = compiled.cache_folder()
-        if not (folder / name / "ready").exists():
+        if not library.path_of(left).exists():
             if not build:
                 return False
-            folder.mkdir(parents=True, exist_ok=True)
-            compiled.build(compiled.bare(left.topology), signature, name)
+            library.build(*library.order(left))
         return True
 
 

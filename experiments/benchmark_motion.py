@@ -106,7 +106,7 @@ def measured(case: Case, rows: tuple[Row, ...], settings: Settings) -> Result:
             todo.append((row, dynamics))
     result = Result({row.figure: None for row in rows})
     if settings.quick and len(todo) < len(rows):
-        return result  # no packages at hand: the accuracies alone would take minutes
+        return result  # no compiled code at hand: the accuracies alone would take minutes
     ours, peer = both_accuracies(case, settings)
     runs = peer_runs(case, LOOKED_AT) if peer else []
     lines = []
@@ -119,7 +119,7 @@ def measured(case: Case, rows: tuple[Row, ...], settings: Settings) -> Result:
             if peer:
                 functions["peer"] = lambda: sum(run(case.duration, peer.steps).seconds for run in runs) / len(runs)
             if row.compiled:
-                run()  # loads the packages
+                run()  # loads the library
             seconds = interleaved(functions, settings.repeat if row.compiled else min(settings.repeat, 2))
         own = seconds["ours"] * share / row.lanes
         other = seconds["peer"] * (case.count + 1 if row.gradients else 1) if peer else None

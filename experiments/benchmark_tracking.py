@@ -29,10 +29,9 @@ from rich.console import Console
 
 from torchmbd.experiment import load_study, run_plan
 from torchmbd.experiment.assemble import problem_of, starts_of
-from torchmbd.experiment.farm import Farm
+from torchmbd.experiment.farm import LANES, Farm
 from torchmbd.experiment.journal import Journal
 from torchmbd.experiment.place import problem_key
-from torchmbd.experiment.run import LANES
 from torchmbd.optimizers import multistart
 from torchmbd.optimizers.optimizer import Iterate
 from torchmbd.tracking import ProcessTracker

@@ -7,9 +7,9 @@ increments at the end. Beside it plain rounding of the best relaxed minimum and,
 The optima of Tables 3 and 5 lie at zero, so that rounding finds them too. 3f is Table 3 with the peak of U free but the third
 natural frequency of the rod, torsion, at least 1100 Hz (934 at zero degrees): its optima lie between the increments.
 
-Coarse on purpose, so that enumeration is feasible: mesh 8x2, 4 modes, 150 steps (chosen). `--layers 4 --increment 10` is
-the four-layer rod, whose 5 degree grid has 1.7 million designs. Simulations counted are those with gradients and those
-without alike.
+Coarse on purpose, so that enumeration is feasible: mesh 8x2, 4 modes, 150 steps (chosen). The 5 degree grid of four layers has
+1.7 million designs; within 45 degrees (`--layers 4 --limit 45`) it has 130,321, and in steps of 10 degrees (`--increment 10`)
+104,976. Simulations counted are those with gradients and those without alike.
 """
 
 from __future__ import annotations
@@ -56,6 +56,16 @@ def stiff_in_torsion(layers: int, steps: int, **options: Any) -> mbd.Problem:
     )
 
 
+class Within:
+    """A problem whose angles stay within `limit` degrees."""
+
+    def __init__(self, problem: mbd.Problem, limit: float):
+        self.problem, self.names, self.start = problem, problem.names, problem.start
+        self.lower, self.upper = (np.clip(b, *np.radians([-limit, limit])) for b in (problem.lower, problem.upper))
+        self.period = problem.period
+        self.evaluate = problem.evaluate
+
+
 def lines(found: DiscreteResult, complete: Enumeration | None) -> list[str]:
     """What there is to say of one search."""
     best, rounded, certificate = found.best, found.rounded, found.certificate
@@ -87,23 +97,25 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--layers", type=int, default=3)
     parser.add_argument("--increment", type=float, default=5.0, help="degrees, a part of 90")
+    parser.add_argument("--limit", type=float, default=90.0, help="of the angles, degrees")
     parser.add_argument("--starts", type=int, default=8, help="of the relaxation, Sobol points")
     parser.add_argument("--enumerate", action="store_true", help="simulate every design as well (minutes)")
     parser.add_argument("--tables", default="3,5,3f", help="whose criteria to minimize: 3, 4, 5, 3f")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     given = {f"Table {table}": problem_of(table, arguments.layers, **COARSE) for table in arguments.tables.split(",")}
-    print(f"{arguments.layers} layers in steps of {arguments.increment:g} degrees; {COARSE}")
+    print(f"{arguments.layers} layers in steps of {arguments.increment:g} within {arguments.limit:g} degrees; {COARSE}")
     results = {}
     for name, problem in given.items():
         began = time.perf_counter()
         starts = mbd.sobol(arguments.starts, seed=7, include_initial=True)
-        results[name] = optimize_discrete(problem, float(np.radians(arguments.increment)), starts=starts)
+        within = Within(problem, arguments.limit)
+        results[name] = optimize_discrete(within, float(np.radians(arguments.increment)), starts=starts)
         if not arguments.enumerate:
             print(f"{name}: {time.perf_counter() - began:.0f} s", *lines(results[name], None), sep="\n", flush=True)
     if arguments.enumerate:
         began = time.perf_counter()
-        complete = enumerate_all(given, arguments.increment)
+        complete = enumerate_all(given, arguments.increment, arguments.limit)
         print(f"all designs in {time.perf_counter() - began:.0f} s")
         for name, found in results.items():
             print(f"{name}:", *lines(found, complete[name]), sep="\n", flush=True)

@@ -1,7 +1,8 @@
 """Every design on a grid of ply angles, simulated: what the discrete search and the multistart are compared with.
 
-All angles that are multiples of the increment in (-90, 90]: N^layers designs. A rod mirrored at the plane of motion has all
-its angles negated and moves as before, so one design of each such pair is simulated (the energies of pairs agree to 1e-11).
+All angles that are multiples of the increment in (-90, 90], or in [-limit, limit]: N^layers designs. A rod mirrored at the
+plane of motion has all its angles negated and moves as before, so one design of each such pair is simulated (the energies
+of pairs agree to 1e-11).
 """
 
 from __future__ import annotations
@@ -51,9 +52,10 @@ class Enumeration:
         return kept[np.argsort(self.value[kept], kind="stable")]
 
 
-def grid(layers: int, increment: float) -> tuple[np.ndarray, int]:
-    """One design of each mirror pair [designs, layers] and the number of all; `increment` in degrees, a part of 90."""
-    values = np.arange(-90.0 + increment, 90.0 + increment / 2, increment)
+def grid(layers: int, increment: float, limit: float = 90.0) -> tuple[np.ndarray, int]:
+    """One design of each mirror pair [designs, layers] and the number of all; `increment` a part of `limit` [deg]."""
+    first = -limit + increment if limit == 90.0 else -limit  # -90 is 90
+    values = np.arange(first, limit + increment / 2, increment)
     X = np.array(list(product(values, repeat=layers)))
     mirrored = np.where(X == 90.0, 90.0, -X)
     first = mirrored != X
@@ -62,16 +64,18 @@ def grid(layers: int, increment: float) -> tuple[np.ndarray, int]:
     return np.radians(X[X[rows, leading] >= mirrored[rows, leading]]), len(X)
 
 
-def enumerate_all(problems: Mapping[str, mbd.Problem], increment: float, lanes: int = 512) -> dict[str, Enumeration]:
-    """Simulate the grid once for problems that differ in their measures only; `increment` in degrees."""
+def enumerate_all(
+    problems: Mapping[str, mbd.Problem], increment: float, limit: float = 90.0, lanes: int = 512
+) -> dict[str, Enumeration]:
+    """Simulate the grid once for problems that differ in their measures only; `increment` and `limit` in degrees."""
     first = next(iter(problems.values()))
-    X, size = grid(len(first.space.start), increment)
+    X, size = grid(len(first.space.start), increment, limit)
     values = {name: np.full(len(X), np.inf) for name in problems}
     for k in range(0, len(X), lanes):
         motion = first.simulate(X[k : k + lanes])
-        ok = np.array([status == "ok" for status in motion.status])
+        simulated = np.array([status == "ok" for status in motion.status])
         for name, problem in problems.items():
-            reference = problem.reference
+            reference, ok = problem.reference, simulated
             objective, *others = (measure.value(motion).numpy() for measure in reference.measures)
             for c, limit, scale in zip(others, reference.limits, reference.scale, strict=True):
                 ok = ok & ((c - limit) / scale <= 1e-6)

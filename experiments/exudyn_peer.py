@@ -16,7 +16,7 @@ import importlib
 import importlib.util
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,7 @@ from torch import Tensor, nn
 from torch.func import functional_call
 
 import torchmbd as mbd
+from experiments.panel import CORNERS, FORCE, FREE, LINKS, corners
 from experiments.slider_crank import CRANK, ROD, SLIDER_MASS, SPEED
 
 
@@ -91,12 +92,13 @@ def reduced(system: mbd.System, name: str, designs: Mapping[str, Tensor]) -> lis
 
 @dataclass(frozen=True)
 class Run:
-    """Strain energy U [times] of all flexible bodies at equal times t [s] (nan where Exudyn failed), and the seconds
-    that it integrated."""
+    """Strain energy U [times] of all flexible bodies at equal times t [s] (nan where Exudyn failed), the seconds that it
+    integrated, and places [times, 3] of the nodes that were watched."""
 
     t: np.ndarray
     U: np.ndarray
     seconds: float
+    places: tuple[np.ndarray, ...] = ()
 
 
 class Model:
@@ -107,6 +109,7 @@ class Model:
         self.mbs: Any = self.exu.SystemContainer().AddSystem()
         self.gravity = gravity
         self.energies: list[tuple[Any, np.ndarray]] = []
+        self.watched: list[Any] = []
         self.ground = self._add("Ground")
 
     def _add(self, kind: str, **arguments: Any) -> Any:
@@ -119,7 +122,7 @@ class Model:
 
         return self.mbs.AddMarker(getattr(items, f"Marker{kind}")(**arguments))
 
-    def point(self, body: Any, position: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Any:
+    def point(self, body: Any, position: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0)) -> Any:
         """Marker at a point of a rigid body."""
         return self._marker("BodyPosition", bodyNumber=body, localPosition=position)
 
@@ -130,6 +133,24 @@ class Model:
     def spherical(self, a: Any, b: Any) -> None:
         """Let two markers coincide."""
         self._add("JointSpherical", markerNumbers=[a, b])
+
+    def link(self, a: Any, b: Any, length: float) -> None:
+        """Keep two markers at a distance."""
+        self._add("ConnectorDistance", markerNumbers=[a, b], distance=length)
+
+    def push(self, marker: Any, force: Sequence[float]) -> None:
+        """A constant force in ground axes [N]."""
+        self.mbs.AddLoad(load(".itemInterface").LoadForceVector(markerNumber=marker, loadVector=list(force)))
+
+    def watch(self, body: Any, node: int) -> None:
+        """Keep the places of a mesh node of a flexible body."""
+        items = load(".itemInterface")
+
+        kind = self.exu.OutputVariableType.Position
+        sensor = items.SensorSuperElement(
+            bodyNumber=body, meshNodeNumber=node, storeInternal=True, outputVariableType=kind
+        )
+        self.watched.append(self.mbs.AddSensor(sensor))
 
     def flexible(
         self,
@@ -209,7 +230,8 @@ class Model:
         seconds = time.perf_counter() - start
         found = [(np.asarray(self.mbs.GetSensorStoredData(number)), K) for number, K in self.energies]
         U = sum(0.5 * np.einsum("ti,ij,tj->t", x[:, 1:], K, x[:, 1:]) for x, K in found)
-        return Run(found[0][0][:, 0], np.asarray(U), seconds)
+        places = tuple(np.asarray(self.mbs.GetSensorStoredData(number))[:, 1:] for number in self.watched)
+        return Run(found[0][0][:, 0], np.asarray(U), seconds, places)
 
 
 def slider_crank(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[float, int], Run]]:
@@ -234,6 +256,7 @@ def slider_crank(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Call
         )
         model.spherical(model.point(model.crank(1e-4, SPEED), (CRANK, 0.0, 0.0)), model.node(link, left))
         model.spherical(model.point(model.slider(SLIDER_MASS, CRANK + ROD)), model.node(link, right))
+        model.watch(link, right)
         return model.solve(duration, steps)
 
     return [lambda duration, steps, b=body: run(b, duration, steps) for body in reduced(system, "rod", designs)]
@@ -260,6 +283,27 @@ def chain(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[f
 
     each = [[lane[min(i, len(lane) - 1)] for lane in bodies] for i in range(lanes)]
     return [lambda duration, steps, links=links: run(links, duration, steps) for links in each]
+
+
+def panel(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[float, int], Run]]:
+    """The same for the panel of experiments/panel.py."""
+    body: Any = system.body("panel")
+    places = [x.numpy() for x in corners(body)]
+    ball, *ends = (body.mesh.node(corner) for corner in CORNERS)
+
+    def run(own: ReducedBody, duration: float, steps: int) -> Run:
+        model = Model()
+        number = model.flexible(own, body.position.numpy())
+        model.spherical(model.point(model.ground, places[0]), model.node(number, ball))
+        for node, place, arm in zip(ends, places[1:], LINKS, strict=True):
+            length = float(np.linalg.norm(arm))
+            model.link(model.point(model.ground, place + np.array(arm)), model.node(number, node), length)
+        free = body.mesh.node(FREE)
+        model.push(model.node(number, free), FORCE)
+        model.watch(number, free)
+        return model.solve(duration, steps)
+
+    return [lambda duration, steps, b=each: run(b, duration, steps) for each in reduced(system, "panel", designs)]
 
 
 def available() -> bool:

@@ -127,3 +127,16 @@ def soft_slider_crank(angles: Sequence[float] = (30.0, -20.0), modes: int = 2, *
     tenth = {name: x * (1.0 if name in ("nu12", "density") else 0.1) for name, x in CARBON.items()}
     with patch.dict(slider_crank.CARBON, tenth):
         return slider_crank.build(len(angles), angles, **({"cells": (6, 2), "modes": modes, "damping": 1e-4} | given))
+
+
+def sprung(law: Any = None) -> mbd.System:
+    """A rigid arm and a flexible plate with springs, an actuator and a load between them."""
+    ground, arm, rod = mbd.Ground(), box("arm"), plate("rod", modes=2, position=(0.3, 0.0, 0.0))
+    table = mbd.forces.Table(((-2.0, 1.0), (0.0, 0.2), (1.0, -1.0)), damping=0.02)
+    forces = [
+        mbd.SpringDamper(arm.at(0.1, 0.0, 0.0), rod.at("right"), stiffness=300.0, damping=1.0, rest=0.1),
+        mbd.RotationalSpringDamper(arm.at(), rod.at("left"), law=law or table),
+        mbd.Force(rod.at("right"), (0.0, 1.0, 0.0)),
+    ]
+    joints = [mbd.Revolute(ground.at(), arm.at()), mbd.Spherical(arm.at(0.15, 0.0, 0.0), rod.at("left"))]
+    return mbd.System([arm, rod], joints, forces, gravity=(0.0, -9.81, 0.0))

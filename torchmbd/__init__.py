@@ -45,18 +45,21 @@ from torchmbd.design import (
 from torchmbd.design.differences import Differences
 from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.ply_stress import PlyStress
 from torchmbd.elements import BeamLine, GivenSection
 from torchmbd.errors import InputError, MbdError, SimulationFailure
 from torchmbd.forces import (
     AxialSpringDamper,
     Bushing,
     Force,
+    Pressure,
     RotationalSpringDamper,
     SpringDamper,
     Torque,
 )
 from torchmbd.integrators import Event, Phase, Trajectory, simulate
 from torchmbd.integrators.ply_history import PlyHistory
+from torchmbd.integrators.section_history import SectionHistory
 from torchmbd.joints import (
     ConstantSpeed,
     Cylindrical,
@@ -148,8 +151,10 @@ __all__ = [
     "Ply",
     "PlyFailure",
     "PlyHistory",
+    "PlyStress",
     "PointOnPlane",
     "Position",
+    "Pressure",
     "Prismatic",
     "Problem",
     "Reaction",
@@ -158,6 +163,7 @@ __all__ = [
     "RigidBody",
     "RobustProblem",
     "RotationalSpringDamper",
+    "SectionHistory",
     "SimulationFailure",
     "Sine",
     "SmoothMax",

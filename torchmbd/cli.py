@@ -39,7 +39,8 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     workers
         Processes that evaluate designs; 0: one for each core.
     scheduler
-        Address of a Dask scheduler whose workers evaluate: tcp://host:8786
+        Address of a Dask scheduler whose workers evaluate, tcp://host:8786, or a cluster file:
+        configs/cluster/slurm.yaml
     fresh
         Forget the evaluations of this problem, and begin anew.
     """
@@ -192,7 +193,7 @@ def cache(clear: bool = False) -> int:
     clear
         Remove them all.
     """
-    from torchmbd.integrators.compiled import cache_folder, entries
+    from torchmbd.integrators.library import cache_folder, entries
 
     console = Console()
     for path, size, ready in entries():

@@ -83,10 +83,11 @@ ELEMENTS: dict[str, Callable] = {
     ),
     "rotationalspringdamper": partial(mbd.RotationalSpringDamper, axis="y", law=law),
     "springdamper": partial(mbd.SpringDamper, law=law),
+    "pressure": lambda a, b: mbd.Pressure(b.body, 5.0),
     "force": lambda a, b: mbd.Force(b, (1.0, -2.0, 0.5), axes="frame"),
     "torque": lambda a, b: mbd.Torque(b, lambda t: torch.stack([t.cos(), t, 1.0 - t])),
 }
-between = pytest.mark.parametrize("name", [n for n in ELEMENTS if n not in ("force", "torque")])
+between = pytest.mark.parametrize("name", [n for n in ELEMENTS if n not in ("force", "pressure", "torque")])
 each = pytest.mark.parametrize("name", list(ELEMENTS))
 
 

@@ -24,6 +24,7 @@ from torchmbd.design.histories import (
 )
 from torchmbd.design.measures import RMS, AtTime, Final, Frequency, Integral, Mass, Max, Mean, Min, SmoothMax
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.rows import AtPeaks, AtTimes
 from torchmbd.integrators import Trajectory
 from torchmbd.materials import Strength
@@ -80,6 +81,7 @@ HISTORIES: dict[str, list[History]] = {
         Reaction(JOINT, (1.0, 1.0, 0.0), kind="torque"),
     ],
     "ply_failure": [PlyFailure("rod"), PlyFailure("rod", "max_stress")],
+    "ply_stress": [PlyStress("rod", "11"), PlyStress("rod", "12", layer=1, extreme="lowest")],
 }
 ENERGY, LAG = StrainEnergy("rod"), Displacement("rod", "z", node="right")
 MEASURES: dict[str, list[Measure]] = {

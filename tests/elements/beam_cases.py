@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tests.sections.section_cases import general_section
@@ -34,6 +35,21 @@ def transfer(K: torch.Tensor, M: torch.Tensor, length: float, omega: float = 0.0
 def tip_flexibility(K: torch.Tensor, length: float) -> np.ndarray:
     """Displacements at the free end of a cantilever for unit forces and moments there."""
     T = transfer(K, torch.zeros(6, 6), length)
+    return T[:6, 6:] @ np.linalg.inv(T[6:, 6:])
+
+
+def twisted_flexibility(K: torch.Tensor, length: float, root: float, tip: float) -> np.ndarray:
+    """The same of a section whose axes turn evenly about the line, from the angle at the root to that at the tip [rad]."""
+    S = np.linalg.inv(K.numpy())
+
+    def rate(x: float, state: np.ndarray) -> np.ndarray:
+        angle = root + (tip - root) * x / length
+        c, s = np.cos(angle), np.sin(angle)
+        R = np.kron(np.eye(2), [[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        whole = np.block([[E.T, R @ S @ R.T], [np.zeros((6, 6)), -E]])
+        return (whole @ state.reshape(12, 12)).ravel()
+
+    T = solve_ivp(rate, (0.0, length), np.eye(12).ravel(), "DOP853", rtol=1e-12, atol=1e-16).y[:, -1].reshape(12, 12)
     return T[:6, 6:] @ np.linalg.inv(T[6:, 6:])
 
 

@@ -47,7 +47,7 @@ def test_unequal_elements_and_forces_along_the_beam():
     matrices, u = solved(BeamLine(nodes), K, load)
     _, tip = solved(BeamLine.straight(length, 1, DIRECTION), K, load)
     assert_close(u[-1], tip[-1], rtol=1e-8, atol=0)
-    forces = matrices.end_forces(K[None], torch.cat([torch.zeros(1, 6).double(), u])[..., None])[..., 0]
+    forces = matrices.forces(K[None], torch.cat([torch.zeros(1, 6).double(), u])[..., None])[:, 1, :, 0]
     turn = torch.block_diag(matrices.axes[0], matrices.axes[0])
     for k, at in enumerate(nodes[1:]):
         arm = torch.linalg.cross(nodes[-1] - at, load[:3])
@@ -144,4 +144,4 @@ def test_derivatives_by_the_section_with_lanes():
     reverse = vmap(jacrev(lambda x: (weight * f(x)).sum()))(t)
     assert_close(reverse, torch.einsum("n,lna->la", weight, slopes), rtol=1e-9, atol=0)
     each = torch.stack([K + a * change[0] + b * change[1] for a, b in t])
-    assert_close(matrices.values(each[:, None]), torch.stack([f(x) for x in t]), rtol=1e-11, atol=1e-6)
+    assert_close(matrices.values(each[:, None, None]), torch.stack([f(x) for x in t]), rtol=1e-11, atol=1e-6)

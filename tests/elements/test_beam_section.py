@@ -39,7 +39,7 @@ def test_a_section_off_the_line_is_the_section_with_moved_nodes():
     R = torch.tensor([[c, -s], [s, c]], dtype=torch.float64)
     nodes = made.mesh.nodes @ R.T + torch.tensor(offset, dtype=torch.float64)
     moved = Section(SectionMesh(nodes, made.mesh.elements, made.mesh.layer), ANBA, made.angles.detach())
-    W = line_transform(offset, twist)
+    W = line_transform(torch.tensor(offset, dtype=torch.float64), torch.tensor(twist, dtype=torch.float64))
     for here, there in ((made.stiffness(), moved.stiffness()), (made.mass(), moved.mass())):
         found, exact = (W @ here @ W.T).detach(), there.detach()
         d = exact.diagonal().rsqrt()
@@ -70,7 +70,8 @@ def test_bad_numbers_are_named():
         GivenSection.isotropic(1.0, 0.3, 1.0, 1.0, 1.0, 1.0, 0.0)
     with pytest.raises(InputError, match=r"nu = 0.6; allowed"):
         GivenSection.isotropic(1.0, 0.6, 1.0, 1.0, 1.0, 1.0, 1.0)
+    zero = torch.zeros(1, dtype=torch.float64)
     with pytest.raises(InputError, match="offset is"):
-        line_transform((0.1,), 0.0)
-    with pytest.raises(InputError, match="twist is 90"):
-        line_transform((0.0, 0.0), 90.0)
+        line_transform(torch.full((1, 2), math.nan), zero)
+    with pytest.raises(InputError, match="twist is \\[90"):
+        line_transform(torch.zeros(1, 2), zero + 90.0)

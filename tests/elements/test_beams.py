@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.elements.beam_cases import coupled_section
+from tests.elements.beam_cases import coupled_section, twisted_flexibility
 from torchmbd import sections
 from torchmbd.elements import Assembly, BeamLine, Beams, GivenSection, PointMasses, RigidLink
 from torchmbd.errors import InputError
@@ -60,7 +60,7 @@ def test_two_sections_on_halves_are_two_parts():
     parts = {"a": Beams(LINE, one, ACROSS, elements=[0, 2]), "b": Beams(LINE, two, ACROSS, elements=[1])}
     both = dense(Assembly(LINE, parts).stiffness())
     mixed = torch.stack([one.stiffness(), two.stiffness(), one.stiffness()]).detach()
-    assert_close(both, Beams(LINE, one, ACROSS).matrices.stiffness(mixed).dense(), rtol=1e-12, atol=1e-6)
+    assert_close(both, Beams(LINE, one, ACROSS).matrices.stiffness(mixed[:, None]).dense(), rtol=1e-12, atol=1e-6)
 
 
 def test_offset_and_twist_are_a_rigid_arm():
@@ -90,12 +90,51 @@ def test_section_forces_are_about_the_sections_axes():
     u = torch.linalg.solve(K, torch.cat([torch.zeros(6, dtype=torch.float64), load]))
     motion = torch.cat([torch.zeros(6, dtype=torch.float64), u]).reshape(3, 6, 1)
     found = beams.section_forces(motion)[..., 0].detach()
+    assert_close(found[1, 0], found[0, 1], rtol=0, atol=1e-6)
     c, s = math.cos(twist), math.sin(twist)
     R = torch.tensor([[1, 0, 0], [0, c, s], [0, -s, c]], dtype=torch.float64)
     for k, x in enumerate((0.4, 0.8)):
         arm = torch.tensor([0.8 - x, -offset[0], -offset[1]], dtype=torch.float64)
         moment = load[3:] + torch.linalg.cross(arm, load[:3])
-        assert_close(found[k], torch.cat([R @ load[:3], R @ moment]), rtol=0, atol=1e-6)
+        assert_close(found[k, 1], torch.cat([R @ load[:3], R @ moment]), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("elements", "error"), [(1, 1e-9), (3, 1e-12)])
+def test_a_twisted_coupled_cantilever_is_exact(elements, error):
+    """Full 6 x 6, the section turned by 70 degrees along the beam: tip flexibility beside the integrated equations."""
+    section, length, root, tip = coupled_section(), 1.3, -0.2, 1.0
+    line = BeamLine.straight(length, elements)
+    ends = torch.linspace(root, tip, elements + 1, dtype=torch.float64)
+    beams = Beams(line, section, (0, 1, 0), twist=torch.stack([ends[:-1], ends[1:]], dim=1))
+    K = dense(Assembly(line, {"b": beams}, held=[0]).stiffness())
+    exact = torch.from_numpy(twisted_flexibility(section.stiffness().detach(), length, root, tip))
+    d = exact.diagonal().rsqrt()
+    found = torch.linalg.inv(K)[-6:, -6:]
+    assert float(((found - exact) * d[:, None] * d).abs().max()) < error
+    steps = Beams(line, section, (0, 1, 0), twist=(ends[:-1] + ends[1:]) / 2)
+    coarse = torch.linalg.inv(dense(Assembly(line, {"b": steps}, held=[0]).stiffness()))[-6:, -6:]
+    assert float(((coarse - exact) * d[:, None] * d).abs().max()) > 1e-3  # a polygon of prismatic elements is not
+
+
+def test_a_twisted_beam_has_its_own_axes_at_both_ends():
+    """Section forces at start and end in the axes there; its inertia turned likewise, an even twist that of one angle."""
+    section, line = coupled_section(), BeamLine.straight(0.8, 1)
+    beams = Beams(line, section, (0, 1, 0), twist=[[0.3, 1.1]])
+    K = dense(Assembly(line, {"b": beams}, held=[0]).stiffness())
+    load = torch.tensor([10.0, -20.0, 30.0, 1.0, 2.0, -3.0], dtype=torch.float64)
+    u = torch.cat([torch.zeros(6, dtype=torch.float64), torch.linalg.solve(K, load)]).reshape(2, 6, 1)
+    M = dense(Assembly(line, {"b": beams}).mass())
+    for k, (x, angle) in enumerate(((0.0, 0.3), (0.8, 1.1))):
+        c, s = math.cos(angle), math.sin(angle)
+        R = torch.tensor([[1, 0, 0], [0, c, s], [0, -s, c]], dtype=torch.float64)
+        moment = load[3:] + torch.linalg.cross(torch.tensor([0.8 - x, 0.0, 0.0], dtype=torch.float64), load[:3])
+        found = beams.section_forces(u)[0, k, :, 0].detach()
+        assert_close(found, torch.cat([R @ load[:3], R @ moment]), rtol=0, atol=1e-6)
+        both, own = torch.block_diag(R, R), slice(6 * k, 6 * k + 6)
+        assert_close(M[own, own], both.T @ section.mass() @ both * 0.4, rtol=0, atol=1e-12)
+    even = dense(Assembly(line, {"b": Beams(line, section, twist=[[0.4, 0.4]])}).stiffness())
+    one = dense(Assembly(line, {"b": Beams(line, section, twist=0.4)}).stiffness())
+    assert_close(even, one, rtol=1e-9, atol=1e-9 * float(one.abs().max()))
 
 
 def test_stresses_of_a_bent_beam():
@@ -107,7 +146,7 @@ def test_stresses_of_a_bent_beam():
     load = torch.zeros(24, dtype=torch.float64)
     load[-4] = 50.0
     u = torch.cat([torch.zeros(6, dtype=torch.float64), torch.linalg.solve(K, load)]).reshape(5, 6, 1)
-    forces = beams.section_forces(u)[..., 0]
+    forces = beams.section_forces(u)[:, 1, :, 0]
     found = section.stress(forces)  # of the four elements' ends
     for k, x in enumerate((0.2, 0.4, 0.6, 0.8)):
         wanted = -50.0 * (0.8 - x) * found.points[..., 1] / (b * h**3 / 12)
@@ -130,7 +169,7 @@ def test_a_mass_at_the_tip_joins_the_beam():
     [
         ({"section": "steel"}, ["section is 'steel'", "a Section or a GivenSection"]),
         ({"offset": [[0.0, 0.1]] * 2}, ["offset has shape (2, 2)", "[3, 2]"]),
-        ({"twist": [0.1, 0.2]}, ["twist has shape (2,)", "[3]"]),
+        ({"twist": [0.1, 0.2]}, ["twist has shape (2,)", "[3]", "[3, 2]"]),
         ({"twist": 45.0}, ["twist is", "2 pi"]),
         ({"mass": "lumpd"}, ["mass 'lumpd'", "did you mean 'lumped'"]),
         ({"orientation": [[0.0, 1.0, 0.0]] * 2}, ["orientation has shape (2, 3)"]),

@@ -46,3 +46,12 @@ def test_direction_without_projection_is_refused(direction):
 def test_shape_of_the_direction():
     with pytest.raises(InputError, match=r"shape \(2, 3\)"):
         facets(rectangle(1.0, 1.0, (2, 2)), torch.ones(2, 3))
+
+
+def test_cells_are_what_lies_at_a_side():
+    """Two triangles inside, one at an edge, three where plates branch; also for some triangles of a mesh."""
+    nodes = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 2, 0], [0, -4, 0], [0, 0, 6]], dtype=torch.float64)
+    mesh = Mesh(nodes, [[0, 1, 2], [0, 3, 1], [0, 1, 4]])
+    expected = torch.tensor([[2.0, 1.0, 1.0], [2.0, 2.0, 2.0], [2.0, 3.0, 3.0]], dtype=torch.float64)
+    assert_close(facets(mesh).cell, expected)
+    assert_close(facets(mesh, (1.0, 0.0, 0.0), torch.tensor([2])).cell, expected[2:])

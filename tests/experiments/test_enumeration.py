@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from itertools import product
 
 import numpy as np
 import pytest
 
-from experiments.discrete import problem_of
+from experiments.discrete import Within, problem_of
 from experiments.enumeration import Enumeration, enumerate_all, grid
 from experiments.minima import STORED
 
@@ -24,6 +25,22 @@ def test_a_grid_and_its_mirror_image_are_all_designs(layers, increment):
     assert 2 * len(X) - fixed == size
 
 
+def test_a_grid_within_a_limit():
+    X, size = grid(2, 15.0, 45.0)
+    degrees = np.rint(np.degrees(X))
+    assert {tuple(x) for x in degrees} | {tuple(-x + 0.0) for x in degrees} == set(
+        product(range(-45, 46, 15), repeat=2)
+    )
+    assert (len(X), size) == (25, 49)  # all zero is its own mirror image
+
+
+def test_a_problem_within_a_limit():
+    whole = problem_of("3f", 2, **TINY)
+    within = Within(whole, 45.0)
+    np.testing.assert_allclose(np.degrees([*within.lower, *within.upper]), [-45, -45, 45, 45])
+    assert within.names == whole.names
+
+
 def test_enumeration_says_what_the_problem_says_of_the_mirror_images():
     problem = problem_of("3f", 2, **TINY)
     found = enumerate_all({"": problem}, 15.0, lanes=41)[""]
@@ -34,6 +51,13 @@ def test_enumeration_says_what_the_problem_says_of_the_mirror_images():
     assert np.isinf(found.value[~feasible]).all()
     assert found.value[[np.array_equal(x, found.best) for x in found.X].index(True)] == found.value.min()
     assert found.rank(float(np.sort(found.value)[2])) == 2
+
+
+def test_constraints_of_one_problem_are_not_those_of_another():
+    together = enumerate_all({table: problem_of(table, 2, **TINY) for table in ("3f", "4")}, 30.0)
+    alone = enumerate_all({"4": problem_of("4", 2, **TINY)}, 30.0)["4"]
+    np.testing.assert_allclose(together["4"].value, alone.value, rtol=1e-12)
+    assert np.isinf(together["3f"].value).any()
 
 
 def test_minima_of_a_grid():

@@ -29,3 +29,11 @@ def test_the_picture_shows_every_point_of_the_front():
         line.get_xydata(), front.criteria * [1, -1]
     )  # the second is drawn as what it maximizes
     assert axes.get_xlabel().endswith("[mJ s]")
+
+
+def test_how_far_a_front_is_beaten():
+    front = pareto_front(two_bowls(), divisions=3)
+    spans = front.nadir - front.utopia
+    point = front.criteria[1]
+    assert pareto.beaten(front, np.array([point - [0.2, 0.1] * spans, point + spans])) == pytest.approx(0.1)
+    assert pareto.beaten(front, front.criteria) == pytest.approx(0.0, abs=1e-12)

@@ -1,7 +1,9 @@
-"""Compiled steps: keys, faults of the cache, and (slow) the same numbers as the eager route."""
+"""Compiled steps: the same numbers as the eager route, for any mechanism."""
 
 from __future__ import annotations
 
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -9,145 +11,136 @@ import torch
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from tests.mechanisms import box, plate
-from torchmbd.cli import main
-from torchmbd.integrators import compiled
-from torchmbd.integrators.generalized_alpha import initial
-from torchmbd.integrators.step import Coefficients
+from tests.integrators.test_phases import pushed
+from tests.mechanisms import box, sprung
+from tests.system.test_initial import four_bar
+from torchmbd.integrators import compiled, compiled_rates, library
 from torchmbd.system import Dynamics
 
+pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 ANGLES = mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])
 NAME = "rod.laminate.angles"
 
 
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("libraries")
+
+
+Both = Callable[..., tuple[mbd.Trajectory, mbd.Trajectory]]
+
+
 @pytest.fixture
-def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("TORCHMBD_CACHE", str(tmp_path))
-    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
-    monkeypatch.setattr(compiled, "_loaded", {})
-    monkeypatch.setattr(compiled, "_seen", {})
-    return tmp_path
+def both(kept: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
+    """The eager and the compiled motion of `simulate` with its arguments."""
+    monkeypatch.setenv("TORCHMBD_CACHE", str(kept))
+    used = []
+
+    def at_once(dynamics: Dynamics, kind: str = "step") -> object:
+        if not library.path_of(dynamics, kind).exists():
+            library.build(*library.order(dynamics, kind))
+        used.append(library.library(dynamics, kind))
+        return used[-1]
+
+    def motions(*arguments: object, **options: object) -> tuple[mbd.Trajectory, mbd.Trajectory]:
+        monkeypatch.setenv("TORCHMBD_COMPILE", "0")
+        eager = mbd.simulate(*arguments, **options)  # type: ignore[arg-type]
+        monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+        with monkeypatch.context() as patched:
+            patched.setattr(compiled, "library", at_once)
+            patched.setattr(compiled_rates, "library", at_once)
+            fast = mbd.simulate(*arguments, **options)  # type: ignore[arg-type]
+        assert used
+        assert None not in used
+        return eager, fast
+
+    return motions
 
 
-def dynamics(modes: int = 3, tangents: bool = True) -> Dynamics:
-    return build(3, cells=(6, 2), modes=modes).dynamics({NAME: ANGLES}, tangents=[NAME] if tangents else [])
+def weightless() -> mbd.System:
+    """An arm that carries a point mass."""
+    arm = box("arm")
+    link = mbd.RigidBody("link", mass=0.1, inertia=(0.0, 0.0, 0.0), position=(0.15, 0.0, 0.0))
+    joints = [mbd.Spherical(mbd.Ground().at(), arm.at()), mbd.Fixed(arm.at(0.15, 0.0, 0.0), link.at())]
+    return mbd.System([arm, link], joints, gravity=(0.0, -9.81, 0.0))
 
 
-def model(d: Dynamics) -> compiled.CompiledModel | None:
-    return compiled.CompiledModel.of(d, initial(d), Coefficients(0.9).weights(1e-4))
+def same(eager: mbd.Trajectory, fast: mbd.Trajectory, q: float = 1e-10, dq: float = 1e-8) -> None:
+    assert fast.status == eager.status
+    torch.testing.assert_close(fast.q, eager.q, rtol=0, atol=q)
+    if eager.dq_db is not None and eager.dq_db.numel():
+        assert float((fast.dq_db - eager.dq_db).abs().max()) < dq * float(eager.dq_db.abs().max())
 
 
-def key(d: Dynamics) -> str:
-    return compiled.key(d.topology, compiled.Signature.of(d))
-
-
-def test_keys_tell_topologies_and_tangents_apart() -> None:
-    keys = [key(dynamics()), key(dynamics(modes=4)), key(dynamics(tangents=False))]
-    assert len(set(keys)) == 3
-    assert keys[0] == key(dynamics())
-
-
-def test_a_corrupt_package_is_removed_and_the_eager_route_serves(cache: Path) -> None:
-    d = dynamics()
-    folder = cache / key(d)
-    folder.mkdir()
-    for operation in compiled.operations(compiled.Signature.of(d)):
-        (folder / f"{operation}.pt2").write_bytes(b"no package")
-    (folder / "ready").touch()
-    with pytest.warns(UserWarning, match="cannot be loaded and is removed"):
-        assert model(d) is None
-    assert not folder.exists()
-
-
-def test_the_command_lists_and_clears(cache: Path, capsys: pytest.CaptureFixture) -> None:
-    (cache / "abc").mkdir()
-    (cache / "abc" / "ready").touch()
-    (cache / "broken.job").write_bytes(b"x")
-    assert main(["cache"]) == 0
-    text = capsys.readouterr().out
-    assert "abc" in text
-    assert "left over" in text
-    assert main(["cache", "--clear"]) == 0
-    assert list(cache.iterdir()) == []
-
-
-def test_packages_are_built_at_the_second_batch_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    built: list[Dynamics] = []
-
-    def build(d: Dynamics) -> None:
-        built.append(d)
-        compiled._building[key(d)] = None  # type: ignore[assignment]
-
-    monkeypatch.setattr(compiled, "build_in_background", build)
-    monkeypatch.setattr(compiled, "_building", {})
-    monkeypatch.setattr(compiled, "_PATIENCE", 0.0)
-    counts = []
-    for _ in range(4):
-        assert model(dynamics()) is None
-        counts.append(len(built))
-    assert counts == [0, 1, 1, 1]
-
-
-def test_with_few_cores_a_build_waits(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    built: list[Dynamics] = []
-    monkeypatch.setattr(compiled, "build_in_background", built.append)
-    monkeypatch.setattr(compiled, "_FEW_CORES", 10**6)
-    for _ in range(3):
-        model(dynamics())
-    assert built == []
-
-
-def test_without_a_compiler_the_eager_route_works_and_says_so(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("CXX", "no-such-compiler")
-    with pytest.warns(UserWarning, match=r"no C\+\+ compiler"):
-        assert model(dynamics()) is None
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("lanes", [1, 3])
-def test_compiled_and_eager_agree(cache: Path, monkeypatch: pytest.MonkeyPatch, lanes: int) -> None:
-    system, d = build(3, cells=(6, 2), modes=3), dynamics().condensed()
-    compiled.build(compiled.bare(d.topology), compiled.Signature.of(d), key(d))
-    motions = []
-    for switch in ("0", "1"):
-        monkeypatch.setenv("TORCHMBD_COMPILE", switch)
-        motions.append(mbd.simulate(system, 0.004, steps=80, sensitivities=True, designs={NAME: ANGLES[:lanes]}))
-    assert key(d) in compiled._loaded
-    eager, fast = motions
-    torch.testing.assert_close(fast.q, eager.q, rtol=0, atol=1e-10)
-    assert float((fast.dq_db - eager.dq_db).abs().max()) < 1e-8 * float(eager.dq_db.abs().max())
+@pytest.mark.parametrize("iterations", [(3, 1), (1, 1), (2, 2)])
+def test_compiled_and_eager_agree(both: Both, lanes: int, iterations: tuple[int, int]) -> None:
+    system, designs = build(3, cells=(6, 2), modes=3), {NAME: ANGLES[:lanes]}
+    eager, fast = both(system, 0.003, steps=60, sensitivities=True, designs=designs, iterations=iterations)
+    same(eager, fast)
+    for name in ("iteration_error", "tangent_error"):
+        torch.testing.assert_close(fast.stats[name], eager.stats[name], rtol=0.1, atol=1e-10)
 
 
-def sprung(law=None) -> mbd.System:
-    """A rigid arm and a flexible plate with springs, an actuator and a load between them."""
-    ground, arm, rod = mbd.Ground(), box("arm"), plate("rod", modes=2, position=(0.3, 0.0, 0.0))
-    table = mbd.forces.Table(((-2.0, 1.0), (0.0, 0.2), (1.0, -1.0)), damping=0.02)
-    forces = [
-        mbd.SpringDamper(arm.at(0.1, 0.0, 0.0), rod.at("right"), stiffness=300.0, damping=1.0, rest=0.1),
-        mbd.RotationalSpringDamper(arm.at(), rod.at("left"), law=law or table),
-        mbd.Force(rod.at("right"), (0.0, 1.0, 0.0)),
-    ]
-    joints = [mbd.Revolute(ground.at(), arm.at()), mbd.Spherical(arm.at(0.15, 0.0, 0.0), rod.at("left"))]
-    return mbd.System([arm, rod], joints, forces, gravity=(0.0, 0.0, -9.81))
+def test_values_alone_and_more_lanes_than_a_block(both: Both) -> None:
+    designs = {NAME: ANGLES[:1] + torch.linspace(0.0, 0.5, 11, dtype=torch.float64)[:, None]}
+    same(*both(build(3, cells=(6, 2), modes=3), 0.002, steps=30, designs=designs, refresh=3))
 
 
-def test_a_law_of_the_user_is_never_looked_up_in_the_cache(cache: Path) -> None:
-    """Its code is not in the key, so a package could be that of another law."""
-    for law, known in ((None, True), (lambda s, rate, t: -s, False)):
-        assert compiled._known_laws(sprung(law)().condensed().topology) is known
+def test_a_lane_that_fails_leaves_the_others_alone(both: Both, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A nan in the data of one lane."""
+    system = build(3, cells=(6, 2), modes=3)
+    own = system.dynamics
+
+    def spoilt(*arguments: object, **options: object) -> Dynamics:
+        dynamics = own(*arguments, **options)  # type: ignore[arg-type]
+        dynamics.data["Kr"].full[0, 0, ..., 1] = torch.nan
+        return dynamics
+
+    monkeypatch.setattr(system, "dynamics", spoilt)
+    eager, fast = both(system, 0.003, steps=60, sensitivities=True, designs={NAME: ANGLES})
+    assert [x == "ok" for x in fast.status] == [x == "ok" for x in eager.status] == [True, False, True]
+    torch.testing.assert_close(fast.q[[0, 2]], eager.q[[0, 2]], rtol=0, atol=1e-10)
 
 
-@pytest.mark.slow
-def test_forces_are_compiled(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_body_without_inertia_goes_the_eager_way(both: Both) -> None:
+    """Its pivots are zero: the compiled factorization finds out and hands over."""
+    same(*both(weightless(), 0.02, steps=20))
+
+
+def test_forces_are_compiled(both: Both) -> None:
     system = sprung()
-    designs = {NAME: system.body("rod").laminate.angles.detach() + torch.tensor([[0.0], [0.2]], dtype=torch.float64)}
-    d = system.dynamics(designs, tangents=[NAME]).condensed()
-    compiled.build(compiled.bare(d.topology), compiled.Signature.of(d), key(d))
-    motions = []
-    for switch in ("0", "1"):
-        monkeypatch.setenv("TORCHMBD_COMPILE", switch)
-        motions.append(mbd.simulate(system, 0.01, steps=20, sensitivities=True, designs=designs))
-    assert key(d) in compiled._loaded
-    eager, fast = motions
-    torch.testing.assert_close(fast.q, eager.q, rtol=0, atol=1e-10)
-    assert float((fast.dq_db - eager.dq_db).abs().max()) < 1e-8 * float(eager.dq_db.abs().max())
+    angles = system.body("rod").laminate.angles.detach()
+    designs = {NAME: angles + torch.tensor([[0.0], [0.2]], dtype=torch.float64)}
+    same(*both(system, 0.01, steps=20, sensitivities=True, designs=designs))
+
+
+def test_redundant_rows_are_compiled(both: Both) -> None:
+    system = four_bar()
+    assert system.dynamics().condensed().redundant
+    same(*both(system, 0.02, steps=40), q=1e-8)
+
+
+def test_phases_are_compiled(both: Both) -> None:
+    phases = [mbd.Phase(until=0.0233), mbd.Phase(release=["motor"])]
+    same(*both(pushed(0.7), 0.06, steps=60, phases=phases))
+
+
+@pytest.mark.parametrize("gradients", [False, True])
+def test_the_right_hand_side_is_compiled(both: Both, gradients: bool) -> None:
+    """Methods of torchdiffeq: more lanes than a block, forces, and drives with laws."""
+    system = sprung()
+    designs = {NAME: system.body("rod").laminate.angles.detach() + 0.02 * torch.arange(9, dtype=torch.float64)[:, None]}
+    options = {"sensitivities": gradients, "designs": designs}
+    same(*both(system, 2e-4, "rk4", 20, **options))
+
+
+def test_the_right_hand_side_of_a_driven_mechanism(both: Both) -> None:
+    system = build(3, cells=(6, 2), modes=2)
+    eager, fast = both(system, 5e-4, "dopri5", 4, rtol=1e-6, atol=1e-8, designs={NAME: ANGLES})
+    same(eager, fast)
+    assert fast.stats == eager.stats
+
+
+def test_a_right_hand_side_without_inertia_stays_eager(both: Both) -> None:
+    same(*both(weightless(), 1e-3, "rk4", 5))

@@ -11,6 +11,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.ply_stress import PlyStress
 from torchmbd.elements import ply_basis
 from torchmbd.errors import InputError
 from torchmbd.integrators import Trajectory
@@ -83,6 +84,31 @@ def test_gradient_of_the_history_against_differences(criterion, motions):
     assert scale > 1e-3
     assert_close(gradient[unique], expected[unique], rtol=0, atol=1e-6 * scale)
     assert value.shape == (2, 41)
+
+
+def test_extreme_stresses_are_those_of_all_points(motions):
+    motion = motions[0]
+    plies = PlyHistory(motion, "rod")
+    along, shear = plies.stress()[..., 0], plies.stress()[..., 2]
+    upper = plies.points[:, 1] == 1
+    assert_close(PlyStress("rod", "11").values(motion), along.amax(-1), rtol=1e-12, atol=0)
+    lowest = PlyStress("rod", "12", layer=1, extreme="lowest").values(motion)
+    assert_close(lowest, shear[..., upper].amin(-1), rtol=1e-12, atol=0)
+    assert (lowest < 0.0).any()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"component": "33"}, r"stress component '33' does not exist; allowed: .*did you mean"),
+        ({"component": "11", "extreme": "high"}, r"extreme 'high' does not exist.*did you mean 'highest'"),
+        ({"component": "11", "layer": 2}, r"layer is 2; allowed: 0 to 1"),
+        ({"component": "11", "layer": True}, r"layer is True; allowed: 0 to 1"),
+    ],
+)
+def test_stresses_that_are_not_there_are_named(given, words, motions):
+    with pytest.raises(InputError, match=words):
+        PlyStress("rod", **given).check(motions[0].system)
 
 
 def test_a_constraint_on_the_peak(motions):

@@ -225,3 +225,20 @@ def test_what_it_refuses():
     wrong.criteria = ["f1", "f2", "f3"]
     with pytest.raises(InputError, match=r"criteria of shape \(2,\), allowed: \(3,\), f1, f2, f3"):
         pareto_front(wrong)
+
+
+def test_points_are_searched_from_everywhere_where_asked():
+    """A front with a local one beside it: x1 alone decides between them, and its valley beside the anchors is the wrong one."""
+    dent = lambda t: np.exp(-((t / 0.3) ** 2))  # noqa: E731
+
+    def f(x):
+        lift = 0.5 + 0.02 * (x[0] - 1.0) ** 2 - 0.5 * dent(x[0] + 2.0) * (4 * x[1] * (1 - x[1])) ** 2
+        return [x[1] + lift, 1 - x[1] + lift]
+
+    problem = lambda: Several([1.0, 0.5], f, 2, lower=[-3.0, 0.0], upper=[3.0, 1.0])  # noqa: E731
+    starts = [[1.0, 0.5], [-2.05, 0.5]]
+    near = pareto_front(problem(), 4, starts=starts[:1])
+    wide = pareto_front(problem(), 4, starts=starts, everywhere=True)
+    middle = lambda front: min(point.criteria.sum() for point in front.points)  # noqa: E731
+    assert middle(near) == pytest.approx(2.0, abs=1e-3)
+    assert middle(wide) < 1.4

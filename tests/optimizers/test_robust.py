@@ -45,8 +45,8 @@ def test_the_mean_of_a_polynomial():
     slope = 4 * a**3 + 12 * a * m2 + 0.3 * (5 * a**4 + 30 * a**2 * m2 + 5 * m4) + x[1]
     assert e.objective == pytest.approx(mean, rel=1e-14)
     assert e.objective_gradient == pytest.approx([slope, 4 * x[1] + a], rel=1e-13)
-    assert e.constraints.size == 5 * 2
-    assert problem.problem.batches == [(5, True)]
+    assert e.constraints.size == 6 * 2
+    assert problem.problem.batches == [(5, True), (1, True)]  # both constraints rise to the same corner
 
 
 @pytest.mark.parametrize("kind", ["expected", "worst"])
@@ -81,6 +81,29 @@ def test_constraints_hold_within_the_tolerances():
     result = optimize(RobustProblem(problem, [0.25, 0.5], "worst"))
     np.testing.assert_allclose(result.x[:2], [0.75, 1.5], atol=1e-5)
     assert result.value == pytest.approx(10 - 0.75 - 1.5 + 0.75, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["expected", "worst"])
+def test_curved_constraints_hold_in_the_corners(kind):
+    """Random designs within the tolerances, corners among them, of an optimum between two curved constraints."""
+    d = np.array([0.3, 0.2, 0.25])
+    problem = Analytic(
+        "bowls",
+        [0.1, 0.2, -0.1],
+        lambda x: 20 - x[0] - 2 * x[1] + x[2],
+        lambda x: [x[0] ** 2 + x[1] ** 2 + x[2] ** 2 - 4, np.exp(0.5 * (x[1] - x[0])) - 1.5 - 0.1 * x[2] ** 2],
+        lower=-3,
+        upper=3,
+    )
+    robust = RobustProblem(problem, d, kind)
+    result = optimize(robust)
+    assert result.status == "converged"
+    rng = np.random.default_rng(3)
+    sides = rng.choice([-1.0, 1.0], (500, 3))
+    x = robust.design(result.x) + np.vstack([sides, rng.uniform(-1, 1, (1500, 3))]) * d
+    worst = np.array([e.constraints for e in problem.evaluate(x, False)]).max(axis=0)
+    assert worst.max() <= 1e-6
+    assert worst.min() >= -1e-6  # and no farther from them than the tolerances ask for
 
 
 @pytest.mark.parametrize("kind", ["expected", "worst"])

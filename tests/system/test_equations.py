@@ -81,7 +81,7 @@ def dalembert(T: Topology, body: mbd.FlexibleBody, index: int, q, v, a, gravity:
         torque += m * torch.linalg.cross(b, local) + mu * angular
         modal += t.T @ (m * local) + r.T @ (mu * angular)
     K = body.structure()["Kr"].detach()
-    return force, torque, modal + K @ w + body.damping * K @ wd
+    return force, torque, modal + K @ w + body.damping.time * K @ wd
 
 
 @pytest.mark.parametrize("kinds", ["f", "fr", "rff"])

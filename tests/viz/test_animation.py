@@ -19,6 +19,8 @@ from torchmbd.mesh import rectangle
 from torchmbd.numerics.angles import deg
 from torchmbd.system import System
 from torchmbd.viz import animate
+from torchmbd.viz.animation import scene_of
+from torchmbd.viz.film import positions
 
 
 @pytest.fixture(scope="module")
@@ -124,3 +126,14 @@ def test_a_failed_lane_is_not_shown(motion, tmp_path, monkeypatch):
     monkeypatch.setattr(motion, "status", ["ok", "failed: not finite"])
     with pytest.raises(InputError, match="lane 1 has no motion to show: failed: not finite"):
         animate(motion, tmp_path / "m.html", lane=1)
+
+
+def test_a_body_on_one_joint_reaches_from_there_to_its_center():
+    ground = Ground()
+    bob = RigidBody("bob", 1.0, (1e-3, 1e-3, 1e-3), center=(0.0, -0.2, 0.0), position=(0.0, -1.0, 0.0))
+    pivot = Revolute(ground.at(), bob.at(0, 1, 0), axis="z")
+    motion = simulate(System([bob], [pivot], gravity=(0, -9.81, 0)), 0.01, steps=2)
+    scene = scene_of(motion, 0, 10)
+    assert scene["bodies"][0]["center"] == [0.0, -0.2, 0.0]
+    np.testing.assert_allclose(scene["size"], [0.0, 1.2, 0.0], atol=1e-12)
+    np.testing.assert_allclose(positions(scene["bodies"][0], 3, 1.0)[0], [[0, 0, 0], [0, -1.2, 0]], atol=1e-6)

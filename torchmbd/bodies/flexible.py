@@ -21,6 +21,7 @@ from torch import Tensor, nn
 
 from torchmbd.bodies.bulk_body import read_bdf
 from torchmbd.bodies.frame import Frame, identifier, rotation, vector
+from torchmbd.bodies.modal_damping import ModalDamping
 from torchmbd.bodies.mount import Mount, node_indices, rigid_links
 from torchmbd.bodies.plausibility import warn_units
 from torchmbd.bodies.reference import reference_nodes
@@ -87,9 +88,7 @@ class FlexibleBody(nn.Module):
             raise InputError(f"modes of {name!r} is {modes!r}; allowed: {least} to {most}, the freedoms of the mesh")
         self.reduction = _reduction(name, reduction, modes, held, updated)
         self.modes = self.reduction.size
-        if not 0 <= damping < float("inf"):
-            raise InputError(f"damping of {name!r} is {damping!r} s; allowed: zero or positive")
-        self.damping = damping
+        self.damping = ModalDamping(name, damping)
 
     def _register(self, parts: Mapping[str, Part]) -> None:
         owners = [key for key, part in parts.items() if part.modules()]
@@ -105,6 +104,11 @@ class FlexibleBody(nn.Module):
     def plates(self) -> dict[str, Plates]:
         """The laminated parts by their names."""
         return {key: part for key, part in self.assembly.parts.items() if isinstance(part, Plates)}
+
+    @property
+    def beams(self) -> dict[str, Beams]:
+        """The beams of one section each by their names."""
+        return {key: part for key, part in self.assembly.parts.items() if isinstance(part, Beams)}
 
     @property
     def matrices(self) -> PlateMatrices:
@@ -136,7 +140,7 @@ class FlexibleBody(nn.Module):
         laminate        its `angles` [rad] are the body's design parameters
         modes           retained vibration modes of the body fixed at its reference nodes (and its interface)
         position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); joints close the rest
-        reference       nodes fixed to the body frame: a node or node set; None: the node nearest to the center of mass
+        reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
                         of `interface`; the highest frequencies are then those of these nodes: give `steps` to simulate
@@ -165,7 +169,7 @@ class FlexibleBody(nn.Module):
         updated: bool = True,
         orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
         offset: Sequence[float] | Tensor = (0.0, 0.0),
-        twist: float | Sequence[float] | Tensor = 0.0,
+        twist: float | Sequence | Tensor = 0.0,
         mass: str = "lumped",
     ) -> FlexibleBody:
         """A beam, straight or curved, with branches if need be.
@@ -174,7 +178,8 @@ class FlexibleBody(nn.Module):
         section         a Section (its `angles` [rad] are the body's design parameters) or a GivenSection; or one for each
                         element, where the same may come again: "section", else "section0", "section1", ...
         orientation     the section's y-axis in mesh axes, projected across the elements: [3], or one for each [m, 3]
-        offset, twist   of the section's axes from the line of the nodes: y, z [m] and angle [rad], or one for each element
+        offset, twist   of the section's axes from the line of the nodes: y, z [m] and angle [rad], or one for each element;
+                        twist also at the start and the end of each [m, 2]
         Others as in `plate`. The inertia of the section sits on rigid arms at the nodes (and middles, if consistent).
         """
         if not isinstance(line, BeamLine):
@@ -256,6 +261,11 @@ class FlexibleBody(nn.Module):
         in body axes [rad/s]; the modes start at rest. Returns the body."""
         self.velocity = vector(f"velocity of {self.name!r}", velocity)
         self.angular_velocity = vector(f"angular_velocity of {self.name!r}", angular_velocity)
+        return self
+
+    def damped(self, ratio: float | Sequence[float]) -> Self:
+        """Give the modes damping ratios, besides `damping`: one, or one for each by growing frequency. Returns the body."""
+        self.damping = self.damping.with_ratios(ratio, self.modes)
         return self
 
     def structure(self) -> dict[str, Tensor]:

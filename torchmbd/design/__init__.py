@@ -12,6 +12,7 @@ from torchmbd.design.histories import (
 )
 from torchmbd.design.measures import RMS, AtTime, Final, Frequency, Integral, Mass, Max, Mean, Min, SmoothMax
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.problem import Problem
 from torchmbd.design.response import Constraint, History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
@@ -23,6 +24,6 @@ from torchmbd.design.weighted import WeightedSum
 __all__ = [
     "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "AtPeaks", "AtTime", "AtTimes", "Constraint",
     "DesignSpace", "Displacement", "Final", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min",
-    "PlyFailure", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Tradeoff",
-    "Velocity", "WeightedSum", "history", "measure",
+    "PlyFailure", "PlyStress", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy",
+    "Tradeoff", "Velocity", "WeightedSum", "history", "measure",
 ]  # fmt: skip

@@ -2,19 +2,23 @@
 
     Max(PlyFailure("rod")) <= 1         nothing fails during the motion
 
-The criteria are those of materials/strength.py; plies must have a Strength.
+Of a body of plates and laminated beams it is the larger of both. The criteria are those of materials/strength.py; plies
+must have a Strength.
+Checked in tests/integrators/test_ply_history.py, tests/integrators/test_section_history.py.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import Trajectory
 from torchmbd.integrators.ply_history import PlyHistory, require_plies
+from torchmbd.integrators.section_history import SectionHistory, laminated
 from torchmbd.materials import CRITERIA
 from torchmbd.system import System
 
@@ -30,9 +34,18 @@ class PlyFailure(History):
         if self.criterion not in CRITERIA:
             raise unknown("criterion", self.criterion, CRITERIA)
         body = system.body(self.body)
-        require_plies(body)
-        if any(ply.strength is None for part in body.plates.values() for ply in part.laminate.layer_plies):
+        sections = laminated(body)
+        if not sections:
+            require_plies(body)
+        plies = [ply for part in getattr(body, "plates", {}).values() for ply in part.laminate.layer_plies]
+        plies += [ply for section in sections.values() for ply in section.plies]
+        if any(ply.strength is None for ply in plies):
             raise InputError(f"a ply of body {self.body!r} has no strength; allowed: Ply(..., strength=Strength(...))")
 
     def values(self, motion: Trajectory) -> Tensor:
-        return PlyHistory(motion, self.body).failure(self.criterion)
+        body = motion.system.body(self.body)
+        sections = laminated(body)
+        found = [SectionHistory(motion, self.body).failure(self.criterion)] if sections else []
+        if not sections or getattr(body, "plates", None):
+            found.append(PlyHistory(motion, self.body).failure(self.criterion))
+        return torch.stack(found).amax(0)

@@ -20,6 +20,7 @@ from torchmbd.design.histories import (
 )
 from torchmbd.design.measures import RMS, AtTime, Final, Frequency, Integral, Mass, Max, Mean, Min, SmoothMax
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.response import History, Measure
 from torchmbd.design.rows import AtPeaks, AtTimes
 
@@ -32,6 +33,7 @@ RESPONSES: dict[str, type[History]] = {
     "relative_displacement": RelativeDisplacement,
     "reaction": Reaction,
     "ply_failure": PlyFailure,
+    "ply_stress": PlyStress,
 }
 COMBINATORS: dict[str, type[Measure]] = {
     "integral": Integral,

@@ -3,14 +3,15 @@
 The element is made from equilibrium, not from shape functions. With f the force and moment at its end (the rest of the
 structure on the element), those at the distance s before the end are (1 + s E) f, E: M += e_x cross F, so
 
-    F = integral of (1 + s E)' S (1 + s E) ds = l S + l^2/2 (S E + E' S) + l^3/3 E' S E        flexibility of the end
-    f = F^-1 (u_2 - A u_1),   A = 1 + l E'                                                     stiffness
+    F = integral of (1 + s E)' S (1 + s E) ds                 flexibility of the end, by Gauss's rule
+    f = F^-1 (u_2 - A u_1),   A = 1 + l E'                    stiffness
 
-S        compliance of the section about the line of the nodes
+S        compliance of the section about the line of the nodes, at the stations of the rule
 u_1, u_2 displacements and rotations of the ends
 
-Exact for prismatic beams loaded at their nodes, whatever the couplings: no locking, no dependence on the number of
-elements. Rigid motions are exact. Curved and twisted beams are polygons of such elements.
+Exact for beams loaded at their nodes, whatever the couplings: no locking, no dependence on the number of elements; two
+stations for a prismatic element, more for one that is twisted by itself. Rigid motions are exact. Curved beams are
+polygons of such elements.
 Mass: half of each element's at its ends, as four particles in the plane of the section that have its mass, center and
 inertia; so products of inertia and eccentric centers need no special case in the motion.
 Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units. Differentiable, forward and
@@ -25,6 +26,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -60,10 +62,12 @@ class BeamMatrices:
     pattern   where K is not zero
     axes      rows e_x, e_y, e_z of each element in mesh axes   [m, 3, 3]
     length    of each element                                   [m], m
+    stations  where the section is asked, in parts of the length from the start    [g]
 
     orientation   the sections' y-axis in mesh axes, projected across each element: [3], or one for each element of the
                   mesh [m, 3]
     members       indices of the elements in question; None: all of the mesh. `elements` keeps their nodes
+    stations      how many; two are exact for prismatic elements
     """
 
     def __init__(
@@ -71,6 +75,7 @@ class BeamMatrices:
         mesh: Line,
         orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
         members: Sequence[int] | Tensor | None = None,
+        stations: int = 2,
     ) -> None:
         self.mesh = mesh
         self.members = torch.arange(len(mesh.elements)) if members is None else torch.as_tensor(members)
@@ -83,50 +88,56 @@ class BeamMatrices:
         self.pattern, self._slot = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
         turn = torch.zeros(len(span), 6, 6, dtype=torch.float64)
         turn[:, :3, :3] = turn[:, 3:, 3:] = self.axes
-        A = torch.eye(6, dtype=torch.float64) + self.length[:, None, None] * _ARM.T
-        self._ends = torch.cat([-A @ turn, turn], dim=-1)  # u_2 - A u_1 in local axes  [m, 6, 12]
+        self._whole = torch.eye(6, dtype=torch.float64) + self.length[:, None, None] * _ARM
+        self._ends = torch.cat([-self._whole.mT @ turn, turn], dim=-1)  # u_2 - A u_1 in local axes  [m, 6, 12]
+        points, weights = (torch.from_numpy(x) / 2.0 for x in np.polynomial.legendre.leggauss(stations))
+        self.stations, self._weights = 0.5 + points, weights
+        before = self.length[:, None] * (1.0 - self.stations)  # s of the header
+        self._carry = torch.eye(6, dtype=torch.float64) + before[..., None, None] * _ARM  # [m, g, 6, 6]
 
-    def values(self, stiffness: Float[Tensor, "*lanes m 6 6"]) -> Float[Tensor, "*lanes nnz"]:
-        """K values on the pattern, from the section stiffness of each element (or of all: [..., 1, 6, 6])."""
+    def values(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> Float[Tensor, "*lanes nnz"]:
+        """K values on the pattern, from the section stiffness at each station (m and g may be 1 where it is the same)."""
         k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
         element = (self._ends.mT @ k @ self._ends).flatten(-3)
         result = element.new_zeros(*element.shape[:-1], self.pattern.nnz)
         return result.index_add(-1, self._slot, element)
 
-    def stiffness(self, stiffness: Float[Tensor, "*lanes m 6 6"]) -> SparseMatrix:
+    def stiffness(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> SparseMatrix:
         """K of one design or of a batch."""
         return SparseMatrix(self.pattern, self.values(stiffness))
 
-    def flexibility(self, compliance: Float[Tensor, "*lanes m 6 6"]) -> Float[Tensor, "*lanes m 6 6"]:
+    def flexibility(self, compliance: Float[Tensor, "*lanes m g 6 6"]) -> Float[Tensor, "*lanes m 6 6"]:
         """F of the module header."""
-        l, SE = self.length[:, None, None], compliance @ _ARM
-        return l * compliance + l**2 / 2 * (SE + SE.mT) + l**3 / 3 * (_ARM.T @ SE)
+        weight = self.length[:, None] * self._weights
+        return (weight[..., None, None] * (self._carry.mT @ compliance @ self._carry)).sum(-3)
 
-    def end_forces(
-        self, stiffness: Float[Tensor, "*lanes m 6 6"], motion: Float[Tensor, "*lanes n 6 k"]
-    ) -> Float[Tensor, "*lanes m 6 k"]:
-        """Section forces (N, V_y, V_z, T, M_y, M_z) at the end of each element, in its axes, for k motions of the nodes."""
+    def forces(
+        self, stiffness: Float[Tensor, "*lanes m g 6 6"], motion: Float[Tensor, "*lanes n 6 k"]
+    ) -> Float[Tensor, "*lanes m 2 6 k"]:
+        """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, in its axes, for k motions of the nodes."""
         k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
-        ends = motion[..., self.elements, :, :].flatten(-3, -2)
-        return k @ (self._ends @ ends)
+        end = k @ (self._ends @ motion[..., self.elements, :, :].flatten(-3, -2))
+        return torch.stack([self._whole @ end, end], dim=-3)
 
-    def particles(self, mass: Float[Tensor, "m 6 6"], consistent: bool = False) -> Particles:
-        """Four particles at each place of each element, from the section mass of each element (or [1, 6, 6]).
+    def particles(self, mass: Float[Tensor, "m places 6 6"], consistent: bool = False) -> Particles:
+        """Four particles at each place of each element, from the section mass there (m and places may be 1).
 
         Places: both ends, half of the mass each; or consistent with linear shape functions (Simpson's rule): a sixth at
         each end, two thirds at the middle, which moves with the mean of the ends.
         """
-        per_length, at = section_particles(mass)
         m = len(self.length)
         i, j = self.elements.unbind(1)
         pairs, shares = ((i, i), (j, j)), (0.5, 0.5)
         if consistent:
             pairs, shares = (*pairs, (i, j)), (1 / 6, 1 / 6, 2 / 3)
+        shape = (m, len(pairs), 4)
         ends = torch.stack([torch.stack(pair, dim=-1) for pair in pairs], dim=1)  # [m, places, 2]
-        places = len(pairs)
-        arm = (at.expand(m, 4, 2) @ self.axes[:, 1:]).unsqueeze(1).expand(m, places, 4, 3)
-        whole = (per_length.expand(m, 4) * self.length[:, None])[:, None] * self.length.new_tensor(shares)[:, None]
-        return Particles(ends[:, :, None].expand(m, places, 4, 2).reshape(-1, 2), arm.reshape(-1, 3), whole.flatten())
+        per_length, at = section_particles(mass.expand(m, len(pairs), 6, 6).flatten(0, 1))
+        arm = at.unflatten(0, shape[:2]) @ self.axes[:, None, 1:]
+        whole = (
+            per_length.unflatten(0, shape[:2]) * self.length[:, None, None] * self.length.new_tensor(shares)[:, None]
+        )
+        return Particles(ends[:, :, None].expand(*shape, 2).reshape(-1, 2), arm.reshape(-1, 3), whole.flatten())
 
 
 def section_particles(mass: Float[Tensor, "m 6 6"]) -> tuple[Float[Tensor, "m 4"], Float[Tensor, "m 4 2"]]:

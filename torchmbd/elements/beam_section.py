@@ -81,22 +81,22 @@ class GivenSection(nn.Module):
         return self.inertia
 
 
-def line_transform(offset: Sequence[float] | Tensor, twist: float) -> Float[Tensor, "6 6"]:
+def line_transform(offset: Float[Tensor, "*n 2"], twist: Float[Tensor, "*n"]) -> Float[Tensor, "*n 6 6"]:
     """W: forces of the section about the line of the nodes, in the beam's axes. offset: (y, z) [m]; twist [rad]."""
-    at, turn = torch.as_tensor(offset, dtype=torch.float64), torch.as_tensor(twist, dtype=torch.float64)
-    if at.shape != (2,) or not torch.isfinite(at).all():
-        raise InputError(f"offset is {offset!r}; allowed: two finite numbers, y and z [m]")
-    if turn.ndim or not turn.abs() <= 2 * torch.pi:
-        raise InputError(f"twist is {twist!r}; allowed: -2 pi to 2 pi [rad]")
-    c, s = torch.cos(turn), torch.sin(turn)
-    W = torch.zeros(6, 6, dtype=torch.float64)
-    W[0, 0] = 1.0
-    W[1, 1], W[1, 2], W[2, 1], W[2, 2] = c, -s, s, c
-    W[3:, 3:] = W[:3, :3]
-    y, z = at
-    arm = torch.tensor([[0.0, -z, y], [z, 0.0, 0.0], [-y, 0.0, 0.0]], dtype=torch.float64)
-    W[3:, :3] = arm @ W[:3, :3]
-    return W
+    if not torch.isfinite(offset).all():
+        raise InputError(f"offset is {offset.tolist()}; allowed: finite numbers, y and z [m]")
+    if not (twist.abs() <= 2 * torch.pi).all():
+        raise InputError(f"twist is {twist.tolist()}; allowed: -2 pi to 2 pi [rad]")
+    c, s = torch.cos(twist), torch.sin(twist)
+    o, one = torch.zeros_like(c), torch.ones_like(c)
+    y, z = (x.expand_as(c) for x in offset.unbind(-1))
+    turn = _matrix([[one, o, o], [o, c, -s], [o, s, c]])
+    arm = _matrix([[o, -z, y], [z, o, o], [-y, o, o]])
+    return torch.cat([torch.cat([turn, torch.zeros_like(turn)], -1), torch.cat([arm @ turn, turn], -1)], -2)
+
+
+def _matrix(rows: Sequence[Sequence[Tensor]]) -> Tensor:
+    return torch.stack([torch.stack(list(row), dim=-1) for row in rows], dim=-2)
 
 
 def checked(name: str, matrix: Sequence | Tensor) -> Tensor:

@@ -5,6 +5,7 @@
 axes     rows e1, e2, e3 of each triangle: local = axes @ global     [m, 3, 3]
 corners  x, y of the three corners from the centroid, local axes     [m, 3, 2], m
 area     [m], m2
+cell     mean area of the triangles that share each side 12, 23, 31                     [m, 3], m2
 tilt     to the smooth shell that the facets stand for, at the worst corner (shell_normals.py)   [m], rad; 0: flat plate
 
 The laminate's x-axis *is* e1, so strains come out in laminate axes and the laminate needs no turning.
@@ -35,6 +36,7 @@ class Facets:
     axes: Float[Tensor, "m 3 3"]
     corners: Float[Tensor, "m 3 2"]
     area: Float[Tensor, " m"]
+    cell: Float[Tensor, "m 3"]
     tilt: Float[Tensor, " m"]
 
 
@@ -65,4 +67,13 @@ def facets(mesh: Mesh, direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0), me
     p = mesh.nodes[mesh.triangles[members]]
     corners = (p - p.mean(dim=1, keepdim=True)) @ axes.mT
     tilt = (corner_normals(mesh) - mesh.normals[:, None]).norm(dim=2).amax(1)[members]
-    return Facets(axes, corners[..., :2].contiguous(), mesh.areas[members], tilt)
+    return Facets(axes, corners[..., :2].contiguous(), mesh.areas[members], _cells(mesh)[members], tilt)
+
+
+def _cells(mesh: Mesh) -> Float[Tensor, "m 3"]:
+    """Mean area of the triangles at each side: one at an edge of the mesh, two inside, more where plates branch."""
+    tail, head = mesh.triangles, mesh.triangles.roll(-1, dims=1)
+    sides = torch.minimum(tail, head) * len(mesh.nodes) + torch.maximum(tail, head)
+    _, place, count = torch.unique(sides.flatten(), return_inverse=True, return_counts=True)
+    areas = mesh.areas.repeat_interleave(3)
+    return (areas.new_zeros(len(count)).index_add(0, place, areas) / count)[place].unflatten(0, (-1, 3))

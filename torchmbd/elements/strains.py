@@ -34,7 +34,7 @@ def strain_matrices(plane: Facets, mean: IsotropicMean) -> Float[Tensor, "m 3 8 
     """Return E of every triangle at its three points."""
     softness = 2.0 * plane.area * (plane.tilt / mean.bending_length) ** 2
     membrane = membrane_strains(plane.corners, plane.area, mean.poisson, softness)
-    curvature, shear = plate_strains(plane.corners, plane.area, mean.shear_length)
+    curvature, shear = plate_strains(plane.corners, plane.area, mean.shear_length, plane.cell)
     local = membrane.new_zeros(len(plane.area), 3, 8, 3, 6)
     local[:, :, :3, :, [0, 1, 5]] = membrane.unflatten(-1, (3, 3))
     bending = torch.cat([curvature, shear], dim=2).unflatten(-1, (3, 3))

@@ -23,7 +23,7 @@ import torch
 from torchmbd.design import Problem
 from torchmbd.errors import InputError
 from torchmbd.experiment.assemble import problem_of
-from torchmbd.experiment.faults import Fault, StudyError, place
+from torchmbd.experiment.faults import Fault, StudyError, located
 from torchmbd.experiment.load import Plan, plan_of
 from torchmbd.experiment.place import model_source
 from torchmbd.experiment.yaml_file import read_yaml
@@ -107,5 +107,5 @@ def _insert(plan: Plan, data: object, source: str, lines: dict) -> np.ndarray:
         with torch.no_grad():
             own[name].copy_(torch.tensor(found, dtype=own[name].dtype).reshape(own[name].shape))
     if faults:
-        raise StudyError(source, [Fault(f.path, f.text, place(f.path, lines)) for f in faults])
+        raise StudyError(source, located(faults, lines))
     return np.concatenate(parts)

@@ -1,21 +1,22 @@
-"""Evaluation on Dask workers: a cluster on this machine, or any scheduler by its address.
+"""Evaluation on Dask workers: a cluster on this machine, any scheduler by its address, or jobs of SLURM (cluster.py).
 
-A batch of designs is cut into one piece for each worker; a worker builds the model once, from the experiment file's
-own words, and evaluates its piece as one batch. Pieces are pure functions of the designs: one that a worker takes
-with it when it dies is evaluated again by another, and nothing depends on which.
+A batch of designs is cut into pieces, one for each worker, of LANES designs at most; a worker builds the model once, from
+the experiment file's own words, and evaluates a piece as one batch. Pieces are pure functions of the designs: one that a
+worker takes with it when it dies is evaluated again by another, and nothing depends on which.
 Half a batch takes more than half its time (a step costs the same operations): it is many starts that workers speed up.
 The optimizers, the store of evaluations and the tracker stay with the parent, so a study is the same on any cluster.
 
 Assumed: workers see the model's file at the same path, and run the same torchmbd (a hash of both is compared).
-One thread each: a worker must be started with OMP_NUM_THREADS=1 (the local cluster does).
+One thread each: a worker must be started with OMP_NUM_THREADS=1 (the local cluster and SLURM's jobs do).
 Dask, its messages are pickled: connect to schedulers that you trust only. The local cluster listens on loopback.
-Checked in tests/experiment/test_farm.py.
+Checked in tests/experiment/test_farm.py, tests/experiment/test_cluster.py.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import math
 import os
 from functools import cache
 from pathlib import Path
@@ -25,6 +26,7 @@ import numpy as np
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.experiment.assemble import problem_of
+from torchmbd.experiment.cluster import ONE_THREAD, Slurm, load_cluster
 from torchmbd.experiment.columns import Columns
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.model import build_model, find_model
@@ -32,21 +34,27 @@ from torchmbd.experiment.place import problem_key
 from torchmbd.experiment.schema import Study
 from torchmbd.optimizers import Evaluation
 
+LANES = 64  # designs in one batch of one process: more gain little, and cost memory
 _DEATHS = 3  # of workers under the same piece, until its designs count as failed
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-_START = 60  # seconds to wait for the first worker
+_START = 60  # seconds to wait for a scheduler, and for workers that nobody has to queue for
 
 
 class Farm:
     """A context manager that evaluates designs of one plan on workers.
 
-    rows     constraints of the problem
-    workers  processes of the local cluster; 0: one for each core
+    rows       constraints of the problem
+    workers    processes of the local cluster (0: one for each core) or of SLURM's jobs
+    scheduler  address of a scheduler, or a cluster file (.yaml); None: a local cluster
     """
 
     def __init__(self, plan: Plan, key: str, rows: int, workers: int = 0, scheduler: str | None = None) -> None:
         if workers < 0:
             raise InputError(f"workers = {workers}: must be 0 (one for each core) or more")
+        self._slurm: Slurm | None = None
+        if scheduler is not None and scheduler.endswith((".yaml", ".yml")):
+            self._slurm = load_cluster(scheduler)
+            if not workers:
+                raise InputError("workers = 0: must be 1 or more, of all jobs together, with a cluster file")
         self.rows, self._workers, self._scheduler = rows, workers or os.cpu_count() or 1, scheduler
         folder = str(plan.file.absolute().parent)
         self._order = (json.dumps(plan.study.resolved()), folder, key)
@@ -54,29 +62,38 @@ class Farm:
     def __enter__(self) -> Self:
         try:
             from dask import config  # pyright: ignore[reportMissingImports]
-            from distributed import Client, LocalCluster  # pyright: ignore[reportMissingImports]
+            from distributed import Client  # pyright: ignore[reportMissingImports]
         except ModuleNotFoundError as error:
             raise InputError(
                 f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: --workers 1"
             ) from None
         config.set({"distributed.scheduler.allowed-failures": _DEATHS})
-        self._cluster = None
-        if self._scheduler is None:
-            # untyped: no dashboard is None, which the annotation of distributed leaves out
-            options: dict[str, Any] = {"dashboard_address": None, "memory_limit": 0, "silence_logs": logging.CRITICAL}
-            self._cluster = LocalCluster(
-                n_workers=self._workers, threads_per_worker=1, host="127.0.0.1", env=_ONE_THREAD, **options
-            )
+        self._client: Any = None
+        self._cluster = self._slurm.start(self._workers) if self._slurm else self._local_cluster()
         try:
             self._client = Client(self._cluster or self._scheduler, timeout=_START)
-            self._client.wait_for_workers(1 if self._cluster is None else self._workers, timeout=_START)
-        except (OSError, TimeoutError, ValueError) as error:
+            first = 1 if self._scheduler else self._workers
+            self._client.wait_for_workers(first, timeout=None if self._slurm else _START)
+        except BaseException as error:  # also Ctrl-C, while jobs wait in a queue
+            self.__exit__()
+            if not isinstance(error, (OSError, TimeoutError, ValueError)):
+                raise
             where = self._scheduler or "this machine"
             raise MbdError(f"no worker answers on {where} after {_START} s: {error}") from error
         return self
 
+    def _local_cluster(self) -> Any:
+        from distributed import LocalCluster  # pyright: ignore[reportMissingImports]
+
+        if self._scheduler is not None:
+            return None
+        # untyped: no dashboard is None, which the annotation of distributed leaves out
+        options: dict[str, Any] = {"dashboard_address": None, "memory_limit": 0, "silence_logs": logging.CRITICAL}
+        return LocalCluster(n_workers=self._workers, threads_per_worker=1, host="127.0.0.1", env=ONE_THREAD, **options)
+
     def __exit__(self, *_: object) -> None:
-        self._client.close(timeout=5)
+        if self._client is not None:
+            self._client.close(timeout=5)
         if self._cluster is not None:
             self._cluster.close(timeout=5)
 
@@ -85,11 +102,17 @@ class Farm:
         """Workers there are now."""
         return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
 
+    @property
+    def lanes(self) -> int:
+        """Designs that are worth asking for at once: a full batch for every worker, those that SLURM will still start too."""
+        return LANES * (self._workers if self._slurm else self.size)
+
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n], a piece on each worker."""
         from distributed import CancelledError, KilledWorker  # pyright: ignore[reportMissingImports]
 
-        pieces = [piece for piece in np.array_split(X, min(self.size, len(X))) if len(piece)]
+        count = max(min(self.size, len(X)), math.ceil(len(X) / LANES))
+        pieces = np.array_split(X, count)
         futures = [self._client.submit(evaluate_piece, *self._order, piece, gradients, pure=False) for piece in pieces]
         found: list[Evaluation] = []
         try:

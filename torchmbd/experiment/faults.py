@@ -9,7 +9,7 @@ Raised at the door only (loader, overrides, schema, names of the model). Checked
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from torchmbd.errors import InputError
 
@@ -45,8 +45,12 @@ def dotted(path: Path) -> str:
     return ".".join(map(str, path))
 
 
-def place(path: Path, lines: Lines) -> int | str | None:
-    """Return where a path was written, or its nearest parent that was."""
+def located(faults: Iterable[Fault], lines: Lines) -> list[Fault]:
+    """Return faults with the place of their path, or of its nearest parent that was written."""
+    return [replace(fault, where=_place(fault.path, lines)) for fault in faults]
+
+
+def _place(path: Path, lines: Lines) -> int | str | None:
     while path and path not in lines:
         path = path[:-1]
     return lines.get(path)

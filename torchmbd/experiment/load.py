@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from torchmbd.experiment.check import check, figure_faults
 from torchmbd.experiment.columns import Columns
-from torchmbd.experiment.faults import Fault, StudyError, place
+from torchmbd.experiment.faults import Fault, StudyError, located
 from torchmbd.experiment.overrides import override
 from torchmbd.experiment.schema import Figures, Study
 from torchmbd.experiment.validation import kind_of, validate
@@ -57,8 +57,7 @@ def plan_of(document: Document, path: Path, overrides: tuple[str, ...]) -> Plan 
     folder, figures = path.absolute().parent, kind_of(document.data) is Figures
     system, more = (None, figure_faults(sections, folder)) if figures else check(sections, folder)
     if faults or more or (system is None and not figures):
-        known = [replace(fault, where=place(fault.path, document.lines)) for fault in faults + more]
-        raise StudyError(document.source, known)
+        raise StudyError(document.source, located(faults + more, document.lines))
     if system is None:
         return FiguresPlan(Figures.model_validate(document.data), path, overrides)
     study = Study.model_validate(document.data)

@@ -10,19 +10,18 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.design import Problem
 from torchmbd.experiment.assemble import problem_of, starts_of
 from torchmbd.experiment.evaluations import Evaluations, Remembered
-from torchmbd.experiment.farm import Farm
+from torchmbd.experiment.farm import LANES, Farm
 from torchmbd.experiment.journal import PARENT, Journal
 from torchmbd.experiment.listing import print_links_of, study_links
 from torchmbd.experiment.load import Plan
@@ -31,14 +30,13 @@ from torchmbd.experiment.progress import Progress
 from torchmbd.experiment.report import print_results, study_pictures
 from torchmbd.experiment.schema import Optimizer
 from torchmbd.experiment.sweep import run_sweep
-from torchmbd.optimizers import Evaluation, Iterate, Study, multistart
+from torchmbd.optimizers import Iterate, Study, multistart
 from torchmbd.tracking import ProcessTracker, Record, Status, Tracker, TrackingError
 from torchmbd.tracking.links import DEFAULT_BASE
 from torchmbd.tracking.process import deliver_soon
 from torchmbd.tracking.store import sqlite_file, store_uri
 from torchmbd.viz.studio import STUDIO
 
-LANES = 64  # designs in one batch of one process: more gain little, and cost memory
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
 
 
@@ -53,10 +51,11 @@ def run_plan(
     """Run a study or a sweep and return the exit code.
 
     workers    processes that evaluate: 1: this one; more: a Dask cluster on this machine; 0: one for each core
-    scheduler  address of a Dask scheduler to use instead
+    scheduler  address of a Dask scheduler to use instead, or a cluster file (cluster.py)
     fresh      forget the evaluations of this problem, and begin the study anew
     """
     problem, tracking, began = problem_of(plan), plan.study.tracking, time.monotonic()
+    farm = _farm(plan, problem, workers, scheduler)
     with ExitStack() as stack:
         store = Evaluations(evaluations_file(), problem_key(plan))
         stack.callback(store.close)
@@ -66,7 +65,11 @@ def run_plan(
             study = study_key(plan, store_uri(tracking.uri))
             folder = place() / study
             tracker = ProcessTracker(tracking.experiment, tracking.uri, folder, None if fresh else study)
-        compute, lanes = _compute(problem, plan, workers, scheduler, stack)
+        compute, lanes = problem.evaluate, LANES
+        if farm is not None:
+            with console.status(f"waiting for workers of {scheduler or 'this machine'}"):
+                stack.enter_context(farm)
+            compute, lanes = farm.evaluate, farm.lanes
         journal = Journal(plan, tracker, stack.enter_context(folder_of(tracker)))
         remembered = Remembered(problem, store, compute, journal.evaluated)
         status: Status = "FAILED"
@@ -94,15 +97,12 @@ def run_plan(
     return EXIT[status]
 
 
-def _compute(
-    problem: Problem, plan: Plan, workers: int, scheduler: str | None, stack: ExitStack
-) -> tuple[Callable[[np.ndarray, bool], list[Evaluation]], int]:
-    """Return what evaluates designs, the problem itself or workers, and how many at once: each worker its own batch."""
+def _farm(plan: Plan, problem: Problem, workers: int, scheduler: str | None) -> Farm | None:
+    """Return the workers that are asked for, not started yet; None: this process evaluates."""
     if workers == 1 and scheduler is None:
-        return problem.evaluate, LANES
+        return None
     rows = problem.peaks + sum(constraint.measure.rows for constraint in problem.constraints)
-    farm = stack.enter_context(Farm(plan, problem_key(plan), rows, workers, scheduler))
-    return farm.evaluate, LANES * farm.size
+    return Farm(plan, problem_key(plan), rows, workers, scheduler)
 
 
 @contextmanager

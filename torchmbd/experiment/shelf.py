@@ -5,12 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 QUESTION_MISSING = "(opens with no question)"
+CLUSTERS = "cluster"  # the folder of cluster files (cluster.py), which ask nothing
 
 
 def configs(folder: str | Path = "configs") -> dict[Path, str]:
     """Return the experiment files below a folder and the first comment of each."""
     files = sorted(file for pattern in ("*.yaml", "*.yml") for file in Path(folder).rglob(pattern))
-    return {file: question(file) for file in files}
+    return {file: question(file) for file in files if file.parent.name != CLUSTERS}
 
 
 def question(file: Path) -> str:

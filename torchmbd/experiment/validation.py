@@ -23,15 +23,16 @@ def kind_of(data: Any) -> type[Study] | type[Figures]:
     return Figures if isinstance(data, dict) and "figures" in data else Study
 
 
-def validate(data: Any) -> tuple[dict[str, Any], list[Fault]]:
-    """Return the sections that are valid, by name, and the faults of the others."""
+def validate(data: Any, kind: type[Section] | None = None) -> tuple[dict[str, Any], list[Fault]]:
+    """Return the sections that are valid, by name, and the faults of the others; `kind`: what the file is to be."""
+    kind = kind or kind_of(data)
     if not isinstance(data, dict):
-        return {}, [Fault((), f"is {shown(data)}; allowed: sections such as model:, design:, simulate:, minimize:")]
-    kind = kind_of(data)
+        keys = ", ".join(f"{key}:" for key in _keys((), kind))
+        return {}, [Fault((), f"is {shown(data)}; allowed: sections such as {keys}")]
     try:
         return dict(kind.model_validate(data)), []
     except ValidationError as error:
-        faults = _faults(error, data)
+        faults = _faults(error, data, kind)
     sections: dict[str, Any] = {}
     for name in kind.model_fields:
         if not any(fault.path[:1] == (name,) for fault in faults):
@@ -44,17 +45,17 @@ def validate(data: Any) -> tuple[dict[str, Any], list[Fault]]:
 def _alone(kind: type[Section], name: str) -> type[Section]:
     """Return a model of one section of a file."""
     field = kind.model_fields[name]
-    fields: dict[str, Any] = {name: (field.rebuild_annotation(), field.get_default())}
+    fields: dict[str, Any] = {name: (field.rebuild_annotation(), field.get_default(call_default_factory=True))}
     return create_model(name, __base__=Section, **fields)
 
 
-def _faults(error: ValidationError, data: Any) -> list[Fault]:
+def _faults(error: ValidationError, data: Any, kind: type[Section]) -> list[Fault]:
     texts: dict[Path, list[str]] = {}
     located = [(_path(details, data), details) for details in error.errors(include_url=False)]
     for path, details in located:
         if isinstance(details["input"], list) and any(other[:-1] == path for other, _ in located):
             continue  # not the list is wrong but an entry of it
-        text = _text(details, path, kind_of(data))
+        text = _text(details, path, kind)
         if text not in texts.setdefault(path, []):
             texts[path].append(text)
     return [Fault(path, _either(found)) for path, found in texts.items()]

@@ -4,11 +4,12 @@ from torchmbd.forces.bushing import Bushing
 from torchmbd.forces.force import ForceElement
 from torchmbd.forces.laws import Gap, OfTime, Pieces, Spring, Table
 from torchmbd.forces.load import Force, Torque
+from torchmbd.forces.pressure import Pressure
 from torchmbd.forces.spring_damper import AxialSpringDamper, RotationalSpringDamper, SpringDamper
 
 FORCES: dict[str, type[ForceElement]] = {
     kind.__name__.lower(): kind
-    for kind in (AxialSpringDamper, Bushing, Force, RotationalSpringDamper, SpringDamper, Torque)
+    for kind in (AxialSpringDamper, Bushing, Force, Pressure, RotationalSpringDamper, SpringDamper, Torque)
 }
 
 __all__ = [
@@ -20,6 +21,7 @@ __all__ = [
     "Gap",
     "OfTime",
     "Pieces",
+    "Pressure",
     "RotationalSpringDamper",
     "Spring",
     "SpringDamper",

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrators.events import Event, Views
-from torchmbd.integrators.generalized_alpha import History
+from torchmbd.integrators.march import History
 from torchmbd.integrators.phases import Stage
 from torchmbd.integrators.step import State
 from torchmbd.integrators.switch import (

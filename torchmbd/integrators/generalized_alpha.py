@@ -26,9 +26,6 @@ Checked in tests/integrators/, tests/convergence/ (order), tests/sensitivity/ (a
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import torch
@@ -36,18 +33,14 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrators import compiled
-from torchmbd.integrators.step import Coefficients, Model, State
-from torchmbd.numerics.pair import Pair, value
+from torchmbd.integrators.march import History, Record
+from torchmbd.integrators.step import Coefficients, State
+from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
-from torchmbd.system.elimination import Elimination, inverse, pays
 from torchmbd.system.equations import split_v
 from torchmbd.system.reactions import multipliers
 
-CHECK = 25  # steps between two looks at what the correction of tangents leaves
-TANGENT_ERROR = 5e-6  # relative; more than this gets another correction
-MOST = 4  # corrections of tangents
 GOOD_STEP = 0.01  # estimated error of a step that keeps energies within 1e-3
-_ROUNDING = 1e-12  # of coordinates, with room for what equations and inverse make of it
 _STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only
 
 
@@ -63,48 +56,6 @@ def _paired(x: Any, tangents: int) -> Any:
     if isinstance(x, Pair) or not tangents:
         return x
     return Pair.of(x, x.new_zeros(1, 1, 1).expand(x.shape[0], tangents, x.shape[2]))
-
-
-@dataclass
-class History:
-    """States at all times [times, component, 1 + n_b, lanes]: values, then design tangents."""
-
-    q: Tensor
-    v: Tensor
-    vd: Tensor
-    multipliers: Callable[[], Tensor]
-
-    @cached_property
-    def lam(self) -> Tensor:
-        """Multipliers, computed when somebody asks."""
-        return self.multipliers()
-
-    @classmethod
-    def of(cls, states: list[State]) -> History:
-        """Stack states."""
-        record = Record(states[0], len(states))
-        for i, x in enumerate(states):
-            record.put(i, x)
-        return record.history()
-
-
-class Record:
-    """States as they come, in arrays of their final size: nothing is kept twice."""
-
-    def __init__(self, x: State, count: int):
-        shapes = [y.shape for y in (x.q, x.v, x.vd, x.lam)]
-        lanes = max(shape[-1] for shape in shapes)
-        self.parts = [value(x.q).new_empty(count, *shape[:-1], lanes) for shape in shapes]
-
-    def put(self, i: int, x: State) -> None:
-        """Keep the state of time i."""
-        for part, y in zip(self.parts, (x.q, x.v, x.vd, x.lam), strict=True):
-            part[i] = y.full if isinstance(y, Pair) else y
-
-    def history(self) -> History:
-        """What was kept."""
-        q, v, vd, lam = self.parts
-        return History(q, v, vd, lambda: lam)
 
 
 def integrate(
@@ -133,14 +84,11 @@ def integrate(
     if left is not dynamics:
         x = left.initial.condensation.state(x)
         x = x._replace(lam=left.carried(x.lam))
-    model = compiled.CompiledModel.of(left, x, w) or Model(left.topology, left.saddle, w, left.data)
-    march = March(left, model, iterations, refresh)
+    march = compiled.march(left, w, iterations, refresh)
     times = h * torch.arange(steps + 1, dtype=torch.float64)
     record = Record(x, steps + 1)
     record.put(0, x)
-    for i, given in enumerate(left.topology.schedule(times[1:])):
-        x = march(i, x, given)
-        record.put(i + 1, x)
+    march.run(x, left.topology.schedule(times[1:]), record)
     history = record.history()
     error = step_error(left, history, spectral_radius, h)
     suggested = (steps * (error / GOOD_STEP).sqrt()).ceil()
@@ -182,72 +130,6 @@ def _whole(dynamics: Dynamics, left: Dynamics, times: Tensor, record: Record) ->
     lam = record.parts.pop()
     q, v, vd = c.expand(times, record.parts)
     return History(q, v, vd, lambda: multipliers(c, dynamics.data, times, q, v, vd, lam))
-
-
-class March:
-    """Steps of one simulation; keeps the inverse and what the iterations leave."""
-
-    def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
-        self.dynamics, self.model, self.refresh = dynamics, model, refresh
-        self.corrections, self.passes = iterations
-        self.invert = Elimination(dynamics.topology) if pays(dynamics.topology) else inverse
-        self.H: Tensor | None = None
-        self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
-        self.tangent_error: list[Tensor] = []  # relative [lanes], at each look
-
-    def __call__(self, i: int, x: State, given: Any) -> State:
-        step = self.model.step(x, given)
-        z = self._values(step, torch.cat([value(x.vd), value(x.lam)]), renew=i % self.refresh == 0)
-        if not isinstance(x.q, Pair):
-            return step.finish(z)
-        dz = torch.cat([x.vd.tangent, x.lam.tangent])
-        for _ in range(self.passes):
-            dz, _ = step.tangent(self.H, z, dz)
-        if i % CHECK == 0:
-            dz = self._looked(step, z, dz)
-        return step.finish(z, dz)
-
-    def _inverse(self, step: Any, z: Tensor) -> Tensor:
-        return self.invert(self.dynamics.determined(step.matrix(z)))
-
-    def _values(self, step: Any, z: Tensor, renew: bool) -> Tensor:
-        """Unknowns of one step."""
-        H = self._inverse(step, z) if self.H is None else self.H
-        sizes = []
-        for k in range(self.corrections):
-            if renew and k == max(self.corrections - 1, 1):
-                H = self._inverse(step, z)
-            z, size = step.correct(H, z)
-            sizes.append(size)
-        self.H = self._inverse(step, z) if renew and self.corrections == 1 else H
-        self.sizes.append(torch.stack([sizes[max(self.corrections - 2, 0)], sizes[-1]]))
-        return z
-
-    def _looked(self, step: Any, z: Tensor, dz: Tensor) -> Tensor:
-        """Tangents corrected once more; where that was needed, later steps will do it as well."""
-        dz, size = step.tangent(self.H, z, dz)
-        largest = dz[: self.dynamics.topology.n_v].abs().amax((0, 1))
-        error = size / largest.clamp_min(torch.finfo(largest.dtype).tiny)
-        self.tangent_error.append(error)
-        if self.passes < MOST and bool((error > TANGENT_ERROR).any()):
-            self.passes += 1
-        return dz
-
-    def errors(self, history: History, duration: float) -> dict[str, Tensor]:
-        """Estimated relative errors of the iteration [lanes].
-
-        The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the
-        motion, or to the largest rate over the duration: a uniform motion has accelerations of rounding size. Or to what
-        the rounding of coordinates makes of them: a system at rest has nothing else.
-        """
-        before, last = torch.stack(self.sizes, -1)
-        left = last if self.corrections == 1 else last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
-        largest, uniform = (x[:, :, 0].abs().amax((0, 1)) for x in (history.vd, history.v))
-        h = duration / (len(history.q) - 1)
-        rounding = _ROUNDING * history.q[0, :, 0].abs().amax(0) / (h * h)
-        largest = largest.maximum(uniform / duration).maximum(rounding)
-        found = {"iteration_error": left.amax(-1) / largest}
-        return found | ({"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {})
 
 
 def checked(iterations: tuple[int, int], refresh: int) -> None:

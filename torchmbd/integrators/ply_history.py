@@ -86,6 +86,16 @@ class PlyHistory:
         stress = torch.einsum("ltcm,ltm->ltc", self.basis.stress[lane, place], self.w)
         return rule(stress, strength[place])
 
+    def extreme(self, component: int, layer: int | None = None, sign: float = 1.0) -> Float[Tensor, "lanes times"]:
+        """Largest value of `sign` times a stress component [Pa] over all points, or those of one layer, at each time."""
+        basis = sign * self.basis.stress[:, :, component]
+        if layer is not None:
+            basis = basis[:, self.points[:, 1] == layer]
+        rows = zip(basis.detach(), self.w.detach(), strict=True)
+        place = torch.stack([(w @ one.mT).argmax(-1) for one, w in rows])
+        lane = torch.arange(len(place))[:, None]
+        return (basis[lane, place] * self.w).sum(-1)
+
     def _rule(self, criterion: str) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
         if criterion not in CRITERIA:
             raise unknown("criterion", criterion, CRITERIA)

@@ -20,9 +20,10 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import generalized_alpha, ode, staged_alpha, staged_ode
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
-from torchmbd.integrators.generalized_alpha import History
+from torchmbd.integrators.march import History
 from torchmbd.integrators.phases import Phase, plan
 from torchmbd.integrators.singular import explained
+from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.numerics.pair import value
 from torchmbd.system import Dynamics, System
@@ -70,13 +71,16 @@ def simulate(
     with torch.no_grad():
         if phases is None:
             history, stats, status = run(dynamics, float(duration), steps, method, options)
-            return explained(_present(system, dynamics, history, stats, status, float(duration), **design))
+            motion = explained(_present(system, dynamics, history, stats, status, float(duration), **design))
+            warn_of_spin(motion)
+            return motion
         course = Course(dynamics, stages, Views.of(system, dynamics, **design), float(duration), steps)
         stats = _through(course, method, options)
         found = _status(course.history, float(duration), steps, stats)
         status = [own if own != OK else other for own, other in zip(course.status, found, strict=True)]
     motion = _present(system, course.whole, course.history, stats, status, float(duration), **design)
-    return replace(motion, switches=course.switches)
+    warn_of_spin(motion)
+    return replace(motion, switches=course.switches, actions=tuple(stage.topology.actions for stage in stages))
 
 
 def _through(course: Course, method: str, options: dict[str, Any]) -> dict[str, Any]:

@@ -23,9 +23,9 @@ from torch import Tensor
 from torchmbd.integrators import compiled
 from torchmbd.integrators.course import Course, Passage
 from torchmbd.integrators.events import Event
-from torchmbd.integrators.generalized_alpha import March, checked, largest_turn
+from torchmbd.integrators.generalized_alpha import checked, largest_turn
 from torchmbd.integrators.sized import narrowed, shortly_after, sized, widened, widened_data
-from torchmbd.integrators.step import Coefficients, Model, State
+from torchmbd.integrators.step import Coefficients, State
 from torchmbd.integrators.switch import lane_of, pick
 from torchmbd.numerics.pair import Pair, value
 
@@ -68,8 +68,7 @@ class _Leg:
     def run(self, iterations: tuple[int, int], refresh: int) -> tuple[Passage, dict[str, Tensor]]:
         """March until every lane has left the stage, or to the end; what the iterations leave as in generalized_alpha."""
         d, w, x = self.dynamics, self.method.weights(self.h), self.entry.x
-        model = compiled.CompiledModel.of(d, x, w) or Model(d.topology, d.saddle, w, d.data)
-        march = March(d, model, iterations, refresh)
+        march = compiled.march(d, w, iterations, refresh)
         self._put_shortly_after()
         schedule = d.topology.schedule(self.times)
         alive, inside = self.alive, torch.zeros_like(self.alive)
@@ -79,7 +78,8 @@ class _Leg:
                 older, recent, x = recent, x, march(i, x, schedule[i])
                 march.sizes[-1] = torch.where(inside, march.sizes[-1], 0.0)
             for lane in torch.nonzero(alive & (self.first == i))[:, 0].tolist():
-                x, march.H = _placed(x, lane, self._arrival(lane)), None
+                x = _placed(x, lane, self._arrival(lane))
+                march.forget()
                 inside[lane] = True
             passed, g = self._passed(i, x, inside)
             self.course.put(self.stage, i, inside & ~(passed & self._beyond(i)), x)

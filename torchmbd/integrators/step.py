@@ -141,7 +141,7 @@ class Step:
         v = combine(combine(x.v, w.v_from_a, x.a), w.v_from_new, a)
         return State(step, v, x.vd, a, x.lam)
 
-    def _residual(self, z: Any) -> Any:
+    def residual(self, z: Any) -> Any:
         """R [n_v + rows, ...] of the unknowns z."""
         T, w, q0, known, given, data = self._side(isinstance(z, Pair))
         vd, lam = z[: T.n_v], z[T.n_v :]
@@ -159,7 +159,7 @@ class Step:
 
     def correct(self, H: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected unknowns, and the size of the correction of the accelerations [lanes]."""
-        correction = apply(H, self._residual(z))
+        correction = apply(H, self.residual(z))
         return z - correction, self._size(correction)
 
     def matrix(self, z: Tensor) -> Tensor:
@@ -173,7 +173,7 @@ class Step:
 
     def tangent(self, H: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected design tangents [n, n_b, lanes] of the unknowns, and the size of their correction [lanes]."""
-        R = self._residual(Pair.of(z, dz)).tangent
+        R = self.residual(Pair.of(z, dz)).tangent
         correction = apply(H, R)
         return dz - correction, self._size(correction)
 

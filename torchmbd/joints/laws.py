@@ -107,7 +107,9 @@ class Finite:
 
 
 def finite(name: str, x: Any) -> float:
-    """A finite number; InputError names the argument."""
+    """A finite number, of Python or a tensor without a gradient (mbd.deg); InputError names the argument."""
+    if isinstance(x, Tensor) and x.dim() == 0 and not x.requires_grad:
+        x = float(x)
     if isinstance(x, bool) or not isinstance(x, (int, float)) or not math.isfinite(x):
         raise InputError(f"{name} is {x!r}; allowed: a finite number")
     return float(x)

@@ -48,12 +48,17 @@ class Family:
         return self._improved(members, best)
 
     def in_waves(
-        self, members: list[Member], places: np.ndarray, solved: list[np.ndarray], waves: list[list[int]]
+        self,
+        members: list[Member],
+        places: np.ndarray,
+        solved: list[np.ndarray],
+        waves: list[list[int]],
+        starts: np.ndarray,
     ) -> list[OptimizationResult | None]:
         """Return the feasible result of each member, one wave of members after the other.
 
         `places` [solved + members, k] says who is near whom: a member starts between the designs of its k nearest
-        neighbors that are solved; at first these are the designs `solved`.
+        neighbors that are solved; at first these are the designs `solved`. In the end all start from `starts` [count, n] too.
         """
         results: list[OptimizationResult | None] = [None] * len(members)
         designs: dict[int, np.ndarray] = dict(enumerate(solved))
@@ -63,7 +68,18 @@ class Family:
                 results[i] = end
                 if end is not None:
                     designs[len(solved) + i] = end.x
+        self._keep(results, [(i, x) for i in range(len(members)) for x in starts], members)
         return self._improved(members, results)
+
+    def _keep(
+        self, results: list[OptimizationResult | None], jobs: list[tuple[int, np.ndarray]], members: list[Member]
+    ) -> None:
+        """Run members (by index) from designs; put the results that are better than those known in their place."""
+        ends = self._run([(members[i], x) for i, x in jobs])
+        for (i, _), end in zip(jobs, ends, strict=True):
+            known = results[i]
+            if end is not None and (known is None or end.value < known.value):
+                results[i] = end
 
     def _improved(
         self, members: list[Member], results: list[OptimizationResult | None]
@@ -75,11 +91,7 @@ class Family:
                 result = results[i]
                 if not rank[0] and (result is None or rank[1] < result.value - BETTER):
                     jobs.append((i, x))
-            ends = self._run([(members[i], x) for i, x in jobs])
-            for (i, _), end in zip(jobs, ends, strict=True):
-                result = results[i]
-                if end is not None and (result is None or end.value < result.value):
-                    results[i] = end
+            self._keep(results, jobs, members)
         return results
 
     def _best(self, member: Member) -> tuple[tuple[bool, float], np.ndarray]:

@@ -80,6 +80,7 @@ def pareto_front(
     method: str = "mmfd",
     starts: Starts | list[Any] | np.ndarray | None = None,
     *,
+    everywhere: bool = False,
     max_iterations: int = MAX_ITERATIONS,
     max_lanes: int = 64,
     feasibility: float = FEASIBILITY,
@@ -88,8 +89,9 @@ def pareto_front(
     """Find the front of `problem`.
 
     `divisions`: steps between two anchors; C(divisions + k - 1, k - 1) points in all. `starts`: of the anchors' searches, as
-    in `multistart`. `options` are those of the method. InputError as in `optimize`, for fewer than two criteria, and where
-    no feasible design is found for an anchor. Ctrl-C returns what there is, once the anchors are known.
+    in `multistart`; `everywhere`: of every point's too, where fronts are only local. `options` are those of the method.
+    InputError as in `optimize`, for fewer than two criteria, and where no feasible design is found for an anchor. Ctrl-C
+    returns what there is, once the anchors are known.
     """
     function = find_method(method, options)
     require_limits(max_iterations, None)
@@ -108,7 +110,7 @@ def pareto_front(
     archive = Archive(problem)
     family = Family(archive, run_one, box, feasibility, max_lanes)
     anchors = _anchors(family, points, list(problem.criteria))
-    found, failed = _between(family, anchors, divisions)
+    found, failed = _between(family, anchors, divisions, points if everywhere else points[:0])
     points = [*anchors, *(point for point in found if point.weights.min() >= -AGAINST)]
     span = np.ptp([anchor.criteria for anchor in anchors], axis=0)
     keep = non_dominated(np.array([point.criteria for point in points]), SAME * span)
@@ -154,7 +156,9 @@ def _anchors(family: Family, starts: np.ndarray, names: list[str]) -> list[Paret
     return [_point(family, result, w * scale) for result, w in zip(results, weights, strict=True) if result is not None]
 
 
-def _between(family: Family, anchors: list[ParetoPoint], divisions: int) -> tuple[list[ParetoPoint], int]:
+def _between(
+    family: Family, anchors: list[ParetoPoint], divisions: int, starts: np.ndarray
+) -> tuple[list[ParetoPoint], int]:
     """Return the points between the anchors and the number of those for which there is no feasible design."""
     F = np.array([anchor.criteria for anchor in anchors])
     if (np.ptp(F, axis=0) <= SAME * np.abs(F).max(axis=0)).any():
@@ -162,7 +166,7 @@ def _between(family: Family, anchors: list[ParetoPoint], divisions: int) -> tupl
     G = (F - F.min(axis=0)) / np.ptp(F, axis=0)
     plane = _simplex(divisions, len(anchors)) @ G
     members = [partial(_normal_constraint, F, p) for p in plane[len(anchors) :]]
-    results = family.in_waves(members, plane, [anchor.x for anchor in anchors], _waves(plane, len(anchors)))
+    results = family.in_waves(members, plane, [anchor.x for anchor in anchors], _waves(plane, len(anchors)), starts)
     normals = G[-1] - G[:-1]
     points = []
     for result in results:

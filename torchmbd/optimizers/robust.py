@@ -8,7 +8,9 @@
 
 The worst case of a function that is convex within the tolerances lies at a corner. Several corners tie at its optimum: the
 extra variable beta, the last, keeps their gradients apart, and the multipliers tell which of them matter. Constraints hold
-at all designs looked at. These are one batch with their exact gradients, so the gradients of both criteria are exact too.
+at all designs looked at; with "expected" each of them also at the corner that it rises to most steeply, located anew around
+every design by the designs on the axes: c(x) + sum_i d_i |dc/dx_i|, with the curvature along that way. Designs looked at are
+batches with their exact gradients, so the gradients of criteria and constraints are exact too.
 
 Not accounted for in E: products of the even powers of two variables, of order d^4. Bounds are narrowed by d, but for variables
 that repeat themselves (ply angles), whose neighbors beyond a bound are simulated.
@@ -62,6 +64,7 @@ class RobustProblem:
                     f"start of {name} is {x:g}; allowed: {low:g} to {high:g}, inside the bounds by tolerance"
                 )
         self.problem, self.kind, self.start = problem, kind, start
+        self.tolerance = d
         self.shifts, self.weights = _expected(d) if kind == "expected" else _corners(d)
         self.unit = 1.0
         if kind == "worst":
@@ -87,22 +90,41 @@ class RobustProblem:
         return self.problem.motion(self.design(x))  # type: ignore[attr-defined]
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
-        """Evaluate designs [lanes, n], all their neighbors in one batch."""
+        """Evaluate designs [lanes, n], all their neighbors in one batch, all their steepest corners in another."""
         count, n = self.shifts.shape
         found = self.problem.evaluate((X[:, None, :n] + self.shifts).reshape(-1, n), gradients)
-        return [self._combined(x, found[k * count : (k + 1) * count]) for k, x in enumerate(X)]
+        around = [found[k * count : (k + 1) * count] for k in range(len(X))]
+        corners, rows = zip(*(self._steepest(x[:n], group) for x, group in zip(X, around, strict=True)), strict=True)
+        designs = np.concatenate(corners)
+        ends = iter(self.problem.evaluate(designs, gradients) if len(designs) else [])
+        there = [[next(ends) for _ in corner] for corner in corners]
+        return [self._combined(*given) for given in zip(X, around, there, rows, strict=True)]
 
-    def _combined(self, x: np.ndarray, found: list[Evaluation]) -> Evaluation:
-        failed = next((e.status for e in found if not e.ok), None)
+    def _steepest(self, x: np.ndarray, found: list[Evaluation]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the corners [k, n] that constraints rise to most steeply, and for each constraint which of them [m]."""
+        if self.kind == "worst" or not all(e.ok for e in found):
+            return np.zeros((0, x.size)), np.zeros(0, dtype=int)
+        c = np.array([np.atleast_1d(e.constraints) for e in found])
+        signs = np.zeros((c.shape[1], x.size))
+        signs[:, np.flatnonzero(self.tolerance)] = np.where(c[2::2] >= c[1::2], 1.0, -1.0).T
+        distinct, rows = np.unique(signs, axis=0, return_inverse=True)
+        return x + distinct * self.tolerance, rows.reshape(-1)
+
+    def _combined(
+        self, x: np.ndarray, around: list[Evaluation], corners: list[Evaluation], rows: np.ndarray
+    ) -> Evaluation:
+        """Return the evaluation of x; constraint j holds at all designs around it and at the corner `rows[j]`."""
+        failed = next((e.status for e in (*around, *corners) if not e.ok), None)
         if failed is not None:
             return Evaluation.failure(f"within its tolerances: {failed}")
-        f = np.array([e.objective for e in found])
-        c = np.concatenate([np.atleast_1d(e.constraints) for e in found])
+        f = np.array([e.objective for e in around])
+        held = [(e, slice(None)) for e in around] + [(corners[k], slice(j, j + 1)) for j, k in enumerate(rows)]
+        c = np.concatenate([np.atleast_1d(e.constraints)[part] for e, part in held])
         df = dc = None
-        if all(e.objective_gradient is not None for e in found):
-            df = np.array([e.objective_gradient for e in found])
-            rows = [e.constraint_gradients for e in found if e.constraint_gradients is not None]
-            dc = np.concatenate(rows) if rows else np.zeros((0, df.shape[1]))
+        if all(e.objective_gradient is not None for e in around):
+            df = np.array([e.objective_gradient for e in around])
+            parts = [e.constraint_gradients[part] for e, part in held if e.constraint_gradients is not None]
+            dc = np.concatenate(parts) if parts else np.zeros((0, df.shape[1]))
         if self.kind == "expected":
             return Evaluation(float(self.weights @ f), c, None if df is None else self.weights @ df, dc)
         values = np.concatenate([f / self.unit - x[-1], c])

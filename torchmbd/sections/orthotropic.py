@@ -6,6 +6,7 @@ E1, E2, E3         moduli along the fibre (1), across it in the ply (2), through
 G12, G13, G23      shear moduli                                                                [Pa]
 nu12, nu13, nu23   nu_ij: strain along j for a stress along i, with a minus sign
 density            [kg/m3]
+strength           of the ply that it is, or None
 
 A `Ply` lacks what plane stress does not need. It is completed as transversely isotropic: E3 = E2, nu13 = nu12,
 nu23 = E2 / (2 G23) - 1.
@@ -24,7 +25,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.materials import Ply
+from torchmbd.materials import Ply, Strength
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class Orthotropic:
     nu13: float
     nu23: float
     density: float
+    strength: Strength | None = None
 
     def __post_init__(self) -> None:
         for name in ("E1", "E2", "E3", "G12", "G13", "G23", "density"):
@@ -77,7 +79,8 @@ class Orthotropic:
             raise InputError(f"ply is {ply!r}; allowed: a Ply or an Orthotropic")
         nu23 = ply.E2 / (2.0 * ply.G23) - 1.0
         try:
-            return cls(ply.E1, ply.E2, ply.E2, ply.G12, ply.G13, ply.G23, ply.nu12, ply.nu12, nu23, density=ply.density)
+            moduli = (ply.E1, ply.E2, ply.E2, ply.G12, ply.G13, ply.G23)
+            return cls(*moduli, ply.nu12, ply.nu12, nu23, ply.density, ply.strength)
         except InputError as error:
             raise InputError(
                 f"ply with E2 = {ply.E2!r}, G23 = {ply.G23!r} is no transversely isotropic solid "

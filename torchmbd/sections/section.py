@@ -23,10 +23,11 @@ Checked in tests/sections/test_section_*.py, tests/validation/test_sections_*.py
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
@@ -79,7 +80,7 @@ class Section(nn.Module):
                 "allowed: one angle for each layer"
             )
         solids = [Orthotropic.of(p) for p in plies]
-        self.mesh = mesh
+        self.mesh, self.plies = mesh, solids
         self.geometry = SectionGeometry(mesh)
         self.problem = WarpingProblem(self.geometry, mesh.nodes)
         self.angles = nn.Parameter(theta)
@@ -130,13 +131,29 @@ class Section(nn.Module):
         _, strain, stress = self.unit_fields()
         load = load[..., None, None, :, None]
         T = strain_rotation(self.angles)[..., self.geometry.layer, None, :, :]
-        # sigma_ply = T^-T sigma_wall; T^-1 turns by the opposite angle
-        back = strain_rotation(-self.angles)[..., self.geometry.layer, None, :, :].mT
+        back = self._to_plies()[..., self.geometry.layer, None, :, :]
         return SectionStress((T @ strain @ load)[..., 0], (back @ stress @ load)[..., 0], self.geometry.points)
+
+    @cached_property
+    def stress_points(self) -> Int[Tensor, "points 2"]:
+        """Element and integration point in it of every point of `unit_stress`."""
+        return (self.geometry.weight > 0).nonzero()
+
+    def unit_stress(self) -> Float[Tensor, "*lanes points 6 6"]:
+        """Stresses [Pa] in ply axes (11, 22, 33, 23, 13, 12) at the `stress_points`; last axis: the six unit forces."""
+        element, point = self.stress_points.unbind(1)
+        return (
+            self._to_plies()[..., self.geometry.layer[element], :, :]
+            @ self.unit_fields().stress[..., element, point, :, :]
+        )
 
     def unit_fields(self) -> UnitFields:
         """Strains and stresses in wall axes for unit forces (saint_venant.py)."""
         return unit_fields(self.problem, turned(self._C, self.angles))
+
+    def _to_plies(self) -> Float[Tensor, "*lanes layers 6 6"]:
+        """Turns stresses of the wall into those of the plies: T^-T, where T^-1 turns by the opposite angle."""
+        return strain_rotation(-self.angles).mT
 
 
 def _checked_angles(angles: Sequence[float] | Tensor) -> Tensor:

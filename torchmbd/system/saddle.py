@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from torchmbd.numerics.pair import cross, matmul, matvec, matvec_t
 from torchmbd.numerics.rotation import axial, skew
@@ -179,7 +180,7 @@ class Saddle:
         flat = flat.index_select(0, self._index) if self._project is None else self._project(flat)
         K = flat.reshape(size, size, lanes).permute(2, 0, 1).contiguous()
         if v is not None and T.actions:
-            K[:, : T.n_v, : T.n_v] += self._action_slopes(data, at, v, stiffness, damping)
+            K = K + pad(self._action_slopes(data, at, v, stiffness, damping), (0, T.rows, 0, T.rows))
         return K
 
     def _action_slopes(self, data: Data, at: Placement, v: Tensor, stiffness: float, damping: float) -> Tensor:

@@ -146,7 +146,9 @@ class System(nn.Module):
         inertia = [*stages, *(body.invariants() for body in rigid)]
         data = {key: _together([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
         if flexible:
-            data |= _modal_data(stages, [body.damping for body in flexible], T.modes)
+            data |= _modal_data(
+                stages, [b.damping.matrix(s["Kr"]) for b, s in zip(flexible, stages, strict=True)], T.modes
+            )
             data["Y"] = _vector_modes(T, stages)
         x = [attached.vector for attached in T.attached]
         data["x"] = torch.stack(x, 1)[:, :, None, None] if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
@@ -172,7 +174,7 @@ def _pad(x: Tensor, modes: int, axes: tuple[int, ...]) -> Tensor:
     return x
 
 
-def _modal_data(stages: list[dict[str, Tensor]], damping: list[float], modes: int) -> dict[str, Tensor]:
+def _modal_data(stages: list[dict[str, Tensor]], damping: list[Tensor | None], modes: int) -> dict[str, Tensor]:
     """Invariants of the modes; padded modes couple to nothing."""
     SR = [_pad(torch.cat([s["S1"], s["R1"]], -2), modes, (-1,)) for s in stages]
     C1 = [_pad(s["C1"], modes, (-2, -1)) for s in stages]
@@ -188,8 +190,9 @@ def _modal_data(stages: list[dict[str, Tensor]], damping: list[float], modes: in
         "H": _together(H, 3),
         "Kr": _together([_pad(s["Kr"], modes, (-2, -1)) for s in stages], 2),
     }
-    if any(damping):
-        data["D"] = _together([_pad(c * s["Kr"], modes, (-2, -1)) for c, s in zip(damping, stages, strict=True)], 2)
+    if any(D is not None for D in damping):
+        parts = [torch.zeros_like(s["Kr"]) if D is None else D for D, s in zip(damping, stages, strict=True)]
+        data["D"] = _together([_pad(D, modes, (-2, -1)) for D in parts], 2)
     return data
 
 

@@ -10,7 +10,7 @@ taken off what is exaggerated, so the parts stay joined at any scale, and at sca
 
     plates    triangles, colored by the size of that deformation
     beams     lines, colored the same way
-    rigid     a link through the joint frames of the body, a box where there is only one
+    rigid     a link through the joint frames of the body; a box at the center of mass where there is only one
     joints    white disks; a triangle where a joint stands on the ground
 """
 
@@ -80,8 +80,9 @@ def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
         entry: dict[str, Any] = {"name": body.name, "r": _packed(r), "A": _packed(A)}
         if state.mesh is None:
             points = np.array(_unique(_array(side.point).tolist() for side in mine)).reshape(-1, 3)
-            entry["points"] = points.tolist()
-            local = points[None] if len(points) else np.zeros((1, 1, 3))
+            center = _array(body.center).reshape(1, 3)
+            entry |= {"points": points.tolist(), "center": center[0].tolist()}
+            local = (points if len(points) > 1 else np.concatenate([points, center]))[None]
         else:
             local, size = _flexible(entry, state, lane, frames, {node for side in mine for node in side.mount.nodes})
             largest = max(largest, size)
@@ -97,6 +98,7 @@ def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
         "joints": [marker for joint in joints for marker in _markers(joint, index)],
         "center": ((low + high) / 2).tolist(),
         "extent": extent,
+        "size": (high - low).tolist(),
         "view": "xyz"[int((high - low).argmin())],  # look along the shortest side of the space that is visited
         "largest": largest,
         "scale": _round(0.05 * extent / largest) if largest else 1.0,

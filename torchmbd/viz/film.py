@@ -60,10 +60,12 @@ def film(
 
 
 def positions(body: dict[str, Any], frames: int, scale: float) -> np.ndarray:
-    """Points of a body of a scene in ground axes [frames, n, 3]: deformed nodes, or the joints of a rigid body."""
+    """Points of a body of a scene in ground axes [frames, n, 3]: deformed nodes; joints of a rigid body, a single one with
+    the center of mass."""
     r, A = _array(body["r"], frames, 1, 3), _array(body["A"], frames, 3, 3)
     if "weights" not in body:
-        local = np.array(body["points"] or [[0.0, 0.0, 0.0]])[None]
+        points = body["points"]
+        local = np.array(points if len(points) > 1 else [*points, body["center"]])[None]
     else:
         weights = _array(body["weights"], frames, -1)
         full, relative = (_array(body[key], weights.shape[1], -1, 3) for key in ("modes", "relative"))

@@ -1,0 +1,109 @@
+"""Compiled code on disk: keys, faults of the cache, when it is built."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import torchmbd as mbd
+from experiments.slider_crank import build
+from tests.mechanisms import sprung
+from torchmbd.cli import main
+from torchmbd.errors import MbdError
+from torchmbd.integrators import library
+from torchmbd.system import Dynamics
+
+ANGLES = mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])
+NAME = "rod.laminate.angles"
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TORCHMBD_CACHE", str(tmp_path))
+    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+    for name in ("_loaded", "_seen", "_building"):
+        monkeypatch.setattr(library, name, {})
+    return tmp_path
+
+
+def dynamics(modes: int = 3, tangents: bool = True, layers: int = 3) -> Dynamics:
+    system = build(layers, cells=(6, 2), modes=modes)
+    return system.dynamics({NAME: ANGLES[:, :layers]}, tangents=[NAME] if tangents else []).condensed()
+
+
+def test_a_key_is_that_of_a_topology() -> None:
+    """One library serves any number of variables and lanes."""
+    keys = [library.key(dynamics(modes)) for modes in (3, 4)]
+    assert len(set(keys)) == 2
+    assert (
+        keys[0] == library.key(dynamics()) == library.key(dynamics(tangents=False)) == library.key(dynamics(layers=1))
+    )
+
+
+def test_a_key_covers_source_and_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = library.key(dynamics())
+    monkeypatch.setattr(library, "_surroundings", lambda compiler: "another source")
+    assert library.key(dynamics()) != before
+
+
+def test_a_corrupt_library_is_removed_and_the_eager_route_serves(cache: Path) -> None:
+    d = dynamics()
+    library.path_of(d).write_bytes(b"no library")
+    with pytest.warns(UserWarning, match="cannot be loaded and is removed"):
+        assert library.library(d) is None
+    assert list(cache.iterdir()) == []
+
+
+def test_the_command_lists_and_clears(cache: Path, capsys: pytest.CaptureFixture) -> None:
+    (cache / "abc.so").write_bytes(b"x")
+    (cache / "broken.job").write_bytes(b"x")
+    assert main(["cache"]) == 0
+    text = capsys.readouterr().out
+    assert "abc" in text
+    assert "left over" in text
+    assert main(["cache", "--clear"]) == 0
+    assert list(cache.iterdir()) == []
+
+
+def test_a_library_is_built_at_the_second_batch_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    built: list[Dynamics] = []
+
+    def build(d: Dynamics, kind: str) -> None:
+        built.append(d)
+        library._building[library.key(d)] = None  # type: ignore[assignment]
+
+    monkeypatch.setattr(library, "build_in_background", build)
+    counts = []
+    for _ in range(4):
+        assert library.library(dynamics()) is None
+        counts.append(len(built))
+    assert counts == [0, 1, 1, 1]
+
+
+def test_without_a_compiler_the_eager_route_works_and_says_so(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    with pytest.warns(UserWarning, match=r"no C\+\+ compiler"):
+        assert library.library(dynamics()) is None
+
+
+def test_a_compiler_that_fails_is_told(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "false")
+    with pytest.raises(MbdError, match="false failed on the step of rod"):
+        library.build(*library.order(dynamics(modes=1)))
+    assert list(cache.iterdir()) == []
+
+
+def test_a_full_disk_is_a_warning(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(**_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tempfile.mkstemp", full)
+    with pytest.warns(UserWarning, match="nothing can be compiled"):
+        assert library.build_in_background(dynamics(modes=1)) is None
+
+
+def test_a_law_of_the_user_is_never_looked_up_in_the_cache(cache: Path) -> None:
+    """Its code is not in the key, so a library could be that of another law."""
+    for law, known in ((None, True), (lambda s, rate, t: -s, False)):
+        assert library.known_laws(sprung(law)().condensed().topology) is known

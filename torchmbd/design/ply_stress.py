@@ -1,0 +1,52 @@
+"""Ply stress as a history: the highest or lowest value of one stress component among the ply points, at every time [Pa].
+
+    Max(PlyStress("rod", "22")) <= 40e6                   no ply is pulled harder across its fibers
+    Min(PlyStress("rod", "11", extreme="lowest")) >= -1e9
+
+Components are in the axes of the ply: 11 along the fibers, 22 across, 12, 13, 23 shear. Points run over the triangles and the
+two faces of every layer, or of one `layer` (0 at the bottom). The derivative is that of the point where the value stands.
+Checked in tests/contracts/test_responses.py, tests/integrators/test_ply_history.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from torchmbd.design.response import History
+from torchmbd.errors import InputError, unknown
+from torchmbd.integrators import Trajectory
+from torchmbd.integrators.ply_history import PlyHistory, require_plies
+from torchmbd.materials import PLY_COMPONENTS
+from torchmbd.system import System
+
+EXTREMES = ("highest", "lowest")
+
+
+@dataclass(frozen=True)
+class PlyStress(History):
+    """Extreme stress of a laminated body."""
+
+    body: str
+    component: str
+    layer: int | None = None
+    extreme: str = "highest"
+
+    def check(self, system: System) -> None:
+        if self.component not in PLY_COMPONENTS:
+            raise unknown("stress component", self.component, PLY_COMPONENTS)
+        if self.extreme not in EXTREMES:
+            raise unknown("extreme", self.extreme, EXTREMES)
+        body = system.body(self.body)
+        require_plies(body)
+        layers = min(len(part.laminate.layer_plies) for part in body.plates.values())
+        whole = isinstance(self.layer, int) and not isinstance(self.layer, bool)
+        if self.layer is not None and not (whole and 0 <= self.layer < layers):
+            raise InputError(f"layer is {self.layer!r}; allowed: 0 to {layers - 1}, or None for all")
+
+    def values(self, motion: Trajectory) -> Tensor:
+        plies, component = PlyHistory(motion, self.body), PLY_COMPONENTS.index(self.component)
+        if self.extreme == "lowest":
+            return -plies.extreme(component, self.layer, -1.0)
+        return plies.extreme(component, self.layer)

@@ -1,0 +1,93 @@
+"""Pressure: a uniform load on the area of a plate or shell.
+
+    f_k = p a_k        a_k = sum over the triangles at node k of a third of their (directed) area
+
+Along the normals the load follows the body: with N_i = sum of the i-th components of one sign, the forces of its nodes in
+direction i act as one force p N_i on their mean motion (bodies/mount.py), so neither resultant, moment about the undeformed
+nodes nor modal forces are simplified. Normals turn with that mean, not one by one.
+Checked in tests/forces/test_pressure.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.bodies.frame import Frame, vector
+from torchmbd.bodies.rigid import Ground
+from torchmbd.errors import InputError
+from torchmbd.forces.action import Push
+from torchmbd.forces.force import Applied, ForceElement
+from torchmbd.forces.laws import OfTime, checked
+from torchmbd.joints.joint import Scribe
+
+_NOTHING = 1e-12  # share of the largest component of area
+
+
+class Pressure(ForceElement):
+    """`Pressure(body, p)` [Pa] along the normals of the mesh, or `Pressure(body, p, direction=(0, 0, -1))`.
+
+    body       a flexible body with triangles
+    pressure   a number, or a torch function of time, [] [s] -> [] [Pa]
+    direction  in ground axes, which the load then keeps, whatever its length [3]
+    """
+
+    def __init__(
+        self,
+        body: Any,
+        pressure: float | Callable[[Tensor], Tensor],
+        direction: Sequence[float] | Tensor | None = None,
+        name: str | None = None,
+    ):
+        triangles = getattr(getattr(body, "mesh", None), "triangles", ())
+        if len(triangles) == 0:
+            raise InputError(f"Pressure acts on {body!r}; allowed: a flexible body with triangles")
+        x = body.mesh.nodes[triangles]
+        area = 0.5 * torch.linalg.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        self.follows = direction is None
+        self.parts = list(_following(body, area) if direction is None else _fixed(body, area, direction))
+        super().__init__(tuple(frame for frame, _, _ in self.parts), name or f"pressure_{body.name}")
+        self.law: Any = pressure if callable(pressure) else float(pressure)
+        checked(self.name, OfTime(self.law))
+
+    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+        for frame, axis, area in self.parts:
+            along = scribe.axis(frame if self.follows else Ground().at(), axis)
+            yield Applied(Push, (scribe.point(frame), along), OfTime(self.law, area))
+
+
+Part = tuple[Frame, str, float]  # on the nodes that take a part of the load, its axis, the area [m2] directed along it
+
+
+def _following(body: Any, area: Tensor) -> Iterator[Part]:
+    """Along the axes of the body, of the directed areas of the triangles [m, 3]."""
+    own = _at_nodes(body, area)
+    nothing = _NOTHING * float(own.abs().sum(0).max())
+    for axis, column in zip("xyz", own.T, strict=True):
+        for sign in (1.0, -1.0):
+            nodes = torch.nonzero(sign * column > nothing)[:, 0].tolist()
+            if nodes:
+                weights = (sign * column[nodes]).tolist()
+                yield body.at(nodes, weights=weights), axis, sign * sum(weights)
+
+
+def _fixed(body: Any, area: Tensor, direction: Sequence[float] | Tensor) -> Iterator[Part]:
+    """Along the axes of the ground."""
+    towards = vector("direction", direction)
+    if not bool(towards.any()):
+        raise InputError(f"direction is {direction!r}; allowed: three numbers that are not all zero")
+    own = _at_nodes(body, area.norm(dim=1, keepdim=True))[:, 0]
+    nodes = torch.nonzero(own)[:, 0].tolist()
+    frame = body.at(nodes, weights=own[nodes].tolist())
+    for axis, share in zip("xyz", (towards / towards.norm()).tolist(), strict=True):
+        if share:
+            yield frame, axis, share * float(own.sum())
+
+
+def _at_nodes(body: Any, area: Tensor) -> Tensor:
+    """A third of the area [m, k] of its triangles for every node [n, k]."""
+    own = area.new_zeros(len(body.mesh.nodes), area.shape[1])
+    return own.index_add(0, body.mesh.triangles.T.flatten(), (area / 3.0).repeat(3, 1))

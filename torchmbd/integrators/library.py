@@ -1,0 +1,221 @@
+"""Compiled code on disk: one shared library per topology and kind (code.py), built by the C++ compiler of the machine.
+
+A library is valid for one key: topology (bodies, vectors, primitives, modes), the shapes of the data, the versions of
+torch and Python, the compiler, the processor, and the source of everything that the code is made of. So a stale library
+is never found. Step size, spectral radius, lanes and design variables are inputs. Laws of drives stay outside: any torch
+function; laws of forces are compiled if they are of a known form, for the code of a user's own is not in the key.
+A library that cannot be loaded is removed with a message; without a C++ compiler the eager step serves, said once.
+
+Cache: TORCHMBD_CACHE or ~/.cache/torchmbd. TORCHMBD_COMPILE=0 switches compilation off; CXX names the compiler.
+Checked in tests/integrators/test_library.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import pickle
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import warnings
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from torchmbd.errors import MbdError
+from torchmbd.forces.laws import LAWS
+from torchmbd.integrators.code import Layout, source
+from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.topology import Topology
+
+_SOURCES = ("numerics", "joints/primitive.py", "forces", "system", "integrators/step.py", "integrators/code.py")
+_SOURCES += ("integrators/factors.cpp", "integrators/march.cpp", "integrators/rates.cpp", "integrators/library.py")
+_OPTIONS = ("-O1", "-std=c++17", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
+_SUFFIX = ".so"
+_ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
+_BATCHES = 2  # the batch that starts a build: a single simulation is over before
+_loaded: dict[str, ctypes.CDLL] = {}
+_seen: dict[str, int] = {}  # batches without a library
+_building: dict[str, subprocess.Popen] = {}
+
+
+def cache_folder() -> Path:
+    """Where libraries are kept."""
+    return Path(os.environ.get("TORCHMBD_CACHE") or Path.home() / ".cache" / "torchmbd")
+
+
+def entries() -> list[tuple[Path, int, bool]]:
+    """What lies in the cache: path, bytes, and whether it is a library."""
+    if not cache_folder().is_dir():
+        return []
+    found = []
+    for path in sorted(cache_folder().iterdir()):
+        files = [f for f in path.rglob("*") if f.is_file()] if path.is_dir() else [path]
+        found.append((path, sum(f.stat().st_size for f in files), path.suffix == _SUFFIX))
+    return found
+
+
+def compiler() -> str:
+    """The C++ compiler."""
+    return os.environ.get("CXX", "g++")
+
+
+def enabled() -> bool:
+    """Whether compilation is wanted and a C++ compiler is there."""
+    if os.environ.get("TORCHMBD_COMPILE") == "0":
+        return False
+    if shutil.which(compiler()) is None:
+        warnings.warn("no C++ compiler: simulations run uncompiled, about ten times slower in batches", stacklevel=2)
+        os.environ["TORCHMBD_COMPILE"] = "0"
+        return False
+    return True
+
+
+def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
+    """The library of a system if it is there; asked for again, it is built in the background."""
+    if not enabled() or not known_laws(dynamics.topology):
+        return None
+    name, path = key(dynamics, kind), path_of(dynamics, kind)
+    if name not in _loaded:
+        found = _load(path) if path.exists() else None
+        if found is None:
+            _seen[name] = _seen.get(name, 0) + 1
+            if _seen[name] >= _BATCHES and name not in _building:
+                build_in_background(dynamics, kind)
+            return None
+        _loaded[name] = found
+    return _loaded[name]
+
+
+def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
+    """Where the library of a system is, or would be."""
+    return cache_folder() / f"{key(dynamics, kind)}{_SUFFIX}"
+
+
+def known_laws(T: Topology) -> bool:
+    """Whether all laws of forces are numbers of a known form."""
+    laws = [law for action in T.actions for law in action.laws]
+    return all(type(law) in LAWS and not callable(getattr(law, "law", None)) for law in laws)
+
+
+def key(dynamics: Dynamics, kind: str = "step") -> str:
+    """Name of the library of a system, for this source, these versions and this processor."""
+    T = dynamics.topology
+    attached = [(a.mount is None, a.is_point) for a in T.attached]
+    facts = [len(T.names), len(T.carriers), attached, _facts({k: v for k, v in vars(bare(T)).items() if k not in _ASIDE})]
+    digest = hashlib.sha256(repr([kind, facts, Layout.of(dynamics.data)]).encode())
+    digest.update(_surroundings(compiler()).encode())
+    return digest.hexdigest()[:32]
+
+
+def _facts(x: Any) -> Any:
+    """Everything that an object is made of, as numbers, names and lists."""
+    if isinstance(x, torch.Tensor):
+        return x.tolist()
+    if isinstance(x, dict):
+        return [(k, _facts(y)) for k, y in sorted(x.items())]
+    if isinstance(x, (list, tuple)):
+        return [_facts(y) for y in x]
+    return (type(x).__qualname__, _facts(vars(x))) if hasattr(x, "__dict__") else repr(x)
+
+
+@cache
+def _surroundings(compiler: str) -> str:
+    """Source, versions, compiler and processor, as a digest."""
+    package, digest = Path(__file__).parent.parent, hashlib.sha256()
+    for part in _SOURCES:
+        path = package / part
+        for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:
+            digest.update(file.read_bytes())
+    version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
+    digest.update(repr([torch.__version__, sys.version_info[:2], version, _processor()]).encode())
+    return digest.hexdigest()
+
+
+def _processor() -> str:
+    facts = Path("/proc/cpuinfo")
+    if not facts.exists():
+        return platform.processor() + platform.machine()
+    lines = facts.read_text().splitlines()
+    return repr(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
+
+
+def bare(T: Topology) -> Topology:
+    """The topology without bodies and laws: what the operations see."""
+    attached = tuple(replace(a, body=None) for a in T.attached)
+    primitives = tuple(type(p)(p.members, () if p.driven else p.data) for p in T.primitives)
+    carriers = tuple(replace(c, law=None) for c in T.carriers)
+    return replace(T, attached=attached, primitives=primitives, carriers=carriers)
+
+
+def _load(path: Path) -> ctypes.CDLL | None:
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        warnings.warn(f"compiled library {path} cannot be loaded and is removed: {error}", stacklevel=3)
+        path.unlink(missing_ok=True)
+        return None
+
+
+Order = tuple[Topology, Layout, str, Any, str]
+
+
+def order(dynamics: Dynamics, kind: str = "step") -> Order:
+    """What `build` needs; can be pickled."""
+    T, zero = dynamics.topology, torch.zeros((), dtype=torch.float64)
+    sample = T.prescribed(zero) if kind == "step" else T.law_jets(zero)
+    return bare(T), Layout.of(dynamics.data), kind, sample, key(dynamics, kind)
+
+
+def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Path:
+    """Write and compile the code of a topology; the library appears complete or not at all."""
+    cache_folder().mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=cache_folder()) as work:
+        text, made = Path(work) / "code.cpp", Path(work) / "code.so"
+        text.write_text(source(T, layout, kind, sample))
+        done = subprocess.run([compiler(), *_OPTIONS, "-o", str(made), str(text)], capture_output=True, text=True)
+        if done.returncode:
+            raise MbdError(f"{compiler()} failed on the {kind} of {', '.join(T.names)}: {done.stderr[-2000:]}")
+        return made.replace(cache_folder() / f"{name}{_SUFFIX}")
+
+
+def build_in_background(dynamics: Dynamics, kind: str = "step") -> subprocess.Popen | None:
+    """Compile the code of a topology in a process of its own, at low priority; returns it, or None if it cannot begin."""
+    ordered = order(dynamics, kind)
+    try:
+        cache_folder().mkdir(parents=True, exist_ok=True)
+        handle, path = tempfile.mkstemp(suffix=".job", dir=cache_folder())
+        with os.fdopen(handle, "wb") as file:
+            pickle.dump(ordered, file)
+    except OSError as error:
+        warnings.warn(f"nothing can be compiled: {error}; simulations run uncompiled", stacklevel=2)
+        return None
+    command = [sys.executable, "-m", "torchmbd.integrators.library", path]
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
+    with open(Path(path).with_suffix(".log"), "wb") as log:
+        _building[ordered[-1]] = subprocess.Popen(
+            command, env=environment, stdout=log, stderr=log, start_new_session=True
+        )
+    return _building[ordered[-1]]
+
+
+def main(path: str) -> None:
+    """Run a job file of `build_in_background`; a log stays only where the build fails."""
+    os.nice(10)
+    torch.set_num_threads(1)
+    job = Path(path)
+    ordered = pickle.loads(job.read_bytes())
+    job.unlink()
+    build(*ordered)
+    job.with_suffix(".log").unlink()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

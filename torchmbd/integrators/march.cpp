@@ -1,0 +1,99 @@
+// Steps of generalized-alpha for eight lanes at a time: what March in generalized_alpha.py does, around generated code.
+//
+// Before this text stand factors.cpp and, generated, the sizes N_Q, BOUNDARY, ROOM and
+//   residual, finish, boundary, residual_tangent, finish_tangent      (code.py)
+// A block is eight lanes. Arrays of a block: state [slot][number], data [number], tangents of data [slot][number].
+// If a body has no inertia, `march` returns 1 and nothing is to be used.
+
+constexpr int N_X = N_Q + 3 * N_V + ROWS;
+
+struct Job {
+  long lanes, slots, data, data_tangents, uniform;                // numbers of each
+  long first, steps, corrections, passes, refresh, look, fresh;  // look: tangents corrected once more; fresh: no factors yet
+  const double *given;                                           // [steps][uniform]
+  double *state;                                                 // [block][1 + slots][N_X][8], in and out
+  const double *values, *tangents;                               // [block][data][8], [block][slots][data_tangents][8]
+  double *factors;                                               // [block][sizeof(Block)]
+  const double *stay, *lost;                                     // [N], or null
+  double *q, *v, *vd, *lam;                                      // records [steps][number][1 + slots][lanes]
+  double *sizes, *errors;                                        // [steps][2][lanes], [lanes]
+  double *room;                                                  // scratch
+};
+
+extern "C" long march_room(long slots) {
+  return (long)sizeof(V) * (ROOM + BOUNDARY + 3 * N + MATRIX + N * slots + N_X * (1 + slots) + 64);
+}
+extern "C" long march_factors() { return (long)sizeof(Block); }
+
+extern "C" long march(const Job* job) {
+  const Job& J = *job;
+  const int S = (int)J.slots;
+  V* w = (V*)J.room;
+  V *b = w + ROOM, *R = b + BOUNDARY, *z = R + N, *entries = z + N, *dz = entries + MATRIX, *next = dz + (long)N * S;
+  for (long block = 0; block * LANES < J.lanes; block++) {
+    const int valid = (int)(J.lanes - block * LANES < LANES ? J.lanes - block * LANES : LANES);
+    V* state = (V*)J.state + block * (1 + S) * N_X;
+    const V* tangents = (const V*)J.tangents + block * S * J.data_tangents;
+    Block& factors = ((Block*)J.factors)[block];
+    In in;
+    in.d = (const V*)J.values + block * J.data;
+    in.b = b;
+    bool fresh = J.fresh;
+    for (long i = 0; i < J.steps; i++) {
+      in.u = J.given + i * J.uniform;
+      in.x = state;
+      in.z = z;
+      std::memcpy((void*)z, state + N_Q + N_V, N_V * sizeof(V));
+      std::memcpy((void*)(z + N_V), state + N_Q + 3 * N_V, ROWS * sizeof(V));
+      const bool due = (J.first + i) % J.refresh == 0;
+      const long renewed = J.corrections > 1 ? (J.corrections - 1 > 1 ? J.corrections - 1 : 1) : -1;
+      if (fresh && renew(in, J.stay, J.lost, factors, w, entries) && i == 0) return 1;
+      fresh = false;
+      for (long k = 0; k < J.corrections; k++) {
+        if (due && k == renewed) renew(in, J.stay, J.lost, factors, w, entries);
+        residual(in, w, R);
+        solve(factors.K, factors.diagonal, R);
+        for (int n = 0; n < N; n++) z[n] -= R[n];
+        const long kept = k == J.corrections - 1 ? 1 : 0;
+        if (kept || k == J.corrections - 2) put(J.sizes + (2 * i + kept) * J.lanes + block * LANES, largest(R, N_V), valid);
+        if (kept && J.corrections == 1) put(J.sizes + 2 * i * J.lanes + block * LANES, largest(R, N_V), valid);
+      }
+      if (due && J.corrections == 1) renew(in, J.stay, J.lost, factors, w, entries);
+      finish(in, w, next);
+      if (S) boundary(in, w, b);
+      V left = spread(0.0), most = spread(0.0);
+      for (int s = 0; s < S; s++) {
+        V* ds = dz + (long)N * s;
+        in.dx = state + (long)(1 + s) * N_X;
+        in.dd = tangents + s * J.data_tangents;
+        in.dz = ds;
+        std::memcpy((void*)ds, in.dx + N_Q + N_V, N_V * sizeof(V));
+        std::memcpy((void*)(ds + N_V), in.dx + N_Q + 3 * N_V, ROWS * sizeof(V));
+        const bool looks = J.look && i == 0;
+        for (long k = 0; k < J.passes + looks; k++) {
+          residual_tangent(in, w, R);
+          solve(factors.K, factors.diagonal, R);
+          for (int n = 0; n < N; n++) ds[n] -= R[n];
+        }
+        if (looks) {
+          left = f_max(left, largest(R, N_V));
+          most = f_max(most, largest(ds, N_V));
+        }
+        finish_tangent(in, w, next + (long)(1 + s) * N_X);
+      }
+      if (S && J.look && i == 0) put(J.errors + block * LANES, left / f_max(most, 2.2250738585072014e-308), valid);
+      std::memcpy((void*)state, next, (1 + S) * N_X * sizeof(V));
+      const long L = J.lanes, at = block * LANES;
+      for (int s = 0; s <= S; s++) {
+        const V* x = state + (long)s * N_X;
+        for (long n = 0; n < N_Q; n++) put(J.q + ((i * N_Q + n) * (1 + S) + s) * L + at, x[n], valid);
+        for (long n = 0; n < N_V; n++) {
+          put(J.v + ((i * N_V + n) * (1 + S) + s) * L + at, x[N_Q + n], valid);
+          put(J.vd + ((i * N_V + n) * (1 + S) + s) * L + at, x[N_Q + N_V + n], valid);
+        }
+        for (long n = 0; n < ROWS; n++) put(J.lam + ((i * ROWS + n) * (1 + S) + s) * L + at, x[N_Q + 3 * N_V + n], valid);
+      }
+    }
+  }
+  return 0;
+}
