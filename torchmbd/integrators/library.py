@@ -39,6 +39,7 @@ _SOURCES = ("numerics", "joints/primitive.py", "forces", "system", "integrators/
 _SOURCES += ("integrators/factors.cpp", "integrators/march.cpp", "integrators/rates.cpp", "integrators/library.py")
 _OPTIONS = ("-O1", "-std=c++17", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
 _SUFFIX = ".so"
+_ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
 _loaded: dict[str, ctypes.CDLL] = {}
 _seen: dict[str, int] = {}  # batches without a library
@@ -108,15 +109,26 @@ def key(dynamics: Dynamics, kind: str = "step") -> str:
     """Name of the library of a system, for this source, these versions and this processor."""
     T = dynamics.topology
     attached = [(a.mount is None, a.is_point) for a in T.attached]
-    members = [(type(p).__name__, [m.tolist() for m in p.members], () if p.driven else p.data) for p in T.primitives]
-    actions = [(type(a).__name__, [m.tolist() for m in a.members], repr(a.laws)) for a in T.actions]
-    folds = [f.table.tolist() for f in (T.vector_fold, T.body_fold, T.modal_fold)]
-    vectors = [x.tolist() for x in (T.vector_body, T.vector_origin, T.vector_flexible)]
-    rates = None if T.rates is None else T.rates.tolist()
-    facts = [len(T.names), len(T.carriers), T.flexible, T.modes, attached, members, actions, folds, vectors, rates]
+    facts = [
+        len(T.names),
+        len(T.carriers),
+        attached,
+        _facts({k: v for k, v in vars(bare(T)).items() if k not in _ASIDE}),
+    ]
     digest = hashlib.sha256(repr([kind, facts, Layout.of(dynamics.data)]).encode())
     digest.update(_surroundings(compiler()).encode())
     return digest.hexdigest()[:32]
+
+
+def _facts(x: Any) -> Any:
+    """Everything that an object is made of, as numbers, names and lists."""
+    if isinstance(x, torch.Tensor):
+        return x.tolist()
+    if isinstance(x, dict):
+        return [(k, _facts(y)) for k, y in sorted(x.items())]
+    if isinstance(x, (list, tuple)):
+        return [_facts(y) for y in x]
+    return (type(x).__qualname__, _facts(vars(x))) if hasattr(x, "__dict__") else repr(x)
 
 
 @cache
