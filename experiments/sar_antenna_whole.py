@@ -36,7 +36,7 @@ from torchmbd.forces import Gap, Table
 
 DRIVER_AT, DRIVER, HANDLE = -1.8, 0.5, 0.2  # X of R1, length of the driver, half width of its handle [m]
 PULL, DAMPING = 22.0, 25.0  # torque of actuator B [N m], its damping [N m s]
-SECOND, RAMP = 10.0, 0.5  # when B begins to pull, and how long it takes to its full torque [s]
+SECOND, RAMP = 9.2, 0.5  # when B begins to pull, and how long it takes to its full torque [s]
 LATCH = 0.1  # [rad]
 # Stops at R1 and at the hinges 1-2 and 2-3: the end of the way that they damp [rad], and how much [N m s].
 STOPS = {"B": (1.2, 110.0), "H2": (0.2, 200.0), "H3": (1.0, 22.0)}
