@@ -109,7 +109,12 @@ def key(dynamics: Dynamics, kind: str = "step") -> str:
     """Name of the library of a system, for this source, these versions and this processor."""
     T = dynamics.topology
     attached = [(a.mount is None, a.is_point) for a in T.attached]
-    facts = [len(T.names), len(T.carriers), attached, _facts({k: v for k, v in vars(bare(T)).items() if k not in _ASIDE})]
+    facts = [
+        len(T.names),
+        len(T.carriers),
+        attached,
+        _facts({k: v for k, v in vars(bare(T)).items() if k not in _ASIDE}),
+    ]
     digest = hashlib.sha256(repr([kind, facts, Layout.of(dynamics.data)]).encode())
     digest.update(_surroundings(compiler()).encode())
     return digest.hexdigest()[:32]
