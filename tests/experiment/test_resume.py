@@ -113,7 +113,7 @@ def _interrupting(metrics):
 
 @pytest.mark.slow
 def test_killed_at_twenty_random_moments(write, folder, monkeypatch):
-    """kill -9 of the study or of its writer; then the same table, the same runs, no zombie."""
+    """kill -9 of the study, its writer, its workers; then the same table, one run for each start, no zombie."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("TORCHMBD_STORE", str(folder / "place"))
     uri = f"sqlite:///{folder / 'runs.db'}"
@@ -123,29 +123,65 @@ def test_killed_at_twenty_random_moments(write, folder, monkeypatch):
         tracking={"experiment": "killed", "uri": uri},
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    command = [sys.executable, "-m", "torchmbd.cli", "run", str(file)]
-    chance = random.Random(3)
-    for _ in range(20):
-        process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
-        time.sleep(4 + chance.uniform(0, 6))
-        target = chance.choice([process.pid, *_writers(process.pid)])
-        os.kill(target, signal.SIGKILL)
-        if target != process.pid:
-            time.sleep(1)
-            process.kill()
-        process.communicate()
+    command = [sys.executable, "-u", "-m", "torchmbd.cli", "run", str(file)]
+    chance, ended, struck = random.Random(3), 0, []
+    for life in range(20):
+        process = subprocess.Popen(
+            command + ["--workers", "2"] * (life % 2), env=environment, stdout=subprocess.PIPE, text=True
+        )
+        ended += _struck(process, chance, struck)
+        if process.returncode == 0:  # it was faster: the next one has all to do again
+            for left in (folder / "place").glob("evaluations.db*"):
+                left.unlink()
     last = subprocess.run(command, env=environment, capture_output=True, text=True).stdout
     client = open_store(uri)
     runs = client.search_runs([client.get_experiment_by_name("killed").experiment_id], max_results=1000)
     assert {run.info.status for run in runs} == {"FINISHED"}
-    assert len(runs) == 33
+    assert len(runs) == 33 * (ended + 1)
+    assert len(struck) >= 15
+    assert set(struck) > {"study", "worker"}
     monkeypatch.setenv("TORCHMBD_STORE", str(folder / "undisturbed"))
     assert table(run(file, Silent())) == table(last)
     assert len(table(last)) == 32
 
 
-def _writers(parent: int) -> list[int]:
-    return [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+def _struck(process: subprocess.Popen, chance: random.Random, struck: list[str]) -> int:
+    """Kill a study or a process of its own at a random moment; return whether it had ended by itself."""
+    assert process.stdout is not None
+    if chance.random() < 0.7:  # while it computes; else while it starts
+        next((line for line in process.stdout if "iteration" in line), None)
+    time.sleep(chance.uniform(0, 5))
+    family = {process.pid: "study", **{pid: _role(pid) for pid in _below(process.pid)}}
+    target = chance.choice(list(family))
+    if process.poll() is None:
+        os.kill(target, signal.SIGKILL)
+        struck.append(family[target])
+        if target != process.pid:
+            time.sleep(1)
+            process.kill()
+    process.communicate()
+    return int(process.returncode == 0)
+
+
+def _below(parent: int) -> list[int]:
+    """Processes that a process has started, and those that they have."""
+    try:
+        own = [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+    except FileNotFoundError:
+        return []
+    return own + [pid for child in own for pid in _below(child)]
+
+
+def _role(pid: int) -> str:
+    words = Path(f"/proc/{pid}/cmdline").read_text() if Path(f"/proc/{pid}").exists() else ""
+    return next(
+        (
+            word
+            for word in ("writer", "studio")
+            if f"torchmbd.{'viz' if word == 'studio' else 'tracking'}.{word}" in words
+        ),
+        "worker",
+    )
 
 
 @pytest.mark.slow
