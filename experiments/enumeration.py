@@ -73,9 +73,9 @@ def enumerate_all(
     values = {name: np.full(len(X), np.inf) for name in problems}
     for k in range(0, len(X), lanes):
         motion = first.simulate(X[k : k + lanes])
-        ok = np.array([status == "ok" for status in motion.status])
+        simulated = np.array([status == "ok" for status in motion.status])
         for name, problem in problems.items():
-            reference = problem.reference
+            reference, ok = problem.reference, simulated
             objective, *others = (measure.value(motion).numpy() for measure in reference.measures)
             for c, limit, scale in zip(others, reference.limits, reference.scale, strict=True):
                 ok = ok & ((c - limit) / scale <= 1e-6)

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 import torchmbd as mbd
-from experiments.discrete import COARSE
+from experiments.discrete import COARSE, problem_of
 from experiments.enumeration import enumerate_all
 from experiments.table3 import problem
 from torchmbd.optimizers import Study
@@ -88,7 +88,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--starts", type=int, default=64)
     parser.add_argument("--grid", action="store_true", help="enumerate and refine the grid again, and store it")
-    parser.add_argument("--gradient-free", action="store_true", help="differential evolution on the coarse model")
+    parser.add_argument(
+        "--gradient-free", nargs="?", const="3", metavar="TABLE", help="differential evolution: 3, 4, 5, 3f"
+    )
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     full = problem(3, START)
@@ -99,8 +101,8 @@ def main() -> None:
             f"best of {stored['designs']} designs refined: {stored['best']:.7g}, {stored['seconds']} s, in {STORED.name}"
         )
     elif arguments.gradient_free:
-        coarse = problem(3, START, **COARSE)
-        print("\n".join(beside_evolution(coarse, starts=16, generations=100, population=8)))
+        coarse = problem_of(arguments.gradient_free, 3, **COARSE)
+        print("\n".join(beside_evolution(coarse, starts=16, generations=150, population=8)))
     else:
         stored = json.loads(STORED.read_text(encoding="utf-8")) if STORED.exists() else None
         print_study(mbd.multistart(full, "mmfd", mbd.sobol(arguments.starts, seed=7)), stored)

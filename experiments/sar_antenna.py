@@ -25,7 +25,7 @@ from torch import Tensor
 
 import torchmbd as mbd
 from experiments.sar_antenna_bodies import Panel, Truss, folded, panels
-from experiments.sar_antenna_data import CRANK, HALF, HUB, LAWS, LENGTH, MIDDLE, ROD_POINT, STOWED, WIDTH
+from experiments.sar_antenna_data import CRANK, HALF, HUB, LAWS, LENGTH, MIDDLE, ROD_POINT, SHARP, STOWED, WIDTH
 
 ROD_JOINTS = {
     "spherical": lambda a, b, name: mbd.Spherical(a, b, name=name),
@@ -55,7 +55,7 @@ def build(
     reduction "vibration", as in the paper, or "craig-bampton": statics of the panels under the forces of their joints are
               exact, and four to eight modes are enough
     cells     cells of a panel's mesh, multiples of (16, 8)
-    law       "continuous", or "printed" with its jumps spread over 2e-3 rad
+    law       "continuous", or "printed" with its jumps spread over 2e-3 rad, or "sharp": these located by `jumps`
     trusses   "rigid" or "beam"
     rods      their joints at the crank: "spherical", as printed, or "universal": they cannot spin
     radius    of the trusses [m]
@@ -108,6 +108,15 @@ def _hinges(ground: mbd.Ground, panel2: Panel, panel3: Panel) -> list[Any]:
     return joints
 
 
+def jumps(borders: Sequence[float] = (3.08,)) -> list[mbd.Phase]:
+    """Phases that end where the printed law is about to jump, so that no step has a jump amid; for the law "sharp".
+
+    borders   theta of the jumps that the motion passes, falling [rad]
+    """
+    ends = [mbd.Event(lambda motion, s=s: theta(motion) - (s + 30.0 * SHARP), "falling") for s in borders]
+    return [*(mbd.Phase(until=end) for end in ends), mbd.Phase()]
+
+
 def theta(motion: mbd.Trajectory) -> Tensor:
     """Angle of the crank from panel 2 about Y [lanes, times] [rad]."""
     return _turned(motion, "panel2", "crank")
@@ -119,7 +128,11 @@ def phi3(motion: mbd.Trajectory) -> Tensor:
 
 
 def _turned(motion: mbd.Trajectory, a: str, b: str) -> Tensor:
-    A = motion.body(a).A.mT @ motion.body(b).A
+    return turned(motion.body(a).A.mT @ motion.body(b).A)
+
+
+def turned(A: Tensor) -> Tensor:
+    """Angle [...] about Y of a rotation [..., 3, 3], from -pi/2 to 3 pi/2 [rad]."""
     turn = torch.complex(A[..., 0, 0], -A[..., 2, 0])
     return torch.angle(turn * cmath.exp(-1j * MIDDLE)) + MIDDLE
 

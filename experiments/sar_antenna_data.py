@@ -26,6 +26,7 @@ LENGTH, WIDTH, PLY = 1.994, 1.300, 0.5e-3
 STOWED, DAMPING, DURATION = 3.12, 0.5, 3.0
 MIDDLE = math.pi / 2  # of the range in which angles are told
 HALF, HUB = LENGTH / 2, 0.0
+SHARP = 1e-6  # [rad]
 ROD_POINT = (0.74775, 0.4875)
 CRANK = HALF + ROD_POINT[0]  # parallel to panel 3
 ROD = HALF - HUB
@@ -61,4 +62,9 @@ def printed_law(strength: float = 1.0, width: float = 2e-3) -> Pieces:
     )
 
 
-LAWS = {"continuous": continuous_law, "printed": printed_law}
+def sharp_law(strength: float = 1.0) -> Pieces:
+    """Eq. (39) as printed, its jumps within +-SHARP: for phases that end at them (experiments.sar_antenna.jumps)."""
+    return printed_law(strength, SHARP)
+
+
+LAWS = {"continuous": continuous_law, "printed": printed_law, "sharp": sharp_law}

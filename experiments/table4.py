@@ -8,7 +8,9 @@ Minimize the peak of U over 0.06 s within -90 and 90 degrees, in two formulation
 
 Beside the paper's optima; the paper prints 2U, so its energies are halved. "between samples": by how much U exceeds the
 objective anywhere between the time samples, U recomputed from modal coordinates interpolated with their rates and
-accelerations (quintic), a curve that the optimizer never sees. `--starts 16` adds the best of that many Sobol starts.
+accelerations (quintic), a curve that the optimizer never sees. `--starts 16` adds the best of that many Sobol starts, and
+"bound from the best": the paper's formulation from the best design of all. Where two or three peaks are equally high, as in the
+best designs, the peak itself has a kink, and only the formulation with the extra variable is smooth.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import argparse
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -74,6 +77,13 @@ def line(name: str, result: mbd.OptimizationResult, initial: float) -> str:
     return f"{row(name, angles, initial)}  {beta}between samples {between:+.0e}"
 
 
+def refined(layers: int, start: Sequence[float], x: np.ndarray, **options) -> mbd.OptimizationResult:
+    """The optimum of the paper's formulation next to a design x [rad]; `options` as in `problem`."""
+    p = problem(layers, start, "bound", **options)
+    peak = float(mbd.Max(ENERGY).value(p.motion(np.append(x, 1.0)))[0])
+    return mbd.optimize(p, method="slsqp", start=np.append(x, min(1.001 * peak / p.reference.unit, 1.0)))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--starts", type=int, default=0, help="also the best of so many Sobol starts")
@@ -88,6 +98,7 @@ def main() -> None:
         start, initial, optimum, reduction, angles, beta = PAPER[layers]
         printed = f"{initial / 2:.6f} -> {optimum / 2:.6f}  {reduction:5.1f}  %  {angles}  beta {beta}"
         print(f"L{layers} {'paper / 2':19s} {printed}", flush=True)
+        first, best = float("nan"), []
         for formulation in arguments.formulations.split(","):
             p = problem(layers, start, formulation, arguments.steps)
             first = float(mbd.Max(ENERGY).value(p.motion(p.start))[0])
@@ -97,7 +108,14 @@ def main() -> None:
             if arguments.starts:
                 study = mbd.multistart(p, method="slsqp", starts=mbd.sobol(arguments.starts, seed=7))
                 if study.best is not None:
+                    best.append(study.best)
                     print(line(f"L{layers} {formulation} best of {arguments.starts}", study.best, first), flush=True)
+        if best:
+            x = min(best, key=lambda result: result.value).x[:layers]
+            print(
+                line(f"L{layers} bound from the best", refined(layers, start, x, steps=arguments.steps), first),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -76,9 +76,23 @@ def test_generalized_alpha_is_of_second_order(spectral_radius):
     assert fine["lam"] < 5e-3
 
 
-ORDERS = {"euler": 1, "midpoint": 2, "heun2": 2, "heun3": 3, "rk4": 4}
-STEPS = {"euler": (400, 800), "midpoint": (100, 200), "heun2": (100, 200), "heun3": (100, 200), "rk4": (150, 300)}
-LEVEL = {"euler": 2e-2, "midpoint": 2e-3, "heun2": 2e-3, "heun3": 2e-4, "rk4": 1e-7}
+ORDERS = {
+    "euler": 1,
+    "midpoint": 2,
+    "heun2": 2,
+    "heun3": 3,
+    "rk4": 4,
+    "explicit_adams": 4,
+}  # Adams: that of its first steps
+STEPS = {
+    "euler": (400, 800),
+    "midpoint": (100, 200),
+    "heun2": (100, 200),
+    "heun3": (100, 200),
+    "rk4": (150, 300),
+    "explicit_adams": (150, 300),
+}
+LEVEL = {"euler": 2e-2, "midpoint": 2e-3, "heun2": 2e-3, "heun3": 2e-4, "rk4": 1e-7, "explicit_adams": 2e-6}
 
 
 @pytest.mark.parametrize("method", ORDERS)

@@ -53,6 +53,13 @@ def test_enumeration_says_what_the_problem_says_of_the_mirror_images():
     assert found.rank(float(np.sort(found.value)[2])) == 2
 
 
+def test_constraints_of_one_problem_are_not_those_of_another():
+    together = enumerate_all({table: problem_of(table, 2, **TINY) for table in ("3f", "4")}, 30.0)
+    alone = enumerate_all({"4": problem_of("4", 2, **TINY)}, 30.0)["4"]
+    np.testing.assert_allclose(together["4"].value, alone.value, rtol=1e-12)
+    assert np.isinf(together["3f"].value).any()
+
+
 def test_minima_of_a_grid():
     """Two valleys on the circle of one angle, at 0 and at 90 degrees; every angle of the half that is listed."""
     X, size = grid(1, 15.0)

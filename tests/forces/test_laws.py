@@ -122,3 +122,17 @@ def test_a_torque_that_grows_with_time():
     law = lambda t: torch.stack([0.0 * t, 0.0 * t, 0.8 * t])  # noqa: E731
     motion = mbd.simulate(mbd.System([body], forces=[mbd.Torque(body.at(), law)]), 1.0, steps=200)
     assert_close(motion.body("block").omega[0, :, 2], motion.t**2, rtol=0, atol=3e-5)
+
+
+@pytest.mark.parametrize("method", ["generalized_alpha", "rk4", "dopri5"])
+def test_a_law_that_ceases_to_be_finite_is_named(method):
+    """A root of a length that is used up: the motion ends there, and says whose law it was."""
+    ground, body = mbd.Ground(), mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0), velocity=(1.0, 0.0, 0.0))
+    fine = mbd.AxialSpringDamper(ground.at(), body.at(), stiffness=3.0, name="spring")
+    law = mbd.AxialSpringDamper(ground.at(), body.at(), law=lambda s, r, t: torch.sqrt(0.2 - s), name="valve")
+    system = mbd.System([body], [mbd.Prismatic(ground.at(), body.at(), axis="x")], [fine, law])
+    motion = mbd.simulate(system, 1.0, method, steps=50)
+    assert motion.status[0].startswith("failed: ")
+    if method != "dopri5":  # which has no states to look at once its steps underflow
+        assert "the law of 'valve' is not finite near s = 0.1" in motion.status[0]
+    assert "spring" not in motion.status[0]

@@ -14,7 +14,7 @@ from experiments.slider_crank import build
 from tests.integrators.test_phases import pushed
 from tests.mechanisms import box, sprung
 from tests.system.test_initial import four_bar
-from torchmbd.integrators import compiled, library
+from torchmbd.integrators import compiled, compiled_rates, library
 from torchmbd.system import Dynamics
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
@@ -36,10 +36,10 @@ def both(kept: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
     monkeypatch.setenv("TORCHMBD_CACHE", str(kept))
     used = []
 
-    def at_once(dynamics: Dynamics) -> object:
-        if not library.path_of(dynamics).exists():
-            library.build(*library.order(dynamics))
-        used.append(library.library(dynamics))
+    def at_once(dynamics: Dynamics, kind: str = "step") -> object:
+        if not library.path_of(dynamics, kind).exists():
+            library.build(*library.order(dynamics, kind))
+        used.append(library.library(dynamics, kind))
         return used[-1]
 
     def motions(*arguments: object, **options: object) -> tuple[mbd.Trajectory, mbd.Trajectory]:
@@ -48,12 +48,21 @@ def both(kept: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
         monkeypatch.setenv("TORCHMBD_COMPILE", "1")
         with monkeypatch.context() as patched:
             patched.setattr(compiled, "library", at_once)
+            patched.setattr(compiled_rates, "library", at_once)
             fast = mbd.simulate(*arguments, **options)  # type: ignore[arg-type]
         assert used
         assert None not in used
         return eager, fast
 
     return motions
+
+
+def weightless() -> mbd.System:
+    """An arm that carries a point mass."""
+    arm = box("arm")
+    link = mbd.RigidBody("link", mass=0.1, inertia=(0.0, 0.0, 0.0), position=(0.15, 0.0, 0.0))
+    joints = [mbd.Spherical(mbd.Ground().at(), arm.at()), mbd.Fixed(arm.at(0.15, 0.0, 0.0), link.at())]
+    return mbd.System([arm, link], joints, gravity=(0.0, -9.81, 0.0))
 
 
 def same(eager: mbd.Trajectory, fast: mbd.Trajectory, q: float = 1e-10, dq: float = 1e-8) -> None:
@@ -96,10 +105,7 @@ def test_a_lane_that_fails_leaves_the_others_alone(both: Both, monkeypatch: pyte
 
 def test_a_body_without_inertia_goes_the_eager_way(both: Both) -> None:
     """Its pivots are zero: the compiled factorization finds out and hands over."""
-    arm = box("arm")
-    link = mbd.RigidBody("link", mass=0.1, inertia=(0.0, 0.0, 0.0), position=(0.15, 0.0, 0.0))
-    joints = [mbd.Spherical(mbd.Ground().at(), arm.at()), mbd.Fixed(arm.at(0.15, 0.0, 0.0), link.at())]
-    same(*both(mbd.System([arm, link], joints, gravity=(0.0, -9.81, 0.0)), 0.02, steps=20))
+    same(*both(weightless(), 0.02, steps=20))
 
 
 def test_forces_are_compiled(both: Both) -> None:
@@ -118,3 +124,23 @@ def test_redundant_rows_are_compiled(both: Both) -> None:
 def test_phases_are_compiled(both: Both) -> None:
     phases = [mbd.Phase(until=0.0233), mbd.Phase(release=["motor"])]
     same(*both(pushed(0.7), 0.06, steps=60, phases=phases))
+
+
+@pytest.mark.parametrize("gradients", [False, True])
+def test_the_right_hand_side_is_compiled(both: Both, gradients: bool) -> None:
+    """Methods of torchdiffeq: more lanes than a block, forces, and drives with laws."""
+    system = sprung()
+    designs = {NAME: system.body("rod").laminate.angles.detach() + 0.02 * torch.arange(9, dtype=torch.float64)[:, None]}
+    options = {"sensitivities": gradients, "designs": designs}
+    same(*both(system, 2e-4, "rk4", 20, **options))
+
+
+def test_the_right_hand_side_of_a_driven_mechanism(both: Both) -> None:
+    system = build(3, cells=(6, 2), modes=2)
+    eager, fast = both(system, 5e-4, "dopri5", 4, rtol=1e-6, atol=1e-8, designs={NAME: ANGLES})
+    same(eager, fast)
+    assert fast.stats == eager.stats
+
+
+def test_a_right_hand_side_without_inertia_stays_eager(both: Both) -> None:
+    same(*both(weightless(), 1e-3, "rk4", 5))

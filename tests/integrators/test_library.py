@@ -69,7 +69,7 @@ def test_the_command_lists_and_clears(cache: Path, capsys: pytest.CaptureFixture
 def test_a_library_is_built_at_the_second_batch_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     built: list[Dynamics] = []
 
-    def build(d: Dynamics) -> None:
+    def build(d: Dynamics, kind: str) -> None:
         built.append(d)
         library._building[library.key(d)] = None  # type: ignore[assignment]
 

@@ -261,3 +261,23 @@ def test_energy_lost_at_switches():
         errors.append(float(books.balance.abs().max()))
         assert float(books.lost[0, -1].abs()) > 10.0 * errors[-1]
     assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.3)
+
+
+def test_a_lock_on_a_bent_body_is_closed():
+    """Axes of a frame on a bent body are not quite perpendicular to each other; the lock holds what is there."""
+    system = pendulum()
+    arm, rod = system.body("arm"), system.body("rod")
+    ball = mbd.Spherical(rod.at("left", axes=turned(0.4, -0.3, 0.7)), arm.at(0.2, 0.1, -0.05), name="ball")
+    loose = mbd.System(system.bodies, [system.joints[0], ball], gravity=tuple(10.0 * g for g in GRAVITY))
+    phases = [mbd.Phase(until=0.021), mbd.Phase(lock=["ball"])]
+    motion = mbd.simulate(loose, 0.04, steps=160, phases=phases).require_ok()
+    rotation = motion.modes("rod")[0, rod.mesh.node("left"), 3:] @ motion.body("rod").w[0, 84]
+    assert float(rotation.norm()) ** 2 > 1e-6  # by how much the axes are not perpendicular
+
+
+def test_a_motion_that_is_not_finite_is_the_status_of_its_lane():
+    body = box("block")
+    push = mbd.Force(body.at(), lambda t: torch.stack([torch.where(t > 0.03, torch.nan, 1.0)] * 3))
+    phases = [mbd.Phase(until=0.05), mbd.Phase()]
+    motion = mbd.simulate(mbd.System([body], [], [push]), 0.1, steps=10, phases=phases)
+    assert "not finite" in motion.status[0]

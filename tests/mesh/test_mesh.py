@@ -8,7 +8,7 @@ import torch
 from torch.testing import assert_close
 
 from torchmbd.errors import InputError
-from torchmbd.mesh import Mesh
+from torchmbd.mesh import Mesh, rectangle
 
 SQUARE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]
 HALVES = [[0, 1, 2], [0, 2, 3]]
@@ -51,6 +51,7 @@ def test_a_mesh_travels_to_another_process():
         ([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], [[0, 1, 2]], r"nodes has shape \(3, 2\)"),
         ([*SQUARE[:3], [0.0, math.nan, 0.0]], HALVES, "node 3 is at"),
         ([*SQUARE, SQUARE[1]], [[0, 1, 2], [0, 2, 3], [4, 2, 3]], "node 1 and node 4 share one place"),
+        ([*SQUARE, [1.0, 1e-8, 0.0]], [[0, 1, 2], [0, 2, 3], [4, 2, 3]], "node 1 and node 4 share one place"),
         (SQUARE, [[0, 1, 2], [0, 2, 4]], r"triangle 1 has nodes \[0, 2, 4\]; allowed: 0 to 3"),
         (SQUARE, [[0, 1, 2, 3]], r"triangles has shape \(1, 4\)"),
         (SQUARE, [*HALVES, [2, 0, 1]], "triangle 0 and triangle 2 are duplicates"),
@@ -101,3 +102,15 @@ def test_of_many_names_the_nearest_are_shown():
     with pytest.raises(InputError, match="did you mean 'grid_77'") as error:
         Mesh(SQUARE, HALVES, many).node("gird_77")
     assert len(str(error.value)) < 300
+
+
+def test_a_patch_of_nodes():
+    mesh = rectangle(0.4, 0.2, (8, 4))
+    patch = mesh.within(0.051)
+    assert sorted(patch) == sorted(k for k, x in enumerate(mesh.nodes.tolist()) if x[0] ** 2 + x[1] ** 2 < 0.0026)
+    assert len(patch) == 5
+    assert mesh.within(0.01, (0.2, 0.1, 0.0)) == mesh.node_set("corner_right_top")
+    with pytest.raises(InputError, match=r"within\(0.0, 'center'\); allowed: a radius > 0"):
+        mesh.within(0.0)
+    with pytest.raises(InputError, match=r"no node within 0.01 m of \[1.0, 0.0, 0.0\]"):
+        mesh.within(0.01, [1.0, 0.0, 0.0])

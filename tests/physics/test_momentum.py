@@ -52,3 +52,59 @@ def test_the_center_of_mass_of_a_free_body_moves_on_a_parabola():
     t = motion.t[:, None]
     fall = center[0] + t * (sums(motion).momentum[0] / mass.sum()) + 0.5 * t * t * gravity
     assert float((center - fall).abs().max()) < 1e-9
+
+
+def floating_chain() -> mbd.System:
+    """Three rigid bodies on two joints, tumbling."""
+    tip = tensor(0.2, 0.1, -0.05)
+    spins = ((5.0, -3.0, 8.0), (1.0, 2.0, -6.0), (-4.0, 0.5, 2.0))
+    bodies = [
+        box(f"box_{k}", position=k * tip, velocity=(1.0, 0.0, 2.0), angular_velocity=spin)
+        for k, spin in enumerate(spins)
+    ]
+    joints = [
+        mbd.Universal(bodies[0].at(*tip.tolist()), bodies[1].at(), axes="zx"),
+        mbd.Spherical(bodies[1].at(*tip.tolist()), bodies[2].at()),
+    ]
+    return mbd.System(bodies, joints, stabilization=0.01)
+
+
+@pytest.mark.parametrize("duration", [0.2, pytest.param(10.0, marks=pytest.mark.slow)])
+def test_momentum_of_a_floating_chain(duration):
+    """To 1e-10 over 10 s; the energy with it."""
+    motion = mbd.simulate(floating_chain(), duration, "dopri8", steps=5, rtol=1e-13, atol=1e-14).require_ok()
+    found = sums(motion)
+    for x in (found.momentum, found.moment, found.energy[:, None]):
+        assert float((x - x[0]).norm(dim=1).max()) < 1e-10 * float(x.norm(dim=1).max())
+
+
+@pytest.mark.parametrize(("method", "steps", "drift"), [("generalized_alpha", 200, 1e-9), ("dopri5", 10, 1e-9)])
+@pytest.mark.parametrize("spin", [0.0, 3.0])
+def test_the_spin_of_a_rod_between_two_ball_joints_does_not_drift(method, steps, drift, spin):
+    """Nothing turns a round rod about its axis: om along it stays, though no joint holds it."""
+    ground = mbd.Ground()
+    crank = mbd.RigidBody("crank", 0.2, (1e-3, 1e-3, 1e-3), angular_velocity=(0.0, 0.0, 6.0))
+    axes = turned(0.0, 0.6, 0.0)  # its x-axis points down and forward
+    rod = mbd.RigidBody(
+        "rod",
+        0.3,
+        (1e-5, 2e-3, 2e-3),
+        position=tensor(0.1, 0.0, 0.0) + axes @ tensor(0.15, 0.0, 0.0),
+        axes=axes,
+        angular_velocity=(spin, 0.0, 0.0),
+    )
+    slider = mbd.RigidBody(
+        "slider", 0.2, (1e-3, 1e-3, 1e-3), position=tensor(0.1, 0.0, 0.0) + axes @ tensor(0.3, 0.0, 0.0)
+    )
+    joints = [
+        mbd.Revolute(ground.at(), crank.at(), axis="z"),
+        mbd.Spherical(crank.at(0.1, 0.0, 0.0), rod.at(-0.15, 0.0, 0.0)),
+        mbd.Spherical(rod.at(0.15, 0.0, 0.0), slider.at()),
+        mbd.Prismatic(ground.at(), slider.at(), axis="x"),
+    ]
+    system = mbd.System([crank, rod, slider], joints, gravity=(0.0, 0.0, -9.81), stabilization=0.05)
+    motion = mbd.simulate(system, 0.5, method, steps=steps).require_ok()
+    om = motion.body("rod").omega[0]
+    assert float(om[:, 1:].abs().max()) > 1.0
+    assert float((om[:, 0] - om[0, 0]).abs().max()) < drift * float(om.abs().max())
+    assert float(om[0, 0]) == pytest.approx(spin, abs=1e-9)

@@ -22,8 +22,8 @@ ENERGY = mbd.StrainEnergy("rod")
 # other angles [deg], bracket of the first one, the pair of modes (from zero), options of the rod
 DESIGNS = {
     "two layers, modes 1 and 2": ((20.0,), (-51.0, -47.0), 0, {}),
-    "one layer, modes 4 and 5": ((), (25.5, 28.5), 3, {}),
-    "craig-bampton": ((), (36.8, 39.2), 4, {"modes": 2, "reduction": "craig-bampton", "interface": ("left", "right")}),
+    "one layer, modes 4 and 5": ((), (27.5, 30.5), 3, {}),
+    "craig-bampton": ((), (26.5, 28.4), 4, {"modes": 2, "reduction": "craig-bampton", "interface": ("left", "right")}),
 }
 
 

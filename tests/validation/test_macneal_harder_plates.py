@@ -69,6 +69,24 @@ def test_beams(place, laminate, cells, direction, reference, tolerance):
     assert tip_displacement(place, cells, laminate, direction) == pytest.approx(reference, rel=tolerance)
 
 
+@pytest.mark.parametrize(("lean", "in_plane"), [((1, 1), (0.53, 0.80, 0.96)), ((1, -1), (0.70, 0.91, 0.99))])
+def test_slanted_cells(lean, in_plane):
+    """The straight beam with parallelograms and trapezoids of 45 degrees: only bending in the plane feels them.
+
+    Slender slanted triangles are stiff there at 6 x 1 cells (the set's own QUAD4: 0.63 and 0.05); 24 x 4 cells are not.
+    """
+    for cells, least in zip(((6, 1), (12, 2), (24, 4)), in_plane, strict=True):
+
+        def slanted(s, t, n=cells[0]):
+            k = round(s * n)
+            shift = 0.0 if k in (0, n) else lean[k % 2] * 0.6 / n * (2 * t - 1)
+            return 6 * s + shift, 0.2 * t, 0.0
+
+        assert least < tip_displacement(slanted, cells, STRAIGHT, V) / 0.1081 < 1.0
+        assert tip_displacement(slanted, cells, STRAIGHT, W) == pytest.approx(0.4321, rel=0.025)
+        assert tip_displacement(slanted, cells, STRAIGHT, U) == pytest.approx(3e-5, rel=0.01)
+
+
 def test_scordelis_lo_roof():
     """A quarter of the roof with 8 x 8 cells: 0.3024 down at the middle of the free edge."""
     laminate = Laminate(Ply.isotropic(4.32e8, 0.0, 1.0), [0.0], 0.25)

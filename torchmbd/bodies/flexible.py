@@ -140,7 +140,7 @@ class FlexibleBody(nn.Module):
         laminate        its `angles` [rad] are the body's design parameters
         modes           retained vibration modes of the body fixed at its reference nodes (and its interface)
         position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); joints close the rest
-        reference       nodes fixed to the body frame: a node or node set; None: the node nearest to the center of mass
+        reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
                         of `interface`; the highest frequencies are then those of these nodes: give `steps` to simulate

@@ -21,8 +21,10 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from torchmbd.design.response import Constraint, Measure
+from torchmbd.design.response import Constraint, Measure, differentiate
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Phase, Trajectory, simulate
@@ -209,14 +211,16 @@ class Problem:
     def _rows(self, motion: Trajectory, X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n]."""
         reference = self.reference
-        found = [measure.of(motion) for measure in reference.measures]
         lanes, first = len(X), self.peaks or 1
-        values = np.concatenate([x.value.numpy().reshape(lanes, -1) for x in found], 1)
+
+        def rows(moved: Trajectory) -> Tensor:
+            return torch.cat([measure.value(moved).reshape(lanes, -1) for measure in reference.measures], 1)
+
+        found = differentiate(rows, motion)
+        values, slopes = found.value.numpy(), None
         values[:, first:] = (values[:, first:] - reference.limits) / reference.scale
-        gradients = [x.gradient.numpy() for x in found if x.gradient is not None]
-        slopes = None
-        if gradients:
-            slopes = np.concatenate([g.reshape(lanes, -1, g.shape[-1]) for g in gradients], 1) @ self.space.map
+        if found.gradient is not None:
+            slopes = found.gradient.numpy() @ self.space.map
             slopes[:, first:] /= reference.scale[:, None]
         return self._with_extra_variable(values, slopes, X[:, -1], reference.unit) if self.peaks else (values, slopes)
 

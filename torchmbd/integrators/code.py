@@ -1,12 +1,11 @@
-"""The C++ of a step of generalized-alpha for one topology: straight-line code from step.py, around it march.cpp.
+"""The C++ of one topology: straight-line code out of torch functions, around it texts that are the same for all.
 
-    residual          R(z)                              matrix           entries of dR/dz that are not always zero
-    finish            the new state                     boundary         values that tangents need
-    residual_tangent  R_z dz + R_x dx + R_b db          finish_tangent   tangents of the new state
+    step    a step of generalized-alpha (step.py), driven by march.cpp
+    rates   the index-1 right-hand side (equations.py), driven by rates.cpp
 
-One design variable at a time, so that the code does not depend on how many there are; all data may depend on them.
-Beside the code stand the tables of a sparse factorization: rates in their order, then constraints by least degree. So the
-time per link of a chain is constant.
+Tangents are written out for one design variable, so that the code does not depend on how many there are; all data may
+depend on them. What they need of the values is kept from the values ("boundary"). Beside the code stand the tables of a
+sparse factorization: rates in their order, then constraints by least degree. So the time per link of a chain is constant.
 Checked in tests/integrators/test_compiled.py.
 """
 
@@ -17,13 +16,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from torchmbd.errors import MbdError
 from torchmbd.integrators.step import Model, State, Weights
 from torchmbd.numerics.emit import PRELUDE, Emitter
-from torchmbd.numerics.pair import Pair, separate
+from torchmbd.numerics.jet import Jet
+from torchmbd.numerics.pair import Pair, separate, value
 from torchmbd.numerics.scalars import Tape
+from torchmbd.system import equations
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Prescribed, Topology
 
@@ -42,120 +44,171 @@ class Layout(NamedTuple):
         names = tuple(sorted(data))
         return cls(names, tuple(tuple(data[name].shape[:-2]) for name in names))
 
-    @property
-    def size(self) -> int:
-        return sum(int(np.prod(s, dtype=int)) for s in self.shapes)
+
+class Code(NamedTuple):
+    """Functions of a tape that a driver calls; results of f(z, dz, state, data, uniform), see `Writer.traced`.
+
+    values, tangents   name -> f, without and with the tangents of one variable
+    matrix             f of the iteration matrix
+    driver             its text
+    """
+
+    values: dict[str, Callable[..., Any]]
+    tangents: dict[str, Callable[..., Any]]
+    matrix: Callable[..., Any]
+    driver: str
 
 
-class Inputs:
-    """Numbers of a tape for everything that a step is made of."""
+def step(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[int, ...]]]:
+    """Code of a step, sizes of the parts of its state, shapes of what all lanes share; `given` shows those of the laws."""
+    saddle = Saddle(T)
 
-    def __init__(self, tape: Tape, T: Topology, layout: Layout, given: Prescribed):
-        self.T, self.layout, self.given = T, layout, given
-        self.z, self.dz = (tape.inputs(name, T.n_v + T.rows, 1, 1) for name in ("z", "dz"))
-        sizes = [T.n_q, T.n_v, T.n_v, T.n_v, T.rows]
-        self.x, self.dx = (_cut(tape.inputs(name, sum(sizes)), [(n, 1, 1) for n in sizes]) for name in ("x", "dx"))
-        shapes = [(*s, 1, 1) for s in layout.shapes]
-        self.data, self.tangents = (_cut(tape.inputs(name, layout.size), shapes) for name in ("d", "dd"))
-        uniform = [(len(Weights._fields),), *(tuple(y.shape) for y in _parts(given))]
-        self.uniform = _cut(tape.inputs("u", sum(int(np.prod(s, dtype=int)) for s in uniform)), uniform)
+    def of(f: Callable[..., Any]) -> Callable[..., Any]:
+        def traced(z: Tensor, dz: Tensor, state: list[Pair], data: dict[str, Pair], uniform: Iterator[Tensor]) -> Any:
+            weights = Weights(*next(uniform).unbind(0))
+            A, r, t = (next(uniform) for _ in range(3))
+            laws = [None if law is None else tuple(next(uniform) for _ in law) for law in given.laws]
+            return f(Model(T, saddle, weights, data).step(State(*state), Prescribed(laws, A, r, t)), z, dz)
 
-    @property
-    def flat(self) -> list[np.ndarray]:
-        """All of them; what `rebuilt` takes."""
-        return [self.z, self.dz, *self.x, *self.dx, *self.data, *self.tangents, *self.uniform]
+        return traced
 
-    def function(self, saddle: Saddle, f: Callable[..., Any]) -> Callable[..., Any]:
-        """f(step, z, dz) as a function of flat tensors."""
+    values = {
+        "residual": of(lambda step, z, dz: step.residual(z)),
+        "finish": of(lambda step, z, dz: torch.cat([y.value for y in step.finish(z, dz)])),
+    }
+    tangents = {
+        "residual_tangent": of(lambda step, z, dz: step.residual(Pair.of(z, dz)).tangent),
+        "finish_tangent": of(lambda step, z, dz: torch.cat([y.tangent for y in step.finish(z, dz)])),
+    }
+    code = Code(values, tangents, of(lambda step, z, dz: step.matrix(z)), "march.cpp")
+    parts = [given.A, given.r, given.t, *(part for law in given.laws if law is not None for part in law)]
+    return code, [T.n_q, T.n_v, T.n_v, T.n_v, T.rows], [(len(Weights._fields),), *(tuple(x.shape) for x in parts)]
 
-        def flat(*tensors: Tensor) -> Any:
+
+def rates(T: Topology, drives: list[tuple | None]) -> tuple[Code, list[int], list[tuple[int, ...]]]:
+    """Code of the right-hand side; `drives`: laws with their slopes (Topology.law_jets), which show their shapes."""
+    saddle = Saddle(T)
+    eye = torch.eye(3, dtype=torch.float64)[..., None, None, None]  # no carriers but the ground
+
+    def of(f: Callable[..., Any]) -> Callable[..., Any]:
+        def traced(z: Tensor, dz: Tensor, state: list[Pair], data: dict[str, Pair], uniform: Iterator[Tensor]) -> Any:
+            rate, t = next(uniform), next(uniform)
+            jets = [d and tuple(Jet(*(next(uniform) for _ in range(3))) for _ in d) for d in drives]
+            given = Prescribed([d and tuple(jet.value for jet in d) for d in jets], eye, 0.0 * eye[0], t)
+            return f(z, state, data, given, jets, rate)
+
+        return traced
+
+    def residual(z: Any, state: list[Any], data: dict[str, Any], given: Prescribed, jets: list, rate: Any) -> Any:
+        at = equations.placement(T, data, state[0], given)
+        return equations.stabilized_residual(T, data, at, state[1], z[: T.n_v], z[T.n_v :], jets, rate)
+
+    def plain(f: Callable[..., Any]) -> Callable[..., Any]:
+        return of(lambda z, x, data, *rest: f(z, [value(y) for y in x], {k: value(y) for k, y in data.items()}, *rest))
+
+    def matrix(z: Tensor, x: list[Any], data: dict[str, Any], given: Prescribed, *_: Any) -> Tensor:
+        return saddle.matrix(data, equations.placement(T, data, x[0], given))
+
+    values = {
+        "residual": plain(lambda z, *rest: residual(torch.zeros_like(z), *rest)),
+        "kinematics": plain(lambda z, x, *_: equations.coordinate_rates(T, *x)),
+    }
+    tangents = {
+        "residual_tangent": of(lambda *rest: residual(*rest).tangent),
+        "kinematics_tangent": of(lambda z, x, *_: equations.coordinate_rates(T, *x).tangent),
+    }
+    parts = [x for d in drives if d is not None for jet in d for x in jet.parts]
+    return (
+        Code(values, tangents, plain(matrix), "rates.cpp"),
+        [T.n_q, T.n_v],
+        [(), (), *(tuple(x.shape) for x in parts)],
+    )
+
+
+KINDS: dict[str, Callable[..., tuple[Code, list[int], list[tuple[int, ...]]]]] = {"step": step, "rates": rates}
+
+
+def source(T: Topology, layout: Layout, kind: str, sample: Any) -> str:
+    """C++ of a topology; `sample` is the second argument of the kind."""
+    code, state, uniform = KINDS[kind](T, sample)
+    return _Writer(T, layout, state, uniform).text(code)
+
+
+class _Writer:
+    """Numbers of a tape for everything that functions are made of, and the functions written out."""
+
+    def __init__(self, T: Topology, layout: Layout, state: list[int], uniform: list[tuple[int, ...]]):
+        self.T, self.layout, self.tape = T, layout, Tape()
+        inputs, n = self.tape.inputs, len(layout.names)
+        self.counts = [1, 1, len(state), len(state), n, n, len(uniform)]
+        parts = [(k, 1, 1) for k in state]
+        data = [(*s, 1, 1) for s in layout.shapes]
+        self.flat = [inputs(name, T.n_v + T.rows, 1, 1) for name in ("z", "dz")]
+        for name, shapes in (("x", parts), ("dx", parts), ("d", data), ("dd", data), ("u", uniform)):
+            self.flat += _cut(inputs(name, sum(_size(s) for s in shapes)), shapes)
+
+    def traced(self, f: Callable[..., Any]) -> list[int]:
+        """f of numbers z, dz, a list of pairs (the state), the data by name, and an iterator of what all lanes share."""
+
+        def flat(*tensors: Tensor) -> Tensor:
             rest = iter(tensors)
-            z, dz = _take(rest, 2)
-            x = State(*(Pair.of(*both) for both in zip(_take(rest, 5), _take(rest, 5), strict=True)))
-            n = len(self.layout.names)
-            both = zip(_take(rest, n), _take(rest, n), strict=True)
-            data = {name: Pair.of(*pair) for name, pair in zip(self.layout.names, both, strict=True)}
-            weights, A, r, t = _take(rest, 4)
-            laws = [None if law is None else tuple(_take(rest, len(law))) for law in self.given.laws]
-            model = Model(self.T, saddle, Weights(*weights.unbind(0)), data)
-            return f(model.step(x, Prescribed(laws, A, r, t)), z, dz)
+            (z,), (dz,), x, dx, d, dd, u = ([next(rest) for _ in range(n)] for n in self.counts)
+            state, data = ([Pair.of(*both) for both in zip(*p, strict=True)] for p in ((x, dx), (d, dd)))
+            return f(z, dz, state, dict(zip(self.layout.names, data, strict=True)), iter(u))
 
-        return flat
+        with separate():
+            (found,) = self.tape.trace(flat, *self.flat)
+        if len(self.tape.op) > MOST:
+            raise MbdError(f"a step has more than {MOST} operations: it is not compiled")
+        return [int(i) for i in found.ravel()]
+
+    def text(self, code: Code) -> str:
+        """The whole C++ text."""
+        n = self.T.n_v + self.T.rows
+        values, tangents = ({k: self.traced(f) for k, f in fs.items()} for fs in (code.values, code.tangents))
+        entries = [(i, node) for i, node in enumerate(self.traced(code.matrix)) if node != self.tape.zero]
+        emitter = Emitter(self.tape, {name: f"in.{name}" for name in ("x", "d", "z", "dx", "dd", "dz", "u")})
+        inner = self._boundary(emitter, [node for outputs in tangents.values() for node in outputs])
+        known = {node: f"in.b[{i}]" for i, node in enumerate(inner)}
+        functions = [emitter.function(name, outputs) for name, outputs in values.items()]
+        functions.append(emitter.function("matrix", [node for _, node in entries]))
+        functions.append(emitter.function("boundary", inner))
+        functions += [emitter.function(name, outputs, known) for name, outputs in tangents.items()]
+        pattern = np.zeros((n, n), dtype=bool)
+        pattern.flat[[i for i, _ in entries]] = True
+        sizes = {"N_Q": self.T.n_q, "N_V": self.T.n_v, "ROWS": self.T.rows, "ROOM": emitter.room}
+        sizes |= {"BOUNDARY": len(inner), "MATRIX": len(entries)}
+        constants = "".join(f"constexpr int {k} = {v};\n" for k, v in sizes.items())
+        tables = _table("PLACES", [i for i, _ in entries]) + factorization(pattern, self.T.n_v)
+        drivers = [(Path(__file__).parent / name).read_text() for name in ("factors.cpp", code.driver)]
+        return "\n".join([PRELUDE, _IN, constants, tables, *functions, *drivers])
+
+    def _boundary(self, emitter: Emitter, outputs: list[int]) -> list[int]:
+        """Values that the operations on tangents need, other than inputs."""
+        tape = self.tape
+        moving = {i for i, op in enumerate(tape.op) if op == "input" and tape.args[i][0] in ("dx", "dd", "dz")}
+        order = emitter.order(outputs)
+        for node in order:
+            if any(a in moving for a in tape.args[node]):
+                moving.add(node)
+        needed = {a for node in order if node in moving for a in tape.args[node]} | set(outputs)
+        return sorted(a for a in needed if a not in moving and tape.op[a] not in ("input", "constant"))
 
 
-def _take(rest: Iterator[Tensor], count: int) -> list[Tensor]:
-    return [next(rest) for _ in range(count)]
-
-
-def _parts(given: Prescribed) -> list[Tensor]:
-    return [given.A, given.r, given.t, *(part for law in given.laws if law is not None for part in law)]
+def _size(shape: tuple[int, ...]) -> int:
+    return int(np.prod(shape, dtype=int))
 
 
 def _cut(numbers: np.ndarray, shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
-    ends = np.cumsum([int(np.prod(s, dtype=int)) for s in shapes])[:-1]
+    ends = np.cumsum([_size(s) for s in shapes])[:-1]
     return [x.reshape(s) for x, s in zip(np.split(numbers, ends), shapes, strict=True)]
-
-
-def source(T: Topology, layout: Layout, given: Prescribed) -> str:
-    """C++ of a topology; `given` shows the shapes of what is prescribed."""
-    tape, saddle = Tape(), Saddle(T)
-    inputs = Inputs(tape, T, layout, given)
-
-    def traced(f: Callable[..., Any]) -> list[np.ndarray]:
-        with separate():
-            return tape.trace(inputs.function(saddle, f), *inputs.flat)
-
-    (R,) = traced(lambda step, z, dz: step.residual(z))
-    (K,) = traced(lambda step, z, dz: step.matrix(z))
-    (dR,) = traced(lambda step, z, dz: step.residual(Pair.of(z, dz)).tangent)
-    new = traced(lambda step, z, dz: [y.value for y in step.finish(z, dz)])
-    moved = traced(lambda step, z, dz: [y.tangent for y in step.finish(z, dz)])
-    if len(tape.op) > MOST:
-        raise MbdError(f"a step has {len(tape.op)} operations; more than {MOST} are not compiled")
-    arrays = {name: f"in.{name}" for name in ("x", "d", "z", "dx", "dd", "dz", "u")}
-    emitter = Emitter(tape, arrays)
-    tangents = [_flat([dR]), _flat(moved)]
-    inner = _boundary(tape, emitter, [*tangents[0], *tangents[1]])
-    known = {node: f"in.b[{i}]" for i, node in enumerate(inner)}
-    n = T.n_v + T.rows
-    entries = [(i, node) for i, node in enumerate(_flat([K])) if node != tape.zero]
-    functions = [
-        emitter.function("residual", _flat([R])),
-        emitter.function("matrix", [node for _, node in entries]),
-        emitter.function("finish", _flat(new)),
-        emitter.function("boundary", inner),
-        emitter.function("residual_tangent", tangents[0], known),
-        emitter.function("finish_tangent", tangents[1], known),
-    ]
-    pattern = np.zeros((n, n), dtype=bool)
-    pattern.flat[[i for i, _ in entries]] = True
-    sizes = {"N_Q": T.n_q, "N_V": T.n_v, "ROWS": T.rows, "BOUNDARY": len(inner), "ROOM": emitter.room}
-    constants = "".join(f"constexpr int {k} = {v};\n" for k, v in (sizes | {"MATRIX": len(entries)}).items())
-    tables = _table("PLACES", [i for i, _ in entries]) + factorization(pattern, T.n_v)
-    return "\n".join([PRELUDE, _IN, constants, tables, *functions, (Path(__file__).parent / "march.cpp").read_text()])
-
-
-def _flat(arrays: Sequence[np.ndarray]) -> list[int]:
-    return [int(i) for x in arrays for i in x.ravel()]
-
-
-def _boundary(tape: Tape, emitter: Emitter, outputs: list[int]) -> list[int]:
-    """Values that the operations on tangents need, other than inputs."""
-    moving = {i for i, op in enumerate(tape.op) if op == "input" and tape.args[i][0] in ("dx", "dd", "dz")}
-    order = emitter.order(outputs)
-    for node in order:
-        if any(a in moving for a in tape.args[node]):
-            moving.add(node)
-    needed = {a for node in order if node in moving for a in tape.args[node]} | set(outputs)
-    return sorted(a for a in needed if a not in moving and tape.op[a] not in ("input", "constant"))
 
 
 def factorization(pattern: np.ndarray, first: int) -> str:
     """Tables of the elimination of a matrix with a pattern: the `first` rows in their order, the others by least degree."""
     n = len(pattern)
-    full = pattern | pattern.T | np.eye(n, dtype=bool)
-    left, order = full.copy(), []
-    remaining = list(range(n))
+    left = pattern | pattern.T | np.eye(n, dtype=bool)
+    remaining, order = list(range(n)), []
     rows: list[list[int]] = []
     while remaining:
         some = [i for i in remaining if i < first][:1] or remaining
@@ -167,8 +220,7 @@ def factorization(pattern: np.ndarray, first: int) -> str:
         order.append(pivot)
         rows.append(beside)
     starts = np.concatenate([[0], np.cumsum([len(r) for r in rows])]).tolist()
-    flat = [i for r in rows for i in r]
-    return _table("ORDER", order) + _table("START", starts) + _table("BESIDE", flat)
+    return _table("ORDER", order) + _table("START", starts) + _table("BESIDE", [i for r in rows for i in r])
 
 
 def _table(name: str, numbers: Sequence[int]) -> str:

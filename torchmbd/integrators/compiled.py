@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchmbd.integrators.blocks import blocks, data_blocks, in_all_lanes, lanes_out
 from torchmbd.integrators.library import library
 from torchmbd.integrators.march import CHECK, March, Record
 from torchmbd.integrators.step import Model, State, Weights
@@ -21,7 +21,6 @@ from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
 
-_LANES = 8
 _NUMBERS = ("lanes", "slots", "data", "data_tangents", "uniform", "first", "steps", "corrections", "passes", "refresh")
 _NUMBERS += ("look", "fresh")
 _ARRAYS = ("given", "state", "values", "tangents", "factors", "stay", "lost", "q", "v", "vd", "lam", "sizes", "errors")
@@ -55,24 +54,14 @@ class CompiledMarch(March):
     ):
         super().__init__(dynamics, Model(dynamics.topology, dynamics.saddle, w, dynamics.data), iterations, refresh)
         self.code: ctypes.CDLL | None = code
-        lanes = dynamics.lanes
-        self.lanes, self.slots, self.fresh = lanes, dynamics.tangents, 1
+        self.lanes, self.slots, self.fresh = dynamics.lanes, dynamics.tangents, 1
         code.march_room.restype = code.march_factors.restype = code.march.restype = ctypes.c_long
         code.march_room.argtypes = [ctypes.c_long]
         self.weights = torch.tensor(w, dtype=torch.float64)
-        parts = [dynamics.data[name] for name in sorted(dynamics.data)]
-        values = torch.cat([_lanes(value(x).flatten(0, -2), lanes) for x in parts])
-        self.values = _blocks(values[:, None])
-        self.tangents = _blocks(torch.cat([self._tangents(x) for x in parts])) if self.slots else values[:0]
+        self.values, self.tangents = data_blocks(dynamics)
         self.factors = torch.empty(len(self.values) * code.march_factors() // 8, dtype=torch.float64)
         self.room = torch.empty(code.march_room(self.slots) // 8, dtype=torch.float64)
         self.diagonal = [x.contiguous() for x in dynamics._diagonal] if dynamics.redundant else None
-
-    def _tangents(self, x: Any) -> Tensor:
-        """Tangents [components, slots, lanes] of data."""
-        if isinstance(x, Pair):
-            return _lanes(x.tangent.reshape(-1, *x.tangent.shape[-2:]), self.lanes)
-        return x.new_zeros(x.shape[:-2].numel(), self.slots, self.lanes)
 
     def forget(self) -> None:
         super().forget()
@@ -84,7 +73,7 @@ class CompiledMarch(March):
     def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0) -> State:
         if self.code is None:
             return super().run(x, schedule, record, first)
-        state = _blocks(torch.cat([_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
+        state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         table = torch.stack([_uniform(self.weights, given) for given in schedule])
         done = 0
         while done < len(schedule):
@@ -101,7 +90,7 @@ class CompiledMarch(March):
         sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
         errors = torch.empty(self.lanes, dtype=torch.float64)
         look = int(self.slots > 0 and first % CHECK == 0)
-        numbers = (self.lanes, self.slots, self.values.shape[2], self.tangents.shape[-2] if self.slots else 0)
+        numbers = (self.lanes, self.slots, self.values.shape[2], self.tangents.shape[2])
         numbers += (table.shape[1], first, len(table), self.corrections, self.passes, self.refresh, look, self.fresh)
         stay, lost = self.diagonal or (None, None)
         arrays = [table, state, self.values, self.tangents, self.factors, stay, lost]
@@ -120,8 +109,7 @@ class CompiledMarch(March):
     def _state(self, state: Tensor) -> State:
         """A state out of blocks [block, slot, number, 8]."""
         T = self.dynamics.topology
-        full = state.permute(2, 1, 0, 3).flatten(2)[..., : self.lanes]
-        parts = full.split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
+        parts = lanes_out(state, self.lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         return State(*(Pair(y) if self.slots else y for y in parts))
 
 
@@ -129,15 +117,3 @@ def _uniform(weights: Tensor, given: Prescribed) -> Tensor:
     """What is the same for all lanes at a step."""
     laws = [part.flatten() for law in given.laws if law is not None for part in law]
     return torch.cat([weights, given.A.flatten(), given.r.flatten(), given.t.reshape(1), *laws])
-
-
-def _lanes(x: Tensor, lanes: int) -> Tensor:
-    return x.expand(*x.shape[:-1], lanes)
-
-
-def _blocks(x: Tensor) -> Tensor:
-    """Numbers [n, slots, lanes] as [block, slots, n, 8]; the last lane fills the last block."""
-    missing = -x.shape[-1] % _LANES
-    if missing:
-        x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], missing)], -1)
-    return x.unflatten(-1, (-1, _LANES)).permute(2, 1, 0, 3).contiguous()

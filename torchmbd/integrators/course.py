@@ -134,6 +134,8 @@ class Course:
     def _begin(self, number: int, lane: int, dynamics: Dynamics, passage: Passage) -> State:
         """The state of one lane after a switch."""
         t, x = passage.lane(lane)
+        if not bool(torch.isfinite(value(x.q)).all()):
+            self.fail(lane, f"the motion is not finite when phase {self.stages[number].name!r} begins")
         if not self.arrived(passage)[lane]:
             rows = value(x.q).new_zeros(dynamics.topology.rows, *x.q.shape[1:])
             q, v = x.q * torch.nan, x.v * torch.nan

@@ -17,7 +17,7 @@ Checked in tests/physics/test_energies.py: against nodal sums, and the balance t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
@@ -104,7 +104,7 @@ def _lane(motion: Trajectory, lane: int) -> list[Tensor]:
             dissipation = (wd * matvec(data["D"], wd)).sum((0, 1))
     momentum = torch.cat([x.flatten(0, 1) for x in equations.inertia_forces(T, plain, at, torch.zeros_like(v), v)])
     energy = [0.5 * dot(v, momentum), strain, _potential(motion, data, at, q)]
-    powers = [dissipation, _applied(motion, data, at, v), _driven(T, data, t, q, lam)]
+    powers = [dissipation, _applied(motion, data, at, v, samples.begins.cumsum(0)), _driven(T, data, t, q, lam)]
     drop = -energy[0][0].diff(prepend=energy[0][0, :1])
     lost = torch.where(samples.begins, drop, 0.0).cumsum(0)
     works = [torch.nn.functional.pad(torch.cumulative_trapezoid(x[0], t), (1, 0)) for x in powers]
@@ -134,13 +134,15 @@ def _potential(motion: Trajectory, data: equations.Data, at: equations.Placement
     return -(weight * data["gravity"]).sum((0, 1))
 
 
-def _applied(motion: Trajectory, data: equations.Data, at: equations.Placement, v: Tensor) -> Tensor:
-    """Power of the applied forces: what they do to the bodies times the rates."""
-    T = motion.dynamics.topology
-    if not T.actions:
-        return torch.zeros_like(v[0])
-    forces = equations.generalized_forces(T, data, at, equations.applied_on_vectors(T, data, at, v))
-    return dot(torch.cat([x.flatten(0, 1) for x in forces]), v)
+def _applied(motion: Trajectory, data: equations.Data, at: equations.Placement, v: Tensor, phase: Tensor) -> Tensor:
+    """Power of the applied forces: what they do to the bodies times the rates; `phase`: of each time, from 0."""
+    T, power = motion.dynamics.topology, torch.zeros_like(v[0])
+    for k, actions in enumerate(motion.actions or (T.actions,)):
+        if actions:
+            own = replace(T, actions=actions)
+            forces = equations.generalized_forces(own, data, at, equations.applied_on_vectors(own, data, at, v))
+            power = torch.where(phase == k, dot(torch.cat([x.flatten(0, 1) for x in forces]), v), power)
+    return power
 
 
 def _driven(T: Topology, data: equations.Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Compiled steps on disk: one shared library per topology, built by the C++ compiler of the machine.
+"""Compiled code on disk: one shared library per topology and kind (code.py), built by the C++ compiler of the machine.
 
 A library is valid for one key: topology (bodies, vectors, primitives, modes), the shapes of the data, the versions of
 torch and Python, the compiler, the processor, and the source of everything that the code is made of. So a stale library
@@ -25,6 +25,7 @@ import warnings
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -32,12 +33,13 @@ from torchmbd.errors import MbdError
 from torchmbd.forces.laws import LAWS
 from torchmbd.integrators.code import Layout, source
 from torchmbd.system.dynamics import Dynamics
-from torchmbd.system.topology import Prescribed, Topology
+from torchmbd.system.topology import Topology
 
 _SOURCES = ("numerics", "joints/primitive.py", "forces", "system", "integrators/step.py", "integrators/code.py")
-_SOURCES += ("integrators/march.cpp", "integrators/library.py")
+_SOURCES += ("integrators/factors.cpp", "integrators/march.cpp", "integrators/rates.cpp", "integrators/library.py")
 _OPTIONS = ("-O1", "-std=c++17", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
 _SUFFIX = ".so"
+_ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
 _loaded: dict[str, ctypes.CDLL] = {}
 _seen: dict[str, int] = {}  # batches without a library
@@ -76,25 +78,25 @@ def enabled() -> bool:
     return True
 
 
-def library(dynamics: Dynamics) -> ctypes.CDLL | None:
+def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
     """The library of a system if it is there; asked for again, it is built in the background."""
     if not enabled() or not known_laws(dynamics.topology):
         return None
-    name, path = key(dynamics), path_of(dynamics)
+    name, path = key(dynamics, kind), path_of(dynamics, kind)
     if name not in _loaded:
         found = _load(path) if path.exists() else None
         if found is None:
             _seen[name] = _seen.get(name, 0) + 1
             if _seen[name] >= _BATCHES and name not in _building:
-                build_in_background(dynamics)
+                build_in_background(dynamics, kind)
             return None
         _loaded[name] = found
     return _loaded[name]
 
 
-def path_of(dynamics: Dynamics) -> Path:
+def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
     """Where the library of a system is, or would be."""
-    return cache_folder() / f"{key(dynamics)}{_SUFFIX}"
+    return cache_folder() / f"{key(dynamics, kind)}{_SUFFIX}"
 
 
 def known_laws(T: Topology) -> bool:
@@ -103,19 +105,30 @@ def known_laws(T: Topology) -> bool:
     return all(type(law) in LAWS and not callable(getattr(law, "law", None)) for law in laws)
 
 
-def key(dynamics: Dynamics) -> str:
+def key(dynamics: Dynamics, kind: str = "step") -> str:
     """Name of the library of a system, for this source, these versions and this processor."""
     T = dynamics.topology
     attached = [(a.mount is None, a.is_point) for a in T.attached]
-    members = [(type(p).__name__, [m.tolist() for m in p.members], () if p.driven else p.data) for p in T.primitives]
-    actions = [(type(a).__name__, [m.tolist() for m in a.members], repr(a.laws)) for a in T.actions]
-    folds = [f.table.tolist() for f in (T.vector_fold, T.body_fold, T.modal_fold)]
-    vectors = [x.tolist() for x in (T.vector_body, T.vector_origin, T.vector_flexible)]
-    rates = None if T.rates is None else T.rates.tolist()
-    facts = [len(T.names), len(T.carriers), T.flexible, T.modes, attached, members, actions, folds, vectors, rates]
-    digest = hashlib.sha256(repr([facts, Layout.of(dynamics.data)]).encode())
+    facts = [
+        len(T.names),
+        len(T.carriers),
+        attached,
+        _facts({k: v for k, v in vars(bare(T)).items() if k not in _ASIDE}),
+    ]
+    digest = hashlib.sha256(repr([kind, facts, Layout.of(dynamics.data)]).encode())
     digest.update(_surroundings(compiler()).encode())
     return digest.hexdigest()[:32]
+
+
+def _facts(x: Any) -> Any:
+    """Everything that an object is made of, as numbers, names and lists."""
+    if isinstance(x, torch.Tensor):
+        return x.tolist()
+    if isinstance(x, dict):
+        return [(k, _facts(y)) for k, y in sorted(x.items())]
+    if isinstance(x, (list, tuple)):
+        return [_facts(y) for y in x]
+    return (type(x).__qualname__, _facts(vars(x))) if hasattr(x, "__dict__") else repr(x)
 
 
 @cache
@@ -156,30 +169,31 @@ def _load(path: Path) -> ctypes.CDLL | None:
         return None
 
 
-Order = tuple[Topology, Layout, Prescribed, str]
+Order = tuple[Topology, Layout, str, Any, str]
 
 
-def order(dynamics: Dynamics) -> Order:
+def order(dynamics: Dynamics, kind: str = "step") -> Order:
     """What `build` needs; can be pickled."""
-    T = dynamics.topology
-    return bare(T), Layout.of(dynamics.data), T.prescribed(torch.zeros((), dtype=torch.float64)), key(dynamics)
+    T, zero = dynamics.topology, torch.zeros((), dtype=torch.float64)
+    sample = T.prescribed(zero) if kind == "step" else T.law_jets(zero)
+    return bare(T), Layout.of(dynamics.data), kind, sample, key(dynamics, kind)
 
 
-def build(T: Topology, layout: Layout, given: Prescribed, name: str) -> Path:
+def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Path:
     """Write and compile the code of a topology; the library appears complete or not at all."""
     cache_folder().mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=cache_folder()) as work:
-        text, made = Path(work) / "step.cpp", Path(work) / "step.so"
-        text.write_text(source(T, layout, given))
+        text, made = Path(work) / "code.cpp", Path(work) / "code.so"
+        text.write_text(source(T, layout, kind, sample))
         done = subprocess.run([compiler(), *_OPTIONS, "-o", str(made), str(text)], capture_output=True, text=True)
         if done.returncode:
-            raise MbdError(f"{compiler()} failed on the step of {', '.join(T.names)}: {done.stderr[-2000:]}")
+            raise MbdError(f"{compiler()} failed on the {kind} of {', '.join(T.names)}: {done.stderr[-2000:]}")
         return made.replace(cache_folder() / f"{name}{_SUFFIX}")
 
 
-def build_in_background(dynamics: Dynamics) -> subprocess.Popen | None:
-    """Compile the step of a topology in a process of its own, at low priority; returns it, or None if it cannot begin."""
-    ordered = order(dynamics)
+def build_in_background(dynamics: Dynamics, kind: str = "step") -> subprocess.Popen | None:
+    """Compile the code of a topology in a process of its own, at low priority; returns it, or None if it cannot begin."""
+    ordered = order(dynamics, kind)
     try:
         cache_folder().mkdir(parents=True, exist_ok=True)
         handle, path = tempfile.mkstemp(suffix=".job", dir=cache_folder())

@@ -18,9 +18,9 @@ from torch import Tensor
 from torchdiffeq._impl.odeint import SOLVERS
 
 from torchmbd.errors import InputError
+from torchmbd.integrators.compiled_rates import RightHandSide, augment
 from torchmbd.integrators.generalized_alpha import initial
 from torchmbd.integrators.march import History
-from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
 FIXED = {"euler", "midpoint", "heun2", "heun3", "rk4", "explicit_adams", "implicit_adams", "fixed_adams"}
@@ -52,9 +52,13 @@ def integrate(
     y0 = torch.cat([augment(start.q, dynamics), augment(start.v, dynamics)])
 
     before = dynamics.statistics["evaluations"]
-    y = flow(dynamics, y0, times, arguments(method, rtol, atol, options))
+    f = RightHandSide(dynamics)
+    y = flow(f, y0, times, arguments(method, rtol, atol, options))
     counts = {"evaluations": dynamics.statistics["evaluations"] - before}
-    a, lam = _accelerations(dynamics, times, y)
+    a, lam = (
+        torch.stack(x)
+        for x in zip(*(f.accelerations(t, state) for t, state in zip(times, y, strict=True)), strict=True)
+    )
     return History(y[:, : T.n_q], y[:, T.n_q :], a, lambda: lam), counts
 
 
@@ -67,30 +71,9 @@ def arguments(method: str, rtol: float, atol: float, options: dict[str, Any] | N
     return {"method": method, "options": DEFAULTS.get(method, {}) | (options or {})} | tolerances
 
 
-def flow(dynamics: Dynamics, y0: Tensor, times: Tensor, given: dict[str, Any]) -> Tensor:
+def flow(f: RightHandSide, y0: Tensor, times: Tensor, given: dict[str, Any]) -> Tensor:
     """The augmented state [times, n_z, 1 + n_b, lanes] at times [n] from y0 at the first; `given` by `arguments`."""
-
-    def rates(t: Tensor, y: Tensor) -> Tensor:
-        z = Pair(y) if y.shape[1] > 1 else y
-        return augment(dynamics.rates(t, z), dynamics)
-
     try:
-        return torchdiffeq.odeint(rates, y0, times, **given)  # pyright: ignore[reportReturnType]
+        return torchdiffeq.odeint(f, y0, times, **given)  # pyright: ignore[reportReturnType]
     except AssertionError as error:  # torchdiffeq's way to say that dt underflows or that the state is not finite
         raise FloatingPointError(f"{given['method']}: {error}") from error
-
-
-def augment(x: Any, dynamics: Dynamics) -> Tensor:
-    """Value and tangents side by side [n, 1 + n_b, lanes]."""
-    full = x.full if isinstance(x, Pair) else torch.cat([x, x.new_zeros(x.shape[0], dynamics.tangents, x.shape[2])], 1)
-    return full.expand(-1, -1, dynamics.lanes)
-
-
-def _accelerations(dynamics: Dynamics, times: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
-    """Accelerations and multipliers with their sensitivities at the output times."""
-    T = dynamics.topology
-    parts = []
-    for t, state in zip(times, y, strict=True):
-        z = Pair(state) if state.shape[1] > 1 else state
-        parts.append([augment(x, dynamics) for x in dynamics.accelerations(t, z[: T.n_q], z[T.n_q :])])
-    return torch.stack([a for a, _ in parts]), torch.stack([lam for _, lam in parts])

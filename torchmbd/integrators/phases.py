@@ -3,26 +3,33 @@
     mbd.simulate(system, 3.0, phases=[
         mbd.Phase(until=mbd.Event(angle), lock=["latch_hinge"]),      until the event
         mbd.Phase(until=2.0, release=["spring_hook"]),                until t = 2 s
+        mbd.Phase(until=mbd.Event(turn), laws={"motor": second}),     another piece of a law that jumps
         mbd.Phase(),                                                  to the end of the simulation
     ])
 
 The joints of a phase are those of the system without the released ones; a locked joint is held where it is when the
 phase begins (joints/lock.py). Bodies, structure stage and attached vectors are those of one whole system with all joints
 and all locks; a phase has some of its constraint rows (system/selection.py). Multipliers are rows of that whole.
-Checked in tests/integrators/test_phases.py.
+A law of a force that jumps, such as eq. (39), is a phase for each of its continuous pieces: its jumps are located, not
+smoothed.
+Checked in tests/integrators/test_phases.py, tests/sensitivity/test_laws_that_jump.py.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.forces.action import Action, Law
+from torchmbd.forces.laws import checked
 from torchmbd.integrators.events import Event
 from torchmbd.joints import Drive, Joint
+from torchmbd.joints.joint import Scribe
 from torchmbd.joints.lock import Lock
 from torchmbd.system import System
 from torchmbd.system.saddle import Saddle
@@ -38,6 +45,7 @@ class Phase:
     lasting  how long it lasts [s], instead of `until`
     lock     joints, or their names, that are held where they are when the phase begins
     release  joints, or their names, that do not act
+    laws     names of force elements of one action each -> laws that act in their places
     impact   at the event that ends the phase: the coefficient of restitution of the event's function as a gap,
              from 0 to 1; or a map of the velocities, motion -> [lanes, times, n_v]
     name     for messages; default: its number, from 1
@@ -47,6 +55,7 @@ class Phase:
     lasting: float | None = None
     lock: Sequence[Joint | str] = ()
     release: Sequence[Joint | str] = ()
+    laws: Mapping[str, Law] = field(default_factory=dict)
     impact: float | Callable | None = None
     name: str | None = None
 
@@ -118,7 +127,7 @@ def plan(system: System, phases: Sequence[Phase], duration: float) -> tuple[Syst
         start = {joint.name for joint in system.joints} - gone
         active = start | {lock.name for lock in locks[k]}
         rows, first = (_rows(whole.topology, some) for some in (active, start))
-        topology = selected(whole.topology, rows)
+        topology = replace(selected(whole.topology, rows), actions=_acting(system, names[k], phase.laws))
         stages.append(
             Stage(phase, names[k], topology, Saddle(topology), rows, first, locks[k], whole.topology.row_names)
         )
@@ -127,6 +136,26 @@ def plan(system: System, phases: Sequence[Phase], duration: float) -> tuple[Syst
 
 def _rows(T: Topology, joints: set[str]) -> list[int]:
     return [i for i, name in enumerate(T.row_names) if name.rpartition(": ")[0] in joints]
+
+
+def _acting(system: System, phase: str, laws: Mapping[str, Law]) -> tuple[Action, ...]:
+    """The actions of the forces with other laws in the places of some."""
+    named = {force.name: force for force in system.forces}
+    changed = {kind: list(kind.laws) for kind in system.topology.actions}
+    of_kind, count = {type(kind): kind for kind in system.topology.actions}, Counter()
+    for name, law in laws.items():
+        if name not in named:
+            raise unknown(f"in laws of phase {phase!r} the force", name, named)
+        own = [force for force in system.forces if force.name == name]
+        if len(own) > 1 or len(list(own[0].actions(Scribe()))) != 1:
+            raise InputError(f"laws of phase {phase!r} names {name!r}; allowed: one force element of a single action")
+        checked(f"{name} in phase {phase}", law)
+    for force in system.forces:
+        for action in force.actions(Scribe()):
+            if force.name in laws:
+                changed[of_kind[action.kind]][count[action.kind]] = laws[force.name]
+            count[action.kind] += 1
+    return tuple(replace(kind, laws=tuple(some)) for kind, some in changed.items())
 
 
 def _ordered(phases: Sequence[Phase], names: Sequence[str], duration: float) -> None:

@@ -80,7 +80,7 @@ def simulate(
         status = [own if own != OK else other for own, other in zip(course.status, found, strict=True)]
     motion = _present(system, course.whole, course.history, stats, status, float(duration), **design)
     warn_of_spin(motion)
-    return replace(motion, switches=course.switches)
+    return replace(motion, switches=course.switches, actions=tuple(stage.topology.actions for stage in stages))
 
 
 def _through(course: Course, method: str, options: dict[str, Any]) -> dict[str, Any]:

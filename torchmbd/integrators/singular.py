@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from torchmbd.integrators.law_faults import laws_at_fault
 from torchmbd.system.rank import RELATIVE, jacobians, lost_rows
 
 if TYPE_CHECKING:
@@ -75,9 +76,9 @@ def _minima(x: Tensor, below: float) -> list[int]:
 
 
 def explained(motion: Trajectory) -> Trajectory:
-    """The motion with a word on singular positions in the status of lanes that failed."""
+    """The motion with a word on singular positions and laws of forces in the status of lanes that failed."""
     for lane, status in enumerate(motion.status):
         if status.startswith("failed"):
             near = of_lane(motion, lane)[:1]  # what follows the first is no motion to trust
-            motion.status[lane] = "; ".join([status, *map(str, near)])
+            motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
     return motion

@@ -15,6 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.integrators.compiled_rates import RightHandSide
 from torchmbd.integrators.course import Course, Passage
 from torchmbd.integrators.events import Event
 from torchmbd.integrators.ode import arguments, flow
@@ -70,6 +71,7 @@ class _Lane:
     ):
         self.course, self.stage, self.lane, self.given = course, stage, lane, given
         self.dynamics = lane_of(dynamics, lane)
+        self.rates = RightHandSide(self.dynamics)
         self.entry = entry.lane(lane)
         self.mask = torch.arange(course.whole.lanes) == lane
         self.h, self.times = course.duration / course.steps, course.times
@@ -91,7 +93,7 @@ class _Lane:
         if isinstance(self.stage.phase.until, Event):
             return self._to_event(self.stage.phase.until, ticks, now, y)
         times = torch.tensor([now, *self.times[ticks].tolist()], dtype=torch.float64)
-        motion = flow(self.dynamics, y, times, self.given) if ticks else y[None]
+        motion = flow(self.rates, y, times, self.given) if ticks else y[None]
         for k, z in zip(ticks, motion[1:], strict=True):
             self.course.put(self.stage, k, self.mask, self._state(self._time(float(self.times[k])), z))
         if end is None or until > self.course.duration:
@@ -139,7 +141,7 @@ class _Lane:
     def _moved(self, y: Tensor, now: float, then: float) -> Tensor:
         if now == then:
             return y
-        return flow(self.dynamics, y, torch.tensor([now, then], dtype=torch.float64), self.given)[-1]
+        return flow(self.rates, y, torch.tensor([now, then], dtype=torch.float64), self.given)[-1]
 
     def _rate(self, t: float, y: Tensor) -> Tensor:
         """z' [n_z, 1, 1]."""

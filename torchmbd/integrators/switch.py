@@ -26,7 +26,7 @@ from torch import Tensor
 from torchmbd.integrators.events import Event, Views, normal
 from torchmbd.integrators.step import State
 from torchmbd.joints.lock import Lock
-from torchmbd.numerics.pair import Pair, cat, matvec, matvec_t, reciprocal, value
+from torchmbd.numerics.pair import Pair, cat, combine, dot, matvec, matvec_t, reciprocal, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics, solve
 from torchmbd.system.topology import Topology
@@ -82,8 +82,13 @@ def marked(T: Topology, data: equations.Data, q: Any, locks: Sequence[Lock]) -> 
         offset = matvec_t(at.A_of[:, :, point_a], at.g[:, point_b] - at.g[:, point_a])
         data = _set(data, T, point, axes_a, _solve(at.rho[:, axes_a], offset), point_a)
         A, B = at.A_of[:, :, point_b], at.rho[:, axes_b]
-        for own, axis in zip(axes, axes_a, strict=True):
-            data = _set(data, T, own, axes_b, _solve(B, matvec_t(A, at.g[:, axis])), None)
+        for j, own in enumerate(axes):
+            e, other = at.g[:, axes_a[j]], at.g[:, axes_a[(j + 2) % 3]]
+            if (
+                axes_a[j] < T.attached_flexible
+            ):  # on a bent body not quite perpendicular, as the mark's equation wants them
+                e = combine(e, -dot(e, other) * reciprocal(dot(other, other)), other)
+            data = _set(data, T, own, axes_b, _solve(B, matvec_t(A, e)), None)
     return data
 
 

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import SimulationFailure, unknown
+from torchmbd.forces.action import Action
 from torchmbd.integrators.body_motion import BodyMotion
 from torchmbd.integrators.energies import Energies, energies
 from torchmbd.integrators.reaction import JointReaction, reaction
@@ -83,6 +84,7 @@ class Trajectory:
     designs     parameters of the lanes by name, [lanes, ...]
     parameters  names of the design variables of the sensitivities, one for each slot
     switches    passages into the second phase and all later ones
+    actions     applied forces of each phase; none: of all the same
     """
 
     t: Tensor
@@ -100,6 +102,7 @@ class Trajectory:
     designs: dict[str, Tensor] = field(default_factory=dict)
     parameters: tuple[str, ...] = ()
     switches: list[Switch] = field(default_factory=list)
+    actions: tuple[tuple[Action, ...], ...] = ()
     _views: dict[str, BodyMotion] = field(default_factory=dict, repr=False)
     _modes: dict[str, Tensor] = field(default_factory=dict, repr=False)
     _mode_tangents: dict[str, Tensor] = field(default_factory=dict, repr=False)
@@ -208,6 +211,7 @@ class Trajectory:
             dynamics=replace(self.dynamics, data=data),
             designs=self._moved_designs(delta),
             switches=[switch.moved(delta) for switch in self.switches],
+            actions=self.actions,
             _modes={name: move(psi, self._mode_tangents.get(name)) for name, psi in self._modes.items()},
         )
 

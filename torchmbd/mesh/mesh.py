@@ -23,12 +23,16 @@ import torch
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 
 #: A triangle is collapsed when its height over its longest side is less than this part of that side.
 FLATNESS = 1e-6
+
+#: Nodes nearer to each other than this part of the mesh's size share one place: a seam that was not merged.
+SEPARATION = 1e-7
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -78,6 +82,16 @@ class Mesh:
             raise unknown("node", name, shown)
         return tuple(self.node_sets[name])
 
+    def within(self, radius: float, point: str | Sequence[float] = "center") -> tuple[int, ...]:
+        """Return the nodes at most `radius` [m] from a named node or a place [m]: a patch of one size on every mesh."""
+        place = self.nodes[self.node(point)] if isinstance(point, str) else self.nodes.new_tensor(point)
+        if place.shape != (3,) or not radius > 0:
+            raise InputError(f"Mesh: within({radius!r}, {point!r}); allowed: a radius > 0, and a node or three numbers")
+        near = ((self.nodes - place).norm(dim=1) <= radius * (1.0 + 1e-9)).nonzero().flatten()
+        if not len(near):
+            raise InputError(f"Mesh: no node within {radius!r} m of {point!r}; allowed: a larger radius")
+        return tuple(near.tolist())
+
     def node_name(self, k: int) -> str:
         """What messages call a node."""
         return self.node_labels[k] if self.node_labels else f"node {k}"
@@ -111,11 +125,10 @@ def _check_nodes(mesh: Mesh) -> None:
     if len(bad):
         k = int(bad[0])
         raise InputError(f"Mesh: {mesh.node_name(k)} is at {nodes[k].tolist()}; allowed: finite coordinates")
-    _, first, inverse = np.unique(nodes.numpy(), axis=0, return_index=True, return_inverse=True)
-    twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(nodes)))
+    size = float((nodes.amax(0) - nodes.amin(0)).norm())
+    twins = KDTree(nodes.numpy()).query_pairs(SEPARATION * size, output_type="ndarray")
     plates = set(mesh.triangles.flatten().tolist())
-    for k in twin.tolist():
-        other = int(first[inverse.ravel()[k]])
+    for other, k in sorted(twins.tolist()):
         if {k, other} <= plates or not len(mesh.lines):  # the node of a rigid link may lie on a node of the plate
             raise InputError(
                 f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)} share one place {nodes[k].tolist()}; merge them"

@@ -171,14 +171,8 @@ class Dynamics:
         return both[: T.n_v], both[T.n_v :]
 
     def _residual(self, t: Tensor, data: Data, at: equations.Placement, v, a, lam):
-        """Equations of motion above the stabilized accelerations of the constraints [n_v + rows, ...]."""
-        T = self.topology
-        forces = equations.dynamic_residual(T, data, at, v, a, lam)
-        if not T.rows:
-            return forces
-        phi = equations.constraint_jets(T, at, data, v, a, t)
-        alpha = 1.0 / self.stabilization
-        return cat([forces, phi.acceleration + (2.0 * alpha) * phi.velocity + (alpha * alpha) * phi.value])
+        drives = self.topology.law_jets(t) if self.topology.rows else []
+        return equations.stabilized_residual(self.topology, data, at, v, a, lam, drives, 1.0 / self.stabilization)
 
 
 @dataclass(frozen=True, eq=False)

@@ -172,17 +172,34 @@ def constraints(T: Topology, at: Placement):
 
 
 def constraint_jets(T: Topology, at: Placement, data: Data, v, a, t: Tensor) -> Jet:
-    """Phi, Phi' and Phi'' [rows, ...] with the accelerations a: Phi'' = Phi_q a - gamma.
+    """Phi, Phi' and Phi'' [rows, ...] at time t with the accelerations a: Phi'' = Phi_q a - gamma."""
+    return driven_jets(T, at, data, v, a, T.law_jets(t))
+
+
+def driven_jets(T: Topology, at: Placement, data: Data, v, a, drives: list[tuple | None]) -> Jet:
+    """The same for laws that are known with their slopes.
 
     Of systems whose only carrier is the ground: a condensed one starts from the state of the whole.
     """
     assert not T.carriers
     parts = [T.arguments(part) for part in vector_jets(T, at, data, v, a).parts]
     phi = []
-    for i, (primitive, drive) in enumerate(zip(T.primitives, T.law_jets(t), strict=True)):
+    for i, (primitive, drive) in enumerate(zip(T.primitives, drives, strict=True)):
         members = [Jet(*x) for x in zip(*(part[i] for part in parts), strict=True)]
         phi.append(primitive.phi(members, drive).map(lambda x: x.flatten(0, 1)))
     return Jet(*(cat([jet.parts[k] for jet in phi]) for k in range(3)))
+
+
+def stabilized_residual(T: Topology, data: Data, at: Placement, v, a, lam, drives: list[tuple | None], rate: Any):
+    """Equations of motion above the accelerations of the constraints, stabilized: [n_v + rows, ...]; eq. (9).
+
+    Phi'' + 2 alpha Phi' + alpha^2 Phi with alpha = `rate` [1/s].
+    """
+    forces = dynamic_residual(T, data, at, v, a, lam)
+    if not T.rows:
+        return forces
+    phi = driven_jets(T, at, data, v, a, drives)
+    return cat([forces, phi.acceleration + (2.0 * rate) * phi.velocity + (rate * rate) * phi.value])
 
 
 def vector_jets(T: Topology, at: Placement, data: Data, v, a) -> Jet:

@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 import torch
 from torch import Tensor
 
@@ -27,7 +26,8 @@ from torchmbd.numerics.pair import value
 from torchmbd.system import equations
 from torchmbd.system.topology import Topology
 
-RELATIVE = 1e-9  # of the largest singular value: what counts as zero
+RELATIVE = 1e-9  # what counts as zero
+_APART = (0.1, 1e-2, 1e-4, 1e-6, RELATIVE)  # what a row adds to those that stay: rows that add most come first
 _SHARE = 0.3  # of the largest entry of a left vector: rows that are named
 
 
@@ -48,10 +48,10 @@ def rank_of(T: Topology, J: np.ndarray) -> Rank:
     driven = np.array([i for p, rows in T.row_slices() if p.driven for i in range(rows.start, rows.stop)], dtype=int)
     others = np.setdiff1d(np.arange(T.rows), driven)
     J = J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), np.finfo(float).tiny)
-    rank, dependent = _pivoted(J[others])
-    total, _ = _pivoted(np.concatenate([J[others], J[driven]]))
+    rank, dependent = _dependent(J[others])
+    total, _ = _dependent(np.concatenate([J[others], J[driven]]))
     if total < rank + len(driven):
-        held = [T.row_names[i] for i in driven if _pivoted(np.concatenate([J[others], J[i : i + 1]]))[0] == rank]
+        held = [T.row_names[i] for i in driven if _dependent(np.concatenate([J[others], J[i : i + 1]]))[0] == rank]
         which = held or [T.row_names[i] for i in driven]
         raise InputError(
             f"{', '.join(repr(name) for name in which)}: the other joints leave no freedom for this at the initial position; "
@@ -80,15 +80,22 @@ def _elastic(T: Topology) -> np.ndarray:
     return found
 
 
-def _pivoted(J: np.ndarray) -> tuple[int, list[int]]:
-    """Rank, and rows that depend on the others, by pivoted QR."""
-    if not J.size:
-        return 0, list(range(len(J)))
-    factors: Any = scipy.linalg.qr(J.T, mode="economic", pivoting=True)
-    _, R, order = factors
-    diagonal = np.abs(np.diag(R))
-    rank = int((diagonal > RELATIVE * max(diagonal[0], np.finfo(float).tiny)).sum())
-    return rank, order[rank:].tolist()
+def _dependent(J: np.ndarray) -> tuple[int, list[int]]:
+    """Rank, and rows that depend on the others; rows of length one.
+
+    Of rows that could stand for each other the first one stays, whatever the rounding: lanes and phases leave out the same.
+    """
+    Q, rank, rest = np.zeros_like(J), 0, list(range(len(J)))
+    for least in _APART:
+        for i in list(rest):
+            x = J[i]
+            for _ in range(2):  # twice is enough
+                x = x - Q[:rank].T @ (Q[:rank] @ x)
+            size = np.linalg.norm(x)
+            if size > least:
+                Q[rank], rank = x / size, rank + 1
+                rest.remove(i)
+    return rank, rest
 
 
 def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:

@@ -1,0 +1,96 @@
+"""The index-1 right-hand side by compiled code (library.py): the same numbers as Dynamics.rates.
+
+torchdiffeq asks for the right-hand side thousands of times; every `PATIENCE` evaluations it is looked whether the library
+has been built meanwhile. Systems with redundant constraints or a body without inertia stay on the eager way.
+Checked in tests/integrators/test_compiled.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators.blocks import data_blocks
+from torchmbd.integrators.library import library
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system.dynamics import Dynamics
+
+PATIENCE = 100  # evaluations
+_NUMBERS = ("lanes", "slots", "data", "data_tangents")
+_ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "room")
+
+
+class _Job(ctypes.Structure):
+    """As in rates.cpp."""
+
+    _fields_ = [(n, ctypes.c_long) for n in _NUMBERS] + [(n, ctypes.c_void_p) for n in _ARRAYS]
+
+
+class CompiledRates:
+    """dy/dt and multipliers of augmented states y [n_z, 1 + n_b, lanes]."""
+
+    def __init__(self, code: ctypes.CDLL, dynamics: Dynamics):
+        self.code, self.dynamics = code, dynamics
+        code.rates_room.restype = code.rates.restype = ctypes.c_long
+        self.values, self.tangents = data_blocks(dynamics)
+        self.room = torch.empty(code.rates_room() // 8, dtype=torch.float64)
+
+    def __call__(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
+        """dy/dt [n_z, 1 + n_b, lanes] and multipliers [rows, 1 + n_b, lanes] at time t; None: a body without inertia."""
+        y = y.contiguous()
+        T = self.dynamics.topology
+        jets = [jet for drive in T.law_jets(t) if drive is not None for jet in drive]
+        head = torch.stack([t.new_tensor(1.0 / self.dynamics.stabilization), t])
+        uniform = torch.cat([head, *(x.flatten() for jet in jets for x in jet.parts)])
+        dy, lam = torch.empty_like(y), y.new_empty(T.rows, *y.shape[1:])
+        numbers = (y.shape[2], y.shape[1] - 1, self.values.shape[2], self.tangents.shape[-2])
+        arrays = (uniform, self.values, self.tangents, y, dy, lam, self.room)
+        job = _Job(*numbers, *(x.data_ptr() for x in arrays))
+        return None if self.code.rates(ctypes.byref(job)) else (dy, lam)
+
+
+class RightHandSide:
+    """dy/dt of augmented states, and accelerations: eager, or by compiled code as soon as there is some."""
+
+    def __init__(self, dynamics: Dynamics):
+        self.dynamics = dynamics
+        self.eager = dynamics.redundant or any(value(x).is_cuda for x in dynamics.data.values())
+        self.fast: CompiledRates | None = None
+        self.count = 0
+
+    def __call__(self, t: Tensor, y: Tensor) -> Tensor:
+        """dy/dt [n_z, 1 + n_b, lanes] at time t."""
+        found = self._compiled(t, y)
+        if found is None:
+            return augment(self.dynamics.rates(t, Pair(y) if y.shape[1] > 1 else y), self.dynamics)
+        self.dynamics.statistics["evaluations"] += 1
+        return found[0]
+
+    def accelerations(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Accelerations [n_v, 1 + n_b, lanes] and multipliers [rows, ...]."""
+        n, found = self.dynamics.topology.n_q, self._compiled(t, y)
+        if found is not None:
+            return found[0][n:], found[1]
+        z = Pair(y) if y.shape[1] > 1 else y
+        a, lam = self.dynamics.accelerations(t, z[:n], z[n:])
+        return augment(a, self.dynamics), augment(lam, self.dynamics)
+
+    def _compiled(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
+        if self.eager:
+            return None
+        if self.fast is None and self.count % PATIENCE == 0:
+            code = library(self.dynamics, "rates")
+            self.fast = None if code is None else CompiledRates(code, self.dynamics)
+        self.count += 1
+        found = None if self.fast is None else self.fast(t, y)
+        self.eager = self.fast is not None and found is None
+        return found
+
+
+def augment(x: Any, dynamics: Dynamics) -> Tensor:
+    """Value and tangents side by side [n, 1 + n_b, lanes]."""
+    full = x.full if isinstance(x, Pair) else torch.cat([x, x.new_zeros(x.shape[0], dynamics.tangents, x.shape[2])], 1)
+    return full.expand(-1, -1, dynamics.lanes)

@@ -1,0 +1,54 @@
+"""Laws of forces that are to blame for a motion that failed: those that are not finite where it went next.
+
+    f(s, s', t + h),  f(s + h s', s', t + h)        at the last time t at which the motion is finite, h the output interval
+
+Checked in tests/forces/test_laws.py.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import TYPE_CHECKING
+
+import torch
+
+from torchmbd.joints.joint import Scribe
+from torchmbd.numerics.pair import value
+from torchmbd.system import equations
+
+if TYPE_CHECKING:
+    from torchmbd.integrators.trajectory import Trajectory
+
+
+def names(motion: Trajectory) -> dict[tuple[type, int], str]:
+    """Name of the force element of each action: (kind, number among its kind) -> name."""
+    count, found = Counter(), {}
+    for force in motion.system.forces:
+        for action in force.actions(Scribe()):
+            found[action.kind, count[action.kind]] = force.name
+            count[action.kind] += 1
+    return found
+
+
+def laws_at_fault(motion: Trajectory, lane: int) -> list[str]:
+    """What to say of the laws that are not finite where a lane went after its last finite time; [] if all are."""
+    T = motion.dynamics.topology
+    good = torch.isfinite(motion.q[lane]).all(1) & torch.isfinite(motion.v[lane]).all(1)
+    ended = torch.nonzero(~good)
+    if not T.actions or not len(ended) or int(ended[0]) == 0:
+        return []
+    i = int(ended[0]) - 1
+    t, h = motion.t[i + 1], motion.t[i + 1] - motion.t[i]
+    dynamics = motion.dynamics.values().some([lane if motion.dynamics.lanes > 1 else 0])
+    data = {name: value(x) for name, x in dynamics.data.items()}
+    q, v = (x[lane, i][:, None, None] for x in (motion.q, motion.v))
+    at = equations.placement(T, data, q, T.prescribed(t))
+    called, found = names(motion), []
+    for action, (s, rate, _) in zip(T.actions, equations.action_states(T, data, at, v), strict=True):
+        forces = [action.strength(x, rate, t).flatten(1).isfinite().all(1) for x in (s, s + h * rate)]
+        for k in torch.nonzero(~(forces[0] & forces[1]))[:, 0].tolist():
+            found.append(
+                f"the law of {called[type(action), k]!r} is not finite near s = {float(s[k]):.6g}, "
+                f"s' = {float(rate[k]):.6g}, t = {float(t):.6g} s"
+            )
+    return found
