@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import multiprocessing
 import os
@@ -14,6 +15,7 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 from rich.console import Console
 
@@ -129,7 +131,7 @@ def test_killed_at_twenty_random_moments(write, folder, monkeypatch):
         process = subprocess.Popen(
             command + ["--workers", "2"] * (life % 2), env=environment, stdout=subprocess.PIPE, text=True
         )
-        ended += _struck(process, chance, struck)
+        ended += _struck(process, chance, struck, "worker" if life % 4 == 1 else "")
         if process.returncode == 0:  # it was faster: the next one has all to do again
             for left in (folder / "place").glob("evaluations.db*"):
                 left.unlink()
@@ -145,14 +147,17 @@ def test_killed_at_twenty_random_moments(write, folder, monkeypatch):
     assert len(table(last)) == 32
 
 
-def _struck(process: subprocess.Popen, chance: random.Random, struck: list[str]) -> int:
-    """Kill a study or a process of its own at a random moment; return whether it had ended by itself."""
+def _struck(process: subprocess.Popen, chance: random.Random, struck: list[str], role: str) -> int:
+    """Kill a study or a process of its own, of that role if there is one, at a random moment.
+
+    Returns whether the study had ended by itself.
+    """
     assert process.stdout is not None
     if chance.random() < 0.7:  # while it computes; else while it starts
         next((line for line in process.stdout if "iteration" in line), None)
     time.sleep(chance.uniform(0, 5))
-    family = {process.pid: "study", **{pid: _role(pid) for pid in _below(process.pid)}}
-    target = chance.choice(list(family))
+    family = {process.pid: "study", **_below(process.pid)}
+    target = chance.choice([pid for pid in family if family[pid] == role] or list(family))
     if process.poll() is None:
         os.kill(target, signal.SIGKILL)
         struck.append(family[target])
@@ -163,25 +168,16 @@ def _struck(process: subprocess.Popen, chance: random.Random, struck: list[str])
     return int(process.returncode == 0)
 
 
-def _below(parent: int) -> list[int]:
-    """Processes that a process has started, and those that they have."""
-    try:
-        own = [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
-    except FileNotFoundError:
-        return []
-    return own + [pid for child in own for pid in _below(child)]
-
-
-def _role(pid: int) -> str:
-    words = Path(f"/proc/{pid}/cmdline").read_text() if Path(f"/proc/{pid}").exists() else ""
-    return next(
-        (
-            word
-            for word in ("writer", "studio")
-            if f"torchmbd.{'viz' if word == 'studio' else 'tracking'}.{word}" in words
-        ),
-        "worker",
-    )
+def _below(study: int) -> dict[int, str]:
+    """The processes that a study has started, by what they do."""
+    roles = {"torchmbd.tracking.writer": "writer", "torchmbd.viz.studio": "studio"}
+    found = {}
+    with contextlib.suppress(psutil.NoSuchProcess):
+        for process in psutil.Process(study).children(recursive=True):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                words = process.cmdline()
+                found[process.pid] = next((role for module, role in roles.items() if module in words), "worker")
+    return found
 
 
 @pytest.mark.slow
