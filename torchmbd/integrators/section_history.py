@@ -43,10 +43,7 @@ class _Part(NamedTuple):
 
 
 class SectionHistory:
-    """The beams of one body along a motion, one part for each section.
-
-    parts   names of the parts: "section0", "section1", ... of FlexibleBody.beam
-    """
+    """The beams of one body along a motion, one part for each section: "section0", "section1", ... of FlexibleBody.beam."""
 
     def __init__(self, motion: Trajectory, name: str):
         view = motion.body(name)
@@ -59,6 +56,7 @@ class SectionHistory:
 
     @property
     def parts(self) -> tuple[str, ...]:
+        """Names of the parts, one for each section."""
         return tuple(self._beams)
 
     def ends(self, part: str | None = None) -> Int[Tensor, "ends 2"]:
