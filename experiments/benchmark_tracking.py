@@ -1,11 +1,12 @@
 """What do the experiment layer, its logging and its workers cost? `python -m experiments.benchmark_tracking`
 
     overhead   a study of cheap evaluations (a rod of 4x2 cells, 2 angles) through `torchmbd run`'s own path, beside the same
-               multistart called in Python, both in this process; starting up and drawing the pictures are told apart
+               multistart called in Python, both in this process, by turns; the writer and the figures have the other core
     logging    200 starts of 30 iterations told to a journal, and the writer beside it that brings them into MLflow's
                SQLite, as shares of a study whose evaluations take 0.1 s each, as those of the slider-crank do
+    table      seconds until Chromium shows the table of these 200 runs, from MLflow's own server (`--table`: playwright)
     start      seconds from `torchmbd run` to the first iteration on the screen (`--start FILE`)
-    scaling    128 designs on one Dask worker and on two (`--scaling`)
+    scaling    128 designs on one Dask worker and on two (`--scaling`, nothing else then)
 
 Wall time on whatever else the machine does; processor time of this process beside it.
 """
@@ -15,7 +16,9 @@ from __future__ import annotations
 import argparse
 import io
 import os
+import re
 import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -34,14 +37,16 @@ from torchmbd.experiment.journal import Journal
 from torchmbd.experiment.place import problem_key
 from torchmbd.optimizers import multistart
 from torchmbd.optimizers.optimizer import Iterate
-from torchmbd.tracking import ProcessTracker
+from torchmbd.tracking import ProcessTracker, Record
+from torchmbd.tracking.links import view_link
+from torchmbd.tracking.server import serving
 
 STUDY = """
 model: experiments.slider_crank:build
 options: {layers: 2, cells: [4, 2], modes: 4}
 design:
   rod.laminate.angles: {start: [45, -45], lower: -90, upper: 90, unit: deg}
-simulate: {duration: 0.02, steps: 60}
+simulate: {duration: 0.03, steps: 90}
 minimize: {integral: {strain_energy: rod}}
 subject_to:
   - {max: {strain_energy: rod}, at_most: initial}
@@ -50,6 +55,7 @@ starts: {sampler: sobol, count: 16, seed: 7}
 tracking: {experiment: benchmark}
 """
 STARTS, ITERATIONS, EVALUATION = 200, 30, 0.1  # seconds for one design in a batch
+ROUNDS = 2
 
 
 def timed(action: Callable[[], object]) -> tuple[float, float]:
@@ -74,17 +80,15 @@ def overhead(file: Path) -> None:
         run_plan(plan, Console(file=io.StringIO()), fresh=True)
 
     timed(alone)  # what is done once per process
-    bare, layered = timed(alone), timed(whole)
-    pictures = timed(lambda: problem.simulate(np.stack([problem.start] * 2)))
-    print(
-        f"overhead: multistart alone {bare[0]:.2f} s ({bare[1]:.2f} s of processor), whole study {layered[0]:.2f} s",
-        end="",
-    )
-    print(f" ({layered[1]:.2f} s), of which {pictures[0]:.2f} s simulate the motions of the pictures")
+    turns = [(timed(alone)[0], timed(whole)[0]) for _ in range(ROUNDS)]
+    for bare, layered in turns:
+        print(
+            f"overhead: multistart alone {bare:.2f} s, whole study {layered:.2f} s: {100 * (layered / bare - 1):.1f} %"
+        )
 
 
-def logging(file: Path) -> None:
-    """A journal of many iterates, and the writer's catching up."""
+def logging(file: Path, table: bool) -> None:
+    """A journal of many iterates, and the writer's catching up; then perhaps the table of the runs in a browser."""
     plan = load_study(file)
     n = len(plan.columns.names)
     with tempfile.TemporaryDirectory() as folder:
@@ -105,10 +109,12 @@ def logging(file: Path) -> None:
         told = timed(tell)
         began = time.perf_counter()
         journal.end_all("FINISHED")
-        tracker.close()
+        record = tracker.close()
         caught = time.perf_counter() - began
         used = resource.getrusage(resource.RUSAGE_CHILDREN)
         writer = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
+        if table:
+            shown(uri, record)
     study = STARTS * ITERATIONS * EVALUATION
     shares = [100 * seconds / study for seconds in (told[1], writer)]
     print(
@@ -117,6 +123,24 @@ def logging(file: Path) -> None:
     )
     print(f" of a study of {study:.0f} s; the writer {writer:.1f} s, {shares[1]:.1f} %; ", end="")
     print(f"in MLflow {told[0] + caught:.1f} s after the first word")
+
+
+def shown(uri: str, record: Record) -> None:
+    """Open the table of a study's runs twice: a browser that has never seen the UI, and one that has."""
+    from playwright.sync_api import sync_playwright  # pyright: ignore[reportMissingImports]
+
+    with serving(uri, port=50733), sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1600, "height": 1000})
+        link = view_link("http://127.0.0.1:50733", record.experiment_id, record.runs["study"])
+        for what in ("first", "second"):
+            began = time.perf_counter()
+            page.goto("about:blank")
+            page.goto(link)
+            page.get_by_text("matching runs").wait_for()
+            page.get_by_text(re.compile(r"^start \d+$")).first.wait_for()
+            print(f"table: {STARTS} runs on the screen after {time.perf_counter() - began:.1f} s ({what} time)")
+        browser.close()
 
 
 def start(file: Path) -> None:
@@ -155,7 +179,8 @@ def scaling(file: Path) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--start", type=Path, help="an experiment file whose first iteration is waited for")
-    parser.add_argument("--scaling", action="store_true", help="also one and two workers")
+    parser.add_argument("--scaling", action="store_true", help="one and two workers, alone")
+    parser.add_argument("--table", action="store_true", help="also the table of the runs in a browser")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     with tempfile.TemporaryDirectory() as folder:
@@ -163,10 +188,11 @@ def main() -> None:
         os.environ["MLFLOW_TRACKING_URI"] = f"sqlite:///{folder}/runs.db"
         file = Path(folder) / "study.yaml"
         file.write_text(STUDY, encoding="utf-8")
-        overhead(file)
-        logging(file)
         if arguments.scaling:
             scaling(file)
+            return
+        overhead(file)
+        logging(file, arguments.table)
         if arguments.start:
             start(arguments.start)
 

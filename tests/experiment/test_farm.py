@@ -3,9 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import socket
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 
 from torchmbd.errors import InputError, MbdError
@@ -13,6 +20,7 @@ from torchmbd.experiment.assemble import problem_of
 from torchmbd.experiment.farm import Farm, evaluate_piece
 from torchmbd.experiment.load import load_study
 from torchmbd.experiment.place import problem_key
+from torchmbd.tracking.store import open_store
 
 SHORT = {"duration": 0.002, "steps": 8}
 X = np.radians([[45.0, -45.0], [10.0, 20.0], [0.0, 5.0], [30.0, 60.0], [-80.0, 7.0]])
@@ -50,6 +58,7 @@ def test_bad_numbers_of_workers_are_named(write):
 def test_a_worker_that_is_killed_costs_nothing(write):
     plan = load_study(write(simulate={"duration": 0.01, "steps": 100}))
     with Farm(plan, problem_key(plan), 1, 2) as farm:
+        assert listening() == {"127.0.0.1"}
         expected = problem_of(plan).evaluate(X, True)
         same(farm.evaluate(X, True), expected)
         victim = next(iter(farm._client.run(os.getpid).values()))
@@ -67,3 +76,65 @@ def test_a_scheduler_of_the_users(write):
         Farm(plan, problem_key(plan), 1, 0, cluster.scheduler_address) as farm,
     ):
         same(farm.evaluate(X, True), problem_of(plan).evaluate(X, True))
+
+
+def listening():
+    """Addresses on which this process and those below it can be reached."""
+    own = psutil.Process()
+    family = [own, *own.children(recursive=True)]
+    return {c.laddr.ip for p in family for c in p.net_connections("tcp") if c.status == psutil.CONN_LISTEN}
+
+
+@contextmanager
+def scheduler_and_worker(port, environment):
+    """As a user starts them in two terminals."""
+    python = [sys.executable, "-m"]
+    commands = [
+        [*python, "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"],
+        [*python, "distributed.cli.dask_worker", f"tcp://127.0.0.1:{port}", "--nthreads", "1", "--no-dashboard"],
+    ]
+    quiet = subprocess.DEVNULL
+    processes = [subprocess.Popen(command, env=environment, stdout=quiet, stderr=quiet) for command in commands]
+    try:
+        yield processes[0]
+    finally:
+        for process in processes:
+            process.terminate()
+        for process in processes:
+            process.wait(timeout=60)
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_is_killed_ends_the_study_and_another_goes_on(write, folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("TORCHMBD_STORE", str(folder / "place"))
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    uri = f"sqlite:///{folder / 'runs.db'}"
+    file = write(
+        starts={"sampler": "sobol", "count": 16, "seed": 7},
+        optimizer={"name": "mmfd", "max_iterations": 12},
+        tracking={"experiment": "farm", "uri": uri},
+    )
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-u", "-m", "torchmbd.cli", "run", str(file), "--scheduler", f"tcp://127.0.0.1:{port}"]
+    with scheduler_and_worker(port, environment) as scheduler:
+        study = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        assert study.stdout is not None
+        assert next(line for line in study.stdout if "iteration   1" in line)
+        scheduler.kill()
+        _, error = study.communicate(timeout=300)
+        assert study.returncode == 1
+        assert "Traceback" not in error
+        assert "is gone" in error
+    client = open_store(uri)
+    experiment = client.get_experiment_by_name("farm").experiment_id
+    assert {run.info.status for run in client.search_runs([experiment])} == {"FAILED"}
+    with scheduler_and_worker(port, environment):
+        output = subprocess.run(command, env=environment, capture_output=True, text=True).stdout
+    known, total = map(int, re.findall(r"(\d+) of (\d+) evaluations known", output)[0])
+    assert 16 <= known < total
+    runs = client.search_runs([experiment])
+    assert {run.info.status for run in runs} == {"FINISHED"}
+    assert len(runs) == 17

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import multiprocessing
 import os
@@ -14,6 +15,7 @@ import sys
 import time
 from pathlib import Path
 
+import psutil
 import pytest
 from rich.console import Console
 
@@ -113,7 +115,7 @@ def _interrupting(metrics):
 
 @pytest.mark.slow
 def test_killed_at_twenty_random_moments(write, folder, monkeypatch):
-    """kill -9 of the study or of its writer; then the same table, the same runs, no zombie."""
+    """kill -9 of the study, its writer, its workers; then the same table, one run for each start, no zombie."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("TORCHMBD_STORE", str(folder / "place"))
     uri = f"sqlite:///{folder / 'runs.db'}"
@@ -123,29 +125,59 @@ def test_killed_at_twenty_random_moments(write, folder, monkeypatch):
         tracking={"experiment": "killed", "uri": uri},
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    command = [sys.executable, "-m", "torchmbd.cli", "run", str(file)]
-    chance = random.Random(3)
-    for _ in range(20):
-        process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True)
-        time.sleep(4 + chance.uniform(0, 6))
-        target = chance.choice([process.pid, *_writers(process.pid)])
-        os.kill(target, signal.SIGKILL)
-        if target != process.pid:
-            time.sleep(1)
-            process.kill()
-        process.communicate()
+    command = [sys.executable, "-u", "-m", "torchmbd.cli", "run", str(file)]
+    chance, ended, struck = random.Random(3), 0, []
+    for life in range(20):
+        process = subprocess.Popen(
+            command + ["--workers", "2"] * (life % 2), env=environment, stdout=subprocess.PIPE, text=True
+        )
+        ended += _struck(process, chance, struck, "worker" if life % 4 == 1 else "")
+        if process.returncode == 0:  # it was faster: the next one has all to do again
+            for left in (folder / "place").glob("evaluations.db*"):
+                left.unlink()
     last = subprocess.run(command, env=environment, capture_output=True, text=True).stdout
     client = open_store(uri)
     runs = client.search_runs([client.get_experiment_by_name("killed").experiment_id], max_results=1000)
     assert {run.info.status for run in runs} == {"FINISHED"}
-    assert len(runs) == 33
+    assert len(runs) == 33 * (ended + 1)
+    assert len(struck) >= 15
+    assert set(struck) > {"study", "worker"}
     monkeypatch.setenv("TORCHMBD_STORE", str(folder / "undisturbed"))
     assert table(run(file, Silent())) == table(last)
     assert len(table(last)) == 32
 
 
-def _writers(parent: int) -> list[int]:
-    return [int(pid) for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split()]
+def _struck(process: subprocess.Popen, chance: random.Random, struck: list[str], role: str) -> int:
+    """Kill a study or a process of its own, of that role if there is one, at a random moment.
+
+    Returns whether the study had ended by itself.
+    """
+    assert process.stdout is not None
+    if chance.random() < 0.7:  # while it computes; else while it starts
+        next((line for line in process.stdout if "iteration" in line), None)
+    time.sleep(chance.uniform(0, 5))
+    family = {process.pid: "study", **_below(process.pid)}
+    target = chance.choice([pid for pid in family if family[pid] == role] or list(family))
+    if process.poll() is None:
+        os.kill(target, signal.SIGKILL)
+        struck.append(family[target])
+        if target != process.pid:
+            time.sleep(1)
+            process.kill()
+    process.communicate()
+    return int(process.returncode == 0)
+
+
+def _below(study: int) -> dict[int, str]:
+    """The processes that a study has started, by what they do."""
+    roles = {"torchmbd.tracking.writer": "writer", "torchmbd.viz.studio": "studio"}
+    found = {}
+    with contextlib.suppress(psutil.NoSuchProcess):
+        for process in psutil.Process(study).children(recursive=True):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                words = process.cmdline()
+                found[process.pid] = next((role for module, role in roles.items() if module in words), "worker")
+    return found
 
 
 @pytest.mark.slow

@@ -36,7 +36,13 @@ from torchmbd.experiment.schema import Study
 from torchmbd.optimizers import Evaluation
 
 LANES = 64  # designs in one batch of one process: more gain little, and cost memory
+HERE = "127.0.0.1"
 _DEATHS = 3  # of workers under the same piece, until its designs count as failed
+_SETTINGS: dict[str, Any] = {
+    "distributed.scheduler.allowed-failures": _DEATHS,
+    "distributed.nanny.pre-spawn-environ": ONE_THREAD,  # Dask's own hands memory back at once: that takes twice the time
+    "distributed.worker.profile.enabled": False,
+}
 _START = 60  # seconds to wait for a scheduler, and for workers that nobody has to queue for
 
 
@@ -68,7 +74,7 @@ class Farm:
             raise InputError(
                 f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: --workers 1"
             ) from None
-        config.set({"distributed.scheduler.allowed-failures": _DEATHS})
+        config.set(_SETTINGS)
         self._client: Any = None
         self._cluster = self._slurm.start(self._workers) if self._slurm else self._local_cluster()
         try:
@@ -88,9 +94,12 @@ class Farm:
 
         if self._scheduler is not None:
             return None
-        # untyped: no dashboard is None, which the annotation of distributed leaves out
-        options: dict[str, Any] = {"dashboard_address": None, "memory_limit": 0, "silence_logs": logging.CRITICAL}
-        return LocalCluster(n_workers=self._workers, threads_per_worker=1, host="127.0.0.1", env=ONE_THREAD, **options)
+        options: dict[str, Any] = {
+            "memory_limit": 0,
+            "silence_logs": logging.CRITICAL,
+            "dashboard_address": f"{HERE}:0",
+        }
+        return LocalCluster(n_workers=self._workers, threads_per_worker=1, host=HERE, **options)
 
     def __exit__(self, *_: object) -> None:
         if self._client is not None:

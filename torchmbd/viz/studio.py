@@ -1,7 +1,7 @@
 """Figures drawn by another process while the study goes on: nobody waits for matplotlib.
 
     study                                          the studio's process
-    STUDIO.open()                                  imports matplotlib
+    STUDIO.open()                                  imports matplotlib, draws a first figure for itself
     STUDIO.draw("convergence", files, ...)   ->    save(convergence(...), file)
     STUDIO.finish()                          <-    what was drawn, or why it was not
 
@@ -11,6 +11,7 @@ its pictures and is replaced. Ctrl-C in the terminal does not reach it. Checked 
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
@@ -104,9 +105,7 @@ STUDIO = Studio()
 
 def main() -> int:
     """Carry out the orders on the standard input; an answer is null, or the reason of a failure."""
-    import matplotlib.backends.backend_agg  # while nothing is ordered yet
-    import matplotlib.figure  # noqa: F401
-
+    _warm_up()
     for line in sys.stdin:
         order = json.loads(line)
         trouble = None
@@ -118,6 +117,13 @@ def main() -> int:
             trouble = str(error) or type(error).__name__
         print(json.dumps(trouble), flush=True)
     return 0
+
+
+def _warm_up() -> None:
+    """Draw what nobody sees while nothing is ordered yet: imports, fonts and backends are at hand then."""
+    figure = convergence({"start 0": [2.0, 1.0], "start 1": [2.0, 1.0]}, {}, best="start 0")
+    for kind in ("png", "pdf"):
+        figure.savefig(io.BytesIO(), format=kind)
 
 
 def _plain(x: Any) -> Any:
