@@ -122,7 +122,6 @@ def test_everything_that_is_wrong_is_named_at_once(write):
             "minimize.weighted_sum.1.mass",
             "did you mean 'rod'?",
         ),
-        ({"minimize": {"at_peaks": {"strain_energy": "rod"}}}, "minimize.at_peaks", "allowed: one number to minimize"),
         (
             {"minimize": {"max": {"strain_energy": "rod"}, "window": [0.1, 9]}},
             "minimize",

@@ -28,7 +28,8 @@ def uri(tmp_path_factory):
 
 def test_there_are_configs():
     assert {file.stem for file in CONFIGS} >= {
-        *(f"l{layers}_energy_{what}" for layers in (1, 2, 3) for what in ("integral", "peak", "torsion")),  # Tables 3-5
+        # Tables 3-5
+        *(f"l{layers}_energy_{what}" for layers in (1, 2, 3) for what in ("integral", "peak", "bound", "torsion")),
         "l1_angle_sweep",
         "l1_torsion_sweep",
         "figures4_7",

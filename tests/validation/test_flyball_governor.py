@@ -81,6 +81,7 @@ def reference(duration: float, times: int) -> np.ndarray:
 def place(steps: int, duration: float, every: int) -> tuple[np.ndarray, np.ndarray]:
     """s of the slider and height of a ball over time."""
     motion = mbd.simulate(governor(), duration, steps=steps, iterations=(4, 4), spectral_radius=0.8).require_ok()
+    assert float(motion.energies.balance.abs().max()) < 1e-3 * float(motion.energies.kinetic.max())
     s = -motion.body("slider").r[0, ::every, 2]
     ball = motion.body("left").at((0.5, 0.0, 0.0)).position[0, ::every, 2]
     return s.numpy(), ball.numpy()

@@ -54,6 +54,7 @@ def test_the_beginning_against_the_structural_integrator():
     """Two routes, a tenth of the way: 0.003 s."""
     motion = mbd.simulate(squeezer(), 0.003, method="dopri5", steps=30, rtol=1e-8, atol=1e-8).require_ok()
     other = mbd.simulate(squeezer(), 0.003, steps=60, iterations=(4, 4)).require_ok()
+    assert float(other.energies.balance.abs().max()) < 1e-3 * float(other.energies.kinetic.max())
     for name in BODIES:
         one, two = (x.body(name).A[0, -1] for x in (motion, other))
         assert float((one - two).abs().max()) < 1e-4

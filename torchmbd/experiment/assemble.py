@@ -14,15 +14,16 @@ from torchmbd.optimizers import Starts, given, latin_hypercube, sobol
 def problem_of(plan: Plan) -> Problem:
     """Build the problem of a plan."""
     study, columns = plan.study, plan.columns
-    start, lower, upper = (columns.si(vector(study.design, plan.system, key)) for key in ("start", "lower", "upper"))
+    start, lower, upper = (vector(study.design, plan.system, key) for key in ("start", "lower", "upper"))
+    factors = columns.factors[: start.size]  # without the extra variable
     return Problem(
         plan.system,
         duration=study.simulate.duration,
         minimize=measure_of(study.minimize),
         subject_to=[Constraint(measure_of(c.measure), c.limit, c.kind, c.scale) for c in study.subject_to],
-        bounds=(lower, upper),
+        bounds=(lower * factors, upper * factors),
         variables=list(study.design),
-        start=start,
+        start=start * factors,
         method=study.simulate.method,
         steps=study.simulate.steps,
         **study.simulate.options,
@@ -30,12 +31,12 @@ def problem_of(plan: Plan) -> Problem:
 
 
 def starts_of(plan: Plan, start: np.ndarray) -> Starts:
-    """Return the recipe of the start designs; `start` is the initial design [SI]."""
+    """Return the recipe of the start designs; `start` is the initial design [SI], whose extra variable all points share."""
     starts = plan.study.starts
     if starts is None or starts.sampler == "none":
         return given([start])
     if starts.sampler == "given":
-        points = [plan.columns.si(np.array(point)) for point in starts.points or ()]
+        points = [plan.columns.si(np.append(point, start[len(point) :])) for point in starts.points or ()]
         return given([start, *points] if starts.include_initial else points)
     sample = {"sobol": sobol, "latin_hypercube": latin_hypercube}[starts.sampler]
     return sample(starts.count or 1, starts.seed, include_initial=starts.include_initial)

@@ -118,8 +118,8 @@ def _response_faults(sections: Sections, system: System) -> list[Fault]:
     given: list[tuple[Mapping[str, Any], Path]] = []
     if "minimize" in sections:
         given.append((sections["minimize"], ("minimize",)))
-        if measure_of(sections["minimize"]).rows > 1:
-            text = "has several rows; allowed: one number to minimize, such as max: {strain_energy: rod}"
+        if measure_of(sections["minimize"]).rows > 1 and sections.get("sweep"):
+            text = "has several rows; allowed in a sweep: one number, such as max: {strain_energy: rod}"
             return [Fault(leaf(sections["minimize"], ("minimize",))[:2], text)]
     given += [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
     faults = []

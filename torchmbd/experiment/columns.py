@@ -1,6 +1,7 @@
 """The design vector as people read it: short names, values in the unit of the file.
 
 rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg where two parameters would share the name)
+bound                        ->  bound               the extra variable of a min-max problem, the last
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from torchmbd.design.problem import BOUND
 from torchmbd.experiment.schema import UNITS, Variable
 from torchmbd.system import System
 
@@ -24,7 +26,8 @@ class Columns:
     factors: np.ndarray  # unit -> SI
 
     @classmethod
-    def of(cls, design: Mapping[str, Variable], system: System) -> Columns:
+    def of(cls, design: Mapping[str, Variable], system: System, rows: int = 1) -> Columns:
+        """Columns of a design; `rows` of the objective: several make a min-max problem."""
         own = dict(system.named_parameters())
         words = [name.rpartition(".")[2] for name in design]
         labels, names, units = [], [], []
@@ -37,6 +40,8 @@ class Columns:
                 labels.append(f"{parameter}[{i}]")
                 names.append(f"{word}_{i + 1}{suffix}")
                 units.append(variable.unit)
+        if rows > 1:
+            labels, names, units = [*labels, BOUND], [*names, BOUND], [*units, "none"]
         return cls(tuple(labels), tuple(names), tuple(units), np.array([UNITS[unit] for unit in units]))
 
     def shown(self, x: np.ndarray) -> dict[str, float]:
@@ -49,8 +54,9 @@ class Columns:
 
     def sentence(self, x: np.ndarray) -> str:
         """Return a design vector [SI] in one line: `45, -45, 45 deg`."""
-        values = ", ".join(f"{float(f'{value:.4g}') + 0.0:g}" for value in self.shown(x).values())
-        return f"{values} {self.units[0]}" if len(set(self.units)) == 1 and self.units[0] != "none" else values
+        own = {name: unit for name, unit in zip(self.names, self.units, strict=True) if name != BOUND}
+        values = ", ".join(f"{float(f'{value:.4g}') + 0.0:g}" for name, value in self.shown(x).items() if name in own)
+        return f"{values} {self.units[0]}" if len(set(own.values())) == 1 and self.units[0] != "none" else values
 
     @property
     def headings(self) -> list[str]:

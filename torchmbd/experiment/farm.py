@@ -24,6 +24,7 @@ from typing import Any, Self
 
 import numpy as np
 
+from torchmbd.design.spec import measure_of
 from torchmbd.errors import InputError, MbdError
 from torchmbd.experiment.assemble import problem_of
 from torchmbd.experiment.cluster import ONE_THREAD, Slurm, load_cluster
@@ -141,7 +142,9 @@ def _problem(study_json: str, folder: str, key: str) -> Any:
     torch.set_num_threads(1)
     study = Study.model_validate(json.loads(study_json))
     system = build_model(find_model(study.model, Path(folder)), study.options)
-    plan = Plan(study, system, Columns.of(study.design, system), Path(folder) / "worker")
+    plan = Plan(
+        study, system, Columns.of(study.design, system, measure_of(study.minimize).rows), Path(folder) / "worker"
+    )
     if problem_key(plan) != key:
         raise MbdError("a worker has another model file or another torchmbd than the study; allowed: the same on all")
     return problem_of(plan)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from torchmbd.design.problem import BOUND
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.place import model_source
 from torchmbd.optimizers.optimizer import Evaluation, Iterate, OptimizationResult
@@ -127,7 +128,8 @@ class Journal:
         """File the best design [SI] by the names of the parameters, for torchmbd.experiment.archive."""
         values: dict[str, list[float]] = {}
         for label, value in zip(self.plan.columns.labels, x.tolist(), strict=True):
-            values.setdefault(label.rpartition("[")[0], []).append(value)
+            if label != BOUND:  # no parameter
+                values.setdefault(label.rpartition("[")[0], []).append(value)
         self.text("design.yaml", yaml.safe_dump(values, sort_keys=False))
 
     def text(self, name: str, content: str) -> None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from torchmbd.design.spec import measure_of
 from torchmbd.experiment.check import check, figure_faults
 from torchmbd.experiment.columns import Columns
 from torchmbd.experiment.faults import Fault, StudyError, located
@@ -61,7 +62,7 @@ def plan_of(document: Document, path: Path, overrides: tuple[str, ...]) -> Plan 
     if system is None:
         return FiguresPlan(Figures.model_validate(document.data), path, overrides)
     study = Study.model_validate(document.data)
-    return Plan(study, system, Columns.of(study.design, system), path, overrides)
+    return Plan(study, system, Columns.of(study.design, system, measure_of(study.minimize).rows), path, overrides)
 
 
 def load_study(path: str | Path, overrides: Sequence[str] = ()) -> Plan:

@@ -42,7 +42,7 @@ def march(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: 
 
 
 class CompiledMarch(March):
-    """March by a library. A system in which it finds a body without inertia goes on the eager way."""
+    """March by a library. Where its factors cannot be relied on, it goes on the eager way."""
 
     def __init__(
         self,
@@ -70,9 +70,9 @@ class CompiledMarch(March):
     def __call__(self, i: int, x: State, given: Prescribed) -> State:
         return self.run(x, [given], Record(x, 2), i)
 
-    def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0) -> State:
+    def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0, place: int = 1) -> State:
         if self.code is None:
-            return super().run(x, schedule, record, first)
+            return super().run(x, schedule, record, first, place)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         table = torch.stack([_uniform(self.weights, given) for given in schedule])
         done = 0
@@ -80,16 +80,16 @@ class CompiledMarch(March):
             since = (first + done) % CHECK
             # A look may call for more corrections from the next step on: it is a call of its own.
             count = 1 if self.slots and not since else min(CHECK - since, len(schedule) - done)
-            if not self._some(state, table[done : done + count], record, first + done, done + 1):
-                return super().run(x, schedule, record, first)
+            if not self._some(state, table[done : done + count], record, first + done, place + done):
+                return super().run(self._state(state), schedule[done:], record, first + done, place + done)
             done += count
         return self._state(state)
 
     def _some(self, state: Tensor, table: Tensor, record: Record, first: int, place: int) -> bool:
-        """Steps between two looks; False if a body has no inertia, at the first of all."""
+        """Steps between two looks; False if the factors cannot be relied on, and nothing is done."""
         sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
         errors = torch.empty(self.lanes, dtype=torch.float64)
-        look = int(self.slots > 0 and first % CHECK == 0)
+        look = int(first % CHECK == 0)
         numbers = (self.lanes, self.slots, self.values.shape[2], self.tangents.shape[2])
         numbers += (table.shape[1], first, len(table), self.corrections, self.passes, self.refresh, look, self.fresh)
         stay, lost = self.diagonal or (None, None)
@@ -102,7 +102,7 @@ class CompiledMarch(March):
             return False
         self.fresh = 0
         self.sizes += sizes.unbind(0)
-        if look:
+        if look and self.slots:
             self.look(errors)
         return True
 

@@ -1,7 +1,8 @@
 """The index-1 right-hand side by compiled code (library.py): the same numbers as Dynamics.rates.
 
 torchdiffeq asks for the right-hand side thousands of times; every `PATIENCE` evaluations it is looked whether the library
-has been built meanwhile. Systems with redundant constraints or a body without inertia stay on the eager way.
+has been built meanwhile. Systems with redundant constraints, or with a body without
+inertia about an axis, go the eager way.
 Checked in tests/integrators/test_compiled.py.
 """
 
@@ -19,7 +20,7 @@ from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics
 
 PATIENCE = 100  # evaluations
-_NUMBERS = ("lanes", "slots", "data", "data_tangents")
+_NUMBERS = ("lanes", "slots", "data", "data_tangents", "check")
 _ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "room")
 
 
@@ -37,16 +38,24 @@ class CompiledRates:
         code.rates_room.restype = code.rates.restype = ctypes.c_long
         self.values, self.tangents = data_blocks(dynamics)
         self.room = torch.empty(code.rates_room() // 8, dtype=torch.float64)
+        self.count = 0
 
     def __call__(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
-        """dy/dt [n_z, 1 + n_b, lanes] and multipliers [rows, 1 + n_b, lanes] at time t; None: a body without inertia."""
+        """dy/dt [n_z, 1 + n_b, lanes] and multipliers [rows, 1 + n_b, lanes] at time t; None: not to be relied on."""
         y = y.contiguous()
         T = self.dynamics.topology
         jets = [jet for drive in T.law_jets(t) if drive is not None for jet in drive]
         head = torch.stack([t.new_tensor(1.0 / self.dynamics.stabilization), t])
         uniform = torch.cat([head, *(x.flatten() for jet in jets for x in jet.parts)])
         dy, lam = torch.empty_like(y), y.new_empty(T.rows, *y.shape[1:])
-        numbers = (y.shape[2], y.shape[1] - 1, self.values.shape[2], self.tangents.shape[-2])
+        numbers = (
+            y.shape[2],
+            y.shape[1] - 1,
+            self.values.shape[2],
+            self.tangents.shape[2],
+            int(self.count % PATIENCE == 0),
+        )
+        self.count += 1
         arrays = (uniform, self.values, self.tangents, y, dy, lam, self.room)
         job = _Job(*numbers, *(x.data_ptr() for x in arrays))
         return None if self.code.rates(ctypes.byref(job)) else (dy, lam)

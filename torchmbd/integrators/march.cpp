@@ -3,13 +3,13 @@
 // Before this text stand factors.cpp and, generated, the sizes N_Q, BOUNDARY, ROOM and
 //   residual, finish, boundary, residual_tangent, finish_tangent      (code.py)
 // A block is eight lanes. Arrays of a block: state [slot][number], data [number], tangents of data [slot][number].
-// If a body has no inertia, `march` returns 1 and nothing is to be used.
+// If factors cannot be relied on, `march` returns 1 and has done nothing.
 
 constexpr int N_X = N_Q + 3 * N_V + ROWS;
 
 struct Job {
   long lanes, slots, data, data_tangents, uniform;                // numbers of each
-  long first, steps, corrections, passes, refresh, look, fresh;  // look: tangents corrected once more; fresh: no factors yet
+  long first, steps, corrections, passes, refresh, look, fresh;  // look: at factors and tangents; fresh: no factors yet
   const double *given;                                           // [steps][uniform]
   double *state;                                                 // [block][1 + slots][N_X][8], in and out
   const double *values, *tangents;                               // [block][data][8], [block][slots][data_tangents][8]
@@ -21,15 +21,33 @@ struct Job {
 };
 
 extern "C" long march_room(long slots) {
-  return (long)sizeof(V) * (ROOM + BOUNDARY + 3 * N + MATRIX + N * slots + N_X * (1 + slots) + 64);
+  return (long)sizeof(Block) + (long)sizeof(V) * (ROOM + BOUNDARY + 3 * N + MATRIX + N * slots + N_X * (1 + slots) + 64);
 }
 extern "C" long march_factors() { return (long)sizeof(Block); }
+
+// Unknowns (v', lam) that a step starts from: those of the state.
+static void start(const V* x, V* z) {
+  std::memcpy((void*)z, x + N_Q + N_V, N_V * sizeof(V));
+  std::memcpy((void*)(z + N_V), x + N_Q + 3 * N_V, ROWS * sizeof(V));
+}
 
 extern "C" long march(const Job* job) {
   const Job& J = *job;
   const int S = (int)J.slots;
   V* w = (V*)J.room;
-  V *b = w + ROOM, *R = b + BOUNDARY, *z = R + N, *entries = z + N, *dz = entries + MATRIX, *next = dz + (long)N * S;
+  Block& trial = *(Block*)(w + ROOM);
+  V *b = (V*)(&trial + 1), *R = b + BOUNDARY, *z = R + N, *entries = z + N, *dz = entries + MATRIX, *next = dz + (long)N * S;
+  if (J.fresh || J.look) {
+    for (long block = 0; block * LANES < J.lanes; block++) {
+      In in;
+      in.d = (const V*)J.values + block * J.data;
+      in.x = (const V*)J.state + block * (1 + S) * N_X;
+      in.u = J.given;
+      in.z = z;
+      start(in.x, z);
+      if (!reliable(in, J.stay, J.lost, trial, w, entries)) return 1;
+    }
+  }
   for (long block = 0; block * LANES < J.lanes; block++) {
     const int valid = (int)(J.lanes - block * LANES < LANES ? J.lanes - block * LANES : LANES);
     V* state = (V*)J.state + block * (1 + S) * N_X;
@@ -43,16 +61,15 @@ extern "C" long march(const Job* job) {
       in.u = J.given + i * J.uniform;
       in.x = state;
       in.z = z;
-      std::memcpy((void*)z, state + N_Q + N_V, N_V * sizeof(V));
-      std::memcpy((void*)(z + N_V), state + N_Q + 3 * N_V, ROWS * sizeof(V));
+      start(state, z);
       const bool due = (J.first + i) % J.refresh == 0;
       const long renewed = J.corrections > 1 ? (J.corrections - 1 > 1 ? J.corrections - 1 : 1) : -1;
-      if (fresh && renew(in, J.stay, J.lost, factors, w, entries) && i == 0) return 1;
+      if (fresh) renew(in, J.stay, J.lost, factors, w, entries);
       fresh = false;
       for (long k = 0; k < J.corrections; k++) {
         if (due && k == renewed) renew(in, J.stay, J.lost, factors, w, entries);
         residual(in, w, R);
-        solve(factors.K, factors.diagonal, R);
+        solve(factors.K, factors.inverse, R);
         for (int n = 0; n < N; n++) z[n] -= R[n];
         const long kept = k == J.corrections - 1 ? 1 : 0;
         if (kept || k == J.corrections - 2) put(J.sizes + (2 * i + kept) * J.lanes + block * LANES, largest(R, N_V), valid);
@@ -67,12 +84,11 @@ extern "C" long march(const Job* job) {
         in.dx = state + (long)(1 + s) * N_X;
         in.dd = tangents + s * J.data_tangents;
         in.dz = ds;
-        std::memcpy((void*)ds, in.dx + N_Q + N_V, N_V * sizeof(V));
-        std::memcpy((void*)(ds + N_V), in.dx + N_Q + 3 * N_V, ROWS * sizeof(V));
+        start(in.dx, ds);
         const bool looks = J.look && i == 0;
         for (long k = 0; k < J.passes + looks; k++) {
           residual_tangent(in, w, R);
-          solve(factors.K, factors.diagonal, R);
+          solve(factors.K, factors.inverse, R);
           for (int n = 0; n < N; n++) ds[n] -= R[n];
         }
         if (looks) {

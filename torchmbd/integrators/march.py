@@ -83,11 +83,11 @@ class March:
         """The state after step i."""
         return self._step(i, x, given)
 
-    def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0) -> State:
-        """The last state of many steps; all go into the record, from its second place on."""
+    def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0, place: int = 1) -> State:
+        """The last state of many steps, the first of number `first`; all go into the record, from `place` on."""
         for i, given in enumerate(schedule):
             x = self._step(first + i, x, given)
-            record.put(i + 1, x)
+            record.put(place + i, x)
         return x
 
     def forget(self) -> None:

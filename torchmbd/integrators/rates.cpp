@@ -4,7 +4,7 @@
 //   residual, kinematics, boundary, residual_tangent, kinematics_tangent      (code.py)
 
 struct Job {
-  long lanes, slots, data, data_tangents;
+  long lanes, slots, data, data_tangents, check;  // check: whether the factors can be relied on, or return 1
   const double *uniform, *values, *tangents;  // [], [block][data][8], [block][slots][data_tangents][8]
   const double *y;                            // [N_Q + N_V][1 + slots][lanes]
   double *dy, *lam;                           // the same; [ROWS][1 + slots][lanes]
@@ -41,9 +41,13 @@ extern "C" long rates(const Job* job) {
       for (long n = 0; n < ROWS; n++) put(J.lam + (n * (1 + S) + slot) * L + at, -a[N_V + n], valid);
     };
     take(x, 0);
-    if (renew(in, nullptr, nullptr, factors, w, entries)) return 1;
+    if (J.check) {
+      if (!reliable(in, nullptr, nullptr, factors, w, entries)) return 1;
+    } else {
+      renew(in, nullptr, nullptr, factors, w, entries);
+    }
     residual(in, w, R);
-    solve(factors.K, factors.diagonal, R);
+    solve(factors.K, factors.inverse, R);
     for (int n = 0; n < N; n++) z[n] = -R[n];
     kinematics(in, w, out);
     give(R, 0);
@@ -53,7 +57,7 @@ extern "C" long rates(const Job* job) {
       in.dx = dx;
       in.dd = (const V*)J.tangents + (block * S + s) * J.data_tangents;
       residual_tangent(in, w, R);
-      solve(factors.K, factors.diagonal, R);
+      solve(factors.K, factors.inverse, R);
       kinematics_tangent(in, w, out);
       give(R, 1 + s);
     }

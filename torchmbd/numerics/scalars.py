@@ -222,7 +222,8 @@ class _Run:
     def op_sum(self, a: np.ndarray, dims: Any = None, keepdim: bool = False) -> np.ndarray:
         dims = range(a.ndim) if dims is None else [d % a.ndim for d in ([dims] if isinstance(dims, int) else dims)]
         kept = [d for d in range(a.ndim) if d not in dims]
-        rows = a.transpose(*kept, *dims).reshape(math.prod(a.shape[d] for d in kept), -1)
+        count, each = (math.prod(a.shape[d] for d in some) for some in (kept, dims))
+        rows = a.transpose(*kept, *dims).reshape(count, each)
         total = np.array([self._total(row) for row in rows.tolist()], dtype=np.int64)
         return total.reshape([1 if d in dims else n for d, n in enumerate(a.shape) if keepdim or d not in dims])
 
