@@ -1,4 +1,4 @@
-"""The guides of docs/ are run as they stand there: every line of code, every number."""
+"""The guides are run as they stand there: every line of code, every number."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-DOCS = Path(__file__).parents[1] / "docs"
+DOCS = Path(__file__).parents[1] / "experiments"
 
 
 def code(page: Path) -> str:
