@@ -27,7 +27,7 @@ Slopes = tuple[Tensor, Tensor, Tensor]
 class ConstantSpeed:
     """x(t) = speed * t; speed in [rad/s] or [m/s]."""
 
-    def __init__(self, speed: float):
+    def __init__(self, speed: float | Tensor):
         self.speed = finite("speed", speed)
 
     def __call__(self, t: Tensor) -> Tensor:
@@ -44,7 +44,7 @@ class SmoothStep:
     Velocity and acceleration are continuous; the largest velocity is 1.875 size / duration.
     """
 
-    def __init__(self, size: float, duration: float, start: float = 0.0):
+    def __init__(self, size: float | Tensor, duration: float, start: float = 0.0):
         self.size, self.start = finite("size", size), finite("start", start)
         self.duration = finite("duration", duration)
         if not self.duration > 0:
@@ -68,7 +68,7 @@ class SmoothStep:
 class Sine:
     """x(t) = amplitude sin(2 pi frequency t); amplitude in [rad] or [m], frequency in [Hz]."""
 
-    def __init__(self, amplitude: float, frequency: float):
+    def __init__(self, amplitude: float | Tensor, frequency: float):
         self.amplitude = finite("amplitude", amplitude)
         self.rate = 2.0 * math.pi * finite("frequency", frequency)
 
