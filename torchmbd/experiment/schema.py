@@ -146,7 +146,7 @@ class Optimizer(Section):
 
     model_config = ConfigDict(extra="allow")
     name: Annotated[str, _one_of(OPTIMIZERS)] = "mmfd"
-    max_iterations: PositiveInt = 30
+    max_iterations: PositiveInt = 60
 
     @property
     def options(self) -> dict[str, Any]:

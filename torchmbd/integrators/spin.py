@@ -5,8 +5,8 @@
 Elastic displacements are linear, so what spin does to stiffness is half told: inertia softens a bending mode,
 om_1^2 - om^2, and the tension that outweighs it (a blade: om_1^2 + 0.19 om^2 in the plane of the spin) is of second
 order. What is missing is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without bound.
-The remedy is several bodies instead of one, joined by `Fixed`: each has its own frame, a higher om_1, and the tension
-between them acts along the bent line.
+Several bodies instead of one, joined by `Fixed`, have their own frames and the tension between them along the bent line,
+but need enough modes each.
 Source: Kane, Ryan, Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guid. Control Dyn. 10 (1987)
 139-151.
 Checked in tests/validation/test_flexible_benchmarks.py.
@@ -45,7 +45,6 @@ def warn_of_spin(motion: Trajectory) -> None:
         if FAST < ratio < math.inf:
             warnings.warn(
                 f"body {name!r} turns at {ratio:.1g} of its first frequency: centrifugal stiffening, which linear elastic "
-                f"displacements leave out, is of the size {min(ratio**2, 1.0):.0%} of its deflections; "
-                "several bodies in its place, joined by mbd.Fixed, have it",
+                f"displacements leave out, is of the size {min(ratio**2, 1.0):.0%} of its deflections",
                 stacklevel=3,
             )
