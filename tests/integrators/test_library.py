@@ -94,6 +94,20 @@ def test_a_compiler_that_fails_is_told(cache: Path, monkeypatch: pytest.MonkeyPa
     assert list(cache.iterdir()) == []
 
 
+def test_a_build_that_fails_in_the_background_is_told_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "false")
+    d = dynamics(modes=1)
+    process = library.build_in_background(d)
+    assert process is not None
+    assert process.wait() == 1
+    with pytest.warns(UserWarning, match="the build of compiled code failed"):
+        assert library.library(d) is None
+    (log,) = cache.iterdir()
+    assert "false failed on the step of rod" in log.read_text()
+    assert library.library(d) is None  # neither said nor tried again
+    assert list(cache.iterdir()) == [log]
+
+
 def test_a_full_disk_is_a_warning(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(**_: object) -> None:
         raise OSError(28, "No space left on device")

@@ -43,7 +43,7 @@ _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a top
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
 _loaded: dict[str, ctypes.CDLL] = {}
 _seen: dict[str, int] = {}  # batches without a library
-_building: dict[str, subprocess.Popen] = {}
+_building: dict[str, subprocess.Popen | None] = {}  # None: a build that failed, which was said
 
 
 def cache_folder() -> Path:
@@ -86,12 +86,22 @@ def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
     if name not in _loaded:
         found = _load(path) if path.exists() else None
         if found is None:
+            _warn_of_failure(name)
             _seen[name] = _seen.get(name, 0) + 1
             if _seen[name] >= _BATCHES and name not in _building:
                 build_in_background(dynamics, kind)
             return None
         _loaded[name] = found
     return _loaded[name]
+
+
+def _warn_of_failure(name: str) -> None:
+    """Say once that a build in the background has failed."""
+    process = _building.get(name)
+    if process is not None and process.poll():
+        _building[name] = None
+        log = Path(process.args[-1]).with_suffix(".log")  # pyright: ignore[reportArgumentType, reportIndexIssue]
+        warnings.warn(f"the build of compiled code failed, simulations run uncompiled; see {log}", stacklevel=4)
 
 
 def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
@@ -205,10 +215,9 @@ def build_in_background(dynamics: Dynamics, kind: str = "step") -> subprocess.Po
     command = [sys.executable, "-m", "torchmbd.integrators.library", path]
     environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
     with open(Path(path).with_suffix(".log"), "wb") as log:
-        _building[ordered[-1]] = subprocess.Popen(
-            command, env=environment, stdout=log, stderr=log, start_new_session=True
-        )
-    return _building[ordered[-1]]
+        process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
+    _building[ordered[-1]] = process
+    return process
 
 
 def main(path: str) -> None:
