@@ -133,7 +133,7 @@ def compilation(wanted: bool) -> Iterator[None]:
             os.environ["TORCHMBD_COMPILE"] = before
 
 
-def packaged(dynamics: Dynamics, build: bool = True) -> bool:
+def compiled_ready(dynamics: Dynamics, build: bool = True) -> bool:
     """Whether compiled code serves these dynamics; a missing one is built now if `build`. False: no compiler."""
     with compilation(True):
         if not library.enabled():

@@ -21,7 +21,7 @@ from typing import Any
 import torch
 
 from experiments import gradients, slider_crank
-from experiments.benchmark_cases import Case, compilation, crank3, interleaved, motion, packaged, pendulum
+from experiments.benchmark_cases import Case, compilation, compiled_ready, crank3, interleaved, motion, pendulum
 from experiments.benchmark_modes import rod
 from experiments.benchmark_report import Cell, Grid, Result, Settings
 from torchmbd.numerics.pair import Pair
@@ -51,7 +51,7 @@ def variables(settings: Settings) -> Result:
     whole = case.dynamics(LANES, gradients=True)
     some = {n: _first_tangents(whole, n) for n in TANGENTS}
     batches = {"values": whole.values()} | {str(n): dynamics for n, dynamics in some.items()}
-    if not all(packaged(x, build=not settings.quick) for x in batches.values()):
+    if not all(compiled_ready(x, build=not settings.quick) for x in batches.values()):
         return Result({"tenth_variable": None})
     with compilation(True):
         functions = {name: _stage(x, STEPS) for name, x in batches.items()}
@@ -81,7 +81,7 @@ def mesh(settings: Settings) -> Result:
         case = crank3(cells=cells)
         nodes = len(case.system.body("rod").mesh.nodes)
         batches[str(nodes)] = _widened(case.system.dynamics(), LANES)
-    ready = all(packaged(x, build=not settings.quick) for x in batches.values())
+    ready = all(compiled_ready(x, build=not settings.quick) for x in batches.values())
     steps = STEPS if ready else 20
     with compilation(ready):
         functions = {name: _stage(x, steps, slider_crank.DURATION * steps / STEPS) for name, x in batches.items()}
@@ -141,7 +141,7 @@ def _fresh(*arguments: str, **environment: str) -> dict[str, Any]:
 
 def start(settings: Settings) -> Result:
     """Seconds from the start of a fresh process to its first step with gradients, compiled code at hand."""
-    if not packaged(crank3().dynamics(LANES, gradients=True), build=not settings.quick):
+    if not compiled_ready(crank3().dynamics(LANES, gradients=True), build=not settings.quick):
         return Result({"warm_start_s": None})
     seconds = []
     for _ in range(1 if settings.quick else 3):
@@ -157,7 +157,7 @@ def memory(settings: Settings) -> Result:
     """Peak memory per lane: growth of the largest resident set of fresh processes from few to many lanes."""
     few, many = (2, 34) if settings.quick else (32, 160)
     steps = 50 if settings.quick else STEPS
-    ready = packaged(crank3().dynamics(few, gradients=True), build=not settings.quick)
+    ready = compiled_ready(crank3().dynamics(few, gradients=True), build=not settings.quick)
     flag = {"TORCHMBD_COMPILE": "1" if ready else "0"}
     # The structure stage of a batch has memory of its own: here every lane is the same design.
     mb = [_fresh("memory", str(lanes), str(steps), **flag)["mb"] for lanes in (few, many)]
@@ -206,7 +206,7 @@ def main(arguments: list[str]) -> None:
     elif what == "compile":
         dynamics = crank3().dynamics(2, gradients=True)
         begin = time.perf_counter()
-        packaged(dynamics)
+        compiled_ready(dynamics)
         print(json.dumps({"seconds": time.perf_counter() - begin}))
 
 

@@ -17,12 +17,12 @@ from torch import Tensor
 from experiments.benchmark_cases import (
     Case,
     compilation,
+    compiled_ready,
     crank3,
     crank8,
     interleaved,
     measures,
     motion,
-    packaged,
     pendulum,
 )
 from experiments.benchmark_report import Grid, Result, Settings, ratio
@@ -66,7 +66,7 @@ def peer_runs(case: Case, lanes: int) -> list[Callable[[float, int], Any]]:
 def both_accuracies(case: Case, settings: Settings) -> tuple[Accuracy, Accuracy | None]:
     """Of this code and of the peer."""
     values = case.dynamics(LOOKED_AT, gradients=False)
-    with compilation(packaged(values, build=not settings.quick)):
+    with compilation(compiled_ready(values, build=not settings.quick)):
         ours = accuracy(lambda steps: motion(values, case.duration, steps)[0])
     if not settings.peer:
         return ours, None
@@ -102,7 +102,7 @@ def measured(case: Case, rows: tuple[Row, ...], settings: Settings) -> Result:
     todo = []
     for row in rows:
         dynamics = case.dynamics(row.lanes, row.gradients)
-        if not row.compiled or packaged(dynamics, build=not settings.quick):
+        if not row.compiled or compiled_ready(dynamics, build=not settings.quick):
             todo.append((row, dynamics))
     result = Result({row.figure: None for row in rows})
     if settings.quick and len(todo) < len(rows):

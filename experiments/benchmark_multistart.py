@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 import torchmbd as mbd
-from experiments.benchmark_cases import compilation, measures, packaged
+from experiments.benchmark_cases import compilation, compiled_ready, measures
 from experiments.benchmark_report import Cell, Grid, Result, Settings, ratio
 from experiments.slider_crank import DURATION, build
 from torchmbd.optimizers import Evaluation
@@ -112,14 +112,12 @@ def multistart(settings: Settings, starts: int = STARTS, iterations: int = ITERA
     if settings.quick:
         return Result({"multistart": None})
     own = own_problem(steps)
-    for gradients in (False, True):
-        dynamics = own.system.dynamics({ANGLES: torch.tensor(own.start)[None]}, tangents=[ANGLES] if gradients else [])
-        packaged(dynamics)
+    ready = compiled_ready(own.system.dynamics())
     rows: list[list[Cell]] = []
     total = {"ours": 0.0, "peer": 0.0}
     with multiprocessing.get_context("spawn").Pool(PROCESSES, _begin) as pool:
         for method in METHODS:
-            with compilation(packaged(dynamics, build=False)):
+            with compilation(ready):
                 seconds, study = run(own_problem(steps), method, starts, iterations)
             total["ours"] += seconds
             rows.append([f"torchmbd, {method}", seconds, *_summary(study), None])

@@ -14,7 +14,7 @@ from experiments.slider_crank import build
 from torchmbd.integrators import Trajectory
 from torchmbd.tracking.store import open_store
 
-# Packages compiled by an earlier run would decide which code a test runs; tests of compilation switch it on themselves.
+# Code compiled by an earlier run would decide which code a test runs; tests of compilation switch it on themselves.
 os.environ["TORCHMBD_COMPILE"] = "0"
 torch.set_num_threads(1)
 settings.register_profile("repeatable", deadline=None, derandomize=True)

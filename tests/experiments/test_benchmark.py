@@ -11,7 +11,7 @@ import torch
 
 import torchmbd as mbd
 from experiments import benchmark, benchmark_costs, benchmark_motion, benchmark_multistart, exudyn_peer, slider_crank
-from experiments.benchmark_cases import Case, compilation, crank3, interleaved, motion, packaged, pendulum
+from experiments.benchmark_cases import Case, compilation, compiled_ready, crank3, interleaved, motion, pendulum
 from experiments.benchmark_report import Settings
 
 
@@ -132,7 +132,7 @@ def test_differences_of_the_peer_become_gradients(monkeypatch):
 def test_nothing_is_built_when_not_asked_for(monkeypatch, tmp_path):
     monkeypatch.setenv("TORCHMBD_CACHE", str(tmp_path / "empty"))
     dynamics = crank3(modes=2, cells=(4, 2)).dynamics(2, True)
-    assert not packaged(dynamics, build=False)
+    assert not compiled_ready(dynamics, build=False)
     assert not (tmp_path / "empty").exists()
     result = benchmark_motion.measured(crank3(modes=2, cells=(4, 2)), benchmark_motion.ROWS, Settings(quick=True))
     assert set(result.figures.values()) == {None}

@@ -5,6 +5,7 @@ Checked in tests/integrators/test_compiled.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -27,6 +28,12 @@ def blocks(x: Tensor) -> Tensor:
 def lanes_out(x: Tensor, lanes: int) -> Tensor:
     """The inverse of `blocks`."""
     return x.permute(2, 1, 0, 3).flatten(2)[..., :lanes]
+
+
+def addresses(arrays: Sequence[Tensor | None]) -> list[int | None]:
+    """Where arrays begin: compiled code believes that they are doubles without gaps."""
+    assert all(x is None or (x.is_contiguous() and x.dtype == torch.float64) for x in arrays)
+    return [None if x is None else x.data_ptr() for x in arrays]
 
 
 def in_all_lanes(x: Tensor, lanes: int) -> Tensor:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.blocks import blocks, data_blocks, in_all_lanes, lanes_out
+from torchmbd.integrators.blocks import addresses, blocks, data_blocks, in_all_lanes, lanes_out
 from torchmbd.integrators.library import library
 from torchmbd.integrators.march import CHECK, March, Record
 from torchmbd.integrators.step import Model, State, Weights
@@ -95,8 +95,9 @@ class CompiledMarch(March):
         stay, lost = self.diagonal or (None, None)
         arrays = [table, state, self.values, self.tangents, self.factors, stay, lost]
         arrays += [part[place:] for part in record.parts] + [sizes, errors, self.room]
-        job = _Job(*numbers, *(None if x is None else x.data_ptr() for x in arrays))
         assert self.code is not None
+        assert all(part.shape[-1] == self.lanes for part in record.parts)
+        job = _Job(*numbers, *addresses(arrays))
         if self.code.march(ctypes.byref(job)):
             self.code = None
             return False

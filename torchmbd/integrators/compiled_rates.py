@@ -1,8 +1,8 @@
 """The index-1 right-hand side by compiled code (library.py): the same numbers as Dynamics.rates.
 
 torchdiffeq asks for the right-hand side thousands of times; every `PATIENCE` evaluations it is looked whether the library
-has been built meanwhile. Systems with redundant constraints, or with a body without
-inertia about an axis, go the eager way.
+has been built meanwhile. Systems with redundant constraints, or with a body without inertia about an axis, go the eager
+way.
 Checked in tests/integrators/test_compiled.py.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.blocks import data_blocks
+from torchmbd.integrators.blocks import addresses, data_blocks
 from torchmbd.integrators.library import library
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics
@@ -57,7 +57,8 @@ class CompiledRates:
         )
         self.count += 1
         arrays = (uniform, self.values, self.tangents, y, dy, lam, self.room)
-        job = _Job(*numbers, *(x.data_ptr() for x in arrays))
+        assert y.shape[2] == self.dynamics.lanes
+        job = _Job(*numbers, *addresses(arrays))
         return None if self.code.rates(ctypes.byref(job)) else (dy, lam)
 
 

@@ -209,13 +209,13 @@ def build_in_background(dynamics: Dynamics, kind: str = "step") -> subprocess.Po
         handle, path = tempfile.mkstemp(suffix=".job", dir=cache_folder())
         with os.fdopen(handle, "wb") as file:
             pickle.dump(ordered, file)
+        command = [sys.executable, "-m", "torchmbd.integrators.library", path]
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
+        with open(Path(path).with_suffix(".log"), "wb") as log:
+            process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
     except OSError as error:
         warnings.warn(f"nothing can be compiled: {error}; simulations run uncompiled", stacklevel=2)
         return None
-    command = [sys.executable, "-m", "torchmbd.integrators.library", path]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
-    with open(Path(path).with_suffix(".log"), "wb") as log:
-        process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
     _building[ordered[-1]] = process
     return process
 

@@ -1,7 +1,7 @@
 """One step of generalized-alpha: the operations that the integrator is made of (see generalized_alpha.py).
 
-Each is a pure function of tensors: no branch on numbers, nothing kept. So each can be compiled as it stands
-(compiled.py), and the eager and the compiled integrator are one text.
+Each is a pure function of tensors: no branch on numbers, nothing kept. So each can be written out as it
+stands (code.py), and the eager and the compiled integrator are one text.
 
     correct   z <- z - H R(z)                              values
     matrix    dR/dz                                        values
@@ -190,7 +190,7 @@ class Step:
 
 
 class Model:
-    """What all steps of a simulation share; makes steps. The eager counterpart of compiled.CompiledModel."""
+    """What all steps of a simulation share; makes steps. Of the eager march; code.py writes the same out."""
 
     def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: equations.Data):
         self.T, self.saddle, self.w, self.data = T, saddle, w, data

@@ -10,8 +10,8 @@ A number of the motion stage is a plain tensor or a `Pair`. Both end with a slot
 Value and tangents share one tensor, so a linear map is one operator, and a product two. An eager operator costs about
 5 us whatever its size: this counts more than flops, and it is 3-6 times cheaper than functorch.
 
-For compilation the two are kept apart (`separate`): a compiler fuses elementwise operators whatever their number, but a
-write into a slice keeps it from using vector instructions.
+Where functions are written out as scalar code (scalars.py) the two are kept apart (`separate`): values and tangents are
+functions of their own there.
 
 The functions below take tensors and pairs alike. Component axes are counted from the front, so one index means the
 same for both. Plain tensors are differentiable in reverse mode as any torch code.
