@@ -7,7 +7,6 @@ Nothing heavy is imported before it is needed: `torchmbd --help` answers at once
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import signal
 import sys
@@ -19,6 +18,7 @@ from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
 
 from torchmbd.errors import InputError, MbdError
+from torchmbd.process import settle
 
 EXIT_INTERRUPTED = 130
 
@@ -44,7 +44,7 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     fresh
         Forget the evaluations of this problem, and begin anew.
     """
-    _one_thread()
+    settle()
     from torchmbd.experiment import Plan, load, run_figures, run_plan
     from torchmbd.experiment.overrides import combinations
 
@@ -74,7 +74,7 @@ def check(file: Path, /, *assignments: str) -> int:
     assignments
         Overrides, as in run.
     """
-    _one_thread()
+    settle()
     from torchmbd.experiment import load
     from torchmbd.experiment.estimate import print_estimate
 
@@ -251,15 +251,6 @@ def sync() -> int:
     if not waiting:
         print("everything is in its tracking store")
     return min(waiting, 1)
-
-
-def _one_thread() -> None:
-    """Keep numerical libraries to one thread: two make small batched solves 10 to 50 times slower."""
-    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    import torch
-
-    torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
 
 
 def main(arguments: list[str] | None = None) -> int:

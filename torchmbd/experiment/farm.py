@@ -27,21 +27,23 @@ import numpy as np
 from torchmbd.design.spec import measure_of
 from torchmbd.errors import InputError, MbdError
 from torchmbd.experiment.assemble import problem_of
-from torchmbd.experiment.cluster import ONE_THREAD, Slurm, load_cluster
+from torchmbd.experiment.cluster import Slurm, load_cluster
 from torchmbd.experiment.columns import Columns
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.model import build_model, find_model
 from torchmbd.experiment.place import problem_key
 from torchmbd.experiment.schema import Study
 from torchmbd.optimizers import Evaluation
+from torchmbd.process import MEMORY, ONE_THREAD, settle
 
 LANES = 64  # designs in one batch of one process: more gain little, and cost memory
 HERE = "127.0.0.1"
 _DEATHS = 3  # of workers under the same piece, until its designs count as failed
 _SETTINGS: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": _DEATHS,
-    "distributed.nanny.pre-spawn-environ": ONE_THREAD,  # Dask's own hands memory back at once: that takes twice the time
+    "distributed.nanny.pre-spawn-environ": ONE_THREAD | MEMORY,  # Dask's own hands memory back at once
     "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",  # 20 ms by itself: a wake-up that interrupts the numbers
 }
 _START = 60  # seconds to wait for a scheduler, and for workers that nobody has to queue for
 
@@ -146,9 +148,7 @@ def evaluate_piece(study: str, folder: str, key: str, X: np.ndarray, gradients: 
 
 @cache
 def _problem(study_json: str, folder: str, key: str) -> Any:
-    import torch
-
-    torch.set_num_threads(1)
+    settle()
     study = Study.model_validate(json.loads(study_json))
     system = build_model(find_model(study.model, Path(folder)), study.options)
     plan = Plan(

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from torchmbd.process import come_forward, give_way
 from torchmbd.tracking.spool import (
     Line,
     Sent,
@@ -211,7 +212,8 @@ def main(folder: str, mode: str = "") -> int:
     file = last_session(place)
     assert file is not None
     ended = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    threading.Thread(target=lambda: (sys.stdin.read(), ended.set(), come_forward()), daemon=True).start()
+    give_way()
     importlib.import_module("mlflow")  # 3 seconds, while the study begins
     with locked(place, "writer.lock"):  # the writer of a study that was killed may still be at work
         word = Writer(place, file, ended.is_set).run()

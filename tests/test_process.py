@@ -1,0 +1,58 @@
+"""Settings of a process, seen from inside another one."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from torchmbd import bare
+from torchmbd.process import MEMORY
+
+CHURN = """
+import resource, sys
+from torchmbd.process import settle
+if "settle" in sys.argv:
+    settle()
+def churn():
+    for _ in range(20):
+        parts = [bytearray(48_000_000) for _ in range(2)]  # as a batch does: much at once, and nothing of it kept
+        del parts
+churn()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+churn()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+WAYS = """
+import os
+from pathlib import Path
+from torchmbd.process import come_forward, give_way
+session = Path("/proc/self/autogroup")
+for step in (give_way, come_forward):
+    step()
+    print(os.nice(0), session.read_text().split()[-1] if session.exists() else "-")
+"""
+
+
+def output(code: str, *arguments: str, environment: dict[str, str] | None = None) -> list[str]:
+    """Run code without torch: the package is its folder only, as in torchmbd.bare."""
+    empty = f"import sys, types; m = types.ModuleType('torchmbd'); m.__path__ = [{str(Path(bare.__file__).parent)!r}]\n"
+    command = [sys.executable, "-c", empty + "sys.modules['torchmbd'] = m\n" + code, *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, start_new_session=True)
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the allocator of glibc")
+def test_memory_between_batches_stays():
+    """A page that is handed back is faulted in again: 40 x 48 MB are 470,000 pages of 4 KiB."""
+    assert int(output(CHURN)[0]) > 100_000
+    assert int(output(CHURN, "settle")[0]) < 1_000
+    assert int(output(CHURN, environment=MEMORY)[0]) < 1_000
+
+
+def test_helpers_give_way_until_they_are_waited_for():
+    given, come = output(WAYS)[:2], output(WAYS)[2:]
+    assert given == ["5", "10"] or given == ["5", "-"]
+    assert come == ["5", "0"] or come == ["5", "-"]
