@@ -16,12 +16,15 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+import re
+import sys
+import warnings
 from pathlib import Path
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 MEMORY = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": f"{2**31 - 1}"}
 _MALLOPT = ((-8, 1), (-4, 0), (-1, 2**31 - 1))  # M_ARENA_MAX, M_MMAP_MAX, M_TRIM_THRESHOLD of malloc.h
-_NICE, _NICE_SESSION = 5, 10
+_NICE = 5
 _AUTOGROUP = Path("/proc/self/autogroup")
 
 
@@ -37,10 +40,23 @@ def settle() -> None:
             ctypes.CDLL(None).mallopt(parameter, value)
 
 
+def brief_warnings() -> None:
+    """Say a warning in one line, without the code that gave it, and once: not again with other numbers."""
+    said: set[str] = set()
+
+    def show(message, category, filename, lineno, file=None, line=None) -> None:
+        kind = re.sub(r"\d[\d.e+-]*", "", str(message))
+        if kind not in said:
+            said.add(kind)
+            print(f"warning: {message}", file=file or sys.stderr)
+
+    warnings.showwarning = show
+
+
 def give_way() -> None:
     """Let the processes of other sessions go first."""
     os.nice(_NICE)
-    _weigh(_NICE_SESSION)
+    _weigh(_NICE)
 
 
 def come_forward() -> None:
