@@ -78,6 +78,7 @@ from torchmbd.joints import (
 from torchmbd.materials import Laminate, Ply, Strength
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
+from torchmbd.numerics.variable import variable
 from torchmbd.optimizers import (
     OptimizationResult,
     RobustProblem,
@@ -197,5 +198,6 @@ __all__ = [
     "sections",
     "simulate",
     "sobol",
+    "variable",
     "viz",
 ]

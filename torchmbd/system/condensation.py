@@ -195,7 +195,8 @@ def condense(T: Topology, q: Tensor) -> Condensation | None:
         if float(poses.phi(q)[hold.rows + hold.driven].abs().max()) > _HELD:
             continue  # cannot close: the initial conditions say so
         free = _null(J[hold.rows][:, poses.columns(hold.body)])
-        if free.shape[1] == len(hold.driven) <= 1:
+        known = not any(hasattr(law, "numbers") for law in hold.laws)  # the same motion in every design
+        if known and free.shape[1] == len(hold.driven) <= 1:
             carrier = _carrier(poses, q, hold, free)
             if carrier is not None:
                 carriers[hold.body] = carrier
