@@ -58,8 +58,8 @@ class Model:
         """Displacements with the freedoms of node sets held."""
         fixed = np.concatenate([np.asarray(more, dtype=int), *(self.at(name, own) for name, own in held.items())])
         free = np.setdiff1d(np.arange(len(self.load)), fixed)
-        u = np.zeros(len(self.load))
-        u[free] = scipy.sparse.linalg.spsolve(self.K[free][:, free], self.load[free])
+        u, inner = np.zeros(len(self.load)), self.K[free][:, free].tocsc()
+        u[free] = scipy.sparse.linalg.splu(inner).solve(self.load[free])
         return u
 
 
