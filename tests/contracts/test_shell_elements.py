@@ -30,7 +30,8 @@ def cell(draw):
     p = torch.tensor(SHAPES[kind], dtype=torch.float64)
     move = torch.tensor(draw(st.lists(NUMBER, min_size=p.numel(), max_size=p.numel())), dtype=torch.float64)
     stretch, shear = draw(st.floats(0.4, 2.5)), draw(st.floats(-0.5, 0.5))
-    p = (p + torch.tensor([0.2, 0.2, 0.05]).double() * move.reshape(p.shape)) @ torch.tensor([[stretch, 0, 0], [shear, 1, 0], [0, 0, 1.0]]).double()
+    spread = torch.tensor([0.2, 0.2, 0.05], dtype=torch.float64)
+    p = (p + spread * move.reshape(p.shape)) @ torch.tensor([[stretch, 0, 0], [shear, 1, 0], [0, 0, 1.0]]).double()
     return of(kind, p @ rotation(draw(st.integers(0, 99))).T)
 
 
