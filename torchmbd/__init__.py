@@ -80,6 +80,7 @@ from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
 from torchmbd.optimizers import (
     OptimizationResult,
+    Processes,
     RobustProblem,
     multistart,
     optimize,
@@ -157,6 +158,7 @@ __all__ = [
     "Pressure",
     "Prismatic",
     "Problem",
+    "Processes",
     "Reaction",
     "RelativeDisplacement",
     "Revolute",

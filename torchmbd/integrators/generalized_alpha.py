@@ -47,7 +47,7 @@ _STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only
 def initial(dynamics: Dynamics) -> State:
     """Consistent initial positions, velocities and accelerations; pairs if the data are."""
     t = torch.zeros((), dtype=torch.float64)
-    q, v = (_paired(x, dynamics.tangents) for x in dynamics.initial.solve(dynamics))
+    q, v = (_paired(x, dynamics.tangents) for x in dynamics.start)
     a, lam = dynamics.accelerations(t, q, v)
     return State(q, v, a, a, lam)
 

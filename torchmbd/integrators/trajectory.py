@@ -13,6 +13,7 @@ A lane that failed says why in `status`; its numbers are nan from the failure on
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -69,6 +70,27 @@ class Switch:
         """Of all designs moved by delta [n_b], to first order."""
         t = moved(self.t, self.dt_db, delta)
         return Switch(self.phase, t, self.before.moved(delta), self.after.moved(delta))
+
+
+class MovedData(Mapping[str, Tensor]):
+    """Data of the neighbor by delta [n_b], to first order; an entry is made when somebody asks."""
+
+    def __init__(self, data: Mapping[str, Any], delta: Tensor):
+        self._data, self._delta = data, delta
+        self._kept: dict[str, Tensor] = {}
+
+    def __getitem__(self, name: str) -> Tensor:
+        if name not in self._kept:
+            x = self._data[name]
+            moving = isinstance(x, Pair)
+            self._kept[name] = x.value + (x.tangent * self._delta[:, None]).sum(-2, keepdim=True) if moving else x
+        return self._kept[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._data)
+
+    def __len__(self) -> int:
+        return len(self._data)
 
 
 @dataclass(eq=False)
@@ -185,14 +207,10 @@ class Trajectory:
 
     def moved(self, delta: Tensor) -> Trajectory:
         """The motion of all designs moved by delta [n_b], to first order; delta may carry tangents."""
-        data = {
-            name: x.value + (x.tangent * delta[:, None]).sum(-2, keepdim=True) if isinstance(x, Pair) else x
-            for name, x in self.dynamics.data.items()
-        }
         return replace(
             self,
             signals=Moved(self.signals, delta),
-            dynamics=replace(self.dynamics, data=data),
+            dynamics=replace(self.dynamics, data=MovedData(self.dynamics.data, delta)),
             shapes=MovedShapes(self.shapes, delta),
             designs=moved_designs(self.designs, self.parameters, delta),
             parameters=(),

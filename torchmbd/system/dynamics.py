@@ -66,12 +66,17 @@ class Dynamics:
         return max(slots, default=0)
 
     @cached_property
+    def start(self) -> tuple[Any, Any]:
+        """Initial q [n_q, slots, lanes] and v [n_v, slots, lanes]: joints closed, velocities compatible."""
+        return self.initial.solve(self)
+
+    @cached_property
     def rank(self) -> Rank:
         """Rank of the constraints at the initial position."""
         if not self.topology.rows:
             return Rank(0, ())
+        q = value(self.start[0]).detach()
         with torch.no_grad():
-            q, _ = self.initial.solve(self.values())
             J = jacobians(self, q[:, 0, :1].T, q.new_zeros(1))[0]
         return rank_of(self.topology, J.cpu().numpy())
 
@@ -184,9 +189,8 @@ class CondensedStart:
 
     def solve(self, dynamics: Dynamics):
         """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs if the data of `dynamics` are."""
-        whole = self.whole if dynamics.tangents else self.whole.values()
-        q, v = whole.initial.solve(whole)
-        return self.condensation.left(q, v)
+        q, v = self.whole.start
+        return self.condensation.left(*((q, v) if dynamics.tangents else (value(q), value(v))))
 
 
 def solve(factor: tuple[Tensor, Tensor, Tensor | None], rhs: Tensor) -> Tensor:
