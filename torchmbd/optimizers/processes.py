@@ -25,7 +25,7 @@ import torch
 from torchmbd.errors import InputError
 from torchmbd.optimizers.optimizer import Evaluation, Problem
 
-_here: list[Problem] = []  # in a worker: its copy of the problem
+_here: dict[str, Any] = {}  # in a worker: its copy of the problem, and where all workers meet
 
 
 class Processes:
@@ -42,9 +42,9 @@ class Processes:
             raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
         self.problem, self.count = problem, count
         spawn = multiprocessing.get_context("spawn")  # a fork would copy threads' locks in whatever state they are
-        begin = (cloudpickle.dumps(problem), torch.get_default_dtype())
+        begin = (cloudpickle.dumps(problem), torch.get_default_dtype(), spawn.Barrier(count))
         self._pool: ProcessPoolExecutor | None = ProcessPoolExecutor(count, spawn, _begin, begin)
-        self._begun = [self._pool.submit(os.getpid) for _ in range(count)]  # they start while the caller goes on
+        self._begun = [self._pool.submit(_meet) for _ in range(count)]  # they start while the caller goes on
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.problem, name)
@@ -54,17 +54,27 @@ class Processes:
         parts = [part for part in np.array_split(np.asarray(X), self.count) if len(part)]
         if self._pool is not None and len(parts) > 1:
             try:
-                return [
-                    found for share in self._pool.map(_evaluate, parts, [gradients] * len(parts)) for found in share
-                ]
+                shares = list(self._pool.map(_evaluate, parts, [gradients] * len(parts)))
+                return [found for share in shares for found in share]
             except BrokenProcessPool as error:
-                warnings.warn(
-                    f"a process that evaluates designs ended ({error}); the rest is evaluated in one process. Does the "
-                    "script keep what it does under `if __name__ == '__main__':`, and is there enough memory?",
-                    stacklevel=2,
-                )
-                self.close()
+                self._go_on_alone(error)
         return self.problem.evaluate(X, gradients)
+
+    def wait(self) -> None:
+        """Wait until all processes are there."""
+        try:
+            for begun in self._begun:
+                begun.result()
+        except BrokenProcessPool as error:
+            self._go_on_alone(error)
+
+    def _go_on_alone(self, error: BrokenProcessPool) -> None:
+        warnings.warn(
+            f"a process that evaluates designs ended ({error}); the rest is evaluated in one process. Does the script "
+            "keep what it does under `if __name__ == '__main__':`, and is there enough memory?",
+            stacklevel=3,
+        )
+        self.close()
 
     def close(self) -> None:
         """End the processes; later batches are evaluated in the calling process."""
@@ -79,13 +89,18 @@ class Processes:
         self.close()
 
 
-def _begin(problem: bytes, dtype: torch.dtype) -> None:
+def _begin(problem: bytes, dtype: torch.dtype, door: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's affair
     torch.set_num_threads(1)
     torch.set_default_dtype(dtype)
-    _here.append(cloudpickle.loads(problem))
-    _here[0].evaluate(np.asarray(_here[0].start)[None], True)  # what is made once is made now
+    own = cloudpickle.loads(problem)
+    _here.update(problem=own, door=door)
+    own.evaluate(np.asarray(own.start)[None], True)  # what is made once is made now
+
+
+def _meet() -> None:
+    _here["door"].wait()
 
 
 def _evaluate(X: np.ndarray, gradients: bool) -> list[Evaluation]:
-    return _here[0].evaluate(X, gradients)
+    return _here["problem"].evaluate(X, gradients)
