@@ -34,7 +34,7 @@ class Truss:
     modes: int = 4
 
     @cached_property
-    def section(self) -> mbd.Section | mbd.GivenSection:
+    def section(self) -> mbd.sections.Section | mbd.GivenSection:
         """That of a flexible truss."""
         return self._tube() if self.kind == "tube" else self._circle()
 
@@ -64,7 +64,7 @@ class Truss:
         inertia = [rho * area] * 3 + [2 * rho * second, rho * second, rho * second]
         return mbd.GivenSection(*(torch.diag(torch.tensor(x, dtype=torch.float64)) for x in (stiffness, inertia)))
 
-    def _tube(self) -> mbd.Section:
+    def _tube(self) -> mbd.sections.Section:
         wall = PLY * len(self.angles)
         middle = self.radius**2 / (2.0 * wall)
         return mbd.sections.tube(middle + wall / 2.0, mbd.Ply(**IM6), mbd.deg(list(self.angles)), PLY, cells=(24, 1))

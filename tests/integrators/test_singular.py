@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from tests.mechanisms import pendulum
+from tests.mechanisms import SOFT, pendulum, plate, tensor
 from tests.validation.rigid_benchmarks import n_four_bar, n_four_bar_at
 from torchmbd.integrators.singular import explained
 
@@ -66,6 +66,66 @@ def test_a_slider_driven_through_its_dead_point_fails_with_a_word():
         assert motion.status[0].startswith("failed")
         near = float(motion.status[0].partition("near t = ")[2].partition(" s")[0])
         assert near == pytest.approx(reach, rel=0.15)
+
+
+def parallelogram(angle: float, speed: float, coupler: mbd.RigidBody | mbd.FlexibleBody, side: float) -> mbd.System:
+    """A driven crank and a rocker of length `side` at an angle, a coupler of 2 m, or the plate of 0.3 m, between them."""
+    ground, R = mbd.Ground(), _about_z(angle)
+    reach = 1.0 if isinstance(coupler, mbd.RigidBody) else 0.15
+    bodies, joints = [], []
+    for name, x in (("crank", 0.0), ("rocker", 2.0 * reach)):
+        center = tensor(x, 0.0, 0.0) + R @ tensor(0.5 * side, 0.0, 0.0)
+        velocity = speed * (R @ tensor(0.0, 0.5 * side, 0.0))
+        J = (1e-3 * side, 0.1 * side**2, 0.1 * side**2)
+        given = {"position": center, "axes": R, "velocity": velocity, "angular_velocity": (0.0, 0.0, speed)}
+        bodies.append(mbd.RigidBody(name, 1.0, J, **given))
+        joints.append(
+            mbd.Revolute(ground.at(x, 0.0, 0.0), bodies[-1].at(-0.5 * side, 0.0, 0.0), name=f"foot of {name}")
+        )
+    crank, rocker = bodies
+    ends = [(-reach, 0.0, 0.0), (reach, 0.0, 0.0)] if isinstance(coupler, mbd.RigidBody) else [("left",), ("right",)]
+    left, right = (coupler.at(*end) for end in ends)
+    joints += [
+        mbd.Spherical(crank.at(0.5 * side, 0.0, 0.0), left, name="left"),
+        mbd.Universal(right, rocker.at(0.5 * side, 0.0, 0.0), axes="yz", name="right"),
+        mbd.Drive(ground, crank, speed=speed, name="motor"),
+    ]
+    return mbd.System([*bodies, coupler], joints)
+
+
+def distance(motion: mbd.Trajectory, side: float, length: float) -> torch.Tensor:
+    """How far the tip of the rocker is from that of the crank, less the coupler [times]."""
+    tips = [motion.body(name).at((0.5 * side, 0.0, 0.0)).position[0] for name in ("crank", "rocker")]
+    return (tips[1] - tips[0] - tensor(length, 0.0, 0.0)).norm(dim=1)
+
+
+def test_a_step_that_ends_in_a_singular_position():
+    """A parallelogram folds flat exactly at a step, where its matrix has no inverse, and goes on as a parallelogram."""
+    start, speed = 0.3, 2.0 * np.pi
+    flat, errors = (np.pi - start) / speed, []
+    bar = mbd.RigidBody("coupler", 1.0, (0.01, 0.3, 0.3), position=tensor(np.cos(start) + 1.0, np.sin(start), 0.0))
+    system = parallelogram(start, speed, bar, side=1.0)
+    assert system().rank.redundant == ()
+    for steps in (60, 240):
+        with pytest.warns(UserWarning, match=f"singular position near t = {flat:.5g}") as told:
+            motion = mbd.simulate(system, 2.0 * flat, steps=steps).require_ok()
+        assert "foot of rocker: coincide x" in str(told[0].message)
+        assert (motion.stats["renewed"], motion.stats["halved"]) == ([0], [])
+        errors.append(float(distance(motion, 1.0, 2.0).max()))
+    assert errors[0] < 5e-4
+    assert errors[1] < errors[0] / 6.0
+
+
+def test_a_start_in_a_singular_position():
+    """A flat parallelogram with a soft coupler: the row that depends on others there is needed as soon as it moves."""
+    soft = mbd.Laminate(mbd.Ply(strength=None, **SOFT), mbd.deg([40.0, -10.0]), thickness=1.25e-3, symmetric=True)
+    bar = plate("coupler", made_of=soft, position=(0.25, 0.0, 0.0), axes=[[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+    system = parallelogram(0.0, 6.0, bar, side=0.1)
+    rank = system().rank
+    assert (len(rank.redundant), rank.left_out) == (1, ())
+    with pytest.warns(UserWarning, match="singular position near t = 0 s"):
+        motion = mbd.simulate(system, 0.2, steps=100).require_ok()
+    assert float(distance(motion, 0.1, 0.3).max()) < 1e-5
 
 
 def _about_z(angle: float) -> torch.Tensor:

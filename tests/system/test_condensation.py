@@ -149,3 +149,17 @@ def test_redundant_rows_of_a_guided_body_share_the_reaction(monkeypatch):
     assert_close(pull[:, 0, 0, 0], torch.tensor([0.0, 0.0, -20.0], dtype=torch.float64), rtol=0, atol=1e-9)
     weight = torch.linalg.cross(slider.center, torch.tensor([0.0, 0.0, -20.0], dtype=torch.float64))
     assert_close(turn[:, 0, 0, 0], weight, rtol=0, atol=1e-9)
+
+
+def test_multipliers_of_a_motion_that_failed():
+    """Those of condensed joints are nan from the failure on, like everything else."""
+    system = driven(lambda t: 2.0 * t)
+    arm, bob = system.bodies
+
+    def pull(t: torch.Tensor) -> torch.Tensor:
+        return torch.sqrt(0.055 - t) * torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+
+    motion = mbd.simulate(mbd.System([arm, bob], system.joints, [mbd.Force(bob.at(), pull)]), 0.1, steps=10)
+    assert "not finite from t = 0.06 s on" in motion.status[0]
+    assert bool(torch.isfinite(motion.lam[0, :6]).all())
+    assert bool(torch.isnan(motion.lam[0, 6:]).any(1).all())

@@ -79,6 +79,23 @@ def test_n_four_bar_through_its_singular_positions(duration):
     assert np.abs(total - total[0]).max() < 1e-6 * kinetic.max()
 
 
+@pytest.mark.parametrize("duration", [1.1, pytest.param(10.0, marks=pytest.mark.slow)])
+def test_n_four_bar_with_the_structural_integrator(duration):
+    """A02 with equal steps, some of them next to singular positions: second order, no growth of the energy."""
+    errors, drifts = [], []
+    for steps in (round(100 * duration), round(200 * duration)):
+        motion = mbd.simulate(n_four_bar(), duration, steps=steps, refresh=0).require_ok()
+        th = n_four_bar_at(motion.t.numpy())
+        found = motion.body("upright_2").at((0.0, 0.5, 0.0)).position[0, :, :2].numpy()
+        errors.append(np.abs(found - np.stack([2.0 + np.sin(th), np.cos(th)], -1)).max())
+        total = energy(motion)[1]
+        drifts.append(np.abs(total - total[0]).max())
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(2.0, abs=0.1)
+    assert np.log2(drifts[0] / drifts[1]) == pytest.approx(2.0, abs=0.1)
+    assert errors[1] < 6e-4 * max(1.0, duration)
+    assert drifts[1] < 0.03
+
+
 def test_bricard_has_30_rows_of_rank_29():
     found = bricard().describe()
     assert (found.rows, found.rank, found.freedoms, len(found.redundant)) == (30, 29, 1, 1)

@@ -61,7 +61,6 @@ class CompiledMarch(March):
         self.values, self.tangents = data_blocks(dynamics)
         self.factors = torch.empty(len(self.values) * code.march_factors() // 8, dtype=torch.float64)
         self.room = torch.empty(code.march_room(self.slots) // 8, dtype=torch.float64)
-        self.diagonal = [x.contiguous() for x in dynamics._diagonal] if dynamics.redundant else None
 
     def forget(self) -> None:
         super().forget()

@@ -69,7 +69,7 @@ def integrate(
     """Integrate all lanes with `steps` equal steps.
 
     iterations  corrections of values, and the least number of corrections of tangents, in every step
-    refresh     steps between two inverses of the iteration matrix
+    refresh     steps between two inverses of the iteration matrix; 0: a new one before every correction
 
     Returns the states at steps + 1 times, and statistics: for each lane the estimated relative error of the iteration in
     the accelerations ("iteration_error") and in their design tangents ("tangent_error"), the estimated error of a step
@@ -137,5 +137,5 @@ def checked(iterations: tuple[int, int], refresh: int) -> None:
     counts = iterations if isinstance(iterations, (tuple, list)) else ()
     if len(counts) != 2 or any(not isinstance(k, int) or k < 1 for k in counts):
         raise InputError(f"iterations is {iterations!r}; allowed: two positive integers, for values and for tangents")
-    if not isinstance(refresh, int) or refresh < 1:
-        raise InputError(f"refresh is {refresh!r}; allowed: a positive number of steps")
+    if not isinstance(refresh, int) or refresh < 0:
+        raise InputError(f"refresh is {refresh!r}; allowed: a number of steps, or 0 for every correction")

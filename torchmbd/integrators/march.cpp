@@ -62,12 +62,12 @@ extern "C" long march(const Job* job) {
       in.x = state;
       in.z = z;
       start(state, z);
-      const bool due = (J.first + i) % J.refresh == 0;
+      const bool always = J.refresh == 0, due = always || (J.first + i) % J.refresh == 0;
       const long renewed = J.corrections > 1 ? (J.corrections - 1 > 1 ? J.corrections - 1 : 1) : -1;
       if (fresh) renew(in, J.stay, J.lost, factors, w, entries);
       fresh = false;
       for (long k = 0; k < J.corrections; k++) {
-        if (due && k == renewed) renew(in, J.stay, J.lost, factors, w, entries);
+        if (always || (due && k == renewed)) renew(in, J.stay, J.lost, factors, w, entries);
         residual(in, w, R);
         solve(factors.K, factors.inverse, R);
         for (int n = 0; n < N; n++) z[n] -= R[n];

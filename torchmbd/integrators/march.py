@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import Pair, value
-from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.dynamics import Dynamics, regularized
 from torchmbd.system.elimination import Elimination, inverse, pays
 from torchmbd.system.topology import Prescribed
 
@@ -74,6 +74,7 @@ class March:
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
         self.dynamics, self.model, self.refresh = dynamics, model, refresh
         self.corrections, self.passes = iterations
+        self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
         self.invert = Elimination(dynamics.topology) if pays(dynamics.topology) else inverse
         self.H: Any = None
         self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
@@ -96,7 +97,8 @@ class March:
 
     def _step(self, i: int, x: State, given: Any) -> State:
         step = self.model.step(x, given)
-        z = self._values(step, torch.cat([value(x.vd), value(x.lam)]), renew=i % self.refresh == 0)
+        renew = self.refresh == 0 or i % self.refresh == 0
+        z = self._values(step, torch.cat([value(x.vd), value(x.lam)]), renew)
         if not isinstance(x.q, Pair):
             return step.finish(z)
         dz = torch.cat([x.vd.tangent, x.lam.tangent])
@@ -107,14 +109,14 @@ class March:
         return step.finish(z, dz)
 
     def _inverse(self, step: Any, z: Tensor) -> Tensor:
-        return self.invert(self.dynamics.determined(step.matrix(z)))
+        return self.invert(regularized(step.matrix(z), self.diagonal))
 
     def _values(self, step: Any, z: Tensor, renew: bool) -> Tensor:
         """Unknowns of one step."""
         H = self._inverse(step, z) if self.H is None else self.H
         sizes = []
         for k in range(self.corrections):
-            if renew and k == max(self.corrections - 1, 1):
+            if self.refresh == 0 or (renew and k == max(self.corrections - 1, 1)):
                 H = self._inverse(step, z)
             z, size = step.correct(H, z)
             sizes.append(size)

@@ -161,11 +161,10 @@ def run(
 ) -> tuple[History, dict[str, Any], list[str]]:
     """Integrate; a lane that fails does not take the others with it.
 
-    Equal steps: the lanes that failed are tried again with steps of half the size. Adaptive methods: the lanes are run
-    one by one.
+    Equal steps: the lanes that failed are tried again (`_with_retries`). Adaptive methods: the lanes are run one by one.
     """
     if method == "generalized_alpha":
-        return _with_halving(dynamics, duration, steps, **options)
+        return _with_retries(dynamics, duration, steps, **options)
     try:
         history, stats = ode.integrate(dynamics, duration, steps, method, **options)
         return history, stats, _status(history, duration, steps, {})
@@ -178,18 +177,32 @@ def run(
     return History(q, v, vd, lambda: lam), counts, [status for _, _, statuses in parts for status in statuses]
 
 
-def _with_halving(
-    dynamics: Dynamics, duration: float, steps: int, halvings: int = 1, **options: Any
+def _with_retries(
+    dynamics: Dynamics,
+    duration: float,
+    steps: int,
+    halvings: int = 1,
+    refresh: int = 1,
+    iterations: tuple[int, int] = (3, 1),
+    **options: Any,
 ) -> tuple[History, dict[str, Any], list[str]]:
-    """generalized_alpha; `halvings`: how many times the step may be halved for lanes that fail."""
+    """generalized_alpha; lanes that fail are tried again with a new matrix for every correction, then with half the step.
+
+    The matrix of the step before does not suit one near a singular position: there its inverse grows without bound.
+
+    halvings: how many times the step may be halved
+    """
     if not isinstance(halvings, int) or halvings < 0:
         raise InputError(f"halvings is {halvings!r}; allowed: a whole number, 0 or more")
+    options |= {"iterations": iterations, "refresh": refresh}
     history, stats = generalized_alpha.integrate(dynamics, duration, steps, **options)
     status = _status(history, duration, steps, stats)
     failed = [lane for lane, reason in enumerate(status) if reason != OK]
-    if not failed or not halvings:
+    if not failed or not (refresh or halvings):
         return history, stats, status
-    finer, counts, retried = _with_halving(dynamics.some(failed), duration, 2 * steps, halvings - 1, **options)
+    often, left = (1, halvings) if refresh else (2, halvings - 1)
+    options |= {"iterations": (2 * iterations[0], iterations[1]) if refresh else iterations, "refresh": 0}
+    better, counts, retried = _with_retries(dynamics.some(failed), duration, often * steps, left, **options)
     cured = [(i, lane) for i, lane in enumerate(failed) if retried[i] == OK]
     if not cured:
         return history, stats, status
@@ -197,17 +210,18 @@ def _with_halving(
 
     def patch(x: Tensor, y: Tensor) -> Tensor:
         x = x.clone()
-        x[..., lanes] = y[::2][..., source]
+        x[..., lanes] = y[::often][..., source]
         return x
 
-    q, v, vd = (patch(getattr(history, name), getattr(finer, name)) for name in ("q", "v", "vd"))
+    q, v, vd = (patch(getattr(history, name), getattr(better, name)) for name in ("q", "v", "vd"))
     for name in (*_LOOKED_AT, "tangent_error"):
         if name in stats:
             stats[name][lanes] = counts[name][source]
     for lane in lanes:
         status[lane] = OK
-    stats["halved"] = sorted({*lanes, *(failed[i] for i in counts.get("halved", []))})
-    return History(q, v, vd, lambda: patch(history.lam, finer.lam)), stats, status
+    halved = lanes if often == 2 else [failed[i] for i in counts.get("halved", [])]
+    stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved]}
+    return History(q, v, vd, lambda: patch(history.lam, better.lam)), stats, status
 
 
 def _empty(dynamics: Dynamics, steps: int) -> History:

@@ -4,12 +4,13 @@
 
 A mechanism has the rank of its start almost everywhere; where s comes near zero it gains a freedom for a moment, its
 motion may branch, and multipliers grow like 1/s. Minima of s below a threshold are reported; a motion that failed says
-in its status where it came near one.
+in its status where it came near one, one whose steps had to be taken again (simulate.py) warns.
 Checked in tests/integrators/test_singular.py: four-bars that fold flat.
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -76,9 +77,16 @@ def _minima(x: Tensor, below: float) -> list[int]:
 
 
 def explained(motion: Trajectory) -> Trajectory:
-    """The motion with a word on singular positions and laws of forces in the status of lanes that failed."""
+    """The motion with a word on singular positions: in the status of lanes that failed, else as a warning.
+
+    Lanes that failed are told of laws of forces as well.
+    """
+    tried_again = {*motion.stats.get("renewed", ()), *motion.stats.get("halved", ())}
     for lane, status in enumerate(motion.status):
         if status.startswith("failed"):
             near = of_lane(motion, lane)[:1]  # what follows the first is no motion to trust
             motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
+        elif lane in tried_again:
+            for near in of_lane(motion, lane):
+                warnings.warn(f"{near}; from there the motion may go on in several ways", stacklevel=3)
     return motion

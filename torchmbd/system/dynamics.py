@@ -32,12 +32,14 @@ from torchmbd.numerics.pair import Pair, cat, linear, value
 from torchmbd.system import equations
 from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import Data
-from torchmbd.system.rank import Rank, jacobians, rank_of
+from torchmbd.system.rank import Rank, confirmed, jacobians, rank_of
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Topology
 
 LEFT_OUT = 1e30  # on the diagonal of a row without other entries: its multiplier is zero
-REGULARIZATION = 1e-8  # against C M^-1 C', of order 1/kg or more: only undetermined multipliers notice
+REGULARIZATION = (
+    1e-8  # [of 1 / largest mass] against C M^-1 C' of this order or more: only undetermined multipliers notice
+)
 
 
 @dataclass(eq=False)
@@ -74,7 +76,7 @@ class Dynamics:
         with torch.no_grad():
             q, _ = self.initial.solve(self.values())
             J = jacobians(self, q[:, 0, :1].T, q.new_zeros(1))[0]
-        found = rank_of(self.topology, J.cpu().numpy())
+            found = confirmed(self, q[:, 0, 0], rank_of(self.topology, J.cpu().numpy()))
         if found.weak:
             warnings.warn(
                 f"{', '.join(found.weak)}: these rows differ by {100 * found.share:.1g} % of elastic displacement only, "
@@ -88,31 +90,32 @@ class Dynamics:
         """Names of constraint rows that follow from the others at the initial position (rank.py)."""
         return self.rank.redundant
 
-    @cached_property
-    def _diagonal(self) -> tuple[Tensor, Tensor]:
-        """For the saddle-point matrix: which rows and columns stay, 1 or 0 [n], and what its diagonal loses [n]."""
+    def diagonal(self, everywhere: bool = False) -> tuple[Tensor, Tensor] | None:
+        """For the saddle-point matrix: which rows and columns stay, 1 or 0 [n], and what its diagonal loses [n].
+
+        None: it is determined as it is. everywhere: regularized also without redundant rows, near singular positions.
+        """
+        if not self.topology.rows or not (self.redundant or everywhere):
+            return None
         n, left_out = self.topology.n_v, list(self.rank.left_out)
         stay = torch.ones(n + self.topology.rows, dtype=torch.float64)
         lost = torch.zeros_like(stay)
-        if len(left_out) < len(self.redundant):
-            lost[n:] = REGULARIZATION
+        if everywhere or len(left_out) < len(self.redundant):
+            lost[n:] = REGULARIZATION / float(value(self.data["mass"]).max())
         for i in left_out:
             stay[n + i], lost[n + i] = 0.0, LEFT_OUT
         return stay, lost
 
     def determined(self, K: Tensor) -> Tensor:
         """The saddle-point matrices K [lanes, n, n]: regularized where rows are redundant, without those left out."""
-        if not self.redundant:
-            return K
-        stay, lost = (x.to(K.device) for x in self._diagonal)
-        return K * (stay[:, None] * stay) - torch.diag(lost)
+        return regularized(K, self.diagonal())
 
     def carried(self, lam: Any) -> Any:
         """Multipliers [rows, ...] with zeros in rows that are left out."""
         if not self.rank.left_out:
             return lam
-        stay = self._diagonal[0][self.topology.n_v :, None, None]
-        return linear(lambda x: x * stay, lam)
+        gone = torch.tensor(self.rank.left_out)
+        return linear(lambda x: x.index_fill(0, gone.to(x.device), 0.0), lam)
 
     def values(self) -> Dynamics:
         """The same dynamics without design tangents."""
@@ -195,6 +198,14 @@ class CondensedStart:
         whole = self.whole if dynamics.tangents else self.whole.values()
         q, v = whole.initial.solve(whole)
         return self.condensation.left(q, v)
+
+
+def regularized(K: Tensor, diagonal: tuple[Tensor, Tensor] | None) -> Tensor:
+    """Matrices K [lanes, n, n] with the changes of Dynamics.diagonal."""
+    if diagonal is None:
+        return K
+    stay, lost = (x.to(K.device) for x in diagonal)
+    return K * (stay[:, None] * stay) - torch.diag(lost)
 
 
 def solve(factor: tuple[Tensor, Tensor, Tensor | None], rhs: Tensor) -> Tensor:

@@ -6,7 +6,8 @@ A row is redundant if it depends on others: the motion does not need it, its mul
 least norm is taken). A drive that depends on the rows without a law moves what they hold: an error.
 Two rows that are dependent where a flexible body is undeformed contradict each other where it is not: an edge that twists by
 u gets longer by u^2 / 2L, for elastic displacements are linear, and two hinge points on it hold its length. Such a row is
-left out of the motion, its multiplier is zero.
+left out of the motion, its multiplier is zero; unless it is independent some way along a freedom of the undeformed
+mechanism: then the start is a singular position, and the row is regularized like those of rigid bodies.
 Where such rows differ by a little of elastic displacement, because bending of an unsymmetric laminate stretches it a little,
 they are a *weak* constraint: what would stretch the body is not among its modes of vibration, so bending has to, far too
 much. A warning names the rows; with reduction="craig-bampton" the joints' nodes have modes of their own that stretch.
@@ -18,10 +19,11 @@ Checked in tests/system/test_rank.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 import torch
 from torch import Tensor
 
@@ -34,6 +36,8 @@ RELATIVE = 1e-9  # what counts as zero
 _APART = (0.1, 1e-2, 1e-4, 1e-6, RELATIVE)  # what a row adds to those that stay: rows that add most come first
 _WEAK = 0.01  # of the largest elastic part of a row of the same body
 _SHARE = 0.3  # of the largest entry of a left vector: rows that are named
+_WAY = 0.2  # [rad] largest rotation to a position elsewhere
+_STEPS, _CLOSED = 30, 1e-11  # of Newton's method there; [m] or [-]
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class Rank:
 
 def rank_of(T: Topology, J: np.ndarray) -> Rank:
     """Rank of a Jacobian [rows, n_v]; rows without a law count first. Raises InputError for a drive that has no freedom."""
-    driven = np.array([i for p, rows in T.row_slices() if p.driven for i in range(rows.start, rows.stop)], dtype=int)
+    driven = _driven(T)
     others = np.setdiff1d(np.arange(T.rows), driven)
     J = J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), np.finfo(float).tiny)
     rank, dependent = _dependent(J[others])
@@ -73,7 +77,7 @@ def rank_of(T: Topology, J: np.ndarray) -> Rank:
 def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[str, ...], float]:
     """Names of rows that others leave nothing but a small elastic part, and the largest such part."""
     n, f = 6 * T.bodies, T.flexible
-    if T.rates is not None or not f:
+    if J.shape[1] != T.n_v or T.rates is not None or not f:
         return (), 1.0
     kept = np.setdiff1d(np.arange(len(J)), left_out)
     rigid, elastic = J[kept, :n], J[kept, n:].reshape(len(kept), T.modes, f)
@@ -90,6 +94,11 @@ def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[st
     return tuple(T.row_names[i] for i in rows), float(share[weak].max())
 
 
+def _driven(T: Topology) -> np.ndarray:
+    """Indices of the rows with a law."""
+    return np.array([i for p, rows in T.row_slices() if p.driven for i in range(rows.start, rows.stop)], dtype=int)
+
+
 def _left_out(T: Topology, J: np.ndarray, dependent: list[int]) -> tuple[int, ...]:
     """Dependent rows that are combinations of rows of which any is attached to a flexible body."""
     elastic = _elastic(T)
@@ -98,6 +107,55 @@ def _left_out(T: Topology, J: np.ndarray, dependent: list[int]) -> tuple[int, ..
     free = np.setdiff1d(np.arange(T.rows), dependent)
     share = np.abs(np.linalg.lstsq(J[free].T, J[dependent].T, rcond=RELATIVE)[0]) > RELATIVE
     return tuple(i for k, i in enumerate(dependent) if elastic[i] or elastic[free[share[:, k]]].any())
+
+
+def confirmed(dynamics: Any, q: Tensor, found: Rank) -> Rank:
+    """The rank at the start q [n_q], with rows left out only that depend on others elsewhere as well."""
+    away = elsewhere(dynamics, q) if found.left_out else None
+    if away is None:
+        return found
+    T = dynamics.topology
+    J = jacobians(dynamics, away[None], away.new_zeros(1))[0].cpu().numpy()
+    stay = [i for i in range(T.rows) if i not in found.left_out]
+    Q: Any = scipy.linalg.orth(J[stay].T, rcond=RELATIVE)
+    apart = [np.linalg.norm(J[i] - Q @ (Q.T @ J[i])) for i in found.left_out]
+    return replace(found, left_out=tuple(i for i, x in zip(found.left_out, apart, strict=True) if x < RELATIVE))
+
+
+def elsewhere(dynamics: Any, q: Tensor) -> Tensor | None:
+    """An assembled position [n_q] some way from q along a freedom that the rows without a law leave undeformed bodies.
+
+    None if there is no such freedom, or Newton's method does not close the joints.
+    """
+    T, zero = dynamics.topology, q.new_zeros(1)
+    rows = np.setdiff1d(np.arange(T.rows), _driven(T))
+    values, given = (
+        {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()},
+        T.schedule(zero)[0].values(),
+    )
+    J = jacobians(dynamics, q[None], zero)[0][rows].cpu().numpy()[:, _rigid(T)]
+    N = scipy.linalg.null_space(J, rcond=RELATIVE)
+    step = q.new_zeros(T.n_v)
+    step[_rigid(T)] = torch.from_numpy(N @ (N.T @ np.random.default_rng(0).standard_normal(len(N)))).to(q.device)
+    turn = equations.split_v(T, step[:, None, None])[1].abs().max()
+    if not float(turn) > RELATIVE:
+        return None
+    away = equations.advance(T, q[:, None, None], (_WAY / turn) * step[:, None, None])
+    for _ in range(_STEPS):
+        at = equations.placement(T, values, away, given)
+        phi = equations.constraints(T, at)[rows, 0, 0]
+        if float(phi.abs().max()) < _CLOSED:
+            return away[:, 0, 0]
+        J = dynamics.saddle.jacobian(values, at)[0][rows][:, _rigid(T)]
+        step = torch.zeros_like(step).index_put((torch.tensor(_rigid(T)),), -torch.linalg.pinv(J, rtol=1e-6) @ phi)
+        away = equations.advance(T, away, step[:, None, None])
+    return None
+
+
+def _rigid(T: Topology) -> list[int]:
+    """Rates that bend no body."""
+    modal = 6 * T.bodies
+    return list(range(modal)) if T.rates is None else torch.nonzero((T.rates[modal:] == 0).all(0))[:, 0].tolist()
 
 
 def _elastic(T: Topology) -> np.ndarray:

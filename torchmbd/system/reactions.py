@@ -45,8 +45,8 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
     given = _given(T, times, lanes)
     gone = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
     at = equations.placement(T, wide, q, given)
-    B = _columns(T, wide, at, gone)
-    inverse = torch.linalg.pinv(B.permute(2, 0, 1), rtol=1e-9)
+    B = _columns(T, wide, at, gone).permute(2, 0, 1)
+    inverse = torch.linalg.pinv(torch.where(torch.isfinite(B), B, 0.0), rtol=1e-9)  # of a lane that failed: R is nan
     lam = _placed(left, c.rows, T.rows)
     lam = lam + _placed(-_times(inverse, value(_residual(T, wide, at, v, a, lam))), gone, T.rows)
     if isinstance(q, Pair):
