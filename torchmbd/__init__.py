@@ -17,6 +17,7 @@ from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
 from torchmbd.design import (
     RMS,
     Acceleration,
+    Angle,
     AtPeaks,
     AtTime,
     AtTimes,
@@ -112,6 +113,7 @@ __version__ = "0.1.0"
 __all__ = [
     "RMS",
     "Acceleration",
+    "Angle",
     "AtPeaks",
     "AtTime",
     "AtTimes",
