@@ -17,6 +17,7 @@ from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
 from torchmbd.design import (
     RMS,
     Acceleration,
+    Angle,
     AtPeaks,
     AtTime,
     AtTimes,
@@ -81,6 +82,7 @@ from torchmbd.numerics.angles import deg
 from torchmbd.numerics.variable import variable
 from torchmbd.optimizers import (
     OptimizationResult,
+    Processes,
     RobustProblem,
     multistart,
     optimize,
@@ -112,6 +114,7 @@ __version__ = "0.1.0"
 __all__ = [
     "RMS",
     "Acceleration",
+    "Angle",
     "AtPeaks",
     "AtTime",
     "AtTimes",
@@ -158,6 +161,7 @@ __all__ = [
     "Pressure",
     "Prismatic",
     "Problem",
+    "Processes",
     "Reaction",
     "RelativeDisplacement",
     "Revolute",

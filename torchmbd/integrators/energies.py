@@ -58,7 +58,7 @@ class Energies:
 
 def energies(motion: Trajectory) -> Energies:
     """Of all lanes of a motion."""
-    parts = [_lane(motion, lane) for lane in range(motion.q.shape[0])]
+    parts = [_lane(motion, lane) for lane in range(motion.lanes)]
     return Energies(*(torch.stack(x) for x in zip(*parts, strict=True)))
 
 

@@ -73,14 +73,14 @@ def reaction_on(motion: Trajectory, joint: Joint, side: Frame, about: Tensor) ->
 def frame_point(motion: Trajectory, frame: Frame) -> Tensor:
     """Point of a frame in ground axes [lanes, times, 3] [m]."""
     if isinstance(frame.body, Ground):
-        return frame.point.expand(*motion.q.shape[:2], 3)
+        return frame.point.expand(motion.lanes, len(motion.t), 3)
     return motion.body(frame.body.name).at(frame).position
 
 
 def frame_axes(motion: Trajectory, frame: Frame) -> Tensor:
     """Axes of a frame, columns in ground axes [lanes, times, 3, 3]; those on nodes turn with them."""
     if isinstance(frame.body, Ground):
-        return frame.axes.expand(*motion.q.shape[:2], 3, 3)
+        return frame.axes.expand(motion.lanes, len(motion.t), 3, 3)
     view = motion.body(frame.body.name)
     if frame.mount is None:
         return view.A @ frame.axes
@@ -92,7 +92,7 @@ def frame_axes(motion: Trajectory, frame: Frame) -> Tensor:
 def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Placement, Tensor]:
     """Attached vectors and the gradients by them [3, vectors, 1, lanes x times] of the constraint rows chosen."""
     T, data = motion.dynamics.topology, motion.dynamics.data
-    lanes, times = motion.q.shape[:2]
+    lanes, times = motion.lanes, len(motion.t)
 
     def flat(x: Tensor) -> Tensor:
         return x.permute(2, 0, 1).flatten(1)[:, None]
@@ -108,4 +108,4 @@ def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Plac
 
 def _back(motion: Trajectory, x: Tensor) -> Tensor:
     """[3, 1, lanes x times] -> [lanes, times, 3]."""
-    return x[:, 0].unflatten(-1, motion.q.shape[:2]).permute(1, 2, 0)
+    return x[:, 0].unflatten(-1, (motion.lanes, len(motion.t))).permute(1, 2, 0)

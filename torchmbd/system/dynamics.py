@@ -18,6 +18,7 @@ Checked in tests/system/, tests/sensitivity/.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -68,14 +69,26 @@ class Dynamics:
         return max(slots, default=0)
 
     @cached_property
+    def start(self) -> tuple[Any, Any]:
+        """Initial q [n_q, slots, lanes] and v [n_v, slots, lanes]: joints closed, velocities compatible."""
+        return self.initial.solve(self)
+
+    @cached_property
     def rank(self) -> Rank:
         """Rank of the constraints at the initial position."""
         if not self.topology.rows:
             return Rank(0, ())
+        q = value(self.start[0]).detach()
         with torch.no_grad():
-            q, _ = self.initial.solve(self.values())
             J = jacobians(self, q[:, 0, :1].T, q.new_zeros(1))[0]
-            return confirmed(self, q[:, 0, 0], rank_of(self.topology, J.cpu().numpy()))
+            found = confirmed(self, q[:, 0, 0], rank_of(self.topology, J.cpu().numpy()))
+        if found.weak:
+            warnings.warn(
+                f"{', '.join(found.weak)}: these rows differ by {100 * found.share:.1g} % of elastic displacement only, "
+                'which stiffens their body falsely; allowed: reduction="craig-bampton" with the nodes of its joints',
+                stacklevel=2,
+            )
+        return found
 
     @property
     def redundant(self) -> tuple[str, ...]:
@@ -187,9 +200,8 @@ class CondensedStart:
 
     def solve(self, dynamics: Dynamics):
         """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs if the data of `dynamics` are."""
-        whole = self.whole if dynamics.tangents else self.whole.values()
-        q, v = whole.initial.solve(whole)
-        return self.condensation.left(q, v)
+        q, v = self.whole.start
+        return self.condensation.left(*((q, v) if dynamics.tangents else (value(q), value(v))))
 
 
 def regularized(K: Tensor, diagonal: tuple[Tensor, Tensor] | None) -> Tensor:

@@ -71,12 +71,17 @@ class SparseMap:
         self.rows, self.width = len(entries), max((len(e) for e in entries), default=0)
         padded = [e + [(0, 0.0)] * (self.width - len(e)) for e in entries]
         self.table = torch.tensor([e[k][0] for k in range(self.width) for e in padded], dtype=torch.long)
-        self.factors = torch.tensor([e[k][1] for k in range(self.width) for e in padded], dtype=torch.float64)[
-            :, None, None
-        ]
+        factors = torch.tensor([e[k][1] for k in range(self.width) for e in padded], dtype=torch.float64)
+        self.factors = None if bool((factors == 1.0).all()) else factors[:, None, None]
+        self.matrix = matrix
+
+    def some(self, rows: list[int]) -> SparseMap:
+        """The map of some rows."""
+        return SparseMap(self.matrix[rows])
 
     def __call__(self, x):
-        y = x.index_select(0, self.table) * self.factors
+        y = x.index_select(0, self.table)
+        y = y if self.factors is None else y * self.factors
         return y if self.width == 1 else y.unflatten(0, (self.width, self.rows)).sum(0)
 
 
