@@ -150,20 +150,20 @@ def vibration(folder: Path, rate: int) -> list[Row]:
     return rows
 
 
-def deployment(folder: Path, rate: int, modes: int) -> list[Row]:
+def deployment(folder: Path, rate: int, **model: Any) -> list[Row]:
     """Figs. 19, 24-26: interference, deflections and the angle of the actuator in phase 1, initial design and optimum."""
     rows, lines = [], {}
     deflections: dict[str, dict[str, Any]] = {"panel2": {}, "panel3": {}}
     for name in ("initial", "optimum"):
-        motion = mbd.simulate(build(LAYUPS[name], modes=modes), 9.0, steps=9 * rate, halvings=0)
+        motion = mbd.simulate(build(LAYUPS[name], **model), 9.0, steps=9 * rate, halvings=0)
         lines[name] = theta(motion)[0]
         for panel, curve in deflections.items():
             curve[name] = motion.body(panel).at("corner_right_top").displacement[0, :, 2]
         when = reaches_zero(motion)
         rows.append(Row(f"Fig. 26: theta = 0, {name} (s)", "7 to 8", when, "chosen", f"ref. {REFERENCE_TIMES[name]} s"))
-        while_unfolding = motion.t <= when
+        while_unfolding, found = motion.t <= when, gaps(motion)
         for pair in ("panel 1 - panel 2", "panel 2 - panel 3"):
-            least = 1e3 * float(gaps(motion)[pair][0, while_unfolding].min())
+            least = 1e3 * float(found[pair][0, while_unfolding].min())
             paper = "interference" if (name, pair) == ("initial", "panel 1 - panel 2") else None
             rows.append(
                 Row(f"Fig. 19: least gap, {pair}, {name} (mm)", paper, least, "chosen", "negative: interference")

@@ -96,6 +96,7 @@ class Simulation(Section):
     duration: float = Field(gt=0)
     method: Annotated[str, _one_of(METHODS)] = "generalized_alpha"
     steps: PositiveInt | None = None
+    phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
 
     @property
     def options(self) -> dict[str, Any]:
