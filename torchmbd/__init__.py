@@ -79,8 +79,10 @@ from torchmbd.joints import (
 from torchmbd.materials import Laminate, Ply, Strength
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
+from torchmbd.numerics.variable import variable
 from torchmbd.optimizers import (
     OptimizationResult,
+    Processes,
     RobustProblem,
     multistart,
     optimize,
@@ -159,6 +161,7 @@ __all__ = [
     "Pressure",
     "Prismatic",
     "Problem",
+    "Processes",
     "Reaction",
     "RelativeDisplacement",
     "Revolute",
@@ -199,5 +202,6 @@ __all__ = [
     "sections",
     "simulate",
     "sobol",
+    "variable",
     "viz",
 ]

@@ -18,7 +18,7 @@ joints, and no atomic additions.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -71,12 +71,17 @@ class SparseMap:
         self.rows, self.width = len(entries), max((len(e) for e in entries), default=0)
         padded = [e + [(0, 0.0)] * (self.width - len(e)) for e in entries]
         self.table = torch.tensor([e[k][0] for k in range(self.width) for e in padded], dtype=torch.long)
-        self.factors = torch.tensor([e[k][1] for k in range(self.width) for e in padded], dtype=torch.float64)[
-            :, None, None
-        ]
+        factors = torch.tensor([e[k][1] for k in range(self.width) for e in padded], dtype=torch.float64)
+        self.factors = None if bool((factors == 1.0).all()) else factors[:, None, None]
+        self.matrix = matrix
+
+    def some(self, rows: list[int]) -> SparseMap:
+        """The map of some rows."""
+        return SparseMap(self.matrix[rows])
 
     def __call__(self, x):
-        y = x.index_select(0, self.table) * self.factors
+        y = x.index_select(0, self.table)
+        y = y if self.factors is None else y * self.factors
         return y if self.width == 1 else y.unflatten(0, (self.width, self.rows)).sum(0)
 
 
@@ -87,6 +92,10 @@ class Prescribed(NamedTuple):
     A: Tensor  # rotations [3, 3, carriers, 1, 1], the ground last
     r: Tensor  # origins [3, carriers, 1, 1]
     t: Any  # the time [1, 1] or []
+
+    def shared(self, varied: Sequence[int]) -> Prescribed:
+        """The same without the laws of some kinds, those with design variables: what is equal in all lanes."""
+        return self._replace(laws=[() if i in varied else law for i, law in enumerate(self.laws)])
 
     def values(self) -> Prescribed:
         """The same without tangents."""
@@ -206,18 +215,26 @@ class Topology:
         """The same for the actions."""
         return _arguments(g.index_select(1, self.action_slots), self.actions)
 
-    def law_jets(self, t: Tensor) -> list[tuple | None]:
-        """What the laws of driven primitives prescribe at time t, with time derivatives, for each kind of primitive."""
-        return [p.prescribed_jets(t) if p.driven else None for p in self.primitives]
+    @property
+    def varied(self) -> list[int]:
+        """Kinds of primitives with laws that have design variables."""
+        return [i for i, p in enumerate(self.primitives) if p.varies]
 
-    def prescribed(self, t: Tensor) -> Prescribed:
-        """What is known at time t."""
-        return self.schedule(t[None])[0]
+    def law_jets(self, t: Tensor, data: Mapping[str, Any] | None = None) -> list[tuple | None]:
+        """What the laws of driven primitives prescribe at time t, with time derivatives, for each kind of primitive.
 
-    def schedule(self, times: Tensor) -> list[Prescribed]:
-        """What is known at times [n], for each of them."""
+        data: of the designs; without, design variables of laws have their own values.
+        """
+        return [p.prescribed_jets(t, data) if p.driven else None for p in self.primitives]
+
+    def prescribed(self, t: Tensor, data: Mapping[str, Any] | None = None) -> Prescribed:
+        """What is known at time t; data as of `law_jets`."""
+        return self.schedule(t[None], data)[0]
+
+    def schedule(self, times: Tensor, data: Mapping[str, Any] | None = None) -> list[Prescribed]:
+        """What is known at times [n], for each of them; data as of `law_jets`."""
         n = len(times)
-        laws = [p.prescribed(times) if p.driven else None for p in self.primitives]
+        laws = [p.prescribed(times, data) if p.driven else None for p in self.primitives]
         poses = [carrier.poses(times) for carrier in self.carriers]
         eye = torch.eye(3, dtype=times.dtype, device=times.device)
         poses.append((eye[..., None].expand(3, 3, n), times.new_zeros(3, n)))
