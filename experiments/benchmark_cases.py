@@ -16,9 +16,9 @@ import torchmbd as mbd
 from experiments import slider_crank
 from torchmbd.design.spline import Spline
 from torchmbd.integrators import generalized_alpha, library
-from torchmbd.integrators.march import History
+from torchmbd.integrators.history import History
 from torchmbd.numerics.pair import Pair, value
-from torchmbd.system import Dynamics, equations
+from torchmbd.system import Dynamics
 
 LINK, WIDTH = 0.3, 0.03  # of a link of the pendulum chain [m]
 
@@ -88,7 +88,8 @@ def pendulum(links: int = 2, modes: int = 8, cells: tuple[int, int] = (16, 2), d
 
 def energy(dynamics: Dynamics, history: History) -> Tensor:
     """Strain energy of all flexible bodies and its design tangents [1 + n_b, lanes, times]."""
-    w = equations.split_q(dynamics.topology, history.q.movedim(0, -1))[2]  # [modes, flexible, slots, lanes, times]
+    T = dynamics.topology
+    w = history.rows(0, range(7 * T.bodies, T.n_q)).movedim(0, -1).unflatten(0, (T.modes, T.flexible))
     Kr = dynamics.data["Kr"]
     Kw = torch.einsum("abfl,bfslt->afslt", value(Kr)[:, :, :, 0], w)
     U = torch.einsum("aflt,afslt->slt", w[:, :, 0], Kw)

@@ -1,17 +1,25 @@
-"""What do large meshes cost? `python -m experiments.benchmark_elements`: processor seconds of one core.
+"""How good are the elements, what do large meshes cost? `python -m experiments.benchmark_elements [published] [cost]`
+
+published  problems of experiments/shell_problems.py with triangles and with quadrilaterals, side by side: found over
+           reference at the usual mesh and at meshes twice and four times as fine
+cost       processor seconds of one core:
 
 section    6 x 6 stiffness of a laminated box of some 5,000 elements; with its derivative by all ply angles
 plate      the structure stage of a plate of some 50,000 freedoms with 10 modes: assembly, factorization, invariants
+           (with either kind of cells)
 """
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable
 
 import torch
 
 import torchmbd as mbd
+from experiments.shell_problems import PROBLEMS
+from torchmbd.elements import ELEMENTS
 
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
 
@@ -32,10 +40,10 @@ def section() -> tuple[int, float, float]:
     return len(made.mesh.layer), value, both
 
 
-def plate() -> tuple[int, float, float]:
+def plate(kind: str) -> tuple[int, float, float]:
     """Freedoms, seconds to make the body, seconds of its structure stage."""
     laminate = mbd.Laminate(CARBON, mbd.deg([20, -50, 75]), 1e-3)
-    mesh = mbd.mesh.rectangle(1.2, 0.7, (120, 68))
+    mesh = mbd.mesh.rectangle(1.2, 0.7, (120, 68), kind)
     start = time.process_time()
     body = mbd.FlexibleBody.plate("plate", mesh, laminate, modes=10)
     made = time.process_time() - start
@@ -44,11 +52,28 @@ def plate() -> tuple[int, float, float]:
     return len(body.free), made, stage
 
 
-def main() -> None:
+def published() -> None:
+    """Print one line for each problem, quantity and kind."""
+    for name, problem in PROBLEMS.items():
+        found = {kind: [problem(kind, n) for n in (1, 2, 4)] for kind in ELEMENTS}
+        for quantity in found["triangle"][0]:
+            columns = [", ".join(f"{ratios[quantity]:.3f}" for ratios in own) for own in found.values()]
+            print(f"{name + ': ' + quantity:44s}" + "   ".join(columns))
+
+
+def cost() -> None:
+    """Print what large meshes cost."""
     elements, value, both = section()
     print(f"section of {elements} elements: 6 x 6 in {value:.2f} s, with derivatives in {both:.2f} s")
-    freedoms, made, stage = plate()
-    print(f"plate of {freedoms} freedoms: made in {made:.2f} s, 10 modes and invariants in {stage:.2f} s")
+    for kind in ELEMENTS:
+        freedoms, made, stage = plate(kind)
+        print(f"plate of {freedoms} freedoms ({kind}s): made in {made:.2f} s, 10 modes and invariants in {stage:.2f} s")
+
+
+def main() -> None:
+    parts = {"published": published, "cost": cost}
+    for name in sys.argv[1:] or parts:
+        parts[name]()
 
 
 if __name__ == "__main__":

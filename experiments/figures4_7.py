@@ -71,7 +71,7 @@ class Rod:
         system = build(1, [self.degrees], self.cells, updated=updated)
         motion = mbd.simulate(system, DURATION, sensitivities=[ANGLES], **self.options).require_ok()
         motion.modes("rod")
-        motion.prepare_modes()
+        motion.prepare()
 
         def moved(delta: torch.Tensor) -> dict[str, torch.Tensor]:
             return {place: deflection(motion.moved(delta), place)[0] for place in PLACES}

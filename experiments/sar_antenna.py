@@ -25,7 +25,7 @@ from torch import Tensor
 
 import torchmbd as mbd
 from experiments.sar_antenna_bodies import Panel, Truss, folded, panels
-from experiments.sar_antenna_data import CRANK, HALF, HUB, LAWS, LENGTH, MIDDLE, ROD_POINT, SHARP, STOWED, WIDTH
+from experiments.sar_antenna_data import HALF, LAWS, LENGTH, MIDDLE, ROD_POINT, SHARP, STOWED, WIDTH
 
 ROD_JOINTS = {
     "spherical": lambda a, b, name: mbd.Spherical(a, b, name=name),
@@ -36,8 +36,8 @@ ROD_JOINTS = {
 def build(
     angles: Sequence[float] | None = (55.0, -55.0),
     angles3: Sequence[float] | None = None,
-    modes: int = 12,
-    cells: tuple[int, int] = (16, 8),
+    modes: int = 14,
+    cells: tuple[int, int] = (32, 16),
     law: str = "continuous",
     trusses: str = "rigid",
     rods: str = "spherical",
@@ -46,6 +46,10 @@ def build(
     strength: float = 1.0,
     mass: str = "lumped",
     reduction: str = "vibration",
+    truss_angles: Sequence[float] = (0.0, 0.0),
+    hub: float = 0.0,
+    rod_point: Sequence[float] = ROD_POINT,
+    stowed: float = STOWED,
 ) -> mbd.System:
     """The antenna in the first phase.
 
@@ -56,45 +60,46 @@ def build(
               exact, and four to eight modes are enough
     cells     cells of a panel's mesh, multiples of (16, 8)
     law       "continuous", or "printed" with its jumps spread over 2e-3 rad, or "sharp": these located by `jumps`
-    trusses   "rigid" or "beam"
+    trusses   "rigid", "beam" or "tube"
     rods      their joints at the crank: "spherical", as printed, or "universal": they cannot spin
     radius    of the trusses [m]
     arm       of all joints from the mid-surfaces of the panels [m]
     strength  factor of the actuator's law
     mass      of the panels: "lumped", as in the paper, or "consistent"
+    truss_angles  of the plies of tubes, design parameters [deg]
+    hub       half the width of the strip of panel 2 that is bonded to the axle, from 0, its nodes on one line [m]
+    rod_point where the rods end on panel 3, x and +-y from its center: a place of the mesh [m]
+    stowed    angle of panel 2 from panel 1 [rad]
     """
     for name, given, allowed in (
         ("law", law, LAWS),
         ("rods", rods, ROD_JOINTS),
-        ("trusses", trusses, ("rigid", "beam")),
+        ("trusses", trusses, ("rigid", "beam", "tube")),
         ("reduction", reduction, ("vibration", "craig-bampton")),
     ):
         if given not in allowed:
             raise mbd.InputError(f"{name} is {given!r}; allowed: {', '.join(allowed)}")
-    ground, truss = mbd.Ground(), Truss(trusses, radius)
-    flat, up = folded(STOWED), torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-    hinge = LENGTH * flat[:, 0]
-    center2, center3 = HALF * flat[:, 0], hinge + torch.tensor([HALF, 0.0, 0.0], dtype=torch.float64)
-    places = {"position": center2 + arm * flat[:, 2], "axes": flat}, {"position": center3 + arm * up}
-    panel2, panel3 = (Panel(body, arm) for body in panels(angles, angles3, places, modes, cells, mass, reduction))
-    hub = center2 + HUB * flat[:, 0]
-    tip = hub + torch.tensor([CRANK, 0.0, 0.0], dtype=torch.float64)
-    crank, crank_hub, crank_tip = truss.between("crank", hub, tip, clamped=True)
-    x, y = ROD_POINT
-    ends = [center3 + torch.tensor([x, side * y, 0.0], dtype=torch.float64) for side in (-1, 1)]
-    made = [truss.between(f"rod{side}", tip, end) for side, end in zip("ab", ends, strict=True)]
-    joints = _hinges(ground, panel2, panel3)
-    for k, (y_rod, (_, start, end)) in enumerate(zip((-y, y), made, strict=True), 1):
+    ground, truss, (x, y) = mbd.Ground(), Truss(trusses, radius, tuple(truss_angles)), rod_point
+    flat, level = folded(stowed), folded(stowed - STOWED)  # axes of panel 2, of panel 3 and its parallel, the crank
+    center2, center3 = HALF * flat[:, 0], LENGTH * flat[:, 0] + HALF * level[:, 0]
+    places = [{"position": x + arm * A[:, 2], "axes": A} for x, A in ((center2, flat), (center3, level))]
+    made = panels(angles, angles3, places, modes, cells, mass, reduction, hub, (x, y))
+    panel2, panel3 = (Panel(body, arm) for body in made)
+    tip = center2 + (HALF + x) * level[:, 0]
+    crank, crank_hub, crank_tip = truss.between("crank", center2, tip, clamped=True)
+    ends = [center3 + level @ torch.tensor([x, side * y, 0.0], dtype=torch.float64) for side in (-1, 1)]
+    links = [truss.between(f"rod{side}", tip, end) for side, end in zip("ab", ends, strict=True)]
+    joints = _hinges(ground, panel2, panel3, flat)
+    for k, (y_rod, (_, start, end)) in enumerate(zip((-y, y), links, strict=True), 1):
         joints.append(ROD_JOINTS[rods](crank_tip, start, f"S{k + 4}"))
         joints.append(mbd.Spherical(end, panel3.at(x, y_rod), name=f"S{k + 6}"))
-    joints.append(mbd.Revolute(panel2.at(HUB, 0.0), crank_hub, axis="y", name="R3"))
-    actuator = mbd.RotationalSpringDamper(panel2.at(HUB, 0.0), crank_hub, axis="y", law=LAWS[law](strength), name="A")
-    return mbd.System([panel2.body, panel3.body, crank, *(rod for rod, _, _ in made)], joints, [actuator])
+    joints.append(mbd.Revolute(panel2.at(0.0, 0.0), crank_hub, axis="y", name="R3"))
+    actuator = mbd.RotationalSpringDamper(panel2.at(0.0, 0.0), crank_hub, axis="y", law=LAWS[law](strength), name="A")
+    return mbd.System([panel2.body, panel3.body, crank, *(rod for rod, _, _ in links)], joints, [actuator])
 
 
-def _hinges(ground: mbd.Ground, panel2: Panel, panel3: Panel) -> list[Any]:
-    """Both hinge lines, and what holds the outer corners of panel 2 across its plane."""
-    flat = folded(STOWED)
+def _hinges(ground: mbd.Ground, panel2: Panel, panel3: Panel, flat: Tensor) -> list[Any]:
+    """Both hinge lines, and what holds the outer corners of panel 2 across its plane of the axes `flat`."""
     outer = LENGTH * flat[:, 0]
     joints: list[Any] = []
     for side, k in ((-1, 1), (1, 2)):

@@ -8,27 +8,35 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import torch
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments.sar_antenna_data import HALF, IM6, LENGTH, PLY, ROD_POINT, WIDTH
+from experiments.sar_antenna_data import HALF, IM6, LENGTH, PLY, WIDTH
 
 
 @dataclass(frozen=True)
 class Truss:
-    """Solid circular trusses of one ply, fibers along the axis.
+    """Trusses of one kind and one section.
 
-    kind    "rigid" or "beam"
-    radius  [m]
-    modes   of a beam
+    kind    "rigid" or "beam": solid circles, fibers along the axis; "tube": wound tubes of two plies of the same mass
+    radius  of the circle [m]
+    angles  of the plies of a tube from the axis, from inside to outside [deg]: design parameters that all tubes share
+    modes   of a beam or a tube
     """
 
     kind: str = "rigid"
     radius: float = 5e-3
+    angles: tuple[float, ...] = (0.0, 0.0)
     modes: int = 4
+
+    @cached_property
+    def section(self) -> mbd.sections.Section | mbd.GivenSection:
+        """That of a flexible truss."""
+        return self._tube() if self.kind == "tube" else self._circle()
 
     def between(self, name: str, start: Tensor, end: Tensor, clamped: bool = False) -> tuple[Any, mbd.Frame, mbd.Frame]:
         """A truss between two points in ground axes, and the frames at its ends; `clamped`: frame at the start, not amid."""
@@ -44,15 +52,22 @@ class Truss:
             inertia, center = (mass * spin, across, across), (length / 2, 0.0, 0.0)
             rigid = mbd.RigidBody(name, mass, inertia, center, position=start, axes=axes)
             return rigid, rigid.at(), rigid.at(length)
-        second = math.pi * self.radius**4 / 4
+        where = {"reference": "start" if clamped else "center", "position": start if clamped else (start + end) / 2}
+        line = mbd.BeamLine.straight(length, 16)
+        beam = mbd.FlexibleBody.beam(name, line, self.section, self.modes, axes=axes, **where)
+        return beam, beam.at("start"), beam.at("end")
+
+    def _circle(self) -> mbd.GivenSection:
+        area, second = math.pi * self.radius**2, math.pi * self.radius**4 / 4
         E, G, shear, rho = IM6["E1"], IM6["G12"], 6.0 / 7.0, IM6["density"]
         stiffness = [E * area, shear * G * area, shear * G * area, 2 * G * second, E * second, E * second]
         inertia = [rho * area] * 3 + [2 * rho * second, rho * second, rho * second]
-        section = mbd.GivenSection(*(torch.diag(torch.tensor(x, dtype=torch.float64)) for x in (stiffness, inertia)))
-        where = {"reference": "start" if clamped else "center", "position": start if clamped else (start + end) / 2}
-        line = mbd.BeamLine.straight(length, 16)
-        beam = mbd.FlexibleBody.beam(name, line, section, self.modes, axes=axes, **where)
-        return beam, beam.at("start"), beam.at("end")
+        return mbd.GivenSection(*(torch.diag(torch.tensor(x, dtype=torch.float64)) for x in (stiffness, inertia)))
+
+    def _tube(self) -> mbd.sections.Section:
+        wall = PLY * len(self.angles)
+        middle = self.radius**2 / (2.0 * wall)
+        return mbd.sections.tube(middle + wall / 2.0, mbd.Ply(**IM6), mbd.deg(list(self.angles)), PLY, cells=(24, 1))
 
 
 def folded(angle: float) -> Tensor:
@@ -91,19 +106,20 @@ def laminate(angles: Sequence[float]) -> mbd.Laminate:
     return mbd.Laminate(mbd.Ply(**IM6), mbd.deg(list(angles)), PLY, symmetric=len(angles) == 2)
 
 
-# Joints of the panels, in the plane of the mesh.
-EDGES = tuple((side * HALF, across * WIDTH / 2) for side in (-1, 1) for across in (-1, 1))
-JOINTS = {"panel2": EDGES, "panel3": (*EDGES[:2], *((ROD_POINT[0], side * ROD_POINT[1]) for side in (-1, 1)))}
+# Corners of a panel, in the plane of the mesh.
+CORNERS = tuple((side * HALF, across * WIDTH / 2) for side in (-1, 1) for across in (-1, 1))
 
 
 def panels(
     angles: Sequence[float] | None,
     angles3: Sequence[float] | None,
-    places: tuple[dict[str, Any], dict[str, Any]],
+    places: Sequence[dict[str, Any]],
     modes: int,
     cells: tuple[int, int],
     mass: str,
     reduction: str,
+    hub: float,
+    rod_point: tuple[float, float],
 ) -> list[Any]:
     """Panels 2 and 3; the arguments are those of experiments.sar_antenna.build."""
     if angles is None:
@@ -111,11 +127,13 @@ def panels(
     mesh = mbd.mesh.rectangle(LENGTH, WIDTH, (cells[0], cells[1]))
     stack = laminate(angles)
     # Panel 2: a bonded axle over the full width; a clamp at a point does not converge with the mesh.
-    axle = torch.nonzero(mesh.nodes[:, 0].abs() < 1e-9)[:, 0].tolist()
-    given = ("panel2", stack, axle), ("panel3", stack if angles3 is None else laminate(angles3), "center")
+    axle = torch.nonzero(mesh.nodes[:, 0].abs() < hub + 1e-9)[:, 0].tolist()
+    ends = [(rod_point[0], side * rod_point[1]) for side in (-1, 1)]
+    other = stack if angles3 is None else laminate(angles3)
+    given = ("panel2", stack, axle, CORNERS), ("panel3", other, "center", (*CORNERS[:2], *ends))
     made = []
-    for (name, own, reference), place in zip(given, places, strict=True):
-        kept = [node_at(mesh, name, *joint) for joint in JOINTS[name]] if reduction == "craig-bampton" else ()
+    for (name, own, reference, joints), place in zip(given, places, strict=True):
+        kept = [node_at(mesh, name, *joint) for joint in joints] if reduction == "craig-bampton" else ()
         options = {"reference": reference, "mass": mass, "reduction": reduction, "interface": kept}
         made.append(mbd.FlexibleBody.plate(name, mesh, own, modes, **options, **place))
     return made

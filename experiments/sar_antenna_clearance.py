@@ -11,6 +11,7 @@ Checked in tests/experiments/test_sar_antenna.py.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -19,32 +20,32 @@ from torch import Tensor
 
 import torchmbd as mbd
 from experiments.sar_antenna import phi3, theta
-from experiments.sar_antenna_data import CRANK, HALF, HUB, LENGTH, ROD_POINT, WIDTH
+from experiments.sar_antenna_data import HALF, LENGTH, ROD_POINT, WIDTH
 
 NEAR = 0.15  # [m]
 APART = 0.3  # [rad] by which the crank may run ahead of panel 3, whose angles are equal in a rigid parallelogram
 _SAMPLES = 17
 
 
-def gaps(motion: mbd.Trajectory) -> dict[str, Tensor]:
-    """Smallest gap of every pair over time [lanes, times] [m]; inf while nothing lies above the panel."""
+def gaps(motion: mbd.Trajectory, rod_point: Sequence[float] = ROD_POINT) -> dict[str, Tensor]:
+    """Smallest gap of every pair over time [lanes, times] [m]; inf while nothing lies above the panel.
+
+    rod_point   of the antenna (experiments.sar_antenna.build) [m]
+    """
     panels = {name: _nodes(motion, name) for name in ("panel2", "panel3")}
-    crank, (roda, rodb) = _line(motion, "crank", CRANK), (_line(motion, f"rod{k}", _rod_length()) for k in "ab")
+    length = math.hypot(HALF, rod_point[1])
+    crank, (roda, rodb) = _line(motion, "crank", HALF + rod_point[0]), (_line(motion, f"rod{k}", length) for k in "ab")
     rods = torch.cat([roda, rodb], 2)
-    hinge, ends = (-HALF, None), [(ROD_POINT[0], side * ROD_POINT[1]) for side in (-1, 1)]
+    hinge, ends = (-HALF, None), [(rod_point[0], side * rod_point[1]) for side in (-1, 1)]
     return {
         "panel 1 - panel 2": _above_ground(panels["panel2"]),
         "panel 1 - panel 3": _above_ground(panels["panel3"]),
         "panel 2 - panel 3": _over(motion, "panel2", panels["panel3"], [(HALF, None)]),
-        "panel 2 - crank": _over(motion, "panel2", crank, [(HUB, 0.0)]),
+        "panel 2 - crank": _over(motion, "panel2", crank, [(0.0, 0.0)]),
         "panel 2 - rods": _over(motion, "panel2", rods, []),
         "panel 3 - crank": _over(motion, "panel3", crank, [hinge]),
         "panel 3 - rods": _over(motion, "panel3", rods, ends),
     }
-
-
-def _rod_length() -> float:
-    return ((HALF - HUB) ** 2 + ROD_POINT[1] ** 2) ** 0.5
 
 
 def _nodes(motion: mbd.Trajectory, name: str) -> Tensor:

@@ -25,12 +25,15 @@ IM6: dict[str, Any] = {
 LENGTH, WIDTH, PLY = 1.994, 1.300, 0.5e-3
 STOWED, DAMPING, DURATION = 3.12, 0.5, 3.0
 MIDDLE = math.pi / 2  # of the range in which angles are told
-HALF, HUB = LENGTH / 2, 0.0
+HALF = LENGTH / 2
 SHARP = 1e-6  # [rad]
 ROD_POINT = (0.74775, 0.4875)
 CRANK = HALF + ROD_POINT[0]  # parallel to panel 3
-ROD = HALF - HUB
 KNOTS = ((-0.2, -2.00), (0.2, 2.00), (2.63, 2.00), (3.02, 4.03), (3.08, 0.45), (3.12, 0.10))
+ANGLES = "panel2.laminate.angles"  # the design: of both panels
+# The hub of a crank that bends has next to no inertia of its own.
+_BENDING = {"spectral_radius": 0.6, "iterations": (5, 1)}
+INTEGRATOR: dict[str, dict[str, Any]] = {"rigid": {}, "beam": _BENDING, "tube": _BENDING}
 LABELS = {
     "material": "given",
     "panels": "given",

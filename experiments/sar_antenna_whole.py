@@ -6,60 +6,59 @@
 
     freedoms by count 6 * 11 - (16 * 3 + 3 * 5) = 3; five rows depend on others: rank 58, mobility 8 = 2 + 6 spins of rods
 
-    phase 1    D and E hold panel 2; A unfolds panel 3 until it is `LATCH` before the line of panel 2
-    phase 2    A is locked, D and E are released; B swings both panels out until panel 2 is `LATCH` before the line of panel 1
-    phase 3    B is locked
+    phase 1    D and E hold panel 2; A unfolds panel 3 until the crank is `LATCH` before the line of panel 2
+    rest       joint A and the rods are locked
+    phase 2    D and E are released; B swings both panels out until the rocker is `LATCH` before the line of panel 1
+    phase 3    joint B and the rods are locked
 
-phi2, phi3   angle of panel 2 from panel 1, of panel 3 from panel 2, about Y [rad]: 3.12 stowed, 0 in line
+phi2, phi3   angle of panel 2 from panel 1, of panel 3 from panel 2, about Y [rad]: 0 in line
 
-In line is a dead point: rigid rods lock there. So a latch takes each hinge over: a stop damps the end of its way, and
-at `LATCH` the rods leave the panel and are locked with their crank, and a spring draws the hinge into line.
-The counts are given; places of the second and first loop, actuator B and the latches are chosen: joints in the mid-surfaces,
-R2 at the center of panel 1, a driver that swings above panel 1, B like A and stronger, for it moves both panels.
+In line is a dead point, where rods cannot hold a panel. So stops brake the ends of both ways, and at `LATCH` the rods of a
+loop are locked with their crank and hold the panel across its plane (L7, L8; L11, L12 instead of S7, S8; S11, S12).
+The other dead point is folded flat: panels that bend would drive the rocker through it, so the stack is stowed `OPENED`.
+The counts are given; places of the second and first loop, actuator B, stops and latches are chosen: joints in the
+mid-surfaces, R2 at the center of panel 1, B like A and stronger, for it moves both panels. Trusses of loops 1 and 2 are rigid.
+Panels that bend need steps of 5 ms and a spectral radius of 0.7: latched, they ring against many constraints, and with 0.9
+and 10 ms the ringing grows.
 Checked in tests/experiments/test_sar_antenna_whole.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments.sar_antenna import build, phi3, turned
+from experiments.sar_antenna import build, phi3, theta, turned
 from experiments.sar_antenna_bodies import Panel, Truss, folded
-from experiments.sar_antenna_data import CRANK, HALF, MIDDLE, ROD_POINT, STOWED
-from torchmbd.forces import Gap, Table
+from experiments.sar_antenna_data import ANGLES, CRANK, HALF, INTEGRATOR, MIDDLE, ROD_POINT
+from torchmbd.forces import Gap, Spring, Table
 
 DRIVER_AT, DRIVER, HANDLE = -1.8, 0.5, 0.2  # X of R1, length of the driver, half width of its handle [m]
-PULL, DAMPING = 22.0, 25.0  # torque of actuator B [N m], its damping [N m s]
-SECOND, RAMP = 9.2, 0.5  # when B begins to pull, and how long it takes to its full torque [s]
-LATCH = 0.1  # [rad]
-# Stops at R1 and at the hinges 1-2 and 2-3: the end of the way that they damp [rad], and how much [N m s].
-STOPS = {"B": (1.2, 110.0), "H2": (0.2, 200.0), "H3": (1.0, 22.0)}
-SPRINGS = {"H2": 30.0, "H3": 5.0}  # largest torque of the latches [N m]
+DAMPING = 1.0  # of actuator B [N m s]
+PULL = ((0.0, -3.0), (0.6, -25.0), (2.77, -25.0), (3.0, -12.0))  # its torque on the driver over its angle [rad, N m]
+# Stops: parts of an actuator's way, from its end, that are damped [rad], and how much [N m s].
+STOPS = {"A": ((1.5, 16.0),), "B": ((2.25, 108.0), (0.16, 134.0))}
+RATIO = 0.01  # damping of the panels' modes
+OPENED = 3.0  # angle of panel 2 from panel 1 when stowed: at 3.14 loops 1 and 2 have a dead point, too [rad]
+LATCH = 0.004  # before the dead point [rad]
+REST = 0.25  # in which D and E hold panel 2 and joint A is locked [s]
+FLEXIBLE: dict[str, Any] = {"spectral_radius": 0.7, "iterations": (4, 1)}
+DESIGNS = {"initial": (55.0, -55.0), "paper's optimum": (1.06, -47.0), "optimum": (8.66, -48.32)}  # [deg]
 DURATION = 20.0  # of both phases, as in Figs. 24, 25 [s]
-
-
-@dataclass(frozen=True)
-class Pull:
-    """Torque of actuator B on the ground seen from the driver, which turns from 3.12 to 0: from `SECOND` on, -PULL."""
-
-    center: float = MIDDLE
-
-    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
-        share = torch.clamp((t - SECOND) / RAMP, 0.0, 1.0)
-        return -share * PULL * torch.clamp(s / STOPS["B"][0], -1.0, 1.0) - DAMPING * rate
 
 
 def whole(angles: Sequence[float] | None = None, **options: Any) -> mbd.System:
     """The stowed antenna with D and E; trusses rigid; `angles`, `options`: of experiments.sar_antenna.build."""
-    first, ground, truss = build(angles, **options), mbd.Ground(), Truss()
+    first, ground, truss = build(angles, stowed=OPENED, **options), mbd.Ground(), Truss()
     panel2, panel3 = (Panel(first.body(name), 0.0) for name in ("panel2", "panel3"))
-    flat = folded(STOWED)
+    if angles is not None:
+        for panel in (panel2, panel3):
+            panel.body.damped(RATIO)
+    S, flat = {joint.name: joint for joint in first.joints}, folded(OPENED)
     hub, base = torch.tensor([-HALF, 0.0, 0.0], dtype=torch.float64), torch.tensor([DRIVER_AT, 0, 0]).double()
     tip, elbow, grip = hub + CRANK * flat[:, 0], hub + DRIVER * flat[:, 0], base + DRIVER * flat[:, 0]
     rocker, rocker_hub, rocker_tip = truss.between("rocker", hub, tip)
@@ -76,6 +75,8 @@ def whole(angles: Sequence[float] | None = None, **options: Any) -> mbd.System:
         joints += [
             mbd.Spherical(rocker_tip, start, name=f"S{9 + k}"),
             mbd.Spherical(end, panel2.at(ROD_POINT[0], y), name=f"S{11 + k}"),
+            mbd.PointOnPlane(end, panel2.at(ROD_POINT[0], y), name=f"L{11 + k}"),
+            mbd.PointOnPlane(S[f"S{7 + k}"].a, S[f"S{7 + k}"].b, name=f"L{7 + k}"),
         ]
         handle = torch.tensor([0.0, side * HANDLE, 0.0], dtype=torch.float64)
         link, start, end = truss.between(f"rod1{'ab'[k]}", grip + handle, elbow)
@@ -85,40 +86,40 @@ def whole(angles: Sequence[float] | None = None, **options: Any) -> mbd.System:
         ]
         bodies += [rod, link]
     foot = ground.at(*base.tolist())
-    actuator = mbd.RotationalSpringDamper(driver_hub, foot, axis="y", law=Pull(), name="B")
-    ends = edge(panel2, -1), edge(panel2, 1), edge(panel3, -1)
-    hinges = {"H2": (ends[0], ground.at(0, 0, 0)), "H3": (ends[1], ends[2])}
-    stops = [stop(name, *frames) for name, frames in ({"B": (driver_hub, foot)} | hinges).items()]
-    springs = [spring(name, *frames) for name, frames in hinges.items()]
-    forces = [*first.forces, actuator, *stops, *springs]
-    return mbd.System([*first.bodies, *bodies], [*first.joints, *joints], forces)
+    actuator = mbd.RotationalSpringDamper(driver_hub, foot, axis="y", law=Spring(0.0, DAMPING, MIDDLE), name="B")
+    brakes = [*stops("A", S["R3"].a, S["R3"].b), *stops("B", driver_hub, foot)]
+    return mbd.System([*first.bodies, *bodies], [*first.joints, *joints], [*first.forces, actuator, *brakes])
 
 
 def unlocked() -> mbd.System:
     """The rigid antenna without D and E: the joints that the paper counts."""
     system = whole()
-    return system.with_joints([joint for joint in system.joints if joint.name not in ("D", "E")])
+    return system.with_joints([joint for joint in system.joints if joint.name[0] in "RS"])
 
 
-def edge(panel: Panel, side: int) -> mbd.Frame:
-    """Frame on the middle of a hinge line of a panel, moving with the mean of its nodes."""
-    if isinstance(panel.body, mbd.RigidBody):
-        return panel.body.at(side * HALF, 0.0, 0.0)
-    return panel.body.at("left_edge" if side < 0 else "right_edge")
+def stops(name: str, a: mbd.Frame, b: mbd.Frame) -> list[mbd.RotationalSpringDamper]:
+    """What damps the end of an actuator's way; b turns to 0."""
+    laws = [Gap(0.0, soft, damping=damping, smooth=soft, center=MIDDLE) for soft, damping in STOPS[name]]
+    return [mbd.RotationalSpringDamper(a, b, axis="y", law=law, name=f"{name}_stop{k}") for k, law in enumerate(laws)]
 
 
-def stop(name: str, a: mbd.Frame, b: mbd.Frame) -> mbd.RotationalSpringDamper:
-    """What damps the end of a hinge's way; b turns from 3.12 to 0."""
-    soft, damping = STOPS[name]
-    law = Gap(0.0, soft, damping=damping, smooth=soft, center=MIDDLE)
-    return mbd.RotationalSpringDamper(a, b, axis="y", law=law, name=f"{name}_stop")
+def deployed(designs: Sequence[Sequence[float]] | None = None, steps: int = 4000, **options: Any) -> mbd.Trajectory:
+    """Both phases for 20 s.
+
+    designs   theta1, theta2 of the panels [deg], one design for each lane; None: rigid panels
+    options   of experiments.sar_antenna.build
+    """
+    if designs is None:
+        return mbd.simulate(whole(**options), DURATION, steps=steps, phases=phases(), iterations=(5, 1))
+    angles = torch.stack([mbd.deg(list(design)) for design in designs])
+    system = whole(designs[0], **options)
+    given: dict[str, Any] = FLEXIBLE | INTEGRATOR[options.get("trusses", "rigid")]
+    return mbd.simulate(system, DURATION, steps=steps, phases=phases(), designs={ANGLES: angles}, **given)
 
 
-def spring(name: str, a: mbd.Frame, b: mbd.Frame) -> mbd.RotationalSpringDamper:
-    """What draws a hinge into line."""
-    M = SPRINGS[name]
-    knots = ((-2 * LATCH, 0.0), (-LATCH, M), (-LATCH / 5, M), (LATCH / 5, -M), (LATCH, -M), (2 * LATCH, 0.0))
-    return mbd.RotationalSpringDamper(a, b, axis="y", law=Table(knots, center=MIDDLE), name=f"{name}_spring")
+def hinges(motion: mbd.Trajectory) -> dict[str, Tensor]:
+    """Angles of both hinges [lanes, times] [rad]."""
+    return {"panels 1 and 2": phi2(motion), "panels 2 and 3": phi3(motion)}
 
 
 def phi2(motion: mbd.Trajectory) -> Tensor:
@@ -126,15 +127,20 @@ def phi2(motion: mbd.Trajectory) -> Tensor:
     return turned(motion.body("panel2").A.mT)
 
 
+def driven(motion: mbd.Trajectory) -> Tensor:
+    """Angle of the rocker from panel 1 about Y [lanes, times] [rad]; that of panel 2 if all is rigid."""
+    return turned(motion.body("rocker").A.mT)
+
+
 def phases() -> list[mbd.Phase]:
     """Phase 1, phase 2, and what follows."""
-    crank, rocker = ["R3", "S5", "S6"], ["R1", "R2", "S9", "S10"]
-    first = mbd.Event(lambda motion: phi3(motion) - LATCH, "falling")
-    second = mbd.Event(lambda motion: phi2(motion) - LATCH, "falling")
-    hinge, free = ["S3", "S4"], ["S7", "S8"]
+    first, second = (mbd.Event(lambda motion, s=s: s(motion) - LATCH, "falling") for s in (theta, driven))
+    inner, outer = ["R3", "S5", "S6"], ["R1", "R2", "S9", "S10"]
+    free, held, ends = ["S7", "S8"], ["D", "E"], ["S11", "S12"]
+    pull = {"B": Table(PULL, DAMPING, MIDDLE)}
     return [
-        mbd.Phase(until=first, name="1"),
-        mbd.Phase(until=mbd.Event(phi3, "rising"), lock=crank, release=free, name="rest"),
-        mbd.Phase(until=second, lock=[*crank, *hinge], release=[*free, "D", "E"], name="2"),
-        mbd.Phase(lock=[*crank, *hinge, *rocker], release=[*free, "D", "E", "S11", "S12"], name="3"),
+        mbd.Phase(until=first, release=["L7", "L8", "L11", "L12"], name="1"),
+        mbd.Phase(lasting=REST, lock=inner, release=[*free, "L11", "L12"], name="rest"),
+        mbd.Phase(until=second, lock=inner, release=[*free, *held, "L11", "L12"], laws=pull, name="2"),
+        mbd.Phase(lock=[*inner, *outer], release=[*free, *held, *ends], name="3"),
     ]

@@ -17,6 +17,7 @@ from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
 from torchmbd.design import (
     RMS,
     Acceleration,
+    Angle,
     AtPeaks,
     AtTime,
     AtTimes,
@@ -78,8 +79,10 @@ from torchmbd.joints import (
 from torchmbd.materials import Laminate, Ply, Strength
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
+from torchmbd.numerics.variable import variable
 from torchmbd.optimizers import (
     OptimizationResult,
+    Processes,
     RobustProblem,
     multistart,
     optimize,
@@ -111,6 +114,7 @@ __version__ = "0.1.0"
 __all__ = [
     "RMS",
     "Acceleration",
+    "Angle",
     "AtPeaks",
     "AtTime",
     "AtTimes",
@@ -157,6 +161,7 @@ __all__ = [
     "Pressure",
     "Prismatic",
     "Problem",
+    "Processes",
     "Reaction",
     "RelativeDisplacement",
     "Revolute",
@@ -197,5 +202,6 @@ __all__ = [
     "sections",
     "simulate",
     "sobol",
+    "variable",
     "viz",
 ]

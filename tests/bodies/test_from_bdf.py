@@ -31,9 +31,9 @@ def values(body: mbd.FlexibleBody) -> torch.Tensor:
     return torch.linalg.eigvalsh(body.structure()["Kr"].detach())
 
 
-def by_hand(angles=(20.0, -50.0, 75.0)) -> torch.Tensor:
+def by_hand(angles=(20.0, -50.0, 75.0), kind="quad") -> torch.Tensor:
     laminate = mbd.Laminate(GENERAL.plies, mbd.deg(angles), [1e-3, 2e-3, 1.5e-3], shear_correction="energy")
-    mesh = mbd.mesh.rectangle(0.3, 0.1, (6, 2))
+    mesh = mbd.mesh.rectangle(0.3, 0.1, (6, 2), kind)
     return values(mbd.FlexibleBody.plate("plate", mesh, laminate, 4, reference="left_edge"))
 
 
@@ -68,14 +68,15 @@ def test_units_elements_and_material_directions(given, body):
     if given.get("triangles"):
         given = given | {"theta": "0"}  # the basic system's x axis
     made = body(model(**given), units="mm" if given.get("millimeters") else "m")
-    assert_close(values(made), by_hand(), rtol=1e-9, atol=0)
+    kind = "triangle" if given.get("triangles") else "quad"
+    assert_close(values(made), by_hand(kind=kind), rtol=1e-9, atol=0)
 
 
 def test_theta_turns_the_laminate(body):
-    """But for 0.3 %: the shear stiffness of equal energy looks along the laminate's axes (transverse_shear.py)."""
+    """But for 0.5 %: the shear stiffness of equal energy looks along the laminate's axes (transverse_shear.py)."""
     turned = body(model(theta="30."))
     expected = by_hand((50.0, -20.0, 105.0))
-    assert_close(values(turned), expected, rtol=3e-3, atol=0)
+    assert_close(values(turned), expected, rtol=6e-3, atol=0)
     assert float((expected / by_hand() - 1).abs().max()) > 0.05
 
 
@@ -124,15 +125,15 @@ def test_a_shell_of_metal_with_a_stack_beside_it(body):
 
 
 def test_first_ply_failure_of_a_model_of_two_stacks(body):
-    """Points run over both parts, by the triangles of the mesh; the index is the largest of all."""
+    """Points run over both parts, by the cells of the mesh; the index is the largest of all."""
     text = model(support="").replace("CQUAD4,1,7", "CQUAD4,1,8").replace("CQUAD4,2,7", "CQUAD4,2,8")
     rod = body(text.replace("ENDDATA", "PCOMP,8\n,1,2.-3,0.,YES,1,2.-3,90.,YES\nENDDATA"), modes=2)
     ground, end = mbd.Ground(), rod.at("grid_2")
     system = mbd.System([rod], [mbd.Revolute(ground.at(*end.point.tolist()), end, axis="y")], gravity=(0, 0, -9.81))
     motion = mbd.simulate(system, 2e-3, steps=20).require_ok()
     plies = mbd.PlyHistory(motion, "plate")
-    assert len(plies.points) == 2 * 4 * 2 + 2 * 20 * 3  # (faces, triangles, layers) of both parts
-    assert sorted(set(plies.points[:, 0].tolist())) == list(range(24))
+    assert len(plies.points) == 2 * 2 * 2 + 2 * 10 * 3  # (faces, cells, layers) of both parts
+    assert sorted(set(plies.points[:, 0].tolist())) == list(range(12))
     everywhere = plies.indices("max_stress")
     assert_close(mbd.PlyFailure("plate", "max_stress").values(motion), everywhere.amax(-1))
     assert float(everywhere.detach().max()) > 0

@@ -13,6 +13,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES, History, Measure, WeightedSum, history, measure
+from torchmbd.design.angle import Angle
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -79,6 +80,11 @@ HISTORIES: dict[str, list[History]] = {
         Reaction(JOINT, "x"),
         Reaction(JOINT, "z", on="arm", axes="rod"),
         Reaction(JOINT, (1.0, 1.0, 0.0), kind="torque"),
+    ],
+    "angle": [
+        Angle("rod", "x"),
+        Angle("rod", (0.2, 1.0, -0.3), seen_from="arm"),
+        Angle("arm", "z", seen_from="rod", center=3.0),
     ],
     "ply_failure": [PlyFailure("rod"), PlyFailure("rod", "max_stress")],
     "ply_stress": [PlyStress("rod", "11"), PlyStress("rod", "12", layer=1, extreme="lowest")],

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchmbd.elements import PlateMatrices
 from torchmbd.materials import Laminate, Ply
-from torchmbd.mesh import Mesh, rectangle
+from torchmbd.mesh import Mesh, cut_quads, rectangle
 from torchmbd.numerics.angles import deg
 
 CARBON = Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
@@ -27,26 +27,48 @@ def rotation(seed: int) -> Tensor:
     return torch.from_numpy(q * np.sign(np.linalg.det(q)))
 
 
-def mapped(cells: tuple[int, int], place: Callable[[float, float], Iterable[float]]) -> Mesh:
+#: Kinds of meshes: of triangles, of quadrilaterals, and of both in the pattern of a chessboard.
+KINDS = ("triangle", "quad", "mixed")
+
+
+def grid(length: float, width: float, cells: tuple[int, int], kind: str = "triangle") -> Mesh:
+    """Mesh a rectangle with cells of a kind."""
+    if kind != "mixed":
+        return rectangle(length, width, cells, kind)
+    flat = rectangle(length, width, cells, "quad")
+    i, j = (k.flatten() for k in torch.meshgrid(torch.arange(cells[0]), torch.arange(cells[1]), indexing="ij"))
+    whole = (i + j) % 2 == 0
+    triangles = cut_quads(flat.nodes, flat.quads[~whole]).flatten(0, 1)
+    return Mesh(flat.nodes, triangles, flat.node_sets, quads=flat.quads[whole])
+
+
+def moved(mesh: Mesh, nodes: Tensor) -> Mesh:
+    """Put the nodes of a mesh to other places."""
+    return Mesh(nodes, mesh.triangles, mesh.node_sets, quads=mesh.quads)
+
+
+def mapped(cells: tuple[int, int], place: Callable[[float, float], Iterable[float]], kind: str = "triangle") -> Mesh:
     """Map the unit square's structured mesh; `place` takes (s, t) in [0, 1] to (x, y, z)."""
-    flat = rectangle(1.0, 1.0, cells)
+    flat = grid(1.0, 1.0, cells, kind)
     nodes = [list(place(x + 0.5, y + 0.5)) for x, y, _ in flat.nodes.tolist()]
-    return Mesh(torch.tensor(nodes, dtype=torch.float64), flat.triangles, flat.node_sets)
+    return moved(flat, torch.tensor(nodes, dtype=torch.float64))
 
 
-def irregular(length: float, width: float, cells: tuple[int, int], seed: int = 3, amount: float = 0.3) -> Mesh:
+def irregular(
+    length: float, width: float, cells: tuple[int, int], seed: int = 3, amount: float = 0.3, kind: str = "triangle"
+) -> Mesh:
     """Rectangle whose inner nodes are moved by up to `amount` of a cell in both directions."""
-    flat = rectangle(length, width, cells)
+    flat = grid(length, width, cells, kind)
     inner = np.setdiff1d(np.arange(len(flat.nodes)), boundary(flat))
     nodes = flat.nodes.clone()
     cell = np.array([length / cells[0], width / cells[1]])
     nodes[inner, :2] += torch.from_numpy(amount * cell * np.random.default_rng(seed).uniform(-1, 1, (len(inner), 2)))
-    return Mesh(nodes, flat.triangles, flat.node_sets)
+    return moved(flat, nodes)
 
 
 def turned(mesh: Mesh, R: Tensor, origin: tuple[float, float, float] = (0.3, -0.2, 0.7)) -> Mesh:
     """Move a mesh rigidly: R x + origin."""
-    return Mesh(mesh.nodes @ R.T + torch.tensor(origin, dtype=torch.float64), mesh.triangles, mesh.node_sets)
+    return moved(mesh, mesh.nodes @ R.T + torch.tensor(origin, dtype=torch.float64))
 
 
 def boundary(mesh: Mesh) -> np.ndarray:

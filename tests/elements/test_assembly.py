@@ -114,7 +114,7 @@ def test_a_rigid_patch_and_a_point_mass():
 
 def test_names_of_several_laminates():
     one, two = (Laminate(CARBON, deg([a, -a]), 1e-3) for a in (20, 50))
-    parts = {"skin": Plates(MESH, one, triangles=HALVES[0]), "rib": Plates(MESH, two, triangles=HALVES[1])}
+    parts = {"skin": Plates(MESH, one, cells=HALVES[0]), "rib": Plates(MESH, two, cells=HALVES[1])}
     body = mbd.FlexibleBody("box", MESH, parts, 2)
     assert [name for name, x in body.named_parameters() if x.requires_grad] == ["skin.angles", "rib.angles"]
     with pytest.raises(InputError, match=r"'box' has 2 laminated parts"):

@@ -19,7 +19,6 @@ def test_straight():
     assert (line.node("start"), line.node("center")) == (0, 2)
     assert line.elements.tolist() == [[0, 1], [1, 2], [2, 3], [3, 4]]
     assert "center" not in BeamLine.straight(2.0, 3).node_sets
-    assert line.triangles.shape == (0, 3)
 
 
 def test_any_nodes_and_branches():

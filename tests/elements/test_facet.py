@@ -30,7 +30,7 @@ def test_corners_keep_lengths_and_area():
     assert_close(plane.area, mesh.areas)
 
 
-def test_one_direction_for_each_triangle():
+def test_one_direction_for_each_cell():
     mesh = rectangle(1.0, 1.0, (1, 1))
     plane = facets(mesh, torch.tensor([[1.0, 0, 0], [0, 2.0, 5.0]]))
     assert_close(plane.axes[1, 0], torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
@@ -55,3 +55,17 @@ def test_cells_are_what_lies_at_a_side():
     expected = torch.tensor([[2.0, 1.0, 1.0], [2.0, 2.0, 2.0], [2.0, 3.0, 3.0]], dtype=torch.float64)
     assert_close(facets(mesh).cell, expected)
     assert_close(facets(mesh, (1.0, 0.0, 0.0), torch.tensor([2])).cell, expected[2:])
+
+
+def test_a_warped_quadrilateral_lies_on_its_mean_plane():
+    nodes = torch.tensor([[0, 0, 0.1], [2, 0, -0.1], [2, 1, 0.1], [0, 1, -0.1], [3, 0, -0.1]], dtype=torch.float64)
+    mesh = turned(Mesh(nodes, [[1, 4, 2]], quads=[[0, 1, 2, 3]]), rotation(4))
+    plane = facets(mesh, rotation(4)[:, 0], kind="quad")
+    assert_close(plane.height, torch.tensor([[0.1, -0.1, 0.1, -0.1]], dtype=torch.float64))
+    expected = torch.tensor([[[-1, -0.5], [1, -0.5], [1, 0.5], [-1, 0.5]]], dtype=torch.float64)
+    assert_close(plane.corners, expected)
+    assert plane.mixed.tolist() == [[False, True, False, False]]
+    other = facets(mesh, rotation(4)[:, 0], kind="triangle")
+    assert other.mixed.tolist() == [[False, False, True]]
+    assert_close(plane.cell[0, 1], (mesh.areas[0] + mesh.areas[1]) / 2)
+    assert_close(plane.cell[0, 1], other.cell[0, 2])

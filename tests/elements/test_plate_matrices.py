@@ -8,7 +8,7 @@ from torch.testing import assert_close
 from tests.elements.plate_cases import CARBON, GENERAL, irregular, rotation, turned
 from torchmbd.elements import PlateMatrices
 from torchmbd.elements.facet import facets
-from torchmbd.elements.strains import strain_matrices
+from torchmbd.elements.triangle import triangle_strains
 from torchmbd.errors import InputError
 from torchmbd.materials import IsotropicMean, Laminate
 from torchmbd.mesh import rectangle
@@ -25,7 +25,7 @@ def assembled(laminate):
     plane = facets(MESH, ALONG)
     K = torch.zeros(6 * len(MESH.nodes), 6 * len(MESH.nodes), dtype=torch.float64)
     for E, area, nodes in zip(
-        strain_matrices(plane, IsotropicMean.of(laminate)), plane.area, MESH.triangles, strict=True
+        triangle_strains(plane, IsotropicMean.of(laminate)).at, plane.area, MESH.triangles, strict=True
     ):
         rows = (6 * nodes[:, None] + torch.arange(6)).flatten()
         K[rows[:, None], rows] += area / 3 * (E.mT @ C @ E).sum(0)

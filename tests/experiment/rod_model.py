@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from torchmbd.bodies import FlexibleBody, Ground, RigidBody
+from torchmbd.integrators import Phase
 from torchmbd.joints import Drive, Prismatic, Revolute, Spherical, Universal
 from torchmbd.materials import Laminate, Ply
 from torchmbd.mesh import rectangle
@@ -37,3 +38,16 @@ def no_system() -> int:
 
 def broken() -> System:
     raise ZeroDivisionError("half a rod")
+
+
+def in_two() -> list[Phase]:
+    """Two phases of one and the same mechanism."""
+    return [Phase(until=0.004), Phase()]
+
+
+def too_long() -> list[Phase]:
+    return [Phase(until=1.0), Phase()]
+
+
+def no_phases() -> list[int]:
+    return [1]

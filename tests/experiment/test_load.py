@@ -9,6 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from torchmbd.experiment.assemble import problem_of
 from torchmbd.experiment.faults import StudyError
 from torchmbd.experiment.load import load
 from torchmbd.experiment.schema import Study
@@ -41,6 +42,27 @@ def test_the_resolved_file_is_a_file_again(write):
     assert resolved["subject_to"] == [{"max": {"strain_energy": "rod"}, "at_most": "initial"}]
     again = Study.model_validate(resolved)
     assert again.resolved() == resolved
+
+
+def test_phases_come_from_a_function(write):
+    """A motion in two phases of one mechanism is that of one."""
+    simulate = {"duration": 0.01, "steps": 60}
+    whole, halved = (
+        problem_of(load(write(simulate=simulate | more))) for more in ({}, {"phases": "rod_model.py:in_two"})
+    )
+    assert [phase.until for phase in halved.simulation["phases"]] == [0.004, None]
+    values = [p.evaluate(p.start[None], gradients=False)[0].objective for p in (whole, halved)]
+    assert values[0] == pytest.approx(values[1], rel=1e-4)
+    assert "phases" in load(write(simulate=simulate | {"phases": "rod_model.py:in_two"})).study.resolved()["simulate"]
+    for name, said in (
+        ("too_long", "allowed: increasing times before duration"),
+        ("no_phases", "allowed: a list of mbd.Phase"),
+        ("build", "allowed: a function annotated with -> list"),
+        ("in_too", "did you mean 'in_two'"),
+    ):
+        [fault] = faults(write(simulate=simulate | {"phases": f"rod_model.py:{name}"}))
+        assert fault.path == ("simulate", "phases")
+        assert said in fault.text
 
 
 def test_an_override_changes_the_plan(write):

@@ -8,8 +8,9 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from tests.elements.plate_cases import moved
 from tests.mechanisms import SOFT, laminate, plate, random_state, tensor, turned
-from torchmbd.mesh import Mesh
+from torchmbd.elements.quad_shape import gauss
 from torchmbd.system import equations
 
 GROUND = mbd.Ground()
@@ -34,18 +35,29 @@ def test_a_load_of_fixed_direction_is_weight():
     assert float(books.balance.abs().max()) < 5e-3 * float(books.kinetic.max())
 
 
-def shell() -> mbd.FlexibleBody:
+def shell(kind: str = "triangle") -> mbd.FlexibleBody:
     """A roof bent about x, turned past the vertical on one side: components of both signs."""
-    flat = mbd.mesh.rectangle(length=0.3, width=0.2, cells=(4, 6))
+    flat = mbd.mesh.rectangle(length=0.3, width=0.2, cells=(4, 6), kind=kind)
     x, y, _ = flat.nodes.T
     angle = 16.0 * y
     nodes = torch.stack([x, 0.08 * torch.sin(angle), 0.08 * torch.cos(angle) + 0.2 * x], 1)
-    return mbd.FlexibleBody.plate("roof", Mesh(nodes, flat.triangles, flat.node_sets), laminate(), modes=4)
+    return mbd.FlexibleBody.plate("roof", moved(flat, nodes), laminate(), modes=4)
 
 
-def test_a_following_load_is_a_sum_over_the_nodes():
+def corner_areas(p: torch.Tensor) -> torch.Tensor:
+    """Directed areas of the corners of a cell: thirds, or the integral of the bilinear shape functions by Gauss points."""
+    if len(p) == 3:
+        return torch.linalg.cross(p[1] - p[0], p[2] - p[0]).expand(3, 3) / 6.0
+    points = gauss(p[None, :, :2])
+    natural = torch.einsum("pac,pci->pai", points.jacobian[0], points.slopes[0])
+    tangents = natural @ p
+    return points.shape.T @ torch.linalg.cross(tangents[:, 0], tangents[:, 1])
+
+
+@pytest.mark.parametrize("kind", ["triangle", "quad"])
+def test_a_following_load_is_a_sum_over_the_nodes(kind):
     """Of the undeformed shell, the frame anywhere: forces and moments on the body, and on its modes."""
-    body, p = shell(), 7.0
+    body, p = shell(kind), 7.0
     system = mbd.System([body], forces=[mbd.Pressure(body, lambda t: p + t)])
     T, data = system.topology, system("data")
     q, v, _ = random_state(system, 3, bend=0.0)
@@ -53,9 +65,8 @@ def test_a_following_load_is_a_sum_over_the_nodes():
     found = equations.generalized_forces(T, data, at, equations.applied_on_vectors(T, data, at, v))
     nodes = body.mesh.nodes - body.origin
     forces = torch.zeros_like(nodes)
-    for a, b, c in body.mesh.triangles.tolist():
-        area = 0.5 * torch.linalg.cross(nodes[b] - nodes[a], nodes[c] - nodes[a])
-        forces[[a, b, c]] += (p + 0.5) * area / 3.0
+    for corners in body.mesh.cells[kind]:
+        forces[corners] += (p + 0.5) * corner_areas(nodes[corners])
     psi = body.structure()["psi"].detach()
     A = at.A[:, :, 0, 0, 0]
     assert_close(found[0][:, 0, 0, 0], A @ forces.sum(0), rtol=0, atol=1e-11)

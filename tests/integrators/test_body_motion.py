@@ -48,7 +48,6 @@ def test_an_attached_point_keeps_to_its_joint(motion):
 def test_a_moved_motion_is_the_neighbor_to_first_order(motion):
     """Whatever is looked at, mode shapes included: the error falls with the square of the step."""
     _ = motion.body("rod").psi
-    motion.prepare_modes()
     start = motion.designs["rod.laminate.angles"]
     errors = []
     for size in (2e-2, 1e-2):

@@ -13,6 +13,7 @@ import torchmbd as mbd
 from experiments.slider_crank import build
 from tests.integrators.test_phases import pushed
 from tests.mechanisms import box, rigid_pendulum, sprung
+from tests.sensitivity.test_law_variables import arm
 from tests.system.test_initial import four_bar
 from torchmbd.integrators import compiled, compiled_rates, library
 from torchmbd.system import Dynamics
@@ -150,3 +151,14 @@ def test_a_right_hand_side_without_inertia_stays_eager(both: Both) -> None:
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 def test_rigid_systems_are_compiled(both: Both, method: str) -> None:
     same(*both(rigid_pendulum(), 0.002, method, 10))
+
+
+@pytest.mark.parametrize("refresh", [1, 0])
+def test_drives_with_design_variables_are_compiled(both: Both, refresh: int) -> None:
+    """What they prescribe differs from lane to lane and step to step, with its tangents."""
+    system = arm("step")
+    designs = {"motor.size": torch.tensor([0.5, 0.3, -0.2], dtype=torch.float64)}
+    variables = ["motor.size", "motor.duration", "rod.laminate.angles"]
+    options = {"steps": 40, "designs": designs, "sensitivities": variables, "refresh": refresh}
+    same(*both(system, 0.1, **options))
+    same(*both(system, 0.1, steps=40, designs=designs, refresh=refresh))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import Tensor
@@ -10,6 +12,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, box, pendulum, turned
 from torchmbd.integrators import Trajectory
+from torchmbd.integrators.signals import Given
 
 GROUND = mbd.Ground()
 NAME = "rod.laminate.angles"
@@ -34,7 +37,7 @@ def rotors(hinges: int = 1) -> mbd.System:
 
 def momentum(motion: Trajectory, state: tuple[Tensor, Tensor]) -> Tensor:
     """Angular momentum about the ground's z-axis [lanes] of a state (q, v) [lanes, n]."""
-    there = mbd.Trajectory(**(vars(motion) | {"q": state[0][:, None], "v": state[1][:, None], "_views": {}}))
+    there = replace(motion, signals=Given({"q": state[0][:, None], "v": state[1][:, None]}))
     total = torch.zeros(len(state[0]), dtype=torch.float64)
     for name in ("first", "second"):
         body, view = motion.system.body(name), there.body(name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ import torch
 import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum, plate, tensor
 from tests.validation.rigid_benchmarks import n_four_bar, n_four_bar_at
+from torchmbd.integrators.signals import Given
 from torchmbd.integrators.singular import explained
 
 
@@ -31,9 +34,10 @@ def test_a_flat_four_bar_is_singular_where_it_lies_flat(folding):
 
 
 def test_a_motion_that_failed_says_where(folding):
-    failed = mbd.Trajectory(**{name: getattr(folding, name) for name in folding.__dataclass_fields__ if name[0] != "_"})
-    failed.status = ["failed: the motion is not finite from t = 0.76 s on"]
-    failed.q = torch.where(failed.t[:, None] > 0.755, torch.nan, folding.q)
+    gone = folding.t[:, None] > 0.755
+    states = {name: torch.where(gone, torch.nan, getattr(folding, name)) for name in ("q", "v", "a", "lam")}
+    status = ["failed: the motion is not finite from t = 0.76 s on"]
+    failed = replace(folding, signals=Given(states), status=status)
     (status,) = explained(failed).status
     assert status.startswith("failed: the motion is not finite from t = 0.76 s on; singular position near t = 0.71")
 

@@ -8,7 +8,7 @@ import torch
 from torch.testing import assert_close
 
 from torchmbd.errors import InputError
-from torchmbd.mesh import Mesh, rectangle
+from torchmbd.mesh import Mesh, directed_area, rectangle
 
 SQUARE = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]
 HALVES = [[0, 1, 2], [0, 2, 3]]
@@ -90,7 +90,7 @@ def test_lines_connect_and_are_checked():
 
 
 def test_messages_use_the_labels():
-    labels = {"node_labels": [f"GRID {k}" for k in (7, 8, 9, 10)], "triangle_labels": ["CTRIA3 1", "CTRIA3 2"]}
+    labels = {"node_labels": [f"GRID {k}" for k in (7, 8, 9, 10)], "cell_labels": ["CTRIA3 1", "CTRIA3 2"]}
     with pytest.raises(InputError, match=r"CTRIA3 1, nodes .*, and CTRIA3 2, nodes .*, are wound in opposite senses"):
         Mesh(SQUARE, [[0, 1, 2], [0, 3, 2]], **labels)
     with pytest.raises(InputError, match=r"1 orphan nodes belong to no element: GRID 10"):
@@ -114,3 +114,46 @@ def test_a_patch_of_nodes():
         mesh.within(0.0)
     with pytest.raises(InputError, match=r"no node within 0.01 m of \[1.0, 0.0, 0.0\]"):
         mesh.within(0.01, [1.0, 0.0, 0.0])
+
+
+def test_quadrilaterals_are_counted_after_the_triangles():
+    """Area and normal of a warped one are those of its mean plane; its pieces cover it twice, each by half."""
+    nodes = torch.tensor([[0, 0, 0.1], [1, 0, -0.1], [1, 1, 0.1], [0, 1, -0.1], [2, 0, 0.1]], dtype=torch.float64)
+    mesh = Mesh(nodes, [[1, 4, 2]], quads=[[0, 1, 2, 3]])
+    assert (mesh.cell_count, mesh.cell_name(0), mesh.cell_name(1)) == (2, "triangle 0", "quad 0")
+    assert repr(mesh) == "Mesh(5 nodes, 1 triangles, 1 quadrilaterals, 0 lines)"
+    assert_close(mesh.directed_areas[1], torch.tensor([0.0, 0, 1], dtype=torch.float64))
+    assert mesh.areas[1].item() == pytest.approx(1.0)
+    nodes, share, cell = mesh.pieces
+    assert_close(share, torch.tensor([1.0, 0.5, 0.5, 0.5, 0.5], dtype=torch.float64))
+    assert cell.tolist() == [0, 1, 1, 1, 1]
+    covered = (share[:, None] * directed_area(mesh.nodes[nodes]))[1:].sum(0)
+    assert_close(covered, mesh.directed_areas[1])
+    assert len(pickle.loads(pickle.dumps(mesh)).quads) == 1
+
+
+@pytest.mark.parametrize(
+    ("nodes", "quads", "message"),
+    [
+        (SQUARE, [[0, 1, 2, 4]], r"quad 0 has nodes \[0, 1, 2, 4\]; allowed: 0 to 3"),
+        (SQUARE, [[0, 1, 2]], r"quads has shape \(1, 3\)"),
+        (SQUARE, [[0, 1, 2, 3], [1, 2, 3, 0]], "quad 0 and quad 1 are duplicates"),
+        (SQUARE, [[0, 1, 3, 2]], r"quad 0, nodes \[0, 1, 3, 2\], is collapsed, concave or crosses itself"),
+        (
+            [*SQUARE[:2], [0.3, 0.3, 0.0], SQUARE[3]],
+            [[0, 1, 2, 3]],
+            "quad 0, .* is collapsed, concave or crosses itself",
+        ),
+        ([*SQUARE[:3], [0.5, 0.0, 0.0]], [[3, 1, 2, 0]], "quad 0, .* is collapsed, concave or crosses itself"),
+        ([*SQUARE[:3], [0.0, 1.0, 2.0]], [[0, 1, 2, 3]], "quad 0, .* is warped by more than 40 degrees; cut it in two"),
+        ([*SQUARE, [2.0, 0, 0], [2.0, 1, 0]], [[0, 1, 2, 3], [1, 2, 5, 4]], "quad 0.* and quad 1.* opposite senses"),
+    ],
+)
+def test_bad_quadrilaterals_are_refused_by_name(nodes, quads, message):
+    with pytest.raises(InputError, match=message):
+        Mesh(nodes, quads=quads)
+
+
+def test_a_mesh_of_nothing_is_refused():
+    with pytest.raises(InputError, match="no triangles, no quads and no lines"):
+        Mesh(SQUARE)

@@ -24,7 +24,7 @@ def test_geometry_in_every_format(tmp_path, name):
     """Point 6 belongs to no element and is left out; millimeters become meters."""
     mesh, zones = read_mesh(written(tmp_path, name), scale=1e-3)
     assert len(mesh.nodes) == 6
-    assert len(mesh.triangles) == 4
+    assert (len(mesh.triangles), len(mesh.quads)) == (2, 1)
     assert float(mesh.areas.sum()) == pytest.approx(2e-6)
     assert zones == {}
 
@@ -52,12 +52,12 @@ web, flange
 
 
 def test_sets_of_abaqus(tmp_path):
-    """Sets of elements are zones (a set of sets is not read); the quadrilateral counts twice."""
+    """Sets of elements are zones (a set of sets is not read); triangles are counted first."""
     file = tmp_path / "plate.inp"
     file.write_text(ABAQUS)
     mesh, zones = read_mesh(file)
     assert mesh.node_set("tip") == (2, 3)
-    assert {name: len(own) for name, own in zones.items()} == {"web": 2, "flange": 2, "skin": 3}
+    assert {name: len(own) for name, own in zones.items()} == {"web": 1, "flange": 2, "skin": 2}
     assert float(mesh.areas[zones["skin"]].sum()) == pytest.approx(1.5)
 
 
@@ -70,10 +70,11 @@ def test_physical_groups_of_gmsh(tmp_path):
     file = tmp_path / "plate.msh"
     meshio.write(file, meshio.Mesh(POINTS[:6], cells, cell_data=data, field_data=fields), file_format="gmsh22")
     mesh, zones = read_mesh(file)
-    assert {name: len(own) for name, own in zones.items()} == {"web": 2, "flange": 2}
+    assert {name: len(own) for name, own in zones.items()} == {"web": 1, "flange": 2}
     assert mesh.node("bolt") == 3
     assert mesh.node_set("root") == (0, 5)
-    assert float(mesh.nodes[mesh.triangles[zones["web"]]][..., 0].max()) == 1.0
+    assert zones["web"].tolist() == [2]
+    assert float(mesh.nodes[mesh.quads[0]][..., 0].max()) == 1.0
 
 
 def test_what_cannot_be_read_is_refused(tmp_path):

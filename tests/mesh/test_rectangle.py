@@ -78,3 +78,15 @@ def test_bandwidth_is_that_of_the_short_direction(cells):
 def test_bad_input_is_named(arguments, message):
     with pytest.raises(InputError, match=message):
         rectangle(*arguments)
+
+
+def test_quadrilaterals_on_the_same_nodes():
+    mesh, other = rectangle(3.0, 2.0, (3, 4), "quad"), rectangle(3.0, 2.0, (3, 4))
+    assert torch.equal(mesh.nodes, other.nodes)
+    assert mesh.node_sets == other.node_sets
+    assert mesh.quads.shape == (12, 4)
+    assert len(mesh.triangles) == 0
+    assert_close(mesh.areas, torch.full((12,), 0.5, dtype=torch.float64))
+    assert (mesh.normals[:, 2] == 1.0).all()
+    with pytest.raises(InputError, match=r"kind 'quads'.*'quad'"):
+        rectangle(3.0, 2.0, (3, 4), "quads")

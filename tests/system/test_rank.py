@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 import pytest
 import torch
 
 import torchmbd as mbd
-from tests.mechanisms import box
+from tests.mechanisms import box, laminate, plate
 from tests.system.test_initial import four_bar
 from torchmbd.errors import InputError
 from torchmbd.system.rank import jacobians, lost_rows, rank_of
@@ -85,3 +87,29 @@ def test_a_travel_that_a_fixed_joint_holds_is_named():
     joints = [mbd.Fixed(ground.at(), a.at()), mbd.Drive(ground, a, axis="x", velocity=1.0, name="pusher")]
     with pytest.raises(InputError, match=r"'pusher: travel'.*allowed: a drive along a motion"):
         _ = mbd.System([a], joints)().redundant
+
+
+CORNERS = ("corner_left_bottom", "corner_left_top")
+
+
+def hung(angles: tuple[float, float], modes: int = 4, **reduction) -> mbd.System:
+    """A plate on two points of one end, which no mode of vibration stretches; modes of an unsymmetric one do a little."""
+    body = plate("plate", modes, made_of=laminate(angles), **reduction)
+    ground = mbd.Ground()
+    places = zip((-0.05, 0.05), CORNERS, strict=True)
+    return mbd.System([body], [mbd.Spherical(ground.at(-0.15, y, 0.0), body.at(k), name=k) for y, k in places])
+
+
+def test_rows_that_only_coupled_bending_tells_apart_are_named():
+    """Symmetric: the second is left out. Unsymmetric by a little: both act, and share the little; joints' modes help."""
+    assert hung((0.0, 0.0))().rank.left_out
+    for difference, most in ((0.001, 1e-5), (1.0, 1e-2)):
+        system = hung((difference, -difference))
+        with pytest.warns(UserWarning, match=r"corner_left_bottom: coincide y.*craig-bampton"):
+            found = system().rank
+        assert {name.partition(":")[0] for name in found.weak} == set(CORNERS)
+        assert 1e-9 < found.share < most
+        assert not found.left_out
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not hung((1.0, -1.0), reduction="craig-bampton", interface=CORNERS)().rank.weak

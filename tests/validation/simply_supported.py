@@ -1,4 +1,4 @@
-"""The plate element on a simply supported rectangle, to be compared with Navier's series."""
+"""The plate elements on a simply supported rectangle, to be compared with Navier's series."""
 
 from __future__ import annotations
 
@@ -19,10 +19,16 @@ def supports(mesh: Mesh, support: str) -> np.ndarray:
 
 
 def center_deflection(
-    laminate: Laminate, cells: tuple[int, int], support: str, a: float = 1.0, b: float = 1.0, load: str = "uniform"
+    laminate: Laminate,
+    cells: tuple[int, int],
+    support: str,
+    a: float = 1.0,
+    b: float = 1.0,
+    load: str = "uniform",
+    kind: str = "triangle",
 ) -> float:
     """Deflection of the center under 1 Pa, uniform or as a half sine in both directions."""
-    mesh = rectangle(a, b, cells)
+    mesh = rectangle(a, b, cells, kind)
     plate = PlateMatrices(mesh, laminate)
     x, y = mesh.nodes[:, 0].numpy(), mesh.nodes[:, 1].numpy()
     pressure = 1.0 if load == "uniform" else np.cos(np.pi * x / a) * np.cos(np.pi * y / b)
@@ -33,8 +39,14 @@ def center_deflection(
 
 
 def plate_frequencies(
-    laminate: Laminate, cells: tuple[int, int], support: str, count: int, a: float = 1.0, b: float = 1.0
+    laminate: Laminate,
+    cells: tuple[int, int],
+    support: str,
+    count: int,
+    a: float = 1.0,
+    b: float = 1.0,
+    kind: str = "triangle",
 ) -> np.ndarray:
     """Lowest natural frequencies [Hz]."""
-    mesh = rectangle(a, b, cells)
+    mesh = rectangle(a, b, cells, kind)
     return frequencies(PlateMatrices(mesh, laminate), laminate, supports(mesh, support), count)[0]

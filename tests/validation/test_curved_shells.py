@@ -110,4 +110,4 @@ def test_rigid_motions_of_a_thin_curved_shell_cost_nothing():
 def test_a_flat_plate_knows_nothing_of_it():
     mesh = turned(irregular(1.0, 0.7, (4, 3)), rotation(6))
     plate = PlateMatrices(mesh, Laminate(CARBON, deg([20, -50, 75]), 1e-5))
-    assert float(plate.facets.tilt.max()) < 1e-14
+    assert float(plate.kinds["triangle"].facets.tilt.max()) < 1e-14

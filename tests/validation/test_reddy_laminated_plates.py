@@ -1,4 +1,4 @@
-"""Simply supported laminated plates: Reddy's printed first-order results, the exact series, and the triangle.
+"""Simply supported laminated plates: Reddy's printed first-order results, the exact series, and both elements.
 
 Sources: J. N. Reddy, A simple higher-order theory for laminated composite plates, J. Appl. Mech. 51 (1984) 745-752,
 table 1 (first-order column, K = 5/6); A. A. Khdeir and L. Librescu, Compos. Struct. 9 (1988), and Reddy, Mechanics of
@@ -22,13 +22,17 @@ def noor(E1=40.0):
     return Ply(E1=E1, E2=1.0, G12=0.6, G13=0.6, G23=0.5, nu12=0.25, density=1.0)
 
 
+KINDS = ("triangle", "quad")
+
+
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("slenderness", "printed"), [(4, 1.7100), (10, 0.6628), (20, 0.4912), (100, 0.4337)])
-def test_deflection_of_0_90_90_0_under_a_sine(slenderness, printed):
+def test_deflection_of_0_90_90_0_under_a_sine(slenderness, printed, kind):
     """100 w E2 h^3 / q: printed, by the series, and within 1 % by 16 x 16 cells."""
     laminate = Laminate(PAGANO, deg([0, 90]), 0.25 / slenderness, symmetric=True)
     series = Navier(laminate).sine_deflection()
     assert 100 * series / slenderness**3 == pytest.approx(printed, rel=4e-4)
-    assert center_deflection(laminate, (16, 16), "SS-1", load="sine") == pytest.approx(series, rel=0.01)
+    assert center_deflection(laminate, (16, 16), "SS-1", load="sine", kind=kind) == pytest.approx(series, rel=0.01)
 
 
 def test_three_dimensional_solution_is_stiffness_away():
@@ -39,13 +43,14 @@ def test_three_dimensional_solution_is_stiffness_away():
         assert 1 - found / exact == pytest.approx(missing, abs=5e-3)
 
 
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("E1", "printed"), [(3, 6.5695), (10, 8.2982), (20, 9.5671), (30, 10.326), (40, 10.854)])
-def test_first_frequency_of_0_90_90_0(E1, printed):
+def test_first_frequency_of_0_90_90_0(E1, printed, kind):
     """omega a^2 / h sqrt(rho / E2) at a/h = 5."""
     laminate = Laminate(noor(E1), deg([0, 90]), 0.05, symmetric=True)
     exact = Navier(laminate).frequencies(1)[0]
     assert 2 * math.pi * exact / 0.2 == pytest.approx(printed, rel=1e-4)
-    assert plate_frequencies(laminate, (12, 12), "SS-1", 1)[0] == pytest.approx(exact, rel=0.01)
+    assert plate_frequencies(laminate, (12, 12), "SS-1", 1, kind=kind)[0] == pytest.approx(exact, rel=0.01)
 
 
 STACKS = {
@@ -55,9 +60,10 @@ STACKS = {
 }
 
 
+@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize("slenderness", [5, 10, 100])
-def test_coupled_stacks(stack, slenderness):
+def test_coupled_stacks(stack, slenderness, kind):
     """Deflection and four frequencies, twisting and in-plane shear among them, within 1 %: 24 x 24 cells.
 
     The aspect ratio 1.25 separates the modes that a square has twice.
@@ -67,9 +73,9 @@ def test_coupled_stacks(stack, slenderness):
     laminate = Laminate(noor(), deg(angles), 1 / slenderness / len(angles))
     exact = Navier(laminate, 1.0, b)
     assert exact.support == support
-    w = center_deflection(laminate, (24, 24), support, b=b)
+    w = center_deflection(laminate, (24, 24), support, b=b, kind=kind)
     assert w == pytest.approx(exact.uniform_deflection(99), rel=0.01)
-    found = plate_frequencies(laminate, (24, 24), support, 4, b=b)
+    found = plate_frequencies(laminate, (24, 24), support, 4, b=b, kind=kind)
     np.testing.assert_allclose(found, exact.frequencies(4), rtol=0.01)
 
 

@@ -46,10 +46,10 @@ def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped") -> BulkBo
     data = BulkData.of(read_cards(path))
     made = bulk_mesh(data, scale.length)
     parts: dict[str, Part] = {}
-    for number, triangles in made.zones.items():
+    for number, cells in made.zones.items():
         card = data.properties[number]
         laminate = laminate_of(data, card, scale)
-        parts[f"{card.name.lower()}_{number}"] = Plates(made.mesh, laminate, made.direction, triangles, mass)
+        parts[f"{card.name.lower()}_{number}"] = Plates(made.mesh, laminate, made.direction, cells, mass)
     parts |= _beams(data, made.mesh, made.index, scale)
     if data.masses:
         nodes = [made.index[mass.grid] for mass in data.masses]

@@ -136,7 +136,7 @@ class FlexibleBody(nn.Module):
     ) -> FlexibleBody:
         """A laminated plate or shell.
 
-        mesh            triangles; the plies follow its x axis
+        mesh            triangles or quadrilaterals; the plies follow its x axis
         laminate        its `angles` [rad] are the body's design parameters
         modes           retained vibration modes of the body fixed at its reference nodes (and its interface)
         position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); joints close the rest
@@ -211,7 +211,7 @@ class FlexibleBody(nn.Module):
 
         laminate    one for all, or one for each named zone of the file
         scale       meters per unit of the file: 1e-3 for mm
-        direction   the laminate's x-axis in mesh axes, projected into each triangle: [3], or one for each [m, 3]
+        direction   the laminate's x-axis in mesh axes, projected into each cell: [3], or one for each [m, 3]
         options     position, axes, reference, damping, reduction, interface, updated: as in `plate`
         Warns if size, density or speed of sound is implausible.
         """

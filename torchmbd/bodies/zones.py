@@ -1,4 +1,4 @@
-"""Laminates for the named zones of a mesh: every triangle gets exactly one.
+"""Laminates for the named zones of a mesh: every cell gets exactly one.
 
 Checked in tests/bodies/test_from_mesh.py.
 """
@@ -19,11 +19,11 @@ from torchmbd.mesh import MeshFile
 def zone_parts(
     found: MeshFile, laminate: Laminate | Mapping[str, Laminate], direction: Sequence[float] | Tensor, mass: str
 ) -> dict[str, Part]:
-    """Make a part of each laminate. InputError where a zone does not exist, or a triangle has no laminate or two."""
+    """Make a part of each laminate. InputError where a zone does not exist, or a cell has no laminate or two."""
     mesh, zones = found
     if isinstance(laminate, Laminate):
         return {"plate": Plates(mesh, laminate, direction, mass=mass)}
-    count = torch.zeros(len(mesh.triangles), dtype=torch.long)
+    count = torch.zeros(mesh.cell_count, dtype=torch.long)
     parts: dict[str, Part] = {}
     for name, own in laminate.items():
         if name not in zones:
@@ -36,7 +36,7 @@ def zone_parts(
     if len(wrong):
         k = int(wrong[0])
         raise InputError(
-            f"{mesh.triangle_name(k)} and {len(wrong) - 1} others lie in {int(count[k])} of the zones "
-            f"{', '.join(laminate)}; allowed: one zone for each triangle (the mesh has {', '.join(zones)})"
+            f"{mesh.cell_name(k)} and {len(wrong) - 1} others lie in {int(count[k])} of the zones "
+            f"{', '.join(laminate)}; allowed: one zone for each cell (the mesh has {', '.join(zones)})"
         )
     return parts

@@ -1,5 +1,6 @@
 """Design: responses with gradients, the design space, the optimization problem."""
 
+from torchmbd.design.angle import Angle
 from torchmbd.design.functions import history, measure
 from torchmbd.design.histories import (
     Acceleration,
@@ -22,7 +23,7 @@ from torchmbd.design.tradeoff import Tradeoff
 from torchmbd.design.weighted import WeightedSum
 
 __all__ = [
-    "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "AtPeaks", "AtTime", "AtTimes", "Constraint",
+    "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "Constraint",
     "DesignSpace", "Displacement", "Final", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min",
     "PlyFailure", "PlyStress", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy",
     "Tradeoff", "Velocity", "WeightedSum", "history", "measure",

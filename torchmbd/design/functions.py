@@ -28,7 +28,7 @@ class FunctionHistory(History):
     function: Callable[[Any], Tensor]
 
     def values(self, motion: Trajectory) -> Tensor:
-        return shaped(self.function, motion, (motion.q.shape[0], len(motion.t)))
+        return shaped(self.function, motion, (motion.lanes, len(motion.t)))
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class FunctionMeasure(Measure):
     function: Callable[[Any], Tensor]
 
     def value(self, motion: Trajectory) -> Tensor:
-        return shaped(self.function, motion, (motion.q.shape[0],))
+        return shaped(self.function, motion, (motion.lanes,))
 
 
 def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[int, ...]) -> Tensor:

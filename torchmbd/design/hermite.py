@@ -28,11 +28,12 @@ def hermite(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, s: Tensor, derivat
     ends   (value, value), (slope, slope) and, for the quintic, (curvature, curvature) by time at both ends
     h      length of the interval [s]
     """
-    total, r = h.new_zeros(()), 1.0 - s
+    terms, r = [], 1.0 - s
     for k, ((y0, y1), left) in enumerate(zip(ends, _LEFT[len(ends)], strict=True)):
-        slope, sign = _differentiated(left, derivative), (-1.0) ** (k + derivative)
-        total = total + h ** (k - derivative) * (_polynomial(slope, s) * y0 + sign * _polynomial(slope, r) * y1)
-    return total
+        slope, size = _differentiated(left, derivative), h ** (k - derivative)
+        # Factors first: what depends on the design is multiplied once.
+        terms += [size * _polynomial(slope, s) * y0, (-1.0) ** (k + derivative) * size * _polynomial(slope, r) * y1]
+    return sum(terms[1:], terms[0])
 
 
 def _differentiated(coefficients: tuple[float, ...], times: int) -> tuple[float, ...]:

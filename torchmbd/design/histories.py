@@ -49,8 +49,8 @@ class StrainEnergy(History):
     def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor]:
         body = motion.body(self.body)
         Kr, w, wd, wdd = body.stiffness[0], body.w, body.wd, body.wdd
-        slope, power = (torch.einsum("lti,lij,ltj->lt", x, Kr, y) for x, y in ((wd, w), (wd, wd)))
-        return slope, power + torch.einsum("lti,lij,ltj->lt", wdd, Kr, w)
+        force = w @ Kr
+        return (force * wd).sum(-1), ((wd @ Kr) * wd + force * wdd).sum(-1)
 
 
 @dataclass(frozen=True)

@@ -53,12 +53,27 @@ class OfHistory(Measure):
         return 0.0 if self.window is None else self.window[1]
 
     def value(self, motion: Trajectory) -> Tensor:
-        y, rates = self.history.values(motion), self.history.rates(motion)
-        return self.reduce(Spline.of(motion.t, y, self.window, _jumps(self.history, motion), rates))
+        return self.reduce(_curve(self.history, self.window, motion))
 
     def reduce(self, curve: Spline) -> Tensor:
         """The numbers [lanes] or [lanes, rows] of the history as a curve."""
         raise NotImplementedError(type(self).__name__)
+
+
+def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
+    """A history as a curve; measures of one motion share it."""
+    try:
+        found = motion.known.get((history, window))
+    except TypeError:  # not hashable: an axis given as a list
+        return _made(history, window, motion)
+    if found is None:
+        motion.known[history, window] = found = _made(history, window, motion)
+    return found
+
+
+def _made(history: History, window: Window, motion: Trajectory) -> Spline:
+    y, rates = history.values(motion), history.rates(motion)
+    return Spline.of(motion.t, y, window, _jumps(history, motion), rates)
 
 
 def _jumps(history: History, motion: Trajectory) -> tuple[Jump, ...]:

@@ -3,7 +3,7 @@
     Max(PlyStress("rod", "22")) <= 40e6                   no ply is pulled harder across its fibers
     Min(PlyStress("rod", "11", extreme="lowest")) >= -1e9
 
-Components are in the axes of the ply: 11 along the fibers, 22 across, 12, 13, 23 shear. Points run over the triangles and the
+Components are in the axes of the ply: 11 along the fibers, 22 across, 12, 13, 23 shear. Points run over the cells and the
 two faces of every layer, or of one `layer` (0 at the bottom). The derivative is that of the point where the value stands.
 Checked in tests/contracts/test_responses.py, tests/integrators/test_ply_history.py.
 """

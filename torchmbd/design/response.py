@@ -44,9 +44,8 @@ def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
     value = f(motion)
     if not motion.parameters:
         return Valued(value, None)
-    motion.prepare_modes()
-    zero = value.new_zeros(len(motion.parameters))
-    gradient = torch.func.jacfwd(lambda delta: f(motion.moved(delta)))(zero)
+    motion.prepare()
+    gradient = torch.func.jacfwd(lambda delta: f(motion.moved(delta)))(value.new_zeros(len(motion.parameters)))
     assert isinstance(gradient, Tensor)
     return Valued(value, gradient)
 

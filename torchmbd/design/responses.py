@@ -9,6 +9,7 @@ A new response is one small class (response.py) and one line here; the contract 
 
 from __future__ import annotations
 
+from torchmbd.design.angle import Angle
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -32,6 +33,7 @@ RESPONSES: dict[str, type[History]] = {
     "acceleration": Acceleration,
     "relative_displacement": RelativeDisplacement,
     "reaction": Reaction,
+    "angle": Angle,
     "ply_failure": PlyFailure,
     "ply_stress": PlyStress,
 }

@@ -1,4 +1,4 @@
-"""Finite elements: laminated triangles and the stresses of their plies, beams of any section; parts make up a body."""
+"""Finite elements: laminated triangles and quadrilaterals, stresses of plies, beams of any section; parts make up a body."""
 
 from torchmbd.elements.assembly import Assembly, MassPoints, Part
 from torchmbd.elements.beam import BeamMatrices
@@ -9,10 +9,11 @@ from torchmbd.elements.freedoms import Average, Freedoms, RigidLink
 from torchmbd.elements.plate import PlateMatrices
 from torchmbd.elements.plates import MASSES, Plates, PointMasses
 from torchmbd.elements.ply_recovery import PlyBasis, ply_basis, ply_points
+from torchmbd.elements.shell_elements import ELEMENTS
 from torchmbd.elements.strains import FREEDOMS
 
 __all__ = [
-    "FREEDOMS", "MASSES", "Assembly", "Average", "BeamLine", "BeamMatrices", "BeamSection", "Beams", "Freedoms",
+    "ELEMENTS", "FREEDOMS", "MASSES", "Assembly", "Average", "BeamLine", "BeamMatrices", "BeamSection", "Beams", "Freedoms",
     "GivenSection", "MassPoints", "Part", "PlateMatrices", "Plates", "PlyBasis", "PointMasses", "RigidLink", "ply_basis",
     "ply_points",
 ]  # fmt: skip

@@ -78,11 +78,6 @@ class BeamLine:
             raise unknown("node", name, self.node_sets)
         return tuple(self.node_sets[name])
 
-    @property
-    def triangles(self) -> Int[Tensor, "0 3"]:
-        """None: a line has no faces."""
-        return torch.empty(0, 3, dtype=torch.long)
-
 
 def _check_nodes(nodes: Tensor) -> None:
     if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:

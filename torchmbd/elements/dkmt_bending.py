@@ -5,11 +5,8 @@ The rotation gets a quadratic part along each side k = ij (tangent t_k, length L
 
     beta = sum_i lambda_i beta_i + sum_k 4 lambda_i lambda_j Delta_k t_k
 
-and the side's mean shear strain, with the rotations linear, is the gap
-    g_k = (w_j - w_i) / L_k + t_k . (beta_i + beta_j) / 2 .
-The gap is shared between bending and shear as in a strip of plate under linear moment,
-
-    Delta_k = -3/2 g_k / (1 + phi_k),     gamma_k = g_k phi_k / (1 + phi_k),     phi_k = shear_length^2 / size_k^2
+and the gap g_k of a side, its mean shear strain with linear rotations, is shared between bending (Delta_k) and shear (gamma_k)
+by phi_k = shear_length^2 / size_k^2 (sides.py).
 
 shear_length^2   12 D / As [m2] with the mean bending stiffness D and the mean shear stiffness As of the laminate
 size_k^2         L_k^2, or 4 times the mean area of the triangles at this side if that is less [m2]. In slender cells the
@@ -35,8 +32,10 @@ Checked in tests/elements/test_dkmt_bending.py, tests/validation/test_twisted_st
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
+
+from torchmbd.elements.sides import crossed_size2, gaps, shared
 
 _SIDES = ((0, 1), (1, 2), (2, 0))
 
@@ -46,19 +45,22 @@ def plate_strains(
     area: Float[Tensor, " m"],
     shear_length: float,
     cell: Float[Tensor, "m 3"] | None = None,
+    mixed: Bool[Tensor, "m 3"] | None = None,
 ) -> tuple[Float[Tensor, "m 3 3 9"], Float[Tensor, "m 3 2 9"]]:
     """Return curvatures and shear strains at the middles of the sides 12, 23, 31.
 
-    cell           mean area of the triangles at each side [m2]; None: triangles that stand alone
+    cell           mean area of the cells at each side [m2]; None: triangles that stand alone
+    mixed          sides with a cell of another kind, whose size is that of quadrilaterals (sides.py); None: there are none
     curvatures     [triangle, point, (kappa_xx, kappa_yy, kappa_xy), (w, beta_x, beta_y) x 3 corners]
     shear strains  [triangle, point, (gamma_xz, gamma_yz), the same freedoms]
     """
     slopes = _barycentric_gradients(corners, area)
-    gap, tangent, length = _gaps(corners)
-    size2 = torch.minimum(length**2, 4.0 * (area[:, None] if cell is None else cell))
-    phi = shear_length**2 / size2
-    delta = (-1.5 / (1.0 + phi))[..., None] * gap
-    side_shear = (phi / (1.0 + phi))[..., None] * gap
+    gap, tangent, length = gaps(corners)
+    at_side = area[:, None].expand(-1, 3) if cell is None else cell
+    size2 = torch.minimum(length**2, 4.0 * at_side)
+    if mixed is not None:
+        size2 = torch.where(mixed, crossed_size2(length, at_side), size2)
+    delta, side_shear = shared(gap, shear_length, size2)
     return _curvatures(slopes, tangent, delta), _shear_strains(corners, area, length[..., None] * side_shear)
 
 
@@ -66,18 +68,6 @@ def _barycentric_gradients(corners: Tensor, area: Tensor) -> Float[Tensor, "m 3 
     """Gradients of the barycentric coordinates lambda_1, lambda_2, lambda_3."""
     opposite = corners.roll(-2, dims=1) - corners.roll(-1, dims=1)
     return torch.stack([-opposite[..., 1], opposite[..., 0]], dim=-1) / (2.0 * area[:, None, None])
-
-
-def _gaps(corners: Tensor) -> tuple[Float[Tensor, "m 3 9"], Float[Tensor, "m 3 2"], Float[Tensor, "m 3"]]:
-    """Mean shear strain of each side with linear rotations; tangents and lengths of the sides 12, 23, 31."""
-    side = corners.roll(-1, dims=1) - corners
-    length = side.norm(dim=-1)
-    tangent = side / length[..., None]
-    gap = corners.new_zeros(len(corners), 3, 9)
-    for k, (i, j) in enumerate(_SIDES):
-        gap[:, k, 3 * i], gap[:, k, 3 * j] = -1.0 / length[:, k], 1.0 / length[:, k]
-        gap[:, k, 3 * i + 1 : 3 * i + 3] = gap[:, k, 3 * j + 1 : 3 * j + 3] = 0.5 * tangent[:, k]
-    return gap, tangent, length
 
 
 def _curvatures(slopes: Tensor, tangent: Tensor, delta: Tensor) -> Float[Tensor, "m 3 3 9"]:

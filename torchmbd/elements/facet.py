@@ -1,11 +1,13 @@
-"""Local axes of flat triangles in space, laid along the material direction.
+"""Local axes of the cells of a mesh, laid along the material direction; a warped quadrilateral gets its mean plane.
 
     e3 = normal (right-hand rule),   e1 = direction - (direction . e3) e3, normalized,   e2 = e3 x e1
 
-axes     rows e1, e2, e3 of each triangle: local = axes @ global     [m, 3, 3]
-corners  x, y of the three corners from the centroid, local axes     [m, 3, 2], m
+axes     rows e1, e2, e3 of each cell: local = axes @ global     [m, 3, 3]
+corners  x, y of the corners from their mean, local axes         [m, corners, 2], m
+height   of the corners over the plane: 0 for triangles; of a quadrilateral +d, -d, +d, -d     [m, corners], m
 area     [m], m2
-cell     mean area of the triangles that share each side 12, 23, 31                     [m, 3], m2
+cell     mean area of the cells that share each side 12, 23, ...                   [m, corners], m2
+mixed    whether cells of different kinds share the side                           [m, corners]
 tilt     to the smooth shell that the facets stand for, at the worst corner (shell_normals.py)   [m], rad; 0: flat plate
 
 The laminate's x-axis *is* e1, so strains come out in laminate axes and the laminate needs no turning.
@@ -18,7 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from torchmbd.elements.shell_normals import corner_normals
@@ -31,49 +33,77 @@ STEEPNESS = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Facets:
-    """The triangles of a mesh in their own planes; see the module header."""
+    """Cells of one kind in their own planes; see the module header."""
 
     axes: Float[Tensor, "m 3 3"]
-    corners: Float[Tensor, "m 3 2"]
+    corners: Float[Tensor, "m corners 2"]
+    height: Float[Tensor, "m corners"]
     area: Float[Tensor, " m"]
-    cell: Float[Tensor, "m 3"]
+    cell: Float[Tensor, "m corners"]
+    mixed: Bool[Tensor, "m corners"]
     tilt: Float[Tensor, " m"]
 
 
-def facets(mesh: Mesh, direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0), members: Tensor | None = None) -> Facets:
-    """Lay the triangles of a mesh, or those named by `members`, into their planes.
+def facets(
+    mesh: Mesh,
+    direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
+    members: Tensor | None = None,
+    kind: str = "triangle",
+) -> Facets:
+    """Lay the cells of one kind, or those named by `members` (numbers within the kind), into their planes.
 
-    direction: the laminate's x-axis in mesh axes, projected into every triangle, [3] or one for each triangle of the
+    direction: the laminate's x-axis in mesh axes, projected into every cell, [3] or one for each cell of the
     mesh [m, 3].
-    Raises InputError where it is zero or normal to a triangle.
+    Raises InputError where it is zero or normal to a cell.
     """
     d = torch.as_tensor(direction, dtype=torch.float64)
-    if d.shape not in ((3,), (len(mesh.triangles), 3)):
-        raise InputError(f"direction has shape {tuple(d.shape)}; allowed: [3], or one for each triangle [m, 3]")
-    members = torch.arange(len(mesh.triangles)) if members is None else members
-    e3 = mesh.normals[members]
-    d = d.expand_as(e3) if d.ndim == 1 else d[members]
+    if d.shape not in ((3,), (mesh.cell_count, 3)):
+        raise InputError(
+            f"direction has shape {tuple(d.shape)}; allowed: [3], or one for each cell [{mesh.cell_count}, 3]"
+        )
+    members = torch.arange(len(mesh.cells[kind])) if members is None else members
+    first = {"triangle": 0, "quad": len(mesh.triangles)}[kind]
+    own = first + members
+    e3 = mesh.normals[own]
+    axes = _axes(mesh, own, e3, d.expand_as(e3) if d.ndim == 1 else d[own])
+    p = mesh.nodes[mesh.cells[kind][members]]
+    local = (p - p.mean(dim=1, keepdim=True)) @ axes.mT
+    tilt = (corner_normals(mesh)[kind][members] - e3[:, None]).norm(dim=2).amax(1)
+    cell, mixed = (of_kind[kind][members] for of_kind in _sides(mesh))
+    return Facets(axes, local[..., :2].contiguous(), local[..., 2], mesh.areas[own], cell, mixed, tilt)
+
+
+def _axes(mesh: Mesh, own: Tensor, e3: Tensor, d: Tensor) -> Float[Tensor, "m 3 3"]:
     length = d.norm(dim=1, keepdim=True)
     e1 = d - (d * e3).sum(1, keepdim=True) * e3
     steep = ((e1.norm(dim=1, keepdim=True) > STEEPNESS * length).logical_not()).flatten().nonzero().flatten()
     if len(steep):
         k = int(steep[0])
         raise InputError(
-            f"direction {d[k].tolist()} has no projection into triangle {int(members[k])}, normal {e3[k].tolist()}; "
-            "allowed: a direction that is not normal to any triangle (or one for each triangle)"
+            f"direction {d[k].tolist()} has no projection into {mesh.cell_name(int(own[k]))}, normal {e3[k].tolist()}; "
+            "allowed: a direction that is not normal to any cell (or one for each cell)"
         )
     e1 = e1 / e1.norm(dim=1, keepdim=True)
-    axes = torch.stack([e1, torch.linalg.cross(e3, e1), e3], dim=1)
-    p = mesh.nodes[mesh.triangles[members]]
-    corners = (p - p.mean(dim=1, keepdim=True)) @ axes.mT
-    tilt = (corner_normals(mesh) - mesh.normals[:, None]).norm(dim=2).amax(1)[members]
-    return Facets(axes, corners[..., :2].contiguous(), mesh.areas[members], _cells(mesh)[members], tilt)
+    return torch.stack([e1, torch.linalg.cross(e3, e1), e3], dim=1)
 
 
-def _cells(mesh: Mesh) -> Float[Tensor, "m 3"]:
-    """Mean area of the triangles at each side: one at an edge of the mesh, two inside, more where plates branch."""
-    tail, head = mesh.triangles, mesh.triangles.roll(-1, dims=1)
-    sides = torch.minimum(tail, head) * len(mesh.nodes) + torch.maximum(tail, head)
-    _, place, count = torch.unique(sides.flatten(), return_inverse=True, return_counts=True)
-    areas = mesh.areas.repeat_interleave(3)
-    return (areas.new_zeros(len(count)).index_add(0, place, areas) / count)[place].unflatten(0, (-1, 3))
+def _sides(mesh: Mesh) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+    """For every side of the cells of each kind: the mean area of the cells there, and whether these differ in kind.
+
+    One cell lies at an edge of the mesh, two inside, more where plates branch.
+    """
+    numbers = []
+    for corners in mesh.cells.values():
+        tail, head = corners, corners.roll(-1, dims=1)
+        numbers.append((torch.minimum(tail, head) * len(mesh.nodes) + torch.maximum(tail, head)).flatten())
+    _, place, count = torch.unique(torch.cat(numbers), return_inverse=True, return_counts=True)
+    width = [corners.shape[1] for corners in mesh.cells.values()]
+    per_kind = [len(corners) for corners in mesh.cells.values()]
+    areas = torch.cat([a.repeat_interleave(w) for a, w in zip(mesh.areas.split(per_kind), width, strict=True)])
+    quad = torch.cat([areas.new_full((len(n),), float(w == 4)) for n, w in zip(numbers, width, strict=True)])
+    mean, share = ((x.new_zeros(len(count)).index_add(0, place, x) / count)[place] for x in (areas, quad))
+    mixed = (share > 0.0) & (share < 1.0)
+    result = [x.split([len(n) for n in numbers]) for x in (mean, mixed)]
+    kinds = list(zip(mesh.cells, width, strict=True))
+    cell, differ = ({k: x.unflatten(0, (-1, w)) for (k, w), x in zip(kinds, xs, strict=True)} for xs in result)
+    return cell, differ

@@ -4,7 +4,7 @@ Freedoms of a corner: u, v, theta_z (a real in-plane rotation, no penalty). The 
 
     eps(zeta) = (1 / area) L' u  +  3/2 sqrt(beta0) T_e Q(zeta) (theta - theta_0)
 
-basic part   L lumps a constant stress to corner forces, alpha_b = 3/2: any patch test passes
+basic part   L lumps a constant stress to corner forces (sides.py), alpha_b = 3/2: any patch test passes
 higher part  natural strains along the sides, linear in zeta and without mean, driven by the corner rotations less
              the rotation theta_0 of the linear displacement field
 beta0        weight of the higher part; 1/2 (1 - 4 nu^2) makes in-plane bending of rectangular cells exact
@@ -24,8 +24,10 @@ Checked in tests/elements/test_opt_membrane.py.
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
+
+from torchmbd.elements.sides import mean_strain
 
 ALPHA_B = 1.5
 HIGHER_SOFTNESS = 100.0
@@ -48,28 +50,20 @@ def membrane_strains(
     area: Float[Tensor, " m"],
     poisson: float,
     softness: Float[Tensor, " m"] | None = None,
+    mixed: Bool[Tensor, "m 3"] | None = None,
 ) -> Float[Tensor, "m 3 3 9"]:
-    """Return E [triangle, side middle, (eps_xx, eps_yy, gamma_xy), (u, v, theta_z) x 3 corners]."""
+    """Return E [triangle, side middle, (eps_xx, eps_yy, gamma_xy), (u, v, theta_z) x 3 corners].
+
+    mixed: sides with a cell of another kind, where alpha_b is 1 (sides.py); None: there are none
+    """
     r = torch.zeros_like(area) if softness is None else softness
-    basic = _lumping(corners, ALPHA_B / (1.0 + r)).mT / area[:, None, None]
+    alpha = torch.full_like(corners[..., 0], ALPHA_B)
+    if mixed is not None:
+        alpha = torch.where(mixed, 1.0, alpha)
+    basic = mean_strain(corners, area, alpha / (1.0 + r)[:, None])
     rotation = _hierarchical_rotation(corners, area)
     weight = 1.5 * (beta0(poisson) / (1.0 + HIGHER_SOFTNESS * r)).sqrt()
     return basic[:, None] + weight[:, None, None, None] * (_hierarchical_strains(corners, area) @ rotation[:, None])
-
-
-def _lumping(corners: Tensor, alpha_b: Tensor) -> Float[Tensor, "m 9 3"]:
-    """L: forces and moments at the corners that balance a constant stress (of a unit thickness)."""
-    x, y = corners.unbind(-1)
-    rows = []
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        yjk, xkj = y[:, j] - y[:, k], x[:, k] - x[:, j]
-        xji, yji, xki, yki = x[:, j] - x[:, i], y[:, j] - y[:, i], x[:, k] - x[:, i], y[:, k] - y[:, i]
-        zero = torch.zeros_like(yjk)
-        rows.append(torch.stack([yjk, zero, xkj], dim=-1))
-        rows.append(torch.stack([zero, xkj, yjk], dim=-1))
-        moment = torch.stack([-yjk * (yji + yki), xkj * (xji + xki), 2.0 * (xji * yji - xki * yki)], dim=-1)
-        rows.append(alpha_b[:, None] / 6.0 * moment)
-    return 0.5 * torch.stack(rows, dim=1)
 
 
 def _hierarchical_rotation(corners: Tensor, area: Tensor) -> Float[Tensor, "m 3 9"]:

@@ -1,7 +1,8 @@
-"""Parts of an assembly: laminated plates on some triangles of a mesh, and point masses.
+"""Parts of an assembly: laminated plates on some cells of a mesh, and point masses.
 
 mass of a plate     "lumped": a third of each triangle at its corners, eqs. (2) and (13);
                     "consistent": at the middles of its sides, that is with linear shape functions, for comparison
+                    (quadrilaterals: the mean of both ways to cut them)
 Checked in tests/elements/test_assembly.py.
 """
 
@@ -24,10 +25,10 @@ MASSES = ("lumped", "consistent")
 
 
 class Plates:
-    """One laminate on triangles of a mesh (default: all).
+    """One laminate on cells of a mesh (default: all).
 
-    direction   the laminate's x-axis in mesh axes: [3], or one for each triangle of the mesh [m, 3]
-    triangles   indices of the triangles that are made of it
+    direction   the laminate's x-axis in mesh axes: [3], or one for each cell of the mesh [m, 3]
+    cells       numbers of the cells that are made of it
     mass        "lumped" or "consistent"
     """
 
@@ -36,13 +37,13 @@ class Plates:
         mesh: Mesh,
         laminate: Laminate,
         direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
-        triangles: Sequence[int] | Tensor | None = None,
+        cells: Sequence[int] | Tensor | None = None,
         mass: str = "lumped",
     ) -> None:
         if mass not in MASSES:
             raise unknown("mass", mass, MASSES)
         self.laminate = laminate
-        self.matrices = PlateMatrices(mesh, laminate, direction, triangles)
+        self.matrices = PlateMatrices(mesh, laminate, direction, cells)
         self.pattern = self.matrices.pattern
         self._ends, self._area = _points(self.matrices, mass == "consistent")
 
@@ -84,10 +85,11 @@ class PointMasses:
 
 def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor]:
     """Node pairs of the mass points and the area of each."""
+    corners, area = matrices.pieces
     if not consistent:
-        nodes = torch.unique(matrices.triangles)
+        nodes = torch.unique(corners)
         return nodes[:, None].expand(-1, 2), matrices.area[nodes]
-    sides = torch.stack([matrices.triangles, matrices.triangles.roll(-1, dims=1)], dim=-1).flatten(0, 1)
+    sides = torch.stack([corners, corners.roll(-1, dims=1)], dim=-1).flatten(0, 1)
     pairs, place = torch.unique(sides.sort(dim=1).values, dim=0, return_inverse=True)
-    thirds = (matrices.facets.area / 3.0).repeat_interleave(3)
+    thirds = (area / 3.0).repeat_interleave(3)
     return pairs, thirds.new_zeros(len(pairs)).index_add(0, place, thirds)

@@ -1,6 +1,6 @@
 """Ply strains and stresses of a plate: from nodal displacements to the bottom and top of every layer.
 
-    section strains   (eps, kappa, gamma) at the centroid of each triangle, where the element's strains are best
+    section strains   (eps, kappa, gamma) at the middle of each cell, where the element's strains are best
     ply values        maps of the laminate (materials/ply_maps.py) times the section strains
 
 Both steps are linear, so displacement fields may be modes: `stress = basis.stress @ w` is then one product for a
@@ -24,7 +24,7 @@ from torchmbd.materials import Laminate, ply_maps
 class PlyBasis(NamedTuple):
     """Ply strains and stresses [Pa] of k displacement fields at all points, components (11, 22, 12, 13, 23).
 
-    Points run over triangles, layers (bottom to top) and faces (bottom, top), in this order; see `ply_points`.
+    Points run over cells, layers (bottom to top) and faces (bottom, top), in this order; see `ply_points`.
     """
 
     strain: Float[Tensor, "*lanes points 5 k"]
@@ -39,6 +39,6 @@ def ply_basis(matrices: PlateMatrices, laminate: Laminate, displacements: Float[
 
 
 def ply_points(matrices: PlateMatrices, laminate: Laminate) -> Int[Tensor, "points 3"]:
-    """Triangle, layer from the bottom, and face (0 bottom, 1 top) of every point of a PlyBasis."""
+    """Cell, layer from the bottom, and face (0 bottom, 1 top) of every point of a PlyBasis."""
     layers, faces = torch.arange(len(laminate.layer_plies)), torch.arange(2)
     return torch.cartesian_prod(matrices.members, layers, faces)

@@ -21,24 +21,27 @@ from torchmbd.mesh import Mesh
 FEATURE = math.radians(35.0)
 
 
-def corner_normals(mesh: Mesh) -> Float[Tensor, "m 3 3"]:
-    """Return the unit normal [triangle, corner, mesh axes] of the smooth shell at every corner."""
-    normals, m = mesh.normals, len(mesh.triangles)
-    angle = _angles(mesh.nodes[mesh.triangles]).flatten()
-    own, other = _pairs(mesh.triangles.flatten(), len(mesh.nodes))
-    a, b = torch.div(own, 3, rounding_mode="floor"), torch.div(other, 3, rounding_mode="floor")
-    cosine = (normals[a] * normals[b]).sum(1)
+def corner_normals(mesh: Mesh) -> dict[str, Float[Tensor, "m corners 3"]]:
+    """Return the unit normal of the smooth shell at every corner of the cells of each kind, mesh axes."""
+    kinds = list(mesh.cells.items())
+    angle = torch.cat([_angles(mesh.nodes[corners]).flatten() for _, corners in kinds])
+    node = torch.cat([corners.flatten() for _, corners in kinds])
+    width = torch.cat([torch.full((len(corners),), corners.shape[1]) for _, corners in kinds])
+    normals = mesh.normals.repeat_interleave(width, dim=0)  # of every corner's facet
+    own, other = _pairs(node, len(mesh.nodes))
+    cosine = (normals[own] * normals[other]).sum(1)
     smooth = cosine > math.cos(FEATURE)
     # The sum of differences is zero, not rounding, where all facets lie in one plane.
-    step = (smooth * angle[other])[:, None] * (normals[b] - normals[a])
-    weight = angle.new_zeros(3 * m).index_add(0, own, smooth * angle[other])
-    tilt = angle.new_zeros(3 * m, 3).index_add(0, own, step) / weight[:, None]
-    total = normals.repeat_interleave(3, dim=0) + tilt
-    return (total / total.norm(dim=1, keepdim=True)).unflatten(0, (m, 3))
+    step = (smooth * angle[other])[:, None] * (normals[other] - normals[own])
+    weight = torch.zeros_like(angle).index_add(0, own, smooth * angle[other])
+    total = normals + torch.zeros_like(normals).index_add(0, own, step) / weight[:, None]
+    total = total / total.norm(dim=1, keepdim=True)
+    parts = total.split([corners.numel() for _, corners in kinds])
+    return {kind: part.unflatten(0, corners.shape) for (kind, corners), part in zip(kinds, parts, strict=True)}
 
 
-def _angles(p: Tensor) -> Float[Tensor, "m 3"]:
-    """Angles of triangles at their corners."""
+def _angles(p: Tensor) -> Float[Tensor, "m corners"]:
+    """Angles of cells at their corners."""
     ahead, back = p.roll(-1, dims=1) - p, p.roll(1, dims=1) - p
     return torch.atan2(torch.linalg.cross(ahead, back).norm(dim=2), (ahead * back).sum(2))
 

@@ -1,45 +1,52 @@
-"""All eight plate strains of the laminated triangle, from the six freedoms of its corners in mesh axes.
+"""What a shell element is: all eight plate strains at some points of a cell, from the six freedoms of its corners.
 
-    (eps_xx, eps_yy, gamma_xy, kappa_xx, kappa_yy, kappa_xy, gamma_xz, gamma_yz) = E (u1 u2 u3 phi1 phi2 phi3) x 3
+    (eps_xx, eps_yy, gamma_xy, kappa_xx, kappa_yy, kappa_xy, gamma_xz, gamma_yz) = E (u1 u2 u3 phi1 phi2 phi3) x corners
 
-in the laminate's axes (facet.py), at the middles of the sides 12, 23, 31. Membrane: OPT with drilling freedoms;
-bending and transverse shear: DKMT. Flat triangles in space: the local freedoms are the global ones turned by `axes`.
-
-Between facets that are tilted to each other, a bending rotation of one is partly a drilling rotation of its neighbour.
-That is as stiff as a membrane, so thin curved shells would lock: by membrane over bending stiffness, a ratio of about
-
-    r = (tilt sqrt(2 area) / h)^2        h = bending_length of the laminate, its thickness if it is homogeneous
-
-The drilling freedoms are softened by r where r is not small (opt_membrane.py). A flat plate has r = 0; on a curved shell
-r falls with the fourth power of the mesh size, so the limit is the same.
-Checked in tests/elements/test_plate_patch.py, tests/validation/test_curved_shells.py.
+in the laminate's axes (facet.py) and, of the freedoms, in mesh axes. E knows the cell and the laminate's isotropic mean, no
+ply angle: so the stiffness sum_points weight E' C E is linear in the laminate's 21 entries (plate.py).
+An element is a function (Facets, IsotropicMean) -> Strains in a file of its own, and one line in shell_elements.py. It keeps
+rigid motions free, the rank full, constant strains exact on meshes that mix kinds (sides.py), and no place of its numbering
+better than another: tests/contracts/test_shell_elements.py runs over all.
+Cells lie flat in space: the local freedoms are the global ones turned by `axes`.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.elements.dkmt_bending import plate_strains
-from torchmbd.elements.facet import Facets
-from torchmbd.elements.opt_membrane import membrane_strains
-from torchmbd.materials import IsotropicMean
-
 #: Freedoms of a corner, in this order, in every vector of torchmbd: displacements [m], rotations [rad].
 FREEDOMS = ("u1", "u2", "u3", "phi1", "phi2", "phi3")
 
 
-def strain_matrices(plane: Facets, mean: IsotropicMean) -> Float[Tensor, "m 3 8 18"]:
-    """Return E of every triangle at its three points."""
-    softness = 2.0 * plane.area * (plane.tilt / mean.bending_length) ** 2
-    membrane = membrane_strains(plane.corners, plane.area, mean.poisson, softness)
-    curvature, shear = plate_strains(plane.corners, plane.area, mean.shear_length, plane.cell)
-    local = membrane.new_zeros(len(plane.area), 3, 8, 3, 6)
-    local[:, :, :3, :, [0, 1, 5]] = membrane.unflatten(-1, (3, 3))
-    bending = torch.cat([curvature, shear], dim=2).unflatten(-1, (3, 3))
+class Strains(NamedTuple):
+    """Strains at the points of every cell, the area that each point stands for [m2], and the strains to judge plies by."""
+
+    at: Float[Tensor, "m points 8 freedoms"]
+    weight: Float[Tensor, "m points"]
+    center: Float[Tensor, "m 8 freedoms"]
+
+
+def in_mesh_axes(
+    axes: Float[Tensor, "m 3 3"],
+    membrane: Float[Tensor, "m p 3 c f"],
+    curvature: Float[Tensor, "m p 3 3c"],
+    shear: Float[Tensor, "m p 2 3c"],
+) -> Float[Tensor, "m p 8 6c"]:
+    """Join the strains of a cell's plane and take freedoms in mesh axes.
+
+    membrane    of (u, v, theta_z), or of all six in the cell's axes, of every corner
+    curvature, shear   of (w, beta_x, beta_y); beta_x = phi_y, beta_y = -phi_x
+    """
+    m, points, _, corners, given = membrane.shape
+    local = membrane.new_zeros(m, points, 8, corners, 6)
+    local[:, :, :3, :, [0, 1, 5] if given == 3 else list(range(6))] = membrane
+    bending = torch.cat([curvature, shear], dim=2).unflatten(-1, (corners, 3))
     local[:, :, 3:, :, 2] = bending[..., 0]
-    local[:, :, 3:, :, 4] = bending[..., 1]  # beta_x = phi_y
-    local[:, :, 3:, :, 3] = -bending[..., 2]  # beta_y = -phi_x
+    local[:, :, 3:, :, 4] = bending[..., 1]
+    local[:, :, 3:, :, 3] = -bending[..., 2]
     vectors = local.unflatten(-1, (2, 3))  # a displacement and a rotation at every corner
-    return torch.einsum("mpscvi,mij->mpscvj", vectors, plane.axes).reshape(-1, 3, 8, 18)
+    return torch.einsum("mpscvi,mij->mpscvj", vectors, axes).flatten(-3)

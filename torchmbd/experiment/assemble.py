@@ -26,6 +26,7 @@ def problem_of(plan: Plan) -> Problem:
         start=start * factors,
         method=study.simulate.method,
         steps=study.simulate.steps,
+        phases=plan.phases,
         **study.simulate.options,
     )
 

@@ -16,9 +16,17 @@ import numpy as np
 from torchmbd.design.spec import leaf, measure_of, terms
 from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, Path, shown
-from torchmbd.experiment.model import build_model, find_function, find_model, option_faults, require_returns
+from torchmbd.experiment.model import (
+    build_model,
+    find_function,
+    find_model,
+    find_phases,
+    option_faults,
+    require_returns,
+)
 from torchmbd.experiment.schema import UNITS, Optimizer, Range, Simulation, Starts, Variable
 from torchmbd.integrators import generalized_alpha, ode
+from torchmbd.integrators.phases import plan
 from torchmbd.optimizers import OPTIMIZERS, multistart
 from torchmbd.system import System
 
@@ -40,7 +48,7 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
         system = build_model(builder, sections["options"])
     except InputError as error:
         return None, [*faults, Fault(("options",), f"= {shown(sections['options'])}: {error}")]
-    faults += _response_faults(sections, system)
+    faults += _phase_faults(sections, folder, system) + _response_faults(sections, system)
     if "design" in sections:
         faults += _design_faults(sections["design"], system)
         if not faults:
@@ -95,7 +103,7 @@ def _method_faults(sections: Sections) -> list[Fault]:
         allowed = [p.name for p in inspect.signature(integrate).parameters.values() if p.default is not p.empty]
         for key in simulation.options:
             if key not in allowed:
-                known = nearest(key, ["duration", "method", "steps", *allowed])
+                known = nearest(key, ["duration", "method", "steps", "phases", *allowed])
                 faults.append(Fault(("simulate", key), f"unknown key for method {simulation.method!r}{known}"))
     optimizer: Optimizer | None = sections.get("optimizer")
     if optimizer is not None:
@@ -105,6 +113,18 @@ def _method_faults(sections: Sections) -> list[Fault]:
             known = nearest(key, ["name", "max_iterations", *sorted(allowed)])
             faults.append(Fault(("optimizer", key), f"unknown key for method {optimizer.name!r}{known}"))
     return faults
+
+
+def _phase_faults(sections: Sections, folder: FilePath, system: System) -> list[Fault]:
+    """What is wrong with the function of the phases, and with these for the model."""
+    simulation: Simulation | None = sections.get("simulate")
+    if simulation is None or simulation.phases is None:
+        return []
+    try:
+        plan(system, find_phases(simulation.phases, folder), simulation.duration)
+    except InputError as error:
+        return [Fault(("simulate", "phases"), str(error))]
+    return []
 
 
 def _keywords(function: Callable[..., Any]) -> set[str]:

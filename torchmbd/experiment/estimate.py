@@ -96,6 +96,7 @@ def _short(plan: Plan, problem: Problem, X: np.ndarray, gradients: bool, share: 
             steps=None if told.steps is None else round(share * told.steps),
             sensitivities=problem.space.variables if gradients else False,
             designs=problem.space.designs(X),
+            phases=plan.phases,
             **told.options,
         )
 

@@ -10,10 +10,12 @@ from torchmbd.design.spec import measure_of
 from torchmbd.experiment.check import check, figure_faults
 from torchmbd.experiment.columns import Columns
 from torchmbd.experiment.faults import Fault, StudyError, located
+from torchmbd.experiment.model import find_phases
 from torchmbd.experiment.overrides import override
 from torchmbd.experiment.schema import Figures, Study
 from torchmbd.experiment.validation import kind_of, validate
 from torchmbd.experiment.yaml_file import Document, read_yaml
+from torchmbd.integrators import Phase
 from torchmbd.system import System
 
 
@@ -30,6 +32,12 @@ class Plan:
     @property
     def name(self) -> str:
         return self.file.stem
+
+    @property
+    def phases(self) -> list[Phase] | None:
+        """Those of the simulation, made anew."""
+        spec = self.study.simulate.phases
+        return None if spec is None else find_phases(spec, self.file.absolute().parent)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ from typing import Any, cast
 
 from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, shown
+from torchmbd.integrators import Phase
 from torchmbd.system import System
 
 Builder = Callable[..., System]
@@ -31,6 +32,16 @@ def find_model(spec: str, folder: Path) -> Builder:
     function = find_function(spec, folder)
     require_returns(spec, function, ("System",))
     return cast(Builder, function)
+
+
+def find_phases(spec: str, folder: Path) -> list[Phase]:
+    """Return what the function that `spec` names says of the phases; InputError for anything else."""
+    function = find_function(spec, folder)
+    require_returns(spec, function, ("list",))
+    found = function()
+    if not isinstance(found, list) or not all(isinstance(phase, Phase) for phase in found):
+        raise InputError(f"= {shown(spec)}: returns {found!r}; allowed: a list of mbd.Phase")
+    return found
 
 
 def find_function(spec: str, folder: Path) -> Callable[..., Any]:

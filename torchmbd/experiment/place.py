@@ -20,7 +20,7 @@ from typing import Any
 import torch
 
 from torchmbd.experiment.load import Plan
-from torchmbd.experiment.model import find_model
+from torchmbd.experiment.model import find_function, find_model
 
 _NUMBERS = ("model", "options", "design", "simulate", "minimize", "subject_to")
 _UNCONCERNED = ("cli.py", "process.py", "bare.py", "experiment", "tracking", "viz", "optimizers")  # for an evaluation
@@ -54,10 +54,11 @@ def study_key(plan: Plan, uri: str) -> str:
 
 
 def model_source(plan: Plan) -> str:
-    """Return the hash of the file that the model comes from."""
-    builder = find_model(plan.study.model, plan.file.absolute().parent)
-    file = inspect.getsourcefile(builder)
-    return "" if file is None else hashlib.sha256(Path(file).read_bytes()).hexdigest()
+    """Return the hash of the files that the model and its phases come from."""
+    folder, phases = plan.file.absolute().parent, plan.study.simulate.phases
+    made_by = [find_model(plan.study.model, folder)] + ([find_function(phases, folder)] if phases else [])
+    files = [inspect.getsourcefile(function) for function in made_by]
+    return _hash([hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files if file is not None])
 
 
 @cache

@@ -97,6 +97,7 @@ class Simulation(Section):
     duration: float = Field(gt=0)
     method: Annotated[str, _one_of(METHODS)] = "generalized_alpha"
     steps: PositiveInt | None = None
+    phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
 
     @model_validator(mode="after")
     def _steps_that_numbers_hold(self) -> Self:

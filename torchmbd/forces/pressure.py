@@ -1,6 +1,7 @@
 """Pressure: a uniform load on the area of a plate or shell.
 
-    f_k = p a_k        a_k = sum over the triangles at node k of a third of their (directed) area
+    f_k = p a_k        a_k = sum over the triangles at node k of a third of their (directed) area; of
+                           quadrilaterals the mean of both ways to cut them (mesh.py)
 
 Along the normals the load follows the body: with N_i = sum of the i-th components of one sign, the forces of its nodes in
 direction i act as one force p N_i on their mean motion (bodies/mount.py), so neither resultant, moment about the undeformed
@@ -23,6 +24,7 @@ from torchmbd.forces.action import Push
 from torchmbd.forces.force import Applied, ForceElement
 from torchmbd.forces.laws import OfTime, checked
 from torchmbd.joints.joint import Scribe
+from torchmbd.mesh import Mesh, directed_area
 
 _NOTHING = 1e-12  # share of the largest component of area
 
@@ -30,7 +32,7 @@ _NOTHING = 1e-12  # share of the largest component of area
 class Pressure(ForceElement):
     """`Pressure(body, p)` [Pa] along the normals of the mesh, or `Pressure(body, p, direction=(0, 0, -1))`.
 
-    body       a flexible body with triangles
+    body       a flexible body with triangles or quadrilaterals
     pressure   a number, or a torch function of time, [] [s] -> [] [Pa]
     direction  in ground axes, which the load then keeps, whatever its length [3]
     """
@@ -42,11 +44,11 @@ class Pressure(ForceElement):
         direction: Sequence[float] | Tensor | None = None,
         name: str | None = None,
     ):
-        triangles = getattr(getattr(body, "mesh", None), "triangles", ())
-        if len(triangles) == 0:
-            raise InputError(f"Pressure acts on {body!r}; allowed: a flexible body with triangles")
-        x = body.mesh.nodes[triangles]
-        area = 0.5 * torch.linalg.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+        mesh = getattr(body, "mesh", None)
+        if not isinstance(mesh, Mesh) or mesh.cell_count == 0:
+            raise InputError(f"Pressure acts on {body!r}; allowed: a flexible body with triangles or quadrilaterals")
+        nodes, share, _ = mesh.pieces
+        area = share[:, None] * directed_area(mesh.nodes[nodes])
         self.follows = direction is None
         self.parts = list(_following(body, area) if direction is None else _fixed(body, area, direction))
         super().__init__(tuple(frame for frame, _, _ in self.parts), name or f"pressure_{body.name}")
@@ -63,7 +65,7 @@ Part = tuple[Frame, str, float]  # on the nodes that take a part of the load, it
 
 
 def _following(body: Any, area: Tensor) -> Iterator[Part]:
-    """Along the axes of the body, of the directed areas of the triangles [m, 3]."""
+    """Along the axes of the body, of the directed areas of the mesh's pieces [m, 3]."""
     own = _at_nodes(body, area)
     nothing = _NOTHING * float(own.abs().sum(0).max())
     for axis, column in zip("xyz", own.T, strict=True):
@@ -88,6 +90,6 @@ def _fixed(body: Any, area: Tensor, direction: Sequence[float] | Tensor) -> Iter
 
 
 def _at_nodes(body: Any, area: Tensor) -> Tensor:
-    """A third of the area [m, k] of its triangles for every node [n, k]."""
+    """A third of the area [m, k] of its pieces for every node [n, k]."""
     own = area.new_zeros(len(body.mesh.nodes), area.shape[1])
-    return own.index_add(0, body.mesh.triangles.T.flatten(), (area / 3.0).repeat(3, 1))
+    return own.index_add(0, body.mesh.pieces.nodes.T.flatten(), (area / 3.0).repeat(3, 1))

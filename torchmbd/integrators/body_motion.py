@@ -42,12 +42,12 @@ class BodyMotion:
     @property
     def r(self) -> Tensor:
         """Origin of the body frame in ground axes [lanes, times, 3] [m]."""
-        return self.motion.coordinates(self._T.r_slice(self._index))[0]
+        return self.motion.signals.values("q", self._T.r_slice(self._index))
 
     @property
     def p(self) -> Tensor:
         """Euler parameters [lanes, times, 4]."""
-        return self.motion.coordinates(self._T.p_slice(self._index))[0]
+        return self.motion.signals.values("q", self._T.p_slice(self._index))
 
     @property
     def A(self) -> Tensor:
@@ -57,12 +57,15 @@ class BodyMotion:
     @property
     def omega(self) -> Tensor:
         """Angular velocity in body axes [lanes, times, 3] [rad/s]."""
-        return self.motion.v[..., self._spin_rows()]
+        return self.motion.signals.values("v", self._spin_rows())
 
     @property
     def omega_rate(self) -> Tensor:
         """Angular acceleration in body axes [lanes, times, 3] [rad/s2]."""
-        return self.motion.a[..., self._spin_rows()]
+        return self.motion.signals.values("a", self._spin_rows())
+
+    def _origin_rates(self, name: str) -> Tensor:
+        return self.motion.signals.values(name, self._T.r_slice(self._index))
 
     def _spin_rows(self) -> list[int]:
         return [(3 + i) * self._T.bodies + self._index for i in range(3)]
@@ -75,12 +78,12 @@ class BodyMotion:
     @property
     def w(self) -> Tensor:
         """Modal coordinates [lanes, times, modes]."""
-        return self.motion.coordinates(self._T.w_slice(self._flexible()))[0]
+        return self.motion.signals.values("q", self._T.w_slice(self._flexible()))
 
     @property
     def dw_db(self) -> Tensor | None:
         """Sensitivities of the modal coordinates [lanes, times, modes, n_b]."""
-        return self.motion.coordinates(self._T.w_slice(self._flexible()))[1]
+        return self.motion.signals.tangents("q", self._T.w_slice(self._flexible()))
 
     def _modal_rows(self) -> list[int]:
         return [row - self._T.bodies for row in self._T.w_slice(self._flexible())]
@@ -88,19 +91,19 @@ class BodyMotion:
     @property
     def wd(self) -> Tensor:
         """Rates of the modal coordinates [lanes, times, modes]."""
-        return self.motion.v[..., self._modal_rows()]
+        return self.motion.signals.values("v", self._modal_rows())
 
     @property
     def wdd(self) -> Tensor:
         """Accelerations of the modal coordinates [lanes, times, modes]."""
-        return self.motion.a[..., self._modal_rows()]
+        return self.motion.signals.values("a", self._modal_rows())
 
     @property
     def stiffness(self) -> tuple[Tensor, Tensor | None]:
         """Reduced stiffness Kr [lanes, m, m] and its design tangent [lanes, m, m, n_b]."""
         Kr = self.motion.dynamics.data["Kr"]
         m, f = self._T.own_modes[self._flexible()], self._index
-        lanes = self.motion.q.shape[0]
+        lanes = self.motion.lanes
         K = value(Kr)[:m, :m, f, 0].movedim(-1, 0).expand(lanes, m, m)
         if not isinstance(Kr, Pair):
             return K, None
@@ -110,12 +113,13 @@ class BodyMotion:
     @property
     def mass(self) -> Tensor:
         """Mass of the body [lanes] [kg]."""
-        return value(self.motion.dynamics.data["mass"])[self._index, 0].expand(self.motion.q.shape[0])
+        return value(self.motion.dynamics.data["mass"])[self._index, 0].expand(self.motion.lanes)
 
     @property
     def strain_energy(self) -> Tensor:
         """U = 1/2 w' Kr w [lanes, times] [J]; eq. (17)."""
-        return 0.5 * torch.einsum("lti,lij,ltj->lt", self.w, self.stiffness[0], self.w)
+        w = self.w
+        return 0.5 * ((w @ self.stiffness[0]) * w).sum(-1)
 
     @property
     def psi(self) -> Tensor:
@@ -179,16 +183,14 @@ class PointMotion:
     @property
     def velocity(self) -> Tensor:
         """In ground axes [m/s]."""
-        T, i = self.body.motion.dynamics.topology, self.body.motion.v
-        return i[..., T.r_slice(self.body._index)] + self._ground(_cross(self.body.omega, self.rho) + self.slow)
+        return self.body._origin_rates("v") + self._ground(_cross(self.body.omega, self.rho) + self.slow)
 
     @property
     def acceleration(self) -> Tensor:
         """In ground axes [m/s2]."""
-        T, a = self.body.motion.dynamics.topology, self.body.motion.a
         om, turn = self.body.omega, self.body.omega_rate
         local = _cross(turn, self.rho) + _cross(om, _cross(om, self.rho) + 2.0 * self.slow) + self.fast
-        return a[..., T.r_slice(self.body._index)] + self._ground(local)
+        return self.body._origin_rates("a") + self._ground(local)
 
     def _ground(self, x: Tensor) -> Tensor:
         return torch.einsum("ltij,ltj->lti", self.body.A, x)

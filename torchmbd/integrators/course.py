@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrators.events import Event, Views
-from torchmbd.integrators.march import History
+from torchmbd.integrators.history import History
 from torchmbd.integrators.phases import Stage
 from torchmbd.integrators.step import State
 from torchmbd.integrators.switch import (
@@ -77,12 +77,12 @@ class Course:
     @property
     def history(self) -> History:
         """The motion on the grid."""
-        return History(self.q, self.v, self.vd, lambda: self.lam)
+        return History(self.q, self.v, self.vd, self.lam)
 
     def recorded(self) -> History:
         """The same with zeros where nothing is recorded."""
         q, v, vd = (torch.nan_to_num(x, 0.0, 0.0, 0.0) for x in (self.q, self.v, self.vd))
-        return History(q, v, vd, lambda: self.lam)
+        return History(q, v, vd, self.lam)
 
     def broken(self, lane: int) -> bool:
         """Note the first time at which a lane that marched to the end is not finite; whether there is one."""
@@ -156,7 +156,7 @@ class Course:
         if not new:
             return
         values = {name: value(x) for name, x in dynamics.data.items()}
-        at = equations.placement(T, values, value(q), T.prescribed(value(t)[0, 0]))
+        at = equations.placement(T, values, value(q), T.prescribed(value(t)[0, 0], values))
         phi = equations.constraints(T, at).abs().amax((1, 2))
         worst = max(new, key=lambda k: float(phi[k]))
         if bool(phi[worst] > CLOSED):

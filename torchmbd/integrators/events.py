@@ -17,6 +17,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.integrators.shapes import DesignShapes, OneLane
+from torchmbd.integrators.signals import Given
 from torchmbd.integrators.step import State
 from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.numerics.pair import Pair, value
@@ -48,7 +50,7 @@ class Event:
     def of(self, motion: Trajectory) -> Tensor:
         """The function [lanes, times]; InputError if it returns anything else."""
         g = self.function.values(motion) if hasattr(self.function, "values") else self.function(motion)
-        shape = (motion.q.shape[0], len(motion.t))
+        shape = (motion.lanes, len(motion.t))
         if not isinstance(g, Tensor) or g.shape != shape:
             found = f"shape {tuple(g.shape)}" if isinstance(g, Tensor) else repr(g)
             raise InputError(f"the function of an event returned {found}; allowed: a tensor [lanes, times], {shape}")
@@ -74,13 +76,12 @@ class Views:
     @classmethod
     def of(cls, system: Any, dynamics: Dynamics, designs: dict[str, Tensor], parameters: tuple[str, ...]) -> Views:
         T, lanes = dynamics.topology, dynamics.lanes
-        nothing = torch.zeros(lanes, 0, T.n_q, dtype=torch.float64)
+        sizes = {"q": T.n_q, "v": T.n_v, "a": T.n_v, "lam": T.rows}
+        nothing = Given({name: torch.zeros(lanes, 0, n, dtype=torch.float64) for name, n in sizes.items()})
         whole = Trajectory(
-            t=nothing[0, :, 0],
-            q=nothing,
-            v=nothing[..., : T.n_v],
-            a=nothing[..., : T.n_v],
-            multipliers=lambda: (nothing, None),
+            t=torch.zeros(0, dtype=torch.float64),
+            signals=nothing,
+            shapes=DesignShapes(system, designs, parameters, lanes),
             status=[OK] * lanes,
             stats={},
             system=system,
@@ -93,21 +94,15 @@ class Views:
     def values(self, event: Event, dynamics: Dynamics, t: Tensor, x: State) -> Tensor:
         """The function at time t [] of all lanes [lanes]."""
         motion = self._motion(self.whole, dynamics, t, x.values())
-        g = event.of(motion)[:, 0]
-        self.whole._modes.update(motion._modes)
-        return g
+        return event.of(motion)[:, 0]
 
     def _lane(self, lane: int, dynamics: Dynamics, t: Any, x: State) -> Trajectory:
         """The motion of one lane at t [1 + n, 1]."""
-        whole, n = self.whole, t.shape[0] - 1
-        if n and whole.parameters:
-            whole.prepare_modes()
         one = replace(
-            whole,
+            self.whole,
             status=[OK],
-            designs={name: y[lane : lane + 1] for name, y in whole.designs.items()},
-            _modes={name: y[lane : lane + 1] for name, y in whole._modes.items()},
-            _mode_tangents={name: _wide(y[lane : lane + 1], n) for name, y in whole._mode_tangents.items() if n},
+            designs={name: y[lane : lane + 1] for name, y in self.whole.designs.items()},
+            shapes=OneLane(self.whole.shapes, lane, t.shape[0] - 1),
         )
         return self._motion(one, dynamics, value(t)[0, 0], x)
 
@@ -116,7 +111,7 @@ class Views:
         motion = self._lane(lane, dynamics, t, x)
         if not isinstance(t, Pair):
             return lambda delta: motion
-        return lambda delta: replace(motion.moved(delta), t=motion.t + delta @ t.tangent[:, 0], _views={})
+        return lambda delta: replace(motion.moved(delta), t=motion.t + delta @ t.tangent[:, 0], known={})
 
     def value(self, event: Event, lane: int, dynamics: Dynamics, t: Any, x: State) -> Tensor:
         """The function of one lane []."""
@@ -130,31 +125,12 @@ class Views:
 
     @staticmethod
     def _motion(base: Trajectory, dynamics: Dynamics, t: Tensor, x: State) -> Trajectory:
-        def values(y: Any) -> Tensor:
-            return value(y)[:, 0].T[:, None]
-
-        def tangents(y: Any) -> Tensor | None:
-            return y.tangent.permute(2, 0, 1)[:, None] if isinstance(y, Pair) else None
-
-        return replace(
-            base,
-            t=t[None],
-            q=values(x.q),
-            v=values(x.v),
-            a=values(x.vd),
-            multipliers=lambda: (values(x.lam), tangents(x.lam)),
-            dynamics=dynamics,
-            dq_db=tangents(x.q),
-            dv_db=tangents(x.v),
-            da_db=tangents(x.vd),
-            _views={},
-            _modes=dict(base._modes),
+        parts = {"q": x.q, "v": x.v, "a": x.vd, "lam": x.lam}
+        signals = Given(
+            {name: value(y)[:, 0].T[:, None] for name, y in parts.items()},
+            {name: y.tangent.permute(2, 0, 1)[:, None] for name, y in parts.items() if isinstance(y, Pair)},
         )
-
-
-def _wide(x: Tensor, n: int) -> Tensor:
-    """Tangents [..., n_b] with directions of zero up to n."""
-    return torch.cat([x, x.new_zeros(*x.shape[:-1], n - x.shape[-1])], -1)
+        return replace(base, t=t[None], signals=signals, dynamics=dynamics, known={})
 
 
 def normal(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Any, Any]:
@@ -165,7 +141,9 @@ def normal(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x:
     def gap(step: Tensor, delta: Tensor) -> Tensor:
         motion = moved(delta)
         q = equations.advance(T, motion.q[0].T[:, None], step[: T.n_v, None, None])
-        there = replace(motion, q=q[:, 0].T[None], t=motion.t + step[T.n_v], _views={})
+        others = {name: motion.signals.values(name) for name in ("v", "a", "lam")}
+        signals = Given({"q": q[:, 0].T[None]} | others)
+        there = replace(motion, signals=signals, t=motion.t + step[T.n_v], known={})
         return event.of(there)[0, 0]
 
     def slope(delta: Tensor) -> Tensor:

@@ -33,12 +33,12 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrators import compiled
-from torchmbd.integrators.march import History, Record
+from torchmbd.integrators.history import History, Record
 from torchmbd.integrators.step import Coefficients, State
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.equations import split_v
-from torchmbd.system.reactions import multipliers
+from torchmbd.system.expansion import Expansion
 
 GOOD_STEP = 0.01  # estimated error of a step that keeps energies within 1e-3
 _STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only
@@ -47,7 +47,7 @@ _STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only
 def initial(dynamics: Dynamics) -> State:
     """Consistent initial positions, velocities and accelerations; pairs if the data are."""
     t = torch.zeros((), dtype=torch.float64)
-    q, v = (_paired(x, dynamics.tangents) for x in dynamics.initial.solve(dynamics))
+    q, v = (_paired(x, dynamics.tangents) for x in dynamics.start)
     a, lam = dynamics.accelerations(t, q, v)
     return State(q, v, a, a, lam)
 
@@ -88,14 +88,14 @@ def integrate(
     times = h * torch.arange(steps + 1, dtype=torch.float64)
     record = Record(x, steps + 1)
     record.put(0, x)
-    march.run(x, left.topology.schedule(times[1:]), record)
-    history = record.history()
+    march.run(x, left.topology.schedule(times[1:], left.data), record)
+    whole = None if left is dynamics else Expansion(left.initial.condensation, dynamics.data, times)
+    history = record.history(whole)
     error = step_error(left, history, spectral_radius, h)
     suggested = (steps * (error / GOOD_STEP).sqrt()).ceil()
     statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": largest_turn(left, history, h)}
     statistics |= {"step_error": error, "suggested_steps": suggested} | march.errors(history, duration)
-    del history
-    return _whole(dynamics, left, times, record), statistics
+    return history, statistics
 
 
 def step_error(dynamics: Dynamics, history: History, spectral_radius: float, h: float) -> Tensor:
@@ -120,16 +120,6 @@ def largest_turn(dynamics: Dynamics, history: History, h: float) -> Tensor:
     """Largest rotation in one step [lanes] [rad]."""
     omega = split_v(dynamics.topology, history.v[:, :, 0].transpose(0, 1))[1]
     return h * omega.square().sum(0).sqrt().amax((0, 1))
-
-
-def _whole(dynamics: Dynamics, left: Dynamics, times: Tensor, record: Record) -> History:
-    """The motion of the whole system, of which `left` was integrated; empties the record."""
-    if left is dynamics:
-        return record.history()
-    c = left.initial.condensation
-    lam = record.parts.pop()
-    q, v, vd = c.expand(times, record.parts)
-    return History(q, v, vd, lambda: multipliers(c, dynamics.data, times, q, v, vd, lam))
 
 
 def checked(iterations: tuple[int, int], refresh: int) -> None:

@@ -125,7 +125,7 @@ def key(dynamics: Dynamics, kind: str = "step") -> str:
         attached,
         _facts({k: v for k, v in vars(bare(T)).items() if k not in _ASIDE}),
     ]
-    digest = hashlib.sha256(repr([kind, facts, Layout.of(dynamics.data)]).encode())
+    digest = hashlib.sha256(repr([kind, facts, Layout.of(dynamics.data, T)]).encode())
     digest.update(_surroundings(compiler()).encode())
     return digest.hexdigest()[:32]
 
@@ -185,8 +185,8 @@ Order = tuple[Topology, Layout, str, Any, str]
 def order(dynamics: Dynamics, kind: str = "step") -> Order:
     """What `build` needs; can be pickled."""
     T, zero = dynamics.topology, torch.zeros((), dtype=torch.float64)
-    sample = T.prescribed(zero) if kind == "step" else T.law_jets(zero)
-    return bare(T), Layout.of(dynamics.data), kind, sample, key(dynamics, kind)
+    sample = T.prescribed(zero).shared(T.varied) if kind == "step" else T.law_jets(zero)
+    return bare(T), Layout.of(dynamics.data, T), kind, sample, key(dynamics, kind)
 
 
 def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Path:

@@ -6,14 +6,13 @@ Checked in tests/integrators/.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchmbd.integrators.history import History, Record
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics, regularized
@@ -26,54 +25,14 @@ MOST = 4  # corrections of tangents
 _ROUNDING = 1e-12  # of coordinates, with room for what equations and inverse make of it
 
 
-@dataclass
-class History:
-    """States at all times [times, component, 1 + n_b, lanes]: values, then design tangents."""
-
-    q: Tensor
-    v: Tensor
-    vd: Tensor
-    multipliers: Callable[[], Tensor]
-
-    @cached_property
-    def lam(self) -> Tensor:
-        """Multipliers, computed when somebody asks."""
-        return self.multipliers()
-
-    @classmethod
-    def of(cls, states: list[State]) -> History:
-        """Stack states."""
-        record = Record(states[0], len(states))
-        for i, x in enumerate(states):
-            record.put(i, x)
-        return record.history()
-
-
-class Record:
-    """States as they come, in arrays of their final size: nothing is kept twice."""
-
-    def __init__(self, x: State, count: int):
-        shapes = [y.shape for y in (x.q, x.v, x.vd, x.lam)]
-        lanes = max(shape[-1] for shape in shapes)
-        self.parts = [value(x.q).new_empty(count, *shape[:-1], lanes) for shape in shapes]
-
-    def put(self, i: int, x: State) -> None:
-        """Keep the state of time i."""
-        for part, y in zip(self.parts, (x.q, x.v, x.vd, x.lam), strict=True):
-            part[i] = y.full if isinstance(y, Pair) else y
-
-    def history(self) -> History:
-        """What was kept."""
-        q, v, vd, lam = self.parts
-        return History(q, v, vd, lambda: lam)
-
-
 class March:
     """Steps of one simulation; keeps the inverse and what the iterations leave."""
 
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
         self.dynamics, self.model, self.refresh = dynamics, model, refresh
         self.corrections, self.passes = iterations
+        if any(p.varies for p in dynamics.topology.primitives):
+            self.passes = max(self.passes, 2)  # the start of a drive kicks the tangents between two looks
         self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
         self.invert = Elimination(dynamics.topology) if pays(dynamics.topology) else inverse
         self.H: Any = None

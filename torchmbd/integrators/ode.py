@@ -20,7 +20,7 @@ from torchdiffeq._impl.odeint import SOLVERS
 from torchmbd.errors import InputError
 from torchmbd.integrators.compiled_rates import RightHandSide, augment
 from torchmbd.integrators.generalized_alpha import initial
-from torchmbd.integrators.march import History
+from torchmbd.integrators.history import History
 from torchmbd.system.dynamics import Dynamics
 
 FIXED = {"euler", "midpoint", "heun2", "heun3", "rk4", "explicit_adams", "implicit_adams", "fixed_adams"}
@@ -59,7 +59,7 @@ def integrate(
         torch.stack(x)
         for x in zip(*(f.accelerations(t, state) for t, state in zip(times, y, strict=True)), strict=True)
     )
-    return History(y[:, : T.n_q], y[:, T.n_q :], a, lambda: lam), counts
+    return History(y[:, : T.n_q], y[:, T.n_q :], a, lam), counts
 
 
 def arguments(method: str, rtol: float, atol: float, options: dict[str, Any] | None) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
     stress(t) = basis w(t),      basis = ply values of the body's modes (elements/ply_recovery.py)
 
-Points of a body run over its laminates, their triangles, layers from the bottom, and the two faces of each layer;
+Points of a body run over its laminates, their cells, layers from the bottom, and the two faces of each layer;
 `points` names them.
 The index of a body is the largest over all points: its derivative is that of the point where it stands, exact wherever
 this point is unique.
@@ -34,7 +34,7 @@ class PlyHistory:
     """The plies of one body along a motion.
 
     basis     ply strains and stresses of the modes [lanes, points, 5, modes], components as in PLY_COMPONENTS
-    points    triangle, layer and face (0 bottom, 1 top) of each point [points, 3]
+    points    cell, layer and face (0 bottom, 1 top) of each point [points, 3]
     strength  numbers of the ply's Strength at each point [points, 8]; None where a ply has none
     """
 

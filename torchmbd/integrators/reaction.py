@@ -21,6 +21,7 @@ from torchmbd.joints.joint import Joint
 from torchmbd.numerics.pair import value
 from torchmbd.numerics.rotation import exponential, rotation_matrix
 from torchmbd.system import equations
+from torchmbd.system.side_by_side import side_by_side
 
 if TYPE_CHECKING:
     from torchmbd.integrators.trajectory import Trajectory
@@ -72,14 +73,14 @@ def reaction_on(motion: Trajectory, joint: Joint, side: Frame, about: Tensor) ->
 def frame_point(motion: Trajectory, frame: Frame) -> Tensor:
     """Point of a frame in ground axes [lanes, times, 3] [m]."""
     if isinstance(frame.body, Ground):
-        return frame.point.expand(*motion.q.shape[:2], 3)
+        return frame.point.expand(motion.lanes, len(motion.t), 3)
     return motion.body(frame.body.name).at(frame).position
 
 
 def frame_axes(motion: Trajectory, frame: Frame) -> Tensor:
     """Axes of a frame, columns in ground axes [lanes, times, 3, 3]; those on nodes turn with them."""
     if isinstance(frame.body, Ground):
-        return frame.axes.expand(*motion.q.shape[:2], 3, 3)
+        return frame.axes.expand(motion.lanes, len(motion.t), 3, 3)
     view = motion.body(frame.body.name)
     if frame.mount is None:
         return view.A @ frame.axes
@@ -91,7 +92,7 @@ def frame_axes(motion: Trajectory, frame: Frame) -> Tensor:
 def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Placement, Tensor]:
     """Attached vectors and the gradients by them [3, vectors, 1, lanes x times] of the constraint rows chosen."""
     T, data = motion.dynamics.topology, motion.dynamics.data
-    lanes, times = motion.q.shape[:2]
+    lanes, times = motion.lanes, len(motion.t)
 
     def flat(x: Tensor) -> Tensor:
         return x.permute(2, 0, 1).flatten(1)[:, None]
@@ -99,16 +100,12 @@ def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Plac
     def spread(x: Tensor) -> Tensor:
         return x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x
 
-    known = T.schedule(motion.t)
-    laws = [
-        None if kind[0] is None else tuple(torch.cat(part, -1).repeat(1, 1, lanes) for part in zip(*kind, strict=True))
-        for kind in zip(*(each.laws for each in known), strict=True)
-    ]
+    given = side_by_side(T.schedule(motion.t, {name: value(x) for name, x in data.items()}), lanes, lanes_first=True)
     vectors = {key: spread(value(data[key])) for key in ("x", "Y") if key in data}
-    at = equations.placement(T, vectors, flat(motion.q), known[0]._replace(laws=laws))
+    at = equations.placement(T, vectors, flat(motion.q), given)
     return at, equations.force_on_vectors(T, at, flat(motion.lam * rows))
 
 
 def _back(motion: Trajectory, x: Tensor) -> Tensor:
     """[3, 1, lanes x times] -> [lanes, times, 3]."""
-    return x[:, 0].unflatten(-1, motion.q.shape[:2]).permute(1, 2, 0)
+    return x[:, 0].unflatten(-1, (motion.lanes, len(motion.t))).permute(1, 2, 0)

@@ -20,8 +20,10 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import generalized_alpha, ode, staged_alpha, staged_ode
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
-from torchmbd.integrators.march import History
+from torchmbd.integrators.history import History
 from torchmbd.integrators.phases import Phase, plan
+from torchmbd.integrators.shapes import DesignShapes
+from torchmbd.integrators.signals import Recorded
 from torchmbd.integrators.singular import explained
 from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import OK, Trajectory
@@ -174,7 +176,7 @@ def run(
     parts = [run(dynamics.some([i]), duration, steps, method, options) for i in range(dynamics.lanes)]
     q, v, vd, lam = (torch.cat([getattr(h, name) for h, _, _ in parts], -1) for name in ("q", "v", "vd", "lam"))
     counts = {"evaluations": sum(s.get("evaluations", 0) for _, s, _ in parts)}
-    return History(q, v, vd, lambda: lam), counts, [status for _, _, statuses in parts for status in statuses]
+    return History(q, v, vd, lam), counts, [status for _, _, statuses in parts for status in statuses]
 
 
 def _with_retries(
@@ -213,7 +215,7 @@ def _with_retries(
         x[..., lanes] = y[::often][..., source]
         return x
 
-    q, v, vd = (patch(getattr(history, name), getattr(better, name)) for name in ("q", "v", "vd"))
+    parts = {name: patch(getattr(history, name), getattr(better, name)) for name in ("q", "v", "vd", "lam")}
     for name in (*_LOOKED_AT, "tangent_error"):
         if name in stats:
             stats[name][lanes] = counts[name][source]
@@ -221,7 +223,7 @@ def _with_retries(
         status[lane] = OK
     halved = lanes if often == 2 else [failed[i] for i in counts.get("halved", [])]
     stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved]}
-    return History(q, v, vd, lambda: patch(history.lam, better.lam)), stats, status
+    return replace(history, **parts), stats, status
 
 
 def _empty(dynamics: Dynamics, steps: int) -> History:
@@ -269,27 +271,15 @@ def _present(
     designs: dict[str, Tensor],
     parameters: tuple[str, ...],
 ) -> Trajectory:
-    """Lanes first: [times, component, slots, lanes] -> [lanes, times, component(, slots)]."""
-
-    def values(x: Tensor) -> Tensor:
-        return x[:, :, 0].permute(2, 0, 1)
-
-    def tangents(x: Tensor) -> Tensor | None:
-        return x[:, :, 1:].permute(3, 0, 1, 2) if x.shape[2] > 1 else None
-
+    """What was integrated, with all that belongs to it."""
     return Trajectory(
         t=torch.linspace(0.0, duration, history.q.shape[0], dtype=torch.float64),
-        q=values(history.q),
-        v=values(history.v),
-        a=values(history.vd),
-        multipliers=lambda: (values(history.lam), tangents(history.lam)),
+        signals=Recorded(history),
         status=status,
         stats=stats,
         system=system,
         dynamics=dynamics,
-        dq_db=tangents(history.q),
-        dv_db=tangents(history.v),
-        da_db=tangents(history.vd),
+        shapes=DesignShapes(system, designs, parameters, dynamics.lanes),
         designs=designs,
         parameters=parameters,
     )

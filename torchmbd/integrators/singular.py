@@ -44,7 +44,7 @@ class SingularPosition:
 
 def singular_positions(motion: Trajectory, below: float = NEAR) -> list[SingularPosition]:
     """The singular positions that a motion came near to, at its output times."""
-    return [found for lane in range(motion.q.shape[0]) for found in of_lane(motion, lane, below)]
+    return [found for lane in range(motion.lanes) for found in of_lane(motion, lane, below)]
 
 
 def of_lane(motion: Trajectory, lane: int, below: float = NEAR) -> list[SingularPosition]:

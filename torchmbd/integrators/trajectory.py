@@ -5,6 +5,7 @@ Presented lanes (designs) first, then time, then components, the design axis las
     t [times]   q [lanes, times, n_q]   v, a [lanes, times, n_v]   lam [lanes, times, rows]
     dq_db [lanes, times, n_q, n_b]   dv_db, da_db [lanes, times, n_v, n_b]   dlam_db [lanes, times, rows, n_b]
 
+What nobody asks for is not made: rows of the whole, multipliers of condensed joints, mode shapes (signals.py, shapes.py).
 `moved(delta)` is the neighbor of a motion to first order in the design: the derivative of any function f of a motion is
 the Jacobian of f(motion.moved(delta)) at zero.
 A lane that failed says why in `status`; its numbers are nan from the failure on and must not be used.
@@ -12,12 +13,11 @@ A lane that failed says why in `status`; its numbers are nan from the failure on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from torchmbd.errors import SimulationFailure, unknown
@@ -25,8 +25,9 @@ from torchmbd.forces.action import Action
 from torchmbd.integrators.body_motion import BodyMotion
 from torchmbd.integrators.energies import Energies, energies
 from torchmbd.integrators.reaction import JointReaction, reaction
+from torchmbd.integrators.shapes import MovedShapes, OneLane, Shapes, moved_designs
+from torchmbd.integrators.signals import Given, Moved, Signals, moved
 from torchmbd.integrators.singular import SingularPosition, singular_positions
-from torchmbd.numerics.called import called
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
@@ -49,7 +50,7 @@ class Moment:
     def moved(self, delta: Tensor) -> Moment:
         """Of all designs moved by delta [n_b], to first order."""
         names = ("q", "v", "a", "lam")
-        return Moment(*(_move(getattr(self, name), getattr(self, f"d{name}_db"), delta) for name in names))
+        return Moment(*(moved(getattr(self, name), getattr(self, f"d{name}_db"), delta) for name in names))
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,18 +68,37 @@ class Switch:
 
     def moved(self, delta: Tensor) -> Switch:
         """Of all designs moved by delta [n_b], to first order."""
-        t = _move(self.t, self.dt_db, delta)
+        t = moved(self.t, self.dt_db, delta)
         return Switch(self.phase, t, self.before.moved(delta), self.after.moved(delta))
 
 
-def _move(x: Tensor, dx: Tensor | None, delta: Tensor) -> Tensor:
-    return x if dx is None else x + dx @ delta
+class MovedData(Mapping[str, Tensor]):
+    """Data of the neighbor by delta [n_b], to first order; an entry is made when somebody asks."""
+
+    def __init__(self, data: Mapping[str, Any], delta: Tensor):
+        self._data, self._delta = data, delta
+        self._kept: dict[str, Tensor] = {}
+
+    def __getitem__(self, name: str) -> Tensor:
+        if name not in self._kept:
+            x = self._data[name]
+            moving = isinstance(x, Pair)
+            self._kept[name] = x.value + (x.tangent * self._delta[:, None]).sum(-2, keepdim=True) if moving else x
+        return self._kept[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._data)
+
+    def __len__(self) -> int:
+        return len(self._data)
 
 
 @dataclass(eq=False)
 class Trajectory:
     """A motion of one design or of a batch; see the module header for shapes.
 
+    signals     coordinates, rates, accelerations and multipliers by rows
+    shapes      mode shapes of the designs
     status      for each lane "ok" or the reason of the failure
     stats       what the integrator counted
     designs     parameters of the lanes by name, [lanes, ...]
@@ -88,38 +108,62 @@ class Trajectory:
     """
 
     t: Tensor
-    q: Tensor
-    v: Tensor
-    a: Tensor
-    multipliers: Callable[[], tuple[Tensor, Tensor | None]] = field(repr=False)
+    signals: Signals = field(repr=False)
     status: list[str]
     stats: dict[str, Any]
     system: Any
     dynamics: Dynamics
-    dq_db: Tensor | None = None
-    dv_db: Tensor | None = None
-    da_db: Tensor | None = None
+    shapes: Shapes = field(repr=False)
     designs: dict[str, Tensor] = field(default_factory=dict)
     parameters: tuple[str, ...] = ()
     switches: list[Switch] = field(default_factory=list)
     actions: tuple[tuple[Action, ...], ...] = ()
-    _views: dict[str, BodyMotion] = field(default_factory=dict, repr=False)
-    _modes: dict[str, Tensor] = field(default_factory=dict, repr=False)
-    _mode_tangents: dict[str, Tensor] = field(default_factory=dict, repr=False)
+    known: dict[Any, Any] = field(default_factory=dict, repr=False)  # what functions of this motion keep for each other
 
-    @cached_property
-    def _lam(self) -> tuple[Tensor, Tensor | None]:
-        return self.multipliers()
+    @property
+    def lanes(self) -> int:
+        """Number of designs."""
+        return self.signals.lanes
+
+    @property
+    def q(self) -> Tensor:
+        """Coordinates [lanes, times, n_q]."""
+        return self.signals.values("q")
+
+    @property
+    def v(self) -> Tensor:
+        """Rates [lanes, times, n_v]."""
+        return self.signals.values("v")
+
+    @property
+    def a(self) -> Tensor:
+        """Accelerations [lanes, times, n_v]."""
+        return self.signals.values("a")
 
     @property
     def lam(self) -> Tensor:
         """Multipliers [lanes, times, rows]; those of condensed joints are computed when somebody asks."""
-        return self._lam[0]
+        return self.signals.values("lam")
+
+    @property
+    def dq_db(self) -> Tensor | None:
+        """Sensitivities of the coordinates [lanes, times, n_q, n_b]."""
+        return self.signals.tangents("q")
+
+    @property
+    def dv_db(self) -> Tensor | None:
+        """Sensitivities of the rates [lanes, times, n_v, n_b]."""
+        return self.signals.tangents("v")
+
+    @property
+    def da_db(self) -> Tensor | None:
+        """Sensitivities of the accelerations [lanes, times, n_v, n_b]."""
+        return self.signals.tangents("a")
 
     @property
     def dlam_db(self) -> Tensor | None:
-        """Their sensitivities [lanes, times, rows, n_b]."""
-        return self._lam[1]
+        """Sensitivities of the multipliers [lanes, times, rows, n_b]."""
+        return self.signals.tangents("lam")
 
     @property
     def ok(self) -> bool:
@@ -137,9 +181,7 @@ class Trajectory:
         """The motion of one body."""
         if name not in self.dynamics.topology.names:
             raise unknown("body", name, self.dynamics.topology.names)
-        if name not in self._views:
-            self._views[name] = BodyMotion(self, name)
-        return self._views[name]
+        return BodyMotion(self, name)
 
     def reaction(self, joint: str) -> JointReaction:
         """Force and torque of a joint on its second body, in the frame of its first."""
@@ -154,86 +196,41 @@ class Trajectory:
         """Where and when the motion came near a position at which its constraints lose rank."""
         return singular_positions(self)
 
-    def coordinates(self, rows: Sequence[int]) -> tuple[Tensor, Tensor | None]:
-        """Chosen rows of q [lanes, times, k] and their sensitivities [lanes, times, k, n_b]."""
-        index = torch.as_tensor(list(rows), device=self.q.device)
-        return self.q[..., index], None if self.dq_db is None else self.dq_db[..., index, :]
-
     def modes(self, name: str) -> Tensor:
         """Mode shapes [lanes, nodes, 6, modes] of a flexible body: the structure stage of the designs, once more."""
-        if name not in self._modes:
-            with torch.no_grad():
-                self._modes[name] = self._structure(name, self.designs)
-        return self._modes[name]
+        return self.shapes.values(name)
 
-    def _structure(self, name: str, designs: dict[str, Tensor]) -> Tensor:
-        psi = called(self.system, designs, name)["psi"]
-        return psi if psi.dim() == 4 else psi[None].expand(self.q.shape[0], *psi.shape)
-
-    def prepare_modes(self) -> None:
-        """Differentiate the mode shapes that were asked for, so that `moved` carries them."""
-        zero = self.q.new_zeros(len(self.parameters))
-        for name in self._modes.keys() - self._mode_tangents.keys():
-            with torch.no_grad():
-                psi = torch.func.jacfwd(lambda d, name=name: self._structure(name, self._moved_designs(d)))(zero)
-            self._mode_tangents[name] = psi
-
-    def _moved_designs(self, delta: Tensor) -> dict[str, Tensor]:
-        moved, start = dict(self.designs), 0
-        for name in dict.fromkeys(label.rpartition("[")[0] for label in self.parameters):
-            shape = self.designs[name].shape[1:]
-            moved[name] = self.designs[name] + delta[start : start + shape.numel()].reshape(shape)
-            start += shape.numel()
-        return moved
+    def prepare(self) -> None:
+        """Make the sensitivities of what has been looked at, so that functions of `moved` find them."""
+        self.signals.prepare()
+        self.shapes.prepare()
 
     def moved(self, delta: Tensor) -> Trajectory:
-        """The motion of all designs moved by delta [n_b], to first order; delta may carry tangents.
-
-        Needs sensitivities, and `prepare_modes` for functions that look at mode shapes.
-        """
-
-        def move(x: Tensor, dx: Tensor | None) -> Tensor:
-            return _move(x, dx, delta)
-
-        data = {
-            name: x.value + (x.tangent * delta[:, None]).sum(-2, keepdim=True) if isinstance(x, Pair) else x
-            for name, x in self.dynamics.data.items()
-        }
-        return Trajectory(
-            t=self.t,
-            q=move(self.q, self.dq_db),
-            v=move(self.v, self.dv_db),
-            a=move(self.a, self.da_db),
-            multipliers=lambda: (move(*self._lam), None),
-            status=self.status,
-            stats=self.stats,
-            system=self.system,
-            dynamics=replace(self.dynamics, data=data),
-            designs=self._moved_designs(delta),
+        """The motion of all designs moved by delta [n_b], to first order; delta may carry tangents."""
+        return replace(
+            self,
+            signals=Moved(self.signals, delta),
+            dynamics=replace(self.dynamics, data=MovedData(self.dynamics.data, delta)),
+            shapes=MovedShapes(self.shapes, delta),
+            designs=moved_designs(self.designs, self.parameters, delta),
+            parameters=(),
             switches=[switch.moved(delta) for switch in self.switches],
-            actions=self.actions,
-            _modes={name: move(psi, self._mode_tangents.get(name)) for name, psi in self._modes.items()},
+            known={},
         )
 
     def at_moment(self, lane: int, t: Tensor, moment: Moment) -> Trajectory:
         """One lane at one side of a switch at its time t [], as a motion of one time without sensitivities."""
         one = slice(lane, lane + 1)
+        there = {name: getattr(moment, name)[one, None] for name in ("q", "v", "a", "lam")}
         return replace(
             self,
             t=t[None],
-            q=moment.q[one, None],
-            v=moment.v[one, None],
-            a=moment.a[one, None],
-            multipliers=lambda: (moment.lam[one, None], None),
+            signals=Given(there),
             status=self.status[one],
             dynamics=self.dynamics.some([lane]),
-            dq_db=None,
-            dv_db=None,
-            da_db=None,
+            shapes=OneLane(self.shapes, lane),
             designs={name: x[one] for name, x in self.designs.items()},
             parameters=(),
             switches=[],
-            _views={},
-            _modes={name: psi[one] for name, psi in self._modes.items()},
-            _mode_tangents={},
+            known={},
         )

@@ -1,4 +1,4 @@
-"""From a Nastran model to a mesh: triangles with the direction of their material, zones by property, named nodes.
+"""From a Nastran model to a mesh: cells with the direction of their material, zones by property, named nodes.
 
 node sets   "grid_12", "spc_1" (of set 1), "conm2_7", "rbe2_30" and "rbe3_31" (the grid where a frame may sit)
 direction   x axis of the laminate: the first side of the element turned by THETA, or the x axis of a system (MCID)
@@ -19,7 +19,6 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.mesh.bulk_data import BulkData, Shell
 from torchmbd.mesh.mesh import Mesh
-from torchmbd.mesh.quads import cut_quads
 
 
 class BulkMesh(NamedTuple):
@@ -35,21 +34,23 @@ def bulk_mesh(data: BulkData, length: float = 1.0) -> BulkMesh:
     """Make the mesh of a model; `length`: meters per unit of the file."""
     index = {grid: k for k, grid in enumerate(_used(data))}
     nodes = torch.tensor([data.grids[grid] for grid in index], dtype=torch.float64).reshape(-1, 3) * length
-    triangles, owner = _triangles(nodes, data.shells, index)
+    shells = sorted(data.shells, key=lambda shell: len(shell.grids))  # triangles first, else in the order of the file
+    corners = [[index[grid] for grid in shell.grids] for shell in shells]
     lines = [(index[bar.grids[0]], index[bar.grids[1]]) for bar in data.bars]
     lines += [(index[rigid.grid], index[other]) for rigid in data.rigids for other in rigid.others]
     mesh = Mesh(
         nodes,
-        triangles,
+        _cells(corners, 3),
         _names(data, index),
         torch.tensor(lines, dtype=torch.long).reshape(-1, 2),
         [str(data.grid_cards[grid]) for grid in index],
-        [str(data.shells[k].card) for k in owner.tolist()],
+        [str(shell.card) for shell in shells],
+        _cells(corners, 4),
     )
-    directions = torch.tensor([_direction(data, shell) for shell in data.shells], dtype=torch.float64).reshape(-1, 3)
-    property = torch.tensor([shell.property for shell in data.shells], dtype=torch.long)[owner]
+    directions = torch.tensor([_direction(data, shell) for shell in shells], dtype=torch.float64).reshape(-1, 3)
+    property = torch.tensor([shell.property for shell in shells], dtype=torch.long)
     zones = {int(k): torch.nonzero(property == k)[:, 0] for k in torch.unique(property)}
-    return BulkMesh(mesh, zones, directions[owner], index)
+    return BulkMesh(mesh, zones, directions, index)
 
 
 def _used(data: BulkData) -> list[int]:
@@ -66,17 +67,8 @@ def _used(data: BulkData) -> list[int]:
     return [grid for grid in data.grids if grid in used]
 
 
-def _triangles(nodes: Tensor, shells: list[Shell], index: dict[int, int]) -> tuple[Tensor, Tensor]:
-    """Triangles in the order of the elements, and the element of each."""
-    corners = [[index[grid] for grid in shell.grids] for shell in shells]
-    quad = [k for k, own in enumerate(corners) if len(own) == 4]
-    cut = iter(cut_quads(nodes, torch.tensor([corners[k] for k in quad], dtype=torch.long).reshape(-1, 4)).tolist())
-    rows, owner = [], []
-    for k, own in enumerate(corners):
-        pieces = next(cut) if len(own) == 4 else [own]
-        rows += pieces
-        owner += [k] * len(pieces)
-    return torch.tensor(rows, dtype=torch.long).reshape(-1, 3), torch.tensor(owner, dtype=torch.long)
+def _cells(corners: list[list[int]], count: int) -> Tensor:
+    return torch.tensor([own for own in corners if len(own) == count], dtype=torch.long).reshape(-1, count)
 
 
 def _direction(data: BulkData, shell: Shell) -> list[float]:

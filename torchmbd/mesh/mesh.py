@@ -1,14 +1,19 @@
-"""A mesh of flat triangles and lines in space, checked once, with names for nodes.
+"""A mesh of cells and lines in space, checked once, with names for nodes.
 
 nodes       positions in the axes of the body   [n, 3], m
 triangles   node indices, counted from 0        [m, 3]
+quads       quadrilaterals, convex, four corners in turn, flat or a little warped   [k, 4]
 lines       node pairs: beams, rigid links      [k, 2]
 node_sets   name -> node indices; a set of one node is a named node
-labels      what messages call the nodes and triangles: a reader names the cards of its file
+labels      what messages call the nodes and cells: a reader names the cards of its file
 
-The winding of a triangle (right-hand rule) gives its normal, and so which ply is the bottom one: neighbours must be
+Cells are counted through: all triangles, then all quadrilaterals. A directed area has the size and the normal of a cell,
+
+    a = 1/2 sum_i (x_i - x_0) x (x_i+1 - x_0)
+
+The winding of a cell (right-hand rule) gives its normal, and so which ply is the bottom one: neighbours must be
 wound in the same sense.
-Bad input is refused here, at the door, and named by element: an InputError tells which triangle or node.
+Bad input is refused at the door (mesh_checks.py), and named by element: an InputError tells which cell or node.
 Checked in tests/mesh/test_mesh.py.
 """
 
@@ -17,55 +22,52 @@ from __future__ import annotations
 import difflib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
-import numpy as np
 import torch
 from jaxtyping import Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import KDTree
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.mesh.mesh_checks import check, directed_area
 
-#: A triangle is collapsed when its height over its longest side is less than this part of that side.
-FLATNESS = 1e-6
 
-#: Nodes nearer to each other than this part of the mesh's size share one place: a seam that was not merged.
-SEPARATION = 1e-7
+class Pieces(NamedTuple):
+    """Triangles that cover every cell, some of them twice: nodes, share that each counts with, and its cell."""
+
+    nodes: Int[Tensor, "pieces 3"]
+    share: Float[Tensor, " pieces"]
+    cell: Int[Tensor, " pieces"]
+
+
+def _none(corners: int) -> Tensor:
+    return torch.empty(0, corners, dtype=torch.long)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mesh:
-    """Nodes [n, 3] in m, triangles [m, 3] and named node sets; see the module header for what is checked."""
+    """Nodes [n, 3] in m, triangles [m, 3], quads [k, 4] and named node sets; see the module header for what is checked."""
 
     nodes: Float[Tensor, "n 3"]
-    triangles: Int[Tensor, "m 3"]
+    triangles: Int[Tensor, "m 3"] = field(default_factory=lambda: _none(3))
     node_sets: Mapping[str, Sequence[int]] = field(default_factory=dict)
-    lines: Int[Tensor, "k 2"] = field(default_factory=lambda: torch.empty(0, 2, dtype=torch.long))
+    lines: Int[Tensor, "k 2"] = field(default_factory=lambda: _none(2))
     node_labels: Sequence[str] = ()
-    triangle_labels: Sequence[str] = ()
+    cell_labels: Sequence[str] = ()
+    quads: Int[Tensor, "k 4"] = field(default_factory=lambda: _none(4))
 
     def __post_init__(self) -> None:
-        nodes = torch.as_tensor(self.nodes, dtype=torch.float64).detach().clone()
-        triangles = torch.as_tensor(self.triangles, dtype=torch.long).detach().clone()
         sets = {str(name): tuple(int(k) for k in members) for name, members in self.node_sets.items()}
-        object.__setattr__(self, "nodes", nodes)
-        object.__setattr__(self, "triangles", triangles)
+        object.__setattr__(self, "nodes", torch.as_tensor(self.nodes, dtype=torch.float64).detach().clone())
         object.__setattr__(self, "node_sets", sets)
-        object.__setattr__(self, "lines", torch.as_tensor(self.lines, dtype=torch.long).detach().clone())
-        _check_nodes(self)
-        _check_triangles(self)
-        _check_lines(self)
-        _check_winding(self)
-        _check_connected(self)
-        for name, members in sets.items():
-            for k in members:
-                if not 0 <= k < len(nodes):
-                    raise InputError(f"Mesh: node_sets[{name!r}] has node {k}; allowed: 0 to {len(nodes) - 1}")
+        for name in ("triangles", "quads", "lines"):
+            own = torch.as_tensor(getattr(self, name), dtype=torch.long).detach().clone()
+            object.__setattr__(self, name, own)
+        check(self)
 
     def __repr__(self) -> str:
-        return f"Mesh({len(self.nodes)} nodes, {len(self.triangles)} triangles, {len(self.lines)} lines)"
+        quads = f"{len(self.quads)} quadrilaterals, " if len(self.quads) else ""
+        return f"Mesh({len(self.nodes)} nodes, {len(self.triangles)} triangles, {quads}{len(self.lines)} lines)"
 
     def node(self, name: str) -> int:
         """Return the index of a named single node."""
@@ -96,112 +98,47 @@ class Mesh:
         """What messages call a node."""
         return self.node_labels[k] if self.node_labels else f"node {k}"
 
-    def triangle_name(self, k: int) -> str:
-        """What messages call a triangle."""
-        return self.triangle_labels[k] if self.triangle_labels else f"triangle {k}"
+    def cell_name(self, k: int) -> str:
+        """What messages call a cell."""
+        if self.cell_labels:
+            return self.cell_labels[k]
+        return f"triangle {k}" if k < len(self.triangles) else f"quad {k - len(self.triangles)}"
 
     @property
-    def normals(self) -> Float[Tensor, "m 3"]:
-        """Unit normals of the triangles, by the right-hand rule of their winding."""
-        p = self.nodes[self.triangles]
-        n = torch.linalg.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-        return n / n.norm(dim=1, keepdim=True)
+    def cells(self) -> dict[str, Int[Tensor, "m corners"]]:
+        """The corners of the cells of each kind, in the order in which cells are counted."""
+        return {"triangle": self.triangles, "quad": self.quads}
 
     @property
-    def areas(self) -> Float[Tensor, " m"]:
-        """Areas of the triangles [m2]."""
-        return _double_areas(self.nodes[self.triangles]) / 2.0
+    def cell_count(self) -> int:
+        """How many cells there are."""
+        return len(self.triangles) + len(self.quads)
 
+    @property
+    def pieces(self) -> Pieces:
+        """Triangles that cover the cells: every quadrilateral in the mean of the two ways to cut it.
 
-def _double_areas(p: Tensor) -> Tensor:
-    return torch.linalg.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]).norm(dim=1)
+        So a third of the directed area of each, at its corners, is the integral of the bilinear shape functions.
+        """
+        corners = [self.quads.roll(1 - i, dims=1)[:, :3] for i in range(4)]
+        number = torch.arange(self.cell_count)
+        share = torch.ones(len(self.triangles) + 4 * len(self.quads), dtype=torch.float64)
+        share[len(self.triangles) :] = 0.5
+        cell = torch.cat([number[: len(self.triangles)], number[len(self.triangles) :].repeat(4)])
+        return Pieces(torch.cat([self.triangles, *corners]), share, cell)
 
+    @property
+    def directed_areas(self) -> Float[Tensor, "cells 3"]:
+        """Areas of the cells [m2] along their normals."""
+        return torch.cat([directed_area(self.nodes[corners]) for corners in self.cells.values()])
 
-def _check_nodes(mesh: Mesh) -> None:
-    nodes = mesh.nodes
-    if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:
-        raise InputError(f"Mesh: nodes has shape {tuple(nodes.shape)}; allowed: [n, 3] with n >= 2")
-    bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
-    if len(bad):
-        k = int(bad[0])
-        raise InputError(f"Mesh: {mesh.node_name(k)} is at {nodes[k].tolist()}; allowed: finite coordinates")
-    size = float((nodes.amax(0) - nodes.amin(0)).norm())
-    twins = KDTree(nodes.numpy()).query_pairs(SEPARATION * size, output_type="ndarray")
-    plates = set(mesh.triangles.flatten().tolist())
-    for other, k in sorted(twins.tolist()):
-        if {k, other} <= plates or not len(mesh.lines):  # the node of a rigid link may lie on a node of the plate
-            raise InputError(
-                f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)} share one place {nodes[k].tolist()}; merge them"
-            )
+    @property
+    def normals(self) -> Float[Tensor, "cells 3"]:
+        """Unit normals of the cells, by the right-hand rule of their winding."""
+        a = self.directed_areas
+        return a / a.norm(dim=1, keepdim=True)
 
-
-def _check_triangles(mesh: Mesh) -> None:
-    nodes, triangles, n = mesh.nodes, mesh.triangles, len(mesh.nodes)
-    if triangles.ndim != 2 or triangles.shape[1] != 3 or len(triangles) + len(mesh.lines) == 0:
-        raise InputError(f"Mesh: triangles has shape {tuple(triangles.shape)}; allowed: [m, 3] with m >= 1")
-    bad = ((triangles < 0) | (triangles >= n)).any(dim=1).nonzero().flatten()
-    if len(bad):
-        k = int(bad[0])
-        raise InputError(f"Mesh: {mesh.triangle_name(k)} has nodes {triangles[k].tolist()}; allowed: 0 to {n - 1}")
-    ordered = np.sort(triangles.numpy(), axis=1)
-    _, first, inverse = np.unique(ordered, axis=0, return_index=True, return_inverse=True)
-    twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(ordered)))
-    if len(twin):
-        k = int(twin[0])
-        one, two = mesh.triangle_name(int(first[inverse.ravel()[k]])), mesh.triangle_name(k)
-        raise InputError(f"Mesh: {one} and {two} are duplicates, nodes {triangles[k].tolist()}")
-    p = nodes[triangles]
-    longest = (p - p.roll(-1, dims=1)).norm(dim=2).amax(dim=1)
-    flat = (_double_areas(p) <= FLATNESS * longest**2).nonzero().flatten()
-    if len(flat):
-        k = int(flat[0])
-        raise InputError(
-            f"Mesh: {mesh.triangle_name(k)}, nodes {triangles[k].tolist()}, is collapsed (its corners are on a line)"
-        )
-    used = torch.zeros(n, dtype=torch.bool)
-    used[triangles.flatten()] = True
-    used[mesh.lines.flatten().clamp(0, n - 1)] = True
-    if not used.all():
-        orphans = (~used).nonzero().flatten().tolist()
-        names = ", ".join(mesh.node_name(k) for k in orphans[:8])
-        raise InputError(f"Mesh: {len(orphans)} orphan nodes belong to no element: {names}; remove them")
-
-
-def _check_lines(mesh: Mesh) -> None:
-    lines, n = mesh.lines, len(mesh.nodes)
-    if lines.ndim != 2 or lines.shape[1] != 2:
-        raise InputError(f"Mesh: lines has shape {tuple(lines.shape)}; allowed: [k, 2]")
-    bad = ((lines < 0) | (lines >= n)).any(dim=1) | (lines[:, 0] == lines[:, 1])
-    if bad.any():
-        k = int(bad.nonzero()[0])
-        raise InputError(f"Mesh: line {k} has nodes {lines[k].tolist()}; allowed: two different ones of 0 to {n - 1}")
-
-
-def _check_winding(mesh: Mesh) -> None:
-    """Refuse an edge that two triangles run through in the same direction: one of them is inverted."""
-    triangles = mesh.triangles.numpy()
-    tail, head = triangles.ravel(), np.roll(triangles, -1, axis=1).ravel()
-    owner = np.repeat(np.arange(len(triangles)), 3)
-    low, high = np.minimum(tail, head), np.maximum(tail, head)
-    _, inverse, count = np.unique(np.stack([low, high]), axis=1, return_inverse=True, return_counts=True)
-    sense = np.bincount(inverse.ravel(), weights=np.where(tail < head, 1.0, -1.0))
-    wrong = np.flatnonzero((count == 2) & (sense != 0.0))  # at a branch of three or more plates no sense is right
-    if len(wrong):
-        a, b = owner[inverse.ravel() == wrong[0]].tolist()
-        raise InputError(
-            f"Mesh: {mesh.triangle_name(a)}, nodes {triangles[a].tolist()}, and {mesh.triangle_name(b)}, nodes "
-            f"{triangles[b].tolist()}, are wound in opposite senses: one of them is inverted"
-        )
-
-
-def _check_connected(mesh: Mesh) -> None:
-    triangles, lines, n = mesh.triangles.numpy(), mesh.lines.numpy(), len(mesh.nodes)
-    tail = np.concatenate([triangles.ravel(), lines[:, 0]])
-    head = np.concatenate([np.roll(triangles, -1, axis=1).ravel(), lines[:, 1]])
-    parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)
-    if parts > 1:
-        stray = int(np.flatnonzero(label != label[0])[0])
-        raise InputError(
-            f"Mesh: {parts} disconnected parts ({mesh.node_name(stray)} is not connected with {mesh.node_name(0)}); "
-            "allowed: one"
-        )
+    @property
+    def areas(self) -> Float[Tensor, " cells"]:
+        """Areas of the cells [m2], of a warped one seen along its normal."""
+        return self.directed_areas.norm(dim=1)

@@ -1,7 +1,7 @@
 """Meshes from files of meshio's formats: gmsh (.msh), Abaqus (.inp), VTK (.vtk, .vtu), and thirty more.
 
-What is read: triangles and quadrilaterals (cut in two); nodes that no element uses are left out (files keep the points
-of their geometry). Zones are the named groups of triangles, node sets the named groups of nodes:
+What is read: triangles and quadrilaterals; nodes that no element uses are left out (files keep the points of their
+geometry). Zones are the named groups of cells, node sets the named groups of nodes:
 
     gmsh      physical surfaces; physical points and curves
     Abaqus    *ELSET; *NSET
@@ -23,13 +23,13 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.mesh.mesh import Mesh
-from torchmbd.mesh.quads import cut_quads
 
+_CELLS = {"triangle": 3, "quad": 4}  # corners
 _POINTS_AND_CURVES = ("vertex", "line")  # gmsh writes them for named points and curves
 
 
 class MeshFile(NamedTuple):
-    """A mesh, and the triangles of each named zone."""
+    """A mesh, and the cells of each named zone."""
 
     mesh: Mesh
     zones: dict[str, Int[Tensor, " part"]]
@@ -58,23 +58,24 @@ def mesh_of(found: Any, scale: float = 1.0) -> MeshFile:
     """Convert a meshio.Mesh."""
     points = torch.from_numpy(np.asarray(found.points, dtype=np.float64)) * scale
     points = torch.cat([points, points.new_zeros(len(points), 3 - points.shape[1])], dim=1)
-    triangles, owner = [], []  # owner: (block, cell) of each triangle
+    kinds = {kind: [torch.empty(0, width, dtype=torch.long)] for kind, width in _CELLS.items()}
+    owner = {kind: [torch.empty(0, 2, dtype=torch.long)] for kind in _CELLS}  # (block, number in it) of each cell
     for block, cells in enumerate(found.cells):
-        if cells.type in ("triangle", "quad"):
+        if cells.type in _CELLS:
             data = torch.from_numpy(np.asarray(cells.data, dtype=np.int64))
-            pieces = data[:, None] if cells.type == "triangle" else cut_quads(points, data)
-            triangles.append(pieces.flatten(0, 1))
-            own = torch.arange(len(data)).repeat_interleave(pieces.shape[1])
-            owner.append(torch.stack([torch.full_like(own, block), own], dim=1))
+            kinds[cells.type].append(data)
+            own = torch.arange(len(data))
+            owner[cells.type].append(torch.stack([torch.full_like(own, block), own], dim=1))
         elif cells.type not in _POINTS_AND_CURVES:
             raise InputError(f"the mesh has elements {cells.type!r}; allowed: triangle, quad")
-    if not triangles:
+    corners = {kind: torch.cat(own) for kind, own in kinds.items()}
+    used = torch.unique(torch.cat([own.flatten() for own in corners.values()]))
+    if not len(used):
         raise InputError("the mesh has no triangles or quadrilaterals")
-    all_triangles, owners = torch.cat(triangles), torch.cat(owner)
-    used, local = torch.unique(all_triangles, return_inverse=True)
     place = torch.full((len(points),), -1, dtype=torch.long)
     place[used] = torch.arange(len(used))
-    mesh = Mesh(points[used], local, _node_sets(found, place))
+    mesh = Mesh(points[used], place[corners["triangle"]], _node_sets(found, place), quads=place[corners["quad"]])
+    owners = torch.cat([torch.cat(own) for own in owner.values()])
     return MeshFile(mesh, {name: _members(owners, cells) for name, cells in _zones(found).items()})
 
 
@@ -93,7 +94,7 @@ def _groups(found: Any) -> dict[str, list[np.ndarray]]:
 
 
 def _zones(found: Any) -> dict[str, list[np.ndarray]]:
-    flat = [cells.type in ("triangle", "quad") for cells in found.cells]
+    flat = [cells.type in _CELLS for cells in found.cells]
     return {
         name: blocks
         for name, blocks in _groups(found).items()

@@ -1,4 +1,4 @@
-"""Quadrilaterals cut into triangles, with no direction preferred.
+"""Quadrilaterals cut into triangles, with no direction preferred: for pictures, and for users who want triangles.
 
 A quadrilateral is cut along its shorter diagonal. Where both are nearly equal, as in a mesh of squares, the choice would
 lean all cuts one way and couple bending with twist; so the nodes are colored like a chessboard along the sides, and the

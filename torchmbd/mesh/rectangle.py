@@ -1,4 +1,4 @@
-"""Structured rectangle of triangles in the x-y plane, centred at the origin.
+"""Structured rectangle of triangles or quadrilaterals in the x-y plane, centred at the origin.
 
 Diagonals alternate from cell to cell, so that the mesh prefers no direction: with even numbers of cells it is its own
 mirror image about both axes and the center node meets eight triangles on every refinement. (A mesh whose diagonals
@@ -12,12 +12,17 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, unknown
 from torchmbd.mesh.mesh import Mesh
 
+#: Kinds of cells that it can make.
+KINDS = ("triangle", "quad")
 
-def rectangle(length: float, width: float, cells: tuple[int, int]) -> Mesh:
-    """Mesh a plate of length (x) times width (y) [m] by cells = (nx, ny), two triangles each, normals +z.
+
+def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "triangle") -> Mesh:
+    """Mesh a plate of length (x) times width (y) [m] by cells = (nx, ny), normals +z.
+
+    kind: "triangle", two in each cell, or "quad".
 
     Node sets: "left_edge", "right_edge" (x = -+length/2), "bottom_edge", "top_edge" (y = -+width/2), the corners
     "corner_left_bottom" and so on, and where a node exists there: "left", "right", "bottom", "top" (middles of
@@ -28,11 +33,16 @@ def rectangle(length: float, width: float, cells: tuple[int, int]) -> Mesh:
             raise InputError(f"rectangle: {name} = {value!r} m; allowed: a finite number > 0")
     if len(cells) != 2 or not all(isinstance(c, int) and not isinstance(c, bool) and c >= 1 for c in cells):
         raise InputError(f"rectangle: cells = {cells!r}; allowed: two integers >= 1")
+    if kind not in KINDS:
+        raise unknown("kind", kind, KINDS)
     nx, ny = cells
     i, j = (a.ravel() for a in np.meshgrid(np.arange(nx + 1), np.arange(ny + 1), indexing="ij"))
     node = (i * (ny + 1) + j if nx >= ny else j * (nx + 1) + i).reshape(nx + 1, ny + 1)
     xyz = np.zeros((node.size, 3))
     xyz[node.ravel()] = np.stack([length * (i / nx - 0.5), width * (j / ny - 0.5), 0.0 * i], axis=1)
+    if kind == "quad":
+        corners = np.stack([node[:-1, :-1], node[1:, :-1], node[1:, 1:], node[:-1, 1:]], axis=-1).reshape(-1, 4)
+        return Mesh(torch.from_numpy(xyz), node_sets=_named(node), quads=torch.from_numpy(corners))
     return Mesh(torch.from_numpy(xyz), torch.from_numpy(_triangles(node)), _named(node))
 
 

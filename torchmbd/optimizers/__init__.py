@@ -13,6 +13,7 @@ from torchmbd.optimizers.minima import Minimum
 from torchmbd.optimizers.multistart import Study, multistart
 from torchmbd.optimizers.optimizer import OPTIMIZERS, STATUSES, Evaluation, Iterate, OptimizationResult, Problem
 from torchmbd.optimizers.pareto import Front, ParetoPoint, pareto_front
+from torchmbd.optimizers.processes import Processes
 from torchmbd.optimizers.robust import RobustProblem
 from torchmbd.optimizers.sampling import Starts, given, latin_hypercube, sobol
 
@@ -31,6 +32,7 @@ __all__ = [
     "OptimizationResult",
     "ParetoPoint",
     "Problem",
+    "Processes",
     "RobustProblem",
     "Starts",
     "Study",

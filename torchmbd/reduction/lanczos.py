@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-BLOCK = 6  # rigid-body modes come by six
+BLOCK = 12  # rigid-body modes come by six, and products with twelve columns cost hardly more than with six
 NEXT = 1e-4  # residual of the pair after the last wanted: enough to judge the gap
 PROBES, SUSPICIOUS = 3, 0.7
 
@@ -53,7 +53,7 @@ def lanczos(
 
     Returns None when the Krylov space fills half of the whole space before that: then a dense method is the better one.
     """
-    block = min(BLOCK, n + 2)
+    block = BLOCK if n > BLOCK // 2 else min(BLOCK // 2, n + 2)
     ritz = _iterate(apply, _random(lanes, size, block, device), n, tolerance)
     if ritz is not None and block <= n and misses_a_copy(apply, ritz, n):
         ritz = _iterate(apply, _random(lanes, size, n + 2, device), n, tolerance)

@@ -7,7 +7,7 @@
 
 Exact: what is left is the same motion with fewer unknowns; the slider-crank has 22 of 44. Whether a subspace or the
 turn of a drive satisfies the joints everywhere and not only at the start is tried at poses far away.
-The multipliers of the rows that went follow from the equations of motion of their bodies (reactions.py).
+The whole motion, and the multipliers of the rows that went, follow when somebody asks (expansion.py, reactions.py).
 Checked in tests/system/test_condensation.py: against the same system with nothing condensed.
 """
 
@@ -23,8 +23,9 @@ from torch import Tensor
 from torchmbd.joints.primitive import Primitive, values_at
 from torchmbd.numerics.rotation import rotation_matrix, skew
 from torchmbd.system import equations
+from torchmbd.system.carrier import Carrier
 from torchmbd.system.saddle import Saddle
-from torchmbd.system.topology import Carrier, Topology, assemble
+from torchmbd.system.topology import Topology, assemble
 
 _HELD = 1e-9  # [m] or [-]: violation of a row that counts as none, and share of a singular value that counts as zero
 _FAR = (0.4, -1.1, 2.3)  # [rad] or [m]: where subspaces and turns are tried
@@ -60,7 +61,7 @@ class Condensation:
 
     def left(self, q: Any, v: Any) -> tuple[Any, Any]:
         """Coordinates [n_q, ...] and independent rates [n_v, ...] out of those of the whole."""
-        return q.index_select(0, _component_rows(self.whole, self.bodies, 7)), v.index_select(0, self.independent)
+        return q.index_select(0, component_rows(self.whole, self.bodies, 7)), v.index_select(0, self.independent)
 
     def state(self, x: Any) -> Any:
         """The state (integrators/step.py) of what is left."""
@@ -68,39 +69,13 @@ class Condensation:
         vd, a = (y.index_select(0, self.independent) for y in (x.vd, x.a))
         return type(x)(q, v, vd, a, x.lam.index_select(0, self.rows))
 
-    def expand(self, times: Tensor, parts: list[Tensor]) -> list[Tensor]:
-        """q, v and a [times, component, slots, lanes] of the whole; takes them off the list: they are large."""
-        T = self.topology
-        motions = [carrier.motion(times) for carrier in T.carriers]
-        numbers = [self.whole.names.index(carrier.name) for carrier in T.carriers]
 
-        def whole(x: Tensor, each: int, known: list[Tensor]) -> Tensor:
-            size = each * self.whole.bodies + self.whole.modes * self.whole.flexible
-            result = x.new_zeros(x.shape[0], size, *x.shape[2:])
-            result[:, _component_rows(self.whole, self.bodies, each)] = x
-            for number, y in zip(numbers, known, strict=True):
-                result[:, [k * self.whole.bodies + number for k in range(each)], 0] = y[..., None]
-            return result
-
-        known = ([m[k] for m in motions] for k in range(3))
-        return [
-            whole(parts.pop(0), 7, next(known)),
-            *(whole(_spread(T, parts.pop(0)), 6, next(known)) for _ in range(2)),
-        ]
-
-
-def _component_rows(T: Topology, bodies: list[int], each: int) -> Tensor:
+def component_rows(T: Topology, bodies: list[int], each: int) -> Tensor:
+    """Rows of some bodies, `each` of every one, and of all modes."""
     modal = range(T.modes * T.flexible)
     return torch.tensor(
         [k * T.bodies + b for k in range(each) for b in bodies] + [each * T.bodies + a for a in modal], dtype=torch.long
     )
-
-
-def _spread(T: Topology, x: Tensor) -> Tensor:
-    """Rates of all bodies [times, n_rates, slots, lanes] from independent ones."""
-    if T.spread is None:
-        return x
-    return T.spread(x.transpose(0, 1).flatten(1, 2)).unflatten(1, (x.shape[0], x.shape[2])).transpose(0, 1)
 
 
 @dataclass
@@ -195,7 +170,8 @@ def condense(T: Topology, q: Tensor) -> Condensation | None:
         if float(poses.phi(q)[hold.rows + hold.driven].abs().max()) > _HELD:
             continue  # cannot close: the initial conditions say so
         free = _null(J[hold.rows][:, poses.columns(hold.body)])
-        if free.shape[1] == len(hold.driven) <= 1:
+        known = not any(hasattr(law, "numbers") for law in hold.laws)  # the same motion in every design
+        if known and free.shape[1] == len(hold.driven) <= 1:
             carrier = _carrier(poses, q, hold, free)
             if carrier is not None:
                 carriers[hold.body] = carrier
@@ -301,7 +277,7 @@ def _condensation(T: Topology, carriers: dict[int, Carrier], guided: dict[int, T
 
 def _rates(T: Topology, bodies: list[int], guided: dict[int, Tensor]) -> tuple[Tensor | None, Tensor]:
     """Rates of the bodies from independent ones, and which rows of the whole v these are."""
-    rows = _component_rows(T, bodies, 6)
+    rows = component_rows(T, bodies, 6)
     if not guided:
         return None, rows
     n = len(bodies)

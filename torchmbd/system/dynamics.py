@@ -18,6 +18,7 @@ Checked in tests/system/, tests/sensitivity/.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -68,14 +69,26 @@ class Dynamics:
         return max(slots, default=0)
 
     @cached_property
+    def start(self) -> tuple[Any, Any]:
+        """Initial q [n_q, slots, lanes] and v [n_v, slots, lanes]: joints closed, velocities compatible."""
+        return self.initial.solve(self)
+
+    @cached_property
     def rank(self) -> Rank:
         """Rank of the constraints at the initial position."""
         if not self.topology.rows:
             return Rank(0, ())
+        q = value(self.start[0]).detach()
         with torch.no_grad():
-            q, _ = self.initial.solve(self.values())
             J = jacobians(self, q[:, 0, :1].T, q.new_zeros(1))[0]
-            return confirmed(self, q[:, 0, 0], rank_of(self.topology, J.cpu().numpy()))
+            found = confirmed(self, q[:, 0, 0], rank_of(self.topology, J.cpu().numpy()))
+        if found.weak:
+            warnings.warn(
+                f"{', '.join(found.weak)}: these rows differ by {100 * found.share:.1g} % of elastic displacement only, "
+                'which stiffens their body falsely; allowed: reduction="craig-bampton" with the nodes of its joints',
+                stacklevel=2,
+            )
+        return found
 
     @property
     def redundant(self) -> tuple[str, ...]:
@@ -157,24 +170,24 @@ class Dynamics:
         """Accelerations a [n_v, ...] and multipliers lam [rows, ...]; eq. (9), with tangents eq. (30)."""
         T, data = self.topology, {name: value(x) for name, x in self.data.items()}
         qv, vv = value(q), value(v)
-        drives = T.prescribed(t)
-        at = equations.placement(T, data, qv, drives)
+        given, drives = T.prescribed(t, self.data), T.law_jets(t, self.data) if T.rows else []
+        at = equations.placement(T, data, qv, given.values())
         K = self.saddle.matrix(data, at)
         zero = torch.zeros_like(vv)
         still = vv.new_zeros(T.rows, *vv.shape[1:])
         LU, pivots, _ = torch.linalg.lu_factor_ex(self.determined(K))  # a singular lane becomes inf or nan, alone
         factor = LU, pivots, K if self.redundant else None
-        x = -solve(factor, self._residual(t, data, at, vv, zero, still))
+        plain = [drive and tuple(jet.map(value) for jet in drive) for drive in drives]
+        x = -solve(factor, self._residual(data, at, vv, zero, still, plain))
         a, lam = x[: T.n_v], x[T.n_v :]
         if not isinstance(q, Pair):
             return a, lam
-        at = equations.placement(T, self.data, q, drives)
-        residual = self._residual(t, self.data, at, v, a, lam)
+        at = equations.placement(T, self.data, q, given)
+        residual = self._residual(self.data, at, v, a, lam, drives)
         both = Pair.of(x, -solve(factor, residual.tangent))
         return both[: T.n_v], both[T.n_v :]
 
-    def _residual(self, t: Tensor, data: Data, at: equations.Placement, v, a, lam):
-        drives = self.topology.law_jets(t) if self.topology.rows else []
+    def _residual(self, data: Data, at: equations.Placement, v, a, lam, drives: list[tuple | None]):
         return equations.stabilized_residual(self.topology, data, at, v, a, lam, drives, 1.0 / self.stabilization)
 
 
@@ -187,9 +200,8 @@ class CondensedStart:
 
     def solve(self, dynamics: Dynamics):
         """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs if the data of `dynamics` are."""
-        whole = self.whole if dynamics.tangents else self.whole.values()
-        q, v = whole.initial.solve(whole)
-        return self.condensation.left(q, v)
+        q, v = self.whole.start
+        return self.condensation.left(*((q, v) if dynamics.tangents else (value(q), value(v))))
 
 
 def regularized(K: Tensor, diagonal: tuple[Tensor, Tensor] | None) -> Tensor:

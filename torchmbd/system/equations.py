@@ -173,7 +173,7 @@ def constraints(T: Topology, at: Placement):
 
 def constraint_jets(T: Topology, at: Placement, data: Data, v, a, t: Tensor) -> Jet:
     """Phi, Phi' and Phi'' [rows, ...] at time t with the accelerations a: Phi'' = Phi_q a - gamma."""
-    return driven_jets(T, at, data, v, a, T.law_jets(t))
+    return driven_jets(T, at, data, v, a, T.law_jets(t, data))
 
 
 def driven_jets(T: Topology, at: Placement, data: Data, v, a, drives: list[tuple | None]) -> Jet:

@@ -8,6 +8,9 @@ Two rows that are dependent where a flexible body is undeformed contradict each 
 u gets longer by u^2 / 2L, for elastic displacements are linear, and two hinge points on it hold its length. Such a row is
 left out of the motion, its multiplier is zero; unless it is independent some way along a freedom of the undeformed
 mechanism: then the start is a singular position, and the row is regularized like those of rigid bodies.
+Where such rows differ by a little of elastic displacement, because bending of an unsymmetric laminate stretches it a little,
+they are a *weak* constraint: what would stretch the body is not among its modes of vibration, so bending has to, far too
+much. A warning names the rows; with reduction="craig-bampton" the joints' nodes have modes of their own that stretch.
 Near a singular position the last singular value that counts goes to zero; the row combination that is lost then is its
 left vector.
 Checked in tests/system/test_rank.py.
@@ -15,6 +18,7 @@ Checked in tests/system/test_rank.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -30,6 +34,7 @@ from torchmbd.system.topology import Topology
 
 RELATIVE = 1e-9  # what counts as zero
 _APART = (0.1, 1e-2, 1e-4, 1e-6, RELATIVE)  # what a row adds to those that stay: rows that add most come first
+_WEAK = 0.01  # of the largest elastic part of a row of the same body
 _SHARE = 0.3  # of the largest entry of a left vector: rows that are named
 _WAY = 0.2  # [rad] largest rotation to a position elsewhere
 _STEPS, _CLOSED = 30, 1e-11  # of Newton's method there; [m] or [-]
@@ -40,11 +45,14 @@ class Rank:
     """rank of Phi_q, and the names of the rows ("joint: row") that depend on the others.
 
     left_out   indices of those among them that depend on rows of flexible bodies
+    weak       names of rows that differ from others by a little of elastic displacement only; share: how much at most
     """
 
     rank: int
     redundant: tuple[str, ...]
     left_out: tuple[int, ...] = ()
+    weak: tuple[str, ...] = ()
+    share: float = 1.0
 
 
 def rank_of(T: Topology, J: np.ndarray) -> Rank:
@@ -62,7 +70,28 @@ def rank_of(T: Topology, J: np.ndarray) -> Rank:
             "allowed: a drive along a motion that the joints leave free"
         )
     dependent = sorted(int(others[i]) for i in dependent)
-    return Rank(total, tuple(T.row_names[i] for i in dependent), _left_out(T, J, dependent))
+    left_out = _left_out(T, J, dependent)
+    return Rank(total, tuple(T.row_names[i] for i in dependent), left_out, *_weak(T, J, left_out))
+
+
+def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[str, ...], float]:
+    """Names of rows that others leave nothing but a small elastic part, and the largest such part."""
+    n, f = 6 * T.bodies, T.flexible
+    if J.shape[1] != T.n_v or T.rates is not None or not f:
+        return (), 1.0
+    kept = np.setdiff1d(np.arange(len(J)), left_out)
+    rigid, elastic = J[kept, :n], J[kept, n:].reshape(len(kept), T.modes, f)
+    size = np.linalg.norm(elastic, axis=1).max(0, initial=0.0)
+    elastic = (elastic / np.where(size > 0.0, size, 1.0)).reshape(len(kept), -1)
+    U, s, _ = np.linalg.svd(rigid)
+    alike = U[:, int((s > RELATIVE * s.max(initial=0.0)).sum()) :]  # combinations without a rigid part
+    W, share, _ = np.linalg.svd(alike.T @ elastic, full_matrices=False)
+    weak = (share > RELATIVE) & (share < _WEAK)
+    if not weak.any():
+        return (), 1.0
+    involved = np.abs(alike @ W[:, weak]).max(1)
+    rows = kept[np.argsort(-involved, kind="stable")][: int((involved > _SHARE * involved.max()).sum())]
+    return tuple(T.row_names[i] for i in rows), float(share[weak].max())
 
 
 def _driven(T: Topology) -> np.ndarray:
@@ -100,10 +129,8 @@ def elsewhere(dynamics: Any, q: Tensor) -> Tensor | None:
     """
     T, zero = dynamics.topology, q.new_zeros(1)
     rows = np.setdiff1d(np.arange(T.rows), _driven(T))
-    values, given = (
-        {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()},
-        T.schedule(zero)[0].values(),
-    )
+    values = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
+    given = T.schedule(zero, values)[0]
     J = jacobians(dynamics, q[None], zero)[0][rows].cpu().numpy()[:, _rigid(T)]
     N = scipy.linalg.null_space(J, rcond=RELATIVE)
     step = q.new_zeros(T.n_v)
@@ -157,11 +184,11 @@ def _dependent(J: np.ndarray) -> tuple[int, list[int]]:
 
 
 def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
-    """Phi_q with rows of length one [n, rows, n_v] at positions q [n, n_q] and times [n] of one design."""
+    """Phi_q with rows of length one [n, rows, n_v] at positions q [n, n_q] and times [n] of one design, the first."""
     T, saddle = dynamics.topology, dynamics.saddle
-    data = {name: value(x).detach() for name, x in dynamics.data.items()}
+    data = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
     parts = []
-    for given, state in zip(T.schedule(times), q, strict=True):
+    for given, state in zip(T.schedule(times, data), q, strict=True):
         at = equations.placement(T, data, state[:, None, None], given.values())
         parts.append(saddle.jacobian(data, at)[0])
     J = torch.stack(parts)

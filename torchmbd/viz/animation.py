@@ -23,8 +23,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from torchmbd.errors import InputError
+from torchmbd.mesh import Mesh, cut_quads
 
 _VIEWER = Path(__file__).with_name("viewer.html")
 _NONE = np.empty(0, dtype=int)  # elements of a kind that a body has not
@@ -117,7 +119,7 @@ def _flexible(
     relative = modes - _through_joints(x, modes, sorted(joint_nodes))
     entry.update(
         x=_packed(x),
-        triangles=_array(getattr(state.mesh, "triangles", _NONE)).reshape(-1).tolist(),
+        triangles=_triangles(state.mesh),
         lines=_array(getattr(state.mesh, "elements", getattr(state.mesh, "lines", _NONE))).reshape(-1).tolist(),
         modes=_packed(shapes),
         relative=_packed(relative),
@@ -126,6 +128,13 @@ def _flexible(
     )
     deformation = np.einsum("tk,knc->tnc", weights, relative)
     return x + u, float(np.linalg.norm(deformation, axis=-1).max())
+
+
+def _triangles(mesh: Any) -> list[int]:
+    """Corners of the plates, quadrilaterals cut in two; none of a line."""
+    if not isinstance(mesh, Mesh):
+        return []
+    return torch.cat([mesh.triangles, cut_quads(mesh.nodes, mesh.quads).flatten(0, 1)]).flatten().tolist()
 
 
 def _through_joints(x: np.ndarray, u: np.ndarray, joints: list[int]) -> np.ndarray:

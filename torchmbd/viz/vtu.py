@@ -4,7 +4,7 @@
     save_modes(body, "modes.vtu")         one vector field for each mode: warp by it
     save_motion(motion, "motion.pvd")     every body at every frame; the frames lie in a folder beside it
 
-Fields of a motion: "displacement" (elastic, ground axes), and a failure index of the plies on the triangles if a
+Fields of a motion: "displacement" (elastic, ground axes), and a failure index of the plies on the cells if a
 criterion is asked for. Rigid bodies are lines through their joints.
 Format: XML, numbers inline in base64 (little endian, 8 bytes of length before them), no compression. Nothing but NumPy.
 Source: The VTK User's Guide, "VTK File Formats" (XML, unstructured grid).
@@ -27,7 +27,7 @@ from torchmbd.errors import InputError
 from torchmbd.integrators.ply_history import PlyHistory
 
 _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
-_LINE, _TRIANGLE = 3, 5  # VTK's numbers of cells
+_LINE, _TRIANGLE, _QUAD = 3, 5, 9  # VTK's numbers of cells
 
 
 def save_mesh(body: Any, path: str | Path) -> Path:
@@ -38,7 +38,7 @@ def save_mesh(body: Any, path: str | Path) -> Path:
     if plates:
         zone, axis = np.full(_cell_count(mesh), -1, dtype=np.int64), np.zeros((_cell_count(mesh), 3))
         for k, part in enumerate(plates.values()):
-            zone[part.matrices.members], axis[part.matrices.members] = k, part.matrices.facets.axes[:, 0]
+            zone[part.matrices.members], axis[part.matrices.members] = k, part.matrices.axes[:, 0]
         fields = {"laminate": zone, "laminate_x": axis}
     return write_vtu(path, mesh.nodes, _cells(mesh), cell_data=fields)
 
@@ -65,7 +65,7 @@ def save_motion(
 
     path        of the .pvd file to open; frames go to a folder of its name
     max_frames  of more time points every n-th is kept
-    criterion   failure index to be written on the triangles: "tsai_wu", "tsai_wu_irf", "max_stress"; None: none
+    criterion   failure index to be written on the cells: "tsai_wu", "tsai_wu_irf", "max_stress"; None: none
     """
     path = Path(path)
     if path.suffix != ".pvd":
@@ -141,9 +141,10 @@ def _array(name: str, values: Any) -> str:
 
 
 def _cells(mesh: Any) -> list[tuple[int, Any]]:
-    """Triangles first, so that fields of triangles come first."""
-    lines = mesh.lines if hasattr(mesh, "lines") else mesh.elements
-    return [(_TRIANGLE, getattr(mesh, "triangles", np.empty((0, 3)))), (_LINE, lines)]
+    """Plates in the order of their numbers, then lines."""
+    if not hasattr(mesh, "cells"):
+        return [(_LINE, mesh.elements)]
+    return [(_TRIANGLE, mesh.triangles), (_QUAD, mesh.quads), (_LINE, mesh.lines)]
 
 
 def _cell_count(mesh: Any) -> int:

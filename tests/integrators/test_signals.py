@@ -1,0 +1,84 @@
+"""Rows of a motion, made when somebody asks, against the whole of it."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from experiments.slider_crank import DURATION, build
+from torchmbd.integrators.signals import Given, Moved, Recorded
+
+ANGLES = "rod.laminate.angles"
+NAMES = ("q", "v", "a")
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """The slider-crank: crank condensed to a carrier, slider guided; two designs with sensitivities."""
+    designs = {ANGLES: torch.tensor([[0.3, -0.2], [0.5, 0.9]], dtype=torch.float64)}
+    system = build(2, modes=3, cells=(6, 2))
+    return mbd.simulate(system, 0.2 * DURATION, steps=40, designs=designs, sensitivities=[ANGLES]).require_ok()
+
+
+def test_the_system_is_a_condensed_one(motion):
+    history = motion.signals.history
+    assert history.q.shape[1] < motion.q.shape[2] == motion.dynamics.topology.n_q
+    assert motion.v.shape[2] == motion.dynamics.topology.n_v > history.v.shape[1]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rows_are_rows_of_the_whole(motion, name):
+    whole, slopes = motion.signals.values(name), motion.signals.tangents(name)
+    assert slopes.shape == (*whole.shape, 2)
+    n = whole.shape[2]
+    for rows in ([0], list(range(n)), [n - 1, 0, n // 2], list(range(n - 3, n))):
+        found = Recorded(motion.signals.history)
+        assert_close(found.values(name, rows), whole[..., rows], rtol=0, atol=0)
+        assert_close(found.tangents(name, rows), slopes[..., rows, :], rtol=0, atol=0)
+        assert found.values(name, rows).is_contiguous()
+
+
+def test_a_carrier_moves_as_its_drive_says(motion):
+    """The crank turns with a constant speed about its bearing: the parts that were never integrated."""
+    crank = motion.body("crank")
+    assert motion.dynamics.topology.names.index("crank") not in motion.signals.history.expansion.condensation.bodies
+    speed = crank.omega[0, 0].norm()
+    assert float(speed) > 1.0
+    assert_close(crank.omega.norm(dim=-1), speed.expand(2, 41), rtol=1e-12, atol=0)
+    rows = motion.dynamics.topology.p_slice(motion.dynamics.topology.names.index("crank"))
+    assert float(motion.signals.tangents("q", rows).abs().max()) == 0.0
+
+
+@pytest.mark.parametrize("name", [*NAMES, "lam"])
+def test_a_moved_motion_has_moved_rows(motion, name):
+    delta = torch.tensor([1e-3, -2e-3], dtype=torch.float64)
+    moved = Moved(motion.signals, delta)
+    expected = motion.signals.values(name) + motion.signals.tangents(name) @ delta
+    assert_close(moved.values(name), expected)
+    assert_close(moved.values(name, [2, 0]), expected[..., [2, 0]])
+    assert moved.tangents(name) is None
+    assert (moved.lanes, moved.times) == (2, 41)
+
+
+def test_given_rows():
+    q = torch.arange(24, dtype=torch.float64).reshape(2, 3, 4)
+    signals = Given({"q": q}, {"q": torch.stack([q, -q], -1)})
+    assert_close(signals.values("q", [3, 1]), q[..., [3, 1]])
+    slopes = signals.tangents("q", [3, 1])
+    assert slopes is not None
+    assert_close(slopes, torch.stack([q, -q], -1)[..., [3, 1], :])
+
+
+def test_a_motion_without_sensitivities_has_no_tangents():
+    motion = mbd.simulate(build(2, modes=3, cells=(6, 2)), 0.02 * DURATION, steps=4)
+    assert motion.dq_db is motion.dv_db is motion.da_db is motion.dlam_db is None
+
+
+def test_tangents_are_made_before_they_are_needed(motion):
+    """`prepare` makes the tangents of what has been looked at, and of nothing else."""
+    signals = Recorded(motion.signals.history)
+    signals.values("v", [1, 2])
+    signals.prepare()
+    assert {key[:2] for key in signals._kept} == {("values", "v"), ("tangents", "v")}

@@ -1,0 +1,91 @@
+"""Batches shared out among processes: the same answers, whatever becomes of the processes."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+import torchmbd as mbd
+from torchmbd.optimizers import Evaluation
+from torchmbd.optimizers.processes import Processes
+
+
+class Bowl:
+    """A sum of squares about a center that a closure holds, and who evaluated it."""
+
+    def __init__(self, center: float):
+        self.start, self.lower, self.upper = np.array([0.5, 0.5]), -np.ones(2), np.ones(2)
+        self.names = ["x", "y"]
+        self.center = lambda: center  # not to be had by pickle
+        self.seen: list[int] = []
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        self.seen.append(len(X))
+        pid = np.array([-float(os.getpid())])  # a constraint that always holds
+        return [
+            Evaluation(float(((x - self.center()) ** 2).sum()), pid, 2 * (x - self.center()), 0 * x[None]) for x in X
+        ]
+
+
+@pytest.fixture(scope="module")
+def shared():
+    with Processes(Bowl(0.25), 2) as problem:
+        problem.wait()
+        yield problem
+
+
+def test_a_batch_is_shared_out_in_order(shared):
+    X = np.linspace(-1, 1, 14).reshape(7, 2)
+    found = shared.evaluate(X, True)
+    assert [e.objective for e in found] == [e.objective for e in Bowl(0.25).evaluate(X, True)]
+    assert -float(os.getpid()) not in {float(e.constraints[0]) for e in found}
+    assert shared.problem.seen == []  # nothing was evaluated here
+
+
+def test_all_else_is_the_problem_s_own(shared):
+    assert shared.start is shared.problem.start
+    with pytest.raises(AttributeError, match="period"):
+        _ = shared.period
+
+
+def test_one_design_stays_here(shared):
+    (found,) = shared.evaluate(np.zeros((1, 2)), True)
+    assert float(found.constraints[0]) == -os.getpid()
+
+
+def test_an_optimizer_does_not_notice(shared):
+    starts = mbd.sobol(6, seed=3)
+    together, alone = (mbd.multistart(problem, "slsqp", starts) for problem in (shared, Bowl(0.25)))
+    assert [r.value for r in together.results] == [r.value for r in alone.results]
+    assert together.converged == 6
+
+
+def test_when_a_process_dies_the_caller_goes_on():
+    with Processes(Once(), 2) as problem:
+        X = np.full((2, 2), 0.5)
+        with pytest.warns(UserWarning, match=r"a process that evaluates designs ended"):
+            found = problem.evaluate(X, False)
+        assert [float(e.constraints[0]) for e in found] == [-os.getpid()] * 2
+        assert len(problem.evaluate(X, False)) == 2
+
+
+class Once(Bowl):
+    """Kills every process but the one that made it."""
+
+    def __init__(self) -> None:
+        super().__init__(0.0)
+        self.maker = os.getpid()
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        if os.getpid() != self.maker and not gradients:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().evaluate(X, gradients)
+
+
+@pytest.mark.parametrize("count", [0, -1, True, 1.5, "two"])
+def test_a_count_that_is_none(count):
+    with pytest.raises(mbd.InputError, match=r"count of processes is .*; allowed: a positive integer"):
+        Processes(Bowl(0.0), count)

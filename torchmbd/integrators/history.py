@@ -1,0 +1,69 @@
+"""A motion as an integrator leaves it: numbers [times, component, 1 + n_b, lanes], values, then design tangents.
+
+Of a condensed system only what was left of it is kept; rows of the whole are made when somebody asks (signals.py).
+Checked in tests/integrators/test_signals.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+from torch import Tensor
+
+from torchmbd.integrators.step import State
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system.expansion import Expansion
+
+
+@dataclass
+class History:
+    """What was integrated; `expansion` leads to the whole system, None: it is the whole."""
+
+    q: Tensor
+    v: Tensor
+    vd: Tensor
+    lam: Tensor
+    expansion: Expansion | None = None
+
+    def rows(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
+        """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes]."""
+        x = (self.q, self.v, self.vd)[order][:, :, slots]
+        if self.expansion is not None:
+            return self.expansion.rows(order, x, rows, known=not slots.start)
+        return x if rows is None else x[:, list(rows)]
+
+    @cached_property
+    def multipliers(self) -> Tensor:
+        """Of all constraints [times, rows, slots, lanes]."""
+        if self.expansion is None:
+            return self.lam
+        return self.expansion.multipliers(self.q, self.v, self.vd, self.lam)
+
+    @classmethod
+    def of(cls, states: list[State]) -> History:
+        """Stack states."""
+        record = Record(states[0], len(states))
+        for i, x in enumerate(states):
+            record.put(i, x)
+        return record.history()
+
+
+class Record:
+    """States as they come, in arrays of their final size: nothing is kept twice."""
+
+    def __init__(self, x: State, count: int):
+        shapes = [y.shape for y in (x.q, x.v, x.vd, x.lam)]
+        lanes = max(shape[-1] for shape in shapes)
+        self.parts = [value(x.q).new_empty(count, *shape[:-1], lanes) for shape in shapes]
+
+    def put(self, i: int, x: State) -> None:
+        """Keep the state of time i."""
+        for part, y in zip(self.parts, (x.q, x.v, x.vd, x.lam), strict=True):
+            part[i] = y.full if isinstance(y, Pair) else y
+
+    def history(self, expansion: Expansion | None = None) -> History:
+        """What was kept."""
+        q, v, vd, lam = self.parts
+        return History(q, v, vd, lam, expansion)

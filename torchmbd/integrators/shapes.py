@@ -1,0 +1,113 @@
+"""Mode shapes of the designs of a motion: the structure stage once more, when somebody asks.
+
+    values(name)     [lanes, nodes, 6, modes] of a flexible body
+    tangents(name)   [lanes, nodes, 6, modes, n_b], None without design variables
+
+Checked in tests/integrators/test_body_motion.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators.signals import moved
+from torchmbd.numerics.called import called
+
+
+class Shapes:
+    """What was asked for once is kept."""
+
+    def __init__(self) -> None:
+        self._kept: dict[str, Tensor] = {}
+        self._slopes: dict[str, Tensor | None] = {}
+
+    def values(self, name: str) -> Tensor:
+        """Of one body."""
+        if name not in self._kept:
+            self._kept[name] = self._values(name)
+        return self._kept[name]
+
+    def tangents(self, name: str) -> Tensor | None:
+        """Their derivatives."""
+        if name not in self._slopes:
+            self._slopes[name] = self._tangents(name)
+        return self._slopes[name]
+
+    def prepare(self) -> None:
+        """Make the tangents of what has been asked for."""
+        for name in list(self._kept):
+            self.tangents(name)
+
+    def _values(self, name: str) -> Tensor:
+        raise NotImplementedError(type(self).__name__)
+
+    def _tangents(self, name: str) -> Tensor | None:
+        return None
+
+
+class DesignShapes(Shapes):
+    """Of all lanes; designs by name [lanes, ...], parameters: names of the design variables, one for each slot."""
+
+    def __init__(self, system: Any, designs: dict[str, Tensor], parameters: tuple[str, ...], lanes: int):
+        super().__init__()
+        self.system, self.designs, self.parameters, self.lanes = system, designs, parameters, lanes
+
+    def _values(self, name: str) -> Tensor:
+        with torch.no_grad():
+            return self._of(name, self.designs)
+
+    def _tangents(self, name: str) -> Tensor | None:
+        if not self.parameters:
+            return None
+        zero = torch.zeros(len(self.parameters), dtype=torch.float64)
+        with torch.no_grad():
+            slopes = torch.func.jacfwd(
+                lambda delta: self._of(name, moved_designs(self.designs, self.parameters, delta))
+            )(zero)
+        assert isinstance(slopes, Tensor)
+        return slopes
+
+    def _of(self, name: str, designs: dict[str, Tensor]) -> Tensor:
+        psi = called(self.system, designs, name)["psi"]
+        return psi if psi.dim() == 4 else psi[None].expand(self.lanes, *psi.shape)
+
+
+def moved_designs(designs: dict[str, Tensor], parameters: tuple[str, ...], delta: Tensor) -> dict[str, Tensor]:
+    """Designs of the neighbor by delta [n_b]; parameters: names of its entries, one label for each."""
+    found, start = dict(designs), 0
+    for name in dict.fromkeys(label.rpartition("[")[0] for label in parameters):
+        shape = designs[name].shape[1:]
+        found[name] = designs[name] + delta[start : start + shape.numel()].reshape(shape)
+        start += shape.numel()
+    return found
+
+
+class MovedShapes(Shapes):
+    """Of the neighbor of a motion by delta [n_b], to first order."""
+
+    def __init__(self, base: Shapes, delta: Tensor):
+        super().__init__()
+        self.base, self.delta = base, delta
+
+    def _values(self, name: str) -> Tensor:
+        return moved(self.base.values(name), self.base.tangents(name), self.delta)
+
+
+class OneLane(Shapes):
+    """Of one lane; n: number of directions, of which those beyond the base's are zero."""
+
+    def __init__(self, base: Shapes, lane: int, n: int = 0):
+        super().__init__()
+        self.base, self.lane, self.n = base, slice(lane, lane + 1), n
+
+    def _values(self, name: str) -> Tensor:
+        return self.base.values(name)[self.lane]
+
+    def _tangents(self, name: str) -> Tensor | None:
+        slopes = self.base.tangents(name) if self.n else None
+        if slopes is None:
+            return None
+        return torch.nn.functional.pad(slopes[self.lane], (0, self.n - slopes.shape[-1]))

@@ -1,0 +1,117 @@
+"""A motion as it is shown: q, v, a and multipliers by rows, presented only when somebody asks.
+
+    values(name, rows)     [lanes, times, k]
+    tangents(name, rows)   [lanes, times, k, n_b], None without sensitivities
+
+`Recorded` reads what an integrator left; `Moved` is its neighbor to first order in the design; `Given` holds tensors.
+Names are "q", "v", "a" and "lam"; rows None: all. What was asked for once is kept.
+Checked in tests/integrators/test_signals.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators.history import History
+
+ORDERS = ("q", "v", "a")
+Rows = Sequence[int] | None
+
+
+class Signals:
+    """See the module header."""
+
+    lanes: int
+    times: int
+
+    def __init__(self) -> None:
+        self._kept: dict[tuple, Tensor | None] = {}
+
+    def values(self, name: str, rows: Rows = None) -> Tensor:
+        """[lanes, times, k]."""
+        found = self._once("values", name, rows)
+        assert found is not None
+        return found
+
+    def tangents(self, name: str, rows: Rows = None) -> Tensor | None:
+        """[lanes, times, k, n_b]."""
+        return self._once("tangents", name, rows)
+
+    def prepare(self) -> None:
+        """Make the tangents of what has been asked for."""
+        for _, name, rows in [key for key in self._kept if key[0] == "values"]:
+            self.tangents(name, rows)
+
+    def _once(self, kind: str, name: str, rows: Rows) -> Tensor | None:
+        key = (kind, name, None if rows is None else tuple(rows))
+        if key not in self._kept:
+            self._kept[key] = getattr(self, f"_{kind}")(name, rows)
+        return self._kept[key]
+
+    def _values(self, name: str, rows: Rows) -> Tensor:
+        raise NotImplementedError(type(self).__name__)
+
+    def _tangents(self, name: str, rows: Rows) -> Tensor | None:
+        return None
+
+
+class Given(Signals):
+    """Tensors of all rows, as they are shown; tangents by the same names, if there are any."""
+
+    def __init__(self, values: Mapping[str, Tensor], tangents: Mapping[str, Tensor | None] | None = None):
+        super().__init__()
+        self._all, self._slopes = dict(values), dict(tangents or {})
+        self.lanes, self.times = values["q"].shape[:2]
+
+    def _values(self, name: str, rows: Rows) -> Tensor:
+        return self._all[name] if rows is None else self._all[name][..., list(rows)]
+
+    def _tangents(self, name: str, rows: Rows) -> Tensor | None:
+        slopes = self._slopes.get(name)
+        return slopes if slopes is None or rows is None else slopes[..., list(rows), :]
+
+
+class Recorded(Signals):
+    """What an integrator left; chosen rows lie side by side in memory, all of them are views."""
+
+    def __init__(self, history: History):
+        super().__init__()
+        self.history = history
+        self.times, _, slots, self.lanes = history.q.shape
+        self.moving = slots > 1
+
+    def _values(self, name: str, rows: Rows) -> Tensor:
+        x = self._of(name, rows, slice(1))[:, :, 0].permute(2, 0, 1)
+        return x if rows is None else x.contiguous()
+
+    def _tangents(self, name: str, rows: Rows) -> Tensor | None:
+        if not self.moving:
+            return None
+        x = self._of(name, rows, slice(1, None)).permute(3, 0, 1, 2)
+        return x if rows is None else x.contiguous()
+
+    def _of(self, name: str, rows: Rows, slots: slice) -> Tensor:
+        if name == "lam":
+            x = self.history.multipliers[:, :, slots]
+            return x if rows is None else x[:, list(rows)]
+        return self.history.rows(ORDERS.index(name), rows, slots)
+
+
+class Moved(Signals):
+    """The neighbor of a motion by delta [n_b], to first order; delta may carry tangents."""
+
+    def __init__(self, base: Signals, delta: Tensor):
+        super().__init__()
+        self.base, self.delta = base, delta
+        self.lanes, self.times = base.lanes, base.times
+
+    def _values(self, name: str, rows: Rows) -> Tensor:
+        return moved(self.base.values(name, rows), self.base.tangents(name, rows), self.delta)
+
+
+def moved(x: Tensor, dx: Tensor | None, delta: Tensor) -> Tensor:
+    """x + dx delta."""
+    return x if dx is None else x + torch.matmul(dx, delta)

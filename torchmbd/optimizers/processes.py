@@ -1,0 +1,106 @@
+"""Lanes x processes: a problem whose batches are shared out among processes, each with one torch thread.
+
+    with mbd.Processes(problem, 2) as shared:
+        study = mbd.multistart(shared, starts=mbd.sobol(32, seed=7))
+
+Whatever asks for a batch of designs, a multistart or a grid, gets the same answers in a fraction of the time. Every
+process keeps a copy of the problem. Processes of several machines, and studies that must survive: torchmbd/experiment.
+Checked in tests/optimizers/test_processes.py.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import warnings
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+import cloudpickle
+import numpy as np
+import torch
+
+from torchmbd.errors import InputError
+from torchmbd.optimizers.optimizer import Evaluation, Problem
+
+_here: dict[str, Any] = {}  # in a worker: its copy of the problem, and where all workers meet
+
+
+class Processes:
+    """`problem` with batches evaluated by `count` processes (default: as many as there are cores).
+
+    All else is asked of the problem itself. Close it, or use it in a `with` block. If a process dies, the batch and all
+    that follow are evaluated in the calling process, with a warning. A script that uses this keeps what it does under
+    `if __name__ == "__main__":`, since every process imports it.
+    """
+
+    def __init__(self, problem: Problem, count: int | None = None):
+        count = len(os.sched_getaffinity(0)) if count is None else count
+        if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+            raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
+        self.problem, self.count = problem, count
+        spawn = multiprocessing.get_context("spawn")  # a fork would copy threads' locks in whatever state they are
+        begin = (cloudpickle.dumps(problem), torch.get_default_dtype(), spawn.Barrier(count))
+        self._pool: ProcessPoolExecutor | None = ProcessPoolExecutor(count, spawn, _begin, begin)
+        self._begun = [self._pool.submit(_meet) for _ in range(count)]  # they start while the caller goes on
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.problem, name)
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        """Evaluate designs [lanes, n], a share in each process."""
+        parts = [part for part in np.array_split(np.asarray(X), self.count) if len(part)]
+        if self._pool is not None and len(parts) > 1:
+            try:
+                shares = list(self._pool.map(_evaluate, parts, [gradients] * len(parts)))
+                return [found for share in shares for found in share]
+            except BrokenProcessPool as error:
+                self._go_on_alone(error)
+        return self.problem.evaluate(X, gradients)
+
+    def wait(self) -> None:
+        """Wait until all processes are there."""
+        try:
+            for begun in self._begun:
+                begun.result()
+        except BrokenProcessPool as error:
+            self._go_on_alone(error)
+
+    def _go_on_alone(self, error: BrokenProcessPool) -> None:
+        warnings.warn(
+            f"a process that evaluates designs ended ({error}); the rest is evaluated in one process. Does the script "
+            "keep what it does under `if __name__ == '__main__':`, and is there enough memory?",
+            stacklevel=3,
+        )
+        self.close()
+
+    def close(self) -> None:
+        """End the processes; later batches are evaluated in the calling process."""
+        pool, self._pool = self._pool, None
+        if pool is not None:
+            pool.shutdown(cancel_futures=True)
+
+    def __enter__(self) -> Processes:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _begin(problem: bytes, dtype: torch.dtype, door: Any) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's affair
+    torch.set_num_threads(1)
+    torch.set_default_dtype(dtype)
+    own = cloudpickle.loads(problem)
+    _here.update(problem=own, door=door)
+    own.evaluate(np.asarray(own.start)[None], True)  # what is made once is made now
+
+
+def _meet() -> None:
+    _here["door"].wait()
+
+
+def _evaluate(X: np.ndarray, gradients: bool) -> list[Evaluation]:
+    return _here["problem"].evaluate(X, gradients)
