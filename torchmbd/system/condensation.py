@@ -23,8 +23,9 @@ from torch import Tensor
 from torchmbd.joints.primitive import Primitive, values_at
 from torchmbd.numerics.rotation import rotation_matrix, skew
 from torchmbd.system import equations
+from torchmbd.system.carrier import Carrier
 from torchmbd.system.saddle import Saddle
-from torchmbd.system.topology import Carrier, Topology, assemble
+from torchmbd.system.topology import Topology, assemble
 
 _HELD = 1e-9  # [m] or [-]: violation of a row that counts as none, and share of a singular value that counts as zero
 _FAR = (0.4, -1.1, 2.3)  # [rad] or [m]: where subspaces and turns are tried
