@@ -15,6 +15,7 @@ from tests.integrators.test_phases import pushed
 from tests.mechanisms import box, rigid_pendulum, sprung
 from tests.sensitivity.test_law_variables import arm
 from tests.system.test_initial import four_bar
+from torchmbd.forces import Scaled, Spring
 from torchmbd.integrators import compiled, compiled_rates, library
 from torchmbd.system import Dynamics
 
@@ -162,3 +163,19 @@ def test_drives_with_design_variables_are_compiled(both: Both, refresh: int) -> 
     options = {"steps": 40, "designs": designs, "sensitivities": variables, "refresh": refresh}
     same(*both(system, 0.1, **options))
     same(*both(system, 0.1, steps=40, designs=designs, refresh=refresh))
+
+
+def test_forces_with_design_variables_are_compiled(both: Both) -> None:
+    body = box("bob", position=(0.2, 0.0, 0.1), angular_velocity=(1.0, 2.0, 0.5))
+    end = body.at(0.1, 0.05, 0.0)
+    forces = [
+        mbd.SpringDamper(mbd.Ground().at(), end, mbd.variable(40.0), mbd.variable(0.3), 0.1, name="cord"),
+        mbd.RotationalSpringDamper(mbd.Ground().at(), end, law=Scaled(mbd.variable(0.5), Spring(2.0)), name="coil"),
+    ]
+    system = mbd.System([body], [mbd.Spherical(mbd.Ground().at(0.2, 0.0, 0.1), body.at())], forces)
+    names = ["cord.stiffness", "cord.damping", "coil.factor"]
+    designs = {"cord.damping": torch.tensor([0.3, 0.1], dtype=torch.float64)}
+    eager, fast = both(system, 0.2, steps=20, designs=designs, sensitivities=names)
+    same(eager, fast)
+    assert eager.dq_db is not None
+    assert float(eager.dq_db.abs().amax((0, 1, 2)).min()) > 1e-6

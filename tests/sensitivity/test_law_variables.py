@@ -150,6 +150,68 @@ def test_phases_with_a_drive_that_varies():
     assert_close(exact, differences(system, variables, times_and_ends, 1e-6), rtol=0, atol=1e-6)
 
 
+def sprung() -> mbd.System:
+    """A plate that hangs on a spring, a torsion spring and an actuator, all of which vary."""
+    body = plate("rod", 2, made_of=laminate((20.0, -50.0), 3e-3, SOFT), axes=turned(0.3, 0.2, -0.4))
+    tip, root = body.at("right"), body.at("left")
+    place = body.position + body.axes @ tensor(-0.15, 0.0, 0.0)
+
+    def push(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return torch.sin(20.0 * t) - 0.2 * s * s - 0.01 * rate
+
+    here = GROUND.at(*place.tolist(), axes=body.axes)
+    forces = [
+        mbd.SpringDamper(
+            GROUND.at(0.1, 0.3, 0.1), tip, mbd.variable(40.0), mbd.variable(0.2), mbd.variable(0.25), name="cord"
+        ),
+        mbd.RotationalSpringDamper(here, root, stiffness=mbd.variable(0.5), rest=mbd.deg(20.0), name="coil"),
+        mbd.RotationalSpringDamper(here, root, law=mbd.forces.Scaled(mbd.variable(0.4), push), name="muscle"),
+    ]
+    return mbd.System([body], [mbd.Revolute(here, root, name="pin")], forces, gravity=(0.0, -9.81, 0.0))
+
+
+FORCES = ["cord.stiffness", "cord.damping", "cord.rest", "coil.stiffness", "muscle.factor"]
+
+
+@pytest.mark.parametrize(("method", "options"), [("generalized_alpha", TIGHT), ("rk4", {})])
+def test_forces(method, options):
+    system = sprung()
+    assert {name for name, _ in system.named_parameters() if name[:3] != "rod"} == set(FORCES)
+
+    def run(designs: dict[str, Tensor] | None = None, **more) -> mbd.Trajectory:
+        return mbd.simulate(system, 0.06, method=method, steps=15, designs=designs, **options, **more).require_ok()
+
+    motion = run(sensitivities=FORCES)
+    found = differences(system, FORCES, lambda designs: run(designs).q, 1e-4)
+    assert motion.dq_db is not None
+    sizes = found.abs().amax((0, 1))
+    assert float(sizes.min()) > 1e-6
+    assert float(((motion.dq_db[0] - found).abs().amax((0, 1)) / sizes).max()) < 1e-6
+
+
+def test_forces_are_those_of_a_system_of_its_own():
+    """The first of two lanes is the system as it stands; the other one that was built with its numbers."""
+    system, own = sprung(), sprung()
+    with torch.no_grad():
+        own.get_parameter("cord.stiffness").fill_(60.0)
+    designs = {"cord.stiffness": tensor(40.0, 60.0)}
+    both = mbd.simulate(system, 0.06, steps=15, designs=designs).require_ok()
+    for lane, alone in enumerate((system, own)):
+        motion = mbd.simulate(alone, 0.06, steps=15).require_ok()
+        assert_close(both.q[lane], motion.q[0], rtol=0, atol=1e-12)
+        assert_close(both.energies.applied[lane], motion.energies.applied[0], rtol=1e-9, atol=1e-12)
+
+
+def test_variables_where_they_would_not_be_differentiated():
+    hub = box("hub")
+    with pytest.raises(mbd.InputError, match="law of 'spring' has design variables"):
+        mbd.SpringDamper(GROUND.at(), hub.at(), law=torch.nn.Linear(1, 1).double(), name="spring")  # pyright: ignore
+    system = sprung()
+    phases = [mbd.Phase(until=0.01), mbd.Phase(laws={"coil": mbd.forces.Spring(mbd.variable(1.0))})]  # pyright: ignore
+    with pytest.raises(mbd.InputError, match="coil in phase 2' has design variables"):
+        mbd.simulate(system, 0.02, steps=4, phases=phases)
+
+
 def test_what_names_of_laws_may_not_be():
     def made(name: str, twice: bool = False) -> mbd.System:
         hub, tail = box("hub"), box("tail")

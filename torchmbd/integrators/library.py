@@ -30,7 +30,8 @@ from typing import Any
 import torch
 
 from torchmbd.errors import MbdError
-from torchmbd.forces.laws import LAWS
+from torchmbd.forces.laws import LAWS, Scaled
+from torchmbd.forces.varied import Varied
 from torchmbd.integrators.code import Layout, source
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Topology
@@ -112,7 +113,13 @@ def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
 def known_laws(T: Topology) -> bool:
     """Whether all laws of forces are numbers of a known form."""
     laws = [law for action in T.actions for law in action.laws]
-    return all(type(law) in LAWS and not callable(getattr(law, "law", None)) for law in laws)
+    return all(_known(law) for law in laws)
+
+
+def _known(law: Any) -> bool:
+    if isinstance(law, (Varied, Scaled)):
+        return _known(law.law)
+    return type(law) in LAWS and not callable(getattr(law, "law", None))
 
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:

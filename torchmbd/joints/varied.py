@@ -20,12 +20,7 @@ from torchmbd.joints.laws import Finite
 from torchmbd.joints.primitive import slopes
 from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair, value
-from torchmbd.numerics.variable import Variables
-
-
-def key(name: str) -> str:
-    """Name of the parameters of the law of a joint or force among the data."""
-    return f"law {name}"
+from torchmbd.numerics.variable import Variables, key
 
 
 class Varied(Finite):

@@ -31,6 +31,11 @@ def is_variable(x: Any) -> bool:
     return isinstance(x, nn.Parameter) and x.dim() == 0 and x.dtype == torch.float64 and bool(torch.isfinite(x))
 
 
+def key(name: str) -> str:
+    """Where the design variables of the law of a joint or force are among the data of a design."""
+    return f"law {name}"
+
+
 class Variables:
     """The parameters of a module: one vector of numbers."""
 

@@ -250,7 +250,7 @@ def applied_on_vectors(T: Topology, data: Data, at: Placement, v):
     """What the actions do to the attached vectors [3, vectors, ...], in ground axes."""
     slots = []
     for action, (s, rate, direction) in zip(T.actions, action_states(T, data, at, v), strict=True):
-        f = action.strength(s, rate, at.t)
+        f = action.strength(s, rate, at.t, data)
         slots += [f * d for d in direction]
     return T.action_fold(*slots)  # pyright: ignore[reportOptionalCall]
 

@@ -19,9 +19,9 @@ from torchmbd.bodies.frame import vector
 from torchmbd.errors import InputError, unknown
 from torchmbd.forces.force import ForceElement
 from torchmbd.joints.joint import Joint
-from torchmbd.joints.varied import key
 from torchmbd.numerics.called import called
 from torchmbd.numerics.pair import Pair
+from torchmbd.numerics.variable import key
 from torchmbd.system import topology
 from torchmbd.system.description import Description, check_connected, describe
 from torchmbd.system.dynamics import Dynamics
