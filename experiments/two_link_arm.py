@@ -21,7 +21,7 @@ def build(turn: float = 110.0, duration: float = 0.8, cells: tuple[int, int] = (
     """The shoulder turns by `turn` [deg] within `duration` [s], both design variables: motor.size [rad], motor.duration [s]."""
     ground = mbd.Ground()
     laminate = mbd.Laminate(CARBON, mbd.deg([30.0, -30.0]), thickness=2e-3, symmetric=True)
-    plate = mbd.mesh.rectangle(length=UPPER, width=0.04, cells=tuple(cells))
+    plate = mbd.mesh.rectangle(length=UPPER, width=0.04, cells=cells)
     upper = mbd.FlexibleBody.plate("upper", plate, laminate, modes=modes, position=(UPPER / 2, 0, 0), axes=ON_EDGE)
     hub = mbd.RigidBody("hub", 0.5, (1e-3, 1e-3, 1e-3))
     ahead = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]  # the forearm points along y
