@@ -166,8 +166,8 @@ def deployment(folder: Path, rate: int, **model: Any) -> list[Row]:
             rows.append(
                 Row(f"Fig. 19: least gap, {pair}, {name} (mm)", paper, least, "chosen", "negative: interference")
             )
-    lines = dict(zip(names, theta(motion), strict=True))
-    deflections = {
+    lines: dict[str, Any] = dict(zip(names, theta(motion), strict=True))
+    deflections: dict[str, dict[str, Any]] = {
         panel: dict(zip(names, motion.body(panel).at("corner_right_top").displacement[..., 2], strict=True))
         for panel in ("panel2", "panel3")
     }
