@@ -100,8 +100,8 @@ def draw(motion: mbd.Trajectory, x: Tensor, ylabel: str, path: Path) -> None:
 
 _PHASES = (*SOURCES, "experiments.sar_antenna_whole", "experiments.paper.antenna", "experiments.paper.antenna_deployed")
 PARTS = (
-    Part("figure14", "Fig. 14: both phases, rigid panels", rigid, _PHASES, 0.5, {"steps": 400}),
+    Part("figure14", "Fig. 14: both phases, rigid panels", rigid, _PHASES, 1.0, {"steps": 400}),
     Part("both_phases", "Figs. 22-26: both phases for 20 s, flexible panels", flexible, _PHASES, 2.0, {"steps": 4000}),
-    Part("both_phases_trusses", "Both phases for 20 s, flexible panels and trusses", flexible, _PHASES, 5.0,
-         {"steps": 4000, "trusses": "beam"}),
+    Part("both_phases_trusses", "Both phases for 20 s, flexible panels, trusses of wound tubes", flexible, _PHASES, 5.0,
+         {"steps": 4000, "trusses": "tube", "modes": 12}),
 )  # fmt: skip
