@@ -1,7 +1,7 @@
 """The command line: torchmbd new, check, schema, run, sync; list, best, compare, report, ui; cache.
 
 Exit codes: 0 done, 1 something failed that was not the input, 2 bad input (every fault named), 130 interrupted.
-Nothing heavy is imported before it is needed: `torchmbd --help` answers at once.
+MLflow, Dask and the experiment layer are imported when a command needs them; torch comes with the package.
 """
 
 from __future__ import annotations

@@ -138,3 +138,22 @@ def test_a_scheduler_that_is_killed_ends_the_study_and_another_goes_on(write, fo
     runs = client.search_runs([experiment])
     assert {run.info.status for run in runs} == {"FINISHED"}
     assert len(runs) == 17
+
+
+@pytest.mark.slow
+def test_an_interrupt_at_the_terminal_is_the_studys_to_handle(write, folder):
+    """Ctrl-C reaches every process there: the study ends with what it has, its workers without a word."""
+    write(starts={"sampler": "sobol", "count": 8, "seed": 7}, optimizer={"name": "mmfd", "max_iterations": 30})
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    command = [sys.executable, "-u", "-m", "torchmbd.cli", "run", "study.yaml", "--workers", "2"]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(
+        command, cwd=folder, env=environment, stdout=pipe, stderr=pipe, text=True, start_new_session=True
+    ) as study:
+        assert study.stdout is not None
+        assert next(line for line in study.stdout if "iteration   1" in line)
+        os.killpg(study.pid, signal.SIGINT)
+        output, error = study.communicate(timeout=120)
+    assert study.returncode == 130
+    assert "study: killed" in output
+    assert "Traceback" not in output + error

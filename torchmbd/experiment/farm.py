@@ -19,6 +19,10 @@ import logging
 import math
 import os
 import re
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, Self
@@ -110,7 +114,8 @@ class Farm:
             "silence_logs": logging.CRITICAL,
             "dashboard_address": f"{HERE}:0",
         }
-        return LocalCluster(n_workers=self._workers, threads_per_worker=1, host=HERE, **options)
+        with _children_deaf_to_interrupts():
+            return LocalCluster(n_workers=self._workers, threads_per_worker=1, host=HERE, **options)
 
     def __exit__(self, *_: object) -> None:
         if self._client is not None:
@@ -148,6 +153,19 @@ class Farm:
             self._client.cancel(futures, force=True)
             raise
         return found
+
+
+@contextmanager
+def _children_deaf_to_interrupts() -> Iterator[None]:
+    """Ctrl-C in the terminal reaches every process there: it is the study's to handle, not its workers'."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is ignored stays so in a new process
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def evaluate_piece(study: str, folder: str, key: str, X: np.ndarray, gradients: bool) -> list[Evaluation]:
