@@ -47,6 +47,7 @@ OPENED = 3.0  # angle of panel 2 from panel 1 when stowed: at 3.14 loops 1 and 2
 LATCH = 0.004  # before the dead point [rad]
 REST = 0.25  # in which D and E hold panel 2 and joint A is locked [s]
 FLEXIBLE: dict[str, Any] = {"spectral_radius": 0.7, "iterations": (4, 1)}
+DESIGNS = {"initial": (55.0, -55.0), "paper's optimum": (1.06, -47.0), "optimum": (8.66, -48.32)}  # [deg]
 DURATION = 20.0  # of both phases, as in Figs. 24, 25 [s]
 
 
@@ -112,7 +113,7 @@ def deployed(designs: Sequence[Sequence[float]] | None = None, steps: int = 4000
         return mbd.simulate(whole(**options), DURATION, steps=steps, phases=phases(), iterations=(5, 1))
     angles = torch.stack([mbd.deg(list(design)) for design in designs])
     system = whole(designs[0], **options)
-    given: dict[str, Any] = FLEXIBLE | (INTEGRATOR[options.get("trusses", "rigid")])
+    given: dict[str, Any] = FLEXIBLE | INTEGRATOR[options.get("trusses", "rigid")]
     return mbd.simulate(system, DURATION, steps=steps, phases=phases(), designs={ANGLES: angles}, **given)
 
 

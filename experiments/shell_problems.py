@@ -7,7 +7,8 @@ Anal. Des. 1 (1985) 3-20 (beams, roof, hemisphere, plates; meshes are theirs); T
 Eng. 28 (1989) 385-414 (thin twisted beam), Comput. Methods Appl. Mech. Engrg. 51 (1985) 221-258 (pinched cylinder, thin
 shell theory); R. D. Cook, J. Struct. Div. ASCE 100 (1974), reference 23.96 (C. A. Felippa, 2003); L. S. D. Morley, Skew Plates
 and Structures (1963), with shear 0.423e-3 (I. Babuska and T. Scapolla, 1989); S. P. Timoshenko, Theory of Plates and Shells,
-article 44 (clamped plates); torsion of a strip: tests/validation/test_twisted_strip.py.
+article 44 (clamped plates); A. Razzaque, Int. J. Numer. Methods Eng. 6 (1973) 333-343 (0.7945 q L^4 / 100 D). More:
+tests/validation/test_twisted_strip.py, test_nafems_r0031.py, test_reddy_laminated_plates.py, test_pagano_sandwich.py.
 Checked in tests/validation/test_shells_of_both_kinds.py.
 """
 
@@ -205,6 +206,17 @@ def morley(kind: str, n: int) -> Ratios:
     return {"center": float(w) * 10.92e-6 / 12 / 0.91 / 0.423e-3}
 
 
+def razzaque(kind: str, n: int) -> Ratios:
+    """The 60 degree rhombus, L / h = 1000, two opposite sides supported, two free, 4 x 4 cells: center."""
+    model = Model(
+        lambda s, t: (100 * (s + t / 2), 50 * math.sqrt(3) * t, 0.0), (4 * n, 4 * n), kind, (1092.0, 0.3, 0.1)
+    )
+    model.uniform(1.0)
+    plane = model.at(range(len(model.mesh.nodes)), [U, V, PHI3])
+    w = model.solved({BOTTOM: [W], TOP: [W]}, *plane)[model.at("center", [W])[0]]
+    return {"center": float(w) * 1092e-3 / 12 / 0.91 / 1e8 / 0.7945e-2}
+
+
 PROBLEMS: dict[str, Callable[[str, int], Ratios]] = {
     "straight beam": straight,
     "with parallelograms": lambda kind, n: straight(kind, n, (1.0, 1.0)),
@@ -219,4 +231,5 @@ PROBLEMS: dict[str, Callable[[str, int], Ratios]] = {
     "square plates": plates,
     "plates 5 : 1": lambda kind, n: plates(kind, n, 5),
     "Morley's skew plate": morley,
+    "Razzaque's skew plate": razzaque,
 }

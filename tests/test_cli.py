@@ -54,10 +54,21 @@ def start(*arguments, **options):
         (["run"], []),
         (["runn", "study.yaml"], []),
         (["list", "--uri", "sqlite:///", "extra", "words"], []),
-        (["ui", "--port", "70000"], ["port = 70000"]),
+        (["ui", "--uri", "STORE", "--port", "70000"], ["port = 70000"]),
+        (["ui"], ["mlflow.db", "no study has been here"]),
+        (["ui", "--uri", "runs.db"], ["uri = 'runs.db'", "sqlite:///mlflow.db"]),
+        (["best", "--uri", "ftp://x/y"], ["uri = 'ftp://x/y'", "postgresql:"]),
+        (["run", "study.yaml", "tracking.uri=sqlite:///a?b.db"], ["tracking.uri = 'sqlite:///a?b.db'", "without"]),
+        (["best", "--count", "0"], ["count = 0", "1 or more"]),
+        (["run", "study.yaml", "--workers", "-1"], ["workers = -1", "0 (one for each core) or more"]),
+        (["run", "study.yaml", "--scheduler", "here"], ["scheduler = 'here'", "tcp://host:8786"]),
+        (["run", "study.yaml", "simulate.duration=1e-300"], ["steps of 1.67e-302 s", "1e-12"]),
+        (["check", "study.yaml", "options.cells=2,0"], ["cells = (0, 2)", ">= 1"]),
+        (["run", "study.yaml", "--no-fresh"], []),
     ],
 )
-def test_bad_input_ends_with_2_and_no_traceback(folder, capsys, arguments, messages):
+def test_bad_input_ends_with_2_and_no_traceback(folder, empty_store, capsys, arguments, messages):
+    arguments = [word.replace("STORE", f"sqlite:///{empty_store}") for word in arguments]
     assert cli.main(arguments) == 2
     output = capsys.readouterr()
     for message in messages:
@@ -114,6 +125,38 @@ def test_several_values_of_a_key_are_several_studies(folder, capsys, empty_store
     assert (folder / "study.html").exists()
     assert cli.main(["sync"]) == 0
     assert "everything is in its tracking store" in capsys.readouterr().out
+
+
+def test_an_odd_folder_and_an_odd_name(folder, capsys, monkeypatch, empty_store):
+    """Nothing in a name is read as markup, as a URL, or as an option."""
+    odd = folder / "my [red]study# 'é'"
+    odd.mkdir()
+    shutil.copy(folder / "rod_model.py", odd / "my model.py")
+    text = (folder / "study.yaml").read_text().replace("rod_model.py", "my model.py")
+    (odd / "st[u]dy.yaml").write_text(text.replace("duration: 0.01, steps: 60", "duration: 0.002, steps: 8"))
+    shutil.copy(empty_store, odd / "mlflow.db")
+    monkeypatch.chdir(odd)
+    assert cli.main(["run", "st[u]dy.yaml", "starts.count=1", "optimizer.max_iterations=1"]) == 0
+    assert "st[u]dy: finished" in capsys.readouterr().out
+    assert cli.main(["best", "st[u]dy"]) == 0
+    assert "st[u]dy, " in capsys.readouterr().out
+    assert list((odd / "mlartifacts").rglob("design.yaml"))
+    (folder / "50%").mkdir()
+    monkeypatch.chdir(folder / "50%")
+    assert cli.main(["run", "../study.yaml"]) == 2  # MLflow would put its files elsewhere
+    assert "MLflow misreads" in capsys.readouterr().err
+
+
+def test_what_the_system_refuses_is_a_message(folder, capsys, monkeypatch):
+    (folder / "file").write_text("")
+    assert cli.main(["new", "file/study.yaml"]) == 1
+    assert "file" in capsys.readouterr().err
+    monkeypatch.setenv("TORCHMBD_STORE", str(folder / "file"))
+    assert cli.main(["run", "study.yaml"]) == 1
+    assert "evaluations.db cannot be opened" in capsys.readouterr().err
+    (folder / "mlflow.db").write_text("no database at all, whatever its name says")
+    assert cli.main(["best"]) == 1
+    assert "not a database" in capsys.readouterr().err
 
 
 def test_new_check_and_schema(folder, capsys):

@@ -79,6 +79,7 @@ from torchmbd.joints import (
 from torchmbd.materials import Laminate, Ply, Strength
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.angles import deg
+from torchmbd.numerics.variable import variable
 from torchmbd.optimizers import (
     OptimizationResult,
     Processes,
@@ -201,5 +202,6 @@ __all__ = [
     "sections",
     "simulate",
     "sobol",
+    "variable",
     "viz",
 ]

@@ -17,12 +17,20 @@ from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 from rich.console import Console
+from rich.markup import escape
 
+from torchmbd import __version__
 from torchmbd.errors import InputError, MbdError
+from torchmbd.process import brief_warnings, settle
 
 EXIT_INTERRUPTED = 130
 
-app = App(name="torchmbd", help="Optimization of flexible multibody systems made of composite materials.")
+app = App(
+    name="torchmbd",
+    help="Optimization of flexible multibody systems made of composite materials.",
+    version=__version__,
+    default_parameter=Parameter(negative=""),
+)
 
 
 @app.command
@@ -44,7 +52,7 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     fresh
         Forget the evaluations of this problem, and begin anew.
     """
-    _one_thread()
+    settle()
     from torchmbd.experiment import Plan, load, run_figures, run_plan
     from torchmbd.experiment.overrides import combinations
 
@@ -53,7 +61,7 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     codes = []
     for plan in plans:
         if len(plans) > 1:
-            console.rule(" ".join(plan.overrides))
+            console.rule(escape(" ".join(plan.overrides)))
         if isinstance(plan, Plan):
             codes.append(run_plan(plan, console, workers=workers, scheduler=scheduler, fresh=fresh))
         else:
@@ -74,16 +82,19 @@ def check(file: Path, /, *assignments: str) -> int:
     assignments
         Overrides, as in run.
     """
-    _one_thread()
+    settle()
     from torchmbd.experiment import load
     from torchmbd.experiment.estimate import print_estimate
+    from torchmbd.experiment.overrides import combinations
 
-    print_estimate(load(file, assignments), Console())
+    console = Console()
+    for plan in [load(file, chosen) for chosen in combinations(assignments)]:
+        print_estimate(plan, console)
     return 0
 
 
 @app.command
-def new(file: Path, /, model: str | None = None) -> int:
+def new(file: Path, /, *, model: str | None = None) -> int:
     """Write a first experiment file with every section explained.
 
     Parameters
@@ -111,7 +122,7 @@ def schema() -> int:
 
 
 @app.command
-def best(run: str | None = None, /, count: int = 5, uri: str | None = None) -> int:
+def best(run: str | None = None, /, *, count: int = 5, uri: str | None = None) -> int:
     """Print the best designs of a study.
 
     Parameters
@@ -130,7 +141,7 @@ def best(run: str | None = None, /, count: int = 5, uri: str | None = None) -> i
 
 
 @app.command
-def compare(a: str, b: str, /, uri: str | None = None) -> int:
+def compare(a: str, b: str, /, *, uri: str | None = None) -> int:
     """Print what two studies were told differently, and how they ended.
 
     Parameters
@@ -147,7 +158,7 @@ def compare(a: str, b: str, /, uri: str | None = None) -> int:
 
 
 @app.command
-def report(run: str, /, output: Path | None = None, uri: str | None = None) -> int:
+def report(run: str, /, *, output: Path | None = None, uri: str | None = None) -> int:
     """Write the report of a study: one HTML file that needs nothing else.
 
     Parameters
@@ -166,7 +177,7 @@ def report(run: str, /, output: Path | None = None, uri: str | None = None) -> i
 
 
 @app.command(name="list")
-def list_(folder: Path = Path("configs"), uri: str | None = None) -> int:
+def list_(folder: Path = Path("configs"), *, uri: str | None = None) -> int:
     """List the experiment files at hand and the studies so far.
 
     Parameters
@@ -185,7 +196,7 @@ def list_(folder: Path = Path("configs"), uri: str | None = None) -> int:
 
 
 @app.command
-def cache(clear: bool = False) -> int:
+def cache(*, clear: bool = False) -> int:
     """List the compiled steps on disk, or clear them.
 
     Parameters
@@ -206,6 +217,7 @@ def cache(clear: bool = False) -> int:
 
 @app.command
 def ui(
+    *,
     uri: str | None = None,
     host: str = "127.0.0.1",
     port: Annotated[int, Parameter(name=["--port", "-p"])] = 5000,
@@ -223,10 +235,13 @@ def ui(
     """
     from torchmbd.experiment.listing import print_links
     from torchmbd.tracking.server import serving
-    from torchmbd.tracking.store import store_uri
+    from torchmbd.tracking.store import sqlite_file, store_uri
 
     console = Console()
     store = store_uri(uri)
+    served = sqlite_file(store)
+    if served is not None and not served.exists():
+        raise InputError(f"uri = {store!r}: no study has been here yet; allowed: a store of studies, see torchmbd run")
     if store.startswith(("http:", "https:")):
         console.print(f"{store} is a server already.")
         print_links(store, store.rstrip("/"), console)
@@ -253,27 +268,27 @@ def sync() -> int:
     return min(waiting, 1)
 
 
-def _one_thread() -> None:
-    """Keep numerical libraries to one thread: two make small batched solves 10 to 50 times slower."""
-    for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
-    import torch
-
-    torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
-
-
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code."""
+    brief_warnings()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: with what was computed
     try:
-        return int(app(arguments, result_action="return_value", exit_on_error=False, print_error=True) or 0)
+        code = app(arguments, result_action="return_value", exit_on_error=False, print_error=True)
+        sys.stdout.flush()
+        return int(code or 0)
     except (InputError, CycloptsError) as error:
         if isinstance(error, InputError):  # cyclopts has printed its own
             print(error, file=sys.stderr)
         return 2
     except MbdError as error:
         print(f"failed: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # whoever read the output has seen enough: torchmbd list | head -3
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:
+        print(f"failed: {error.filename or ''}: {error.strerror or error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

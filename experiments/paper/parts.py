@@ -10,13 +10,13 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.paper import antenna, report, rod
+from experiments.paper import antenna, antenna_deployed, report, rod
 from experiments.paper.part import Finding, Part, find
 from torchmbd.errors import unknown
 from torchmbd.experiment.place import place
 
 LONG = 10.0  # minutes
-PARTS: tuple[Part, ...] = (*rod.PARTS, *antenna.PARTS)
+PARTS: tuple[Part, ...] = (*rod.PARTS, *antenna.PARTS, *antenna_deployed.PARTS)
 
 
 def chosen(names: Sequence[str] = (), long: bool = False) -> list[Part]:

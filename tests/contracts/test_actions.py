@@ -62,7 +62,7 @@ def test_pairs_carry_the_tangents(kind):
 
     def forces(vectors, velocities):
         s, rate, direction = A.state(vectors, velocities)
-        return [A.strength(s, rate, t) * d for d in direction]
+        return [A.strength(s, rate, t, {}) * d for d in direction]
 
     found = forces([Pair(x) for x in full], [Pair(x) for x in rates])
     for k in range(TANGENTS):
@@ -108,7 +108,7 @@ def applied(system: mbd.System, q: Tensor, v: Tensor, t: float = 0.3) -> tuple[T
     at = equations.placement(T, data, q, T.prescribed(tensor(t)[0]))
     g = equations.generalized_forces(T, data, at, equations.applied_on_vectors(T, data, at, v))
     states = equations.action_states(T, data, at, v)
-    found = [(s, r, a.strength(s, r, at.t)) for a, (s, r, _) in zip(T.actions, states, strict=True)]
+    found = [(s, r, a.strength(s, r, at.t, {})) for a, (s, r, _) in zip(T.actions, states, strict=True)]
     return torch.cat([x.flatten(0, 1) for x in g])[:, 0, 0], found
 
 

@@ -71,6 +71,11 @@ def turned(mesh: Mesh, R: Tensor, origin: tuple[float, float, float] = (0.3, -0.
     return moved(mesh, mesh.nodes @ R.T + torch.tensor(origin, dtype=torch.float64))
 
 
+def centers(mesh: Mesh) -> Tensor:
+    """Means of the corners of all cells, in the order in which they are counted [cells, 3]."""
+    return torch.cat([mesh.nodes[corners].mean(1) for corners in mesh.cells.values()])
+
+
 def boundary(mesh: Mesh) -> np.ndarray:
     """Nodes on the four edges of a structured mesh."""
     edges = ("left_edge", "right_edge", "bottom_edge", "top_edge")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shutil
 
 import pytest
 from rich.console import Console
@@ -21,7 +22,8 @@ def test_the_example_runs(tmp_path, empty_store):
     overrides = ["simulate.duration=0.01", "simulate.steps=20", "optimizer.max_iterations=1", "starts.count=1"]
     plan = load_study(file, overrides)
     assert plan.columns.names == ("angle_1_deg", "angle_2_deg")
-    assert run_plan(plan, Console(file=io.StringIO()), MlflowTracker("new", f"sqlite:///{empty_store}")) == 0
+    tracker = MlflowTracker("new", f"sqlite:///{shutil.copy(empty_store, tmp_path)}")
+    assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
 
 
 def test_a_model_of_the_users_names_its_own_parts(folder):

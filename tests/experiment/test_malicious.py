@@ -66,4 +66,4 @@ def test_a_deep_file_is_refused():
 
 
 def test_the_server_is_bound_to_loopback_unless_asked():
-    assert cli.ui.__defaults__[1] == "127.0.0.1"
+    assert (cli.ui.__kwdefaults__ or {})["host"] == "127.0.0.1"

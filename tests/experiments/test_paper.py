@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
 import torchmbd as mbd
-from experiments.paper import antenna, parts, report, rod
+from experiments.paper import antenna, antenna_deployed, parts, report, rod
 from experiments.paper.part import Part, Row, find
+from experiments.sar_antenna_data import ANGLES
+from experiments.sar_antenna_whole import whole
 from torchmbd.viz.figures import figure_of
 
 
@@ -110,3 +114,22 @@ def test_figures_go_to_the_tracker(part, tmp_path, monkeypatch):
     found = parts.figures(folder)
     assert found == {"one/a _ b": 1.5, "sentence": found["sentence"]}
     assert {file.name for file in folder.iterdir()} == {"paper.html", "figure9.png", "figure10.png"}
+
+
+def test_rows_of_both_phases(tmp_path, monkeypatch):
+    """Of the first moment of them: the figures, three designs, distances in degrees and millimeters."""
+
+    def shortly(designs, steps, trusses):
+        start = mbd.Phase(release=["L7", "L8", "L11", "L12"])
+        lanes = {ANGLES: torch.stack([mbd.deg(list(x)) for x in designs])}
+        system = whole(designs[0], modes=2, cells=(16, 8), trusses=trusses)
+        return mbd.simulate(system, 0.05, steps=steps, phases=[start], designs=lanes, iterations=(5, 1))
+
+    monkeypatch.setattr(antenna_deployed, "deployed", shortly)
+    rows = {row.what: row for row in antenna_deployed.flexible(tmp_path, 5)}
+    assert {file.name for file in tmp_path.iterdir()} == {f"figure{k}_both phases.png" for k in (22, 23, 24, 25, 26)}
+    assert rows["both phases, optimum"].ours == "deploys"
+    assert rows["angle of panels 1 and 2 at 20 s, initial (deg)"].ours == pytest.approx(math.degrees(3.0), abs=0.01)
+    assert rows["Fig. 22: peak energy of panel2, optimum over initial"].ours < 0.5
+    first, *_ = rows["least gap, panel 2 - panel 3, initial, paper's optimum, optimum (mm)"].ours.split(", ")
+    assert float(first) > 0.0

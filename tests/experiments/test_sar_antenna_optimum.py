@@ -9,6 +9,7 @@ import torch
 import torchmbd as mbd
 from experiments import sar_antenna_optimum
 from experiments.sar_antenna import build
+from experiments.sar_antenna_geometry import figures
 from experiments.sar_antenna_optimum import LAYERS, START, problem
 
 
@@ -54,3 +55,15 @@ def test_a_line_tells_the_optimization():
     text = sar_antenna_optimum.line(result)
     assert text.startswith(f"{result.history[0].objective:.6f} -> ")
     assert "deg" in text
+
+
+def test_spread_over_geometries(tmp_path):
+    """Heavier trusses bend the panels more; the picture and a sentence."""
+    cases = {"as it is": {"modes": 2}, "heavy": {"modes": 2, "radius": 7e-3}}
+    found = figures(tmp_path, cases, steps=20, duration=0.4)
+    assert found["heavy/initial"] != found["as it is/initial"]
+    for name in cases:
+        share = found[f"{name}/optimum"] / found[f"{name}/initial"]
+        assert found[f"{name}/reduction_percent"] == pytest.approx(100.0 * (1.0 - share))
+    assert "reductions of 2 geometries" in found["sentence"]
+    assert (tmp_path / "geometry.png").stat().st_size > 1000

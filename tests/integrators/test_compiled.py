@@ -13,7 +13,9 @@ import torchmbd as mbd
 from experiments.slider_crank import build
 from tests.integrators.test_phases import pushed
 from tests.mechanisms import box, rigid_pendulum, sprung
+from tests.sensitivity.test_law_variables import arm
 from tests.system.test_initial import four_bar
+from torchmbd.forces import Scaled, Spring
 from torchmbd.integrators import compiled, compiled_rates, library
 from torchmbd.system import Dynamics
 
@@ -37,8 +39,10 @@ def both(kept: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
     used = []
 
     def at_once(dynamics: Dynamics, kind: str = "step") -> object:
-        if not library.path_of(dynamics, kind).exists():
-            library.build(*library.order(dynamics, kind))
+        known = library.written_out(dynamics)
+        assert known is not None
+        if not library.path_of(known, kind).exists():
+            library.build(*library.order(known, kind))
         used.append(library.library(dynamics, kind))
         return used[-1]
 
@@ -115,6 +119,18 @@ def test_forces_are_compiled(both: Both) -> None:
     same(*both(system, 0.01, steps=20, sensitivities=True, designs=designs))
 
 
+def test_laws_of_the_user_are_compiled(both: Both) -> None:
+    """With branches and time in them, without slopes of their own."""
+    stiffness = 2.0
+
+    def law(s: torch.Tensor, rate: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        return torch.where(s > 0.05, -stiffness * torch.tanh(s), -s) - 0.01 * rate + 0.3 * torch.sin(40.0 * t)
+
+    system = sprung(law)
+    designs = {NAME: system.body("rod").laminate.angles.detach() + torch.tensor([[0.0], [0.2]], dtype=torch.float64)}
+    same(*both(system, 0.01, steps=20, sensitivities=True, designs=designs))
+
+
 def test_redundant_rows_are_compiled(both: Both) -> None:
     system = four_bar()
     assert system.dynamics().condensed().redundant
@@ -150,3 +166,30 @@ def test_a_right_hand_side_without_inertia_stays_eager(both: Both) -> None:
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 def test_rigid_systems_are_compiled(both: Both, method: str) -> None:
     same(*both(rigid_pendulum(), 0.002, method, 10))
+
+
+@pytest.mark.parametrize("refresh", [1, 0])
+def test_drives_with_design_variables_are_compiled(both: Both, refresh: int) -> None:
+    """What they prescribe differs from lane to lane and step to step, with its tangents."""
+    system = arm("step")
+    designs = {"motor.size": torch.tensor([0.5, 0.3, -0.2], dtype=torch.float64)}
+    variables = ["motor.size", "motor.duration", "rod.laminate.angles"]
+    options = {"steps": 40, "designs": designs, "sensitivities": variables, "refresh": refresh}
+    same(*both(system, 0.1, **options))
+    same(*both(system, 0.1, steps=40, designs=designs, refresh=refresh))
+
+
+def test_forces_with_design_variables_are_compiled(both: Both) -> None:
+    body = box("bob", position=(0.2, 0.0, 0.1), angular_velocity=(1.0, 2.0, 0.5))
+    end = body.at(0.1, 0.05, 0.0)
+    forces = [
+        mbd.SpringDamper(mbd.Ground().at(), end, mbd.variable(40.0), mbd.variable(0.3), 0.1, name="cord"),
+        mbd.RotationalSpringDamper(mbd.Ground().at(), end, law=Scaled(mbd.variable(0.5), Spring(2.0)), name="coil"),
+    ]
+    system = mbd.System([body], [mbd.Spherical(mbd.Ground().at(0.2, 0.0, 0.1), body.at())], forces)
+    names = ["cord.stiffness", "cord.damping", "coil.factor"]
+    designs = {"cord.damping": torch.tensor([0.3, 0.1], dtype=torch.float64)}
+    eager, fast = both(system, 0.2, steps=20, designs=designs, sensitivities=names)
+    same(eager, fast)
+    assert eager.dq_db is not None
+    assert float(eager.dq_db.abs().amax((0, 1, 2)).min()) > 1e-6

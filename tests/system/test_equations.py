@@ -171,7 +171,7 @@ def test_saddle_matrix_is_the_derivative_of_the_index_1_residual(linearized):
     both = torch.cat([x, moved], -1)
     wide = {name: y.expand(*y.shape[:-1], n + 1) for name, y in data.items()}
     at_all = equations.placement(T, wide, q.expand(-1, 1, n + 1), T.prescribed(t))
-    R = dynamics._residual(t, wide, at_all, v.expand(-1, 1, n + 1), both[: T.n_v], both[T.n_v :])[:, 0]
+    R = dynamics._residual(wide, at_all, v.expand(-1, 1, n + 1), both[: T.n_v], both[T.n_v :], T.law_jets(t))[:, 0]
     columns = R[:, 1:] - R[:, :1]
     scale = float(R.abs().max())
     assert_close(dynamics.saddle.matrix(data, at)[0], columns, rtol=1e-12, atol=1e-14 * scale)
@@ -273,7 +273,7 @@ def test_residual_carries_design_tangents(linearized):
     def residual(x):
         own = {name: x[name] for name in data}
         at = equations.placement(T, own, x["q"], T.prescribed(t))
-        return dynamics._residual(t, own, at, x["v"], x["a"], x["lam"])
+        return dynamics._residual(own, at, x["v"], x["a"], x["lam"], T.law_jets(t))
 
     value, slope = torch.func.jvp(residual, (arguments,), (moves,))
     result = residual({name: Pair.of(x, moves[name]) for name, x in arguments.items()})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import socket
 import time
 
@@ -23,7 +24,7 @@ def free_port() -> int:
 def test_a_server_that_goes_away_costs_nothing(tmp_path, empty_store, monkeypatch):
     monkeypatch.setenv("TORCHMBD_PATIENCE", "60")
     port = free_port()
-    store, base = f"sqlite:///{empty_store}", f"http://127.0.0.1:{port}"
+    store, base = f"sqlite:///{shutil.copy(empty_store, tmp_path)}", f"http://127.0.0.1:{port}"
     folder = tmp_path / "study"
     with serving(store, port=port):
         tracker = ProcessTracker("outage", base, folder, "k")

@@ -58,9 +58,9 @@ def test_lines_are_read_whole_and_from_an_offset(tmp_path):
     journal.append(["a", 1])
     with journal.file.open("a") as file:
         file.write('["torn')
-    lines, end = read_lines(journal.file, 0)
-    assert [line for line, _ in lines] == [["head"], ["a", 1]]
-    assert read_lines(journal.file, lines[0][1]) == ([(["a", 1], end)], end)
+    lines = read_lines(journal.file, 0)
+    assert [line.line for line in lines] == [["head"], ["a", 1]]
+    assert read_lines(journal.file, lines[0].end) == lines[1:]
 
 
 def test_a_full_disk_holds_lines_back_until_there_is_room(tmp_path):
@@ -69,18 +69,18 @@ def test_a_full_disk_holds_lines_back_until_there_is_room(tmp_path):
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20, limits[1]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (40, limits[1]))
         journal.append(["a", "x" * 50])
         journal.append(["b"])
         assert journal.trouble
         assert journal.held == 2
-        assert [line for line, _ in read_lines(journal.file, 0)[0]] == [["head"]]
+        assert [line.line for line in read_lines(journal.file, 0)] == [["head"]]
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, before)
     journal.append(["c"])
     assert journal.trouble is None
-    assert [line[0] for line, _ in read_lines(journal.file, 0)[0]] == ["head", "a", "b", "c"]
+    assert [line.line[0] for line in read_lines(journal.file, 0)] == ["head", "a", "b", "c"]
 
 
 def test_sent_survives_half_a_file(tmp_path):
@@ -99,13 +99,16 @@ def test_a_store_that_is_away_is_caught_up_with(tmp_path):
     hide(tmp_path)
     folder = tmp_path / "study"
     file = told(folder, tmp_path, 3, "FINISHED")
+    times = {line.when for line in read_lines(file, 0)}
     reply = Writer(folder, file, lambda: True, patience=0.0).run()
     assert "cannot be opened" in reply["waiting"]
     show(tmp_path)
+    time.sleep(0.02)
     assert deliver(folder) is None
     runs = written(tmp_path)
     assert {run.info.status for run in runs} == {"FINISHED"}
     assert any(run.data.metrics == {"objective": 1.0 / 3} for run in runs)
+    assert {t for run in runs for t in (run.info.start_time, run.info.end_time)} <= times  # not when it was sent
     assert not folder.exists()
 
 

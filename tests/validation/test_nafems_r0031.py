@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.elements.plate_cases import freedoms, mapped, solved, stiffness
+from tests.elements.plate_cases import centers, freedoms, mapped, solved, stiffness
 from tests.validation.navier import Navier
 from tests.validation.simply_supported import supports
 from torchmbd.elements import PlateMatrices, ply_basis, ply_points
@@ -28,10 +28,13 @@ PLY = Ply(E1=100e9, E2=5e9, G12=3e9, G13=3e9, G23=2e9, nu12=0.4, density=1.0)
 LAMINATE = Laminate(PLY, deg([0, 90, 0, 90, 0, 90, 0]), [1e-4] * 3 + [4e-4] + [1e-4] * 3, shear_correction="energy")
 
 
-@pytest.fixture(scope="module")
-def solution() -> tuple[Mesh, PlateMatrices, np.ndarray]:
+BOTH = pytest.mark.parametrize("kind", ["triangle", "quad"])
+
+
+@pytest.fixture(scope="module", params=["triangle", "quad"])
+def solution(request) -> tuple[Mesh, PlateMatrices, np.ndarray]:
     """The strip of 50 x 10 mm with 80 x 16 cells; nodes lie on supports (x = -15, 15 mm) and load (x = 0)."""
-    mesh = rectangle(50e-3, 10e-3, (80, 16))
+    mesh = rectangle(50e-3, 10e-3, (80, 16), request.param)
     plate = PlateMatrices(mesh, LAMINATE)
     x, y = mesh.nodes[:, 0].numpy(), mesh.nodes[:, 1].numpy()
     middle = np.flatnonzero(np.abs(x) < 1e-9)
@@ -53,10 +56,10 @@ def test_bending_stress_under_the_load(solution):
     """In the cells beside the load, carried on to it along the linear moment: the plate's edge effects are in it."""
     mesh, plate, u = solution
     stress = ply_basis(plate, LAMINATE, torch.from_numpy(u.reshape(-1, 6, 1))).stress[..., 0].detach()
-    triangle, layer, face = ply_points(plate, LAMINATE).T
-    center = mesh.nodes[mesh.triangles].mean(1)
-    near = (center[triangle, 0].abs() < 1e-3) & (center[triangle, 1].abs() < 1e-3) & (layer == 0) & (face == 0)
-    outer = (stress[near, 0] / (1.0 - center[triangle[near], 0].abs() / 15e-3)).mean()
+    cell, layer, face = ply_points(plate, LAMINATE).T
+    center = centers(mesh)
+    near = (center[cell, 0].abs() < 1e-3) & (center[cell, 1].abs() < 1e-3) & (layer == 0) & (face == 0)
+    outer = (stress[near, 0] / (1.0 - center[cell[near], 0].abs() / 15e-3)).mean()
     assert 1e-6 * float(outer) == pytest.approx(683.9, rel=0.02)
 
 
@@ -64,16 +67,17 @@ def test_shear_stress_of_the_first_interface(solution):
     """Mean over the width halfway between support and load (the middle carries 2 % less); continuous between layers."""
     mesh, plate, u = solution
     stress = ply_basis(plate, LAMINATE, torch.from_numpy(u.reshape(-1, 6, 1))).stress[..., 0].detach()
-    triangle, layer, face = ply_points(plate, LAMINATE).T
-    center = mesh.nodes[mesh.triangles].mean(1)
-    between = (center[triangle, 0] + 7.5e-3).abs() < 2e-3
+    cell, layer, face = ply_points(plate, LAMINATE).T
+    center = centers(mesh)
+    between = (center[cell, 0] + 7.5e-3).abs() < 2e-3
     lower = stress[between & (layer == 0) & (face == 1), 3].mean()  # fibre along x: tau_13 is tau_xz
     upper = stress[between & (layer == 1) & (face == 0), 4].mean()  # fibre along y: tau_23 is -tau_xz
     assert abs(1e-6 * float(lower)) == pytest.approx(4.1, rel=0.02)
     assert float(lower) == pytest.approx(-float(upper), rel=1e-9)
 
 
-def test_wrapped_thick_cylinder():
+@BOTH
+def test_wrapped_thick_cylinder(kind):
     """Means of the layers 5 and 8 % off: a thin shell knows no decay along the radius, here 2 : 25 in each layer.
 
     Exact for the theory: force p r_i on the layers in parallel, no axial force.
@@ -85,7 +89,7 @@ def test_wrapped_thick_cylinder():
     def place(s, t):
         return 25 * math.sin(math.pi / 2 * (1 - s)), 25 * math.cos(math.pi / 2 * (1 - s)), 4 * t
 
-    mesh = mapped((32, 2), place)  # normals point outward: the first layer is the inner one
+    mesh = mapped((32, 2), place, kind)  # normals point outward: the first layer is the inner one
     outward = mesh.nodes.numpy() * [1 / 25, 1 / 25, 0]
     axis = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand_as(mesh.normals)
     plate = PlateMatrices(mesh, laminate, direction=torch.linalg.cross(mesh.normals, axis))
@@ -110,19 +114,20 @@ def test_wrapped_thick_cylinder():
     assert found[1] == pytest.approx((874.7 + 759.1) / 2, rel=0.08)
 
 
-def test_sandwich_plate():
+@BOTH
+def test_sandwich_plate(kind):
     """Deflection within 1 %; stresses of the stiff faces within 4 % of the targets, where the theory's own limit lies."""
     face = Ply(E1=10e6, E2=4e6, G12=1.875e6, G13=1.875e6, G23=1.875e6, nu12=0.3, density=1.0)
     core = Ply(E1=10.0, E2=10.0, G12=10.0, G13=3e4, G23=1.2e4, nu12=0.0, density=1.0)
     laminate = Laminate([face, core, face], [0.0] * 3, [0.028, 0.75, 0.028], shear_correction="energy")
-    mesh = rectangle(10.0, 10.0, (32, 32))
+    mesh = rectangle(10.0, 10.0, (32, 32), kind)
     plate = PlateMatrices(mesh, laminate)
     load = np.zeros(6 * len(mesh.nodes))
     load[2::6] = -100 * plate.area.numpy()
     u = solved(stiffness(plate, laminate), load, supports(mesh, "SS-1"))
     stress = ply_basis(plate, laminate, torch.from_numpy(u.reshape(-1, 6, 1))).stress[..., 0].detach()
-    triangle, layer, side = ply_points(plate, laminate).T
-    at = mesh.nodes[mesh.triangles].mean(1)[triangle]
+    cell, layer, side = ply_points(plate, laminate).T
+    at = centers(mesh)[cell]
 
     def top(x: float, y: float) -> torch.Tensor:
         near = (layer == 2) & (side == 1) & ((at[:, :2] - at.new_tensor([x, y])).abs() < 0.32).all(1)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.elements.plate_cases import solved, stiffness
+from tests.elements.plate_cases import centers, solved, stiffness
 from tests.validation.navier import Navier
 from tests.validation.simply_supported import supports
 from torchmbd.elements import PlateMatrices, ply_basis, ply_points
@@ -43,28 +43,29 @@ def test_printed_stresses(slenderness, xx, yy, xy):
     assert abs(stress[3, 1, 2]) == pytest.approx(xy, rel=5e-3)
 
 
+@pytest.mark.parametrize("kind", ["triangle", "quad"])
 @pytest.mark.parametrize("slenderness", [4, 20])
-def test_ply_stresses_of_the_triangle_converge_to_the_series(slenderness):
-    """Every component, in every triangle, layer and face: within 1.5 % of its largest at 32 x 32 cells."""
+def test_ply_stresses_of_the_elements_converge_to_the_series(slenderness, kind):
+    """Every component, in every cell, layer and face: within 1.5 % of its largest at 32 x 32 cells."""
     laminate = stack(slenderness)
-    errors = [field_error(laminate, n) for n in (16, 32)]
+    errors = [field_error(laminate, n, kind) for n in (16, 32)]
     assert (errors[1] < 0.015).all()
     assert (errors[0] / errors[1] > 1.8).all()
 
 
-def field_error(laminate: Laminate, n: int) -> np.ndarray:
+def field_error(laminate: Laminate, n: int, kind: str) -> np.ndarray:
     """Root mean square error of the five stresses at all points, relative to the largest stress of the component."""
-    mesh = rectangle(1.0, 1.0, (n, n))
+    mesh = rectangle(1.0, 1.0, (n, n), kind)
     matrices = PlateMatrices(mesh, laminate)
     x, y = (mesh.nodes[:, i].numpy() + 0.5 for i in (0, 1))
     force = np.zeros(6 * len(x))
     force[2::6] = matrices.area.numpy() * np.sin(math.pi * x) * np.sin(math.pi * y)
     u = solved(stiffness(matrices, laminate), force, supports(mesh, "SS-1"))
     found = ply_basis(matrices, laminate, torch.from_numpy(u.reshape(-1, 6, 1))).stress[..., 0].detach().numpy()
-    triangle, layer, face = ply_points(matrices, laminate).T.numpy()
-    center = mesh.nodes[mesh.triangles].mean(1).numpy()[:, :2] + 0.5
+    cell, layer, face = ply_points(matrices, laminate).T.numpy()
+    center = centers(mesh).numpy()[:, :2] + 0.5
     (sx, sy), (cx, cy) = np.sin(math.pi * center).T, np.cos(math.pi * center).T
     shapes = np.stack([sx * sy, sx * sy, cx * cy, sx * sy, sx * sy, cx * cy, cx * sy, sx * cy], -1)
     maps = ply_maps(laminate).stress.detach().numpy()
-    exact = np.einsum("pcs,ps->pc", maps[layer, face], shapes[triangle] * series_amplitudes(laminate))
+    exact = np.einsum("pcs,ps->pc", maps[layer, face], shapes[cell] * series_amplitudes(laminate))
     return np.sqrt(((found - exact) ** 2).mean(0)) / np.abs(exact).max(0)

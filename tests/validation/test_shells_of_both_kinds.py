@@ -22,6 +22,7 @@ LEVELS = {
     "square plates": (0.025, 0.01),
     "plates 5 : 1": (0.03, 0.03),
     "Morley's skew plate": (0.05, 0.02),
+    "Razzaque's skew plate": (0.07, 0.02),
 }
 
 

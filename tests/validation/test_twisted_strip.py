@@ -21,9 +21,9 @@ S = B / H * math.sqrt(2.5)
 EXACT = E / 2 / (1 + NU) * B * H**3 / 3 * (1 - math.tanh(S) / S)
 
 
-def torsional_stiffness(across: int, slenderness: float) -> float:
+def torsional_stiffness(across: int, slenderness: float, kind: str) -> float:
     """G J from the energy of a unit twist; cells `slenderness` times as long as wide."""
-    mesh = rectangle(LENGTH, B, (max(1, round(LENGTH / (B / across * slenderness))), across))
+    mesh = rectangle(LENGTH, B, (max(1, round(LENGTH / (B / across * slenderness))), across), kind)
     laminate = Laminate(Ply.isotropic(E, NU, 1.0), [0.0], H)
     x, y, _ = mesh.nodes.numpy().T
     given = np.zeros((len(x), 6))
@@ -36,12 +36,19 @@ def torsional_stiffness(across: int, slenderness: float) -> float:
 
 
 @pytest.mark.parametrize(
-    ("slenderness", "errors"),
-    [(1.0, (0.09, 0.026)), (2.5, (0.18, 0.06)), (5.0, (0.26, 0.11))],
+    ("kind", "slenderness", "errors"),
+    [
+        ("triangle", 1.0, (0.09, 0.026)),
+        ("triangle", 2.5, (0.18, 0.06)),
+        ("triangle", 5.0, (0.26, 0.11)),
+        ("quad", 1.0, (0.05, 0.014)),
+        ("quad", 2.5, (0.045, 0.013)),
+        ("quad", 5.0, (0.042, 0.012)),
+    ],
 )
-def test_torsional_stiffness(slenderness, errors):
+def test_torsional_stiffness(kind, slenderness, errors):
     """4 and 8 cells across; from 8 to 16 the error falls to less than a third."""
-    found = [torsional_stiffness(n, slenderness) / EXACT - 1 for n in (4, 8, 16)]
+    found = [torsional_stiffness(n, slenderness, kind) / EXACT - 1 for n in (4, 8, 16)]
     assert found[0] == pytest.approx(0.0, abs=errors[0])
     assert found[1] == pytest.approx(0.0, abs=errors[1])
     assert 0.0 < found[2] < found[1] / 3

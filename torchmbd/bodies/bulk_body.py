@@ -38,6 +38,7 @@ class BulkBody:
 class _Line:
     nodes: Tensor
     elements: Tensor
+    middles: Tensor | None = None
 
 
 def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped") -> BulkBody:

@@ -172,7 +172,7 @@ class FlexibleBody(nn.Module):
         twist: float | Sequence | Tensor = 0.0,
         mass: str = "lumped",
     ) -> FlexibleBody:
-        """A beam, straight or curved, with branches if need be.
+        """A beam, straight or of arcs, with branches if need be.
 
         line            nodes and two-node elements
         section         a Section (its `angles` [rad] are the body's design parameters) or a GivenSection; or one for each

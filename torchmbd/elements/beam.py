@@ -1,17 +1,18 @@
 """Stiffness and lumped mass of shear-flexible beams in space with full 6 x 6 sections.
 
 The element is made from equilibrium, not from shape functions. With f the force and moment at its end (the rest of the
-structure on the element), those at the distance s before the end are (1 + s E) f, E: M += e_x cross F, so
+structure on the element), those of the section at d before the end are C f: M += d cross F, then turned into its axes, so
 
-    F = integral of (1 + s E)' S (1 + s E) ds                 flexibility of the end, by Gauss's rule
-    f = F^-1 (u_2 - A u_1),   A = 1 + l E'                    stiffness
+    F = integral of C' S C ds                                 flexibility of the end, by Gauss's rule
+    f = F^-1 (u_2 - A' u_1),   A: M += c cross F              stiffness
 
 S        compliance of the section about the line of the nodes, at the stations of the rule
-u_1, u_2 displacements and rotations of the ends
+c        the chord, from the start to the end
+u_1, u_2 displacements and rotations of the ends, in the axes of the chord
 
 Exact for beams loaded at their nodes, whatever the couplings: no locking, no dependence on the number of elements; two
-stations for a prismatic element, more for one that is twisted by itself. Rigid motions are exact. Curved beams are
-polygons of such elements.
+stations for a prismatic element, more for one that is twisted by itself or an arc (beam_curve.py; the section is that of
+the straight beam: depth over radius is small). Rigid motions are exact.
 Mass: half of each element's at its ends, as four particles in the plane of the section that have its mass, center and
 inertia; so products of inertia and eccentric centers need no special case in the motion.
 Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units. Differentiable, forward and
@@ -31,21 +32,19 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchmbd.elements.beam_curve import Curves
 from torchmbd.elements.facet import STEEPNESS
 from torchmbd.errors import InputError
 from torchmbd.numerics.inverse import balanced_inverse
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
 
-#: E of the module header: e_x cross F added to the moment.
-_ARM = torch.zeros(6, 6, dtype=torch.float64)
-_ARM[4, 2], _ARM[5, 1] = -1.0, 1.0
-
 
 class Line(Protocol):
-    """Nodes [n, 3] and two-node elements [m, 2]: a BeamLine, or the beams of a larger mesh."""
+    """Nodes [n, 3] and two-node elements [m, 2]: a BeamLine, or the beams of a larger mesh; middles of arcs [m, 3]."""
 
     nodes: Tensor
     elements: Tensor
+    middles: Tensor | None
 
 
 class Particles(NamedTuple):
@@ -60,12 +59,12 @@ class BeamMatrices:
     """What a line contributes to stiffness and mass, made once per mesh.
 
     pattern   where K is not zero
-    axes      rows e_x, e_y, e_z of each element in mesh axes   [m, 3, 3]
-    length    of each element                                   [m], m
+    axes      rows e_x, e_y, e_z of each element (of its chord) in mesh axes   [m, 3, 3]
+    length    of each element, along its arc                    [m], m
     stations  where the section is asked, in parts of the length from the start    [g]
 
-    orientation   the sections' y-axis in mesh axes, projected across each element: [3], or one for each element of the
-                  mesh [m, 3]
+    orientation   the sections' y-axis in mesh axes, projected across each element, of an arc across its tangents: [3], or
+                  one for each element of the mesh [m, 3]
     members       indices of the elements in question; None: all of the mesh. `elements` keeps their nodes
     stations      how many; two are exact for prismatic elements
     """
@@ -80,20 +79,26 @@ class BeamMatrices:
         self.mesh = mesh
         self.members = torch.arange(len(mesh.elements)) if members is None else torch.as_tensor(members)
         self.elements = mesh.elements[self.members]
-        span = mesh.nodes[self.elements[:, 1]] - mesh.nodes[self.elements[:, 0]]
-        self.length = span.norm(dim=1)
-        self.axes = _axes(span / self.length[:, None], orientation, self.members, len(mesh.elements))
+        start, end = mesh.nodes[self.elements].unbind(1)
+        self.curves = Curves.through(start, end, None if mesh.middles is None else mesh.middles[self.members])
+        self.length = self.curves.length
+        self._orientation = orientation
+        span = end - start
+        chord = span.norm(dim=1)
+        self.axes = self._frames((span / chord[:, None])[:, None])[:, 0]
         freedoms = (6 * self.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
         rows, cols = freedoms[:, :, None].expand(-1, 12, 12), freedoms[:, None, :].expand(-1, 12, 12)
         self.pattern, self._slot = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
         turn = torch.zeros(len(span), 6, 6, dtype=torch.float64)
         turn[:, :3, :3] = turn[:, 3:, 3:] = self.axes
-        self._whole = torch.eye(6, dtype=torch.float64) + self.length[:, None, None] * _ARM
+        along = torch.stack([chord, torch.zeros_like(chord), torch.zeros_like(chord)], dim=-1)
+        self._whole = _transport(along, torch.eye(3, dtype=torch.float64))
         self._ends = torch.cat([-self._whole.mT @ turn, turn], dim=-1)  # u_2 - A u_1 in local axes  [m, 6, 12]
         points, weights = (torch.from_numpy(x) / 2.0 for x in np.polynomial.legendre.leggauss(stations))
         self.stations, self._weights = 0.5 + points, weights
-        before = self.length[:, None] * (1.0 - self.stations)  # s of the header
-        self._carry = torch.eye(6, dtype=torch.float64) + before[..., None, None] * _ARM  # [m, g, 6, 6]
+        place, tangent = self.curves.at(self.stations)
+        before = (end[:, None] - place) @ self.axes.mT  # d of the header, in the axes of the chord
+        self._carry = _transport(before, self._frames(tangent) @ self.axes[:, None].mT)  # [m, g, 6, 6]
 
     def values(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> Float[Tensor, "*lanes nnz"]:
         """K values on the pattern, from the section stiffness at each station (m and g may be 1 where it is the same)."""
@@ -114,10 +119,23 @@ class BeamMatrices:
     def forces(
         self, stiffness: Float[Tensor, "*lanes m g 6 6"], motion: Float[Tensor, "*lanes n 6 k"]
     ) -> Float[Tensor, "*lanes m 2 6 k"]:
-        """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, in its axes, for k motions of the nodes."""
+        """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, in its axes there, for k motions of the nodes."""
         k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
         end = k @ (self._ends @ motion[..., self.elements, :, :].flatten(-3, -2))
-        return torch.stack([self._whole @ end, end], dim=-3)
+        turned = self.frames(torch.tensor([0.0, 1.0], dtype=torch.float64)) @ self.axes[:, None].mT
+        here = _transport(end.new_zeros(len(self.length), 2, 3), turned)
+        return here @ torch.stack([self._whole @ end, end], dim=-3)
+
+    def frames(self, t: Float[Tensor, " g"]) -> Float[Tensor, "m g 3 3"]:
+        """Axes of the sections at parts t of the lengths, rows, mesh axes."""
+        return self._frames(self.curves.at(t)[1])
+
+    def _frames(self, tangent: Float[Tensor, "m g 3"]) -> Float[Tensor, "m g 3 3"]:
+        count = tangent.shape[1]
+        members = self.members.repeat_interleave(count)
+        return _axes(tangent.flatten(0, 1), self._orientation, members, len(self.mesh.elements)).unflatten(
+            0, (-1, count)
+        )
 
     def particles(self, mass: Float[Tensor, "m places 6 6"], consistent: bool = False) -> Particles:
         """Four particles at each place of each element, from the section mass there (m and places may be 1).
@@ -133,7 +151,9 @@ class BeamMatrices:
         shape = (m, len(pairs), 4)
         ends = torch.stack([torch.stack(pair, dim=-1) for pair in pairs], dim=1)  # [m, places, 2]
         per_length, at = section_particles(mass.expand(m, len(pairs), 6, 6).flatten(0, 1))
-        arm = at.unflatten(0, shape[:2]) @ self.axes[:, None, 1:]
+        frames = self.frames(torch.tensor([0.0, 1.0, 0.5], dtype=torch.float64)[: len(pairs)])
+        arm = at.unflatten(0, shape[:2]) @ frames[:, :, 1:]
+        arm[:, 2:] += self.curves.arrow[:, None, None]  # the middle of the arc, from that of the chord
         whole = (
             per_length.unflatten(0, shape[:2]) * self.length[:, None, None] * self.length.new_tensor(shares)[:, None]
         )
@@ -160,6 +180,15 @@ def section_particles(mass: Float[Tensor, "m 6 6"]) -> tuple[Float[Tensor, "m 4"
     arms = (2.0 * values).sqrt()[:, None, :] * directions  # columns: along the principal axes
     at = center[:, None] + torch.cat([arms, -arms], dim=-1).mT
     return (mu / 4.0)[:, None].expand(-1, 4), at
+
+
+def _transport(d: Float[Tensor, "*n 3"], turn: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 6 6"]:
+    """C of the module header: turn [F; M + d cross F]."""
+    x, y, z = d.unbind(-1)
+    o = torch.zeros_like(x)
+    arm = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).unflatten(-1, (3, 3))
+    turn = turn.expand(arm.shape)
+    return torch.cat([torch.cat([turn, torch.zeros_like(turn)], -1), torch.cat([turn @ arm, turn], -1)], -2)
 
 
 def _axes(e_x: Tensor, orientation: Sequence[float] | Tensor, members: Tensor, count: int) -> Float[Tensor, "m 3 3"]:

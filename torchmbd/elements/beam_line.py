@@ -3,8 +3,10 @@
 nodes      positions in the axes of the body   [n, 3], m
 elements   node indices (start, end)           [m, 2]
 node_sets  name -> node indices; a set of one node is a named node
+middles    of elements that are arcs of circles, on their arcs halfway   [m, 3], m; None: all are straight
 
-An element's x-axis runs from its start to its end. Branches and closed loops are allowed; parts must hang together.
+An element's x-axis runs from its start to its end, along the tangent of an arc. Branches and closed loops are allowed;
+parts must hang together.
 Checked in tests/elements/test_beam_line.py.
 """
 
@@ -26,23 +28,28 @@ from torchmbd.numerics.owned import indices, reals
 
 
 class BeamLine:
-    """Nodes [n, 3] in m, elements [m, 2] (default: each node with the next) and named node sets."""
+    """Nodes [n, 3] in m, elements [m, 2] (default: each node with the next), named node sets, middles of arcs [m, 3]."""
 
     nodes: Float[Tensor, "n 3"]
     elements: Int[Tensor, "m 2"]
     node_sets: Mapping[str, Sequence[int]]
+    middles: Float[Tensor, "m 3"] | None
 
     def __init__(
         self,
         nodes: ArrayLike | Tensor,
         elements: ArrayLike | Tensor | None = None,
         node_sets: Mapping[str, Sequence[int]] | None = None,
+        middles: ArrayLike | Tensor | None = None,
     ) -> None:
         self.nodes = reals("nodes of a BeamLine", nodes)
         _check_nodes(self.nodes)
         chain = np.array(list(pairwise(range(len(self.nodes)))))
         self.elements = indices("elements of a BeamLine", chain if elements is None else elements)
         _check_elements(self.nodes, self.elements)
+        self.middles = None if middles is None else reals("middles of a BeamLine", middles)
+        if self.middles is not None:
+            _check_middles(self.nodes[self.elements], self.middles)
         if node_sets is None:
             node_sets = {"start": [0], "end": [len(self.nodes) - 1]} if elements is None else {}
         self.node_sets = {str(name): tuple(int(k) for k in members) for name, members in node_sets.items()}
@@ -64,6 +71,24 @@ class BeamLine:
         nodes = np.linspace(0.0, length, elements + 1)[:, None] * d / np.linalg.norm(d)
         sets = {"start": [0], "end": [elements]} | ({"center": [elements // 2]} if elements % 2 == 0 else {})
         return cls(nodes, node_sets=sets)
+
+    @classmethod
+    def arc(cls, radius: float, angle: float, elements: int = 16) -> BeamLine:
+        """Arc of a circle in the x-y plane, from the origin along +x, bending to +y. Nodes "start", "end", "center".
+
+        radius   [m]
+        angle    from the first tangent to the last [rad], less than a whole turn; an element takes half a turn at most
+        """
+        if not 0.0 < radius < float("inf"):
+            raise InputError(f"BeamLine: radius = {radius!r} m; allowed: a finite number > 0")
+        if not 0.0 < angle < 2.0 * np.pi:
+            raise InputError(f"BeamLine: angle = {angle!r} rad; allowed: 0 to 2 pi")
+        if not isinstance(elements, int) or isinstance(elements, bool) or elements < 1 or angle > np.pi * elements:
+            raise InputError(f"BeamLine: elements = {elements!r}; allowed: an integer >= 1, one for each half turn")
+        at = np.linspace(0.0, angle, 2 * elements + 1)
+        places = radius * np.stack([np.sin(at), 1.0 - np.cos(at), 0.0 * at], axis=1)
+        sets = {"start": [0], "end": [elements]} | ({"center": [elements // 2]} if elements % 2 == 0 else {})
+        return cls(places[::2], node_sets=sets, middles=places[1::2])
 
     def node(self, name: str) -> int:
         """Return the index of a named single node."""
@@ -117,6 +142,21 @@ def _check_elements(nodes: Tensor, elements: Tensor) -> None:
         stray = int(np.flatnonzero(label != label[0])[0])
         raise InputError(
             f"BeamLine: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
+        )
+
+
+def _check_middles(ends: Tensor, middles: Tensor) -> None:
+    if middles.shape != (len(ends), 3) or not torch.isfinite(middles).all():
+        raise InputError(f"BeamLine: middles has shape {tuple(middles.shape)}; allowed: finite, [{len(ends)}, 3]")
+    start, end = ends.unbind(1)
+    chord, arrow = end - start, middles - 0.5 * (start + end)
+    c, b = chord.norm(dim=1), arrow.norm(dim=1)
+    wrong = (((chord * arrow).sum(1).abs() > 1e-6 * c**2) | (b > 0.5 * (1 + 1e-9) * c)).nonzero().flatten()
+    if len(wrong):
+        k = int(wrong[0])
+        raise InputError(
+            f"BeamLine: middle of element {k} is at {middles[k].tolist()}; allowed: as far from its start as from its end, "
+            "on an arc of at most half a turn"
         )
 
 

@@ -17,8 +17,8 @@ from torchmbd.elements.beam_section import BeamSection, line_transform
 from torchmbd.elements.plates import MASSES
 from torchmbd.errors import InputError, unknown
 
-#: Stations of an element that is twisted by itself: its flexibility is exact to 1e-10 up to a quarter turn.
-TWISTED = 8
+#: Stations of an element that is twisted by itself or an arc: its flexibility is exact to 1e-10 up to a quarter turn.
+TURNING = 8
 
 
 class Beams:
@@ -49,7 +49,8 @@ class Beams:
             raise InputError(f"section is {section!r}; allowed: a Section or a GivenSection")
         self.section = section
         at, turn = _placed(offset, twist, len(mesh.elements), elements)
-        self.matrices = BeamMatrices(mesh, orientation, elements, TWISTED if turn.shape[1] == 2 else 2)
+        turning = turn.shape[1] == 2 or mesh.middles is not None
+        self.matrices = BeamMatrices(mesh, orientation, elements, TURNING if turning else 2)
         self.pattern = self.matrices.pattern
         self._to_line = line_transform(at, _along(turn, self.matrices.stations))
         places = line_transform(at, _along(turn, torch.tensor([0.0, 1.0, 0.5])))  # start, end, middle

@@ -9,6 +9,10 @@ A warped cell stands on its mean plane, its corners at heights z = +d, -d, +d, -
 w_0     the linear part of w (its gradient at xi = eta = 0): the corners' displacements become u_i + z_i grad w_0, from
         displacements alone, so a rigid rotation strains nothing
 rest    bending of a warped cell, with grad w = -beta of the corners; its mean over the cell is kept
+bows    a side that is bent deflects by L / 12 (beta_j - beta_i) . t from its chord in the mean; where the chord is inclined
+        to the plane, a part of this lies in the plane along the side and belongs to the mean of grad u
+
+So a strip of cells that wind like a screw bends and twists as thin as it is, without stretching.
 
 On curved shells the drilling freedoms are softened as in triangle.py, with r = area (tilt / h)^2.
 Source: see quad_membrane.py, quad_bending.py; shallow shells: K. Marguerre (1938); forces instead of moments at the corners
@@ -50,15 +54,31 @@ def _of_warp(plane: Facets, points: Bilinear, flat: Tensor) -> Float[Tensor, "m 
     """Membrane strains of the freedoms w, phi_x, phi_y of a warped cell's corners."""
     w0 = middle(plane.corners).slopes[:, 0]  # gradient of the linear part [m, 2, 4]
     lifted = torch.einsum("mpsic,mi,mcj->mpsj", flat, plane.height, w0)
-    zx, zy = torch.einsum("mpci,mi->cmp", points.slopes, plane.height)[..., None]
-    share = (points.weight / points.weight.sum(1, keepdim=True))[..., None, None]
-
-    def mean(wx: Tensor, wy: Tensor) -> Tensor:
-        strain = torch.stack([zx * wx, zy * wy, zx * wy + zy * wx], dim=2)
-        return (share * strain).sum(1, keepdim=True)
-
-    N, none = points.shape.expand(len(flat), -1, -1), torch.zeros_like(points.slopes[:, :, 0])
-    rest = torch.stack([mean(-w0[:, None, 0], -w0[:, None, 1]), mean(none, N), mean(-N, none)], dim=-1)
-    result = torch.cat([rest.expand(-1, 4, -1, -1, -1), rest.new_zeros(len(flat), 2, 3, 4, 3)], dim=1)
+    mean = _of_slopes(plane, points, w0) + _of_bows(plane)
+    result = torch.cat([mean[:, None].expand(-1, 4, -1, -1, -1), mean.new_zeros(len(flat), 2, 3, 4, 3)], dim=1)
     result[..., 0] += lifted
     return result
+
+
+def _of_slopes(plane: Facets, points: Bilinear, w0: Tensor) -> Float[Tensor, "m 3 4 3"]:
+    """Mean of sym grad z o (grad w - grad w_0) with grad w = -beta."""
+    zx, zy = torch.einsum("mpci,mi->cmp", points.slopes, plane.height)[..., None]
+    share = (points.weight / points.weight.sum(1, keepdim=True))[..., None, None]
+    N = points.shape.expand(len(w0), -1, -1)
+
+    def mean(wx: Tensor, wy: Tensor) -> Tensor:
+        return (share * torch.stack([zx * wx, zy * wy, zx * wy + zy * wx], dim=2)).sum(1)
+
+    return torch.stack([mean(-w0[:, None, 0], -w0[:, None, 1]), mean(0.0 * N, N), mean(-N, 0.0 * N)], dim=-1)
+
+
+def _of_bows(plane: Facets) -> Float[Tensor, "m 3 4 3"]:
+    """Mean strain of the sides' bows, which have a part in the plane where a side is inclined to it."""
+    side, rise = plane.corners.roll(-1, dims=1) - plane.corners, plane.height.roll(-1, dims=1) - plane.height
+    length2 = (side**2).sum(-1)
+    tx, ty = (side / length2.sqrt()[..., None]).unbind(-1)
+    pulled = torch.stack([tx * ty, -tx * ty, ty**2 - tx**2], dim=-1)  # n o t of every side
+    size = -rise * length2.sqrt() / 12.0 / plane.area[:, None]
+    turn = torch.stack([torch.zeros_like(tx), -ty, tx], dim=-1)  # beta . t of (w, phi_x, phi_y)
+    of_side = torch.einsum("mk,mks,mkf->mskf", size, pulled, turn)
+    return of_side.roll(1, dims=2) - of_side

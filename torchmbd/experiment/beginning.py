@@ -12,15 +12,16 @@ from pathlib import Path
 
 from torchmbd.errors import InputError
 from torchmbd.experiment.model import build_model, find_model
+from torchmbd.optimizers import OPTIMIZERS
 from torchmbd.system import System
 
-EXAMPLE = '''"""A robot arm: a laminated strip that a motor turns about the vertical. Change it into your own mechanism."""
+EXAMPLE = '''"""A robot arm: a laminated strip that a motor turns by a quarter, from rest to rest. Make it your own."""
 
 import torchmbd as mbd
 
 
-def build(layers: int = 2, length: float = 0.5, speed: float = 3.0) -> mbd.System:
-    """Arm of `length` [m] that turns with `speed` [rad/s]."""
+def build(layers: int = 2, length: float = 0.5, move: float = 0.3) -> mbd.System:
+    """Arm of `length` [m] that is turned within `move` seconds."""
     carbon = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
     angles = mbd.deg([45.0 if k % 2 == 0 else -45.0 for k in range(layers)])  # these become design variables
     laminate = mbd.Laminate(carbon, angles=angles, thickness=2e-3 / layers)
@@ -33,7 +34,7 @@ def build(layers: int = 2, length: float = 0.5, speed: float = 3.0) -> mbd.Syste
         bodies=[hub, arm],
         joints=[
             mbd.Revolute(ground.at(0, 0, 0), hub.at(0, 0, 0), axis="z"),
-            mbd.Drive(ground, hub, axis="z", speed=speed),
+            mbd.Drive(ground, hub, axis="z", angle=mbd.SmoothStep(size=mbd.deg(90.0), duration=move)),
             mbd.Fixed(hub.at(0, 0, 0), arm.at("left")),
         ],
     )
@@ -44,13 +45,14 @@ TEXT = """\
 # torchmbd check {name} says whether it is valid and what it costs, torchmbd run {name} runs it,
 # torchmbd schema > study.schema.json lets an editor complete it.
 
-model: {model}                # file.py:function or package.module:function, returns a torchmbd.System
-options: {options}            # arguments of that function
+# model: file.py:function or package.module:function, returns a torchmbd.System; options: arguments of that function
+model: {model}
+options: {options}
 
 design:                       # design variables: parameters of the model with bounds; start: as the model is built
 {design}
 simulate:                     # SI units; more keys are options of the method
-  duration: 0.1               # seconds
+  duration: 0.4               # seconds
   steps: 200
 
 minimize:                     # integral, mean, rms, max, min, final ... of strain_energy, displacement, velocity ...
@@ -59,7 +61,7 @@ subject_to:                   # each at_most, at_least or equal: a number, or in
   - {{max: {{strain_energy: {body}}}, at_most: initial}}
 
 optimizer:
-  name: mmfd                  # or slsqp, trust_constr, ...: torchmbd check names them all
+  name: mmfd                  # or {others}
   max_iterations: 30
 starts:                       # where the optimizer starts: the model's own design and points between the bounds
   sampler: sobol
@@ -67,7 +69,7 @@ starts:                       # where the optimizer starts: the model's own desi
   seed: 7
 
 tracking:
-  experiment: {experiment}    # in MLflow; torchmbd ui shows it
+  experiment: {experiment:<16}# in MLflow; torchmbd ui shows it
 """
 
 
@@ -107,6 +109,7 @@ def _text(file: Path, model: str, system: System, options: str) -> str:
         design="".join(_variable(name, x.detach().numpy()) for name, x in system.named_parameters() if x.requires_grad),
         body=bodies[0],
         experiment=file.stem,
+        others=", ".join(name for name in OPTIMIZERS if name != "mmfd"),
     )
 
 

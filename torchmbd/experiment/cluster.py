@@ -30,9 +30,8 @@ from torchmbd.experiment.place import place
 from torchmbd.experiment.schema import Section
 from torchmbd.experiment.validation import validate
 from torchmbd.experiment.yaml_file import read_yaml
+from torchmbd.process import MEMORY, ONE_THREAD
 
-ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-_MEMORY = {"MALLOC_TRIM_THRESHOLD_": "268435456", "MALLOC_MMAP_THRESHOLD_": "33554432"}  # against Dask's: see farm.py
 Word = Annotated[str, Field(pattern=r"^[\w.:/=+-]+$")]
 Line = Annotated[str, Field(pattern=r"^[^\n]+$")]
 
@@ -79,7 +78,7 @@ class Slurm(Section):
             job_name="torchmbd",
             job_extra_directives=[*(["--gpus-per-task=1"] if self.gpus_per_worker else []), *self.directives],
             job_script_prologue=[
-                *(f"export {name}={value}" for name, value in (ONE_THREAD | _MEMORY).items()),
+                *(f"export {name}={value}" for name, value in (ONE_THREAD | MEMORY).items()),
                 *self.setup,
             ],
             log_directory=str(own / "jobs"),

@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from torchmbd.errors import InputError
 from torchmbd.experiment.progress import print_table
 from torchmbd.tracking.catalog import Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
@@ -17,6 +18,8 @@ _QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key",
 
 def print_best(run: str | None, uri: str | None, count: int, console: Console) -> None:
     """Print the best starts (or points) of a study; without `run` of the latest."""
+    if count < 1:
+        raise InputError(f"count = {count}: must be 1 or more")
     store = store_uri(uri)
     entry = find(store, run) if run else next(iter(studies(store)), None)
     if entry is None:

@@ -48,7 +48,7 @@ def run_figures(plan: FiguresPlan, console: Console, tracker: Tracker | None = N
         finally:
             tracker.end(RUN, status)
             record = close(tracker, console)
-    console.print(f"{plan.name}: {status.lower()} after {time.monotonic() - began:.1f} s")
+    console.print(f"{escape(plan.name)}: {status.lower()} after {time.monotonic() - began:.1f} s")
     if record is None:
         return 1
     print_run_links(record, "figures", status, console)

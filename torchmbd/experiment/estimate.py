@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 import resource
 import time
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +27,7 @@ from torchmbd.experiment.load import FiguresPlan, Plan
 from torchmbd.experiment.place import evaluations_file, problem_key
 from torchmbd.experiment.schema import Optimizer
 from torchmbd.integrators import Trajectory, simulate
+from torchmbd.tracking.store import store_uri
 
 _PER_ITERATION = 1.5  # analyses
 _LANES = 64  # in one batch at most: as multistart does
@@ -85,16 +87,18 @@ def _shares(steps: int | None) -> list[float]:
 def _short(plan: Plan, problem: Problem, X: np.ndarray, gradients: bool, share: float) -> Trajectory:
     """Simulate the beginning of the motion."""
     told = plan.study.simulate
-    return simulate(
-        plan.system,
-        share * told.duration,
-        method=told.method,
-        steps=None if told.steps is None else round(share * told.steps),
-        sensitivities=problem.space.variables if gradients else False,
-        designs=problem.space.designs(X),
-        phases=plan.phases,
-        **told.options,
-    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a few steps tell what they cost, not how good they are
+        return simulate(
+            plan.system,
+            share * told.duration,
+            method=told.method,
+            steps=None if told.steps is None else round(share * told.steps),
+            sensitivities=problem.space.variables if gradients else False,
+            designs=problem.space.designs(X),
+            phases=plan.phases,
+            **told.options,
+        )
 
 
 def _bytes(motion: Trajectory) -> float:
@@ -108,6 +112,7 @@ def print_estimate(plan: Plan | FiguresPlan, console: Console) -> None:
     if isinstance(plan, FiguresPlan):
         console.print(f"{plan.file} is valid: figures by {plan.study.figures}", markup=False)
         return
+    store_uri(plan.study.tracking.uri)  # refused here, not when the study is over
     problem = problem_of(plan)
     console.print(
         f"{plan.file} is valid: {words(plan.study.minimize)}, {len(plan.columns.names)} design variables, "

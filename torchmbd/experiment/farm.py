@@ -18,6 +18,7 @@ import json
 import logging
 import math
 import os
+import re
 from functools import cache
 from pathlib import Path
 from typing import Any, Self
@@ -27,22 +28,26 @@ import numpy as np
 from torchmbd.design.spec import measure_of
 from torchmbd.errors import InputError, MbdError
 from torchmbd.experiment.assemble import problem_of
-from torchmbd.experiment.cluster import ONE_THREAD, Slurm, load_cluster
+from torchmbd.experiment.cluster import Slurm, load_cluster
 from torchmbd.experiment.columns import Columns
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.model import build_model, find_model
 from torchmbd.experiment.place import problem_key
 from torchmbd.experiment.schema import Study
 from torchmbd.optimizers import Evaluation
+from torchmbd.process import MEMORY, ONE_THREAD, brief_warnings, settle
 
 LANES = 64  # designs in one batch of one process: more gain little, and cost memory
 HERE = "127.0.0.1"
 _DEATHS = 3  # of workers under the same piece, until its designs count as failed
 _SETTINGS: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": _DEATHS,
-    "distributed.nanny.pre-spawn-environ": ONE_THREAD,  # Dask's own hands memory back at once: that takes twice the time
+    "distributed.nanny.pre-spawn-environ": ONE_THREAD | MEMORY,  # Dask's own hands memory back at once
     "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",  # 20 ms by itself: a wake-up that interrupts the numbers
 }
+_LOUD = ("distributed", "distributed.client", "tornado.application")
+_ADDRESS = re.compile(r"(tcp|tls|ws|wss)://\S+:\d+")
 _START = 60  # seconds to wait for a scheduler, and for workers that nobody has to queue for
 
 
@@ -62,6 +67,10 @@ class Farm:
             self._slurm = load_cluster(scheduler)
             if not workers:
                 raise InputError("workers = 0: must be 1 or more, of all jobs together, with a cluster file")
+        elif scheduler is not None and not _ADDRESS.fullmatch(scheduler):
+            raise InputError(
+                f"scheduler = {scheduler!r}: allowed: tcp://host:8786, tls:, ws:, wss:, or a cluster file .yaml"
+            )
         self.rows, self._workers, self._scheduler = rows, workers or os.cpu_count() or 1, scheduler
         folder = str(plan.file.absolute().parent)
         self._order = (json.dumps(plan.study.resolved()), folder, key)
@@ -75,6 +84,8 @@ class Farm:
                 f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: --workers 1"
             ) from None
         config.set(_SETTINGS)
+        for name in _LOUD:  # with tracebacks; what matters of it is told by an MbdError
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         self._client: Any = None
         self._cluster = self._slurm.start(self._workers) if self._slurm else self._local_cluster()
         try:
@@ -146,9 +157,8 @@ def evaluate_piece(study: str, folder: str, key: str, X: np.ndarray, gradients: 
 
 @cache
 def _problem(study_json: str, folder: str, key: str) -> Any:
-    import torch
-
-    torch.set_num_threads(1)
+    settle()
+    brief_warnings()
     study = Study.model_validate(json.loads(study_json))
     system = build_model(find_model(study.model, Path(folder)), study.options)
     plan = Plan(

@@ -27,7 +27,8 @@ class Fault:
 
     def __str__(self) -> str:
         place = f"line {self.where}: " if isinstance(self.where, int) else f"in {self.where}: " if self.where else ""
-        return f"{place}{dotted(self.path)}{'' if self.text.startswith((':', ' ')) else ' '}{self.text}".strip()
+        joint = "" if self.text.startswith((":", " ")) or not self.path else " "
+        return f"{place}{dotted(self.path)}{joint}{self.text}".strip()
 
 
 class StudyError(InputError):

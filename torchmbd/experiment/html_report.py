@@ -45,7 +45,11 @@ def write_report(run: str, path: Path | None = None, uri: str | None = None) -> 
     entry = find(store, run)
     path = path or Path(f"{entry.name}_{entry.run_id[:8]}.html")
     if path.suffix not in (".html", ".htm"):
-        raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .html")
+        raise InputError(f"output = {str(path)!r}: allowed: a name that ends in .html")
+    if not path.parent.is_dir():
+        raise InputError(
+            f"output = {str(path)!r}: there is no folder {str(path.parent)!r}; allowed: a file in one that exists"
+        )
     with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
         path.write_text(_page(store, entry, Path(scratch)), encoding="utf-8")
     return path

@@ -23,7 +23,7 @@ from torchmbd.experiment.load import Plan
 from torchmbd.experiment.model import find_function, find_model
 
 _NUMBERS = ("model", "options", "design", "simulate", "minimize", "subject_to")
-_UNCONCERNED = ("cli.py", "experiment", "tracking", "viz", "optimizers")  # of torchmbd: no evaluation depends on them
+_UNCONCERNED = ("cli.py", "process.py", "bare.py", "experiment", "tracking", "viz", "optimizers")  # for an evaluation
 
 
 def place() -> Path:

@@ -53,7 +53,7 @@ class Progress:
         """Say something once, above the table."""
         if text not in self.notes:
             self.notes.append(text)
-            self.console.print(text, style="red")
+            self.console.print(escape(text), style="red")
 
     def _table(self) -> Table:
         title = f"{self.title}   {time.monotonic() - self._began:.0f} s"
@@ -71,7 +71,7 @@ class Progress:
 
 def table_of(title: str, headings: Sequence[str]) -> Table:
     """Return an empty table of numbers."""
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
+    table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
     for heading in headings:
         words = heading.replace(" [", "\n[")  # the unit below the name: columns of numbers are narrow
         table.add_column(escape(words), justify="right", no_wrap=True)

@@ -67,7 +67,7 @@ def run_plan(
             tracker = ProcessTracker(tracking.experiment, tracking.uri, folder, None if fresh else study)
         compute, lanes = problem.evaluate, LANES
         if farm is not None:
-            with console.status(f"waiting for workers of {scheduler or 'this machine'}"):
+            with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):
                 stack.enter_context(farm)
             compute, lanes = farm.evaluate, farm.lanes
         journal = Journal(plan, tracker, stack.enter_context(folder_of(tracker)))
@@ -90,7 +90,7 @@ def run_plan(
     known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known" * bool(
         remembered.known
     )
-    console.print(f"{plan.name}: {status.lower()} after {time.monotonic() - began:.1f} s{known}")
+    console.print(f"{escape(plan.name)}: {status.lower()} after {time.monotonic() - began:.1f} s{known}")
     if record is None:
         return 1
     print_run_links(record, "sweep" if plan.study.sweep else "study", status, console)

@@ -39,11 +39,12 @@ from torchmbd.design.spec import SpecError, measure_of
 from torchmbd.errors import nearest
 from torchmbd.integrators import METHODS
 from torchmbd.optimizers import OPTIMIZERS
-from torchmbd.tracking.store import SCHEMES
+from torchmbd.tracking.store import uri_fault
 
 UNITS = {"deg": math.pi / 180.0, "rad": 1.0, "m": 1.0, "mm": 1e-3, "none": 1.0}  # unit -> SI
 KINDS = ("at_most", "at_least", "equal")  # of constraints
 FUNCTION = r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$"
+_SHORTEST, _LONGEST = 1e-12, 1e9  # steps [s]
 SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
 
 
@@ -97,6 +98,14 @@ class Simulation(Section):
     method: Annotated[str, _one_of(METHODS)] = "generalized_alpha"
     steps: PositiveInt | None = None
     phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
+
+    @model_validator(mode="after")
+    def _steps_that_numbers_hold(self) -> Self:
+        step = self.duration / (self.steps or 1)
+        if not _SHORTEST <= step <= _LONGEST:
+            text = f"has steps of {step:.3g} s; allowed: {_SHORTEST:g} to {_LONGEST:g} s"
+            raise PydanticCustomError("kind", "{text}", {"text": text})
+        return self
 
     @property
     def options(self) -> dict[str, Any]:
@@ -192,10 +201,8 @@ class Tracking(Section):
     @field_validator("uri")
     @classmethod
     def _known_scheme(cls, uri: str | None) -> str | None:
-        scheme, separator, _ = (uri or "").partition(":")
-        if uri is not None and (not separator or scheme.partition("+")[0] not in SCHEMES):
-            text = f"a store is one of {', '.join(f'{name}:' for name in SCHEMES)} such as sqlite:///mlflow.db"
-            raise PydanticCustomError("uri", "{text}", {"text": text})
+        if uri is not None and (fault := uri_fault(uri)):
+            raise PydanticCustomError("uri", "{text}", {"text": fault})
         return uri
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 from rich.console import Console
+from rich.markup import escape
 
 from torchmbd.design import Problem
 from torchmbd.design.spec import words
@@ -42,11 +43,11 @@ def run_sweep(
     X[:, index] = values * plan.columns.factors[index]
     journal.begin("sweep")
     STUDIO.open()
-    with console.status(f"{plan.name}: {span.count} designs in one batch"):
+    with console.status(f"{escape(plan.name)}: {span.count} designs in one batch"):
         designs = np.vstack([problem.start, X])
         first, *evaluations = evaluate(designs, False)
     if first.status != "ok":
-        console.print(f"The start design cannot be evaluated: {first.status}", style="red")
+        console.print(f"The start design cannot be evaluated: {escape(first.status)}", style="red")
         return "FAILED"
     for k, (x, evaluation) in enumerate(zip(X, evaluations, strict=True)):
         _file_point(journal, k, x, evaluation, first)

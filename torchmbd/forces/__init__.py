@@ -2,7 +2,7 @@
 
 from torchmbd.forces.bushing import Bushing
 from torchmbd.forces.force import ForceElement
-from torchmbd.forces.laws import Gap, OfTime, Pieces, Spring, Table
+from torchmbd.forces.laws import Gap, OfTime, Pieces, Scaled, Spring, Table
 from torchmbd.forces.load import Force, Torque
 from torchmbd.forces.pressure import Pressure
 from torchmbd.forces.spring_damper import AxialSpringDamper, RotationalSpringDamper, SpringDamper
@@ -23,6 +23,7 @@ __all__ = [
     "Pieces",
     "Pressure",
     "RotationalSpringDamper",
+    "Scaled",
     "Spring",
     "SpringDamper",
     "Table",

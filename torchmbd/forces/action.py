@@ -28,16 +28,19 @@ Checked in tests/contracts/test_actions.py: direction against autograd, momentum
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
+from torchmbd.forces.laws import Scaled, Spring
+from torchmbd.forces.varied import Varied
 from torchmbd.numerics.pair import Pair, cat, cross, dot, lifted, linear, reciprocal, slopes, sqrt, value
 
 Law = Callable[[Tensor, Tensor, Tensor], Tensor]
+Data = Mapping[str, Any]  # of a design: name -> number (system/equations.py)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,13 +72,13 @@ class Action:
         rates = [dot(d, x) for d, x in zip(direction, velocities, strict=True)]
         return s, sum(rates[1:], rates[0]), direction
 
-    def strength(self, s, rate, t):
+    def strength(self, s, rate, t, data: Data):
         """Generalized forces f [n, ...]."""
-        return cat([_force(law, s[i : i + 1], rate[i : i + 1], t) for i, law in enumerate(self.laws)])
+        return cat([_force(_of(law, data), s[i : i + 1], rate[i : i + 1], t) for i, law in enumerate(self.laws)])
 
-    def slopes(self, s: Tensor, rate: Tensor, t: Any) -> tuple[Tensor, Tensor]:
+    def slopes(self, s: Tensor, rate: Tensor, t: Any, data: Data) -> tuple[Tensor, Tensor]:
         """df/ds and df/ds' [n, ...] of plain numbers."""
-        parts = [_slopes(law, s[i : i + 1], rate[i : i + 1], value(t)) for i, law in enumerate(self.laws)]
+        parts = [_slopes(_of(law, data), s[i : i + 1], rate[i : i + 1], value(t)) for i, law in enumerate(self.laws)]
         return torch.cat([p[0] for p in parts]), torch.cat([p[1] for p in parts])
 
 
@@ -147,8 +150,17 @@ class Twist(Action):
         return [linear(torch.zeros_like, u), *(0.5 * cross(u, e) for e in triad)]
 
 
+def _of(law: Law, data: Data) -> Law:
+    """The law of a design."""
+    return law.at(data) if isinstance(law, Varied) else law
+
+
 def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
     """A law applied; one that states its slopes needs no differentiation, which could not be compiled."""
+    if isinstance(law, Spring):
+        return law(s, rate, t)  # numbers themselves
+    if isinstance(law, Scaled):
+        return _force(law.law, s, rate, t) * law.factor
     if isinstance(t, Pair) or not (hasattr(law, "slopes") and isinstance(s, Pair)):
         return lifted(law, s, rate, t)
     by_s, by_rate = _slopes(law, value(s), value(rate), t)
@@ -156,6 +168,9 @@ def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
 
 
 def _slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+    if isinstance(law, Scaled):
+        by_s, by_rate = _slopes(law.law, s, rate, t)
+        return by_s * law.factor, by_rate * law.factor
     own = getattr(law, "slopes", None)
     if own is not None:
         return own(s, rate, t)

@@ -16,6 +16,7 @@ from torchmbd.bodies.frame import Frame
 from torchmbd.bodies.rigid import Ground
 from torchmbd.errors import InputError
 from torchmbd.joints.joint import Scribe
+from torchmbd.numerics.variable import Variables
 
 
 class Applied(NamedTuple):
@@ -40,6 +41,11 @@ class ForceElement:
             raise InputError(f"{kind} acts between {frames[0]!r} and {frames[1]!r}; allowed: two different bodies")
         self.frames: tuple[Frame, ...] = frames
         self.name = name or "_".join([kind.lower(), *(frame.body.name for frame in frames)])
+
+    @property
+    def variables(self) -> Variables | None:
+        """Design variables, parameters of the system by the element's name; None: there are none."""
+        return None
 
     def actions(self, scribe: Scribe) -> Iterator[Applied]:
         """Yield the actions of the element."""

@@ -4,7 +4,9 @@
     Table      f = piecewise linear in s through knots, constant outside, - c s'
     Pieces     f = a_i + k_i s on intervals, jumps smoothed over a stated width, - c s'
     OfTime     f = g(t)
+    Scaled     f = factor g(s, s', t), g any law
 
+Numbers of Spring and the factor of Scaled may be design variables: `Spring(mbd.variable(2e3))` (varied.py).
 Any torch function of (s, s', t) that works elementwise is a law as well. `center`: where the range of an angle, half a
 turn to both sides, has its middle.
 Checked in tests/forces/test_laws.py.
@@ -18,7 +20,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 
@@ -42,7 +44,23 @@ class Spring:
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
         """Derivatives by s and s'."""
-        return torch.full_like(s, -self.stiffness), torch.full_like(s, -self.damping)
+        zero = torch.zeros_like(s)
+        return zero - self.stiffness, zero - self.damping
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """Another law times a factor: the strength of an actuator."""
+
+    factor: float
+    law: Callable[[Tensor, Tensor, Tensor], Tensor]
+
+    @property
+    def center(self) -> float:
+        return getattr(self.law, "center", 0.0)
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return self.factor * self.law(s, rate, t)
 
 
 @dataclass(frozen=True)
@@ -188,6 +206,11 @@ def checked(name: str, law: object) -> object:
     """The law, tried once; InputError names its force element."""
     if not callable(law):
         raise InputError(f"law of {name!r} is {law!r}; allowed: a torch function of (s, s', t)")
+    if any(isinstance(x, nn.Parameter) and x.requires_grad for x in _numbers_of(law)):
+        raise InputError(
+            f"law of {name!r} has design variables, which would not be differentiated; allowed: numbers of a Spring and the "
+            "factor of Scaled, in the law of a spring-damper"
+        )
     zero = torch.zeros(1, 1, 1, dtype=torch.float64)
     found = law(zero, zero, zero[0, 0, 0])
     if not isinstance(found, Tensor) or found.shape != zero.shape or not bool(torch.isfinite(found).all()):
@@ -195,6 +218,10 @@ def checked(name: str, law: object) -> object:
             f"law of {name!r} gives {found!r} at s = s' = t = 0; allowed: a finite tensor of the shape of s, [1, 1, lanes]"
         )
     return law
+
+
+def _numbers_of(law: object) -> list:
+    return list(law.parameters() if isinstance(law, nn.Module) else getattr(law, "__dict__", {}).values())
 
 
 def numbers(name: str, x: Sequence[float] | float, count: int) -> list[float]:

@@ -1,18 +1,25 @@
 """Spring-damper-actuators between two frames: along the line of two points, along an axis, or about an axis.
 
 `law` is any torch function (s, s', t) -> generalized force in the direction of growing s; eq. (39) of the paper is one.
+Stiffness, damping and rest may be design variables, stiffness=mbd.variable(2e3), as may the factor of
+law=mbd.forces.Scaled(mbd.variable(1.0), law); they are parameters of the system by the element's name: "spring.stiffness".
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
+
+from torch import Tensor
 
 from torchmbd.bodies.frame import Frame, axis_index
 from torchmbd.errors import InputError
 from torchmbd.forces.action import Along, Law, Length, Turn
 from torchmbd.forces.force import Applied, ForceElement
 from torchmbd.forces.laws import Spring, checked
+from torchmbd.forces.varied import split
 from torchmbd.joints.joint import Scribe, others
+from torchmbd.numerics.variable import Variables
 
 
 class _Between(ForceElement):
@@ -20,9 +27,9 @@ class _Between(ForceElement):
         self,
         a: Frame,
         b: Frame,
-        stiffness: float = 0.0,
-        damping: float = 0.0,
-        rest: float = 0.0,
+        stiffness: float | Tensor = 0.0,
+        damping: float | Tensor = 0.0,
+        rest: float | Tensor = 0.0,
         law: Law | None = None,
         name: str | None = None,
     ):
@@ -31,8 +38,13 @@ class _Between(ForceElement):
             raise InputError(f"{self.name!r} has a law and stiffness, damping or rest; allowed: the one or the others")
         if law is None and not (stiffness or damping):
             raise InputError(f"{self.name!r} has neither law nor stiffness nor damping; allowed: at least one of them")
-        self.law: Law = Spring(float(stiffness), float(damping), float(rest)) if law is None else law
+        numbers: Any = (stiffness, damping, rest)  # of which some may vary
+        self.law, self._variables = split(self.name, Spring(*numbers) if law is None else law)
         checked(self.name, self.law)
+
+    @property
+    def variables(self) -> Variables | None:
+        return self._variables
 
 
 class SpringDamper(_Between):

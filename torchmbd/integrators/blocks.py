@@ -13,6 +13,7 @@ from torch import Tensor
 
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.topology import Prescribed, Topology
 
 LANES = 8
 
@@ -42,9 +43,15 @@ def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
 
 
 def data_blocks(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
-    """Data in the order of their names: values [block, 1, n, 8] and tangents [block, n_b, n, 8]."""
+    """Data in the order of their names: values [block, 1, n, 8] and tangents [block, n_b, n, 8].
+
+    Behind them room for what laws with design variables prescribe, `moving_blocks`.
+    """
     lanes, slots = dynamics.lanes, dynamics.tangents
     parts = [dynamics.data[name] for name in sorted(dynamics.data)]
+    T = dynamics.topology
+    moving = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
+    parts.append(torch.zeros(moving, 1, 1, dtype=torch.float64))
     values = torch.cat([in_all_lanes(value(x).reshape(-1, 1, value(x).shape[-1]), lanes) for x in parts])
 
     def tangents(x: Any) -> Tensor:
@@ -53,3 +60,22 @@ def data_blocks(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
         return x.new_zeros(x.shape[:-2].numel(), slots, lanes)
 
     return blocks(values), blocks(torch.cat([tangents(x) for x in parts]))
+
+
+def moving_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, slots: int) -> Tensor:
+    """What laws with design variables prescribe [times, block, 1 + n_b, n, 8]."""
+    if not T.varied:
+        return torch.zeros(len(schedule), 0, 0, 0, LANES, dtype=torch.float64)
+
+    def numbers(given: Prescribed) -> Tensor:
+        parts = [x.full if isinstance(x, Pair) else x for i in T.varied for x in given.laws[i] or ()]
+        wide = [torch.cat([x, x.new_zeros(len(x), 1 + slots - x.shape[1], x.shape[2])], 1) for x in parts]
+        return blocks(torch.cat([in_all_lanes(x, lanes) for x in wide]))
+
+    return torch.stack([numbers(given) for given in schedule])
+
+
+def shared(T: Topology, schedule: Sequence[Prescribed]) -> Sequence[Prescribed]:
+    """What is known at times without what `moving_blocks` has."""
+    varied = T.varied
+    return [given.shared(varied) for given in schedule] if varied else schedule

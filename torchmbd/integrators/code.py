@@ -34,15 +34,24 @@ _IN = "struct In { const V *x, *d, *z, *dx, *dd, *dz, *b; const double* u; };\n"
 
 
 class Layout(NamedTuple):
-    """Data of a system in the order in which compiled code takes them: names and components."""
+    """Data of a system in the order in which compiled code takes them: names and components.
+
+    Behind them what laws with design variables prescribe, which changes from step to step (`moving`).
+    """
 
     names: tuple[str, ...]
     shapes: tuple[tuple[int, ...], ...]
 
     @classmethod
-    def of(cls, data: dict[str, Any]) -> Layout:
-        names = tuple(sorted(data))
-        return cls(names, tuple(tuple(data[name].shape[:-2]) for name in names))
+    def of(cls, data: dict[str, Any], T: Topology) -> Layout:
+        names, varied = sorted(data), [T.primitives[i] for i in T.varied]
+        shapes = [tuple(data[name].shape[:-2]) for name in names] + [(p.driven, len(p.data)) for p in varied]
+        return cls((*names, *(moving(i) for i in T.varied)), tuple(shapes))
+
+
+def moving(kind: int) -> str:
+    """Name of what the laws of a kind of primitive prescribe among the data."""
+    return f"~{kind}"
 
 
 class Code(NamedTuple):
@@ -60,14 +69,19 @@ class Code(NamedTuple):
 
 
 def step(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[int, ...]]]:
-    """Code of a step, sizes of the parts of its state, shapes of what all lanes share; `given` shows those of the laws."""
+    """Code of a step, sizes of the parts of its state, shapes of what all lanes share.
+
+    `given` shows those of the laws: () for laws with design variables, which are moving.
+    """
     saddle = Saddle(T)
 
     def of(f: Callable[..., Any]) -> Callable[..., Any]:
         def traced(z: Tensor, dz: Tensor, state: list[Pair], data: dict[str, Pair], uniform: Iterator[Tensor]) -> Any:
             weights = Weights(*next(uniform).unbind(0))
             A, r, t = (next(uniform) for _ in range(3))
-            laws = [None if law is None else tuple(next(uniform) for _ in law) for law in given.laws]
+            laws: list = [law if law is None else tuple(next(uniform) for _ in law) for law in given.laws]
+            for i in [i for i, law in enumerate(laws) if law == ()]:
+                laws[i] = tuple(data[moving(i)][k] for k in range(T.primitives[i].driven))
             return f(Model(T, saddle, weights, data).step(State(*state), Prescribed(laws, A, r, t)), z, dz)
 
         return traced

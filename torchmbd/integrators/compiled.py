@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.blocks import addresses, blocks, data_blocks, in_all_lanes, lanes_out
+from torchmbd.integrators.blocks import addresses, blocks, data_blocks, in_all_lanes, lanes_out, moving_blocks, shared
 from torchmbd.integrators.library import library
 from torchmbd.integrators.march import CHECK, March, Record
 from torchmbd.integrators.step import Model, State, Weights
@@ -22,9 +22,9 @@ from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
 
 _NUMBERS = ("lanes", "slots", "data", "data_tangents", "uniform", "first", "steps", "corrections", "passes", "refresh")
-_NUMBERS += ("look", "fresh")
+_NUMBERS += ("look", "fresh", "moving")
 _ARRAYS = ("given", "state", "values", "tangents", "factors", "stay", "lost", "q", "v", "vd", "lam", "sizes", "errors")
-_ARRAYS += ("room",)
+_ARRAYS += ("room", "moved")
 
 
 class _Job(ctypes.Structure):
@@ -73,27 +73,39 @@ class CompiledMarch(March):
         if self.code is None:
             return super().run(x, schedule, record, first, place)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
-        table = torch.stack([_uniform(self.weights, given) for given in schedule])
+        moved = moving_blocks(self.dynamics.topology, schedule, self.lanes, self.slots)
+        table = torch.stack([_uniform(self.weights, given) for given in shared(self.dynamics.topology, schedule)])
         done = 0
         while done < len(schedule):
             since = (first + done) % CHECK
             # A look may call for more corrections from the next step on: it is a call of its own.
             count = 1 if self.slots and not since else min(CHECK - since, len(schedule) - done)
-            if not self._some(state, table[done : done + count], record, first + done, place + done):
+            end = done + count
+            if not self._some(state, table[done:end], moved[done:end], record, first + done, place + done):
                 return super().run(self._state(state), schedule[done:], record, first + done, place + done)
-            done += count
+            done = end
         return self._state(state)
 
-    def _some(self, state: Tensor, table: Tensor, record: Record, first: int, place: int) -> bool:
+    def _some(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, place: int) -> bool:
         """Steps between two looks; False if the factors cannot be relied on, and nothing is done."""
         sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
         errors = torch.empty(self.lanes, dtype=torch.float64)
         look = int(first % CHECK == 0)
         numbers = (self.lanes, self.slots, self.values.shape[2], self.tangents.shape[2])
-        numbers += (table.shape[1], first, len(table), self.corrections, self.passes, self.refresh, look, self.fresh)
+        numbers += (
+            table.shape[1],
+            first,
+            len(table),
+            self.corrections,
+            self.passes,
+            self.refresh,
+            look,
+            self.fresh,
+            moved.shape[3],
+        )
         stay, lost = self.diagonal or (None, None)
         arrays = [table, state, self.values, self.tangents, self.factors, stay, lost]
-        arrays += [part[place:] for part in record.parts] + [sizes, errors, self.room]
+        arrays += [part[place:] for part in record.parts] + [sizes, errors, self.room, moved]
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)
         job = _Job(*numbers, *addresses(arrays))

@@ -1,8 +1,8 @@
 """The index-1 right-hand side by compiled code (library.py): the same numbers as Dynamics.rates.
 
 torchdiffeq asks for the right-hand side thousands of times; every `PATIENCE` evaluations it is looked whether the library
-has been built meanwhile. Systems with redundant constraints, or with a body without inertia about an axis, go the eager
-way.
+has been built meanwhile. Systems with redundant constraints, with drives that have design variables, or with a body
+without inertia about an axis go the eager way.
 Checked in tests/integrators/test_compiled.py.
 """
 
@@ -67,7 +67,11 @@ class RightHandSide:
 
     def __init__(self, dynamics: Dynamics):
         self.dynamics = dynamics
-        self.eager = dynamics.redundant or any(value(x).is_cuda for x in dynamics.data.values())
+        self.eager = (
+            dynamics.redundant
+            or bool(dynamics.topology.varied)
+            or any(value(x).is_cuda for x in dynamics.data.values())
+        )
         self.fast: CompiledRates | None = None
         self.count = 0
 

@@ -156,7 +156,7 @@ class Course:
         if not new:
             return
         values = {name: value(x) for name, x in dynamics.data.items()}
-        at = equations.placement(T, values, value(q), T.prescribed(value(t)[0, 0]))
+        at = equations.placement(T, values, value(q), T.prescribed(value(t)[0, 0], values))
         phi = equations.constraints(T, at).abs().amax((1, 2))
         worst = max(new, key=lambda k: float(phi[k]))
         if bool(phi[worst] > CLOSED):

@@ -25,7 +25,8 @@ from torch import Tensor
 
 from torchmbd.numerics.pair import dot, matvec, value
 from torchmbd.system import equations
-from torchmbd.system.topology import Prescribed, Topology
+from torchmbd.system.side_by_side import side_by_side
+from torchmbd.system.topology import Topology
 
 if TYPE_CHECKING:
     from torchmbd.integrators.trajectory import Trajectory
@@ -92,7 +93,7 @@ def _lane(motion: Trajectory, lane: int) -> list[Tensor]:
     T, samples = motion.dynamics.topology, _Samples.of(motion, lane)
     t, q, v, lam = samples[:4]
     data = {name: _of(value(x), lane) for name, x in motion.dynamics.data.items()}
-    given = _given(T, t)
+    given = side_by_side(T.schedule(t, data))
     at = equations.placement(T, data, q, given)
     w, wd = at.w, equations.split_v(T, v)[2]
     plain = {name: x for name, x in data.items() if name not in ("gravity", "D")}
@@ -113,16 +114,6 @@ def _lane(motion: Trajectory, lane: int) -> list[Tensor]:
 
 def _of(x: Tensor, lane: int) -> Tensor:
     return x if x.shape[-1] == 1 else x[..., lane : lane + 1]
-
-
-def _given(T: Topology, t: Tensor) -> Prescribed:
-    """What is known at times t, side by side as lanes."""
-    known = T.schedule(t)
-    laws = [
-        None if law is None else tuple(torch.cat([k.laws[i][m] for k in known], -1) for m in range(len(law)))  # pyright: ignore
-        for i, law in enumerate(known[0].laws)
-    ]
-    return Prescribed(laws, known[0].A, known[0].r, t)
 
 
 def _potential(motion: Trajectory, data: equations.Data, at: equations.Placement, q: Tensor) -> Tensor:
@@ -152,6 +143,6 @@ def _driven(T: Topology, data: equations.Data, times: Tensor, q: Tensor, lam: Te
         return power
     still = q.new_zeros(T.n_v, 1, 1)
     for i, t in enumerate(times):
-        at = equations.placement(T, data, q[..., i : i + 1], T.prescribed(t))
+        at = equations.placement(T, data, q[..., i : i + 1], T.prescribed(t, data))
         power[:, i : i + 1] = dot(lam[..., i : i + 1], equations.constraint_jets(T, at, data, still, still, t).velocity)
     return power

@@ -88,7 +88,7 @@ def integrate(
     times = h * torch.arange(steps + 1, dtype=torch.float64)
     record = Record(x, steps + 1)
     record.put(0, x)
-    march.run(x, left.topology.schedule(times[1:]), record)
+    march.run(x, left.topology.schedule(times[1:], left.data), record)
     whole = None if left is dynamics else Expansion(left.initial.condensation, dynamics.data, times)
     history = record.history(whole)
     error = step_error(left, history, spectral_radius, h)

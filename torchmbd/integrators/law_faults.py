@@ -42,10 +42,10 @@ def laws_at_fault(motion: Trajectory, lane: int) -> list[str]:
     dynamics = motion.dynamics.values().some([lane if motion.dynamics.lanes > 1 else 0])
     data = {name: value(x) for name, x in dynamics.data.items()}
     q, v = (x[lane, i][:, None, None] for x in (motion.q, motion.v))
-    at = equations.placement(T, data, q, T.prescribed(t))
+    at = equations.placement(T, data, q, T.prescribed(t, data))
     called, found = names(motion), []
     for action, (s, rate, _) in zip(T.actions, equations.action_states(T, data, at, v), strict=True):
-        forces = [action.strength(x, rate, t).flatten(1).isfinite().all(1) for x in (s, s + h * rate)]
+        forces = [action.strength(x, rate, t, data).flatten(1).isfinite().all(1) for x in (s, s + h * rate)]
         for k in torch.nonzero(~(forces[0] & forces[1]))[:, 0].tolist():
             found.append(
                 f"the law of {called[type(action), k]!r} is not finite near s = {float(s[k]):.6g}, "

@@ -10,14 +10,16 @@ constexpr int N_X = N_Q + 3 * N_V + ROWS;
 struct Job {
   long lanes, slots, data, data_tangents, uniform;                // numbers of each
   long first, steps, corrections, passes, refresh, look, fresh;  // look: at factors and tangents; fresh: no factors yet
+  long moving;                                                   // the last of the data, which change from step to step
   const double *given;                                           // [steps][uniform]
   double *state;                                                 // [block][1 + slots][N_X][8], in and out
-  const double *values, *tangents;                               // [block][data][8], [block][slots][data_tangents][8]
+  double *values, *tangents;                                     // [block][data][8], [block][slots][data_tangents][8]
   double *factors;                                               // [block][sizeof(Block)]
   const double *stay, *lost;                                     // [N], or null
   double *q, *v, *vd, *lam;                                      // records [steps][number][1 + slots][lanes]
   double *sizes, *errors;                                        // [steps][2][lanes], [lanes]
   double *room;                                                  // scratch
+  const double *moved;                                           // [steps][block][1 + slots][moving][8]
 };
 
 extern "C" long march_room(long slots) {
@@ -31,6 +33,16 @@ static void start(const V* x, V* z) {
   std::memcpy((void*)(z + N_V), x + N_Q + 3 * N_V, ROWS * sizeof(V));
 }
 
+// The data that move, as they are at the end of a step.
+static void move(const Job& J, long step, long block) {
+  if (!J.moving) return;
+  const long blocks = (J.lanes + LANES - 1) / LANES, n = J.moving;
+  const V* from = (const V*)J.moved + (step * blocks + block) * (1 + J.slots) * n;
+  std::memcpy((void*)((V*)J.values + (block + 1) * J.data - n), from, n * sizeof(V));
+  for (long s = 0; s < J.slots; s++)
+    std::memcpy((void*)((V*)J.tangents + (block * J.slots + s + 1) * J.data_tangents - n), from + (s + 1) * n, n * sizeof(V));
+}
+
 extern "C" long march(const Job* job) {
   const Job& J = *job;
   const int S = (int)J.slots;
@@ -40,6 +52,7 @@ extern "C" long march(const Job* job) {
   if (J.fresh || J.look) {
     for (long block = 0; block * LANES < J.lanes; block++) {
       In in;
+      move(J, 0, block);
       in.d = (const V*)J.values + block * J.data;
       in.x = (const V*)J.state + block * (1 + S) * N_X;
       in.u = J.given;
@@ -59,6 +72,7 @@ extern "C" long march(const Job* job) {
     bool fresh = J.fresh;
     for (long i = 0; i < J.steps; i++) {
       in.u = J.given + i * J.uniform;
+      move(J, i, block);
       in.x = state;
       in.z = z;
       start(state, z);

@@ -31,6 +31,8 @@ class March:
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
         self.dynamics, self.model, self.refresh = dynamics, model, refresh
         self.corrections, self.passes = iterations
+        if any(p.varies for p in dynamics.topology.primitives):
+            self.passes = max(self.passes, 2)  # the start of a drive kicks the tangents between two looks
         self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
         self.invert = Elimination(dynamics.topology) if pays(dynamics.topology) else inverse
         self.H: Any = None

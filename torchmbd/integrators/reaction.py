@@ -21,6 +21,7 @@ from torchmbd.joints.joint import Joint
 from torchmbd.numerics.pair import value
 from torchmbd.numerics.rotation import exponential, rotation_matrix
 from torchmbd.system import equations
+from torchmbd.system.side_by_side import side_by_side
 
 if TYPE_CHECKING:
     from torchmbd.integrators.trajectory import Trajectory
@@ -99,13 +100,9 @@ def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Plac
     def spread(x: Tensor) -> Tensor:
         return x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x
 
-    known = T.schedule(motion.t)
-    laws = [
-        None if kind[0] is None else tuple(torch.cat(part, -1).repeat(1, 1, lanes) for part in zip(*kind, strict=True))
-        for kind in zip(*(each.laws for each in known), strict=True)
-    ]
+    given = side_by_side(T.schedule(motion.t, {name: value(x) for name, x in data.items()}), lanes, lanes_first=True)
     vectors = {key: spread(value(data[key])) for key in ("x", "Y") if key in data}
-    at = equations.placement(T, vectors, flat(motion.q), known[0]._replace(laws=laws))
+    at = equations.placement(T, vectors, flat(motion.q), given)
     return at, equations.force_on_vectors(T, at, flat(motion.lam * rows))
 
 

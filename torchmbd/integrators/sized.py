@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrators.step import Coefficients, Model, State
+from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics
@@ -26,7 +27,7 @@ _ROUNDING = 1e-13  # relative
 def sized(dynamics: Dynamics, method: Coefficients, x: State, h: Any, t1: Any) -> State:
     """The state of one lane after a step of size h that ends at t1; numbers [1 + n, 1], pairs if x are."""
     model = Model(dynamics.topology, dynamics.saddle, method.weights(h), dynamics.data)
-    step = model.step(x, known(dynamics.topology, t1))
+    step = model.step(x, known(dynamics.topology, t1, dynamics.data))
     z = torch.cat([value(x.vd), value(x.lam)])
     before = torch.inf
     for _ in range(_MOST):
@@ -52,16 +53,19 @@ def _done(size: float, before: float, z: Tensor) -> bool:
     return not size > _ROUNDING * scale or (size > 0.5 * before and size < 1e-6 * scale)
 
 
-def known(T: Topology, t: Any) -> Prescribed:
+def known(T: Topology, t: Any, data: equations.Data) -> Prescribed:
     """What is known at a time t [1 + n, 1]."""
-    given = T.prescribed(value(t)[0, 0])
+    given = T.prescribed(value(t)[0, 0], data)
     if not isinstance(t, Pair):
         return given
-    laws = [
-        None if law is None else tuple(Pair.of(x.value, x.velocity * t.tangent) for x in law)
-        for law in T.law_jets(value(t)[0, 0])
-    ]
+    laws = [None if law is None else tuple(_at(x, t) for x in law) for law in T.law_jets(value(t)[0, 0], data)]
     return given._replace(laws=laws, t=t)
+
+
+def _at(x: Jet, t: Pair) -> Pair:
+    """What a law prescribes at a time that depends on the design."""
+    moved = value(x.velocity) * t.tangent
+    return Pair.of(value(x.value), moved + x.value.tangent if isinstance(x.value, Pair) else moved)
 
 
 def shortly_after(T: Topology, x: State, h: Any) -> State:

@@ -70,7 +70,7 @@ class _Leg:
         d, w, x = self.dynamics, self.method.weights(self.h), self.entry.x
         march = compiled.march(d, w, iterations, refresh)
         self._put_shortly_after()
-        schedule = d.topology.schedule(self.times)
+        schedule = d.topology.schedule(self.times, d.data)
         alive, inside = self.alive, torch.zeros_like(self.alive)
         older = recent = x
         for i in range(int(self.first.min()), len(self.times)):

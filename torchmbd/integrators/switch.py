@@ -74,7 +74,7 @@ def marked(T: Topology, data: equations.Data, q: Any, locks: Sequence[Lock]) -> 
     if not locks:
         return data
     place = {id(attached): i for i, attached in enumerate(T.attached)}
-    at = equations.placement(T, data, q, T.prescribed(value(q).new_zeros(())))
+    at = equations.placement(T, data, q, T.prescribed(value(q).new_zeros(()), data))
     for lock in locks:
         m = lock.marks
         point_a, point_b, point = (place[id(x)] for x in (m.point_a, m.point_b, m.point))
@@ -151,8 +151,7 @@ def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tup
     M dv + Phi_q' Lambda = impulse,   Phi_q (v + dv) = -Phi_t; without v: Phi_q dv = 0.
     """
     T, data = dynamics.topology, {name: value(x) for name, x in dynamics.data.items()}
-    given = T.prescribed(t)
-    at = equations.placement(T, data, value(q), given)
+    at = equations.placement(T, data, value(q), T.prescribed(t, data))
     K = dynamics.saddle.matrix(data, at)
     LU, pivots, _ = torch.linalg.lu_factor_ex(dynamics.determined(K))
     factor = LU, pivots, K if dynamics.redundant else None
@@ -160,7 +159,7 @@ def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tup
     nothing = still.new_zeros(T.rows, *still.shape[1:])
 
     def left(data: equations.Data, q: Any, impulse: Any, v: Any, dv: Tensor, Lam: Tensor) -> Any:
-        at = equations.placement(T, data, q, given)
+        at = equations.placement(T, data, q, T.prescribed(t, data))
         forces = equations.dynamic_residual(T, data, at, still, dv, Lam)
         forces = forces - equations.dynamic_residual(T, data, at, still, still, nothing)
         forces = forces if impulse is None else forces - impulse

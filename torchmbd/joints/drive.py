@@ -15,6 +15,8 @@ from torchmbd.errors import InputError
 from torchmbd.joints.joint import Equation, Joint, Scribe, as_frame, others
 from torchmbd.joints.laws import ConstantSpeed, Finite, finite
 from torchmbd.joints.primitive import Angle, Law, Travel
+from torchmbd.joints.varied import Varied
+from torchmbd.numerics.variable import Variables
 
 
 class Drive(Joint):
@@ -25,6 +27,9 @@ class Drive(Joint):
     velocity   constant velocity of the point of b along `axis` of frame a [m/s]
     position   law of the travel along it [m]
 
+    The numbers of a law may be design variables: speed=mbd.variable(2.0), angle=mbd.SmoothStep(mbd.variable(0.5), 1.0).
+    They are parameters of the system, named by the joint: "motor.speed", "motor.size".
+
     Add a joint that leaves this motion free (Revolute, Prismatic, Cylindrical): a drive holds nothing else.
     """
 
@@ -33,9 +38,9 @@ class Drive(Joint):
         a: Any,
         b: Any,
         axis: str = "z",
-        speed: float | None = None,
+        speed: float | Tensor | None = None,
         angle: Law | None = None,
-        velocity: float | None = None,
+        velocity: float | Tensor | None = None,
         position: Law | None = None,
         name: str | None = None,
     ):
@@ -51,6 +56,10 @@ class Drive(Joint):
         if key in ("speed", "velocity"):
             x = ConstantSpeed(finite(f"{key} of {self.name!r}", x))
         self.law = _checked(self.name, key, x)
+
+    @property
+    def variables(self) -> Variables | None:
+        return self.law.variables if isinstance(self.law, Varied) else None
 
     def equations(self, scribe: Scribe) -> Iterator[Equation]:
         if self.travels:
@@ -71,4 +80,5 @@ def _checked(name: str, key: str, law: Any) -> Finite:
             f"allowed: a torch function of time, [] [s] -> finite [] [{unit}]"
         )
     prescribed: Any = law
-    return Finite(name, prescribed)
+    variables = Variables.of(law)
+    return Finite(name, prescribed) if variables is None else Varied(name, variables)

@@ -23,6 +23,7 @@ from torchmbd.bodies.frame import Frame, axis_index
 from torchmbd.bodies.mount import Mount
 from torchmbd.bodies.rigid import Ground
 from torchmbd.errors import InputError
+from torchmbd.numerics.variable import Variables
 
 
 class Equation(NamedTuple):
@@ -102,6 +103,11 @@ class Joint:
     def equations(self, scribe: Scribe) -> Iterator[Equation]:
         """Yield the primitives of the joint."""
         raise NotImplementedError(type(self).__name__)
+
+    @property
+    def variables(self) -> Variables | None:
+        """Design variables, parameters of the system by the joint's name; None: there are none."""
+        return None
 
     def common_axis(self, axis: str) -> str:
         """The letter of an axis that both bodies share; a second frame with axes of its own must agree to 0.1 rad.

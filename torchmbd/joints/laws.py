@@ -6,6 +6,7 @@
 
 A law of one's own is a torch function of one time [] that is differentiable twice. A law that states its `slopes`
 takes many times at once. `Finite` is the law of a joint: one that gives nan or inf is an error with the joint's name.
+Each number may be a design variable, `Sine(mbd.variable(0.4), 1.5)`, as may the parameters of any torch module (varied.py).
 Source: the quintic of zero velocity and acceleration at both ends, e.g. Craig, Introduction to Robotics, eq. (7.18).
 Checked in tests/joints/test_laws.py: slopes against automatic differentiation.
 """
@@ -16,41 +17,44 @@ import math
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.joints.primitive import Law, slopes, slopes_at, values_at
+from torchmbd.numerics.variable import is_variable
 
 Slopes = tuple[Tensor, Tensor, Tensor]
 
 
-class ConstantSpeed:
+class ConstantSpeed(nn.Module):
     """x(t) = speed * t; speed in [rad/s] or [m/s]."""
 
     def __init__(self, speed: float | Tensor):
+        super().__init__()
         self.speed = finite("speed", speed)
 
-    def __call__(self, t: Tensor) -> Tensor:
+    def forward(self, t: Tensor) -> Tensor:
         return self.speed * t
 
     def slopes(self, t: Tensor) -> Slopes:
         """Value, speed and acceleration at the times t."""
-        return self.speed * t, torch.full_like(t, self.speed), torch.zeros_like(t)
+        return self.speed * t, self.speed + torch.zeros_like(t), torch.zeros_like(t)
 
 
-class SmoothStep:
+class SmoothStep(nn.Module):
     """From 0 to `size` [rad] or [m] between `start` and `start + duration` [s], at rest before and after.
 
     Velocity and acceleration are continuous; the largest velocity is 1.875 size / duration.
     """
 
-    def __init__(self, size: float | Tensor, duration: float, start: float = 0.0):
+    def __init__(self, size: float | Tensor, duration: float | Tensor, start: float | Tensor = 0.0):
+        super().__init__()
         self.size, self.start = finite("size", size), finite("start", start)
         self.duration = finite("duration", duration)
         if not self.duration > 0:
             raise InputError(f"duration is {duration!r} s; allowed: a positive number")
 
-    def __call__(self, t: Tensor) -> Tensor:
+    def forward(self, t: Tensor) -> Tensor:
         s = self._share(t)
         return self.size * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
 
@@ -65,20 +69,24 @@ class SmoothStep:
         return ((t - self.start) / self.duration).clamp(0.0, 1.0)
 
 
-class Sine:
+class Sine(nn.Module):
     """x(t) = amplitude sin(2 pi frequency t); amplitude in [rad] or [m], frequency in [Hz]."""
 
-    def __init__(self, amplitude: float | Tensor, frequency: float):
-        self.amplitude = finite("amplitude", amplitude)
-        self.rate = 2.0 * math.pi * finite("frequency", frequency)
+    def __init__(self, amplitude: float | Tensor, frequency: float | Tensor):
+        super().__init__()
+        self.amplitude, self.frequency = finite("amplitude", amplitude), finite("frequency", frequency)
 
-    def __call__(self, t: Tensor) -> Tensor:
-        return self.amplitude * torch.sin(self.rate * t)
+    def forward(self, t: Tensor) -> Tensor:
+        return self.amplitude * torch.sin(self._rate * t)
 
     def slopes(self, t: Tensor) -> Slopes:
         """Value, velocity and acceleration at the times t."""
-        x = self(t)
-        return x, self.amplitude * self.rate * torch.cos(self.rate * t), -self.rate * self.rate * x
+        x, rate = self(t), self._rate
+        return x, self.amplitude * rate * torch.cos(rate * t), -rate * rate * x
+
+    @property
+    def _rate(self) -> Any:
+        return 2.0 * math.pi * self.frequency
 
 
 class Finite:
@@ -106,10 +114,15 @@ class Finite:
         return x
 
 
-def finite(name: str, x: Any) -> float:
-    """A finite number, of Python or a tensor without a gradient (mbd.deg); InputError names the argument."""
+def finite(name: str, x: Any) -> Any:
+    """A finite number, of Python or a tensor without a gradient (mbd.deg), or a design variable of one number.
+
+    InputError names the argument.
+    """
+    if is_variable(x):
+        return x
     if isinstance(x, Tensor) and x.dim() == 0 and not x.requires_grad:
         x = float(x)
     if isinstance(x, bool) or not isinstance(x, (int, float)) or not math.isfinite(x):
-        raise InputError(f"{name} is {x!r}; allowed: a finite number")
+        raise InputError(f"{name} is {x!r}; allowed: a finite number, or mbd.variable(...) of one")
     return float(x)

@@ -29,14 +29,15 @@ Checked in tests/contracts/test_primitives.py: `forces` against autograd, jets a
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor
 
 from torchmbd.numerics.jet import Jet, cos, dot, sin
+from torchmbd.numerics.pair import cat
 
 Law = Callable[[Tensor], Tensor]
 
@@ -69,14 +70,19 @@ class Primitive:
         """What the equation takes of a prescribed x, a number or a jet."""
         raise NotImplementedError
 
-    def prescribed(self, times: Tensor) -> tuple[Tensor, ...]:
-        """What the laws prescribe at times [n], parts [n, laws, 1, 1]."""
-        return self.drive(torch.stack([values_at(law, times) for law in self.data], 1)[..., None, None])
+    @property
+    def varies(self) -> bool:
+        """Whether a law has design variables."""
+        return any(hasattr(law, "numbers") for law in self.data)
 
-    def prescribed_jets(self, t: Tensor) -> tuple[Jet, ...]:
-        """The same at time t with time derivatives, parts [laws, 1, 1]."""
-        parts = zip(*(slopes(law, t) for law in self.data), strict=True)
-        return self.drive(Jet(*(torch.stack(part)[:, None, None] for part in parts)))
+    def prescribed(self, times: Tensor, data: Mapping[str, Any] | None = None) -> tuple:
+        """What the laws prescribe at times [n], parts [n, laws, slots, lanes]; data: with their design variables."""
+        return self.drive(cat([_numbers(law, times, data) for law in self.data], 1))
+
+    def prescribed_jets(self, t: Tensor, data: Mapping[str, Any] | None = None) -> tuple[Jet, ...]:
+        """The same at time t with time derivatives, parts [laws, slots, lanes]."""
+        parts = zip(*(_jet(law, t, data).parts for law in self.data), strict=True)
+        return self.drive(Jet(*(cat(part) for part in parts)))
 
 
 class Coincide(Primitive):
@@ -198,6 +204,20 @@ def _given(drive: tuple | None) -> tuple:
 def _row(x):
     """Give a scalar equation its row axis."""
     return x.map(_row) if isinstance(x, Jet) else x[None]
+
+
+def _numbers(law: Any, times: Tensor, data: Mapping[str, Any] | None) -> Any:
+    """Values [n, 1, slots, lanes] of a law."""
+    if hasattr(law, "numbers"):
+        return law.numbers(times, data).unsqueeze(1)
+    return values_at(law, times)[:, None, None, None]
+
+
+def _jet(law: Any, t: Tensor, data: Mapping[str, Any] | None) -> Jet:
+    """A law with its slopes, parts [1, slots, lanes]."""
+    if hasattr(law, "numbers"):
+        return law.jets(t, data).map(lambda x: x.unsqueeze(0))
+    return Jet(*(x[None, None, None] for x in slopes(law, t)))
 
 
 def values_at(law: Law, times: Tensor) -> Tensor:

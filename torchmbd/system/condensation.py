@@ -23,8 +23,9 @@ from torch import Tensor
 from torchmbd.joints.primitive import Primitive, values_at
 from torchmbd.numerics.rotation import rotation_matrix, skew
 from torchmbd.system import equations
+from torchmbd.system.carrier import Carrier
 from torchmbd.system.saddle import Saddle
-from torchmbd.system.topology import Carrier, Topology, assemble
+from torchmbd.system.topology import Topology, assemble
 
 _HELD = 1e-9  # [m] or [-]: violation of a row that counts as none, and share of a singular value that counts as zero
 _FAR = (0.4, -1.1, 2.3)  # [rad] or [m]: where subspaces and turns are tried
@@ -169,7 +170,8 @@ def condense(T: Topology, q: Tensor) -> Condensation | None:
         if float(poses.phi(q)[hold.rows + hold.driven].abs().max()) > _HELD:
             continue  # cannot close: the initial conditions say so
         free = _null(J[hold.rows][:, poses.columns(hold.body)])
-        if free.shape[1] == len(hold.driven) <= 1:
+        known = not any(hasattr(law, "numbers") for law in hold.laws)  # the same motion in every design
+        if known and free.shape[1] == len(hold.driven) <= 1:
             carrier = _carrier(poses, q, hold, free)
             if carrier is not None:
                 carriers[hold.body] = carrier

@@ -170,24 +170,24 @@ class Dynamics:
         """Accelerations a [n_v, ...] and multipliers lam [rows, ...]; eq. (9), with tangents eq. (30)."""
         T, data = self.topology, {name: value(x) for name, x in self.data.items()}
         qv, vv = value(q), value(v)
-        drives = T.prescribed(t)
-        at = equations.placement(T, data, qv, drives)
+        given, drives = T.prescribed(t, self.data), T.law_jets(t, self.data) if T.rows else []
+        at = equations.placement(T, data, qv, given.values())
         K = self.saddle.matrix(data, at)
         zero = torch.zeros_like(vv)
         still = vv.new_zeros(T.rows, *vv.shape[1:])
         LU, pivots, _ = torch.linalg.lu_factor_ex(self.determined(K))  # a singular lane becomes inf or nan, alone
         factor = LU, pivots, K if self.redundant else None
-        x = -solve(factor, self._residual(t, data, at, vv, zero, still))
+        plain = [drive and tuple(jet.map(value) for jet in drive) for drive in drives]
+        x = -solve(factor, self._residual(data, at, vv, zero, still, plain))
         a, lam = x[: T.n_v], x[T.n_v :]
         if not isinstance(q, Pair):
             return a, lam
-        at = equations.placement(T, self.data, q, drives)
-        residual = self._residual(t, self.data, at, v, a, lam)
+        at = equations.placement(T, self.data, q, given)
+        residual = self._residual(self.data, at, v, a, lam, drives)
         both = Pair.of(x, -solve(factor, residual.tangent))
         return both[: T.n_v], both[T.n_v :]
 
-    def _residual(self, t: Tensor, data: Data, at: equations.Placement, v, a, lam):
-        drives = self.topology.law_jets(t) if self.topology.rows else []
+    def _residual(self, data: Data, at: equations.Placement, v, a, lam, drives: list[tuple | None]):
         return equations.stabilized_residual(self.topology, data, at, v, a, lam, drives, 1.0 / self.stabilization)
 
 

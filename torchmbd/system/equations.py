@@ -173,7 +173,7 @@ def constraints(T: Topology, at: Placement):
 
 def constraint_jets(T: Topology, at: Placement, data: Data, v, a, t: Tensor) -> Jet:
     """Phi, Phi' and Phi'' [rows, ...] at time t with the accelerations a: Phi'' = Phi_q a - gamma."""
-    return driven_jets(T, at, data, v, a, T.law_jets(t))
+    return driven_jets(T, at, data, v, a, T.law_jets(t, data))
 
 
 def driven_jets(T: Topology, at: Placement, data: Data, v, a, drives: list[tuple | None]) -> Jet:
@@ -250,7 +250,7 @@ def applied_on_vectors(T: Topology, data: Data, at: Placement, v):
     """What the actions do to the attached vectors [3, vectors, ...], in ground axes."""
     slots = []
     for action, (s, rate, direction) in zip(T.actions, action_states(T, data, at, v), strict=True):
-        f = action.strength(s, rate, at.t)
+        f = action.strength(s, rate, at.t, data)
         slots += [f * d for d in direction]
     return T.action_fold(*slots)  # pyright: ignore[reportOptionalCall]
 

@@ -90,18 +90,18 @@ class InitialConditions:
 
     def _rates(self, data: equations.Data, q, v: Tensor, t: Tensor):
         T = self.topology
-        at = equations.placement(T, data, q, T.prescribed(t))
+        at = equations.placement(T, data, q, T.prescribed(t, data))
         return equations.constraint_jets(T, at, data, v, torch.zeros_like(v), t).velocity
 
     def _newton(self, inverse: Tensor, data: equations.Data, q, t: Tensor):
         T = self.topology
-        phi = equations.constraints(T, equations.placement(T, data, q, T.prescribed(t)))
+        phi = equations.constraints(T, equations.placement(T, data, q, T.prescribed(t, data)))
         return equations.advance(T, q, -self._apply(inverse, phi)), float(value(phi).detach().abs().max())
 
     def _inverse(self, dynamics: Any, values: equations.Data, q, t: Tensor) -> Tensor:
         """Pseudo-inverse of the Jacobian by the rigid coordinates [lanes, 6 bodies, rows]."""
         T = self.topology
-        at = equations.placement(T, values, value(q).detach(), T.prescribed(t))
+        at = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
         J = dynamics.saddle.jacobian(values, at)[:, :, : 6 * T.bodies]
         return torch.linalg.pinv(J, rtol=1e-10)
 
@@ -117,7 +117,7 @@ class InitialConditions:
 
     def _refuse(self, values: equations.Data, q: Tensor, t: Tensor) -> None:
         T = self.topology
-        phi = equations.constraints(T, equations.placement(T, values, q, T.prescribed(t))).abs().amax((1, 2))
+        phi = equations.constraints(T, equations.placement(T, values, q, T.prescribed(t, values))).abs().amax((1, 2))
         worst = torch.argsort(phi, descending=True)[:4]
         rows = "; ".join(f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if phi[i] > _CLOSED)
         raise InputError(

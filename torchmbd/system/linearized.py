@@ -49,7 +49,7 @@ class AtRest:
         """Linearize `dynamics` of one design at q."""
         T = dynamics.topology
         data = {name: value(x).detach() for name, x in dynamics.data.items()}
-        given = T.prescribed(t).values()
+        given = T.prescribed(t, data).values()
         still, none = q.new_zeros(T.n_v, 1, 1), q.new_zeros(T.rows, 1, 1)
         unit = Pair.of(still, torch.eye(T.n_v, dtype=q.dtype)[..., None])
         at = equations.placement(T, data, q[:, None, None], given)

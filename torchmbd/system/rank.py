@@ -129,10 +129,8 @@ def elsewhere(dynamics: Any, q: Tensor) -> Tensor | None:
     """
     T, zero = dynamics.topology, q.new_zeros(1)
     rows = np.setdiff1d(np.arange(T.rows), _driven(T))
-    values, given = (
-        {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()},
-        T.schedule(zero)[0].values(),
-    )
+    values = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
+    given = T.schedule(zero, values)[0]
     J = jacobians(dynamics, q[None], zero)[0][rows].cpu().numpy()[:, _rigid(T)]
     N = scipy.linalg.null_space(J, rcond=RELATIVE)
     step = q.new_zeros(T.n_v)
@@ -186,11 +184,11 @@ def _dependent(J: np.ndarray) -> tuple[int, list[int]]:
 
 
 def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
-    """Phi_q with rows of length one [n, rows, n_v] at positions q [n, n_q] and times [n] of one design."""
+    """Phi_q with rows of length one [n, rows, n_v] at positions q [n, n_q] and times [n] of one design, the first."""
     T, saddle = dynamics.topology, dynamics.saddle
-    data = {name: value(x).detach() for name, x in dynamics.data.items()}
+    data = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
     parts = []
-    for given, state in zip(T.schedule(times), q, strict=True):
+    for given, state in zip(T.schedule(times, data), q, strict=True):
         at = equations.placement(T, data, state[:, None, None], given.values())
         parts.append(saddle.jacobian(data, at)[0])
     J = torch.stack(parts)

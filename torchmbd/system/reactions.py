@@ -19,7 +19,8 @@ from torchmbd.numerics.pair import Pair, cat, value
 from torchmbd.system import equations
 from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import INERTIA, Data, Placement
-from torchmbd.system.topology import Prescribed, Topology
+from torchmbd.system.side_by_side import side_by_side
+from torchmbd.system.topology import Topology
 
 _TOGETHER = 2048  # times x lanes in one evaluation
 
@@ -42,7 +43,7 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
     T = c.whole
     names = ("x", "Y", "gravity", *INERTIA)
     wide = {name: _repeated(data[name], n, lanes) for name in names if name in data}
-    given = _given(T, times, lanes)
+    given = side_by_side([T.prescribed(t, data) for t in times], lanes)
     gone = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
     at = equations.placement(T, wide, q, given)
     B = _columns(T, wide, at, gone).permute(2, 0, 1)
@@ -67,19 +68,6 @@ def _repeated(x: Any, times: int, lanes: int) -> Any:
     if isinstance(x, Pair):
         return Pair(wide(x.full))
     return x if x.shape[-1] == 1 else wide(x)
-
-
-def _given(T: Topology, times: Tensor, lanes: int) -> Prescribed:
-    known = [T.prescribed(t) for t in times]
-
-    def side_by_side(parts: list[Tensor]) -> Tensor:
-        return torch.cat(parts, -1).repeat_interleave(lanes, -1)
-
-    laws = [
-        None if law is None else tuple(side_by_side([k.laws[i][m] for k in known]) for m in range(len(law)))  # pyright: ignore
-        for i, law in enumerate(known[0].laws)
-    ]
-    return known[0]._replace(laws=laws)
 
 
 def _columns(T: Topology, data: Data, at: Placement, rows: Tensor) -> Tensor:

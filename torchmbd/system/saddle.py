@@ -194,7 +194,7 @@ class Saddle:
                 start : start + n, :, None
             ]  # one slot for each action
             slots += [d * unit for d in direction]
-            by_s, by_rate = action.slopes(s, rate, at.t)
+            by_s, by_rate = action.slopes(s, rate, at.t, data)
             weights.append(-(stiffness * by_s + damping * by_rate)[:, 0])
             start += n
         force = T.action_fold(*slots)  # pyright: ignore[reportOptionalCall]

@@ -21,6 +21,7 @@ from torchmbd.forces.force import ForceElement
 from torchmbd.joints.joint import Joint
 from torchmbd.numerics.called import called
 from torchmbd.numerics.pair import Pair
+from torchmbd.numerics.variable import key
 from torchmbd.system import topology
 from torchmbd.system.description import Description, check_connected, describe
 from torchmbd.system.dynamics import Dynamics
@@ -71,6 +72,19 @@ class System(nn.Module):
             if hasattr(self, body.name) or body.name in ("ground", "data"):
                 raise InputError(f"body name {body.name!r} is taken by torchmbd; allowed: any other identifier")
             self.add_module(body.name, body)
+        self._add_laws()
+
+    def _add_laws(self) -> None:
+        """Take in the modules of joints and forces whose parameters are design variables, by the names of these."""
+        elements = [*self.joints, *self.forces]
+        names = [element.name for element in elements]
+        for element in elements:
+            if element.variables is None:
+                continue
+            name = element.name
+            if names.count(name) > 1 or "." in name or hasattr(self, name):
+                raise InputError(f"{name!r} has design variables; allowed: a name of its own, without a point")
+            self.add_module(name, element.variables.module)
 
     def _join(self, joints: Sequence[Joint]) -> None:
         self.joints = list(joints)
@@ -152,6 +166,9 @@ class System(nn.Module):
             data["Y"] = _vector_modes(T, stages)
         x = [attached.vector for attached in T.attached]
         data["x"] = torch.stack(x, 1)[:, :, None, None] if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
+        for element in (*self.joints, *self.forces):
+            if element.variables is not None:
+                data[key(element.name)] = element.variables.flat()
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data

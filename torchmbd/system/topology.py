@@ -7,7 +7,7 @@ Order of the unknowns (flexible bodies come first):
     lam: rows of the primitives, kind by kind (joints/primitive.py)
 
 `modes` is the largest number of modes; bodies with fewer are padded with modes that never move.
-Carriers are bodies whose motion is known: the ground, and before it those that a condensation took out (condensation.py).
+Carriers are bodies whose motion is known: the ground, and before it those that a condensation took out (carrier.py).
 They follow the bodies in `vector_body`. `rates`, where a condensation left it, gives the rates of all bodies from
 independent ones; v and a then hold the independent ones, and nobody but `split_v` and `dynamic_residual` knows.
 
@@ -18,7 +18,7 @@ joints, and no atomic additions.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -31,9 +31,9 @@ from torchmbd.forces.action import KINDS as ACTIONS
 from torchmbd.forces.action import Action
 from torchmbd.forces.force import Applied, ForceElement
 from torchmbd.joints.joint import Attached, Equation, Joint, Scribe
-from torchmbd.joints.primitive import KINDS, Primitive, slopes_at, values_at
+from torchmbd.joints.primitive import KINDS, Primitive
 from torchmbd.numerics.pair import cat, linear, value
-from torchmbd.numerics.rotation import euler_parameters, quaternion_product
+from torchmbd.system.carrier import Carrier
 
 
 class Fold:
@@ -93,66 +93,14 @@ class Prescribed(NamedTuple):
     r: Tensor  # origins [3, carriers, 1, 1]
     t: Any  # the time [1, 1] or []
 
+    def shared(self, varied: Sequence[int]) -> Prescribed:
+        """The same without the laws of some kinds, those with design variables: what is equal in all lanes."""
+        return self._replace(laws=[() if i in varied else law for i, law in enumerate(self.laws)])
+
     def values(self) -> Prescribed:
         """The same without tangents."""
         laws = [None if law is None else tuple(value(x) for x in law) for law in self.laws]
         return self._replace(laws=laws, A=value(self.A), r=value(self.r), t=value(self.t))
-
-
-@dataclass(frozen=True)
-class Carrier:
-    """A body that turns about an axis fixed in the ground, by the change of a law since the start.
-
-    A, r   pose at the start [3, 3], [3]
-    spin   skew matrix of the axis, signed [3, 3]; center a point of the axis [3]
-    law    angle over time, or None for a body at rest
-    """
-
-    name: str
-    A: Tensor
-    r: Tensor
-    spin: Tensor
-    center: Tensor
-    law: Any = None
-
-    def poses(self, times: Tensor) -> tuple[Tensor, Tensor]:
-        """Rotations [3, 3, n] and origins [3, n] at times [n]."""
-        if self.law is None:
-            return self.A[..., None].expand(3, 3, len(times)), self.r[:, None].expand(3, len(times))
-        angle = values_at(self.law, times) - self.law(torch.zeros_like(times[0]))
-        turn = torch.sin(angle) * self.spin[..., None] + (1.0 - torch.cos(angle)) * (self.spin @ self.spin)[..., None]
-        A = self.A[..., None] + torch.einsum("ijn,jk->ikn", turn, self.A)
-        return A, self.r[:, None] + torch.einsum("ijn,j->in", turn, self.r - self.center)
-
-    def turned(self, angle: Tensor) -> tuple[Tensor, Tensor]:
-        """Euler parameters [n, 4] and origins [n, 3] at angles [n] from the start."""
-        axis = _axis(self.spin)
-        p = euler_parameters(self.A)[:, None]
-        turn = torch.cat([torch.cos(0.5 * angle)[None], torch.sin(0.5 * angle) * axis[:, None]])
-        x = self.spin @ (self.r - self.center)
-        r = self.r + torch.sin(angle)[:, None] * x + (1.0 - torch.cos(angle))[:, None] * (self.spin @ x)
-        return quaternion_product(turn, p.expand(4, len(angle))).T, r
-
-    def motion(self, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Coordinates [times, 7], rates [times, 6] and accelerations [times, 6]; rotations in body axes."""
-        if self.law is None:
-            q = torch.cat([self.r, euler_parameters(self.A)])
-            return q.expand(len(times), 7), q.new_zeros(len(times), 6), q.new_zeros(len(times), 6)
-        angle, rate, acceleration = (x[:, None] for x in slopes_at(self.law, times))
-        p, r = self.turned((angle - self.law(torch.zeros_like(times[0])))[:, 0])
-        arm = (r - self.center) @ self.spin.T
-        omega = (self.A.T @ _axis(self.spin)).expand(len(times), 3)
-        fast = acceleration * arm + rate.square() * (arm @ self.spin.T)
-        return (
-            torch.cat([r, p], 1),
-            torch.cat([rate * arm, rate * omega], 1),
-            torch.cat([fast, acceleration * omega], 1),
-        )
-
-
-def _axis(spin: Tensor) -> Tensor:
-    """Axis [3] of a skew matrix."""
-    return torch.stack([spin[2, 1], spin[0, 2], spin[1, 0]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,18 +159,26 @@ class Topology:
         """The same for the actions."""
         return _arguments(g.index_select(1, self.action_slots), self.actions)
 
-    def law_jets(self, t: Tensor) -> list[tuple | None]:
-        """What the laws of driven primitives prescribe at time t, with time derivatives, for each kind of primitive."""
-        return [p.prescribed_jets(t) if p.driven else None for p in self.primitives]
+    @property
+    def varied(self) -> list[int]:
+        """Kinds of primitives with laws that have design variables."""
+        return [i for i, p in enumerate(self.primitives) if p.varies]
 
-    def prescribed(self, t: Tensor) -> Prescribed:
-        """What is known at time t."""
-        return self.schedule(t[None])[0]
+    def law_jets(self, t: Tensor, data: Mapping[str, Any] | None = None) -> list[tuple | None]:
+        """What the laws of driven primitives prescribe at time t, with time derivatives, for each kind of primitive.
 
-    def schedule(self, times: Tensor) -> list[Prescribed]:
-        """What is known at times [n], for each of them."""
+        data: of the designs; without, design variables of laws have their own values.
+        """
+        return [p.prescribed_jets(t, data) if p.driven else None for p in self.primitives]
+
+    def prescribed(self, t: Tensor, data: Mapping[str, Any] | None = None) -> Prescribed:
+        """What is known at time t; data as of `law_jets`."""
+        return self.schedule(t[None], data)[0]
+
+    def schedule(self, times: Tensor, data: Mapping[str, Any] | None = None) -> list[Prescribed]:
+        """What is known at times [n], for each of them; data as of `law_jets`."""
         n = len(times)
-        laws = [p.prescribed(times) if p.driven else None for p in self.primitives]
+        laws = [p.prescribed(times, data) if p.driven else None for p in self.primitives]
         poses = [carrier.poses(times) for carrier in self.carriers]
         eye = torch.eye(3, dtype=times.dtype, device=times.device)
         poses.append((eye[..., None].expand(3, 3, n), times.new_zeros(3, n)))

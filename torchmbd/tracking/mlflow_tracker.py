@@ -1,5 +1,6 @@
 """Runs in an MLflow store, by MlflowClient and explicit run ids: no global state, many runs at once.
 
+Runs begin and end, and metrics lie, at the time `when` they were told; a writer may be late.
 Metrics are collected and written by log_batch, all steps of a run in one call: at `flush` and at `end`.
 
 A study that died is gone on with: its root run (tags study_key and run_key, any status but FINISHED) and the children
@@ -39,6 +40,7 @@ class MlflowTracker:
         self.client = open_store(self.uri)
         self.experiment_id = experiment_id(self.client, experiment, self.uri)
         self.study = study
+        self.when: int | None = None  # what is told now has happened [ms since 1970]; None: now
         self.runs: dict[str, str] = dict(runs or {})
         self.steps = {run: dict(last) for run, last in (steps or {}).items()}
         self._written = {run: dict(last) for run, last in self.steps.items()}
@@ -65,7 +67,8 @@ class MlflowTracker:
             everything["mlflow.parentRunId"] = self._id(parent)
         earlier = self._found(run, parent)
         if earlier is None:
-            self.runs[run] = self.client.create_run(self.experiment_id, tags=everything, run_name=name).info.run_id
+            began = self.client.create_run(self.experiment_id, self._now(), tags=everything, run_name=name)
+            self.runs[run] = began.info.run_id
             self.steps.pop(run, None)
             self._written.pop(run, None)
         else:
@@ -96,7 +99,7 @@ class MlflowTracker:
         from mlflow.entities import Metric
 
         self._id(run)
-        now = int(time.time() * 1000)
+        now = self._now()
         batch, written, last = (
             self._waiting.setdefault(run, []),
             self._written.get(run, {}),
@@ -133,7 +136,7 @@ class MlflowTracker:
 
     def end(self, run: str, status: Status) -> None:
         self.flush()
-        self.client.set_terminated(self._id(run), status)
+        self.client.set_terminated(self._id(run), status, self._now())
         if run in self._open:
             self._open.remove(run)
 
@@ -168,6 +171,9 @@ class MlflowTracker:
     def finished(self) -> bool:
         """Whether no run of this study is left to go on with."""
         return not self._open and all(self._status(run) == "FINISHED" for run in list(self.runs.values())[:1])
+
+    def _now(self) -> int:
+        return int(1000 * time.time()) if self.when is None else self.when
 
     def _status(self, run_id: str) -> str:
         return self.client.get_run(run_id).info.status

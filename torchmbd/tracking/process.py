@@ -26,6 +26,7 @@ from typing import Any
 from torchmbd.bare import command
 from torchmbd.errors import MbdError
 from torchmbd.tracking.spool import Journal, clear, locked
+from torchmbd.tracking.store import store_uri
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 
 _WRITER = "torchmbd.tracking.writer"
@@ -42,12 +43,13 @@ class ProcessTracker:
     def __init__(
         self, experiment: str, uri: str | None = None, folder: Path | None = None, study: str | None = None
     ) -> None:
+        self.uri = store_uri(uri)  # of this process: another may send it, from another folder
         self._temporary = folder is None
         self.folder = folder or Path(tempfile.mkdtemp(prefix="torchmbd-"))
         self._locks = ExitStack()
         if not self._locks.enter_context(locked(self.folder, "study.lock", wait=False)):
             raise MbdError(f"the same study is running in another process (its folder is {self.folder})")
-        self._journal = Journal(self.folder, ["session", experiment, uri, study or uuid.uuid4().hex])
+        self._journal = Journal(self.folder, ["session", experiment, self.uri, study or uuid.uuid4().hex])
         self._log = tempfile.TemporaryFile("w+")  # noqa: SIM115 - read when a writer fails, closed in close()
         self._writers = 0
         self._process = self._start()

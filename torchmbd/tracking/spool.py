@@ -1,6 +1,7 @@
 """The folder of a study: what it tells its tracker, on disk before anything else, until a store has it.
 
-    <session>.jsonl   one line for each call of a tracker, in order; a session is one life of the study's process
+    <session>.jsonl   one line for each call of a tracker, in order, [ms since 1970, [method, *arguments]];
+                      a session is one life of the study's process
     sent.json         how far which session is in the store: bytes, run ids, last steps of metrics
     files/            what the study files (pictures, tables)
     study.lock        held by the process of the study: the same study cannot run twice at once
@@ -23,9 +24,17 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 Line = list[Any]  # [method, *arguments], plain JSON
+
+
+class Told(NamedTuple):
+    """A line of a journal."""
+
+    line: Line
+    end: int  # offset behind it [bytes]
+    when: int  # it was told [ms since 1970]
 
 
 @dataclass
@@ -55,7 +64,7 @@ class Journal:
 
     def append(self, line: Line) -> None:
         """Write a line, and whatever was held back before it."""
-        self._held.append(json.dumps(line) + "\n")
+        self._held.append(json.dumps([int(1000 * time.time()), line]) + "\n")
         data = "".join(self._held).encode()
         try:
             written = os.pwrite(self._descriptor, data, self._good)
@@ -79,16 +88,17 @@ class Journal:
         os.close(self._descriptor)
 
 
-def read_lines(file: Path, offset: int) -> tuple[list[tuple[Line, int]], int]:
-    """Return the whole lines behind `offset`, each with the offset of its end, and the last of these."""
+def read_lines(file: Path, offset: int) -> list[Told]:
+    """Return the whole lines behind `offset`."""
     with file.open("rb") as journal:
         journal.seek(offset)
         data = journal.read()
     lines = []
     for raw in data[: data.rfind(b"\n") + 1].splitlines():
         offset += len(raw) + 1
-        lines.append((json.loads(raw), offset))
-    return lines, offset
+        when, line = json.loads(raw)
+        lines.append(Told(line, offset, when))
+    return lines
 
 
 def load_sent(folder: Path) -> Sent:

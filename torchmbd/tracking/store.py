@@ -11,25 +11,49 @@ import fcntl
 import hashlib
 import logging
 import os
+import sqlite3
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from torchmbd.errors import InputError
 from torchmbd.tracking.tracker import TrackingError
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
+_MISREAD = ("?", "%")  # the one ends a path, the other is decoded
 SCHEMES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")
+_SETTINGS = {  # of MLflow
+    "MLFLOW_DISABLE_TELEMETRY": "true",
+    "MLFLOW_LOGGING_LEVEL": "WARNING",
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",  # a server that is not there is told within seconds, not minutes
+}
 
 
 def store_uri(uri: str | None = None) -> str:
-    """Return the store to use, a relative SQLite path made absolute."""
+    """Return the store to use, a relative SQLite path made absolute; InputError if it can be none."""
+    given = "uri" if uri else "MLFLOW_TRACKING_URI" if os.environ.get("MLFLOW_TRACKING_URI") else "the store"
     chosen = uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}"
+    if fault := uri_fault(chosen):
+        raise InputError(f"{given} = {chosen!r}: {fault}")
     file = sqlite_file(chosen)
     return f"sqlite:///{file}" if file else chosen
+
+
+def uri_fault(uri: str) -> str | None:
+    """Say why a URI is no store, None if it may be one."""
+    scheme, separator, _ = uri.partition(":")
+    if not separator or scheme.partition("+")[0] not in SCHEMES:
+        return f"a store is one of {', '.join(f'{name}:' for name in SCHEMES)} such as sqlite:///mlflow.db"
+    file = sqlite_file(uri)
+    if file and any(c in str(file) for c in _MISREAD):
+        return (
+            f"MLflow misreads {' and '.join(_MISREAD)} in a path; allowed: a path without, named by MLFLOW_TRACKING_URI"
+        )
+    return None
 
 
 def sqlite_file(uri: str) -> Path | None:
@@ -39,8 +63,8 @@ def sqlite_file(uri: str) -> Path | None:
 
 def open_store(uri: str) -> MlflowClient:
     """Open a store, creating its tables if it is new; TrackingError if it cannot be."""
-    os.environ.setdefault("MLFLOW_DISABLE_TELEMETRY", "true")
-    logging.getLogger("mlflow").setLevel(logging.WARNING)
+    for name, value in _SETTINGS.items():
+        os.environ.setdefault(name, value)
     logging.getLogger("alembic").setLevel(logging.WARNING)
     from mlflow import MlflowClient  # 3 seconds: imported when a store is wanted, not before
     from mlflow.exceptions import MlflowException
@@ -49,10 +73,12 @@ def open_store(uri: str) -> MlflowClient:
     try:
         if file:
             file.parent.mkdir(parents=True, exist_ok=True)
+            with closing(sqlite3.connect(file)) as base:  # MLflow tries for minutes to open what is no store
+                base.execute("pragma user_version")
         with _alone(uri):
             client = MlflowClient(uri)
             client.search_experiments(max_results=1)  # the first query creates and migrates the tables
-    except (MlflowException, OSError) as error:
+    except (MlflowException, OSError, sqlite3.Error) as error:
         raise TrackingError(f"the store {uri!r} cannot be opened: {_first_line(error)}") from error
     return client
 

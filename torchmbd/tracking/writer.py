@@ -18,9 +18,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from torchmbd.process import come_forward, give_way
 from torchmbd.tracking.spool import (
-    Line,
     Sent,
+    Told,
     clear,
     drop_session,
     drop_sessions,
@@ -54,6 +55,7 @@ class Writer:
     tracker: MlflowTracker | None = None
     sent: Sent = field(default_factory=Sent)
     where: list[str | None] = field(default_factory=list)  # experiment, uri, study
+    when: int | None = None  # the last line was told
     _ended: float | None = None
 
     def run(self) -> dict:
@@ -63,7 +65,7 @@ class Writer:
         drop_sessions(self.folder, before=self.file)
         while True:
             over = self.over()  # asked before the lines are read: what comes later is nothing
-            lines, _ = read_lines(self.file, self.sent.offset)
+            lines = read_lines(self.file, self.sent.offset)
             if lines:
                 failure = self._insist(lambda lines=lines: self._send(lines))
                 if failure:
@@ -91,11 +93,11 @@ class Writer:
             else:
                 return None
 
-    def _send(self, lines: list[tuple[Line, int]]) -> None:
-        for line, end in lines:
+    def _send(self, lines: list[Told]) -> None:
+        for (method, *arguments), end, when in lines:
             if end <= self.sent.offset:
                 continue  # sent before the store went away
-            method, *arguments = line
+            self.when = when
             if method == "session":
                 self.where = arguments
             elif method != "close":
@@ -104,11 +106,13 @@ class Writer:
                 self._flush()
                 self._note(end)
         self._flush()
-        self._note(lines[-1][1])
+        self._note(lines[-1].end)
 
     def _command(self, method: str, arguments: list) -> None:
         try:
-            getattr(self._opened(), method)(*arguments)
+            tracker = self._opened()
+            tracker.when = self.when
+            getattr(tracker, method)(*arguments)
         except Away:
             raise
         except Exception as error:  # MLflow's, the database's, the network's: told apart by asking the store
@@ -129,7 +133,7 @@ class Writer:
         if self.tracker is None:
             from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
-            experiment, uri, study = self.where or read_lines(self.file, 0)[0][0][0][1:]
+            experiment, uri, study = self.where or read_lines(self.file, 0)[0].line[1:]
             try:
                 self.tracker = MlflowTracker(str(experiment), uri, study, self.sent.runs, self.sent.steps)
             except (TrackingError, OSError) as error:
@@ -171,6 +175,7 @@ class Writer:
 
     def _end(self) -> None:
         tracker = self._opened()
+        tracker.when = self.when
         try:
             tracker.close()
         except Exception as error:
@@ -211,7 +216,8 @@ def main(folder: str, mode: str = "") -> int:
     file = last_session(place)
     assert file is not None
     ended = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
+    threading.Thread(target=lambda: (sys.stdin.read(), ended.set(), come_forward()), daemon=True).start()
+    give_way()
     importlib.import_module("mlflow")  # 3 seconds, while the study begins
     with locked(place, "writer.lock"):  # the writer of a study that was killed may still be at work
         word = Writer(place, file, ended.is_set).run()

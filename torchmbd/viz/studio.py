@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmbd.bare import command
+from torchmbd.process import come_forward, give_way
 from torchmbd.viz.design_map import design_map
 from torchmbd.viz.figures import convergence, criterion, energy_over_time, save
 
@@ -105,8 +106,10 @@ STUDIO = Studio()
 
 def main() -> int:
     """Carry out the orders on the standard input; an answer is null, or the reason of a failure."""
+    give_way()
     _warm_up()
     for line in sys.stdin:
+        come_forward()
         order = json.loads(line)
         trouble = None
         try:

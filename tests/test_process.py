@@ -1,0 +1,69 @@
+"""Settings of a process, seen from inside another one."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import pytest
+
+from torchmbd import bare
+from torchmbd.process import MEMORY, brief_warnings
+
+CHURN = """
+import resource, sys
+from torchmbd.process import settle
+if "settle" in sys.argv:
+    settle()
+def churn():
+    for _ in range(5):
+        parts = [bytearray(48_000_000) for _ in range(2)]  # as a batch does: much at once, and nothing of it kept
+        del parts
+churn()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+churn()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+WAYS = """
+import os
+from pathlib import Path
+from torchmbd.process import come_forward, give_way
+session = Path("/proc/self/autogroup")
+for step in (give_way, come_forward):
+    step()
+    print(os.nice(0), session.read_text().split()[-1] if session.exists() else "-")
+"""
+
+
+def output(code: str, *arguments: str, environment: dict[str, str] | None = None) -> list[str]:
+    """Run code without torch: the package is its folder only, as in torchmbd.bare."""
+    empty = f"import sys, types; m = types.ModuleType('torchmbd'); m.__path__ = [{str(Path(bare.__file__).parent)!r}]\n"
+    command = [sys.executable, "-c", empty + "sys.modules['torchmbd'] = m\n" + code, *arguments]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, start_new_session=True)
+    return done.stdout.split()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the allocator of glibc")
+def test_memory_between_batches_stays():
+    """A page that is handed back is faulted in again: 10 x 48 MB are 120,000 pages of 4 KiB."""
+    assert int(output(CHURN)[0]) > 30_000
+    assert int(output(CHURN, "settle")[0]) < 1_000
+    assert int(output(CHURN, environment=MEMORY)[0]) < 1_000
+
+
+def test_helpers_give_way_until_they_are_waited_for():
+    nice, session, nice_then, session_then = output(WAYS)
+    assert nice == nice_then == str(os.nice(0) + 5)
+    assert (session, session_then) in (("5", "0"), ("-", "-"))
+
+
+def test_a_warning_is_said_once_without_the_code_that_gave_it(capsys):
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        brief_warnings()
+        for text in ("too few: 1037 steps", "too few: 1.3e+03 steps", "something else"):
+            warnings.warn(text, stacklevel=1)
+    assert capsys.readouterr().err.splitlines() == ["warning: too few: 1037 steps", "warning: something else"]

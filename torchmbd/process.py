@@ -1,0 +1,69 @@
+"""How a process of torchmbd uses the machine: its threads, the memory between two batches, and who goes first.
+
+    settle        one thread: two make small batched solves 10 to 50 times slower. Memory that is freed stays with the
+                  process: a batch of designs takes and frees hundreds of MB, and handing them back to the system and
+                  asking for them again costs a sixth of its time, more where several workers ask at once
+    give_way      helpers beside a study (the writer, the studio) take what its computation leaves
+    come_forward  ... until the study waits for them
+
+Memory: glibc's mallopt; elsewhere the allocator keeps its own habits. MEMORY are the same settings as an environment.
+Priority: nice, which nothing takes back, and where Linux weighs whole sessions against each other (autogroup), theirs.
+Checked in tests/test_process.py.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import re
+import sys
+import warnings
+from pathlib import Path
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+MEMORY = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": f"{2**31 - 1}"}
+_MALLOPT = ((-8, 1), (-4, 0), (-1, 2**31 - 1))  # M_ARENA_MAX, M_MMAP_MAX, M_TRIM_THRESHOLD of malloc.h
+_NICE = 5
+_AUTOGROUP = Path("/proc/self/autogroup")
+
+
+def settle() -> None:
+    """Make this process fit for batches of small solves; torch's own threads included."""
+    for name, count in ONE_THREAD.items():
+        os.environ.setdefault(name, count)
+    import torch
+
+    torch.set_num_threads(int(os.environ["OMP_NUM_THREADS"]))
+    with contextlib.suppress(AttributeError, OSError):  # no glibc
+        for parameter, value in _MALLOPT:
+            ctypes.CDLL(None).mallopt(parameter, value)
+
+
+def brief_warnings() -> None:
+    """Say a warning in one line, without the code that gave it, and once: not again with other numbers."""
+    said: set[str] = set()
+
+    def show(message, category, filename, lineno, file=None, line=None) -> None:
+        kind = re.sub(r"\d[\d.e+-]*", "", str(message))
+        if kind not in said:
+            said.add(kind)
+            print(f"warning: {message}", file=file or sys.stderr)
+
+    warnings.showwarning = show
+
+
+def give_way() -> None:
+    """Let the processes of other sessions go first."""
+    os.nice(_NICE)
+    _weigh(_NICE)
+
+
+def come_forward() -> None:
+    """Take what `give_way` left to others, as far as the system allows."""
+    _weigh(0)
+
+
+def _weigh(nice: int) -> None:
+    with contextlib.suppress(OSError):  # no such thing here, or asked too often
+        _AUTOGROUP.write_text(str(nice))
