@@ -25,10 +25,10 @@ REFERENCE = {
 
 
 def energies(
-    angles: tuple[float, ...], cells: tuple[int, int], modes: int = 8, steps: int = 1200
+    angles: tuple[float, ...], cells: tuple[int, int], modes: int = 8, steps: int = 1200, kind: str = "triangle"
 ) -> tuple[float, float]:
     """Max U [J] and integral of U [J s] of one lay-up [deg]."""
-    system = build(len(angles), angles, cells, modes)
+    system = build(len(angles), angles, cells, modes, kind=kind)
     motion = mbd.simulate(system, DURATION, steps=steps).require_ok()
     energy = mbd.StrainEnergy("rod")
     return float(mbd.Max(energy).value(motion)), float(mbd.Integral(energy).value(motion))
@@ -37,13 +37,14 @@ def energies(
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--cells", default="12x2,24x4,48x8", help="meshes, such as 12x2,24x4")
+    parser.add_argument("--kind", default="triangle", choices=["triangle", "quad"], help="of the cells")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     meshes = [tuple(int(n) for n in cells.split("x")) for cells in arguments.cells.split(",")]
     print("lay-up [deg]    mesh     max U [J]  / ref    int U [J s]  / ref    reference           paper / 2")
     for angles, (reference, paper) in REFERENCE.items():
         for cells in meshes:
-            U, J = energies(angles, (cells[0], cells[1]))
+            U, J = energies(angles, (cells[0], cells[1]), kind=arguments.kind)
             ratios = f"{U:9.4f}  {U / reference[0]:6.4f}   {J:11.6f}  {J / reference[1]:6.4f}"
             name = "/".join(f"{a:g}" for a in angles)
             print(f"{name:14s}  {cells[0]}x{cells[1]:<4d}  {ratios}   {reference}    {paper}")

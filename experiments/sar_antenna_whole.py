@@ -39,7 +39,7 @@ from torchmbd.forces import Gap, Spring, Table
 
 DRIVER_AT, DRIVER, HANDLE = -1.8, 0.5, 0.2  # X of R1, length of the driver, half width of its handle [m]
 DAMPING = 1.0  # of actuator B [N m s]
-PULL = ((0.0, -3.0), (0.6, -25.0), (2.77, -25.0), (3.0, -12.0))  # its torque on the driver over its angle [rad, N m]
+PULL = ((0.0, -1.8), (0.6, -25.0), (2.77, -25.0), (3.0, -12.0))  # its torque on the driver over its angle [rad, N m]
 # Stops: parts of an actuator's way, from its end, that are damped [rad], and how much [N m s].
 STOPS = {"A": ((1.5, 16.0),), "B": ((2.25, 108.0), (0.16, 134.0))}
 RATIO = 0.01  # damping of the panels' modes

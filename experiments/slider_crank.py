@@ -47,12 +47,14 @@ def build(
     reduction: str = "vibration",
     interface: Sequence[str | int] = (),
     updated: bool = True,
+    kind: str = "triangle",
 ) -> mbd.System:
     """Slider-crank with a rod of equal layers.
 
     layers   number of layers of equal thickness, 7.5 mm in all
     angles   ply angles [deg], bottom to top; default: the start design of Table 2, alternating 45 and -45
-    cells    cells of the rod's mesh along its length and depth, each two triangles
+    cells    cells of the rod's mesh along its length and depth
+    kind     "triangle", two in each cell, or "quad"
     modes    retained modes of the rod
     damping  stiffness-proportional damping of the rod [s]
     reduction, interface, updated   of the rod, as in FlexibleBody.plate
@@ -61,7 +63,7 @@ def build(
     if len(plies) != layers:
         raise mbd.InputError(f"angles has {len(plies)} entries; allowed: {layers}, one for each of layers={layers}")
     laminate = mbd.Laminate(mbd.Ply(**CARBON), angles=mbd.deg(plies), thickness=THICKNESS / layers)
-    mesh = mbd.mesh.rectangle(length=ROD, width=DEPTH, cells=(cells[0], cells[1]))
+    mesh = mbd.mesh.rectangle(length=ROD, width=DEPTH, cells=(cells[0], cells[1]), kind=kind)
     # The normal of the plate lies in the plane of motion, so that the 7.5 mm side bends (inferred).
     axes = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]
     rod = mbd.FlexibleBody.plate(

@@ -181,9 +181,9 @@ def deployment(folder: Path, rate: int, **model: Any) -> list[Row]:
 SOURCES = tuple(f"experiments.sar_antenna{x}" for x in ("", "_bodies", "_data", "_tables", "_clearance"))
 PARTS = (
     Part("table6", "Table 6, Figs. 15-18: two lay-ups of the antenna", layups,
-         (*SOURCES, "experiments.sar_antenna_whole", "experiments.paper.antenna"), 2.0, {"rate": 100, "modes": 14}),
+         (*SOURCES, "experiments.sar_antenna_whole", "experiments.paper.antenna"), 1.0, {"rate": 100, "modes": 14}),
     Part("table8", "Tables 7, 8, Figs. 20-23: the antenna optimized", optimum,
-         (*SOURCES, "experiments.sar_antenna_optimum", "experiments.paper.antenna"), 8.0, {"steps": 300}),
+         (*SOURCES, "experiments.sar_antenna_optimum", "experiments.paper.antenna"), 3.0, {"steps": 300}),
     Part("equation40", "Eq. (40) with other modes and meshes", vibration,
          (*SOURCES, "experiments.paper.antenna"), 3.0, {"rate": 200}),
     Part("figures19_26", "Figs. 19, 24-26: the first phase of both designs", deployment,

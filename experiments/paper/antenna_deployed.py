@@ -6,11 +6,11 @@ Checked in tests/experiments/test_paper.py.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 
 import torchmbd as mbd
@@ -21,6 +21,7 @@ from experiments.sar_antenna_clearance import gaps
 from experiments.sar_antenna_whole import DESIGNS, deployed, hinges
 
 NODES = {"panel2": "B", "panel3": "D"}  # as the paper calls the corners of Figs. 24, 25
+LAST = 1.5  # [s]
 PAIRS = ("panel 1 - panel 2", "panel 2 - panel 3")
 
 
@@ -70,9 +71,14 @@ def ended(motion: mbd.Trajectory, lane: int) -> str:
 
 
 def aligned(motion: mbd.Trajectory, lane: int, name: str) -> list[Row]:
-    """How well the panels are in line at the end: section 6.1 asks for 0.5 degrees."""
-    off = {pair: abs(math.degrees(float(angle[lane, -1]))) for pair, angle in hinges(motion).items()}
-    return [Row(f"angle of {pair} at 20 s, {name} (deg)", "within 0.5", x, "chosen") for pair, x in off.items()]
+    """How well the panels are in line at the end: section 6.1 asks for 0.5 degrees. They still vibrate."""
+    rows = []
+    for pair, angle in hinges(motion).items():
+        last = torch.rad2deg(angle[lane, motion.t >= motion.t[-1] - LAST])
+        told = f"in the last {LAST:g} s {float(last.min()):.2f} to {float(last.max()):.2f}"
+        what = f"mean angle of {pair} at the end, {name} (deg)"
+        rows.append(Row(what, "within 0.5", float(last.mean()), "chosen", told))
+    return rows
 
 
 def compared(what: str, x: Tensor) -> list[Row]:
@@ -94,8 +100,8 @@ def draw(motion: mbd.Trajectory, x: Tensor, ylabel: str, path: Path) -> None:
 
 _PHASES = (*SOURCES, "experiments.sar_antenna_whole", "experiments.paper.antenna", "experiments.paper.antenna_deployed")
 PARTS = (
-    Part("figure14", "Fig. 14: both phases, rigid panels", rigid, _PHASES, 0.5, {"steps": 400}),
+    Part("figure14", "Fig. 14: both phases, rigid panels", rigid, _PHASES, 1.0, {"steps": 400}),
     Part("both_phases", "Figs. 22-26: both phases for 20 s, flexible panels", flexible, _PHASES, 2.0, {"steps": 4000}),
-    Part("both_phases_trusses", "Both phases for 20 s, flexible panels and trusses", flexible, _PHASES, 5.0,
-         {"steps": 4000, "trusses": "beam"}),
+    Part("both_phases_trusses", "Both phases for 20 s, flexible panels, trusses of wound tubes", flexible, _PHASES, 5.0,
+         {"steps": 4000, "trusses": "tube", "modes": 12}),
 )  # fmt: skip

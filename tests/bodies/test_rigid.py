@@ -36,6 +36,22 @@ def test_three_moments_are_a_diagonal():
     assert_close(short.invariants(), full.invariants())
 
 
+def test_places_and_gravity_are_saved_with_the_module():
+    """And come back into a system that was built elsewhere."""
+    place = {"position": (1.0, 2.0, 3.0), "velocity": (0.1, 0.0, 0.0), "angular_velocity": (0.0, 0.2, 0.0)}
+    box = mbd.RigidBody("box", 1.0, (1.0, 1.0, 1.0), axes=[[0, -1, 0], [1, 0, 0], [0, 0, 1]], **place)
+    saved = mbd.System([box], gravity=(0.0, 0.0, -9.81), free=["box"]).state_dict()
+    for key in (*place, "axes"):
+        assert_close(saved[f"box.{key}"], getattr(box, key))
+    other = mbd.System([mbd.RigidBody("box", 2.0, (1.0, 1.0, 1.0))], gravity=(0.0, 0.0, 0.0), free=["box"])
+    other.load_state_dict(saved)
+    assert_close(other.body("box").position, box.position)
+    assert_close(other.gravity, torch.tensor([0.0, 0.0, -9.81], dtype=torch.float64))
+    motion = mbd.simulate(other, 1.0, steps=10).require_ok()
+    assert_close(motion.body("box").r[0, 0], box.position)
+    assert_close(motion.body("box").r[0, -1, 2], torch.tensor(3.0 - 0.5 * 9.81, dtype=torch.float64))
+
+
 @pytest.mark.parametrize(
     ("given", "words"),
     [

@@ -160,11 +160,11 @@ def rough(refined, kind):
 
 
 def test_bilinear_patches_bend_as_fine_triangles_say():
-    """No patch is flat. Two cells across each are within 1 %; one, warped to and fro, is too stiff: 0.51 instead of 0.88."""
+    """No patch is flat. Two cells across each are within 1 %; one, warped to and fro, is too stiff: 0.56 instead of 0.88."""
     fine = rough(8, "triangle")
     assert rough(2, "quad") == pytest.approx(fine, rel=0.01)
     assert rough(4, "quad") == pytest.approx(fine, rel=0.01)
-    assert 0.55 < rough(1, "quad") / fine < 0.6
+    assert 0.6 < rough(1, "quad") / fine < 0.7
 
 
 def test_a_collapsed_neighbor_is_refused_at_the_mesh():

@@ -16,7 +16,7 @@ from torchmbd.tracking.store import open_store
 
 CONFIGS = configs(Path(__file__).parents[2] / "configs")
 PLANS = {file: load(file) for file in CONFIGS}
-# Phases need all their time: the antenna's are in test_sar_antenna_whole.py.
+# Phases need all their time: those files are in test_sar_antenna_whole.py and test_two_link_arm.py.
 STUDIES = [file for file, plan in PLANS.items() if isinstance(plan, Plan) and plan.study.simulate.phases is None]
 SMALL = ["simulate.duration=0.004", "simulate.steps=40", "options.modes=4"]
 # The panels of the antenna have their joints on nodes of 16 x 8 cells.
@@ -38,6 +38,7 @@ def test_there_are_configs():
         "figures8_11",
         "energy_integral",  # Tables 7, 8
         "alignment",  # section 6.1
+        "swing",  # a drive's numbers as design variables, phases
     }
 
 

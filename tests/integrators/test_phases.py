@@ -284,3 +284,20 @@ def test_a_motion_that_is_not_finite_is_the_status_of_its_lane():
     phases = [mbd.Phase(until=0.05), mbd.Phase()]
     motion = mbd.simulate(mbd.System([body], [], [push]), 0.1, steps=10, phases=phases)
     assert "not finite" in motion.status[0]
+
+
+def test_lanes_that_do_not_reach_a_lock_leave_the_others_alone():
+    """The lock has no marks in a lane that never gets there, be it the first or all of them."""
+    system = pendulum(damping=1e-4)
+    angles = mbd.deg([[20.0, -50.0], [80.0, 10.0]])
+    heights = mbd.simulate(system, 0.05, steps=25, designs={NAME: angles}).body("rod").at("right").position[..., 2]
+    deeper = int(heights.amin(1).argmin())
+    ordered = angles[[1 - deeper, deeper]]
+    for level, ends in ((float(heights.amin(1).mean()), [False, True]), (-9.0, [False, False])):
+        event = mbd.Event(lambda motion, z=level: motion.body("rod").at("right").position[..., 2] - z)
+        phases = [mbd.Phase(until=event), mbd.Phase(lock=["universal_arm_rod"])]
+        motion = mbd.simulate(system, 0.05, steps=25, designs={NAME: ordered}, phases=phases)
+        assert [status == "ok" for status in motion.status] == ends
+        if any(ends):
+            alone = mbd.simulate(system, 0.05, steps=25, designs={NAME: ordered[1:]}, phases=phases)
+            assert_close(motion.q[1], alone.q[0], rtol=0, atol=1e-12)

@@ -52,6 +52,15 @@ def test_the_mesh(tmp_path):
     assert_allclose(found["laminate_x"], np.tile([1.0, 0.0, 0.0], (len(body.mesh.triangles), 1)), atol=1e-15)
 
 
+def test_a_mesh_of_both_kinds(tmp_path):
+    nodes = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [2, 0, 0]]
+    mesh = mbd.Mesh(nodes, [[1, 4, 2]], quads=[[0, 1, 2, 3]])
+    found = arrays(save_mesh(mesh, tmp_path / "mesh.vtu"))
+    assert_array_equal(found["connectivity"], [1, 4, 2, 0, 1, 2, 3])
+    assert_array_equal(found["offsets"], [3, 7])
+    assert_array_equal(found["types"], [5, 9])
+
+
 def test_a_mesh_with_lines(tmp_path):
     mesh = mbd.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 2, 0]], [[0, 1, 2]], lines=[[1, 3]])
     found = arrays(save_mesh(mesh, tmp_path / "mesh.vtu"))

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.bodies.bulk_body import read_bdf
-from torchmbd.bodies.frame import Frame, identifier, rotation, vector
+from torchmbd.bodies.frame import Frame, identifier, place, rotation, vector
 from torchmbd.bodies.modal_damping import ModalDamping
 from torchmbd.bodies.mount import Mount, node_indices, rigid_links
 from torchmbd.bodies.plausibility import warn_units
@@ -55,6 +55,11 @@ class FlexibleBody(nn.Module):
     Others as in `plate`.
     """
 
+    position: Tensor
+    axes: Tensor
+    velocity: Tensor
+    angular_velocity: Tensor
+
     def __init__(
         self,
         name: str,
@@ -74,8 +79,7 @@ class FlexibleBody(nn.Module):
         super().__init__()
         self.name = identifier("flexible body", name)
         self.mesh = mesh
-        self.position, self.axes = vector(f"position of {name!r}", position), rotation(f"axes of {name!r}", axes)
-        self.velocity = self.angular_velocity = torch.zeros(3, dtype=torch.float64)
+        place(self, position, axes)
         links = [*links, *rigid_links(mesh, rigid)]
         self.reference = reference_nodes(mesh, parts, reference, links)
         self.origin = mesh.nodes[self.reference].mean(0)

@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.bodies.mount import Mount
 from torchmbd.errors import InputError
@@ -106,3 +106,17 @@ def identifier(kind: str, name: str) -> str:
     if not isinstance(name, str) or not name.isidentifier():
         raise InputError(f"name of the {kind} is {name!r}; allowed: a Python identifier, such as 'rod_2'")
     return name
+
+
+def place(
+    body: nn.Module,
+    position: Sequence[float] | Tensor,
+    axes: Sequence | Tensor | None,
+    velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+    angular_velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+) -> None:
+    """Give a body its approximate initial position and velocity, as buffers: they move with the module and are saved."""
+    given = {"position": position, "velocity": velocity, "angular_velocity": angular_velocity}
+    for key, x in given.items():
+        body.register_buffer(key, vector(f"{key} of {body.name!r}", x))
+    body.register_buffer("axes", rotation(f"axes of {body.name!r}", axes))

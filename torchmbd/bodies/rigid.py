@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from torchmbd.bodies.frame import Frame, identifier, numbers, rotation, vector
+from torchmbd.bodies.frame import Frame, identifier, numbers, place, rotation, vector
 from torchmbd.errors import InputError
 
 
@@ -44,6 +44,10 @@ class RigidBody(nn.Module):
     mass: Tensor
     center: Tensor
     second_moment: Tensor
+    position: Tensor
+    axes: Tensor
+    velocity: Tensor
+    angular_velocity: Tensor
 
     def __init__(
         self,
@@ -60,10 +64,7 @@ class RigidBody(nn.Module):
         self.name = identifier("rigid body", name)
         if isinstance(mass, (str, bytes)) or not 0 < float(mass) < float("inf"):
             raise InputError(f"mass of {name!r} is {mass!r} kg; allowed: positive and finite")
-        self.position = vector(f"position of {name!r}", position)
-        self.axes = rotation(f"axes of {name!r}", axes)
-        self.velocity = vector(f"velocity of {name!r}", velocity)
-        self.angular_velocity = vector(f"angular_velocity of {name!r}", angular_velocity)
+        place(self, position, axes, velocity, angular_velocity)
         J = _inertia(name, inertia)
         self.register_buffer("mass", torch.tensor(float(mass), dtype=torch.float64))
         self.register_buffer("center", vector(f"center of {name!r}", center))

@@ -62,8 +62,7 @@ def facets(
             f"direction has shape {tuple(d.shape)}; allowed: [3], or one for each cell [{mesh.cell_count}, 3]"
         )
     members = torch.arange(len(mesh.cells[kind])) if members is None else members
-    first = {"triangle": 0, "quad": len(mesh.triangles)}[kind]
-    own = first + members
+    own = mesh.first(kind) + members
     e3 = mesh.normals[own]
     axes = _axes(mesh, own, e3, d.expand_as(e3) if d.ndim == 1 else d[own])
     p = mesh.nodes[mesh.cells[kind][members]]
@@ -100,9 +99,9 @@ def _sides(mesh: Mesh) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     width = [corners.shape[1] for corners in mesh.cells.values()]
     per_kind = [len(corners) for corners in mesh.cells.values()]
     areas = torch.cat([a.repeat_interleave(w) for a, w in zip(mesh.areas.split(per_kind), width, strict=True)])
-    quad = torch.cat([areas.new_full((len(n),), float(w == 4)) for n, w in zip(numbers, width, strict=True)])
-    mean, share = ((x.new_zeros(len(count)).index_add(0, place, x) / count)[place] for x in (areas, quad))
-    mixed = (share > 0.0) & (share < 1.0)
+    kind = torch.cat([areas.new_full((len(n),), float(k)) for k, n in enumerate(numbers)])
+    mean, there = ((x.new_zeros(len(count)).index_add(0, place, x) / count)[place] for x in (areas, kind))
+    mixed = there != kind  # the mean of equal whole numbers is that number
     result = [x.split([len(n) for n in numbers]) for x in (mean, mixed)]
     kinds = list(zip(mesh.cells, width, strict=True))
     cell, differ = ({k: x.unflatten(0, (-1, w)) for (k, w), x in zip(kinds, xs, strict=True)} for xs in result)

@@ -73,14 +73,14 @@ class PlateMatrices:
         chosen = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
         self.mean = laminate if isinstance(laminate, IsotropicMean) else IsotropicMean.of(laminate)
         self.kinds: dict[str, Cells] = {}
-        members, first = [], 0
+        members = []
         for kind, corners in mesh.cells.items():
-            own = chosen[(chosen >= first) & (chosen < first + len(corners))] - first
+            own = chosen - mesh.first(kind)
+            own = own[(own >= 0) & (own < len(corners))]
             if len(own):
                 plane = facets(mesh, direction, own, kind)
                 self.kinds[kind] = Cells(corners[own], plane, ELEMENTS[kind](plane, self.mean))
-                members.append(first + own)
-            first += len(corners)
+                members.append(mesh.first(kind) + own)
         self.members = torch.cat(members)
         self.area = self._tributary()
         self.pattern, slots = _block_pattern([own.corners for own in self.kinds.values()], len(mesh.nodes))

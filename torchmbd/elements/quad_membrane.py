@@ -15,7 +15,9 @@ d       what is left: theta = 1 and theta = (1, -1, 1, -1) without displacement,
 
 c and d come from the twelve fields (3 rigid, 3 constant, 4 linear, 2 left) taken at the corners and inverted: the matrix is
 regular for every convex cell (it fails only where the corners are three and their orthocenter). A membrane without
-drilling freedoms that passes the patch test cannot bend in trapezoids (MacNeal, 1987); this one does.
+drilling freedoms that passes the patch test cannot bend in trapezoids (MacNeal, 1987); this one does. The corners of a long
+rectangle cannot tell theta = 1 from bending by a shear force; in slanted cells it is this which is meant: the other fields
+that the corners see in its cubic displacements are taken off c and d.
 
 softness    r >= 0 of curved shells (triangle.py): alpha / (1 + r), and in H and D the rotations are drawn from theta to
             theta*(u), where they cost nothing, by 1 - 1 / sqrt(1 + 100 r)
@@ -37,7 +39,10 @@ from torchmbd.elements.quad_shape import Bilinear, middle
 from torchmbd.elements.sides import mean_strain
 
 #: Strains per unit of theta = 1 and of theta = (1, -1, 1, -1).
-DRILL = (0.6, 0.15)
+DRILL = (0.5, 0.15)
+
+#: Which of the twelve fields is theta = 1: it stays as it is.
+_LEFT_OUT = (torch.arange(12) == 10)[:, None]
 
 _THETA, _PLANE = [2, 5, 8, 11], [0, 1, 3, 4, 6, 7, 9, 10]
 
@@ -55,7 +60,9 @@ def membrane_strains(
     k = (3.0 - poisson) / (1.0 + poisson)
     fields = _fields((corners - center) / size, k)
     per_length = torch.cat([1.0 / size, 1.0 / size, torch.ones_like(size)], dim=-1).repeat(1, 1, 4)
-    amount = torch.linalg.inv(fields) * per_length
+    amount = torch.linalg.inv(fields)
+    seen = amount @ _shear_bending((corners - center) / size, k)[..., None]
+    amount = (amount - torch.where(_LEFT_OUT, 0.0, seen) * amount[:, 10:11]) * per_length
     linear = _linear_strains((points.place - center) / size, k) @ amount[:, None, 6:10]
     left = _drill_strains(corners)[..., None] * amount[:, 10:, None]
     higher = torch.cat([linear, left], dim=1)
@@ -65,20 +72,28 @@ def membrane_strains(
     return torch.cat([mean[:, None] + higher[:, :4], higher[:, 4:]], dim=1)
 
 
-def _fields(z: Float[Tensor, "m 4 2"], k: float) -> Float[Tensor, "m 12 12"]:
+def _fields(x: Float[Tensor, "m 4 2"], k: float) -> Float[Tensor, "m 12 12"]:
     """Values (u, v, theta) x 4 of the twelve fields, columns."""
-    x, y = z.unbind(-1)
-    one, zero = torch.ones_like(x), torch.zeros_like(x)
-    sign = one * x.new_tensor([1.0, -1.0, 1.0, -1.0])
-    plus, minus, twice = x**2 + y**2, x**2 - y**2, 2.0 * x * y
-    fields = [
-        (one, zero, zero), (zero, one, zero), (-y, x, one),
-        (x, zero, zero), (zero, y, zero), (y / 2.0, x / 2.0, zero),
-        (k * minus - 2.0 * plus, k * twice, 2.0 * (k + 1.0) * y), (-k * twice, k * minus + 2.0 * plus, 2.0 * (k + 1.0) * x),
-        (minus, -twice, zero), (twice, minus, zero),
-        (zero, zero, one), (zero, zero, sign),
-    ]  # fmt: skip
-    return torch.stack([torch.stack(field, dim=-1).flatten(1) for field in fields], dim=-1)
+    z = torch.complex(*x.unbind(-1))
+    none, sign = torch.zeros_like(z.real), torch.ones_like(z.real) * x.new_tensor([1.0, -1.0, 1.0, -1.0])
+    rest = torch.zeros_like(z)
+    rigid = [(rest + 1.0, none), (rest + 1j, none), (1j * z, none + 1.0)]
+    constant = [(rest + z.real, none), (1j * z.imag, none), (0.5j * z.conj(), none)]
+    linear = [(k * a * z**2 - 2.0 * (a * z).conj() * z, 2.0 * (k + 1.0) * (a * z).imag) for a in (1.0, 1j)]
+    linear += [(b * z.conj() ** 2, none) for b in (1.0, 1j)]
+    fields = [*rigid, *constant, *linear, (rest, none + 1.0), (rest, sign)]
+    return torch.stack([torch.stack([f.real, f.imag, theta], dim=-1).flatten(1) for f, theta in fields], dim=-1)
+
+
+def _shear_bending(x: Float[Tensor, "m 4 2"], k: float) -> Float[Tensor, "m 12"]:
+    """Values (u, v, theta) x 4 of bending by a shear force along the cell, as far as it is long."""
+    z = torch.complex(*x.unbind(-1))
+    long, size2 = (z**2).mean(1, keepdim=True), (z.abs() ** 2).mean(1, keepdim=True)
+    q2 = (long.abs() / size2) ** 2
+    a = 1j * long.conj() * (2.0 - q2) / (3.0 * (k + 1.0) * size2**2)
+    b = -2.0 * a * torch.where(q2 > 0.0, long.conj() / long.abs(), 0.0)
+    f = k * a * z**3 - 3.0 * (a * z**2).conj() * z - (b * z**3).conj()
+    return torch.stack([f.real, f.imag, 3.0 * (k + 1.0) * (a * z**2).imag], dim=-1).flatten(1)
 
 
 def _linear_strains(z: Float[Tensor, "m p 2"], k: float) -> Float[Tensor, "m p 3 4"]:

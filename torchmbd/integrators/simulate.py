@@ -76,20 +76,36 @@ def simulate(
             motion = explained(_present(system, dynamics, history, stats, status, float(duration), **design))
             warn_of_spin(motion)
             return motion
-        course = Course(dynamics, stages, Views.of(system, dynamics, **design), float(duration), steps)
-        stats = _through(course, method, options)
-        found = _status(course.history, float(duration), steps, stats)
-        status = [own if own != OK else other for own, other in zip(course.status, found, strict=True)]
+        views = Views.of(system, dynamics, **design)
+        course = Course(dynamics, stages, views, float(duration), steps)
+        stats, status = _through(course, method, options)
+        if method == "generalized_alpha" and options.get("refresh", 1) and any(x != OK for x in status):
+            again = Course(dynamics, stages, views, float(duration), steps)
+            counts, better = _through(again, method, options | _careful(options))
+            if better.count(OK) > status.count(OK):
+                course, stats, status = again, counts | {"renewed": list(range(len(status)))}, better
     motion = _present(system, course.whole, course.history, stats, status, float(duration), **design)
     warn_of_spin(motion)
     return replace(motion, switches=course.switches, actions=tuple(stage.topology.actions for stage in stages))
 
 
-def _through(course: Course, method: str, options: dict[str, Any]) -> dict[str, Any]:
-    """Integrate through all phases; statistics."""
+def _through(course: Course, method: str, options: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Integrate through all phases; statistics and status."""
     if method == "generalized_alpha":
-        return staged_alpha.integrate(course, **options)
-    return staged_ode.integrate(course, method, **options)
+        stats = staged_alpha.integrate(course, **options)
+    else:
+        stats = staged_ode.integrate(course, method, **options)
+    found = _status(course.history, course.duration, course.steps, stats)
+    return stats, [own if own != OK else other for own, other in zip(course.status, found, strict=True)]
+
+
+def _careful(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of generalized_alpha for lanes that failed: a new matrix for every correction, and more of these.
+
+    The matrix of the step before does not suit one near a singular position: there its inverse grows without bound.
+    """
+    values, tangents = options.get("iterations", (3, 1))
+    return {"iterations": (2 * values, tangents), "refresh": 0}
 
 
 def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> None:
@@ -180,30 +196,22 @@ def run(
 
 
 def _with_retries(
-    dynamics: Dynamics,
-    duration: float,
-    steps: int,
-    halvings: int = 1,
-    refresh: int = 1,
-    iterations: tuple[int, int] = (3, 1),
-    **options: Any,
+    dynamics: Dynamics, duration: float, steps: int, halvings: int = 1, **options: Any
 ) -> tuple[History, dict[str, Any], list[str]]:
-    """generalized_alpha; lanes that fail are tried again with a new matrix for every correction, then with half the step.
-
-    The matrix of the step before does not suit one near a singular position: there its inverse grows without bound.
+    """generalized_alpha; lanes that fail are tried again carefully, then with half the step.
 
     halvings: how many times the step may be halved
     """
     if not isinstance(halvings, int) or halvings < 0:
         raise InputError(f"halvings is {halvings!r}; allowed: a whole number, 0 or more")
-    options |= {"iterations": iterations, "refresh": refresh}
     history, stats = generalized_alpha.integrate(dynamics, duration, steps, **options)
     status = _status(history, duration, steps, stats)
     failed = [lane for lane, reason in enumerate(status) if reason != OK]
-    if not failed or not (refresh or halvings):
+    quick = options.get("refresh", 1) > 0
+    if not failed or not (quick or halvings):
         return history, stats, status
-    often, left = (1, halvings) if refresh else (2, halvings - 1)
-    options |= {"iterations": (2 * iterations[0], iterations[1]) if refresh else iterations, "refresh": 0}
+    often, left = (1, halvings) if quick else (2, halvings - 1)
+    options |= _careful(options) if quick else {}
     better, counts, retried = _with_retries(dynamics.some(failed), duration, often * steps, left, **options)
     cured = [(i, lane) for i, lane in enumerate(failed) if retried[i] == OK]
     if not cured:

@@ -109,6 +109,10 @@ class Mesh:
         """The corners of the cells of each kind, in the order in which cells are counted."""
         return {"triangle": self.triangles, "quad": self.quads}
 
+    def first(self, kind: str) -> int:
+        """The number of the first cell of a kind."""
+        return {"triangle": 0, "quad": len(self.triangles)}[kind]
+
     @property
     def cell_count(self) -> int:
         """How many cells there are."""

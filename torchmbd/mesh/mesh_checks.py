@@ -43,10 +43,8 @@ def check(mesh: Mesh) -> None:
     """Raise InputError for the first fault of a mesh."""
     _check_nodes(mesh)
     _check_shapes(mesh)
-    first = 0
-    for corners in mesh.cells.values():
-        _check_cells(mesh, corners, first)
-        first += len(corners)
+    for kind, corners in mesh.cells.items():
+        _check_cells(mesh, corners, mesh.first(kind))
     _check_orphans(mesh)
     _check_lines(mesh)
     _check_winding(mesh)

@@ -32,7 +32,7 @@ from torchmbd.numerics.pair import Pair, cat, linear, value
 from torchmbd.system import equations
 from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import Data
-from torchmbd.system.rank import Rank, confirmed, jacobians, rank_of
+from torchmbd.system.rank import Rank, confirmed, jacobians, rank_of, sound
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Topology
 
@@ -75,13 +75,15 @@ class Dynamics:
 
     @cached_property
     def rank(self) -> Rank:
-        """Rank of the constraints at the initial position."""
-        if not self.topology.rows:
+        """Rank of the constraints at the initial position, of the first lane that has not failed."""
+        lane = sound(self.data) if self.topology.rows else None
+        if lane is None:
             return Rank(0, ())
-        q = value(self.start[0]).detach()
+        q, one = value(self.start[0]).detach(), self.some([lane]) if lane else self
+        q = q[:, 0, min(lane, q.shape[-1] - 1)]
         with torch.no_grad():
-            J = jacobians(self, q[:, 0, :1].T, q.new_zeros(1))[0]
-            found = confirmed(self, q[:, 0, 0], rank_of(self.topology, J.cpu().numpy()))
+            J = jacobians(one, q[None], q.new_zeros(1))[0]
+            found = confirmed(one, q, rank_of(self.topology, J.cpu().numpy()))
         if found.weak:
             warnings.warn(
                 f"{', '.join(found.weak)}: these rows differ by {100 * found.share:.1g} % of elastic displacement only, "

@@ -78,7 +78,7 @@ def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[st
     """Names of rows that others leave nothing but a small elastic part, and the largest such part."""
     n, f = 6 * T.bodies, T.flexible
     if J.shape[1] != T.n_v or T.rates is not None or not f:
-        return (), 1.0
+        return (), 1.0  # not for rigid columns alone, or condensed rates
     kept = np.setdiff1d(np.arange(len(J)), left_out)
     rigid, elastic = J[kept, :n], J[kept, n:].reshape(len(kept), T.modes, f)
     size = np.linalg.norm(elastic, axis=1).max(0, initial=0.0)
@@ -193,6 +193,15 @@ def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
         parts.append(saddle.jacobian(data, at)[0])
     J = torch.stack(parts)
     return J / J.norm(dim=2, keepdim=True).clamp_min(torch.finfo(J.dtype).tiny)
+
+
+def sound(data: equations.Data) -> int | None:
+    """The first lane whose data are numbers: locks of a phase that it does not reach have no marks. None: there is none."""
+    good = torch.ones(max(value(x).shape[-1] for x in data.values()), dtype=torch.bool)
+    for x in data.values():
+        good &= torch.isfinite(value(x)).flatten(0, -2).all(0).cpu()
+    found = torch.nonzero(good)
+    return int(found[0, 0]) if len(found) else None
 
 
 def lost_rows(T: Topology, left: Tensor) -> tuple[str, ...]:

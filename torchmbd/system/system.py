@@ -41,6 +41,8 @@ class System(nn.Module):
     free           names of bodies that no joint holds on purpose
     """
 
+    gravity: Tensor | None
+
     def __init__(
         self,
         bodies: Sequence[Any],
@@ -60,7 +62,7 @@ class System(nn.Module):
         if not stabilization > 0:
             raise InputError(f"stabilization is {stabilization!r} s; allowed: a positive time constant")
         self.bodies = list(bodies)
-        self.gravity = None if gravity is None else vector("gravity", gravity)
+        self.register_buffer("gravity", None if gravity is None else vector("gravity", gravity))
         self.stabilization = float(stabilization)
         for force in forces:
             if not isinstance(force, ForceElement):
@@ -73,6 +75,9 @@ class System(nn.Module):
                 raise InputError(f"body name {body.name!r} is taken by torchmbd; allowed: any other identifier")
             self.add_module(body.name, body)
         self._add_laws()
+        self.register_load_state_dict_post_hook(
+            lambda system, _: system._join(system.joints)
+        )  # places may have changed
 
     def _add_laws(self) -> None:
         """Take in the modules of joints and forces whose parameters are design variables, by the names of these."""
