@@ -62,9 +62,9 @@ OBJECTIVE = mbd.Integral(ENERGY["panel2"] + ENERGY["panel3"])  # eq. (40)
 SOON = 0.02  # [rad] before the dead point, where a rigid parallelogram locks
 
 
-def reaches_zero(motion: mbd.Trajectory) -> float:
+def reaches_zero(motion: mbd.Trajectory, lane: int = 0) -> float:
     """Time at which theta comes to 0 [s], from where it passes `SOON` and its rate there; nan if it does not."""
-    angle = theta(motion)[0]
+    angle = theta(motion)[lane]
     passed = torch.nonzero(angle <= SOON)
     if not len(passed):
         return math.nan

@@ -20,7 +20,8 @@ from experiments.paper.part import Part, Row
 from experiments.paper.rod import angles
 from experiments.sar_antenna import build, phi3, theta
 from experiments.sar_antenna_clearance import gaps, verdict
-from experiments.sar_antenna_optimum import MODEL
+from experiments.sar_antenna_data import ANGLES
+from experiments.sar_antenna_optimum import MODEL, START
 from experiments.sar_antenna_tables import ENERGY, LAYUPS, PAPER, REFERENCE_TIMES, reaches_zero, shares
 from experiments.sar_antenna_whole import unlocked
 from torchmbd.viz.figures import CYCLE, figure_of
@@ -152,22 +153,24 @@ def vibration(folder: Path, rate: int) -> list[Row]:
 
 def deployment(folder: Path, rate: int, **model: Any) -> list[Row]:
     """Figs. 19, 24-26: interference, deflections and the angle of the actuator in phase 1, initial design and optimum."""
-    rows, lines = [], {}
-    deflections: dict[str, dict[str, Any]] = {"panel2": {}, "panel3": {}}
-    for name in ("initial", "optimum"):
-        motion = mbd.simulate(build(LAYUPS[name], **model), 9.0, steps=9 * rate, halvings=0)
-        lines[name] = theta(motion)[0]
-        for panel, curve in deflections.items():
-            curve[name] = motion.body(panel).at("corner_right_top").displacement[0, :, 2]
-        when = reaches_zero(motion)
+    names: tuple[str, ...] = ("initial", "optimum")
+    designs = {ANGLES: torch.stack([mbd.deg(list(x)) for x in (START, OPTIMUM)])}
+    motion = mbd.simulate(build(START, **model), 9.0, steps=9 * rate, designs=designs, halvings=0)
+    rows, found = [], gaps(motion)
+    for lane, name in enumerate(names):
+        when = reaches_zero(motion, lane)
         rows.append(Row(f"Fig. 26: theta = 0, {name} (s)", "7 to 8", when, "chosen", f"ref. {REFERENCE_TIMES[name]} s"))
-        while_unfolding, found = motion.t <= when, gaps(motion)
         for pair in ("panel 1 - panel 2", "panel 2 - panel 3"):
-            least = 1e3 * float(found[pair][0, while_unfolding].min())
+            least = 1e3 * float(found[pair][lane, motion.t <= when].min())
             paper = "interference" if (name, pair) == ("initial", "panel 1 - panel 2") else None
             rows.append(
                 Row(f"Fig. 19: least gap, {pair}, {name} (mm)", paper, least, "chosen", "negative: interference")
             )
+    lines: dict[str, Any] = dict(zip(names, theta(motion), strict=True))
+    deflections: dict[str, dict[str, Any]] = {
+        panel: dict(zip(names, motion.body(panel).at("corner_right_top").displacement[..., 2], strict=True))
+        for panel in ("panel2", "panel3")
+    }
     curves(motion.t, lines, "angle of the actuator [rad]", folder / "figure26.png")
     for number, (panel, curve) in zip((24, 25), deflections.items(), strict=True):
         curves(motion.t, curve, f"deflection of a corner of {panel} [m]", folder / f"figure{number}.png")

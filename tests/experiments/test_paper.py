@@ -96,7 +96,7 @@ def test_the_antenna_optimized(tmp_path, monkeypatch):
 
 
 def test_deployment_of_both_designs(tmp_path):
-    rows = {row.what: row for row in antenna.deployment(tmp_path, rate=20, modes=4, cells=(16, 8))}
+    rows = {row.what: row for row in antenna.deployment(tmp_path, rate=10, modes=4, cells=(16, 8))}
     assert {file.name for file in tmp_path.iterdir()} == {f"figure{k}.png" for k in (24, 25, 26)}
     assert 7.0 < rows["Fig. 26: theta = 0, initial (s)"].ours < rows["Fig. 26: theta = 0, optimum (s)"].ours < 9.0
 
