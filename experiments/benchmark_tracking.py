@@ -27,7 +27,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import torch
 from rich.console import Console
 
 from torchmbd.experiment import load_study, run_plan
@@ -37,6 +36,7 @@ from torchmbd.experiment.journal import Journal
 from torchmbd.experiment.place import problem_key
 from torchmbd.optimizers import multistart
 from torchmbd.optimizers.optimizer import Iterate
+from torchmbd.process import settle
 from torchmbd.tracking import ProcessTracker, Record
 from torchmbd.tracking.links import view_link
 from torchmbd.tracking.server import serving
@@ -182,7 +182,7 @@ def main() -> None:
     parser.add_argument("--scaling", action="store_true", help="one and two workers, alone")
     parser.add_argument("--table", action="store_true", help="also the table of the runs in a browser")
     arguments = parser.parse_args()
-    torch.set_num_threads(1)
+    settle()  # as the command line does
     with tempfile.TemporaryDirectory() as folder:
         os.environ["TORCHMBD_STORE"] = f"{folder}/place"
         os.environ["MLFLOW_TRACKING_URI"] = f"sqlite:///{folder}/runs.db"

@@ -64,6 +64,11 @@ CASES = [
     ("options: {layers: 2}", "options: {layers: 2", "", "is not YAML"),
     ("options: {layers: 2}", "options: &a {layers: 2}", "options", "anchors"),
     (TEXT, "", "", "allowed: sections such as model:"),
+    ("max_iterations: 2", "max_iterations: 2, kkt: [1]", "optimizer.kkt = [1]", "must be a valid number"),
+    ("max_iterations: 2", "max_iterations: 2, metric: 3", "optimizer.metric = 3", "must be a valid string"),
+    ("max_iterations: 2", "max_iterations: 2, max_lanes: many", "optimizer.max_lanes = 'many'", "valid integer"),
+    ("steps: 60", "steps: 60, iterations: 3", "simulate.iterations = 3", "must be a valid array"),
+    ("steps: 60", "steps: 60, iterations: [3, x]", "simulate.iterations = [3, 'x']", "must be a valid integer"),
 ]
 
 

@@ -5,9 +5,8 @@ Works on the sections that are valid, so that a wrong word in one section does n
 
 from __future__ import annotations
 
-import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 from torchmbd.design.spec import leaf, measure_of, terms
 from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, Path, shown
+from torchmbd.experiment.method_options import method_faults
 from torchmbd.experiment.model import (
     build_model,
     find_function,
@@ -24,10 +24,8 @@ from torchmbd.experiment.model import (
     option_faults,
     require_returns,
 )
-from torchmbd.experiment.schema import UNITS, Optimizer, Range, Simulation, Starts, Variable
-from torchmbd.integrators import generalized_alpha, ode
+from torchmbd.experiment.schema import UNITS, Range, Simulation, Starts, Variable
 from torchmbd.integrators.phases import plan
-from torchmbd.optimizers import OPTIMIZERS, multistart
 from torchmbd.system import System
 
 Sections = Mapping[str, Any]
@@ -35,7 +33,7 @@ Sections = Mapping[str, Any]
 
 def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fault]]:
     """Return the system, if it can be built, and every fault that building it shows."""
-    faults = _method_faults(sections)
+    faults = method_faults(sections)
     if "model" not in sections:
         return None, faults
     try:
@@ -95,26 +93,6 @@ def labels(design: Mapping[str, Variable], system: System) -> list[str]:
     return [f"{name}[{i}]" for name in design for i in range(own[name].numel())]
 
 
-def _method_faults(sections: Sections) -> list[Fault]:
-    faults = []
-    simulation: Simulation | None = sections.get("simulate")
-    if simulation is not None:
-        integrate = generalized_alpha.integrate if simulation.method == "generalized_alpha" else ode.integrate
-        allowed = [p.name for p in inspect.signature(integrate).parameters.values() if p.default is not p.empty]
-        for key in simulation.options:
-            if key not in allowed:
-                known = nearest(key, ["duration", "method", "steps", "phases", *allowed])
-                faults.append(Fault(("simulate", key), f"unknown key for method {simulation.method!r}{known}"))
-    optimizer: Optimizer | None = sections.get("optimizer")
-    if optimizer is not None:
-        shared = _keywords(multistart) - {"max_iterations"}
-        allowed = shared | _keywords(OPTIMIZERS[optimizer.name])
-        for key in set(optimizer.options) - allowed:
-            known = nearest(key, ["name", "max_iterations", *sorted(allowed)])
-            faults.append(Fault(("optimizer", key), f"unknown key for method {optimizer.name!r}{known}"))
-    return faults
-
-
 def _phase_faults(sections: Sections, folder: FilePath, system: System) -> list[Fault]:
     """What is wrong with the function of the phases, and with these for the model."""
     simulation: Simulation | None = sections.get("simulate")
@@ -125,11 +103,6 @@ def _phase_faults(sections: Sections, folder: FilePath, system: System) -> list[
     except InputError as error:
         return [Fault(("simulate", "phases"), str(error))]
     return []
-
-
-def _keywords(function: Callable[..., Any]) -> set[str]:
-    """Return the names of the keyword-only arguments."""
-    return {p.name for p in inspect.signature(function).parameters.values() if p.kind is p.KEYWORD_ONLY}
 
 
 def _response_faults(sections: Sections, system: System) -> list[Fault]:

@@ -89,14 +89,17 @@ class Journal:
 
 
 def read_lines(file: Path, offset: int) -> list[Told]:
-    """Return the whole lines behind `offset`."""
+    """Return the whole lines behind `offset`, up to one that a power cut has torn."""
     with file.open("rb") as journal:
         journal.seek(offset)
         data = journal.read()
     lines = []
     for raw in data[: data.rfind(b"\n") + 1].splitlines():
         offset += len(raw) + 1
-        when, line = json.loads(raw)
+        try:
+            when, line = json.loads(raw)
+        except ValueError:
+            break
         lines.append(Told(line, offset, when))
     return lines
 
@@ -105,7 +108,7 @@ def load_sent(folder: Path) -> Sent:
     """Read sent.json; nothing is sent where there is none, or where a power cut left half of one."""
     try:
         return Sent(**json.loads((folder / "sent.json").read_text(encoding="utf-8")))
-    except (FileNotFoundError, json.JSONDecodeError):
+    except (FileNotFoundError, ValueError, TypeError):
         return Sent()
 
 

@@ -2,7 +2,8 @@
 
     an explicit URI, else MLFLOW_TRACKING_URI, else sqlite:///<working directory>/mlflow.db with mlartifacts/ beside it
 
-A fresh SQLite store is migrated under a file lock: two processes that create the tables at once crash (MLflow 3.17).
+A fresh SQLite store is made under a file lock, for two processes that create its tables at once crash (MLflow 3.17), and
+beside its place: a full disk or a kill in the middle leaves none rather than half of one.
 """
 
 from __future__ import annotations
@@ -71,16 +72,29 @@ def open_store(uri: str) -> MlflowClient:
 
     file = sqlite_file(uri)
     try:
-        if file:
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with closing(sqlite3.connect(file)) as base:  # MLflow tries for minutes to open what is no store
-                base.execute("pragma user_version")
         with _alone(uri):
+            if file:
+                _require_file(file)
             client = MlflowClient(uri)
-            client.search_experiments(max_results=1)  # the first query creates and migrates the tables
+            client.search_experiments(max_results=1)
     except (MlflowException, OSError, sqlite3.Error) as error:
         raise TrackingError(f"the store {uri!r} cannot be opened: {_first_line(error)}") from error
     return client
+
+
+def _require_file(file: Path) -> None:
+    """Make a SQLite store that is not there yet, as a whole: half of its tables could never be made to a whole again."""
+    from mlflow import MlflowClient
+
+    file.parent.mkdir(parents=True, exist_ok=True)
+    if file.exists():
+        with closing(sqlite3.connect(file)) as base:  # MLflow tries for minutes to open what is no store
+            base.execute("pragma user_version")
+        return
+    with tempfile.TemporaryDirectory(prefix=f".{file.name}-", dir=file.parent) as folder:
+        draft = Path(folder) / file.name
+        MlflowClient(f"sqlite:///{draft}").search_experiments(max_results=1)  # the first query makes the tables
+        draft.replace(file)
 
 
 def experiment_id(client: MlflowClient, name: str, uri: str) -> str:
