@@ -135,11 +135,13 @@ def compilation(wanted: bool) -> Iterator[None]:
 
 
 def compiled_ready(dynamics: Dynamics, build: bool = True) -> bool:
-    """Whether compiled code serves these dynamics; a missing one is built now if `build`. False: no compiler."""
+    """Whether compiled code serves these dynamics; a missing one is built now if `build`. False: it cannot be."""
     with compilation(True):
         if not library.enabled():
             return False
-        left = dynamics.condensed()
+        left = library.written_out(dynamics.condensed())
+        if left is None:
+            return False
         if not library.path_of(left).exists():
             if not build:
                 return False

@@ -69,8 +69,8 @@ def line(result: mbd.OptimizationResult) -> str:
 
 
 def refined(angles: Sequence[float], steps: int, **model: Any) -> float:
-    """Eq. (40) of a design [deg] with double mesh, double modes and half the step [J s]."""
-    finer = MODEL | model
+    """Eq. (40) of a design [deg] by `MODEL` with double mesh, double modes and half the step [J s]."""
+    finer = model | MODEL
     finer |= {"modes": 2 * finer["modes"], "cells": tuple(2 * n for n in finer["cells"])}
     motion = mbd.simulate(build(angles, **finer), DURATION, steps=2 * steps, halvings=0)
     return float(OBJECTIVE.value(motion.require_ok())[0])

@@ -35,7 +35,7 @@ FLOORS = (
 )
 HEIGHT = {name: height for height, names in enumerate(FLOORS) for name in names}
 # Narrower than their height: modes are those of any K and M, optimizers know arrays only.
-ONLY = {"reduction": {"errors", "numerics"}, "optimizers": {"errors"}}
+ONLY = {"reduction": {"errors", "numerics"}, "optimizers": {"errors", "process"}}
 FILES = sorted(file for file in PACKAGE.rglob("*.py") if file != PACKAGE / "__init__.py")
 
 

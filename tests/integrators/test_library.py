@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import torch
 
 import torchmbd as mbd
 from experiments.slider_crank import build
@@ -117,7 +118,25 @@ def test_a_full_disk_is_a_warning(cache: Path, monkeypatch: pytest.MonkeyPatch) 
         assert library.build_in_background(dynamics(modes=1)) is None
 
 
-def test_a_law_of_the_user_is_never_looked_up_in_the_cache(cache: Path) -> None:
-    """Its code is not in the key, so a library could be that of another law."""
-    for law, known in ((None, True), (lambda s, rate, t: -s, False)):
-        assert library.known_laws(sprung(law)().condensed().topology) is known
+def test_a_law_of_the_user_is_in_the_key(cache: Path) -> None:
+    """Two laws of one form have two libraries, whatever they take their numbers from."""
+    held = {"stiffness": 3.0}
+
+    def law(s: torch.Tensor, rate: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        return -held["stiffness"] * torch.tanh(s)
+
+    system, keys = sprung(law), []
+    for stiffness in (3.0, 4.0, 3.0):
+        held["stiffness"] = stiffness
+        found = library.written_out(system().condensed())
+        assert found is not None
+        keys.append(library.key(found))
+    assert keys[0] == keys[2] != keys[1]
+
+
+def test_a_law_with_branches_in_python_stays_uncompiled(cache: Path) -> None:
+    def law(s: torch.Tensor, rate: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+        return -s if float(s.sum()) > 0.0 else -2.0 * s
+
+    assert library.written_out(sprung(law)().condensed()) is None
+    assert library.library(sprung(law)().condensed()) is None

@@ -28,12 +28,14 @@ def hermite(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, s: Tensor, derivat
     ends   (value, value), (slope, slope) and, for the quintic, (curvature, curvature) by time at both ends
     h      length of the interval [s]
     """
-    terms, r = [], 1.0 - s
-    for k, ((y0, y1), left) in enumerate(zip(ends, _LEFT[len(ends)], strict=True)):
+    weights, r = [], 1.0 - s
+    for k, left in enumerate(_LEFT[len(ends)]):
         slope, size = _differentiated(left, derivative), h ** (k - derivative)
-        # Factors first: what depends on the design is multiplied once.
-        terms += [size * _polynomial(slope, s) * y0, (-1.0) ** (k + derivative) * size * _polynomial(slope, r) * y1]
-    return sum(terms[1:], terms[0])
+        weights += [size * _polynomial(slope, s), (-1.0) ** (k + derivative) * size * _polynomial(slope, r)]
+    # One product of what depends on the design with what does not.
+    shape = torch.broadcast_shapes(ends[0][0].shape, s.shape)
+    known, given = ([x.expand(shape) for x in parts] for parts in (weights, [x for pair in ends for x in pair]))
+    return (torch.stack(known) * torch.stack(given)).sum(0)
 
 
 def _differentiated(coefficients: tuple[float, ...], times: int) -> tuple[float, ...]:

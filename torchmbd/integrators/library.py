@@ -3,7 +3,8 @@
 A library is valid for one key: topology (bodies, vectors, primitives, modes), the shapes of the data, the versions of
 torch and Python, the compiler, the processor, and the source of everything that the code is made of. So a stale library
 is never found. Step size, spectral radius, lanes and design variables are inputs. Laws of drives stay outside: any torch
-function; laws of forces are compiled if they are of a known form, for the code of a user's own is not in the key.
+function; laws of forces that are a user's own are written out as scalar operations (forces/written.py), which are in the
+key; where that cannot be done the system stays uncompiled.
 A library that cannot be loaded is removed with a message; without a C++ compiler the eager step serves, said once.
 
 Cache: TORCHMBD_CACHE or ~/.cache/torchmbd. TORCHMBD_COMPILE=0 switches compilation off; CXX names the compiler.
@@ -32,6 +33,7 @@ import torch
 from torchmbd.errors import MbdError
 from torchmbd.forces.laws import LAWS, Scaled
 from torchmbd.forces.varied import Varied
+from torchmbd.forces.written import Written, written
 from torchmbd.integrators.code import Layout, source
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Topology
@@ -81,8 +83,9 @@ def enabled() -> bool:
 
 def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
     """The library of a system if it is there; asked for again, it is built in the background."""
-    if not enabled() or not known_laws(dynamics.topology):
+    if not enabled() or (known := written_out(dynamics)) is None:
         return None
+    dynamics = known
     name, path = key(dynamics, kind), path_of(dynamics, kind)
     if name not in _loaded:
         found = _load(path) if path.exists() else None
@@ -110,16 +113,27 @@ def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
     return cache_folder() / f"{key(dynamics, kind)}{_SUFFIX}"
 
 
-def known_laws(T: Topology) -> bool:
-    """Whether all laws of forces are numbers of a known form."""
-    laws = [law for action in T.actions for law in action.laws]
-    return all(_known(law) for law in laws)
+def written_out(dynamics: Dynamics) -> Dynamics | None:
+    """The same dynamics with laws of forces of a known form; None if there is one that cannot be written out."""
+    old = dynamics.topology.actions
+    new = tuple(replace(action, laws=tuple(_written(law) for law in action.laws)) for action in old)
+    if any(_missing(law) for action in new for law in action.laws):
+        return None
+    if all(one.laws == other.laws for one, other in zip(new, old, strict=True)):
+        return dynamics
+    return replace(dynamics, topology=replace(dynamics.topology, actions=new))
 
 
-def _known(law: Any) -> bool:
+def _written(law: Any) -> Any:
+    """The law as numbers of a known form or as scalar operations; None in the place of one that cannot be."""
     if isinstance(law, (Varied, Scaled)):
-        return _known(law.law)
-    return type(law) in LAWS and not callable(getattr(law, "law", None))
+        return replace(law, law=_written(law.law))
+    known = type(law) is Written or (type(law) in LAWS and not callable(getattr(law, "law", None)))
+    return law if known else written(law)
+
+
+def _missing(law: Any) -> bool:
+    return law is None or (isinstance(law, (Varied, Scaled)) and _missing(law.law))
 
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:

@@ -31,8 +31,14 @@ static inline V spread(V x) { return x; }
     V x = spread(p), y = spread(q), r; \\
     for (int l = 0; l < 8; l++) { double a = x[l], b = y[l]; r[l] = expression; } return r; }
 EACH(sqrt, std::sqrt(a)) EACH(sin, std::sin(a)) EACH(cos, std::cos(a)) EACH(exp, std::exp(a)) EACH(abs, std::fabs(a))
+EACH(log, std::log(a)) EACH(tanh, std::tanh(a))
 BOTH(max, a > b ? a : (a == a ? b : a)) BOTH(min, a < b ? a : (a == a ? b : a))
 BOTH(gt, a > b ? 1.0 : 0.0) BOTH(atan2, std::atan2(a, b))
+static inline double f_where(double c, double a, double b) { return c > 0.0 ? a : b; }
+template <class A, class B, class C> static inline V f_where(A c, B p, C q) {
+  V condition = spread(c), x = spread(p), y = spread(q), r;
+  for (int l = 0; l < 8; l++) r[l] = condition[l] > 0.0 ? x[l] : y[l];
+  return r; }
 """
 
 

@@ -23,6 +23,7 @@ from torch.fx.node import map_arg
 from torchmbd.errors import MbdError
 
 UNARY = {"neg": lambda x: -x, "sqrt": math.sqrt, "sin": math.sin, "cos": math.cos, "exp": math.exp, "abs": abs}
+UNARY |= {"log": math.log, "tanh": math.tanh}
 BINARY = {
     "add": lambda x, y: x + y,
     "sub": lambda x, y: x - y,
@@ -33,6 +34,7 @@ BINARY = {
     "gt": lambda x, y: float(x > y),
     "atan2": math.atan2,
 }
+TERNARY = {"where": lambda c, x, y: x if c > 0.0 else y}
 _COMMUTATIVE = ("add", "mul", "max", "min")
 
 
@@ -78,7 +80,7 @@ class Tape:
     def call(self, op: str, *args: int) -> int:
         """An operation, simplified."""
         if all(self.op[a] == "constant" for a in args):
-            f: Any = UNARY.get(op) or BINARY[op]
+            f: Any = UNARY.get(op) or BINARY.get(op) or TERNARY[op]
             return self.constant(f(*(self.args[a][0] for a in args)))
         if op in _SIMPLER:
             found = _SIMPLER[op](self, *args)
@@ -127,6 +129,11 @@ class Tape:
             return self.args[a][0]
         return self.call("sub", *reversed(self.args[a])) if self.op[a] == "sub" else None
 
+    def where(self, condition: int, a: int, b: int) -> int | None:
+        if self.is_constant(condition):
+            return a if self.args[condition][0] > 0.0 else b
+        return a if a == b else None
+
     def trace(self, f: Callable[..., Any], *arguments: np.ndarray) -> list[np.ndarray]:
         """Write out a torch function of float64 tensors (numbers of this tape here); its results, as numbers of this tape."""
         from torch.fx.experimental.proxy_tensor import make_fx  # imported late: it takes a second
@@ -137,7 +144,7 @@ class Tape:
         return _Run(self, graph).run(arguments)
 
 
-_SIMPLER = {"add": Tape.add, "sub": Tape.sub, "mul": Tape.mul, "div": Tape.div, "neg": Tape.neg}
+_SIMPLER = {"add": Tape.add, "sub": Tape.sub, "mul": Tape.mul, "div": Tape.div, "neg": Tape.neg, "where": Tape.where}
 
 
 class _Run:
@@ -209,11 +216,40 @@ class _Run:
     def op_rsqrt(self, a: Any) -> np.ndarray:
         return self.each("div", 1.0, self.each("sqrt", a))
 
-    def op_pow(self, a: Any, exponent: float) -> np.ndarray:
-        if exponent not in (2, 3):
-            raise Untraceable(f"the power {exponent!r} cannot be written out; allowed: 2 and 3")
-        square = self.each("mul", a, a)
-        return square if exponent == 2 else self.each("mul", a, square)
+    def op_pow(self, a: Any, exponent: Any) -> np.ndarray:
+        if exponent == 0.5:
+            return self.each("sqrt", a)
+        if exponent not in range(1, 9):
+            raise Untraceable(f"the power {exponent!r} cannot be written out; allowed: 1/2 and 1 to 8")
+        half = a if exponent < 4 else self.op_pow(a, exponent // 2)
+        square = self.each("mul", half, half) if exponent > 1 else a
+        return self.each("mul", a, square) if exponent > 1 and exponent % 2 else square
+
+    def op_where(self, condition: Any, a: Any, b: Any) -> np.ndarray:
+        return self.each("where", condition, a, b)
+
+    def op_lt(self, a: Any, b: Any) -> np.ndarray:
+        return self.each("gt", b, a)
+
+    def op_le(self, a: Any, b: Any) -> np.ndarray:
+        return self.op_logical_not(self.each("gt", a, b))
+
+    def op_ge(self, a: Any, b: Any) -> np.ndarray:
+        return self.op_le(b, a)
+
+    def op_logical_not(self, a: Any) -> np.ndarray:
+        return self.each("sub", 1.0, a)
+
+    def op_logical_and(self, a: Any, b: Any) -> np.ndarray:
+        return self.each("mul", a, b)
+
+    def op_logical_or(self, a: Any, b: Any) -> np.ndarray:
+        return self.each("max", a, b)
+
+    op_bitwise_and, op_bitwise_or, op_bitwise_not = op_logical_and, op_logical_or, op_logical_not
+
+    def op_sign(self, a: Any) -> np.ndarray:
+        return self.each("sub", self.each("gt", a, 0.0), self.each("gt", 0.0, a))
 
     def op_clamp(self, a: Any, low: Any = None, high: Any = None) -> np.ndarray:
         a = a if low is None else self.each("max", a, low)

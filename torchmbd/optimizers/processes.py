@@ -24,6 +24,7 @@ import torch
 
 from torchmbd.errors import InputError
 from torchmbd.optimizers.optimizer import Evaluation, Problem
+from torchmbd.process import settle
 
 _here: dict[str, Any] = {}  # in a worker: its copy of the problem, and where all workers meet
 
@@ -91,7 +92,7 @@ class Processes:
 
 def _begin(problem: bytes, dtype: torch.dtype, door: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's affair
-    torch.set_num_threads(1)
+    settle()
     torch.set_default_dtype(dtype)
     own = cloudpickle.loads(problem)
     _here.update(problem=own, door=door)

@@ -76,14 +76,14 @@ class InitialConditions:
             return q, v
         values = {name: value(x).detach() for name, x in data.items()}
         for _ in range(_STEPS):
-            q_new, violation = self._newton(dynamics, values, q, t)
+            inverse = self._inverse(dynamics, values, q, t)
+            q_new, violation = self._newton(inverse, values, q, t)
             if violation < _CLOSED:
                 break
             q = q_new
         else:
             self._refuse(values, q, t)
-        q, _ = self._newton(dynamics, data, q, t)
-        inverse = self._inverse(dynamics, values, q, t)
+        q, _ = self._newton(inverse, data, q, t)
         v = v - self._apply(inverse, self._rates(values, value(q).detach(), v, t))
         # At compatible velocities the rates are zero, but not their derivatives by the design: Phi_q changes with it.
         return q, v - self._apply(inverse, self._rates(data, q, v, t))
@@ -93,9 +93,8 @@ class InitialConditions:
         at = equations.placement(T, data, q, T.prescribed(t, data))
         return equations.constraint_jets(T, at, data, v, torch.zeros_like(v), t).velocity
 
-    def _newton(self, dynamics: Any, data: equations.Data, q, t: Tensor):
+    def _newton(self, inverse: Tensor, data: equations.Data, q, t: Tensor):
         T = self.topology
-        inverse = self._inverse(dynamics, {k: value(x).detach() for k, x in data.items()}, q, t)
         phi = equations.constraints(T, equations.placement(T, data, q, T.prescribed(t, data)))
         return equations.advance(T, q, -self._apply(inverse, phi)), float(value(phi).detach().abs().max())
 

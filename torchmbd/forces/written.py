@@ -1,0 +1,116 @@
+"""Laws of the user's own as scalar operations: they can be compiled, and what they do is in the key of compiled code.
+
+    f(s, s', t)    traced to operators, each a scalar operation of a tape (numerics/scalars.py)
+    df/ds, df/ds'  by differentiating the tape (numerics/slopes.py), unless the law states its own `slopes`
+
+A law is traced anew for every simulation: nothing that it is made of, closures and attributes included, can be stale.
+A law with branches in Python, with operators that are not known, or that leaves torch is not written out: its system stays
+uncompiled. What was written out is compared with the law at random points.
+Checked in tests/forces/test_written.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.numerics.scalars import Tape, Untraceable
+from torchmbd.numerics.slopes import derivative
+
+_INPUTS = ("s", "rate", "t")
+_TORCH: dict[str, Callable[..., Tensor]] = {
+    "add": torch.add,
+    "sub": torch.sub,
+    "mul": torch.mul,
+    "div": torch.div,
+    "neg": torch.neg,
+    "max": torch.maximum,
+    "min": torch.minimum,
+    "gt": lambda a, b: (a > b).to(a.dtype),
+    "where": lambda c, a, b: torch.where(c > 0.0, a, b),
+}
+
+
+@dataclass(frozen=True)
+class Written:
+    """A law as operations on numbers 0 (s), 1 (s'), 2 (t), 3, 4, ...
+
+    operations  name and arguments of number 3 and all that follow: numbers, or the value of a "constant"
+    outputs     numbers of f, df/ds, df/ds'
+    center      where the range of an angle has its middle
+    """
+
+    operations: tuple[tuple[str, tuple], ...]
+    outputs: tuple[int, int, int]
+    center: float = 0.0
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return self._run(s, rate, t)[0]
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+        """Derivatives by s and s'."""
+        _, by_s, by_rate = self._run(s, rate, t)
+        return by_s, by_rate
+
+    def _run(self, s: Tensor, rate: Tensor, t: Tensor) -> list[Tensor]:
+        numbers = [s, rate, t + torch.zeros_like(s)]
+        for op, args in self.operations:
+            if op == "constant":
+                numbers.append(torch.full_like(s, args[0]))
+            else:
+                f = _TORCH.get(op) or getattr(torch, op)
+                numbers.append(f(*(numbers[a] for a in args)))
+        return [numbers[i] for i in self.outputs]
+
+
+def written(law: Any) -> Written | None:
+    """A law as scalar operations; None if it cannot be written out."""
+    own = getattr(law, "slopes", None)
+
+    def of(s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, ...]:
+        return (law(s, rate, t), *(own(s, rate, t) if own is not None else ()))
+
+    tape = Tape()
+    shapes = {"s": (1, 1, 1), "rate": (1, 1, 1), "t": ()}
+    try:
+        found = tape.trace(of, *(tape.inputs(name, *shapes[name]) for name in _INPUTS))
+    except (Untraceable, RuntimeError, TypeError, ValueError):  # whatever stops the tracing, the law works uncompiled
+        return None
+    outputs = [int(x.ravel()[0]) for x in found]
+    if own is None:
+        outputs += [derivative(tape, outputs[0], tape.inputs(name, 1)[0]) for name in ("s", "rate")]
+    result = _numbered(tape, outputs, float(getattr(law, "center", 0.0)))
+    return result if _same(law, result) else None
+
+
+def _same(law: Any, found: Written) -> bool:
+    """Whether two laws agree at random points: one that leaves torch would be traced as a constant."""
+    make = torch.Generator().manual_seed(1)
+    s, rate, t = (2.0 * torch.rand(1, 1, 16, generator=make, dtype=torch.float64) - 1.0 for _ in range(3))
+    with torch.no_grad():
+        expected = law(s, rate, t[0, 0, 0].abs())
+        return torch.allclose(found(s, rate, t[0, 0, 0].abs()), expected, rtol=1e-9, atol=0.0, equal_nan=True)
+
+
+def _numbered(tape: Tape, outputs: list[int], center: float) -> Written:
+    """The operations that the outputs need, in their order on the tape, with numbers of their own."""
+    needed, stack = set(), list(outputs)
+    while stack:
+        node = stack.pop()
+        if node not in needed:
+            needed.add(node)
+            stack += [] if tape.op[node] in ("input", "constant") else tape.args[node]
+    number, operations = {}, []
+    for node in sorted(needed):  # arguments come before what is made of them
+        op, args = tape.op[node], tape.args[node]
+        if op == "input":
+            number[node] = _INPUTS.index(args[0])
+            continue
+        number[node] = len(_INPUTS) + len(operations)
+        operations.append((op, args if op == "constant" else tuple(number[a] for a in args)))
+    f, by_s, by_rate = (number[node] for node in outputs)
+    return Written(tuple(operations), (f, by_s, by_rate), center)
