@@ -24,7 +24,7 @@ def wave(motion):
 
 def clock(n: int) -> Any:
     """As much of a motion as these measures look at: n times in 0..1 [s]."""
-    return SimpleNamespace(t=torch.linspace(0, 1, n, dtype=torch.float64), lanes=2, switches=[], known={})
+    return SimpleNamespace(t=torch.linspace(0, 1, n, dtype=torch.float64), lanes=2, switches=[], known=None)
 
 
 def exact(t: float) -> float:

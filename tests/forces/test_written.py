@@ -22,6 +22,10 @@ LAWS = {
     "signs": lambda s, rate, t: -torch.sign(rate) * torch.clamp_min(s, 0.0) + torch.atan2(s, 2.0 + rate),
     "time": lambda s, rate, t: torch.sin(20.0 * t) + 0.0 * s,
     "constant": lambda s, rate, t: torch.full_like(s, 2.5),
+    "undefined": lambda s, rate, t: (
+        s * (torch.log(s + 0.3) >= -5.0) + torch.where(torch.sqrt(0.2 - s) <= 0.9, 1.0, 2.0) * rate
+    ),
+    "endless": lambda s, rate, t: -s * torch.clamp(rate, -float("inf"), 0.2),
     "power": lambda s, rate, t: s**5 - (1.0 + rate * rate) ** 0.5,
 }
 STATED = {
@@ -82,8 +86,12 @@ def test_a_law_is_what_it_is_made_of_at_the_time():
         lambda s, rate, t: torch.special.bessel_j0(s),
         lambda s, rate, t: torch.tensor(s.numpy() * 2.0),
         lambda s, rate, t: s**-3.5,
+        lambda s, rate, t: s * ((s > 2.0) + (rate > 2.0)),
+        lambda s, rate, t: torch.where(s > 0.1, 100.0, 0.0),
+        lambda s, rate, t: -s * torch.tensor([1.0, 2.0], dtype=torch.float64)[(s > 0).long()],
+        type("Wrong", (), {"__call__": lambda _, s, rate, t: -s, "slopes": lambda _, s, rate, t: (s**rate, 0 * s)})(),
     ],
-    ids=["branch in Python", "unknown operator", "numpy", "odd power"],
+    ids=["branch in Python", "unknown operator", "numpy", "odd power", "sum of bools", "float32", "table", "slopes"],
 )
 def test_what_cannot_be_written_out_is_left(law):
     assert written(law) is None

@@ -82,3 +82,25 @@ def test_tangents_are_made_before_they_are_needed(motion):
     signals.values("v", [1, 2])
     signals.prepare()
     assert {key[:2] for key in signals._kept} == {("values", "v"), ("tangents", "v")}
+
+
+def test_a_motion_stays_what_it_was(motion):
+    """Laws and designs that change afterwards change nothing that has not been looked at yet."""
+    speed = torch.tensor(300.0, dtype=torch.float64)
+    body, ground = mbd.RigidBody("wheel", mass=1.0, inertia=(1.0, 1.0, 1.0)), mbd.Ground()
+    link = mbd.RigidBody("link", mass=1.0, inertia=(1.0, 1.0, 1.0), position=(0.1, 0.0, 0.0))
+    joints = [
+        mbd.Revolute(ground.at(), body.at(), axis="z"),
+        mbd.Drive(ground.at(), body, axis="z", angle=lambda t: speed * t),
+        mbd.Spherical(body.at(0.1, 0.0, 0.0), link.at()),
+    ]
+    turned = mbd.simulate(mbd.System([body, link], joints), 1e-3, steps=4)
+    assert turned.signals.history.expansion is not None
+    speed.mul_(0.5)
+    assert_close(turned.body("wheel").omega[..., 2], torch.full((1, 5), 300.0, dtype=torch.float64))
+    designs = torch.tensor([[0.3, -0.2]], dtype=torch.float64)
+    system = build(2, modes=3, cells=(6, 2))
+    first, second = (mbd.simulate(system, 1e-4, steps=2, designs={ANGLES: designs}) for _ in range(2))
+    shapes = first.modes("rod")
+    designs.add_(0.5)
+    assert_close(second.modes("rod"), shapes, rtol=0, atol=0)

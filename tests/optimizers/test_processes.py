@@ -13,6 +13,10 @@ from torchmbd.optimizers import Evaluation
 from torchmbd.optimizers.processes import Processes
 
 
+class Overflow(Exception):
+    """As a user may have it."""
+
+
 class Bowl:
     """A sum of squares about a center that a closure holds, and who evaluated it."""
 
@@ -24,6 +28,8 @@ class Bowl:
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         self.seen.append(len(X))
+        if X.max() >= 3.0:
+            raise Overflow(f"a bowl is full at {X.max():g}")
         pid = np.array([-float(os.getpid())])  # a constraint that always holds
         return [
             Evaluation(float(((x - self.center()) ** 2).sum()), pid, 2 * (x - self.center()), 0 * x[None]) for x in X
@@ -83,6 +89,12 @@ class Once(Bowl):
         if os.getpid() != self.maker and not gradients:
             os.kill(os.getpid(), signal.SIGKILL)
         return super().evaluate(X, gradients)
+
+
+def test_an_error_of_the_problem_is_the_caller_s(shared):
+    with pytest.raises(Overflow, match="a bowl is full at 3"):
+        shared.evaluate(np.full((2, 2), 3.0), False)
+    assert len(shared.evaluate(np.zeros((2, 2)), False)) == 2
 
 
 @pytest.mark.parametrize("count", [0, -1, True, 1.5, "two"])

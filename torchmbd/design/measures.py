@@ -61,13 +61,16 @@ class OfHistory(Measure):
 
 
 def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
-    """A history as a curve; measures of one motion share it."""
+    """A history as a curve; measures that are evaluated together share it."""
+    known = motion.known
     try:
-        found = motion.known.get((history, window))
+        found = None if known is None else known.get((history, window))
     except TypeError:  # not hashable: an axis given as a list
         return _made(history, window, motion)
     if found is None:
-        motion.known[history, window] = found = _made(history, window, motion)
+        found = _made(history, window, motion)
+        if known is not None:
+            known[history, window] = found
     return found
 
 

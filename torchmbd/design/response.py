@@ -21,7 +21,7 @@ Checked in tests/contracts/test_responses.py.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -41,11 +41,12 @@ class Valued(NamedTuple):
 
 def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
     """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b]."""
-    value = f(motion)
+    shared = replace(motion, known={})  # what measures share lives as long as this
+    value = f(shared)
     if not motion.parameters:
         return Valued(value, None)
     motion.prepare()
-    gradient = torch.func.jacfwd(lambda delta: f(motion.moved(delta)))(value.new_zeros(len(motion.parameters)))
+    gradient = torch.func.jacfwd(lambda delta: f(shared.moved(delta)))(value.new_zeros(len(motion.parameters)))
     assert isinstance(gradient, Tensor)
     return Valued(value, gradient)
 
@@ -114,7 +115,7 @@ class Combined(History):
         def rate(tau: Tensor) -> Tensor:
             return torch.func.jvp(moved, (tau,), (torch.ones_like(tau),))[1]
 
-        zero = torch.zeros((), dtype=motion.q.dtype)
+        zero = torch.zeros((), dtype=torch.float64)
         first, second, *_ = torch.func.jvp(rate, (zero,), (torch.ones_like(zero),))
         return first, second
 

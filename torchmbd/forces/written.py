@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.numerics.scalars import Tape, Untraceable
+from torchmbd.numerics.scalars import Tape
 from torchmbd.numerics.slopes import derivative
 
 _INPUTS = ("s", "rate", "t")
@@ -31,6 +31,7 @@ _TORCH: dict[str, Callable[..., Tensor]] = {
     "max": torch.maximum,
     "min": torch.minimum,
     "gt": lambda a, b: (a > b).to(a.dtype),
+    "ge": lambda a, b: (a >= b).to(a.dtype),
     "where": lambda c, a, b: torch.where(c > 0.0, a, b),
 }
 
@@ -78,22 +79,30 @@ def written(law: Any) -> Written | None:
     shapes = {"s": (1, 1, 1), "rate": (1, 1, 1), "t": ()}
     try:
         found = tape.trace(of, *(tape.inputs(name, *shapes[name]) for name in _INPUTS))
-    except (Untraceable, RuntimeError, TypeError, ValueError):  # whatever stops the tracing, the law works uncompiled
+        outputs = [int(x.ravel()[0]) for x in found]
+        if own is None:
+            outputs += [derivative(tape, outputs[0], tape.inputs(name, 1)[0]) for name in ("s", "rate")]
+        result = _numbered(tape, outputs, float(getattr(law, "center", 0.0)))
+        return result if _same(of, result) else None
+    except Exception:  # a law may do anything: whatever stops the tracing, it works uncompiled
         return None
-    outputs = [int(x.ravel()[0]) for x in found]
-    if own is None:
-        outputs += [derivative(tape, outputs[0], tape.inputs(name, 1)[0]) for name in ("s", "rate")]
-    result = _numbered(tape, outputs, float(getattr(law, "center", 0.0)))
-    return result if _same(law, result) else None
 
 
-def _same(law: Any, found: Written) -> bool:
-    """Whether two laws agree at random points: one that leaves torch would be traced as a constant."""
+def _same(law: Callable[..., tuple[Tensor, ...]], found: Written) -> bool:
+    """Whether two laws agree, with the slopes that are stated, at random points small and large.
+
+    One that leaves torch for a moment would be traced as a constant.
+    """
     make = torch.Generator().manual_seed(1)
-    s, rate, t = (2.0 * torch.rand(1, 1, 16, generator=make, dtype=torch.float64) - 1.0 for _ in range(3))
-    with torch.no_grad():
-        expected = law(s, rate, t[0, 0, 0].abs())
-        return torch.allclose(found(s, rate, t[0, 0, 0].abs()), expected, rtol=1e-9, atol=0.0, equal_nan=True)
+    for size in (1e-3, 1.0, 1.0, 30.0, 1e3):
+        s, rate, t = (size * (2.0 * torch.rand(1, 1, 16, generator=make, dtype=torch.float64) - 1.0) for _ in range(3))
+        t = t[0, 0, 0].abs()
+        with torch.no_grad():
+            expected = law(s, rate, t)
+            for x, y in zip((found(s, rate, t), *found.slopes(s, rate, t)), expected, strict=False):
+                if y.dtype != x.dtype or not torch.allclose(x, y, rtol=1e-9, atol=1e-14, equal_nan=True):
+                    return False
+    return True
 
 
 def _numbered(tape: Tape, outputs: list[int], center: float) -> Written:

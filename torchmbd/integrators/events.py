@@ -111,7 +111,7 @@ class Views:
         motion = self._lane(lane, dynamics, t, x)
         if not isinstance(t, Pair):
             return lambda delta: motion
-        return lambda delta: replace(motion.moved(delta), t=motion.t + delta @ t.tangent[:, 0], known={})
+        return lambda delta: replace(motion.moved(delta), t=motion.t + delta @ t.tangent[:, 0], known=None)
 
     def value(self, event: Event, lane: int, dynamics: Dynamics, t: Any, x: State) -> Tensor:
         """The function of one lane []."""
@@ -130,7 +130,7 @@ class Views:
             {name: value(y)[:, 0].T[:, None] for name, y in parts.items()},
             {name: y.tangent.permute(2, 0, 1)[:, None] for name, y in parts.items() if isinstance(y, Pair)},
         )
-        return replace(base, t=t[None], signals=signals, dynamics=dynamics, known={})
+        return replace(base, t=t[None], signals=signals, dynamics=dynamics, known=None)
 
 
 def normal(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Any, Any]:
@@ -143,7 +143,7 @@ def normal(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x:
         q = equations.advance(T, motion.q[0].T[:, None], step[: T.n_v, None, None])
         others = {name: motion.signals.values(name) for name in ("v", "a", "lam")}
         signals = Given({"q": q[:, 0].T[None]} | others)
-        there = replace(motion, signals=signals, t=motion.t + step[T.n_v], known={})
+        there = replace(motion, signals=signals, t=motion.t + step[T.n_v], known=None)
         return event.of(there)[0, 0]
 
     def slope(delta: Tensor) -> Tensor:

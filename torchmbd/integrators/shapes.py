@@ -53,7 +53,9 @@ class DesignShapes(Shapes):
 
     def __init__(self, system: Any, designs: dict[str, Tensor], parameters: tuple[str, ...], lanes: int):
         super().__init__()
-        self.system, self.designs, self.parameters, self.lanes = system, designs, parameters, lanes
+        self.system, self.parameters, self.lanes = system, parameters, lanes
+        # All parameters as they are now: they may be others when somebody looks.
+        self.designs = {name: x.detach().clone() for name, x in system.named_parameters()} | designs
 
     def _values(self, name: str) -> Tensor:
         with torch.no_grad():

@@ -93,6 +93,7 @@ class Recorded(Signals):
         x = self._of(name, rows, slice(1, None)).permute(3, 0, 1, 2)
         return x if rows is None else x.contiguous()
 
+    @torch.no_grad()
     def _of(self, name: str, rows: Rows, slots: slice) -> Tensor:
         if name == "lam":
             x = self.history.multipliers[:, :, slots]

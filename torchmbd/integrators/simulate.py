@@ -162,7 +162,7 @@ def _same_lanes(batch: dict[str, Tensor]) -> dict[str, Tensor]:
     lanes = max(counts.values(), default=1)
     if not {1, lanes}.issuperset(counts.values()):
         raise InputError(f"designs have lanes {counts}; allowed: the same number for all, or one")
-    return {name: x.detach().expand(lanes, *x.shape[1:]) for name, x in batch.items()}
+    return {name: x.detach().clone().expand(lanes, *x.shape[1:]) for name, x in batch.items()}
 
 
 def default_steps(dynamics: Dynamics, duration: float) -> int:

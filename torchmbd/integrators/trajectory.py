@@ -118,7 +118,7 @@ class Trajectory:
     parameters: tuple[str, ...] = ()
     switches: list[Switch] = field(default_factory=list)
     actions: tuple[tuple[Action, ...], ...] = ()
-    known: dict[Any, Any] = field(default_factory=dict, repr=False)  # what functions of this motion keep for each other
+    known: dict[Any, Any] | None = field(default=None, repr=False)  # what measures evaluated together share
 
     @property
     def lanes(self) -> int:
@@ -215,7 +215,7 @@ class Trajectory:
             designs=moved_designs(self.designs, self.parameters, delta),
             parameters=(),
             switches=[switch.moved(delta) for switch in self.switches],
-            known={},
+            known=None if self.known is None else {},
         )
 
     def at_moment(self, lane: int, t: Tensor, moment: Moment) -> Trajectory:
@@ -232,5 +232,5 @@ class Trajectory:
             designs={name: x[one] for name, x in self.designs.items()},
             parameters=(),
             switches=[],
-            known={},
+            known=None,
         )

@@ -9,6 +9,7 @@ Checked in tests/numerics/test_scalars.py.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 
 from torchmbd.numerics.scalars import Tape
@@ -33,7 +34,7 @@ static inline V spread(V x) { return x; }
 EACH(sqrt, std::sqrt(a)) EACH(sin, std::sin(a)) EACH(cos, std::cos(a)) EACH(exp, std::exp(a)) EACH(abs, std::fabs(a))
 EACH(log, std::log(a)) EACH(tanh, std::tanh(a))
 BOTH(max, a > b ? a : (a == a ? b : a)) BOTH(min, a < b ? a : (a == a ? b : a))
-BOTH(gt, a > b ? 1.0 : 0.0) BOTH(atan2, std::atan2(a, b))
+BOTH(gt, a > b ? 1.0 : 0.0) BOTH(ge, a >= b ? 1.0 : 0.0) BOTH(atan2, std::atan2(a, b))
 static inline double f_where(double c, double a, double b) { return c > 0.0 ? a : b; }
 template <class A, class B, class C> static inline V f_where(A c, B p, C q) {
   V condition = spread(c), x = spread(p), y = spread(q), r;
@@ -106,7 +107,8 @@ class Emitter:
         if node in known:
             return known[node]
         if self.tape.op[node] == "constant":
-            return repr(self.tape.args[node][0])
+            x = self.tape.args[node][0]
+            return repr(x) if math.isfinite(x) else "NAN" if x != x else "HUGE_VAL" if x > 0 else "(-HUGE_VAL)"
         array, i = self.tape.args[node]
         return f"{self.arrays[array]}[{i}]"
 

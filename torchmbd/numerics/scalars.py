@@ -32,6 +32,7 @@ BINARY = {
     "max": max,
     "min": min,
     "gt": lambda x, y: float(x > y),
+    "ge": lambda x, y: float(x >= y),
     "atan2": math.atan2,
 }
 TERNARY = {"where": lambda c, x, y: x if c > 0.0 else y}
@@ -81,7 +82,10 @@ class Tape:
         """An operation, simplified."""
         if all(self.op[a] == "constant" for a in args):
             f: Any = UNARY.get(op) or BINARY.get(op) or TERNARY[op]
-            return self.constant(f(*(self.args[a][0] for a in args)))
+            try:
+                return self.constant(f(*(self.args[a][0] for a in args)))
+            except (ArithmeticError, ValueError):  # infinite or undefined: as the machine has it
+                return self._node(op, *args)
         if op in _SIMPLER:
             found = _SIMPLER[op](self, *args)
             if found is not None:
@@ -138,7 +142,8 @@ class Tape:
         """Write out a torch function of float64 tensors (numbers of this tape here); its results, as numbers of this tape."""
         from torch.fx.experimental.proxy_tensor import make_fx  # imported late: it takes a second
 
-        example = [torch.rand(x.shape, dtype=torch.float64) for x in arguments]
+        make = torch.Generator().manual_seed(0)  # not the user's
+        example = [torch.rand(x.shape, dtype=torch.float64, generator=make) for x in arguments]
         with torch.no_grad():
             graph = make_fx(f)(*example)
         return _Run(self, graph).run(arguments)
@@ -217,9 +222,9 @@ class _Run:
         return self.each("div", 1.0, self.each("sqrt", a))
 
     def op_pow(self, a: Any, exponent: Any) -> np.ndarray:
-        if exponent == 0.5:
+        if isinstance(exponent, float) and exponent == 0.5:
             return self.each("sqrt", a)
-        if exponent not in range(1, 9):
+        if isinstance(a, (int, float)) or not isinstance(exponent, (int, float)) or exponent not in range(1, 9):
             raise Untraceable(f"the power {exponent!r} cannot be written out; allowed: 1/2 and 1 to 8")
         half = a if exponent < 4 else self.op_pow(a, exponent // 2)
         square = self.each("mul", half, half) if exponent > 1 else a
@@ -232,10 +237,7 @@ class _Run:
         return self.each("gt", b, a)
 
     def op_le(self, a: Any, b: Any) -> np.ndarray:
-        return self.op_logical_not(self.each("gt", a, b))
-
-    def op_ge(self, a: Any, b: Any) -> np.ndarray:
-        return self.op_le(b, a)
+        return self.each("ge", b, a)
 
     def op_logical_not(self, a: Any) -> np.ndarray:
         return self.each("sub", 1.0, a)

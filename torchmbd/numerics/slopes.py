@@ -14,7 +14,7 @@ def derivative(tape: Tape, output: int, by: int) -> int:
     stack = [output]
     while stack:
         node = stack[-1]
-        if node in known or tape.op[node] in ("input", "constant", "gt"):
+        if node in known or tape.op[node] in ("input", "constant", "gt", "ge"):
             known.setdefault(node, tape.zero)
             stack.pop()
             continue
@@ -54,5 +54,5 @@ _UNARY = {
     "log": lambda tape, y, x: tape.call("div", tape.one, x),
     "tanh": lambda tape, y, x: tape.call("sub", tape.one, tape.call("mul", y, y)),
     "sqrt": lambda tape, y, x: tape.call("div", tape.constant(0.5), y),
-    "abs": lambda tape, y, x: tape.call("where", tape.call("gt", x, tape.zero), tape.one, tape.constant(-1.0)),
+    "abs": lambda tape, y, x: tape.call("sub", tape.call("gt", x, tape.zero), tape.call("gt", tape.zero, x)),
 }

@@ -11,8 +11,10 @@ Checked in tests/optimizers/test_processes.py.
 from __future__ import annotations
 
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
+import threading
 import warnings
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -32,9 +34,9 @@ _here: dict[str, Any] = {}  # in a worker: its copy of the problem, and where al
 class Processes:
     """`problem` with batches evaluated by `count` processes (default: as many as there are cores).
 
-    All else is asked of the problem itself. Close it, or use it in a `with` block. If a process dies, the batch and all
-    that follow are evaluated in the calling process, with a warning. A script that uses this keeps what it does under
-    `if __name__ == "__main__":`, since every process imports it.
+    All else is asked of the problem itself, of which every process has a copy as it is now. Close it, or use it in a
+    `with` block. If a process dies, the batch and all that follow are evaluated in the calling process, with a warning. A
+    script that uses this keeps what it does under `if __name__ == "__main__":`, since every process imports it.
     """
 
     def __init__(self, problem: Problem, count: int | None = None):
@@ -48,6 +50,8 @@ class Processes:
         self._begun = [self._pool.submit(_meet) for _ in range(count)]  # they start while the caller goes on
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or "problem" not in self.__dict__:
+            raise AttributeError(name)
         return getattr(self.problem, name)
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
@@ -55,7 +59,10 @@ class Processes:
         parts = [part for part in np.array_split(np.asarray(X), self.count) if len(part)]
         if self._pool is not None and len(parts) > 1:
             try:
-                shares = list(self._pool.map(_evaluate, parts, [gradients] * len(parts)))
+                shares = [cloudpickle.loads(x) for x in self._pool.map(_evaluate, parts, [gradients] * len(parts))]
+                for share in shares:
+                    if isinstance(share, Exception):
+                        raise share
                 return [found for share in shares for found in share]
             except BrokenProcessPool as error:
                 self._go_on_alone(error)
@@ -86,12 +93,16 @@ class Processes:
     def __enter__(self) -> Processes:
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is not None and self._pool is not None:  # Ctrl-C: nobody waits for what is under way
+            for process in list(self._pool._processes.values()):
+                process.terminate()
         self.close()
 
 
 def _begin(problem: bytes, dtype: torch.dtype, door: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's affair
+    threading.Thread(target=_end_with_the_caller, daemon=True).start()
     settle()
     torch.set_default_dtype(dtype)
     own = cloudpickle.loads(problem)
@@ -103,5 +114,17 @@ def _meet() -> None:
     _here["door"].wait()
 
 
-def _evaluate(X: np.ndarray, gradients: bool) -> list[Evaluation]:
-    return _here["problem"].evaluate(X, gradients)
+def _evaluate(X: np.ndarray, gradients: bool) -> bytes:
+    """Evaluations, or the error that the problem raised, whatever its class is made of."""
+    try:
+        return cloudpickle.dumps(_here["problem"].evaluate(X, gradients))
+    except Exception as error:
+        return cloudpickle.dumps(error)
+
+
+def _end_with_the_caller() -> None:
+    """A caller that is killed leaves nobody behind."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        multiprocessing.connection.wait([parent.sentinel])
+        os._exit(1)

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 from torch import Tensor
 
@@ -28,12 +27,15 @@ class Expansion:
     condensation: Condensation
     data: Data
     times: Tensor
+    known: list[
+        tuple[int, tuple[Tensor, ...]]
+    ]  # number of each carrier in the whole, and its q, v, a [times, components]
 
-    @cached_property
-    def _known(self) -> list[tuple[int, tuple[Tensor, ...]]]:
-        """Number of each carrier in the whole, and its q, v, a [times, components]."""
-        c = self.condensation
-        return [(c.whole.names.index(carrier.name), carrier.motion(self.times)) for carrier in c.topology.carriers]
+    @classmethod
+    def of(cls, c: Condensation, data: Data, times: Tensor) -> Expansion:
+        """Asks the laws of the carriers now: they may be others when somebody looks."""
+        known = [(c.whole.names.index(carrier.name), carrier.motion(times)) for carrier in c.topology.carriers]
+        return cls(c, data, times, known)
 
     def rows(self, order: int, x: Tensor, index: Sequence[int] | None = None, known: bool = True) -> Tensor:
         """Rows of q (order 0), v (1) or a (2) [times, k, slots, lanes] of the whole out of x of what was left.
@@ -43,7 +45,8 @@ class Expansion:
         """
         c, each = self.condensation, 6 if order else 7
         own = component_rows(c.whole, c.bodies, each).tolist()
-        wanted = range(each * c.whole.bodies + c.whole.modes * c.whole.flexible) if index is None else index
+        total = each * c.whole.bodies + c.whole.modes * c.whole.flexible
+        wanted = [row % total for row in (range(total) if index is None else index)]
         place = {row: i for i, row in enumerate(own)}
         found = [place[row] for row in wanted if row in place]
         y = _picked(c.topology.spread if order else None, x, found)
@@ -51,7 +54,7 @@ class Expansion:
             return y
         result = x.new_zeros(len(x), len(wanted), *x.shape[2:])
         result[:, [i for i, row in enumerate(wanted) if row in place]] = y
-        for number, motion in self._known if known else ():
+        for number, motion in self.known if known else ():
             for i, row in enumerate(wanted):
                 component, body = divmod(row, c.whole.bodies)
                 if body == number and component < each:

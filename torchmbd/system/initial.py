@@ -84,6 +84,7 @@ class InitialConditions:
         else:
             self._refuse(values, q, t)
         q, _ = self._newton(inverse, data, q, t)
+        inverse = self._inverse(dynamics, values, q, t)
         v = v - self._apply(inverse, self._rates(values, value(q).detach(), v, t))
         # At compatible velocities the rates are zero, but not their derivatives by the design: Phi_q changes with it.
         return q, v - self._apply(inverse, self._rates(data, q, v, t))
