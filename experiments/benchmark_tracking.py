@@ -1,6 +1,6 @@
 """What do the experiment layer, its logging and its workers cost? `python -m experiments.benchmark_tracking`
 
-    overhead   a study of cheap evaluations (a rod of 4x2 cells, 2 angles) through `torchmbd run`'s own path, beside the same
+    overhead   a study of some ten seconds (the three-layer rod, 32 starts) through `torchmbd run`'s own path, beside the same
                multistart called in Python, both in this process, by turns; the writer and the figures have the other core
     logging    200 starts of 30 iterations told to a journal, and the writer beside it that brings them into MLflow's
                SQLite, as shares of a study whose evaluations take 0.1 s each, as those of the slider-crank do
@@ -43,15 +43,15 @@ from torchmbd.tracking.server import serving
 
 STUDY = """
 model: experiments.slider_crank:build
-options: {layers: 2, cells: [4, 2], modes: 4}
+options: {layers: 3}
 design:
-  rod.laminate.angles: {start: [45, -45], lower: -90, upper: 90, unit: deg}
-simulate: {duration: 0.03, steps: 90}
+  rod.laminate.angles: {start: [45, -45, 45], lower: -90, upper: 90, unit: deg}
+simulate: {duration: 0.04, steps: 500}
 minimize: {integral: {strain_energy: rod}}
 subject_to:
   - {max: {strain_energy: rod}, at_most: initial}
-optimizer: {name: mmfd, max_iterations: 12}
-starts: {sampler: sobol, count: 16, seed: 7}
+optimizer: {name: mmfd, max_iterations: 30}
+starts: {sampler: sobol, count: 32, seed: 7}
 tracking: {experiment: benchmark}
 """
 STARTS, ITERATIONS, EVALUATION = 200, 30, 0.1  # seconds for one design in a batch
