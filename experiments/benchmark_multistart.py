@@ -3,7 +3,7 @@
 Three-layer slider-crank, integral of U with its peak held, Sobol starts, the same limits of iterations and the same number
 of steps for both codes. Both evaluate a batch of designs in two processes, each with a share; ours in one process as
 well. The peer's batch has all designs and their forward differences; modes come from our structure stage, in batches,
-inside the time of both. Processes are there before the clock starts.
+inside the time of both. Processes are there, and the limit is known to them, before the clock starts.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from experiments.benchmark_cases import compilation, compiled_ready, measures
 from experiments.benchmark_report import Cell, Grid, Result, Settings, ratio
 from experiments.slider_crank import DURATION, build
 from torchmbd.optimizers import Evaluation
+from torchmbd.process import settle
 
 ANGLES = "rod.laminate.angles"
 STEPS, STARTS, ITERATIONS = 500, 32, 30
@@ -40,10 +41,12 @@ def own_problem(steps: int) -> mbd.Problem:
 _worker: dict[str, Any] = {}
 
 
-def _begin() -> None:
+def _begin(peer: bool) -> None:
     sys.stdout = sys.stderr  # standard output belongs to the JSON object
-    torch.set_num_threads(1)
+    settle()
     _worker["system"] = build(3)
+    if peer:
+        import experiments.exudyn_peer  # noqa: F401  before the clock starts
 
 
 def _peer_measures(X: np.ndarray, steps: int) -> tuple[np.ndarray, float]:
@@ -116,7 +119,7 @@ def multistart(settings: Settings, starts: int = STARTS, iterations: int = ITERA
     ready = compiled_ready(own.system.dynamics())
     rows: list[list[Cell]] = []
     total = {"ours": 0.0, "peer": 0.0}
-    with multiprocessing.get_context("spawn").Pool(PROCESSES, _begin) as pool:
+    with multiprocessing.get_context("spawn").Pool(PROCESSES, _begin, (bool(settings.peer),)) as pool:
         for method in METHODS:
             with compilation(ready):
                 seconds, study = run(own_problem(steps), method, starts, iterations)
@@ -129,6 +132,7 @@ def multistart(settings: Settings, starts: int = STARTS, iterations: int = ITERA
             if not settings.peer:
                 continue
             peer = PeerProblem(own, pool, steps)
+            _ = peer.limit  # known before the clock starts, as to our processes
             seconds, study = run(peer, method, starts, iterations)
             total["peer"] += seconds
             rows.append([f"Exudyn, {method}", seconds, *_summary(study), peer.seconds / PROCESSES])

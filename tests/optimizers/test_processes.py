@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -95,6 +99,50 @@ def test_an_error_of_the_problem_is_the_caller_s(shared):
     with pytest.raises(Overflow, match="a bowl is full at 3"):
         shared.evaluate(np.full((2, 2), 3.0), False)
     assert len(shared.evaluate(np.zeros((2, 2)), False)) == 2
+
+
+SCRIPT = """
+import copy, sys, time
+from tests.optimizers.test_processes import Bowl
+from torchmbd.optimizers.processes import Processes
+
+if __name__ == "__main__":
+    shared = Processes(Bowl(0.0), 2)
+    shared.wait()
+    copy.copy(shared)
+    print(*shared._pool._processes, flush=True)
+    time.sleep(60)
+"""
+
+
+def test_a_caller_that_is_killed_leaves_nobody_behind(tmp_path):
+    (tmp_path / "script.py").write_text(SCRIPT)
+    root = Path(__file__).parents[2]
+    environment = os.environ | {"PYTHONPATH": str(root)}
+    with subprocess.Popen([sys.executable, tmp_path / "script.py"], env=environment, stdout=subprocess.PIPE) as caller:
+        assert caller.stdout is not None
+        workers = [Path("/proc") / pid for pid in caller.stdout.readline().decode().split()]
+        assert len(workers) == 2
+        assert all(worker.exists() for worker in workers)
+        caller.kill()
+    for _ in range(100):
+        if not any(worker.exists() for worker in workers):
+            return
+        time.sleep(0.1)
+    pytest.fail(f"still there: {workers}")
+
+
+def test_nobody_waits_for_what_is_under_way_after_ctrl_c():
+    def interrupted() -> None:
+        with Processes(Bowl(0.0), 2) as problem:
+            problem.wait()
+            problem._pool.submit(time.sleep, 60)
+            raise KeyboardInterrupt
+
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert time.monotonic() - began < 60  # of the sleep
 
 
 @pytest.mark.parametrize("count", [0, -1, True, 1.5, "two"])

@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.numerics.scalars import Tape
+from torchmbd.numerics.scalars import Tape, Untraceable
 from torchmbd.numerics.slopes import derivative
 
 _INPUTS = ("s", "rate", "t")
@@ -68,8 +68,8 @@ class Written:
         return [numbers[i] for i in self.outputs]
 
 
-def written(law: Any) -> Written | None:
-    """A law as scalar operations; None if it cannot be written out."""
+def written(law: Any) -> Written:
+    """A law as scalar operations; Untraceable, with the reason, if it cannot be written out."""
     own = getattr(law, "slopes", None)
 
     def of(s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, ...]:
@@ -83,9 +83,12 @@ def written(law: Any) -> Written | None:
         if own is None:
             outputs += [derivative(tape, outputs[0], tape.inputs(name, 1)[0]) for name in ("s", "rate")]
         result = _numbered(tape, outputs, float(getattr(law, "center", 0.0)))
-        return result if _same(of, result) else None
-    except Exception:  # a law may do anything: whatever stops the tracing, it works uncompiled
-        return None
+        same = _same(of, result)
+    except Exception as error:  # a law may do anything
+        raise Untraceable(str(error).partition("\n")[0] or repr(error)) from error
+    if not same:
+        raise Untraceable("written out it gives other numbers: it leaves torch, or float64")
+    return result
 
 
 def _same(law: Callable[..., tuple[Tensor, ...]], found: Written) -> bool:

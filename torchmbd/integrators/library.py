@@ -35,6 +35,7 @@ from torchmbd.forces.laws import LAWS, Scaled
 from torchmbd.forces.varied import Varied
 from torchmbd.forces.written import Written, written
 from torchmbd.integrators.code import Layout, source
+from torchmbd.numerics.scalars import Untraceable
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Topology
 
@@ -46,6 +47,7 @@ _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a top
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
 _loaded: dict[str, ctypes.CDLL] = {}
 _seen: dict[str, int] = {}  # batches without a library
+_told: set[str] = set()  # why laws cannot be compiled
 _building: dict[str, subprocess.Popen | None] = {}  # None: a build that failed, which was said
 
 
@@ -114,10 +116,14 @@ def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
 
 
 def written_out(dynamics: Dynamics) -> Dynamics | None:
-    """The same dynamics with laws of forces of a known form; None if there is one that cannot be written out."""
+    """The same dynamics with laws of forces of a known form; None if there is one that cannot be, which is said once."""
     old = dynamics.topology.actions
-    new = tuple(replace(action, laws=tuple(_written(law) for law in action.laws)) for action in old)
-    if any(_missing(law) for action in new for law in action.laws):
+    try:
+        new = tuple(replace(action, laws=tuple(_written(law) for law in action.laws)) for action in old)
+    except Untraceable as error:
+        if str(error) not in _told:
+            _told.add(str(error))
+            warnings.warn(f"a law of a force cannot be compiled, simulations run uncompiled: {error}", stacklevel=2)
         return None
     if all(one.laws == other.laws for one, other in zip(new, old, strict=True)):
         return dynamics
@@ -125,15 +131,11 @@ def written_out(dynamics: Dynamics) -> Dynamics | None:
 
 
 def _written(law: Any) -> Any:
-    """The law as numbers of a known form or as scalar operations; None in the place of one that cannot be."""
+    """The law as numbers of a known form or as scalar operations."""
     if isinstance(law, (Varied, Scaled)):
         return replace(law, law=_written(law.law))
     known = type(law) is Written or (type(law) in LAWS and not callable(getattr(law, "law", None)))
     return law if known else written(law)
-
-
-def _missing(law: Any) -> bool:
-    return law is None or (isinstance(law, (Varied, Scaled)) and _missing(law.law))
 
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:
