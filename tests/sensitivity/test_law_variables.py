@@ -125,6 +125,28 @@ def test_a_design_is_a_system_of_its_own():
     assert float(balance) < 2e-3
 
 
+def test_reactions_beside_a_body_that_is_guided():
+    """Its rows are solved for good: their multipliers come from equations in which the drive of another body varies."""
+    system = arm("sine")
+    hub, rod = system.bodies
+    end = rod.position + rod.axes @ tensor(0.15, 0.0, 0.0)
+    wheel = box("wheel", center=(0.0, 0.0, 0.0), position=end + tensor(0.0, 0.3, 0.1))
+    link = mbd.Distance(wheel.at(0.1, 0.0, 0.0), rod.at("right"), length=float(tensor(0.1, 0.3, 0.1).norm()))
+    joints = [*system.joints, mbd.Revolute(GROUND.at(*wheel.position.tolist()), wheel.at(), name="axle"), link]
+    system = mbd.System([hub, rod, wheel], joints, gravity=(0.0, -9.81, 0.0))
+    with torch.no_grad():
+        assert system.dynamics().condensed().topology.n_v < system.topology.n_v
+    pull = mbd.Mean(mbd.Reaction("axle", (1.0, -1.0, 0.5)))
+
+    def run(designs: dict[str, Tensor] | None = None, **more) -> mbd.Trajectory:
+        return mbd.simulate(system, 0.1, steps=40, designs=designs, **TIGHT, **more).require_ok()
+
+    variables = names(system)
+    exact = pull.value_and_gradient(run(sensitivities=variables)).gradient[0]
+    found = differences(system, variables, lambda designs: pull.value(run(designs)))
+    assert_close(exact, found, rtol=1e-6, atol=0.0)
+
+
 def test_phases_with_a_drive_that_varies():
     """The drive lets go at a position of the hub: the time of the switch follows the law's variables."""
     system = arm("step")
