@@ -1,7 +1,7 @@
 """The command line: torchmbd new, check, schema, run, sync; list, best, compare, report, ui; cache.
 
 Exit codes: 0 done, 1 something failed that was not the input, 2 bad input (every fault named), 130 interrupted.
-MLflow, Dask and the experiment layer are imported when a command needs them; torch comes with the package.
+Torch, MLflow, Dask and the experiment layer are imported when a command needs them: the command line answers at once.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from rich.markup import escape
 
 from torchmbd import __version__
 from torchmbd.errors import InputError, MbdError
-from torchmbd.process import brief_warnings, settle
+from torchmbd.process import BROOD, breed, brief_warnings, settle
 
 EXIT_INTERRUPTED = 130
 
@@ -52,9 +52,13 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     fresh
         Forget the evaluations of this problem, and begin anew.
     """
+    if workers != 1 and scheduler is None:
+        breed(*BROOD)
     settle()
-    from torchmbd.experiment import Plan, load, run_figures, run_plan
+    from torchmbd.experiment.draw import run_figures
+    from torchmbd.experiment.load import Plan, load
     from torchmbd.experiment.overrides import combinations
+    from torchmbd.experiment.run import run_plan
 
     console = Console()
     plans = [load(file, chosen) for chosen in combinations(assignments)]  # all are checked before the first runs
@@ -83,8 +87,8 @@ def check(file: Path, /, *assignments: str) -> int:
         Overrides, as in run.
     """
     settle()
-    from torchmbd.experiment import load
     from torchmbd.experiment.estimate import print_estimate
+    from torchmbd.experiment.load import load
     from torchmbd.experiment.overrides import combinations
 
     console = Console()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
@@ -13,8 +14,9 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
-from torchmbd.experiment.columns import Columns
-from torchmbd.optimizers.optimizer import Iterate
+if TYPE_CHECKING:
+    from torchmbd.experiment.columns import Columns
+    from torchmbd.optimizers.optimizer import Iterate
 
 
 class Progress:
@@ -43,10 +45,10 @@ class Progress:
         self.latest[iterate.start] = iterate
         if not self.console.is_terminal:
             values = "  ".join(f"{value:z8.3f}" for value in self.columns.shown(iterate.x).values())
-            self.console.print(
+            self.console.out(
                 f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:3d}  iteration {iterate.iteration:3d}  "
                 f"objective {iterate.objective:.6g}  violation {iterate.violation:.1e}  {values}",
-                soft_wrap=True,
+                highlight=False,
             )
 
     def note(self, text: str) -> None:
