@@ -109,11 +109,11 @@ def save(figure: Figure, path: str | Path) -> Path:
     return path
 
 
-def degrees(axes: Axes, **headings: str) -> None:
-    """Mark the axes whose headings are of angles at parts of a right angle: `x="angle 1 [deg]"`."""
-    for axis, heading in headings.items():
+def degrees(axes: Axes, x: str = "", y: str = "") -> None:
+    """Mark the axes whose headings are of angles, `angle 1 [deg]`, at parts of a right angle."""
+    for axis, heading in ((axes.xaxis, x), (axes.yaxis, y)):
         if heading.endswith("[deg]"):
-            axes.locator_params(axis=axis, nbins=9, steps=[1.5, 3.0, 4.5, 9.0])
+            axis.get_major_locator().set_params(nbins=9, steps=[1.5, 3.0, 4.5, 9.0])
 
 
 def figure_of(height: float, rows: int = 1, ratios: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
