@@ -111,9 +111,11 @@ def save(figure: Figure, path: str | Path) -> Path:
 
 def degrees(axes: Axes, x: str = "", y: str = "") -> None:
     """Mark the axes whose headings are of angles, `angle 1 [deg]`, at parts of a right angle."""
+    from matplotlib.ticker import MaxNLocator
+
     for axis, heading in ((axes.xaxis, x), (axes.yaxis, y)):
         if heading.endswith("[deg]"):
-            axis.get_major_locator().set_params(nbins=9, steps=[1.5, 3.0, 4.5, 9.0])
+            axis.set_major_locator(MaxNLocator(nbins=9, steps=[1.5, 3.0, 4.5, 9.0]))
 
 
 def figure_of(height: float, rows: int = 1, ratios: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
