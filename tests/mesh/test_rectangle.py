@@ -68,8 +68,8 @@ def test_bandwidth_is_that_of_the_short_direction(cells):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((0.0, 1.0, (2, 2)), r"length = 0\.0"),
-        ((1.0, float("nan"), (2, 2)), "width = nan"),
+        ((0.0, 1.0, (2, 2)), r"length is 0\.0"),
+        ((1.0, float("nan"), (2, 2)), "width is nan"),
         ((1.0, 1.0, (2, 0)), r"cells = \(2, 0\)"),
         ((1.0, 1.0, (2.0, 2)), r"cells = \(2\.0, 2\)"),
         ((1.0, 1.0, (2, 2, 2)), "two integers"),

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.numerics.owned import indices, reals
+from torchmbd.numerics.owned import indices, positive, reals, scalar
 
 
 @pytest.mark.parametrize("given", [[1, 2], (1.0, 2.0), np.array([1, 2]), torch.tensor([1.0, 2.0]), range(1, 3)])
@@ -33,3 +33,10 @@ def test_what_is_none_is_named():
         indices("x", [1.0, 1.5])
     with pytest.raises(InputError, match="x holds nan"):
         indices("x", [1.0, float("nan")])
+
+
+def test_numbers_that_are_none_are_named():
+    for given in (None, "1", True, [1.0], 1j, float("nan"), torch.ones(2), torch.ones((), requires_grad=True)):
+        with pytest.raises(InputError, match=r"mass of 'rod' is .* kg; allowed: a positive and finite number"):
+            positive("mass of 'rod'", given, "kg")
+    assert (positive("x", torch.tensor(2.0), "m"), scalar("x", -3)) == (2.0, -3.0)

@@ -99,7 +99,7 @@ def test_a_tube_knows_no_direction():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: sections.rectangle(0.0, 0.1, AS4), ["width = 0.0 m"]),
+        (lambda: sections.rectangle(0.0, 0.1, AS4), ["width is 0.0 m"]),
         (lambda: sections.rectangle(0.1, 0.1, AS4, cells=(2.0, 2)), ["cells = (2.0, 2)", "2 integers"]),  # pyright: ignore[reportArgumentType]
         (lambda: sections.rectangle(0.1, 0.1, AS4, order=3), ["order = 3"]),
         (lambda: sections.strip(0.1, AS4, [0.1, 0.2], [1e-3]), ["1 thicknesses for 2 plies"]),
@@ -108,7 +108,7 @@ def test_a_tube_knows_no_direction():
         (lambda: sections.box(0.1, 0.1, AS4, {"tpo": [0.1]}, 0.01), ["wall 'tpo'", "did you mean 'top'"]),
         (lambda: sections.box(0.1, 0.1, AS4, {"top": [0.1]}, 0.01), ["as many plies in top, right, bottom, left"]),
         (lambda: sections.tube(0.01, AS4, [0.1, 0.2], 0.005), ["thickness 0.01 m of radius 0.01 m"]),
-        (lambda: sections.circle(-1.0, AS4), ["radius = -1.0 m"]),
+        (lambda: sections.circle(-1.0, AS4), ["radius is -1.0 m"]),
         (lambda: sections.i_section(0.1, 0.02, AS4, I_WALLS, 0.01), ["do not fit"]),
         (lambda: sections.i_section(0.1, 0.1, AS4, [0.1], 0.01), ["a mapping with top, web, bottom"]),  # pyright: ignore[reportArgumentType]
     ],

@@ -193,7 +193,7 @@ class TestJointDoor:
 
     @pytest.mark.parametrize("length", [0.0, -1.0, math.nan, math.inf])
     def test_length(self, length):
-        with pytest.raises(InputError, match=r"length of 'distance_a_b' is .* m; allowed: positive"):
+        with pytest.raises(InputError, match=r"length of 'distance_a_b' is .* m; allowed: a positive"):
             mbd.Distance(box("a").at(), box("b").at(), length=length)
 
     @pytest.mark.parametrize(
@@ -223,3 +223,39 @@ def test_a_drive_takes_bodies_of_every_kind():
     system = mbd.System([body], [drive])
     z = system().initial_state()[0].detach()
     assert_close(z[system.topology.n_q :][3:6], tensor(2.0, 0.0, 0.0), rtol=1e-12, atol=1e-12)
+
+
+def test_what_a_system_is_not_made_of():
+    """No traceback from the depth of torch: the argument, its value, what is allowed."""
+    hub = box("hub")
+    joint, spring = mbd.Revolute(mbd.Ground().at(), hub.at()), mbd.SpringDamper(mbd.Ground().at(), hub.at(), 1.0)
+    for make, words in (
+        (lambda: mbd.System(hub), "bodies is RigidBody"),  # pyright: ignore
+        (lambda: mbd.System([mbd.Ground()]), "bodies has .*Ground"),
+        (lambda: mbd.System([hub], joint), "joints is Revolute"),  # pyright: ignore
+        (lambda: mbd.System([hub], [spring]), "joints has SpringDamper"),  # pyright: ignore
+        (lambda: mbd.System([hub], [joint], [joint]), "forces has Revolute"),  # pyright: ignore
+        (lambda: mbd.System([hub], free="hub"), "free is 'hub'"),
+        (lambda: mbd.simulate(hub, 1.0), "system is RigidBody"),  # pyright: ignore
+        (lambda: box("lost", position=torch.zeros(3, requires_grad=True)), "position of 'lost' carries a gradient"),
+        (lambda: mbd.FlexibleBody.plate("p", mbd.mesh.rectangle(1.0, 1.0, (1, 1)), None), "laminate of a plate is None"),
+        (lambda: mbd.Revolute(mbd.Ground().at(), hub.at(), name=3), "name of a Revolute is 3"),  # pyright: ignore
+        (lambda: mbd.Drive(mbd.Ground(), hub, angle=lambda: 0.0), "angle of .* gives TypeError"),  # pyright: ignore
+    ):
+        with pytest.raises(InputError, match=f"{words}.*; allowed: "):
+            make()
+
+
+def test_designs_that_are_none():
+    rod = plate("rod", 1)
+    system, name = mbd.System([rod]), "rod.laminate.angles"
+    good = rod.laminate.angles.detach()[None]
+    for designs, words in (
+        ([good], "designs is "),
+        ({name: good.tolist()}, f"design '{name}' is "),
+        ({name: good.float()}, f"design '{name}' has shape .* of torch.float32"),
+        ({name: good[:0]}, f"design '{name}' has shape"),
+        ({name: torch.cat([good, good * torch.nan])}, f"design '{name}' of lane 1 is"),
+    ):
+        with pytest.raises(InputError, match=f"{words}.*; allowed: "):
+            mbd.simulate(system, 0.01, steps=1, designs=designs)  # pyright: ignore

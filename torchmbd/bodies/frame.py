@@ -69,6 +69,8 @@ def axis_index(name: str) -> int:
 
 def numbers(name: str, x: Any, allowed: str) -> Tensor:
     """Read numbers of any shape as a tensor of their own; InputError names the argument."""
+    if isinstance(x, Tensor) and x.requires_grad:
+        raise InputError(f"{name} carries a gradient, which would be lost here; allowed: {allowed}, such as x.detach()")
     try:
         return torch.as_tensor(x, dtype=torch.float64).detach().clone()
     except (TypeError, ValueError, RuntimeError) as error:

@@ -25,6 +25,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.numerics.owned import scalar
 
 
 @dataclass(frozen=True)
@@ -36,14 +37,15 @@ class ModalDamping:
     ratios: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        if not 0 <= self.time < float("inf"):
+        if not scalar(f"damping of {self.body!r}", self.time, "zero or positive, in s") >= 0:
             raise InputError(f"damping of {self.body!r} is {self.time!r} s; allowed: zero or positive")
 
     def with_ratios(self, ratio: float | Sequence[float], modes: int) -> Self:
         """The same with damping ratios: one for all modes, or one for each."""
-        given = [ratio] * modes if isinstance(ratio, (int, float)) else list(ratio)
+        allowed = f"a number from 0 to 1, or {modes} of them, one for each mode"
+        several = list(ratio) if isinstance(ratio, Sequence) and not isinstance(ratio, str) else [ratio] * modes
+        given = [scalar(f"damping ratio of {self.body!r}", z, allowed) for z in several]
         if len(given) != modes or not all(0.0 <= z < 1.0 for z in given):
-            allowed = f"a number from 0 to 1, or {modes} of them, one for each mode"
             raise InputError(f"damping ratio of {self.body!r} is {ratio!r}; allowed: {allowed}")
         return replace(self, ratios=tuple(float(z) for z in given))
 

@@ -18,12 +18,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.elements import RigidLink
 from torchmbd.errors import InputError
+from torchmbd.numerics.owned import scalar
 
 _FLAT = 1e-10  # share of the largest eigenvalue of T that counts as zero
 
@@ -38,7 +40,7 @@ class Mount:
     @classmethod
     def on(cls, nodes: Sequence[int], weights: Sequence[float] | None = None) -> Mount:
         """Mount on nodes with positive weights of any size; None: equal ones."""
-        given = [1.0] * len(nodes) if weights is None else [float(w) for w in weights]
+        given = [1.0] * len(nodes) if weights is None else [scalar("weights", w, "positive numbers") for w in weights]
         if len(given) != len(nodes) or not nodes or not all(0.0 < w < float("inf") for w in given):
             raise InputError(f"weights is {weights!r} for {len(nodes)} nodes; allowed: a positive number for each node")
         return cls(tuple(nodes), tuple(w / sum(given) for w in given))
@@ -79,7 +81,8 @@ def node_indices(mesh: Any, given: str | int | Sequence[str | int]) -> list[int]
     """Indices of a node, of a node set, or of a list of nodes."""
     if isinstance(given, str) and len(mesh.node_sets.get(given, ())) > 1:
         return [int(i) for i in mesh.node_sets[given]]
-    return [_index(mesh, node) for node in ([given] if isinstance(given, str) or _whole(given) else given)]  # pyright: ignore
+    several = isinstance(given, (Sequence, Tensor, np.ndarray)) and not isinstance(given, str) and not _whole(given)
+    return [_index(mesh, node) for node in (given if several else [given])]  # pyright: ignore
 
 
 def _index(mesh: Any, node: Any) -> int:

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from torchmbd.bodies.frame import Frame, identifier, numbers, place, rotation, vector
 from torchmbd.errors import InputError
+from torchmbd.numerics.owned import positive
 
 
 class Ground:
@@ -62,11 +63,10 @@ class RigidBody(nn.Module):
     ):
         super().__init__()
         self.name = identifier("rigid body", name)
-        if isinstance(mass, (str, bytes)) or not 0 < float(mass) < float("inf"):
-            raise InputError(f"mass of {name!r} is {mass!r} kg; allowed: positive and finite")
+        m = positive(f"mass of {name!r}", mass, "kg")
         place(self, position, axes, velocity, angular_velocity)
         J = _inertia(name, inertia)
-        self.register_buffer("mass", torch.tensor(float(mass), dtype=torch.float64))
+        self.register_buffer("mass", torch.tensor(m, dtype=torch.float64))
         self.register_buffer("center", vector(f"center of {name!r}", center))
         self.register_buffer("second_moment", J.trace() / 2 * torch.eye(3, dtype=torch.float64) - J)
 

@@ -28,8 +28,8 @@ from torchmbd.design.response import Constraint, Measure, differentiate
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Phase, Trajectory, simulate
+from torchmbd.integrators.arguments import check
 from torchmbd.integrators.phases import plan
-from torchmbd.integrators.simulate import check
 from torchmbd.integrators.trajectory import OK
 from torchmbd.optimizers import Evaluation
 from torchmbd.reduction import CutCluster

@@ -280,4 +280,7 @@ class Constraint:
 
 
 def _finite(x: Any) -> bool:
-    return not isinstance(x, (str, bool)) and abs(float(x)) < float("inf")
+    try:
+        return not isinstance(x, (str, bool)) and abs(float(x)) < float("inf")
+    except (TypeError, ValueError):
+        return False

@@ -36,6 +36,7 @@ from torchmbd.elements.beam_curve import Curves
 from torchmbd.elements.facet import STEEPNESS
 from torchmbd.errors import InputError
 from torchmbd.numerics.inverse import balanced_inverse
+from torchmbd.numerics.owned import reals
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
 
 
@@ -192,7 +193,7 @@ def _transport(d: Float[Tensor, "*n 3"], turn: Float[Tensor, "*n 3 3"]) -> Float
 
 
 def _axes(e_x: Tensor, orientation: Sequence[float] | Tensor, members: Tensor, count: int) -> Float[Tensor, "m 3 3"]:
-    d = torch.as_tensor(orientation, dtype=torch.float64)
+    d = reals("orientation", orientation)
     if d.shape not in ((3,), (count, 3)) or not torch.isfinite(d).all():
         raise InputError(
             f"orientation has shape {tuple(d.shape)}; allowed: [3], or one for each element [m, 3], finite"

@@ -16,6 +16,7 @@ from torchmbd.elements.beam import BeamMatrices, Line
 from torchmbd.elements.beam_section import BeamSection, line_transform
 from torchmbd.elements.plates import MASSES
 from torchmbd.errors import InputError, unknown
+from torchmbd.numerics.owned import reals
 
 #: Stations of an element that is twisted by itself or an arc: its flexibility is exact to 1e-10 up to a quarter turn.
 TURNING = 8
@@ -92,7 +93,7 @@ def _placed(
     elements: Sequence[int] | Tensor | None,
 ) -> tuple[Float[Tensor, "m 1 2"], Float[Tensor, "m e"]]:
     """Offset and twist of the elements in question; m is 1 where all have the same, e is 2 where the twist grows."""
-    at, turn = torch.as_tensor(offset, dtype=torch.float64), torch.as_tensor(twist, dtype=torch.float64)
+    at, turn = reals("offset", offset), reals("twist", twist)
     if at.shape not in ((2,), (count, 2)):
         raise InputError(f"offset has shape {tuple(at.shape)}; allowed: [2], or one for each element [{count}, 2]")
     if turn.shape not in ((), (count,), (count, 2)):

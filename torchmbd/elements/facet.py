@@ -26,6 +26,7 @@ from torch import Tensor
 from torchmbd.elements.shell_normals import corner_normals
 from torchmbd.errors import InputError
 from torchmbd.mesh import Mesh
+from torchmbd.numerics.owned import reals
 
 #: A material direction nearer to the normal than this (sine of the angle) has no reliable projection.
 STEEPNESS = 1e-3
@@ -56,7 +57,7 @@ def facets(
     mesh [m, 3].
     Raises InputError where it is zero or normal to a cell.
     """
-    d = torch.as_tensor(direction, dtype=torch.float64)
+    d = reals("direction", direction)
     if d.shape not in ((3,), (mesh.cell_count, 3)):
         raise InputError(
             f"direction has shape {tuple(d.shape)}; allowed: [3], or one for each cell [{mesh.cell_count}, 3]"

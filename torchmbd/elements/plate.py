@@ -69,6 +69,10 @@ class PlateMatrices:
         direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
         cells: Sequence[int] | Tensor | None = None,
     ) -> None:
+        if not isinstance(mesh, Mesh):
+            raise InputError(f"mesh of a plate is {mesh!r}; allowed: a Mesh, such as mbd.mesh.rectangle(...)")
+        if not isinstance(laminate, (Laminate, IsotropicMean)):
+            raise InputError(f"laminate of a plate is {laminate!r}; allowed: a Laminate")
         self.mesh = mesh
         chosen = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
         self.mean = laminate if isinstance(laminate, IsotropicMean) else IsotropicMean.of(laminate)

@@ -40,6 +40,8 @@ class ForceElement:
             raise InputError(f"{kind} acts on {', '.join(map(repr, frames))}; allowed: at least one frame on a body")
         if len(frames) == 2 and frames[0].body is frames[1].body:
             raise InputError(f"{kind} acts between {frames[0]!r} and {frames[1]!r}; allowed: two different bodies")
+        if name is not None and not isinstance(name, str):
+            raise InputError(f"name of a {kind} is {name!r}; allowed: a string")
         self.frames: tuple[Frame, ...] = frames
         self.name = name or "_".join([kind.lower(), *(frame.body.name for frame in frames)])
         self.varying = Varying(self.name)

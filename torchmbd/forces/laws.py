@@ -26,6 +26,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.joints.laws import finite
+from torchmbd.numerics.owned import reals, scalar
 
 Slopes = tuple[Tensor, Tensor]
 
@@ -75,10 +76,12 @@ class Table:
     center: float = 0.0
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "knots", tuple((float(s), float(f)) for s, f in self.knots))
-        x = [s for s, _ in self.knots]
-        if len(x) < 2 or any(not a < b for a, b in pairwise(x)):
-            raise InputError(f"knots are {self.knots!r}; allowed: two or more pairs (s, f) with growing s")
+        knots = reals("knots", self.knots)
+        rising = knots.dim() == 2 and len(knots) > 1 and knots.shape[1] == 2 and bool((knots[:, 0].diff() > 0).all())
+        if not rising or not bool(torch.isfinite(knots).all()):
+            raise InputError(f"knots are {self.knots!r}; allowed: two or more pairs (s, f) with growing s, finite")
+        object.__setattr__(self, "knots", tuple((s, f) for s, f in knots.tolist()))
+        scalar("damping of a Table", self.damping)
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         total = self.knots[0][1] - self.damping * rate
@@ -122,6 +125,8 @@ class Pieces:
                 f"{n} borders, {len(self.intercepts)} intercepts, {len(self.inclines)} inclines, width {self.width!r}; "
                 "allowed: one border less than pieces, a positive width"
             )
+        for x in (*self.borders, *self.intercepts, *self.inclines, self.width, self.damping):
+            scalar("a number of Pieces", x)
         if any(not b - a >= 2.0 * self.width for a, b in pairwise(self.borders)):
             raise InputError(
                 f"borders are {self.borders!r}; allowed: growing, at least 2 width = {2 * self.width} apart"
@@ -179,8 +184,12 @@ class Gap:
     center: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.sign not in (1.0, -1.0) or not math.isfinite(self.limit):
-            raise InputError(f"sign is {self.sign!r}, limit {self.limit!r}; allowed: 1.0 or -1.0, a finite limit")
+        for name in ("stiffness", "limit", "damping", "smooth"):
+            least = -math.inf if name == "limit" else 0.0
+            if not scalar(f"{name} of a Gap", getattr(self, name)) >= least:
+                raise InputError(f"{name} of a Gap is {getattr(self, name)!r}; allowed: zero or positive")
+        if self.sign not in (1.0, -1.0):
+            raise InputError(f"sign of a Gap is {self.sign!r}; allowed: 1.0 or -1.0")
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
         depth, share, _ = self._depth(s)

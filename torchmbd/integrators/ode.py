@@ -65,7 +65,7 @@ def integrate(
 def arguments(method: str, rtol: float, atol: float, options: dict[str, Any] | None) -> dict[str, Any]:
     """Arguments of torchdiffeq.odeint."""
     for name, tolerance in (("rtol", rtol), ("atol", atol)):
-        if not 0.0 < tolerance < 1.0:
+        if not isinstance(tolerance, (int, float)) or not 0.0 < tolerance < 1.0:
             raise InputError(f"{name} is {tolerance!r}; allowed: positive, below 1")
     tolerances = {} if method in FIXED else {"rtol": rtol, "atol": atol}
     return {"method": method, "options": DEFAULTS.get(method, {}) | (options or {})} | tolerances

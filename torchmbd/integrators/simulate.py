@@ -18,6 +18,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import generalized_alpha, ode, staged_alpha, staged_ode
+from torchmbd.integrators.arguments import check, check_designs
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
@@ -30,7 +31,6 @@ from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.numerics.pair import value
 from torchmbd.system import Dynamics, System
 
-METHODS = ("generalized_alpha", *ode.METHODS)
 # A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
 ITERATION_ERROR = 1e-2
 # With sensitivities more than this is tried again carefully: gradients are those of equations that are solved.
@@ -64,7 +64,10 @@ def simulate(
 
     A lane that fails is reported in `status`. Raises InputError for bad arguments.
     """
+    if not isinstance(system, System):
+        raise InputError(f"system is {system!r}; allowed: a System")
     check(duration, method, steps, options, phases is not None)
+    check_designs(system, designs)
     names = design_names(system, sensitivities, designs)
     batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
     if phases is not None:
@@ -108,28 +111,6 @@ def _careful(options: Mapping[str, Any]) -> dict[str, Any]:
     """
     values, tangents = options.get("iterations", (3, 1))
     return {"iterations": (2 * values, tangents), "refresh": 0}
-
-
-def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> None:
-    """Refuse arguments of `simulate` that are wrong for every system; InputError names them."""
-    if not isinstance(duration, (int, float)) or not 0 < duration < math.inf:
-        raise InputError(f"duration is {duration!r} s; allowed: a positive number")
-    if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
-        raise InputError(f"steps is {steps!r}; allowed: a positive integer")
-    if method == "scipy_solver":
-        raise InputError(
-            "method 'scipy_solver' returns gradients of zero in reverse mode, silently; allowed: any other"
-        )
-    if method not in METHODS:
-        raise unknown("method", method, METHODS)
-    allowed = (
-        ("spectral_radius", "iterations", "refresh", *(() if phases else ("halvings",)))
-        if method == "generalized_alpha"
-        else ("rtol", "atol", "options")
-    )
-    for name in options:
-        if name not in allowed:
-            raise unknown(f"for method {method!r} the option", name, allowed)
 
 
 def design_names(

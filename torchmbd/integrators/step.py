@@ -52,7 +52,7 @@ class Coefficients:
     rho: float
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.rho <= 1.0:
+        if not isinstance(self.rho, (int, float)) or not 0.0 <= self.rho <= 1.0:
             raise InputError(f"spectral_radius is {self.rho!r}; allowed: 0 (strong damping) to 1 (none)")
 
     @property

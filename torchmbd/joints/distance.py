@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from torchmbd.bodies.frame import Frame
-from torchmbd.errors import InputError
 from torchmbd.joints.joint import Equation, Joint, Scribe
 from torchmbd.joints.primitive import Distance as DistancePrimitive
+from torchmbd.numerics.owned import positive
 
 
 class Distance(Joint):
@@ -15,9 +15,7 @@ class Distance(Joint):
 
     def __init__(self, a: Frame, b: Frame, length: float, name: str | None = None):
         super().__init__(a, b, name)
-        if not 0 < float(length) < float("inf"):
-            raise InputError(f"length of {self.name!r} is {length!r} m; allowed: positive (0 is a spherical joint)")
-        self.length = float(length)
+        self.length = positive(f"length of {self.name!r}", length, "m")
 
     def equations(self, scribe: Scribe) -> Iterator[Equation]:
         yield Equation(DistancePrimitive, (scribe.point(self.a), scribe.point(self.b)), self.length)

@@ -72,12 +72,18 @@ class Drive(Joint):
 
 
 def _checked(name: str, key: str, law: Any) -> Finite:
-    start = law(torch.zeros((), dtype=torch.float64)) if callable(law) else law
-    if not callable(law) or not isinstance(start, Tensor) or start.shape != () or not bool(torch.isfinite(start)):
+    try:
+        start = law(torch.zeros((), dtype=torch.float64)) if callable(law) else law
+    except Exception as error:  # it may do anything
+        start = error
+    number = (
+        isinstance(start, Tensor) and start.shape == () and start.dtype == torch.float64 and bool(torch.isfinite(start))
+    )
+    if not callable(law) or not number:
         unit = "rad" if key == "angle" else "m"
         raise InputError(
             f"{key} of {name!r} gives {start!r} at t = 0; "
-            f"allowed: a torch function of time, [] [s] -> finite [] [{unit}]"
+            f"allowed: a torch function of time, [] [s] -> finite [] [{unit}], float64"
         )
     prescribed: Any = law
     variables = Variables.of(law)

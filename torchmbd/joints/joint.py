@@ -97,6 +97,8 @@ class Joint:
                 raise InputError(f"{kind} got {frame!r}; allowed: frames, such as body.at(...)")
         if a.body is b.body or (isinstance(a.body, Ground) and isinstance(b.body, Ground)):
             raise InputError(f"{kind} joins {a!r} with {b!r}; allowed: frames on two different bodies")
+        if name is not None and not isinstance(name, str):
+            raise InputError(f"name of a {kind} is {name!r}; allowed: a string")
         self.a, self.b = a, b
         self.name = name or f"{kind.lower()}_{a.body.name}_{b.body.name}"
 

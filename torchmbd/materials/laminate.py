@@ -36,6 +36,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.materials.ply import Ply
 from torchmbd.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
+from torchmbd.numerics.owned import reals
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _UPPER2 = ((0, 0), (0, 1), (1, 1))
@@ -197,7 +198,7 @@ def turning(
 
 
 def _checked_angles(angles: Sequence[float] | Tensor) -> Tensor:
-    theta = torch.as_tensor(angles, dtype=torch.float64).detach().clone()
+    theta = reals("angles of a Laminate", angles)
     if theta.ndim != 1 or theta.numel() == 0:
         raise InputError(f"Laminate: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
     for k, value in enumerate(theta.tolist()):
@@ -218,7 +219,7 @@ def _checked_plies(ply: Ply | Sequence[Ply], layers: int) -> list[Ply]:
 
 
 def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> Tensor:
-    t = torch.as_tensor(thickness, dtype=torch.float64).detach().clone()
+    t = reals("thickness of a Laminate", thickness)
     if t.ndim == 0:
         t = t.repeat(layers)
     if t.shape != (layers,):

@@ -30,6 +30,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.mesh.mesh_checks import check, directed_area
+from torchmbd.numerics.owned import indices, reals
 
 
 class Pieces(NamedTuple):
@@ -58,10 +59,10 @@ class Mesh:
 
     def __post_init__(self) -> None:
         sets = {str(name): tuple(int(k) for k in members) for name, members in self.node_sets.items()}
-        object.__setattr__(self, "nodes", torch.as_tensor(self.nodes, dtype=torch.float64).detach().clone())
+        object.__setattr__(self, "nodes", reals("nodes of a Mesh", self.nodes))
         object.__setattr__(self, "node_sets", sets)
         for name in ("triangles", "quads", "lines"):
-            own = torch.as_tensor(getattr(self, name), dtype=torch.long).detach().clone()
+            own = indices(f"{name} of a Mesh", getattr(self, name))
             object.__setattr__(self, name, own)
         check(self)
 

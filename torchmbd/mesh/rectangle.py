@@ -9,11 +9,14 @@ Checked in tests/mesh/test_rectangle.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.mesh.mesh import Mesh
+from torchmbd.numerics.owned import positive
 
 #: Kinds of cells that it can make.
 KINDS = ("triangle", "quad")
@@ -29,9 +32,12 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
     the edges) and "center".
     """
     for name, value in (("length", length), ("width", width)):
-        if not 0.0 < value < float("inf"):
-            raise InputError(f"rectangle: {name} = {value!r} m; allowed: a finite number > 0")
-    if len(cells) != 2 or not all(isinstance(c, int) and not isinstance(c, bool) and c >= 1 for c in cells):
+        positive(f"rectangle: {name}", value, "m")
+    if (
+        not isinstance(cells, Sequence)
+        or len(cells) != 2
+        or not all(isinstance(c, int) and not isinstance(c, bool) and c >= 1 for c in cells)
+    ):
         raise InputError(f"rectangle: cells = {cells!r}; allowed: two integers >= 1")
     if kind not in KINDS:
         raise unknown("kind", kind, KINDS)

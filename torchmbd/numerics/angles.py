@@ -13,7 +13,13 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
+
 
 def deg(degrees: float | Sequence[float] | Tensor) -> Tensor:
     """Turn degrees into radians, as a float64 tensor of the same shape."""
-    return torch.as_tensor(degrees, dtype=torch.float64) * (math.pi / 180.0)
+    try:
+        given = torch.as_tensor(degrees, dtype=torch.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"degrees is {degrees!r}; allowed: numbers") from error
+    return given * (math.pi / 180.0)

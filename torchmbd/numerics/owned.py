@@ -1,9 +1,12 @@
-"""Arrays given by a user, read as tensors of one's own: a later change of the argument changes nothing here.
+"""Numbers given by a user, read as one's own: a later change of the argument changes nothing here.
 
 Checked in tests/numerics/test_owned.py.
 """
 
 from __future__ import annotations
+
+import math
+from typing import Any
 
 import numpy as np
 import torch
@@ -16,6 +19,27 @@ from torchmbd.errors import InputError
 def reals(name: str, given: ArrayLike | Tensor) -> Tensor:
     """Read numbers of any shape as float64; InputError names the argument."""
     return _read(name, given, "numbers").double()
+
+
+def scalar(name: str, given: Any, allowed: str = "a finite number", unit: str = "") -> float:
+    """Read one finite number; InputError names the argument. A gradient would be lost here, so none is taken."""
+    try:
+        bare = isinstance(given, (str, bytes, bool)) or (isinstance(given, Tensor) and given.requires_grad)
+        x = math.nan if bare else float(given)
+    except (TypeError, ValueError):
+        x = math.nan
+    if not math.isfinite(x):
+        raise InputError(f"{name} is {given!r}{unit}; allowed: {allowed}")
+    return x
+
+
+def positive(name: str, given: Any, unit: str) -> float:
+    """Read one positive finite number."""
+    allowed = "a positive and finite number"
+    x = scalar(name, given, allowed, f" {unit}")
+    if not x > 0.0:
+        raise InputError(f"{name} is {given!r} {unit}; allowed: {allowed}")
+    return x
 
 
 def indices(name: str, given: ArrayLike | Tensor) -> Tensor:

@@ -14,16 +14,14 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchmbd.errors import InputError
+from torchmbd.numerics.owned import scalar
 from torchmbd.numerics.pair import linear
 
 
 def variable(x: float | Tensor) -> nn.Parameter:
     """A finite number as a design variable [unit of its place]."""
-    found = torch.as_tensor(x, dtype=torch.float64).detach().clone()
-    if found.dim() or not bool(torch.isfinite(found)):
-        raise InputError(f"variable is {x!r}; allowed: one finite number")
-    return nn.Parameter(found)
+    given = x.detach() if isinstance(x, Tensor) else x
+    return nn.Parameter(torch.tensor(scalar("variable", given, "one finite number"), dtype=torch.float64))
 
 
 def is_variable(x: Any) -> bool:

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Ply
+from torchmbd.numerics.owned import positive
 from torchmbd.sections.blocks import Patch, between, graded, grid, joined, line
 from torchmbd.sections.orthotropic import Orthotropic
 from torchmbd.sections.section import Section
@@ -231,12 +232,15 @@ def _thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np
 
 def _positive(**lengths: float) -> None:
     for name, value in lengths.items():
-        if not 0.0 < value < math.inf:
-            raise InputError(f"{name} = {value!r} m; allowed: a finite number > 0")
+        positive(name, value, "m")
 
 
 def _check_cells(cells: Sequence[int], count: int, order: int) -> None:
-    good = len(cells) == count and all(isinstance(c, int) and not isinstance(c, bool) and c >= 1 for c in cells)
+    good = (
+        isinstance(cells, Sequence)
+        and len(cells) == count
+        and all(isinstance(c, int) and not isinstance(c, bool) and c >= 1 for c in cells)
+    )
     if not good:
         raise InputError(f"cells = {cells!r}; allowed: {count} integers >= 1")
     if order not in (1, 2):

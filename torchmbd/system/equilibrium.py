@@ -50,6 +50,8 @@ def equilibrium(model: Any) -> Equilibrium:
 
     Raises InputError with the forces that remain if there is none.
     """
+    if not (hasattr(model, "with_joints") or hasattr(model, "initial_state")):
+        raise InputError(f"equilibrium of {model!r}; allowed: a System or its Dynamics")
     dynamics = (model.dynamics() if hasattr(model, "with_joints") else model).values()
     q, lam, vibrations = [], [], []
     with torch.no_grad():

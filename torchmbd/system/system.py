@@ -15,11 +15,13 @@ from typing import Any, Self
 import torch
 from torch import Tensor, nn
 
+from torchmbd.bodies import FlexibleBody, RigidBody
 from torchmbd.bodies.frame import vector
 from torchmbd.errors import InputError, unknown
 from torchmbd.forces.force import ForceElement
 from torchmbd.joints.joint import Joint
 from torchmbd.numerics.called import called
+from torchmbd.numerics.owned import positive
 from torchmbd.numerics.pair import Pair
 from torchmbd.numerics.variable import key
 from torchmbd.system import topology
@@ -53,22 +55,26 @@ class System(nn.Module):
         free: Sequence[str] = (),
     ):
         super().__init__()
+        bodies, joints, forces, free = (
+            _several(name, given, kinds, allowed)
+            for name, given, kinds, allowed in (
+                ("bodies", bodies, (RigidBody, FlexibleBody), "bodies, such as mbd.RigidBody(...)"),
+                ("joints", joints, Joint, "joints, such as mbd.Revolute(...)"),
+                ("forces", forces, ForceElement, "force elements, such as mbd.SpringDamper(...)"),
+                ("free", free, str, "names of bodies"),
+            )
+        )
         names = [body.name for body in bodies]
         if not bodies:
             raise InputError("bodies is empty; allowed: at least one body")
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"body name {name!r} is used {names.count(name)} times; allowed: unique names")
-        if not stabilization > 0:
-            raise InputError(f"stabilization is {stabilization!r} s; allowed: a positive time constant")
-        self.bodies = list(bodies)
+        self.bodies = bodies
         self.register_buffer("gravity", None if gravity is None else vector("gravity", gravity))
-        self.stabilization = float(stabilization)
-        for force in forces:
-            if not isinstance(force, ForceElement):
-                raise InputError(f"forces has {force!r}; allowed: force elements, such as mbd.SpringDamper(...)")
-        self.forces = list(forces)
-        check_connected(self.bodies, list(joints), list(forces), list(free))
+        self.stabilization = positive("stabilization", stabilization, "s")
+        self.forces = forces
+        check_connected(self.bodies, joints, forces, free)
         self._join(joints)
         for body in self.bodies:
             if hasattr(self, body.name) or body.name in ("ground", "data"):
@@ -177,6 +183,16 @@ class System(nn.Module):
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data
+
+
+def _several(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
+    """A list of things of some kinds."""
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise InputError(f"{name} is {given!r}; allowed: a list of {allowed}")
+    for x in given:
+        if not isinstance(x, kinds):
+            raise InputError(f"{name} has {x!r}; allowed: {allowed}")
+    return list(given)
 
 
 def _together(parts: list[Tensor], rank: int) -> Tensor:

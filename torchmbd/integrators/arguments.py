@@ -1,0 +1,57 @@
+"""The door of `simulate`: arguments that are wrong are refused, with their name, value and what is allowed.
+
+Checked in tests/integrators/test_simulate.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.integrators import ode
+from torchmbd.system import System
+
+METHODS = ("generalized_alpha", *ode.METHODS)
+
+
+def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> None:
+    """Refuse arguments of `simulate` that are wrong for every system; InputError names them."""
+    if not isinstance(duration, (int, float)) or not 0 < duration < math.inf:
+        raise InputError(f"duration is {duration!r} s; allowed: a positive number")
+    if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
+        raise InputError(f"steps is {steps!r}; allowed: a positive integer")
+    if method == "scipy_solver":
+        raise InputError(
+            "method 'scipy_solver' returns gradients of zero in reverse mode, silently; allowed: any other"
+        )
+    if method not in METHODS:
+        raise unknown("method", method, METHODS)
+    allowed = (
+        ("spectral_radius", "iterations", "refresh", *(() if phases else ("halvings",)))
+        if method == "generalized_alpha"
+        else ("rtol", "atol", "options")
+    )
+    for name in options:
+        if name not in allowed:
+            raise unknown(f"for method {method!r} the option", name, allowed)
+
+
+def check_designs(system: System, designs: Any) -> None:
+    """Refuse designs that are not finite float64 numbers of the system's parameters; InputError names them."""
+    own = dict(system.named_parameters())
+    if not isinstance(designs, (Mapping, type(None))):
+        raise InputError(f"designs is {designs!r}; allowed: parameter name -> tensor [lanes, ...]")
+    for name, x in (designs or {}).items():
+        if name not in own:
+            raise unknown("parameter", name, own)
+        if not isinstance(x, Tensor) or x.dtype != torch.float64 or x.shape[1:] != own[name].shape or not len(x):
+            found = f"has shape {tuple(x.shape)} of {x.dtype}" if isinstance(x, Tensor) else f"is {x!r}"
+            shape = ", ".join(["lanes", *map(str, own[name].shape)])
+            raise InputError(f"design {name!r} {found}; allowed: a float64 tensor [{shape}]")
+        for lane in torch.nonzero(~torch.isfinite(x.flatten(1)).all(1)).flatten().tolist():
+            raise InputError(f"design {name!r} of lane {lane} is {x[lane].tolist()}; allowed: finite numbers")
