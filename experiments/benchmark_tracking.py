@@ -29,11 +29,12 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from torchmbd.experiment import load_study, run_plan
 from torchmbd.experiment.assemble import problem_of, starts_of
 from torchmbd.experiment.farm import LANES, Farm
 from torchmbd.experiment.journal import Journal
+from torchmbd.experiment.load import load_study
 from torchmbd.experiment.place import problem_key
+from torchmbd.experiment.run import run_plan
 from torchmbd.optimizers import multistart
 from torchmbd.optimizers.optimizer import Iterate
 from torchmbd.process import settle

@@ -31,7 +31,7 @@ FLOORS = (
     {"design"},
     {"viz", "tracking"},
     {"experiment"},
-    {"cli"},
+    {"public", "cli"},
 )
 HEIGHT = {name: height for height, names in enumerate(FLOORS) for name in names}
 # Narrower than their height: modes are those of any K and M, optimizers know arrays only.

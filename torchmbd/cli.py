@@ -1,7 +1,7 @@
 """The command line: torchmbd new, check, schema, run, sync; list, best, compare, report, ui; cache.
 
 Exit codes: 0 done, 1 something failed that was not the input, 2 bad input (every fault named), 130 interrupted.
-MLflow, Dask and the experiment layer are imported when a command needs them; torch comes with the package.
+Torch, MLflow, Dask and the experiment layer are imported when a command needs them: the command line answers at once.
 """
 
 from __future__ import annotations
@@ -53,8 +53,10 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
         Forget the evaluations of this problem, and begin anew.
     """
     settle()
-    from torchmbd.experiment import Plan, load, run_figures, run_plan
+    from torchmbd.experiment.draw import run_figures
+    from torchmbd.experiment.load import Plan, load
     from torchmbd.experiment.overrides import combinations
+    from torchmbd.experiment.run import run_plan
 
     console = Console()
     plans = [load(file, chosen) for chosen in combinations(assignments)]  # all are checked before the first runs
@@ -83,8 +85,8 @@ def check(file: Path, /, *assignments: str) -> int:
         Overrides, as in run.
     """
     settle()
-    from torchmbd.experiment import load
     from torchmbd.experiment.estimate import print_estimate
+    from torchmbd.experiment.load import load
     from torchmbd.experiment.overrides import combinations
 
     console = Console()

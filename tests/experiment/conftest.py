@@ -13,7 +13,8 @@ import pytest
 import yaml
 from rich.console import Console
 
-from torchmbd.experiment import load_study, run_plan
+from torchmbd.experiment.load import load_study
+from torchmbd.experiment.run import run_plan
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
 VALID = Path(__file__).with_name("study.yaml").read_text()

@@ -5,13 +5,16 @@ from __future__ import annotations
 import io
 import shutil
 
+import numpy as np
 import pytest
 from rich.console import Console
 
 from torchmbd.errors import InputError
-from torchmbd.experiment import load_study, run_plan
-from torchmbd.experiment.beginning import begin
+from torchmbd.experiment.beginning import EXAMPLE_PARTS, TEXT, begin, parts_of
+from torchmbd.experiment.load import load_study
+from torchmbd.experiment.run import run_plan
 from torchmbd.experiment.shelf import question
+from torchmbd.optimizers import OPTIMIZERS
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
 
@@ -24,6 +27,15 @@ def test_the_example_runs(tmp_path, empty_store):
     assert plan.columns.names == ("angle_1_deg", "angle_2_deg")
     tracker = MlflowTracker("new", f"sqlite:///{shutil.copy(empty_store, tmp_path)}")
     assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
+
+
+def test_what_is_written_of_the_example_is_so(tmp_path):
+    begin(tmp_path / "arm.yaml")
+    built = parts_of("arm_model.py:build", tmp_path)
+    assert (built.body, built.options) == (EXAMPLE_PARTS.body, EXAMPLE_PARTS.options)
+    np.testing.assert_equal(built.parameters, EXAMPLE_PARTS.parameters)
+    named = TEXT.partition("name: mmfd")[2].partition("or ")[2].partition("\n")[0]
+    assert {"mmfd", *named.split(", ")} == set(OPTIMIZERS)
 
 
 def test_a_model_of_the_users_names_its_own_parts(folder):

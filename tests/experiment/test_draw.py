@@ -10,7 +10,9 @@ import pytest
 from rich.console import Console
 
 from torchmbd.errors import MbdError
-from torchmbd.experiment import FiguresPlan, StudyError, load, load_study, run_figures
+from torchmbd.experiment.draw import run_figures
+from torchmbd.experiment.faults import StudyError
+from torchmbd.experiment.load import FiguresPlan, load, load_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
 DRAW = """

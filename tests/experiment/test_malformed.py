@@ -12,7 +12,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from torchmbd import cli
-from torchmbd.experiment import StudyError, load
+from torchmbd.experiment.faults import StudyError
+from torchmbd.experiment.load import load
 from torchmbd.experiment.schema import Study
 
 TEXT = Path(__file__).with_name("study.yaml").read_text()

@@ -10,8 +10,9 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
-from torchmbd.experiment import load_study, run_plan
 from torchmbd.experiment.assemble import problem_of, starts_of
+from torchmbd.experiment.load import load_study
+from torchmbd.experiment.run import run_plan
 from torchmbd.tracking.catalog import find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 

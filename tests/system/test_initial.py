@@ -214,3 +214,38 @@ def test_a_law_that_does_not_start_at_zero_is_where_the_assembly_goes(axis):
     A = rotation_matrix(q[3:7, None])[..., 0]
     assert_close(A, turned(*(0.6 * direction).tolist()) @ disk.axes, rtol=0, atol=1e-11)
     assert_close(A @ v[3:6], 2.0 * direction, rtol=0, atol=1e-11)
+
+
+class _Ramp(torch.nn.Module):
+    """An angle that starts at p[0] with the speed p[1]."""
+
+    def __init__(self):
+        super().__init__()
+        self.p = torch.nn.Parameter(tensor(0.4, 3.0))
+
+    def forward(self, t: Tensor) -> Tensor:
+        return self.p[0] + self.p[1] * t
+
+
+def test_derivatives_where_joints_leave_freedoms_and_the_start_depends_on_the_design():
+    """A driven arm, moved by its law at the start, with a free bob that has a velocity of its own."""
+    ground, tip, swing = mbd.Ground(), tensor(0.2, 0.05, 0.0), turned(-0.5, 0.2, 0.9)
+    hub = box("hub", position=(0.1, 0.0, 0.2), axes=turned(0.2, 0.1, -0.4))
+    origin = hub.position + hub.axes @ tip - swing @ tensor(-0.15, 0.01, 0.0)
+    bob = box("bob", position=origin, axes=swing, angular_velocity=(1.0, -2.0, 0.5), velocity=(0.3, 0.2, -1.0))
+    foot = ground.at(0.1, 0.0, 0.2, axes=turned(0.3, -0.2, 0.5))
+    drive = mbd.Drive(foot, hub, name="motor", angle=_Ramp())
+    joints = [mbd.Revolute(foot, hub.at()), drive, mbd.Spherical(hub.at(0.2, 0.05, 0.0), bob.at(-0.15, 0.01, 0.0))]
+    system = mbd.System([hub, bob], joints)
+    p, h = system.get_parameter("motor.p").detach(), 1e-6
+    moved = system.dynamics({"motor.p": torch.cat([p + h * torch.eye(2), p - h * torch.eye(2)])})
+    slopes = [(x[:, 0, :2] - x[:, 0, 2:]) / (2.0 * h) for x in moved.initial.solve(moved)]
+    paired = system.dynamics({"motor.p": p[None]}, ["motor.p"])
+    for x, slope in zip(paired.initial.solve(paired), slopes, strict=True):
+        assert_close(x.tangent[..., 0], slope, rtol=0, atol=1e-7 * float(slope.abs().max()))
+    for weight, x, slope in zip((2.0, -3.0), system().initial.solve(system()), slopes, strict=True):
+        along = weight * torch.cos(torch.arange(len(slope), dtype=torch.float64))
+        (gradient,) = torch.autograd.grad(
+            (along * x[:, 0, 0]).sum(), system.get_parameter("motor.p"), retain_graph=True
+        )
+        assert_close(gradient, along @ slope, rtol=1e-6, atol=1e-7)

@@ -1,8 +1,3 @@
-"""Experiments: a file in, a tracked study out."""
-
-from torchmbd.experiment.draw import run_figures
-from torchmbd.experiment.faults import Fault, StudyError
-from torchmbd.experiment.load import FiguresPlan, Plan, load, load_study
-from torchmbd.experiment.run import run_plan
-
-__all__ = ["Fault", "FiguresPlan", "Plan", "StudyError", "load", "load_study", "run_figures", "run_plan"]
+"""Experiments: a file in (load.py), a tracked study out (run.py). Modules are imported by name, each by who needs it:
+`torchmbd best` and `torchmbd new` do without torch.
+"""

@@ -1,19 +1,21 @@
 """`torchmbd new`: a first experiment file with every section explained, for a model of the user's or for an example.
 
-The model is built once, so that the file names its own parameters, bodies and options.
-Checked in tests/experiment/test_beginning.py.
+A model of the user's is built once, so that the file names its own parameters, bodies and options; what the example has
+is written here, for building it takes torch, and that takes seconds. Checked in tests/experiment/test_beginning.py.
 """
 
 from __future__ import annotations
 
 import inspect
 import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.experiment.model import build_model, find_model
-from torchmbd.optimizers import OPTIMIZERS
-from torchmbd.system import System
 
 EXAMPLE = '''"""A robot arm: a laminated strip that a motor turns by a quarter, from rest to rest. Make it your own."""
 
@@ -61,7 +63,7 @@ subject_to:                   # each at_most, at_least or equal: a number, or in
   - {{max: {{strain_energy: {body}}}, at_most: initial}}
 
 optimizer:
-  name: mmfd                  # or {others}
+  name: mmfd                  # or slsqp, trust-constr, mma, ccsaq, ipopt, differential_evolution
   max_iterations: 30
 starts:                       # where the optimizer starts: the model's own design and points between the bounds
   sampler: sobol
@@ -73,47 +75,72 @@ tracking:
 """
 
 
+@dataclass(frozen=True)
+class Parts:
+    """What an experiment file names of a model: a flexible body, parameters with their values [SI], options."""
+
+    body: str
+    parameters: Mapping[str, np.ndarray]
+    options: Mapping[str, int | float]
+
+
+EXAMPLE_PARTS = Parts(
+    "arm", {"arm.laminate.angles": np.radians([45.0, -45.0])}, {"layers": 2, "length": 0.5, "move": 0.3}
+)
+
+
 def begin(file: Path, model: str | None = None) -> list[Path]:
     """Write an experiment file, and an example model beside it where none is given; return what was written."""
     if file.suffix not in (".yaml", ".yml"):
         raise InputError(f"file = {str(file)!r}: allowed: a name that ends in .yaml")
-    written = [file]
-    if model is None:
-        written.append(file.with_name(f"{file.stem.replace('-', '_')}_model.py"))
+    example = file.with_name(f"{file.stem.replace('-', '_')}_model.py")
+    written = [file] if model else [file, example]
     for new in written:
         if new.exists():
             raise InputError(f"{new} exists already; allowed: a name that is free")
+    if model:
+        file_text = text(file, model, parts_of(model, file.absolute().parent))
+    else:
+        file_text = text(file, f"{example.name}:build", EXAMPLE_PARTS)
     file.parent.mkdir(parents=True, exist_ok=True)
-    if model is None:
-        written[1].write_text(EXAMPLE, encoding="utf-8")
-        model = f"{written[1].name}:build"
-    function = find_model(model, file.absolute().parent)
+    if not model:
+        example.write_text(EXAMPLE, encoding="utf-8")
+    file.write_text(file_text, encoding="utf-8")
+    return written
+
+
+def parts_of(model: str, folder: Path) -> Parts:
+    """Build a model, `path/to/file.py:function` below the folder or `package.module:function`, and return its parts."""
+    from torchmbd.experiment.model import build_model, find_model
+
+    function = find_model(model, folder)
     needed = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
     if needed:
         raise InputError(
             f"model {model!r} needs {', '.join(needed)}; allowed here: a function whose arguments have defaults"
         )
-    file.write_text(_text(file, model, build_model(function, {}), _options(function)), encoding="utf-8")
-    return written
-
-
-def _text(file: Path, model: str, system: System, options: str) -> str:
+    system = build_model(function, {})
     bodies = [body.name for body in system.bodies if hasattr(body, "mesh")]
     if not bodies:
         raise InputError(f"model {model!r} has no flexible body; allowed: a system with one at least")
+    parameters = {name: x.detach().numpy() for name, x in system.named_parameters() if x.requires_grad}
+    return Parts(bodies[0], parameters, _options(function))
+
+
+def text(file: Path, model: str, parts: Parts) -> str:
+    """Return the text of an experiment file."""
     return TEXT.format(
-        question=f"Which design of {bodies[0]} stores least strain energy?",
+        question=f"Which design of {parts.body} stores least strain energy?",
         name=file.name,
         model=model,
-        options=options,
-        design="".join(_variable(name, x.detach().numpy()) for name, x in system.named_parameters() if x.requires_grad),
-        body=bodies[0],
+        options="{" + ", ".join(f"{name}: {value}" for name, value in parts.options.items()) + "}",
+        design="".join(_variable(name, x) for name, x in parts.parameters.items()),
+        body=parts.body,
         experiment=file.stem,
-        others=", ".join(name for name in OPTIMIZERS if name != "mmfd"),
     )
 
 
-def _variable(name: str, x) -> str:
+def _variable(name: str, x: np.ndarray) -> str:
     """Write one parameter: angles in degrees between -90 and 90, others between half and twice their value."""
     if name.endswith("angles"):
         values, lower, upper, unit = x * 180.0 / math.pi, "-90", "90", "deg"
@@ -124,10 +151,9 @@ def _variable(name: str, x) -> str:
     return f"  {name}: {{start: {start}, lower: {lower}, upper: {upper}, unit: {unit}}}\n"
 
 
-def _options(function) -> str:
-    plain = {
+def _options(function: Callable[..., Any]) -> dict[str, int | float]:
+    return {
         p.name: p.default
         for p in inspect.signature(function).parameters.values()
         if isinstance(p.default, (int, float)) and not isinstance(p.default, bool)
     }
-    return "{" + ", ".join(f"{name}: {value}" for name, value in plain.items()) + "}"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from rich import box
 from rich.console import Console
@@ -13,8 +14,9 @@ from rich.markup import escape
 from rich.measure import Measurement
 from rich.table import Table
 
-from torchmbd.experiment.columns import Columns
-from torchmbd.optimizers.optimizer import Iterate
+if TYPE_CHECKING:
+    from torchmbd.experiment.columns import Columns
+    from torchmbd.optimizers.optimizer import Iterate
 
 
 class Progress:

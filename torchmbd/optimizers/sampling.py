@@ -1,6 +1,7 @@
 """Where to start: points spread over the bounds of a problem, drawn when the problem is known.
 
-Source: Sobol sequence with Owen scrambling and Latin hypercube of scipy.stats.qmc.
+Source: Sobol sequence with Owen scrambling and Latin hypercube of scipy.stats.qmc, which takes half a second to import:
+that is done when points are drawn.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from torchmbd.errors import InputError
 from torchmbd.optimizers.optimizer import Box, require_range
@@ -32,6 +32,8 @@ def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
     require_range("count", count, 1, 2**20)
 
     def unit(size: int, number: int) -> np.ndarray:
+        from scipy.stats import qmc
+
         # A whole power of two keeps the balance of the sequence; its beginning is used.
         return qmc.Sobol(size, scramble=True, rng=seed).random_base2(max(int(np.ceil(np.log2(max(number, 1)))), 0))[
             :number
@@ -45,6 +47,8 @@ def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Sta
     require_range("count", count, 1, 2**20)
 
     def unit(size: int, number: int) -> np.ndarray:
+        from scipy.stats import qmc
+
         return qmc.LatinHypercube(size, rng=seed).random(number)
 
     return Starts("latin_hypercube", count, _spread(unit, count, include_initial))

@@ -3,12 +3,20 @@
 Modal coordinates start at zero, undeformed and at rest in their body frames; the rigid coordinates move as little as
 possible (minimum norm) from the given approximate positions and velocities:
 
-    Phi(q, t0) = 0          dq = -Phi_qr^+ Phi, repeated
-    Phi_qr v = -Phi_t       v = v0 - Phi_qr^+ (Phi_qr v0 + Phi_t)
+    q <- q o s,  s = -J+ Phi(q, t0)          repeated until closed
+    v = v0 + s,  s = -J+ (J v0 + Phi_t)
 
-The pseudo-inverse serves redundant and underdetermined mechanisms alike.
-What cannot close is named with its residual. One further Newton step on pairs, or on tensors that require gradients,
-carries the derivatives of the initial state (implicit function theorem); where joints leave freedoms, those of least norm.
+J      Jacobian Phi_q of the rigid coordinates at the place of the step, J+ its pseudo-inverse: redundant and
+       underdetermined mechanisms alike
+y      multipliers of the correction, s = J' y
+
+The derivatives by the design are those of these steps: with P = 1 - J+ J the projector on what the joints leave free,
+
+    ds = P dJ' y - J+ (dPhi + dJ s)          of a velocity with d(J v0 + Phi_t) for dPhi
+
+On pairs, or on tensors that require gradients, every step carries them; a last one the position's at the closed joints.
+What cannot close is named with its residual.
+Source: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432 (pseudo-inverse of constant rank).
 Checked in tests/system/test_initial.py.
 """
 
@@ -22,7 +30,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.numerics.pair import linear, value
+from torchmbd.numerics.pair import cat, linear, value
 from torchmbd.numerics.rotation import euler_parameters
 from torchmbd.system import equations
 from torchmbd.system.condensation import Condensation, condense
@@ -74,54 +82,73 @@ class InitialConditions:
         v = self.v.to(device)[:, None, None].expand(-1, 1, lanes).contiguous()
         if not T.rows:
             return q, v
-        values = {name: value(x).detach() for name, x in data.items()}
         for _ in range(_STEPS):
-            inverse = self._inverse(dynamics, values, q, t)
-            q_new, violation = self._newton(inverse, values, q, t)
-            if violation < _CLOSED:
+            tied = _Tied.of(dynamics, q, t)
+            phi = tied.violation()
+            if float(value(phi).detach().abs().max()) < _CLOSED:
                 break
-            q = q_new
+            s = -tied.least(value(phi).detach())
+            q = equations.advance(T, q, s + tied.turned(s) - tied.least(phi + tied.rates(s) - tied.rates(0.0 * s)))
         else:
-            self._refuse(values, q, t)
-        q, _ = self._newton(inverse, data, q, t)
-        inverse = self._inverse(dynamics, values, q, t)
-        v = v - self._apply(inverse, self._rates(values, value(q).detach(), v, t))
-        # At compatible velocities the rates are zero, but not their derivatives by the design: Phi_q changes with it.
-        return q, v - self._apply(inverse, self._rates(data, q, v, t))
+            self._refuse(value(phi).detach())
+        q = equations.advance(T, q, -tied.least(phi))
+        tied = _Tied.of(dynamics, q, t)
+        s = -tied.least(value(tied.rates(v)).detach())
+        return q, v + s + tied.turned(s) - tied.least(tied.rates(v + s))
 
-    def _rates(self, data: equations.Data, q, v: Tensor, t: Tensor):
-        T = self.topology
-        at = equations.placement(T, data, q, T.prescribed(t, data))
-        return equations.constraint_jets(T, at, data, v, torch.zeros_like(v), t).velocity
-
-    def _newton(self, inverse: Tensor, data: equations.Data, q, t: Tensor):
-        T = self.topology
-        phi = equations.constraints(T, equations.placement(T, data, q, T.prescribed(t, data)))
-        return equations.advance(T, q, -self._apply(inverse, phi)), float(value(phi).detach().abs().max())
-
-    def _inverse(self, dynamics: Any, values: equations.Data, q, t: Tensor) -> Tensor:
-        """Pseudo-inverse of the Jacobian by the rigid coordinates [lanes, 6 bodies, rows]."""
-        T = self.topology
-        at = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
-        J = dynamics.saddle.jacobian(values, at)[:, :, : 6 * T.bodies]
-        return torch.linalg.pinv(J, rtol=1e-10)
-
-    def _apply(self, inverse: Tensor, x):
-        """Multiply [rows, slots, lanes] by the pseudo-inverse; modal rows zero."""
-        T = self.topology
-
-        def multiply(y: Tensor) -> Tensor:
-            rigid = (inverse @ y.permute(2, 0, 1)).permute(1, 2, 0)
-            return torch.cat([rigid, rigid.new_zeros(T.n_v - 6 * T.bodies, *rigid.shape[1:])])
-
-        return linear(multiply, x)
-
-    def _refuse(self, values: equations.Data, q: Tensor, t: Tensor) -> None:
-        T = self.topology
-        phi = equations.constraints(T, equations.placement(T, values, q, T.prescribed(t, values))).abs().amax((1, 2))
+    def _refuse(self, phi: Tensor) -> None:
+        T, phi = self.topology, phi.abs().amax((1, 2))
         worst = torch.argsort(phi, descending=True)[:4]
         rows = "; ".join(f"{T.row_names[i]} misses by {float(phi[i]):.3g}" for i in worst.tolist() if phi[i] > _CLOSED)
         raise InputError(
             f"the mechanism does not close at the given positions, lengths and axes: {rows}. "
             "Allowed: positions from which Newton's method can close all joints"
         )
+
+
+@dataclass(frozen=True, eq=False)
+class _Tied:
+    """The joints of all lanes at the coordinates q and the time t."""
+
+    dynamics: Any
+    at: equations.Placement
+    t: Tensor
+    J: Tensor  # [lanes, rows, 6 bodies], without derivatives
+    inverse: Tensor  # [lanes, 6 bodies, rows]
+
+    @classmethod
+    def of(cls, dynamics: Any, q, t: Tensor) -> _Tied:
+        T, data = dynamics.topology, dynamics.data
+        values = {name: value(x).detach() for name, x in data.items()}
+        plain = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
+        J = dynamics.saddle.jacobian(values, plain)[:, :, : 6 * T.bodies]
+        at = equations.placement(T, data, q, T.prescribed(t, data))
+        return cls(dynamics, at, t, J, torch.linalg.pinv(J, rtol=1e-10))
+
+    def violation(self):
+        """Phi [rows, ...]."""
+        return equations.constraints(self.dynamics.topology, self.at)
+
+    def rates(self, v: Tensor):
+        """Phi' = J v + Phi_t [rows, ...]."""
+        T, data = self.dynamics.topology, self.dynamics.data
+        return equations.constraint_jets(T, self.at, data, v, torch.zeros_like(v), self.t).velocity
+
+    def least(self, x):
+        """J+ x [n_v, ...] of x [rows, ...]; modal rows zero."""
+        return linear(lambda y: self._whole(_times(self.inverse, y)), x)
+
+    def turned(self, s: Tensor):
+        """P J' y [n_v, ...] of a correction s = J' y, with the derivatives of J: they are all that is not zero."""
+        T, data, rigid = self.dynamics.topology, self.dynamics.data, self.J.shape[2]
+        y = _times(self.inverse.mT, s[:rigid])
+        force = cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])[:rigid]
+        return linear(lambda f: self._whole(f - _times(self.inverse, _times(self.J, f))), force)
+
+    def _whole(self, rigid: Tensor) -> Tensor:
+        return torch.cat([rigid, rigid.new_zeros(self.dynamics.topology.n_v - len(rigid), *rigid.shape[1:])])
+
+
+def _times(A: Tensor, x: Tensor) -> Tensor:
+    """Matrices [lanes, n, k] times numbers [k, slots, lanes]."""
+    return (A @ x.permute(2, 0, 1)).permute(1, 2, 0)

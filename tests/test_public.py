@@ -1,0 +1,35 @@
+"""What `mbd.` offers: every name is there, nothing else is, and torch is imported with the first of them, not before."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+import torchmbd as mbd
+from torchmbd import public
+
+
+def test_every_public_name_is_there():
+    assert [name for name in public.__all__ if getattr(mbd, name) is not getattr(public, name)] == []
+    assert set(public.__all__) <= set(dir(mbd))
+    everything: dict[str, object] = {}
+    exec("from torchmbd import *", everything)
+    assert set(public.__all__) <= set(everything)
+
+
+def test_nothing_else_is():
+    with pytest.raises(AttributeError, match="'torchmbd' has no attribute 'Path'"):
+        mbd.Path  # noqa: B018
+
+
+@pytest.mark.parametrize(
+    ("command", "spared"),
+    [(["--help"], {"torch", "mlflow", "numpy"}), (["new", "arm.yaml"], {"torch", "mlflow"}), (["best"], {"torch"})],
+    ids=lambda words: words[0] if isinstance(words, list) else "",
+)
+def test_the_command_line_imports_what_a_command_needs(tmp_path, command, spared):
+    code = f"import sys; from torchmbd.cli import main; assert main({command!r}) == 0; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert spared & set(loaded.stdout.split()) == set()

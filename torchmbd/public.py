@@ -1,0 +1,201 @@
+"""Every public name, in one place: what `mbd.` offers. `import torchmbd` alone loads none of it, see there.
+
+Checked in tests/test_public.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from torchmbd import forces, mesh, sections, viz
+from torchmbd.bodies import FlexibleBody, Frame, Ground, RigidBody
+from torchmbd.design import (
+    RMS,
+    Acceleration,
+    Angle,
+    AtPeaks,
+    AtTime,
+    AtTimes,
+    Constraint,
+    DesignSpace,
+    Displacement,
+    Final,
+    Frequency,
+    Integral,
+    Mass,
+    Max,
+    Mean,
+    Min,
+    Position,
+    Problem,
+    Reaction,
+    RelativeDisplacement,
+    SmoothMax,
+    StrainEnergy,
+    Tradeoff,
+    Velocity,
+    WeightedSum,
+    history,
+    measure,
+)
+from torchmbd.design.differences import Differences
+from torchmbd.design.lamination import LaminationRules
+from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.ply_stress import PlyStress
+from torchmbd.elements import BeamLine, GivenSection
+from torchmbd.errors import InputError, MbdError, SimulationFailure
+from torchmbd.forces import (
+    AxialSpringDamper,
+    Bushing,
+    Force,
+    Pressure,
+    RotationalSpringDamper,
+    SpringDamper,
+    Torque,
+)
+from torchmbd.integrators import Event, Phase, Trajectory, simulate
+from torchmbd.integrators.ply_history import PlyHistory
+from torchmbd.integrators.section_history import SectionHistory
+from torchmbd.joints import (
+    ConstantSpeed,
+    Cylindrical,
+    Distance,
+    Drive,
+    Fixed,
+    Planar,
+    PointOnPlane,
+    Prismatic,
+    Revolute,
+    Sine,
+    SmoothStep,
+    Spherical,
+    Universal,
+)
+from torchmbd.materials import Laminate, Ply, Strength
+from torchmbd.mesh import Mesh
+from torchmbd.numerics.angles import deg
+from torchmbd.numerics.variable import variable
+from torchmbd.optimizers import (
+    OptimizationResult,
+    Processes,
+    RobustProblem,
+    multistart,
+    optimize,
+    optimize_discrete,
+    pareto_front,
+    sobol,
+)
+from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis
+from torchmbd.system import Dynamics, System, equilibrium
+
+if TYPE_CHECKING:
+    from torchmbd.experiment.archive import LoadedStudy
+
+
+def load(run: str, uri: str | None = None, folder: str | Path = ".") -> LoadedStudy:
+    """Load a study of the tracking store: system, best design, motion; see torchmbd.experiment.archive.
+
+    run     run id, its beginning, or the name of a study (its latest run)
+    uri     the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
+    folder  where the model's file lies, if the model is a file
+    """
+    from torchmbd.experiment.archive import load_run  # the experiment floor is imported when a study is wanted
+
+    return load_run(run, uri, folder)
+
+
+__all__ = [
+    "RMS",
+    "Acceleration",
+    "Angle",
+    "AtPeaks",
+    "AtTime",
+    "AtTimes",
+    "AxialSpringDamper",
+    "BeamLine",
+    "Bushing",
+    "ConstantSpeed",
+    "Constraint",
+    "Cylindrical",
+    "DesignSpace",
+    "Differences",
+    "Displacement",
+    "Distance",
+    "Drive",
+    "Dynamics",
+    "Event",
+    "Final",
+    "Fixed",
+    "FlexibleBody",
+    "Force",
+    "Frame",
+    "Frequency",
+    "GivenSection",
+    "Ground",
+    "InputError",
+    "Integral",
+    "Laminate",
+    "LaminationRules",
+    "Mass",
+    "Max",
+    "MbdError",
+    "Mean",
+    "Mesh",
+    "Min",
+    "OptimizationResult",
+    "Phase",
+    "Planar",
+    "Ply",
+    "PlyFailure",
+    "PlyHistory",
+    "PlyStress",
+    "PointOnPlane",
+    "Position",
+    "Pressure",
+    "Prismatic",
+    "Problem",
+    "Processes",
+    "Reaction",
+    "RelativeDisplacement",
+    "Revolute",
+    "RigidBody",
+    "RobustProblem",
+    "RotationalSpringDamper",
+    "SectionHistory",
+    "SimulationFailure",
+    "Sine",
+    "SmoothMax",
+    "SmoothStep",
+    "Spherical",
+    "SpringDamper",
+    "StrainEnergy",
+    "Strength",
+    "System",
+    "Torque",
+    "Tradeoff",
+    "Trajectory",
+    "Universal",
+    "Velocity",
+    "WeightedSum",
+    "craig_bampton",
+    "deg",
+    "eigenpair_branches",
+    "eigenpairs",
+    "equilibrium",
+    "forces",
+    "history",
+    "load",
+    "measure",
+    "mesh",
+    "modal_basis",
+    "multistart",
+    "optimize",
+    "optimize_discrete",
+    "pareto_front",
+    "sections",
+    "simulate",
+    "sobol",
+    "variable",
+    "viz",
+]
