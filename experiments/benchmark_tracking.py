@@ -1,14 +1,16 @@
-"""What do the experiment layer, its logging and its workers cost? `python -m experiments.benchmark_tracking`
+"""What do the experiment layer, its logging and its workers cost? `python -m experiments.benchmark_tracking WHAT ...`
 
     overhead   a study of some ten seconds (the three-layer rod, 32 starts) through `torchmbd run`'s own path, beside the same
                multistart called in Python, both in this process, by turns; the writer and the figures have the other core
+    fresh      the same, each time in a store that is not there yet
     logging    200 starts of 30 iterations told to a journal, and the writer beside it that brings them into MLflow's
                SQLite, as shares of a study whose evaluations take 0.1 s each, as those of the slider-crank do
-    table      seconds until Chromium shows the table of these 200 runs, from MLflow's own server (`--table`: playwright)
-    start      seconds from `torchmbd run` to the first iteration on the screen (`--start FILE`)
-    scaling    128 designs on one Dask worker and on two (`--scaling`, nothing else then)
+    table      the same, and seconds until Chromium shows the table of these 200 runs, from MLflow's own server (playwright)
+    start      seconds from `torchmbd run` to the first iteration of the main job on the screen, in a store that is not there
+               yet and then in that store
+    scaling    128 designs on one Dask worker and on two (nothing else then), and the study above, whole, on one and on two
 
-Wall time on whatever else the machine does; processor time of this process beside it.
+Wall time on whatever else the machine does.
 """
 
 from __future__ import annotations
@@ -56,7 +58,7 @@ starts: {sampler: sobol, count: 32, seed: 7}
 tracking: {experiment: benchmark}
 """
 STARTS, ITERATIONS, EVALUATION = 200, 30, 0.1  # seconds for one design in a batch
-ROUNDS = 2
+PAIRS = 5
 
 
 def timed(action: Callable[[], object]) -> tuple[float, float]:
@@ -66,8 +68,8 @@ def timed(action: Callable[[], object]) -> tuple[float, float]:
     return time.perf_counter() - wall, time.process_time() - processor
 
 
-def overhead(file: Path) -> None:
-    """The study in Python alone, and through the whole layer."""
+def overhead(file: Path, fresh: bool) -> None:
+    """The study in Python alone, and through the whole layer; `fresh`: each time in a store of its own."""
     plan = load_study(file)
     problem = problem_of(plan)
     optimizer = plan.study.optimizer
@@ -80,12 +82,25 @@ def overhead(file: Path) -> None:
     def whole() -> None:
         run_plan(plan, Console(file=io.StringIO()), fresh=True)
 
-    timed(alone)  # what is done once per process
-    turns = [(timed(alone)[0], timed(whole)[0]) for _ in range(ROUNDS)]
-    for bare, layered in turns:
-        print(
-            f"overhead: multistart alone {bare:.2f} s, whole study {layered:.2f} s: {100 * (layered / bare - 1):.1f} %"
-        )
+    multistart(problem, optimizer.name, list(points), max_iterations=1)  # what is done once per process
+    if not fresh:
+        place(file.parent / "store")
+        run_plan(load_study(file, ["optimizer.max_iterations=1"]), Console(file=io.StringIO()))
+    more = []
+    for k in range(PAIRS):
+        if fresh:
+            place(file.parent / f"store_{k}")
+        bare, layered = timed(alone)[0], timed(whole)[0]
+        more.append(100 * (layered / bare - 1))
+        print(f"multistart alone {bare:.2f} s, whole study {layered:.2f} s: {more[-1]:.1f} %", flush=True)
+    print(f"overhead in {'a fresh store' if fresh else 'a store that is there'}: median {np.median(more):.1f} %")
+
+
+def place(folder: Path) -> None:
+    """Let studies keep their evaluations and runs here."""
+    folder.mkdir()
+    os.environ["TORCHMBD_STORE"] = str(folder / "place")
+    os.environ["MLFLOW_TRACKING_URI"] = f"sqlite:///{folder}/runs.db"
 
 
 def logging(file: Path, table: bool) -> None:
@@ -144,18 +159,22 @@ def shown(uri: str, record: Record) -> None:
         browser.close()
 
 
-def start(file: Path) -> None:
-    """Wait for the first iteration of a real command."""
+def start() -> None:
+    """Wait for the first iteration of a real command, twice."""
+    file = Path(__file__).parents[1] / "configs" / "slider_crank" / "l3_energy_integral.yaml"
     with tempfile.TemporaryDirectory() as folder:
-        command = [sys.executable, "-u", "-m", "torchmbd.cli", "run", str(file.absolute())]
-        environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
-        began = time.perf_counter()
-        with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            next(line for line in process.stdout if "iteration" in line)
-            print(f"start: first iteration of {file.name} after {time.perf_counter() - began:.1f} s")
-            process.terminate()
-            process.stdout.read()
+        command = [sys.executable, "-u", "-m", "torchmbd.cli", "run", str(file), "--fresh"]
+        own = ("TORCHMBD_STORE", "MLFLOW_TRACKING_URI")
+        environment = {key: value for key, value in os.environ.items() if key not in own}
+        environment["PYTHONPATH"] = str(Path(__file__).parents[1])
+        for store in ("fresh store", "store that is there"):
+            began = time.perf_counter()
+            with subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True) as process:
+                assert process.stdout is not None
+                next(line for line in process.stdout if "iteration" in line)
+                print(f"start: first iteration of {file.name} after {time.perf_counter() - began:.1f} s, {store}")
+                process.terminate()
+                process.stdout.read()
 
 
 def scaling(file: Path) -> None:
@@ -179,23 +198,21 @@ def scaling(file: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--start", type=Path, help="an experiment file whose first iteration is waited for")
-    parser.add_argument("--scaling", action="store_true", help="one and two workers, alone")
-    parser.add_argument("--table", action="store_true", help="also the table of the runs in a browser")
-    arguments = parser.parse_args()
+    what = {
+        "overhead": lambda file: overhead(file, fresh=False),
+        "fresh": lambda file: overhead(file, fresh=True),
+        "logging": lambda file: logging(file, table=False),
+        "table": lambda file: logging(file, table=True),
+        "start": lambda file: start(),
+        "scaling": scaling,
+    }
+    parser.add_argument("what", nargs="+", choices=list(what), help="see the top of this file")
     settle()  # as the command line does
-    with tempfile.TemporaryDirectory() as folder:
-        os.environ["TORCHMBD_STORE"] = f"{folder}/place"
-        os.environ["MLFLOW_TRACKING_URI"] = f"sqlite:///{folder}/runs.db"
-        file = Path(folder) / "study.yaml"
-        file.write_text(STUDY, encoding="utf-8")
-        if arguments.scaling:
-            scaling(file)
-            return
-        overhead(file)
-        logging(file, arguments.table)
-        if arguments.start:
-            start(arguments.start)
+    for part in parser.parse_args().what:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "study.yaml"
+            file.write_text(STUDY, encoding="utf-8")
+            what[part](file)
 
 
 if __name__ == "__main__":

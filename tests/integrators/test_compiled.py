@@ -13,7 +13,7 @@ import torchmbd as mbd
 from experiments.slider_crank import build
 from tests.integrators.test_phases import pushed
 from tests.mechanisms import box, rigid_pendulum, sprung
-from tests.sensitivity.test_law_variables import arm
+from tests.sensitivity.test_law_variables import arm, waves
 from tests.system.test_initial import four_bar
 from torchmbd.forces import Scaled, Spring
 from torchmbd.integrators import compiled, compiled_rates, library
@@ -185,9 +185,11 @@ def test_forces_with_design_variables_are_compiled(both: Both) -> None:
     forces = [
         mbd.SpringDamper(mbd.Ground().at(), end, mbd.variable(40.0), mbd.variable(0.3), 0.1, name="cord"),
         mbd.RotationalSpringDamper(mbd.Ground().at(), end, law=Scaled(mbd.variable(0.5), Spring(2.0)), name="coil"),
+        mbd.Force(end, (mbd.variable(0.3), 0.0, 0.1), name="push"),
+        mbd.Torque(end, Scaled(mbd.variable(0.02), waves), name="twist"),
     ]
     system = mbd.System([body], [mbd.Spherical(mbd.Ground().at(0.2, 0.0, 0.1), body.at())], forces)
-    names = ["cord.stiffness", "cord.damping", "coil.factor"]
+    names = ["cord.stiffness", "cord.damping", "coil.factor", "push.x", "twist.factor"]
     designs = {"cord.damping": torch.tensor([0.3, 0.1], dtype=torch.float64)}
     eager, fast = both(system, 0.2, steps=20, designs=designs, sensitivities=names)
     same(eager, fast)

@@ -159,6 +159,19 @@ def test_interruption_returns_what_there_is(method):
     assert len(reports) == sum(len(r.history) for r in study.results)
 
 
+def test_results_are_told_as_they_come():
+    told, problem = [], waves()
+    before: dict[int, int] = {}  # batches until a start had ended
+
+    def ended(result):
+        told.append(result)
+        before[result.start] = len(problem.batches)
+
+    study = multistart(problem, "mmfd", sobol(6, seed=5), ended=ended, max_lanes=3, second_order=False)
+    assert sorted(told, key=lambda result: result.start) == study.results
+    assert min(before.values()) < max(before.values()) == len(problem.batches)
+
+
 def test_interruption_inside_the_callback():
     raised = []
 

@@ -125,6 +125,28 @@ def test_a_design_is_a_system_of_its_own():
     assert float(balance) < 2e-3
 
 
+def test_reactions_beside_a_body_that_is_guided():
+    """Its rows are solved for good: their multipliers come from equations in which the drive of another body varies."""
+    system = arm("sine")
+    hub, rod = system.bodies
+    end = rod.position + rod.axes @ tensor(0.15, 0.0, 0.0)
+    wheel = box("wheel", center=(0.0, 0.0, 0.0), position=end + tensor(0.0, 0.3, 0.1))
+    link = mbd.Distance(wheel.at(0.1, 0.0, 0.0), rod.at("right"), length=float(tensor(0.1, 0.3, 0.1).norm()))
+    joints = [*system.joints, mbd.Revolute(GROUND.at(*wheel.position.tolist()), wheel.at(), name="axle"), link]
+    system = mbd.System([hub, rod, wheel], joints, gravity=(0.0, -9.81, 0.0))
+    with torch.no_grad():
+        assert system.dynamics().condensed().topology.n_v < system.topology.n_v
+    pull = mbd.Mean(mbd.Reaction("axle", (1.0, -1.0, 0.5)))
+
+    def run(designs: dict[str, Tensor] | None = None, **more) -> mbd.Trajectory:
+        return mbd.simulate(system, 0.1, steps=40, designs=designs, **TIGHT, **more).require_ok()
+
+    variables = names(system)
+    exact = pull.value_and_gradient(run(sensitivities=variables)).gradient[0]
+    found = differences(system, variables, lambda designs: pull.value(run(designs)))
+    assert_close(exact, found, rtol=1e-6, atol=0.0)
+
+
 def test_phases_with_a_drive_that_varies():
     """The drive lets go at a position of the hub: the time of the switch follows the law's variables."""
     system = arm("step")
@@ -202,10 +224,63 @@ def test_forces_are_those_of_a_system_of_its_own():
         assert_close(both.energies.applied[lane], motion.energies.applied[0], rtol=1e-9, atol=1e-12)
 
 
+def waves(t: Tensor) -> Tensor:
+    return torch.stack([torch.sin(20.0 * t), 0.5 + 0.0 * t, t])
+
+
+def loaded() -> mbd.System:
+    """A plate and a box under loads, pressures and a bushing of which numbers vary; some start at zero."""
+    varies, rod = (
+        mbd.variable,
+        plate("rod", 2, made_of=laminate((20.0, -50.0), 3e-3, SOFT), axes=turned(0.3, 0.2, -0.4)),
+    )
+    arm, tip = box("arm", position=(0.4, 0.1, 0.0)), rod.at("right")
+    both, gust = varies(0.01), mbd.forces.Scaled(varies(3.0), lambda t: torch.cos(10.0 * t))
+    forces = [
+        mbd.Force(tip, (varies(0.3), 0.0, 0.2), name="push"),
+        mbd.Force(arm.at(), mbd.forces.Scaled(varies(0.4), waves), axes="frame", name="wave"),
+        mbd.Torque(arm.at(), (0.0, varies(0.0), 0.0), name="turn"),
+        mbd.Bushing(
+            rod.at("left"), arm.at(), varies(30.0), (0.1, varies(0.2), 0.0), (0.2, 0.1, varies(0.0)), name="mount"
+        ),
+        mbd.Pressure(rod, varies(5.0), name="wind"),
+        mbd.Pressure(rod, gust, direction=(1.0, 2.0, 0.0), name="gust"),
+        mbd.SpringDamper(GROUND.at(0.0, 0.5, 0.0), tip, both, both, 0.2, name="cord"),
+    ]
+    return mbd.System([rod, arm], [mbd.Spherical(GROUND.at(), rod.at("left"))], forces, free=["arm"])
+
+
+LOADS = ["push.x", "wave.factor", "turn.y", "mount.stiffness", "mount.damping_y", "mount.turning_stiffness_z"]
+LOADS += ["wind.pressure", "gust.factor", "cord.stiffness"]
+
+
+@pytest.mark.parametrize(("method", "options"), [("generalized_alpha", TIGHT), ("rk4", {})])
+def test_loads_and_bushings(method, options):
+    system = loaded()
+    assert {name for name, _ in system.named_parameters() if name[:3] != "rod"} == set(LOADS)
+
+    def run(designs: dict[str, Tensor] | None = None, **more) -> mbd.Trajectory:
+        return mbd.simulate(system, 0.06, method=method, steps=15, designs=designs, **options, **more).require_ok()
+
+    motion = run(sensitivities=LOADS)
+    found = differences(system, LOADS, lambda designs: run(designs).q, 1e-4)
+    assert motion.dq_db is not None
+    sizes = found.abs().amax((0, 1))
+    assert float(sizes.min()) > 1e-4
+    assert float(((motion.dq_db[0] - found).abs().amax((0, 1)) / sizes).max()) < 1e-6
+    books = motion.energies
+    assert float(books.balance.abs().max()) < 1e-2 * float(books.applied.abs().max())
+
+
 def test_variables_where_they_would_not_be_differentiated():
     hub = box("hub")
     with pytest.raises(mbd.InputError, match="law of 'spring' has design variables"):
         mbd.SpringDamper(GROUND.at(), hub.at(), law=torch.nn.Linear(1, 1).double(), name="spring")  # pyright: ignore
+    with pytest.raises(mbd.InputError, match="law of 'push' has design variables"):
+        mbd.Force(hub.at(), torch.nn.Linear(1, 3).double(), name="push")  # pyright: ignore
+    stiffness = mbd.variable(2.0)
+    with pytest.raises(mbd.InputError, match="law of 'spring' has design variables"):
+        mbd.SpringDamper(GROUND.at(), hub.at(), law=lambda s, rate, t: -stiffness * s, name="spring")
     system = sprung()
     phases = [mbd.Phase(until=0.01), mbd.Phase(laws={"coil": mbd.forces.Spring(mbd.variable(1.0))})]  # pyright: ignore
     with pytest.raises(mbd.InputError, match="coil in phase 2' has design variables"):

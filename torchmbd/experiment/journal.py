@@ -101,7 +101,7 @@ class Journal:
         if self.failures:
             self.tracker.tags(PARENT, {"last_failure": self.failures[-1]})
 
-    def result(self, result: OptimizationResult, best: bool) -> None:
+    def result(self, result: OptimizationResult) -> None:
         """Close the child of a start with its final numbers."""
         run = child(result.start)
         last = {
@@ -114,7 +114,7 @@ class Journal:
             **self.plan.columns.shown(result.x),
         }
         self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
-        tags = {"status": result.status, "message": result.message, "method": result.method, "best": str(best).lower()}
+        tags = {"status": result.status, "message": result.message, "method": result.method, "best": "false"}
         self.tracker.tags(run, tags)
         ended: dict[str, Status] = {"failed": "FAILED", "interrupted": "KILLED"}
         self.end(run, ended.get(result.status, "FINISHED"))
@@ -123,6 +123,11 @@ class Journal:
         """Log the outcome of the whole study on the parent."""
         self.tracker.metrics(PARENT, _finite(numbers), self.iterates)
         self.tracker.tags(PARENT, tags)
+
+    def best(self, result: OptimizationResult) -> None:
+        """Mark the best start, and file its design."""
+        self.tracker.tags(child(result.start), {"best": "true"})
+        self.design(result.x)
 
     def design(self, x: np.ndarray) -> None:
         """File the best design [SI] by the names of the parameters, for torchmbd.experiment.archive."""

@@ -45,10 +45,10 @@ class Progress:
         self.latest[iterate.start] = iterate
         if not self.console.is_terminal:
             values = "  ".join(f"{value:z8.3f}" for value in self.columns.shown(iterate.x).values())
-            self.console.print(
+            self.console.out(
                 f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:3d}  iteration {iterate.iteration:3d}  "
                 f"objective {iterate.objective:.6g}  violation {iterate.violation:.1e}  {values}",
-                soft_wrap=True,
+                highlight=False,
             )
 
     def note(self, text: str) -> None:

@@ -148,16 +148,15 @@ def run_study(
             optimizer.name,
             list(points),
             callback,
+            journal.result,
             max_iterations=optimizer.max_iterations,
             **options,
         )
     best = study.best
-    for result in study.results:
-        journal.result(result, best is not None and result.start == best.start)
     print_results(plan, study, journal.failures, console)
     _summarize(study, journal)
     if best is not None:
-        journal.design(best.x)
+        journal.best(best)
     study_pictures(plan, study, problem, store.visited(len(points[0])), journal, console)
     if study.interrupted:
         return "KILLED"

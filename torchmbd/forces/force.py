@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 from torchmbd.bodies.frame import Frame
 from torchmbd.bodies.rigid import Ground
 from torchmbd.errors import InputError
+from torchmbd.forces.varied import Varying
 from torchmbd.joints.joint import Scribe
 from torchmbd.numerics.variable import Variables
 
@@ -41,11 +42,12 @@ class ForceElement:
             raise InputError(f"{kind} acts between {frames[0]!r} and {frames[1]!r}; allowed: two different bodies")
         self.frames: tuple[Frame, ...] = frames
         self.name = name or "_".join([kind.lower(), *(frame.body.name for frame in frames)])
+        self.varying = Varying(self.name)
 
     @property
     def variables(self) -> Variables | None:
         """Design variables, parameters of the system by the element's name; None: there are none."""
-        return None
+        return self.varying.variables
 
     def actions(self, scribe: Scribe) -> Iterator[Applied]:
         """Yield the actions of the element."""

@@ -6,7 +6,8 @@
     OfTime     f = g(t)
     Scaled     f = factor g(s, s', t), g any law
 
-Numbers of Spring and the factor of Scaled may be design variables: `Spring(mbd.variable(2e3))` (varied.py).
+Numbers of Spring and the factor of Scaled, whose law g may be one of time alone where OfTime is one, may be design
+variables: `Spring(mbd.variable(2e3))` (varied.py).
 Any torch function of (s, s', t) that works elementwise is a law as well. `center`: where the range of an angle, half a
 turn to both sides, has its middle.
 Checked in tests/forces/test_laws.py.
@@ -15,14 +16,16 @@ Checked in tests/forces/test_laws.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.joints.laws import finite
 
 Slopes = tuple[Tensor, Tensor]
 
@@ -31,7 +34,7 @@ Slopes = tuple[Tensor, Tensor]
 class Spring:
     """Linear spring and damper: stiffness k, damping c, rest s0."""
 
-    stiffness: float
+    stiffness: float = 0.0
     damping: float = 0.0
     rest: float = 0.0
 
@@ -53,7 +56,7 @@ class Scaled:
     """Another law times a factor: the strength of an actuator."""
 
     factor: float
-    law: Callable[[Tensor, Tensor, Tensor], Tensor]
+    law: Callable[..., Tensor]
 
     @property
     def center(self) -> float:
@@ -149,7 +152,7 @@ class Pieces:
 class OfTime:
     """A force that is a torch function of time alone, or constant."""
 
-    law: Callable[[Tensor], Tensor] | float
+    law: Callable[..., Tensor] | float
     factor: float = 1.0
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
@@ -206,13 +209,8 @@ def checked(name: str, law: object) -> object:
     """The law, tried once; InputError names its force element."""
     if not callable(law):
         raise InputError(f"law of {name!r} is {law!r}; allowed: a torch function of (s, s', t)")
-    if any(isinstance(x, nn.Parameter) and x.requires_grad for x in _numbers_of(law)):
-        raise InputError(
-            f"law of {name!r} has design variables, which would not be differentiated; allowed: numbers of a Spring and the "
-            "factor of Scaled, in the law of a spring-damper"
-        )
     zero = torch.zeros(1, 1, 1, dtype=torch.float64)
-    found = law(zero, zero, zero[0, 0, 0])
+    found = tried(name, law, zero, zero, zero[0, 0, 0])
     if not isinstance(found, Tensor) or found.shape != zero.shape or not bool(torch.isfinite(found).all()):
         raise InputError(
             f"law of {name!r} gives {found!r} at s = s' = t = 0; allowed: a finite tensor of the shape of s, [1, 1, lanes]"
@@ -220,13 +218,41 @@ def checked(name: str, law: object) -> object:
     return law
 
 
-def _numbers_of(law: object) -> list:
-    return list(law.parameters() if isinstance(law, nn.Module) else getattr(law, "__dict__", {}).values())
+def tried(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
+    """What a law of the user gives; InputError where it raises, or has variables that would not be differentiated."""
+    if _varies(law):
+        raise InputError(
+            f"law of {name!r} has design variables, which would not be differentiated; allowed: numbers of a Spring and the "
+            "factor of Scaled, given to a force element"
+        )
+    try:
+        return law(*at)
+    except Exception as error:  # it may do anything
+        raise InputError(f"law of {name!r} raises {error!r}; allowed: a torch function of {len(at)} tensors") from error
 
 
-def numbers(name: str, x: Sequence[float] | float, count: int) -> list[float]:
-    """`count` finite numbers, or one for all."""
-    values = [float(x)] * count if isinstance(x, (int, float)) else [float(y) for y in x]
-    if len(values) != count or not all(math.isfinite(y) for y in values):
-        raise InputError(f"{name} is {x!r}; allowed: {count} finite numbers, or one for all")
+def _varies(law: Any) -> bool:
+    """Whether a law is made of parameters: of its module, as attributes, arguments, or enclosed by a function."""
+    if isinstance(law, nn.Module):
+        return any(x.requires_grad for x in law.parameters())
+    own = [cell.cell_contents for cell in getattr(law, "__closure__", None) or ()]
+    own += [*getattr(law, "__dict__", {}).values(), *getattr(law, "args", ())]
+    inner = [getattr(law, name, None) for name in ("law", "func", "__self__")]
+    return any(isinstance(x, nn.Parameter) and x.requires_grad for x in own) or any(
+        map(_varies, filter(callable, inner))
+    )
+
+
+def numbers(name: str, x: Any, count: int) -> list[Any]:
+    """`count` finite numbers, or one for all; any may be a design variable."""
+    one = isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.dim() == 0)
+    given: Any = [x] * count if one else x
+    try:
+        values = [finite(name, y) for y in given]
+    except (TypeError, InputError):
+        values = []
+    if len(values) != count:
+        raise InputError(
+            f"{name} is {x!r}; allowed: {count} finite numbers, or one for all; each may be mbd.variable(...)"
+        )
     return values

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -13,10 +14,10 @@ from torchmbd.bodies.rigid import Ground
 from torchmbd.errors import InputError
 from torchmbd.forces.action import Push, Twist
 from torchmbd.forces.force import Applied, ForceElement
-from torchmbd.forces.laws import OfTime, checked, numbers
+from torchmbd.forces.laws import OfTime, Scaled, checked, numbers, tried
 from torchmbd.joints.joint import Scribe
 
-Vector = Sequence[float] | Callable[[Tensor], Tensor]
+Vector = Sequence[float | Tensor] | Callable[[Tensor], Tensor] | Scaled
 
 
 class _Load(ForceElement):
@@ -27,40 +28,49 @@ class _Load(ForceElement):
         if axes not in ("ground", "frame"):
             raise InputError(f"axes of {self.name!r} is {axes!r}; allowed: 'ground', 'frame'")
         self.axes = axes
-        if callable(vector):
-            found = vector(torch.zeros((), dtype=torch.float64))
-            if not isinstance(found, Tensor) or found.shape[:1] != (3,):
-                raise InputError(
-                    f"vector of {self.name!r} gives {found!r} at t = 0; allowed: a torch function of time, [] [s] -> [3]"
-                )
-            self.laws = [OfTime(partial(_component, vector, k)) for k in range(3)]
-        else:
-            self.laws = [OfTime(x) for x in numbers(f"vector of {self.name!r}", vector, 3)]
-        for law in self.laws:
-            checked(self.name, law)
+        parts = _parts(self.name, vector)
+        self.laws = [checked(self.name, self.varying.in_time(x, axis)) for axis, x in zip("xyz", parts, strict=True)]
 
     def _axis(self, scribe: Scribe, axis: str) -> int:
         return scribe.axis(Ground().at() if self.axes == "ground" else self.frames[0], axis)
 
 
-def _component(vector: Callable[[Tensor], Tensor], k: int, t: Tensor) -> Tensor:
+def _parts(name: str, vector: Any) -> list[Any]:
+    """The three components of a vector of numbers, of a function of time, or of Scaled of one."""
+    given: Any = vector.law if isinstance(vector, Scaled) else vector
+    if not callable(given):
+        return numbers(f"vector of {name!r}", given, 3)
+    found = tried(name, given, torch.zeros((), dtype=torch.float64))
+    if not isinstance(found, Tensor) or found.shape != (3,) or not bool(torch.isfinite(found).all()):
+        raise InputError(
+            f"vector of {name!r} gives {found!r} at t = 0; allowed: a torch function of time, [] [s] -> finite [3]"
+        )
+    parts = [partial(_component, given, k) for k in range(3)]
+    return [Scaled(vector.factor, part) for part in parts] if isinstance(vector, Scaled) else parts
+
+
+def _component(vector: Callable[..., Any], k: int, t: Tensor) -> Tensor:
     return vector(t)[k]
 
 
 class Force(_Load):
-    """`Force(frame, (fx, fy, fz))` [N] at the point of the frame; or a torch function of time, [] [s] -> [3] [N]."""
+    """`Force(frame, (fx, fy, fz))` [N] at the point of the frame; or a torch function of time, [] [s] -> [3] [N].
+
+    Design variables: Force(frame, (mbd.variable(2.0), 0.0, 0.0), name="push") has "push.x", and
+    mbd.forces.Scaled(mbd.variable(1.0), function) has "push.factor".
+    """
 
     def actions(self, scribe: Scribe) -> Iterator[Applied]:
         for axis, law in zip("xyz", self.laws, strict=True):
-            if law.law:
+            if law != OfTime(0.0):
                 yield Applied(Push, (scribe.point(self.frames[0]), self._axis(scribe, axis)), law)
 
 
 class Torque(_Load):
-    """`Torque(frame, (mx, my, mz))` [N m] on the body (or node) of the frame; or a torch function of time."""
+    """`Torque(frame, (mx, my, mz))` [N m] on the body (or node) of the frame; otherwise as a Force [N m]."""
 
     def actions(self, scribe: Scribe) -> Iterator[Applied]:
         triad = tuple(scribe.axis(self.frames[0], axis) for axis in "xyz")
         for axis, law in zip("xyz", self.laws, strict=True):
-            if law.law:
+            if law != OfTime(0.0):
                 yield Applied(Twist, (self._axis(scribe, axis), *triad), law)

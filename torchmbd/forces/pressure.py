@@ -22,7 +22,7 @@ from torchmbd.bodies.rigid import Ground
 from torchmbd.errors import InputError
 from torchmbd.forces.action import Push
 from torchmbd.forces.force import Applied, ForceElement
-from torchmbd.forces.laws import OfTime, checked
+from torchmbd.forces.laws import Scaled, checked
 from torchmbd.joints.joint import Scribe
 from torchmbd.mesh import Mesh, directed_area
 
@@ -33,14 +33,15 @@ class Pressure(ForceElement):
     """`Pressure(body, p)` [Pa] along the normals of the mesh, or `Pressure(body, p, direction=(0, 0, -1))`.
 
     body       a flexible body with triangles or quadrilaterals
-    pressure   a number, or a torch function of time, [] [s] -> [] [Pa]
+    pressure   a number, or a torch function of time, [] [s] -> [] [Pa]; a design variable "NAME.pressure" as
+               mbd.variable(5e3), "NAME.factor" as mbd.forces.Scaled(mbd.variable(1.0), function)
     direction  in ground axes, which the load then keeps, whatever its length [3]
     """
 
     def __init__(
         self,
         body: Any,
-        pressure: float | Callable[[Tensor], Tensor],
+        pressure: float | Tensor | Callable[[Tensor], Tensor] | Scaled,
         direction: Sequence[float] | Tensor | None = None,
         name: str | None = None,
     ):
@@ -51,14 +52,13 @@ class Pressure(ForceElement):
         area = share[:, None] * directed_area(mesh.nodes[nodes])
         self.follows = direction is None
         self.parts = list(_following(body, area) if direction is None else _fixed(body, area, direction))
-        super().__init__(tuple(frame for frame, _, _ in self.parts), name or f"pressure_{body.name}")
-        self.law: Any = pressure if callable(pressure) else float(pressure)
-        checked(self.name, OfTime(self.law))
+        super().__init__((self.parts[0][0],), name or f"pressure_{body.name}")
+        self.laws = [checked(self.name, self.varying.in_time(pressure, "pressure", area)) for _, _, area in self.parts]
 
     def actions(self, scribe: Scribe) -> Iterator[Applied]:
-        for frame, axis, area in self.parts:
+        for (frame, axis, _), law in zip(self.parts, self.laws, strict=True):
             along = scribe.axis(frame if self.follows else Ground().at(), axis)
-            yield Applied(Push, (scribe.point(frame), along), OfTime(self.law, area))
+            yield Applied(Push, (scribe.point(frame), along), law)
 
 
 Part = tuple[Frame, str, float]  # on the nodes that take a part of the load, its axis, the area [m2] directed along it

@@ -17,9 +17,7 @@ from torchmbd.errors import InputError
 from torchmbd.forces.action import Along, Law, Length, Turn
 from torchmbd.forces.force import Applied, ForceElement
 from torchmbd.forces.laws import Spring, checked
-from torchmbd.forces.varied import split
 from torchmbd.joints.joint import Scribe, others
-from torchmbd.numerics.variable import Variables
 
 
 class _Between(ForceElement):
@@ -34,17 +32,13 @@ class _Between(ForceElement):
         name: str | None = None,
     ):
         super().__init__((a, b), name)
-        if law is not None and (stiffness or damping or rest):
-            raise InputError(f"{self.name!r} has a law and stiffness, damping or rest; allowed: the one or the others")
-        if law is None and not (stiffness or damping):
-            raise InputError(f"{self.name!r} has neither law nor stiffness nor damping; allowed: at least one of them")
         numbers: Any = (stiffness, damping, rest)  # of which some may vary
-        self.law, self._variables = split(self.name, Spring(*numbers) if law is None else law)
-        checked(self.name, self.law)
-
-    @property
-    def variables(self) -> Variables | None:
-        return self._variables
+        spring = self.varying.law(Spring(*numbers))
+        if law is not None and spring != Spring():
+            raise InputError(f"{self.name!r} has a law and stiffness, damping or rest; allowed: the one or the others")
+        if law is None and spring == Spring(rest=getattr(spring, "rest", 0.0)):
+            raise InputError(f"{self.name!r} has neither law nor stiffness nor damping; allowed: at least one of them")
+        self.law = checked(self.name, spring if law is None else self.varying.law(law))
 
 
 class SpringDamper(_Between):

@@ -44,7 +44,10 @@ class Lane:
 
 
 class Lockstep:
-    """Runs `runners` (one per start), `max_lanes` at once; `go_on(results)` is asked before each further start."""
+    """Runs `runners` (one per start), `max_lanes` at once; `go_on(results)` is asked before each further start.
+
+    `callback` hears of every iterate, `ended` of every result, as they come.
+    """
 
     def __init__(
         self,
@@ -53,9 +56,10 @@ class Lockstep:
         max_lanes: int,
         callback: Callable[[Iterate], None] | None = None,
         go_on: Callable[[list[OptimizationResult]], bool] = lambda results: True,
+        ended: Callable[[OptimizationResult], None] | None = None,
     ) -> None:
         self.problem, self.runners, self.max_lanes = problem, runners, max_lanes
-        self.callback, self.go_on = callback, go_on
+        self.callback, self.go_on, self.ended = callback, go_on, ended
         self.results: list[OptimizationResult] = []
         self.interrupted = False
         self.stopped_early = False
@@ -115,6 +119,8 @@ class Lockstep:
                 raise lane.error
             assert lane.result is not None
             self.results.append(lane.result)
+            if self.ended is not None:
+                self.ended(lane.result)
 
     def _answer(self) -> None:
         asking = [lane for lane in self._live if lane.request is not None]

@@ -62,6 +62,7 @@ def multistart(
     method: str = "mmfd",
     starts: Starts | list[Any] | np.ndarray | None = None,
     callback: Callable[[Iterate], None] | None = None,
+    ended: Callable[[OptimizationResult], None] | None = None,
     *,
     max_iterations: int = MAX_ITERATIONS,
     max_lanes: int = 64,
@@ -77,7 +78,8 @@ def multistart(
     `starts`: `sobol(...)`, `latin_hypercube(...)`, `given(...)` or a list of designs; default the problem's own
     start. `max_lanes`: designs in one batch at most. Variables are scaled by the problem's start for all starts
     alike. `minima_left`: begin no further start once the estimated number of unknown minima is below it.
-    `problem.period` [n], where present, says which variables are angles. The other arguments are those of `optimize`.
+    `problem.period` [n], where present, says which variables are angles. `ended` hears of every result as it comes. The
+    other arguments are those of `optimize`.
     Ctrl-C ends every start and returns what there is, `interrupted` set.
     """
     function = find_method(method, options)
@@ -116,6 +118,6 @@ def multistart(
         found = find(results)
         return expected_minima(sum(r.converged for r in results), len(found)) - len(found) > minima_left
 
-    lockstep = Lockstep(problem, [partial(runner, k) for k in range(len(points))], max_lanes, callback, go_on)
+    lockstep = Lockstep(problem, [partial(runner, k) for k in range(len(points))], max_lanes, callback, go_on, ended)
     results = lockstep.run()
     return Study(results, find(results), lockstep.interrupted, lockstep.stopped_early, points)

@@ -82,6 +82,7 @@ def _columns(T: Topology, data: Data, at: Placement, rows: Tensor) -> Tensor:
         rho=value(at.rho),
         g=value(at.g),
         arguments=[[value(x) for x in vectors] for vectors in at.arguments],
+        drives=[drive and tuple(value(x) for x in drive) for drive in at.drives],
     )
     force = equations.force_on_vectors(T, plain, unit)
     parts = equations.generalized_forces(T, {name: value(x) for name, x in data.items()}, plain, force)[:2]

@@ -1,7 +1,7 @@
 """Runs in an MLflow store, by MlflowClient and explicit run ids: no global state, many runs at once.
 
 Runs begin and end, and metrics lie, at the time `when` they were told; a writer may be late.
-Metrics are collected and written by log_batch, all steps of a run in one call: at `flush` and at `end`.
+Metrics and tags are collected and written by log_batch, all of a run in one call: at `flush` and at `end`.
 
 A study that died is gone on with: its root run (tags study_key and run_key, any status but FINISHED) and the children
 of it are opened again under their keys, and what they hold of metrics (`steps`) is not written twice.
@@ -19,7 +19,7 @@ from torchmbd.tracking.links import VIEW_TAG
 from torchmbd.tracking.store import experiment_id, open_store, store_uri
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 
-_MAX_BATCH = 1000  # metrics in one log_batch; MLflow's own limit
+_MAX_BATCH = 900  # metrics in one log_batch: 1000 of all kinds is MLflow's own limit, 100 of tags
 _MAX_RUNS = 50_000  # children of one study
 _MAX_VALUE = 6000  # characters of a parameter; MLflow's own limit
 
@@ -46,7 +46,8 @@ class MlflowTracker:
         self._written = {run: dict(last) for run, last in self.steps.items()}
         self._open = [run for run, id in self.runs.items() if self._running(id)]
         self._earlier: dict[str, str] | None = None  # run ids of an earlier life of the study
-        self._waiting: dict[str, list[Any]] = {}
+        self._waiting: dict[str, list[Any]] = {}  # metrics
+        self._words: dict[str, dict[str, str]] = {}  # tags
 
     def begin(
         self,
@@ -111,9 +112,8 @@ class MlflowTracker:
                 last[key] = max(step, last.get(key, -1))
 
     def tags(self, run: str, values: Mapping[str, str]) -> None:
-        from mlflow.entities import RunTag
-
-        self.client.log_batch(self._id(run), tags=[RunTag(key, str(value)) for key, value in values.items()])
+        self._id(run)
+        self._words.setdefault(run, {}).update({key: str(value) for key, value in values.items()})
 
     def artifact(self, run: str, file: str | Path, folder: str = "") -> None:
         self.client.log_artifact(self._id(run), str(file), folder or None)
@@ -135,22 +135,29 @@ class MlflowTracker:
         self.client.set_experiment_tag(self.experiment_id, VIEW_TAG + self._id(run), json.dumps(state))
 
     def end(self, run: str, status: Status) -> None:
-        self.flush()
+        self.flush(run)
         self.client.set_terminated(self._id(run), status, self._now())
         if run in self._open:
             self._open.remove(run)
 
-    def flush(self) -> None:
-        """Write the metrics that wait."""
-        for run, batch in list(self._waiting.items()):
-            while batch:
-                self.client.log_batch(self.runs[run], metrics=batch[:_MAX_BATCH])
-                del batch[:_MAX_BATCH]
-            del self._waiting[run]
+    def flush(self, *runs: str) -> None:
+        """Write the metrics and tags that wait: of some runs, or of all."""
+        from mlflow.entities import RunTag
 
-    def forget(self) -> None:
-        """Drop the metrics that wait."""
-        self._waiting.clear()
+        for run in runs or dict.fromkeys([*self._waiting, *self._words]):
+            batch, words = self._waiting.get(run, []), self._words.get(run, {})
+            while batch or words:
+                tags = [RunTag(key, value) for key, value in words.items()]
+                self.client.log_batch(self.runs[run], metrics=batch[:_MAX_BATCH], tags=tags)
+                del batch[:_MAX_BATCH]
+                words.clear()
+            self.forget(run)
+
+    def forget(self, *runs: str) -> None:
+        """Drop the metrics and tags that wait: of some runs, or of all."""
+        for run in runs or dict.fromkeys([*self._waiting, *self._words]):
+            self._waiting.pop(run, None)
+            self._words.pop(run, None)
 
     def probe(self) -> None:
         """Raise whatever the store raises if it cannot be read and written now."""

@@ -2,6 +2,7 @@
 
 A line is sent until the store takes it. If it fails, is the store there at all? If not, the writer tries again, for
 as long as the study lives and `PATIENCE` seconds longer. If it is, the line itself is at fault: it is noted and left out.
+Between two batches the writer rests, for it shares the cores with the study's workers.
 What is sent is noted in sent.json after every batch and every new run, so that no writer sends a run twice.
 """
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
 
 PATIENCE = float(os.environ.get("TORCHMBD_PATIENCE", "15"))  # seconds for a store that is away when the study is over
 _POLL, _PAUSE = 0.1, (0.5, 1.0, 2.0, 5.0, 10.0)  # seconds
+_REST, _LONGEST = 2.0, 1.0  # times what sending took, and seconds: much at once costs hardly more than little
 
 
 class Away(Exception):
@@ -63,13 +65,17 @@ class Writer:
         earlier = load_sent(self.folder)
         self.sent = earlier if earlier.session == self.file.stem else Sent(self.file.stem, steps=earlier.steps)
         drop_sessions(self.folder, before=self.file)
+        rested = 0.0
         while True:
             over = self.over()  # asked before the lines are read: what comes later is nothing
-            lines = read_lines(self.file, self.sent.offset)
+            began = time.monotonic()
+            lines = read_lines(self.file, self.sent.offset) if over or began >= rested else []
             if lines:
                 failure = self._insist(lambda lines=lines: self._send(lines))
                 if failure:
                     return {"waiting": failure}
+                took = time.monotonic() - began
+                rested = began + took + min(_REST * took, _LONGEST)
             elif over:
                 break
             else:
@@ -100,11 +106,15 @@ class Writer:
             self.when = when
             if method == "session":
                 self.where = arguments
+            elif method == "begin":
+                self._flush()
+                self._command(method, arguments)
+                self._note(end)
+            elif method == "end":
+                self._flush(arguments[0])
+                self._command(method, arguments)
             elif method != "close":
                 self._command(method, arguments)
-            if method != "metrics":
-                self._flush()
-                self._note(end)
         self._flush()
         self._note(lines[-1].end)
 
@@ -119,15 +129,15 @@ class Writer:
             self._require_store(error)
             self.sent.refused.append(f"{method} {arguments[0] if arguments else ''}: {_first_line(error)}")
 
-    def _flush(self) -> None:
+    def _flush(self, *runs: str) -> None:
         if self.tracker is None:
             return
         try:
-            self.tracker.flush()
+            self.tracker.flush(*runs)
         except Exception as error:
             self._require_store(error)
-            self.sent.refused.append(f"metrics: {_first_line(error)}")
-            self.tracker.forget()
+            self.sent.refused.append(f"metrics and tags: {_first_line(error)}")
+            self.tracker.forget(*runs)
 
     def _opened(self) -> MlflowTracker:
         if self.tracker is None:
