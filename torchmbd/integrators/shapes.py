@@ -82,7 +82,8 @@ def moved_designs(designs: dict[str, Tensor], parameters: tuple[str, ...], delta
     found, start = dict(designs), 0
     for name in dict.fromkeys(label.rpartition("[")[0] for label in parameters):
         shape = designs[name].shape[1:]
-        found[name] = designs[name] + delta[..., start : start + shape.numel()].unflatten(-1, shape)
+        step = delta[..., start : start + shape.numel()]
+        found[name] = designs[name] + step.reshape(delta.shape[:-1] + shape)
         start += shape.numel()
     return found
 
