@@ -21,7 +21,7 @@ from rich.markup import escape
 
 from torchmbd import __version__
 from torchmbd.errors import InputError, MbdError
-from torchmbd.process import brief_warnings, settle
+from torchmbd.process import BROOD, breed, brief_warnings, settle
 
 EXIT_INTERRUPTED = 130
 
@@ -52,6 +52,8 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     fresh
         Forget the evaluations of this problem, and begin anew.
     """
+    if workers != 1 and scheduler is None:
+        breed(*BROOD)
     settle()
     from torchmbd.experiment.draw import run_figures
     from torchmbd.experiment.load import Plan, load

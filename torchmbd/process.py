@@ -5,6 +5,8 @@
                   asking for them again costs a sixth of its time, more where several workers ask at once
     give_way      helpers beside a study (the writer, the studio) take what its computation leaves
     come_forward  ... until the study waits for them
+    breed         starts a process that has imported what workers need, for them to be forked from: they begin at once, while
+                  this one still does its own imports. Forked from this one they would copy its threads' locks
 
 Memory: glibc's mallopt; elsewhere the allocator keeps its own habits. MEMORY are the same settings as an environment.
 Priority: nice, which nothing takes back, and where Linux weighs whole sessions against each other (autogroup), theirs.
@@ -15,16 +17,22 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import multiprocessing
 import os
 import re
+import signal
 import sys
+import threading
 import warnings
+from collections.abc import Iterator
+from multiprocessing import forkserver
 from pathlib import Path
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 MEMORY = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": f"{2**31 - 1}"}
 _MALLOPT = ((-8, 1), (-4, 0), (-1, 2**31 - 1))  # M_ARENA_MAX, M_MMAP_MAX, M_TRIM_THRESHOLD of malloc.h
 _NICE = 5
+BROOD = ("distributed", "torchmbd.experiment.farm")  # what workers of a study need
 _AUTOGROUP = Path("/proc/self/autogroup")
 
 
@@ -38,6 +46,35 @@ def settle() -> None:
     with contextlib.suppress(AttributeError, OSError):  # no glibc
         for parameter, value in _MALLOPT:
             ctypes.CDLL(None).mallopt(parameter, value)
+
+
+def breed(*modules: str) -> None:
+    """Start the process that multiprocessing's "forkserver" forks from, with the modules imported; once is enough."""
+    multiprocessing.set_forkserver_preload(list(modules))
+    before = {name: os.environ.get(name) for name in ONE_THREAD | MEMORY}
+    os.environ.update(ONE_THREAD | MEMORY)
+    try:
+        with _children_deaf_to_interrupts():
+            forkserver.ensure_running()
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+@contextlib.contextmanager
+def _children_deaf_to_interrupts() -> Iterator[None]:
+    """Ctrl-C in the terminal reaches every process there: it is the study's to handle, not its workers'."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is ignored stays so in a new process
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def brief_warnings() -> None:

@@ -131,7 +131,7 @@ def motion(request, swing) -> Trajectory:
     b = dict(system.named_parameters())[NAME].detach()
     designs = {NAME: torch.stack([b, b + STEP * DIRECTION, b - STEP * DIRECTION])}
     return mbd.simulate(
-        system, 0.075, steps=42, sensitivities=True, designs=designs, phases=phases, iterations=(8, 6)
+        system, 0.075, steps=42, sensitivities=True, designs=designs, phases=phases, iterations=(16, 6)
     ).require_ok()
 
 

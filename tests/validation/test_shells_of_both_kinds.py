@@ -11,14 +11,14 @@ from experiments.shell_problems import PROBLEMS
 LEVELS = {
     "straight beam": (0.02, 0.01),
     "with parallelograms": (0.025, 0.01),
-    "with trapezoids": (0.06, 0.015),
+    "with trapezoids": (0.03, 0.01),
     "curved beam": (0.05, 0.045),
     "twisted beam": (0.01, 0.005),
     "the same, 1/100 as thick": (0.01, 0.005),
-    "Cook's membrane": (0.04, 0.015),
-    "roof": (0.01, 0.005),
+    "Cook's membrane": (0.01, 0.005),
+    "roof": (0.02, 0.005),
     "hemisphere": (0.005, 0.01),
-    "pinched cylinder": (0.09, 0.01),
+    "pinched cylinder": (0.075, 0.01),
     "square plates": (0.025, 0.01),
     "plates 5 : 1": (0.03, 0.03),
     "Morley's skew plate": (0.05, 0.02),
@@ -38,10 +38,13 @@ def test_fine_meshes_are_within_two_percent(name):
     """24 x 4 cells. Out of the plane of the ring first-order plate theory itself ends at 0.993 (test_twisted_strip.py)."""
     found = PROBLEMS[name]("quad", 4)
     assert found["w"] == pytest.approx(0.993 if name == "curved beam" else 1.0, abs=0.015)
-    assert found["v"] == pytest.approx(1.0, abs=0.012)
+    exact = (
+        1.014 if name == "curved beam" else 1.0
+    )  # plane elasticity over the beam formula: Timoshenko and Goodier, art. 33
+    assert found["v"] == pytest.approx(exact, abs=0.005)
 
 
 def test_slender_slanted_cells_bend_in_their_plane():
     """What triangles (0.53, 0.71) and membranes without drilling freedoms cannot: 6 x 1 cells of 45 degrees."""
     assert PROBLEMS["with parallelograms"]("quad", 1)["v"] > 0.98
-    assert PROBLEMS["with trapezoids"]("quad", 1)["v"] > 0.94
+    assert PROBLEMS["with trapezoids"]("quad", 1)["v"] > 0.98

@@ -14,7 +14,8 @@ bows    a side that is bent deflects by L / 12 (beta_j - beta_i) . t from its ch
 
 So a strip of cells that wind like a screw bends and twists as thin as it is, without stretching.
 
-On curved shells the drilling freedoms are softened as in triangle.py, with r = area (tilt / h)^2.
+On curved shells the drilling freedoms are softened as in triangle.py, with r = area (tilt^2 + warp^2) / h^2: the surface of
+a warped cell is tilted to its own mean plane, by `warp` in the mean square.
 Source: see quad_membrane.py, quad_bending.py; shallow shells: K. Marguerre (1938); forces instead of moments at the corners
 of warped cells: R. H. MacNeal, Finite Elements: Their Design and Performance (1994), chapter 9.
 Checked in tests/elements/test_quad.py, tests/contracts/test_shell_elements.py, tests/validation/test_curved_shells.py.
@@ -37,7 +38,7 @@ from torchmbd.materials import IsotropicMean
 def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     """Return the strains of every quadrilateral at its six points."""
     points = gauss(plane.corners)
-    softness = plane.area * (plane.tilt / mean.bending_length) ** 2
+    softness = plane.area * (plane.tilt**2 + _warp2(plane)) / mean.bending_length**2
     flat = membrane_strains(plane.corners, points, mean.poisson, softness).unflatten(-1, (4, 3))
     membrane = torch.cat([flat[..., :2], _of_warp(plane, points, flat[..., :2]), flat[..., 2:]], dim=-1)
     curvature, shear = (
@@ -48,6 +49,12 @@ def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     weight = torch.cat([points.weight, plane.area[:, None].expand(-1, 2)], dim=1)
     share = points.weight / points.weight.sum(1, keepdim=True)
     return Strains(at, weight, torch.einsum("mp,mpsf->msf", share, at[:, :4]))
+
+
+def _warp2(plane: Facets) -> Float[Tensor, " m"]:
+    """Mean square of the slope of a bilinear surface: a third of that of its sides, here of the steepest [rad2]."""
+    length = (plane.corners.roll(-1, dims=1) - plane.corners).norm(dim=-1)
+    return ((plane.height.roll(-1, dims=1) - plane.height) / length).square().amax(1) / 3.0
 
 
 def _of_warp(plane: Facets, points: Bilinear, flat: Tensor) -> Float[Tensor, "m 6 3 4 3"]:

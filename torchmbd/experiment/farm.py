@@ -19,10 +19,6 @@ import logging
 import math
 import os
 import re
-import signal
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any, Self
@@ -39,13 +35,14 @@ from torchmbd.experiment.model import build_model, find_model
 from torchmbd.experiment.place import problem_key
 from torchmbd.experiment.schema import Study
 from torchmbd.optimizers import Evaluation
-from torchmbd.process import MEMORY, ONE_THREAD, brief_warnings, settle
+from torchmbd.process import BROOD, MEMORY, ONE_THREAD, breed, brief_warnings, settle
 
 LANES = 64  # designs in one batch of one process: more gain little, and cost memory
 HERE = "127.0.0.1"
 _DEATHS = 3  # of workers under the same piece, until its designs count as failed
 _SETTINGS: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": _DEATHS,
+    "distributed.worker.multiprocessing-method": "forkserver",
     "distributed.nanny.pre-spawn-environ": ONE_THREAD | MEMORY,  # Dask's own hands memory back at once
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",  # 20 ms by itself: a wake-up that interrupts the numbers
@@ -114,8 +111,8 @@ class Farm:
             "silence_logs": logging.CRITICAL,
             "dashboard_address": f"{HERE}:0",
         }
-        with _children_deaf_to_interrupts():
-            return LocalCluster(n_workers=self._workers, threads_per_worker=1, host=HERE, **options)
+        breed(*BROOD)
+        return LocalCluster(n_workers=self._workers, threads_per_worker=1, host=HERE, **options)
 
     def __exit__(self, *_: object) -> None:
         if self._client is not None:
@@ -153,19 +150,6 @@ class Farm:
             self._client.cancel(futures, force=True)
             raise
         return found
-
-
-@contextmanager
-def _children_deaf_to_interrupts() -> Iterator[None]:
-    """Ctrl-C in the terminal reaches every process there: it is the study's to handle, not its workers'."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # what is ignored stays so in a new process
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 def evaluate_piece(study: str, folder: str, key: str, X: np.ndarray, gradients: bool) -> list[Evaluation]:

@@ -6,6 +6,7 @@
 // If factors cannot be relied on, `march` returns 1 and has done nothing.
 
 constexpr int N_X = N_Q + 3 * N_V + ROWS;
+constexpr int MOST = 4;  // as in march.py
 
 struct Job {
   long lanes, slots, data, data_tangents, uniform;                // numbers of each
@@ -79,6 +80,7 @@ extern "C" long march(const Job* job) {
       const bool always = J.refresh == 0, due = always || (J.first + i) % J.refresh == 0;
       const long renewed = J.corrections > 1 ? (J.corrections - 1 > 1 ? J.corrections - 1 : 1) : -1;
       if (fresh) renew(in, J.stay, J.lost, factors, w, entries);
+      const bool begins = fresh;
       fresh = false;
       for (long k = 0; k < J.corrections; k++) {
         if (always || (due && k == renewed)) renew(in, J.stay, J.lost, factors, w, entries);
@@ -92,7 +94,7 @@ extern "C" long march(const Job* job) {
       if (due && J.corrections == 1) renew(in, J.stay, J.lost, factors, w, entries);
       finish(in, w, next);
       if (S) boundary(in, w, b);
-      V left = spread(0.0), most = spread(0.0);
+      V left = spread(0.0);
       for (int s = 0; s < S; s++) {
         V* ds = dz + (long)N * s;
         in.dx = state + (long)(1 + s) * N_X;
@@ -100,18 +102,15 @@ extern "C" long march(const Job* job) {
         in.dz = ds;
         start(in.dx, ds);
         const bool looks = J.look && i == 0;
-        for (long k = 0; k < J.passes + looks; k++) {
+        for (long k = 0; k < J.passes + looks + (begins ? MOST : 0); k++) {
           residual_tangent(in, w, R);
           solve(factors.K, factors.inverse, R);
           for (int n = 0; n < N; n++) ds[n] -= R[n];
-        }
-        if (looks) {
-          left = f_max(left, largest(R, N_V));
-          most = f_max(most, largest(ds, N_V));
+          if (looks && k == J.passes) left = f_max(left, largest(R, N_V) / f_max(largest(ds, N_V), 2.2250738585072014e-308));
         }
         finish_tangent(in, w, next + (long)(1 + s) * N_X);
       }
-      if (S && J.look && i == 0) put(J.errors + block * LANES, left / f_max(most, 2.2250738585072014e-308), valid);
+      if (S && J.look && i == 0) put(J.errors + block * LANES, left, valid);
       std::memcpy((void*)state, next, (1 + S) * N_X * sizeof(V));
       const long L = J.lanes, at = block * LANES;
       for (int s = 0; s <= S; s++) {

@@ -41,9 +41,9 @@ def sized(dynamics: Dynamics, method: Coefficients, x: State, h: Any, t1: Any) -
     dz, before = torch.cat([x.vd.tangent, x.lam.tangent]), torch.inf
     for _ in range(_MOST):
         dz, size = step.tangent(H, z, dz)
-        if _done(float(size), before, dz):
+        if _done(float(size.max()), before, dz):
             break
-        before = float(size)
+        before = float(size.max())
     return step.finish(z, dz)
 
 

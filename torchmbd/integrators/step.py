@@ -160,7 +160,7 @@ class Step:
     def correct(self, H: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected unknowns, and the size of the correction of the accelerations [lanes]."""
         correction = apply(H, self.residual(z))
-        return z - correction, self._size(correction)
+        return z - correction, self._size(correction)[0]
 
     def matrix(self, z: Tensor) -> Tensor:
         """Iteration matrix [lanes, n, n]."""
@@ -172,13 +172,13 @@ class Step:
         return self.model.saddle.matrix(data, at, w.scale, w.rate, v, vd, lam, turn)
 
     def tangent(self, H: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
-        """Corrected design tangents [n, n_b, lanes] of the unknowns, and the size of their correction [lanes]."""
+        """Corrected design tangents [n, n_b, lanes] of the unknowns, and the size of their correction [n_b, lanes]."""
         R = self.residual(Pair.of(z, dz)).tangent
         correction = apply(H, R)
         return dz - correction, self._size(correction)
 
     def _size(self, correction: Tensor) -> Tensor:
-        return correction[: self.model.T.n_v].abs().amax((0, 1))
+        return correction[: self.model.T.n_v].abs().amax(0)
 
     def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
         """The new state."""
