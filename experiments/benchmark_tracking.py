@@ -1,14 +1,16 @@
 """What do the experiment layer, its logging and its workers cost? `python -m experiments.benchmark_tracking WHAT ...`
 
-    overhead   a study of some ten seconds (the three-layer rod, 32 starts) through `torchmbd run`'s own path, beside the same
-               multistart called in Python, both in this process, by turns; the writer and the figures have the other core
+    overhead   a study of some ten seconds (the three-layer rod, 32 starts; `--iterations`) by `torchmbd run`'s own path,
+               beside the same multistart called in Python, both in this process, by turns; the writer and the figures have
+               the other core
     fresh      the same, each time in a store that is not there yet
     logging    200 starts of 30 iterations told to a journal, and the writer beside it that brings them into MLflow's
                SQLite, as shares of a study whose evaluations take 0.1 s each, as those of the slider-crank do
     table      the same, and seconds until Chromium shows the table of these 200 runs, from MLflow's own server (playwright)
     start      seconds from `torchmbd run` to the first iteration of the main job on the screen, in a store that is not there
                yet and then in that store
-    scaling    128 designs on one Dask worker and on two (nothing else then), and the study above, whole, on one and on two
+    scaling    128 designs on one Dask worker and on two (nothing else then)
+    workers    the command `torchmbd run` of that study with one worker and with two, from its start to its end
 
 Wall time on whatever else the machine does.
 """
@@ -53,11 +55,11 @@ simulate: {duration: 0.04, steps: 500}
 minimize: {integral: {strain_energy: rod}}
 subject_to:
   - {max: {strain_energy: rod}, at_most: initial}
-optimizer: {name: mmfd, max_iterations: 30}
+optimizer: {name: mmfd, max_iterations: ITERATIONS}
 starts: {sampler: sobol, count: 32, seed: 7}
 tracking: {experiment: benchmark}
 """
-STARTS, ITERATIONS, EVALUATION = 200, 30, 0.1  # seconds for one design in a batch
+STARTS, STEPS, EVALUATION = 200, 30, 0.1  # iterations of each start, seconds for one design in a batch
 PAIRS = 5
 
 
@@ -91,9 +93,10 @@ def overhead(file: Path, fresh: bool) -> None:
         if fresh:
             place(file.parent / f"store_{k}")
         bare, layered = timed(alone)[0], timed(whole)[0]
-        more.append(100 * (layered / bare - 1))
-        print(f"multistart alone {bare:.2f} s, whole study {layered:.2f} s: {more[-1]:.1f} %", flush=True)
-    print(f"overhead in {'a fresh store' if fresh else 'a store that is there'}: median {np.median(more):.1f} %")
+        more.append([layered - bare, 100 * (layered / bare - 1)])
+        print(f"multistart alone {bare:.2f} s, whole study {layered:.2f} s: {more[-1][1]:.1f} %", flush=True)
+    seconds, percent = np.median(more, axis=0)
+    print(f"{'a fresh store' if fresh else 'a store that is there'}: median {seconds:.2f} s, {percent:.1f} % more")
 
 
 def place(folder: Path) -> None:
@@ -117,7 +120,7 @@ def logging(file: Path, table: bool) -> None:
             x = np.full(n, 0.1)
             for k in range(STARTS):
                 journal.begin_start(k, x)
-            for iteration in range(ITERATIONS + 1):
+            for iteration in range(STEPS + 1):
                 for k in range(STARTS):
                     journal.iterate(Iterate(k, iteration, x, 1.0 / (1 + iteration), 0.0, np.zeros(1), iteration + 1))
 
@@ -131,10 +134,10 @@ def logging(file: Path, table: bool) -> None:
         writer = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
         if table:
             shown(uri, record)
-    study = STARTS * ITERATIONS * EVALUATION
+    study = STARTS * STEPS * EVALUATION
     shares = [100 * seconds / study for seconds in (told[1], writer)]
     print(
-        f"logging: {STARTS} starts x {ITERATIONS} iterations told in {told[1]:.2f} s of processor, {shares[0]:.2f} %",
+        f"logging: {STARTS} starts x {STEPS} iterations told in {told[1]:.2f} s of processor, {shares[0]:.2f} %",
         end="",
     )
     print(f" of a study of {study:.0f} s; the writer {writer:.1f} s, {shares[1]:.1f} %; ", end="")
@@ -191,9 +194,21 @@ def scaling(file: Path) -> None:
             farm.evaluate(X[: 2 * workers], True)  # the model is built, the limits are known
             batches = np.array_split(X, 2 // workers)
             seconds.append(timed(lambda farm=farm, batches=batches: [farm.evaluate(x, True) for x in batches])[0])
-    print(
-        f"scaling: {len(X)} designs on 1 worker {seconds[0]:.1f} s, on 2 {seconds[1]:.1f} s: {seconds[0] / seconds[1]:.2f}"
-    )
+    print(f"{len(X)} designs on 1 worker {seconds[0]:.1f} s, on 2 {seconds[1]:.1f} s: {seconds[0] / seconds[1]:.2f}")
+
+
+def workers(file: Path) -> None:
+    """The whole command with one worker and with two."""
+    seconds = []
+    for count in (1, 2):
+        command = [sys.executable, "-m", "torchmbd.cli", "run", file.name, "--fresh", "--workers", str(count)]
+        environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+        seconds.append(timed(lambda command=command, environment=environment: _quietly(command, file, environment))[0])
+    print(f"the whole command, 1 worker {seconds[0]:.1f} s, 2 {seconds[1]:.1f} s: {seconds[0] / seconds[1]:.2f}")
+
+
+def _quietly(command: list[str], file: Path, environment: dict[str, str]) -> None:
+    subprocess.run(command, cwd=file.parent, env=environment, stdout=subprocess.DEVNULL, check=True)
 
 
 def main() -> None:
@@ -205,13 +220,16 @@ def main() -> None:
         "table": lambda file: logging(file, table=True),
         "start": lambda file: start(),
         "scaling": scaling,
+        "workers": workers,
     }
     parser.add_argument("what", nargs="+", choices=list(what), help="see the top of this file")
+    parser.add_argument("--iterations", type=int, default=12, help="of every start of the study")
+    arguments = parser.parse_args()
     settle()  # as the command line does
-    for part in parser.parse_args().what:
+    for part in arguments.what:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "study.yaml"
-            file.write_text(STUDY, encoding="utf-8")
+            file.write_text(STUDY.replace("ITERATIONS", str(arguments.iterations)), encoding="utf-8")
             what[part](file)
 
 

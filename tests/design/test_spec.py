@@ -16,7 +16,7 @@ from torchmbd.design import (
     WeightedSum,
 )
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
-from torchmbd.design.spec import HISTORIES, MEASURES, SpecError, leaf, measure_of, terms, words
+from torchmbd.design.spec import HISTORIES, MEASURES, UNITS, SpecError, heading, leaf, measure_of, terms, unit, words
 
 ENERGY = mbd.StrainEnergy("rod")
 TWIST = RelativeDisplacement("rod", "left", "right", "z")
@@ -51,6 +51,16 @@ TWIST_SPEC = {"relative_displacement": {"body": "rod", "a": "left", "b": "right"
 )
 def test_what_a_file_can_say(spec, expected):
     assert measure_of(spec) == expected
+
+
+def test_responses_have_units():
+    assert set(UNITS) == {*RESPONSES, *OF_DESIGN}
+    assert heading({"integral": {"strain_energy": "rod"}}) == "integral of strain energy of rod [J s]"
+    assert unit({"rms": {"squared": {"displacement": {"body": "rod", "node": "right", "axis": "y"}}}}) == "m²"
+    assert unit({"integral": {"squared": {"velocity": {"body": "rod", "node": "right", "axis": "y"}}}}) == "(m/s)² s"
+    assert unit({"max": {"reaction": {"joint": "hinge", "axis": "z", "kind": "torque"}}}) == "N m"
+    assert heading({"max": {"ply_failure": "rod"}}) == "max of ply failure of rod"
+    assert unit({"weighted_sum": [{"weight": 1.0, "mass": "rod"}]}) == ""
 
 
 def test_responses_in_words():

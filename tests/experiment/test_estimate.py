@@ -47,5 +47,5 @@ def test_a_valid_file_is_told_with_its_cost(write):
     output = io.StringIO()
     print_estimate(load_study(write(simulate={"duration": 1e-3, "steps": 4})), Console(file=output, width=200))
     text = output.getvalue()
-    assert "is valid: integral of strain energy of rod, 2 design variables, 1 constraints" in text
+    assert "is valid: integral of strain energy of rod, 2 design variables, 1 constraint" in text
     assert "at most about 6 simulations in batches of 2" in text

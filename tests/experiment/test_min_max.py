@@ -24,6 +24,7 @@ def test_the_extra_variable_is_the_last_column(write):
     plan = load_study(write(minimize=PEAKS, starts={"sampler": "given", "points": [[20.0, -70.0]]}))
     assert plan.columns.names == ("angle_1_deg", "angle_2_deg", "bound")
     assert plan.columns.sentence(np.radians([45.0, -45.0, 1.0])) == "45, -45 deg"
+    assert plan.columns.sentence(np.radians([0.0005, -12.345, 1.0])) == "0, -12.35 deg"
     problem = problem_of(plan)
     assert problem.names[-1] == "bound"
     np.testing.assert_allclose(problem.upper, np.append(np.radians([90.0, 90.0]), 1.0))

@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.mechanisms import SOFT, box, laminate, pendulum, plate, rigid_pendulum, tensor
+from tests.mechanisms import SOFT, box, laminate, pendulum, plate, rigid_pendulum, tensor, turned
 from torchmbd.errors import InputError
 from torchmbd.integrators.simulate import default_steps
 
@@ -200,3 +200,14 @@ def test_steps_that_do_not_resolve_the_vibrations_are_told():
     assert 100 < suggested < 1000
     fine = mbd.simulate(system, 0.024, steps=suggested)
     assert float(fine.stats["step_error"][0]) < 0.02
+
+
+def test_a_body_at_rest_on_long_arms_stays_there():
+    """Nothing moves but the rounding of the joint's equations, which the arms enlarge."""
+    rod = plate("rod", 3, made_of=laminate(ply=SOFT), position=(0.3, -0.4, 0.2), axes=turned(0.4, -1.1, 0.6))
+    arm = tensor(0.25, -0.3, 0.4)
+    place = rod.position + rod.axes @ (tensor(0.15, 0.0, 0.0) + arm)
+    joint = mbd.Fixed(rod.at("right", offset=arm), mbd.Ground().at(*place.tolist()))
+    motion = mbd.simulate(mbd.System([rod], [joint]), 0.04, steps=200)
+    assert motion.status == ["ok"]
+    assert float((motion.q - motion.q[:, :1]).abs().max()) < 1e-10

@@ -6,6 +6,7 @@ import os
 import resource
 import shutil
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -113,6 +114,22 @@ def test_a_store_that_is_away_is_caught_up_with(tmp_path):
     assert any(run.data.metrics == {"objective": 1.0 / 3} for run in runs)
     assert {t for run in runs for t in (run.info.start_time, run.info.end_time)} <= times  # not when it was sent
     assert not folder.exists()
+
+
+def test_a_study_may_go_on_while_what_it_left_is_sent(tmp_path):
+    hide(tmp_path)
+    folder = tmp_path / "study"
+    told(folder, tmp_path, 3, "FINISHED")
+    sending = threading.Thread(target=deliver, args=(folder, 30.0))
+    sending.start()
+    while not (folder / "writer.lock").exists():
+        time.sleep(0.01)
+    with locked(folder, "study.lock"):  # free by now, or at once
+        assert sending.is_alive()  # the store is still away
+        show(tmp_path)
+        sending.join()
+        assert (folder / "study.lock").exists()  # nothing is cleared away under the feet of a study that lives
+    assert {run.info.status for run in written(tmp_path)} == {"FINISHED"}
 
 
 def test_a_study_that_goes_on_goes_on_in_its_runs(tmp_path):

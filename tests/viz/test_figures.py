@@ -17,6 +17,8 @@ def test_every_start_is_drawn_and_the_best_on_top():
     assert len(bottom.lines) == 3
     assert top.get_legend().get_texts()[0].get_text() == "best: start 1"
     assert top.get_yscale() == "log"
+    assert list(bottom.get_yticks()) == [0.0]
+    assert len(convergence(objectives, {"start 0": [0.3, 0.0, 0.0]}).axes[1].get_yticks()) > 1
     assert convergence({"a": [1.0, -1.0]}, {}).axes[0].get_yscale() == "linear"
 
 

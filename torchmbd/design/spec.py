@@ -24,6 +24,20 @@ from torchmbd.errors import InputError, nearest
 SUM, SQUARED = "weighted_sum", "squared"
 MEASURES = (*COMBINATORS, *OF_DESIGN, SUM)
 HISTORIES = (*RESPONSES, SQUARED)
+UNITS = {
+    "strain_energy": "J",
+    "position": "m",
+    "displacement": "m",
+    "velocity": "m/s",
+    "acceleration": "m/s²",
+    "relative_displacement": "m",
+    "reaction": "N",
+    "angle": "rad",
+    "ply_failure": "",
+    "ply_stress": "Pa",
+    "frequency": "Hz",
+    "mass": "kg",
+}
 Path = tuple[str | int, ...]
 
 
@@ -72,6 +86,27 @@ def words(spec: Any, bodies: bool = True) -> str:
         return f"{said} of {words(inner, bodies)}"
     body = inner if isinstance(inner, str) else next(iter(inner.values()))
     return f"{said} of {body}" if bodies else said
+
+
+def unit(spec: Any) -> str:
+    """The unit of a valid response: `J s`; empty for a plain number, and for a sum, whose terms may have different ones."""
+    [name] = [key for key in spec if key in MEASURES or key in HISTORIES]
+    inner = spec[name]
+    if name == SUM:
+        return ""
+    if name == "reaction" and isinstance(inner, Mapping) and inner.get("kind") == "torque":
+        return "N m"
+    if name in UNITS:
+        return UNITS[name]
+    own = unit(inner)
+    if name == SQUARED and own:
+        return f"({own})²" if " " in own or "/" in own else f"{own}²"
+    return f"{own} s".strip() if name == "integral" else own
+
+
+def heading(spec: Any) -> str:
+    """A valid response as the title of an axis: `integral of strain energy of rod [J s]`."""
+    return f"{words(spec)} [{unit(spec)}]" if unit(spec) else words(spec)
 
 
 def leaf(spec: Any, path: Path = ()) -> Path:

@@ -53,9 +53,10 @@ class Columns:
         return np.asarray(values, dtype=float) * self.factors
 
     def sentence(self, x: np.ndarray) -> str:
-        """Return a design vector [SI] in one line: `45, -45, 45 deg`."""
+        """Return a design vector [SI] in one line: `45, -45, 45 deg`; angles to a hundredth."""
         own = {name: unit for name, unit in zip(self.names, self.units, strict=True) if name != BOUND}
-        values = ", ".join(f"{float(f'{value:.4g}') + 0.0:g}" for name, value in self.shown(x).items() if name in own)
+        shown = {name: round(x, 2) if own.get(name) == "deg" else x for name, x in self.shown(x).items()}
+        values = ", ".join(f"{float(f'{shown[name]:.4g}') + 0.0:g}" for name in own)
         return f"{values} {self.units[0]}" if len(set(own.values())) == 1 and self.units[0] != "none" else values
 
     @property

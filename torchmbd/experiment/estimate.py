@@ -115,8 +115,8 @@ def print_estimate(plan: Plan | FiguresPlan, console: Console) -> None:
     store_uri(plan.study.tracking.uri)  # refused here, not when the study is over
     problem = problem_of(plan)
     console.print(
-        f"{plan.file} is valid: {words(plan.study.minimize)}, {len(plan.columns.names)} design variables, "
-        f"{len(plan.study.subject_to)} constraints",
+        f"{plan.file} is valid: {words(plan.study.minimize)}, {_count(len(plan.columns.names), 'design variable')}, "
+        f"{_count(len(plan.study.subject_to), 'constraint')}",
         markup=False,
         soft_wrap=True,
     )
@@ -129,6 +129,10 @@ def print_estimate(plan: Plan | FiguresPlan, console: Console) -> None:
         markup=False,
         soft_wrap=True,
     )
+
+
+def _count(n: int, what: str) -> str:
+    return f"{n or 'no'} {what}{'s' * (n != 1)}"
 
 
 def _time(seconds: float) -> str:

@@ -23,7 +23,7 @@ body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 60rem; marg
 h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin-top: 2rem; } .quiet { color: #666; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 0.9em; }
 th, td { text-align: right; padding: 0.15rem 0.7rem; } th { border-bottom: 1px solid #888; }
-td:first-child, th:first-child { text-align: left; } tr.best { font-weight: 600; }
+td:first-child, th:first-child { text-align: left; } td { white-space: nowrap; } tr.best { font-weight: 600; }
 img { max-width: 100%; } iframe { width: 100%; height: 34rem; border: 1px solid #ddd; }
 pre { background: #f6f6f6; padding: 0.8rem; overflow-x: auto; }
 """
@@ -36,6 +36,7 @@ _OUTCOME = {
     "evaluations": "evaluations",
     "failed_evaluations": "of them failed",
 }
+_UNITS = ("deg", "rad", "m", "mm", "%")  # at the ends of metrics
 _PROVENANCE = ("git_commit", "version.torchmbd", "version.torch", "version.python", "machine", "seed", "overrides")
 
 
@@ -67,7 +68,9 @@ def _page(store: str, entry: Entry, scratch: Path) -> str:
     ]
     if note := entry.tags.get("mlflow.note.content"):
         parts.append(f"<p>{escape(note)}</p>")
-    parts.append(_rows({label: f"{entry.metrics[key]:.6g}" for key, label in _OUTCOME.items() if key in entry.metrics}))
+    parts.append(
+        _rows({label: _number(key, entry.metrics[key]) for key, label in _OUTCOME.items() if key in entry.metrics})
+    )
     parts += [_children(store, entry), *_pictures(store, entry, scratch)]
     if motion := fetch(store, entry, "motion_best.html", scratch):
         page = escape(motion.read_text(encoding="utf-8"), quote=True)
@@ -92,14 +95,25 @@ def _children(store: str, entry: Entry) -> str:
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
     columns = ["objective", "reduction_percent", "violation", *names, "iterations", "analyses"]
     columns = [name for name in columns if any(name in child.metrics for child in found)]
-    head = "".join(f"<th>{escape(name.replace('_', ' '))}</th>" for name in ("run", *columns, "status"))
+    head = "".join(f"<th>{escape(_heading(name))}</th>" for name in ("run", *columns, "status"))
     rows = []
     for child in found:
-        cells = [child.name, *(f"{child.metrics[c]:.6g}" if c in child.metrics else "-" for c in columns)]
+        cells = [child.name, *(_number(c, child.metrics[c]) if c in child.metrics else "-" for c in columns)]
         cells.append(child.tags.get("status", child.status.lower()).replace("_", " "))
         best = ' class="best"' * (child.tags.get("best") == "true")
         rows.append(f"<tr{best}>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
     return f"<h2>{len(found)} runs</h2><table><tr>{head}</tr>{''.join(rows)}</table>"
+
+
+def _heading(metric: str) -> str:
+    """Return the title of a metric's column: `angle 1 [deg]`, `reduction [%]`."""
+    word, _, last = metric.replace("percent", "%").rpartition("_")
+    return f"{word.replace('_', ' ')} [{last}]" if last in _UNITS else metric.replace("_", " ")
+
+
+def _number(metric: str, value: float) -> str:
+    """Write a metric: angles and shares to a hundredth, everything else to six digits."""
+    return f"{value:z.2f}" if metric.endswith(("_deg", "_percent")) else f"{value:.6g}"
 
 
 def _pictures(store: str, entry: Entry, scratch: Path) -> list[str]:

@@ -31,7 +31,10 @@ def print_configs(folder: Path, console: Console) -> None:
     table.add_column("question")
     for file, question in found.items():
         table.add_row(escape(str(file)), escape(question))
-    print_table(table, console)
+    if console.is_terminal:
+        console.print(table)  # a question is broken where the terminal ends
+    else:
+        print_table(table, console)
 
 
 def print_studies(uri: str | None, console: Console) -> None:

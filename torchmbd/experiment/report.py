@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.design import Problem
-from torchmbd.design.spec import words
+from torchmbd.design.spec import heading
 from torchmbd.errors import MbdError
 from torchmbd.experiment.journal import Journal
 from torchmbd.experiment.load import Plan
@@ -60,7 +60,7 @@ def study_pictures(
         objectives={name: [i.objective for i in history] for name, history in histories.items()},
         violations={name: [i.violation for i in history] for name, history in histories.items()},
         best=None if best is None else f"start {best.start}",
-        ylabel=words(plan.study.minimize),
+        ylabel=heading(plan.study.minimize),
     )
     if len(plan.columns.names) <= 2:
         STUDIO.draw("design_map", [journal.folder / "design_map.png"], **_map(plan, study, visited))
@@ -99,7 +99,7 @@ def _map(plan: Plan, study: Study, visited: Visited) -> dict[str, Any]:
         "headings": plan.columns.headings,
         "ends": ends,
         "visited": (visited[0] / factors, visited[1]),
-        "objective": words(plan.study.minimize),
+        "objective": heading(plan.study.minimize),
     }
 
 

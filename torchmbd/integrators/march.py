@@ -23,7 +23,7 @@ from torchmbd.system.topology import Prescribed
 CHECK = 25  # steps between two looks at what the correction of tangents leaves
 TANGENT_ERROR = 5e-6  # relative; more than this gets another correction
 MOST = 4  # corrections of tangents
-_ROUNDING = 1e-12  # of coordinates, with room for what equations and inverse make of it
+_ROUNDING = 1e-10  # of coordinates, with room for what equations and inverse make of it
 
 
 class March:

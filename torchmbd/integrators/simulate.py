@@ -33,6 +33,8 @@ from torchmbd.system import Dynamics, System
 METHODS = ("generalized_alpha", *ode.METHODS)
 # A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
 ITERATION_ERROR = 1e-2
+# With sensitivities more than this is tried again carefully: gradients are those of equations that are solved.
+IMPRECISE = 1e-3
 TURN = 1.0  # [rad] of a body in one step
 STEP_ERROR = 1.0  # as large as the vibrations themselves: worth a warning
 _LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
@@ -198,7 +200,7 @@ def run(
 def _with_retries(
     dynamics: Dynamics, duration: float, steps: int, halvings: int = 1, **options: Any
 ) -> tuple[History, dict[str, Any], list[str]]:
-    """generalized_alpha; lanes that fail are tried again carefully, then with half the step.
+    """generalized_alpha; lanes that fail, or whose gradients are imprecise, are tried again carefully, then with half the step.
 
     halvings: how many times the step may be halved
     """
@@ -206,8 +208,9 @@ def _with_retries(
         raise InputError(f"halvings is {halvings!r}; allowed: a whole number, 0 or more")
     history, stats = generalized_alpha.integrate(dynamics, duration, steps, **options)
     status = _status(history, duration, steps, stats)
-    failed = [lane for lane, reason in enumerate(status) if reason != OK]
     quick = options.get("refresh", 1) > 0
+    poor = (stats["iteration_error"] > (IMPRECISE if quick and dynamics.tangents else torch.inf)).tolist()
+    failed = [lane for lane, reason in enumerate(status) if reason != OK or poor[lane]]
     if not failed or not (quick or halvings):
         return history, stats, status
     often, left = (1, halvings) if quick else (2, halvings - 1)
@@ -241,7 +244,8 @@ def _empty(dynamics: Dynamics, steps: int) -> History:
 
 def _status(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:
     """For each lane: the first time at which it is not finite, or what its steps leave to be desired."""
-    good = torch.stack([torch.isfinite(x).all(2).all(1) for x in (history.q, history.v, history.vd)]).all(0)
+    # A sum is finite where all its terms are, short of overflow: one pass over the numbers.
+    good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0)
     result = []
     for lane in range(good.shape[1]):
         bad = torch.nonzero(~good[:, lane])

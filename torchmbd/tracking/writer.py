@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -201,16 +202,17 @@ def deliver(folder: Path, patience: float = PATIENCE) -> str | None:
     file = last_session(folder)
     if file is None:
         return None
-    with locked(folder, "study.lock", wait=False) as mine:
-        if not mine:
-            return None  # it lives, and has a writer of its own
-        with locked(folder, "writer.lock", wait=False) as free:
-            if not free or not file.exists():
+    with ExitStack() as held:
+        with locked(folder, "study.lock", wait=False) as over:
+            if not over:
+                return None  # it lives, and has a writer of its own
+            if not held.enter_context(locked(folder, "writer.lock", wait=False)) or not file.exists():
                 return None
-            word = Writer(folder, file, lambda: True, patience).run()
-        if word.get("finished"):
-            clear(folder)
-        return word.get("waiting")
+        word = Writer(folder, file, lambda: True, patience).run()  # the study may go on meanwhile: its writer waits
+        with locked(folder, "study.lock", wait=False) as over:
+            if over and word.get("finished"):
+                clear(folder)
+    return word.get("waiting")
 
 
 def main(folder: str, mode: str = "") -> int:

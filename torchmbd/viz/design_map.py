@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.viz.figures import CYCLE, OTHER, figure_of
+from torchmbd.viz.figures import CYCLE, OTHER, degrees, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _CONTOURS = 12  # evaluations from which on contours are drawn
+_WIDE = 10.0  # ratio of objectives from which on their colors and contours are logarithmic
 
 
 def design_map(
@@ -52,7 +53,8 @@ def design_map(
     for name, path in paths.items():
         end = None if ends is None else ends.get(name)
         color = OTHER if end is None else CYCLE[1:][end % (len(CYCLE) - 1)]
-        label = None if end is None or end in named else f"ends in minimum {end + 1}"
+        label = "did not converge" if end is None else f"ends in minimum {end + 1}"
+        label = None if ends is None or end in named else label
         named.add(end)
         across = np.asarray(path)[:, 0]
         up = np.asarray(objectives[name]) if len(headings) == 1 else np.asarray(path)[:, 1]
@@ -63,8 +65,12 @@ def design_map(
     axes.autoscale_view()
     axes.set_xlabel(headings[0])
     axes.set_ylabel(headings[1] if len(headings) == 2 else objective)
-    if named - {None}:
-        axes.legend(frameon=False, fontsize=8)
+    degrees(axes, **dict(zip("xy", headings, strict=False)))
+    axes.plot([], [], "s", color="black", ms=5, mfc="white", label="start")
+    axes.plot([], [], "*", color="black", ms=9, label="end")
+    entries = sorted(zip(*axes.get_legend_handles_labels(), strict=True), key=lambda e: (e[1][:4] != "ends", e[1]))
+    handles, labels = zip(*entries, strict=True)
+    figure.legend(handles, labels, frameon=False, fontsize=8, loc="outside upper left", ncols=4)  # nothing is hidden
     return figure
 
 
@@ -76,7 +82,9 @@ def _one(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str) -> None:
 def _two(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str) -> None:
     if not len(X):
         return
+    wide = y.min() > 0.0 and y.max() > _WIDE * y.min()
     if len(X) >= _CONTOURS and np.linalg.matrix_rank(X - X.mean(0)) == 2:
-        axes.tricontour(X[:, 0], X[:, 1], y, levels=12, colors="#dddddd", linewidths=0.7, zorder=0)
-    dots = axes.scatter(X[:, 0], X[:, 1], c=y, s=12, cmap="viridis", zorder=1)
+        levels = np.geomspace(y.min(), y.max(), 13)[1:] if wide else 12
+        axes.tricontour(X[:, 0], X[:, 1], y, levels=levels, colors="#d0d0d0", linewidths=0.7, zorder=0)
+    dots = axes.scatter(X[:, 0], X[:, 1], c=y, s=12, cmap="viridis", norm="log" if wide else None, zorder=1)
     axes.figure.colorbar(dots, ax=axes, label=objective)

@@ -45,6 +45,8 @@ def convergence(
     if best is not None:
         top.legend(frameon=False, loc="upper right")
     bottom.set_ylabel("violation")
+    if not any(value > 0.0 for values in violations.values() for value in values):
+        bottom.set_yticks([0.0])  # a scale of nothing says nothing
     bottom.set_xlabel("iteration")
     bottom.locator_params(axis="x", integer=True)
     top.set_title(f"{len(objectives)} starts" if len(objectives) > 1 else "1 start", loc="left", fontsize=9)
@@ -89,8 +91,7 @@ def criterion(
             )
     if mark is not None:
         axes.axvline(mark, color=OTHER, lw=0.8, ls="--", label="start design")
-    if xlabel.endswith("[deg]"):
-        axes.locator_params(axis="x", nbins=9, steps=[1.5, 3.0, 4.5, 9.0])
+    degrees(axes, x=xlabel)
     axes.set_xlabel(xlabel)
     axes.set_ylabel("criterion / criterion at start")
     axes.legend(frameon=False)
@@ -106,6 +107,15 @@ def save(figure: Figure, path: str | Path) -> Path:
         line.set_in_layout(False)  # curves lie inside their axes: what surrounds these is arranged in half the time
     figure.savefig(path, dpi=160)
     return path
+
+
+def degrees(axes: Axes, x: str = "", y: str = "") -> None:
+    """Mark the axes whose headings are of angles, `angle 1 [deg]`, at parts of a right angle."""
+    from matplotlib.ticker import MaxNLocator
+
+    for axis, heading in ((axes.xaxis, x), (axes.yaxis, y)):
+        if heading.endswith("[deg]"):
+            axis.set_major_locator(MaxNLocator(nbins=9, steps=[1.5, 3.0, 4.5, 9.0]))
 
 
 def figure_of(height: float, rows: int = 1, ratios: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
