@@ -1,7 +1,8 @@
-"""How good are the elements, what do large meshes cost? `python -m experiments.benchmark_elements [published] [cost]`
+"""How good are the elements, what do large meshes cost? `python -m experiments.benchmark_elements [published] [bending] [cost]`
 
 published  problems of experiments/shell_problems.py with triangles and with quadrilaterals, side by side: found over
            reference at the usual mesh and at meshes twice and four times as fine
+bending    those that bend, with the bending of MITC4 and of DKMQ as published in the same quadrilateral, beside ours
 cost       processor seconds of one core:
 
 section    6 x 6 stiffness of a laminated box of some 5,000 elements; with its derivative by all ply angles
@@ -14,12 +15,15 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
+from unittest import mock
 
 import torch
+from torch import Tensor
 
 import torchmbd as mbd
 from experiments.shell_problems import PROBLEMS
-from torchmbd.elements import ELEMENTS
+from torchmbd.elements import ELEMENTS, quad, quad_bending, sides
+from torchmbd.elements.quad_shape import Bilinear
 
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
 
@@ -61,6 +65,35 @@ def published() -> None:
             print(f"{name + ': ' + quantity:44s}" + "   ".join(columns))
 
 
+def mitc4(corners: Tensor, points: Bilinear, *_: object) -> tuple[Tensor, Tensor]:
+    """Bilinear rotations, every gap taken for shear: K.-J. Bathe and E. N. Dvorkin (1985)."""
+    gap, _tangent, length = sides.gaps(corners)
+    return quad_bending.linear_curvatures(points), quad_bending.shear_strains(points, 0.5 * length[..., None] * gap)
+
+
+def dkmq(corners: Tensor, points: Bilinear, shear_length: float, *_: object) -> tuple[Tensor, Tensor]:
+    """Gaps shared by the length of the side, curvatures as they are: I. Katili (1993)."""
+    gap, tangent, length = sides.gaps(corners)
+    delta, gamma = sides.shared(gap, shear_length, length**2)
+    curvature = (
+        quad_bending.linear_curvatures(points) + quad_bending.quadratic_curvatures(points, tangent) @ delta[:, None]
+    )
+    return curvature, quad_bending.shear_strains(points, 0.5 * length[..., None] * gamma)
+
+
+def bending() -> None:
+    """Print one line for each problem and quantity: MITC4, DKMQ, ours."""
+    kinds = {"MITC4": mitc4, "DKMQ": dkmq, "ours": quad_bending.plate_strains}
+    for name, problem in PROBLEMS.items():
+        found = []
+        for strains in kinds.values():
+            with mock.patch.object(quad, "plate_strains", strains):
+                found.append([problem("quad", n) for n in (1, 2, 4)])
+        for quantity in found[0][0]:
+            columns = [", ".join(f"{ratios[quantity]:.3f}" for ratios in own) for own in found]
+            print(f"{name + ': ' + quantity:44s}" + "   ".join(columns))
+
+
 def cost() -> None:
     """Print what large meshes cost."""
     elements, value, both = section()
@@ -71,7 +104,7 @@ def cost() -> None:
 
 
 def main() -> None:
-    parts = {"published": published, "cost": cost}
+    parts = {"published": published, "bending": bending, "cost": cost}
     for name in sys.argv[1:] or parts:
         parts[name]()
 

@@ -115,6 +115,21 @@ def test_thin_limit_is_the_discrete_kirchhoff_quadrilateral():
     assert_close(kappa[0, :, 0] @ u, -6 * 1.5**0.5 * points.place[0, :, 0], rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.parametrize("width", [0.1, 1.0, 7.0])
+def test_thin_rectangles_know_the_whole_twist_of_a_cubic(width):
+    """w = x^2 y: all three curvatures at every point, half of the twist not from beta_x but from its symmetry."""
+    corners = torch.tensor([[[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]]], dtype=torch.float64)
+    corners = corners * torch.tensor([1.0, width], dtype=torch.float64)
+    x, y = corners[0].T
+    u = torch.stack([x**2 * y, -2 * x * y, -(x**2)], dim=1).flatten()
+    points = gauss(corners)
+    kappa, gamma = plate_strains(corners, points, 1e-7, CELL)
+    at = points.place[0]
+    assert (abs(gamma[0] @ u) < 1e-12).all()
+    exact = torch.stack([-2 * at[:, 1], 0 * at[:, 0], -4 * at[:, 0]], dim=1)
+    assert_close(kappa[0] @ u, exact, rtol=1e-9, atol=1e-10)
+
+
 @pytest.mark.parametrize(("thickness", "down", "across"), [(0.32, 0.005424, 0.001754), (0.0032, 5256.0, 1294.0)])
 def test_a_twisted_strip_of_one_row_of_warped_cells(thickness, down, across):
     """Twisted by 90 degrees over 12 cells, each warped by 7.5 degrees: MacNeal and Harder's beam, thick and thin."""

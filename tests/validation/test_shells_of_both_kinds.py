@@ -18,10 +18,11 @@ LEVELS = {
     "Cook's membrane": (0.01, 0.005),
     "roof": (0.02, 0.005),
     "hemisphere": (0.005, 0.01),
-    "pinched cylinder": (0.075, 0.01),
-    "square plates": (0.025, 0.01),
-    "plates 5 : 1": (0.03, 0.03),
-    "Morley's skew plate": (0.05, 0.02),
+    "pinched cylinder": (0.08, 0.01),
+    "square plates": (0.013, 0.005),
+    "plates 5 : 1": (0.025, 0.015),
+    "Morley's skew plate": (0.01, 0.03),
+    "the same, 1/10 as thick": (0.09, 0.025),
     "Razzaque's skew plate": (0.07, 0.02),
 }
 

@@ -12,6 +12,8 @@ Differentiable in the ends. Source: any textbook of numerical analysis. Checked 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cache
+from math import comb
 
 import torch
 from torch import Tensor
@@ -25,28 +27,35 @@ _LEFT: dict[int, tuple[tuple[float, ...], ...]] = {
 def hermite(ends: Sequence[tuple[Tensor, Tensor]], h: Tensor, s: Tensor, derivative: int = 0) -> Tensor:
     """The polynomial, or a derivative by time, at t0 + s h.
 
-    ends   (value, value), (slope, slope) and, for the quintic, (curvature, curvature) by time at both ends
-    h      length of the interval [s]
+    ends   (value, value), (slope, slope) and, for the quintic, (curvature, curvature) by time at both ends [..., n]
+    h      length of the interval [s] [n]
+    s      [n], or [..., n]
     """
-    weights, r = [], 1.0 - s
-    for k, left in enumerate(_LEFT[len(ends)]):
-        slope, size = _differentiated(left, derivative), h ** (k - derivative)
-        weights += [size * _polynomial(slope, s), (-1.0) ** (k + derivative) * size * _polynomial(slope, r)]
+    table = torch.tensor(_table(len(ends), derivative), dtype=s.dtype, device=s.device)
+    powers = [torch.ones_like(s)]
+    for _ in range(table.shape[1] - 1):
+        powers.append(powers[-1] * s)
+    sizes = torch.stack([h ** (k - derivative) for k in range(len(ends)) for _ in range(2)])
+    weights = torch.tensordot(table, torch.stack(powers), 1)
+    weights = weights * sizes.reshape(len(sizes), *[1] * (s.dim() - 1), -1)
     # One product of what depends on the design with what does not.
-    shape = torch.broadcast_shapes(ends[0][0].shape, s.shape)
-    known, given = ([x.expand(shape) for x in parts] for parts in (weights, [x for pair in ends for x in pair]))
-    return (torch.stack(known) * torch.stack(given)).sum(0)
+    given = torch.stack([x for pair in ends for x in pair])
+    return (weights.reshape(len(weights), *[1] * (given.dim() - weights.dim()), *s.shape) * given).sum(0)
 
 
-def _differentiated(coefficients: tuple[float, ...], times: int) -> tuple[float, ...]:
-    for _ in range(times):
-        coefficients = tuple(power * c for power, c in enumerate(coefficients))[1:]
-    return coefficients
+@cache
+def _table(kinds: int, derivative: int) -> list[list[float]]:
+    """Coefficients, by powers of s, of what value, value, slope, slope, ... of the ends count."""
+    rows = []
+    for k, left in enumerate(_LEFT[kinds]):
+        for row in (left, tuple((-1.0) ** k * c for c in _mirrored(left))):
+            for _ in range(derivative):
+                row = tuple(power * c for power, c in enumerate(row))[1:]
+            rows.append([float(c) for c in row])
+    return rows
 
 
-def _polynomial(coefficients: tuple[float, ...], s: Tensor) -> Tensor:
-    *rest, last = coefficients
-    value = torch.full_like(s, last)
-    for c in reversed(rest):
-        value = value * s + c if c else value * s
-    return value
+def _mirrored(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    """Those of L(1 - s)."""
+    n = len(coefficients)
+    return tuple((-1) ** j * sum(comb(i, j) * coefficients[i] for i in range(j, n)) for j in range(n))

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -151,14 +151,7 @@ class Spline:
 
     def _summits(self) -> tuple[Tensor, Tensor]:
         """Where in every interval its largest value is, 0 <= s <= 1, and whether it is a local maximum of the curve."""
-        fixed = Spline(self.t, self.y.detach(), self.m.detach(), (), None if self.c is None else self.c.detach())
-        root, inner = fixed._roots()
-        y0, y1 = fixed.y[..., :-1], fixed.y[..., 1:]
-        inner = inner & (fixed._inside(root) >= torch.maximum(y0, y1))
-        s = torch.where(inner, root, (y1 > y0).to(y0.dtype))
-        local = inner.clone()
-        local[..., 0] |= (s[..., 0] == 0.0) & (fixed.m[..., 0] <= 0.0)
-        local[..., -1] |= (s[..., -1] == 1.0) & (fixed.m[..., -1] >= 0.0)
+        s, local = _Summits.apply(self.t, *self.knots)  # pyright: ignore[reportGeneralTypeIssues]
         return s, local
 
     def _roots(self) -> tuple[Tensor, Tensor]:
@@ -177,6 +170,36 @@ class Spline:
             step = self._inside(root, 1) / torch.where(bending < 0.0, bending, torch.inf)
             root = (root - step / h).clamp(0.0, 1.0)
         return root, inner
+
+
+class _Summits(torch.autograd.Function):
+    """Where the summits are: a constant, found without the transforms that follow the derivatives of the curve."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(t: Tensor, y: Tensor, m: Tensor, c: Tensor | None = None) -> tuple[Tensor, Tensor]:
+        curve = Spline(t, y, m, (), c)
+        root, inner = curve._roots()
+        y0, y1 = y[..., :-1], y[..., 1:]
+        inner = inner & (curve._inside(root) >= torch.maximum(y0, y1))
+        s = torch.where(inner, root, (y1 > y0).to(y0.dtype))
+        local = inner.clone()
+        local[..., 0] |= (s[..., 0] == 0.0) & (m[..., 0] <= 0.0)
+        local[..., -1] |= (s[..., -1] == 1.0) & (m[..., -1] >= 0.0)
+        return s, local
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: tuple[Tensor, Tensor]) -> None:
+        ctx.mark_non_differentiable(*output)
+
+    @staticmethod
+    def jvp(ctx: Any, *_: Any) -> tuple[None, None]:
+        return None, None
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> tuple[None, None, None, None]:
+        return None, None, None, None
 
 
 def checked(window: tuple[float, float]) -> tuple[float, float]:

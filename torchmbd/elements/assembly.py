@@ -50,8 +50,8 @@ class Part(Protocol):
 
     pattern: Pattern
 
-    def values(self) -> Float[Tensor, "*lanes nnz"]:
-        """K of the present design on the pattern."""
+    def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
+        """K of the present design on the pattern, or only some entries of it."""
         ...
 
     def masses(self) -> MassPoints:
@@ -119,14 +119,14 @@ class Assembly:
 
     def stiffness(self) -> SparseMatrix:
         """K of the free freedoms."""
-        values = [part.values() for part in self.parts.values()]
+        values = [part.values(source) for part, (source, *_) in zip(self.parts.values(), self._places, strict=True)]
         if len(values) == 1 and self.freedoms.plain:
-            return SparseMatrix(self.pattern, values[0][..., self._places[0][0]])
+            return SparseMatrix(self.pattern, values[0], symmetric=True)
         lanes = torch.broadcast_shapes(*(v.shape[:-1] for v in values))
         total = values[0].new_zeros(*lanes, self.pattern.nnz)
-        for (source, slot, factor), v in zip(self._places, values, strict=True):
-            total = total.index_add(-1, slot, (v[..., source] * factor).expand(*lanes, -1))
-        return SparseMatrix(self.pattern, total)
+        for (_, slot, factor), v in zip(self._places, values, strict=True):
+            total = total.index_add(-1, slot, (v * factor).expand(*lanes, -1))
+        return SparseMatrix(self.pattern, total, symmetric=True)
 
     def masses(self) -> MassPoints:
         """All mass points."""

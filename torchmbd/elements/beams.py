@@ -61,9 +61,10 @@ class Beams:
         ends, arm, particles = self.matrices.particles(at_line, mass == "consistent")
         self._points = MassPoints(ends, particles, torch.zeros_like(particles), arm)
 
-    def values(self) -> Float[Tensor, "*lanes nnz"]:
-        """K of the present design."""
-        return self.matrices.values(self._stiffness())
+    def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
+        """K of the present design, or only some entries of it."""
+        found = self.matrices.values(self._stiffness())
+        return found if entries is None else found[..., entries]
 
     def modules(self) -> dict[str, nn.Module]:
         """The section."""

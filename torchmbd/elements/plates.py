@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from torchmbd.elements.assembly import MassPoints
@@ -45,11 +45,16 @@ class Plates:
         self.laminate = laminate
         self.matrices = PlateMatrices(mesh, laminate, direction, cells)
         self.pattern = self.matrices.pattern
+        self._entries: Tensor | None = None  # of which entries `_basis` is
+        self._basis = self.matrices.basis
         self._ends, self._area = _points(self.matrices, mass == "consistent")
 
-    def values(self) -> Float[Tensor, "*lanes nnz"]:
-        """K of the present design."""
-        return self.laminate.entries() @ self.matrices.basis
+    def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
+        """K of the present design, or only some entries of it: they are picked from the constant basis, once."""
+        if entries is not self._entries:
+            self._entries = entries
+            self._basis = self.matrices.basis if entries is None else self.matrices.basis[:, entries]
+        return self.laminate.entries() @ self._basis
 
     def modules(self) -> dict[str, nn.Module]:
         """The laminate."""
@@ -70,7 +75,7 @@ class PointMasses:
         self._nodes = torch.tensor(list(nodes), dtype=torch.long)
         self._mass, self._rotary = (torch.tensor(list(x), dtype=torch.float64) for x in (mass, rotary))
 
-    def values(self) -> Float[Tensor, " 0"]:
+    def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, " 0"]:
         """No stiffness."""
         return torch.zeros(0, dtype=torch.float64)
 

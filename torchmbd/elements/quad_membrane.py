@@ -23,16 +23,17 @@ d       what no stress sees: theta = 1 and theta = (1, -1, 1, -1) without displa
         cannot tell theta = 1 from bending by a shear force, whose energy falls with the cell's width over its length
 
 A hybrid element whose stresses are those of the isotropic mean, so that its stiffness is linear in the laminate. Rectangles
-and parallelograms bend exactly. A membrane without drilling freedoms that passes the patch test cannot bend in trapezoids
-(MacNeal, 1987); this one does within 0.1 % in one row of 45 degrees, 5 : 1.
+bend exactly; one row of parallelograms or trapezoids of 45 degrees, 5 : 1, within 0.1 %. A membrane without drilling freedoms
+that passes the patch test cannot bend in trapezoids at all (MacNeal, 1987).
 
 softness    r >= 0 of curved shells (triangle.py): the bending of the sides in the mean by 1 / (1 + r), and in H and D the
             rotations are drawn from theta to theta*(u), where they cost nothing, by 1 - 1 / sqrt(1 + 100 r)
 
 Assumed: nu of the laminate's isotropic mean; small strains. Rank 9, exact rigid-body motion.
-Source: hybrid stresses on sides that bend as parabolas: K. Y. Sze, C. Wanji and Y. K. Cheung, Comput. Struct. 42 (1992)
-683-694; M. A. Aminpour, Int. J. Numer. Methods Eng. 33 (1992) 19-38; fields: N. I. Muskhelishvili, Some basic problems of
-the mathematical theory of elasticity, chapter 5; R. H. MacNeal, Int. J. Numer. Methods Eng. 24 (1987) 1793-1799.
+Source: sides that bend as parabolas: D. J. Allman, Comput. Struct. 19 (1984) 1-8; stresses that work on them: M. A. Aminpour,
+Int. J. Numer. Methods Eng. 33 (1992) 19-38; bending of fibers along medians: T. H. H. Pian and K. Sumihara, Int. J. Numer.
+Methods Eng. 20 (1984) 1685-1695; fields: N. I. Muskhelishvili, Some basic problems of the mathematical theory of elasticity,
+chapter 5; R. H. MacNeal, Int. J. Numer. Methods Eng. 24 (1987) 1793-1799.
 Checked in tests/elements/test_quad.py, tests/contracts/test_shell_elements.py.
 """
 

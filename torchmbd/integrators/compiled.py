@@ -74,7 +74,7 @@ class CompiledMarch(March):
             return super().run(x, schedule, record, first, place)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         moved = moving_blocks(self.dynamics.topology, schedule, self.lanes, self.slots)
-        table = torch.stack([_uniform(self.weights, given) for given in shared(self.dynamics.topology, schedule)])
+        table = _uniform(self.weights, shared(self.dynamics.topology, schedule))
         done = 0
         while done < len(schedule):
             since = (first + done) % CHECK
@@ -89,7 +89,7 @@ class CompiledMarch(March):
     def _some(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, place: int) -> bool:
         """Steps between two looks; False if the factors cannot be relied on, and nothing is done."""
         sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
-        errors = torch.empty(self.lanes, dtype=torch.float64)
+        errors = torch.empty(2, self.slots, self.lanes, dtype=torch.float64)
         look = int(first % CHECK == 0)
         numbers = (self.lanes, self.slots, self.values.shape[2], self.tangents.shape[2])
         numbers += (
@@ -115,7 +115,7 @@ class CompiledMarch(March):
         self.fresh = 0
         self.sizes += sizes.unbind(0)
         if look and self.slots:
-            self.look(errors)
+            self.look(*errors)
         return True
 
     def _state(self, state: Tensor) -> State:
@@ -125,7 +125,8 @@ class CompiledMarch(March):
         return State(*(Pair(y) if self.slots else y for y in parts))
 
 
-def _uniform(weights: Tensor, given: Prescribed) -> Tensor:
-    """What is the same for all lanes at a step."""
-    laws = [part.flatten() for law in given.laws if law is not None for part in law]
-    return torch.cat([weights, given.A.flatten(), given.r.flatten(), given.t.reshape(1), *laws])
+def _uniform(weights: Tensor, schedule: Sequence[Prescribed]) -> Tensor:
+    """What is the same for all lanes at each step [steps, n]."""
+    steps = [(x.A, x.r, x.t, *(part for law in x.laws if law is not None for part in law)) for x in schedule]
+    parts = [torch.stack(part).reshape(len(schedule), -1) for part in zip(*steps, strict=True)]
+    return torch.cat([weights.expand(len(schedule), -1), *parts], 1)

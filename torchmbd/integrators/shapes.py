@@ -78,17 +78,18 @@ class DesignShapes(Shapes):
 
 
 def moved_designs(designs: dict[str, Tensor], parameters: tuple[str, ...], delta: Tensor) -> dict[str, Tensor]:
-    """Designs of the neighbor by delta [n_b]; parameters: names of its entries, one label for each."""
+    """Designs of the neighbor by delta [n_b] or [lanes, n_b]; parameters: names of its entries, one label for each."""
     found, start = dict(designs), 0
     for name in dict.fromkeys(label.rpartition("[")[0] for label in parameters):
         shape = designs[name].shape[1:]
-        found[name] = designs[name] + delta[start : start + shape.numel()].reshape(shape)
+        step = delta[..., start : start + shape.numel()]
+        found[name] = designs[name] + step.reshape(delta.shape[:-1] + shape)
         start += shape.numel()
     return found
 
 
 class MovedShapes(Shapes):
-    """Of the neighbor of a motion by delta [n_b], to first order."""
+    """Of the neighbor of a motion by delta [n_b] or [lanes, n_b], to first order."""
 
     def __init__(self, base: Shapes, delta: Tensor):
         super().__init__()

@@ -102,7 +102,7 @@ class Recorded(Signals):
 
 
 class Moved(Signals):
-    """The neighbor of a motion by delta [n_b], to first order; delta may carry tangents."""
+    """The neighbor of a motion by delta [n_b] or [lanes, n_b], to first order; delta may carry derivatives."""
 
     def __init__(self, base: Signals, delta: Tensor):
         super().__init__()
@@ -114,5 +114,7 @@ class Moved(Signals):
 
 
 def moved(x: Tensor, dx: Tensor | None, delta: Tensor) -> Tensor:
-    """x + dx delta."""
-    return x if dx is None else x + torch.matmul(dx, delta)
+    """x + dx delta: x [lanes, ...], dx [lanes, ..., n_b], delta [n_b], or [lanes, n_b] for each lane its own."""
+    if dx is None:
+        return x
+    return x + (torch.matmul(dx, delta) if delta.dim() == 1 else torch.einsum("l...b,lb->l...", dx, delta))

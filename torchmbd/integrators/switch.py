@@ -40,6 +40,9 @@ class Opening:
     v: Tensor
     condensed: None = None
 
+    def alike(self, dynamics: Dynamics) -> None:
+        """Nothing is shared with other simulations."""
+
     def solve(self, dynamics: Dynamics) -> tuple[Any, Any]:
         """q [n_q, 1, 1] and v [n_v, 1, 1], of the first lane."""
         return self.q, self.v

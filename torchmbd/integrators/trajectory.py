@@ -48,7 +48,7 @@ class Moment:
     dlam_db: Tensor | None = None
 
     def moved(self, delta: Tensor) -> Moment:
-        """Of all designs moved by delta [n_b], to first order."""
+        """Of all designs moved by delta [n_b] or [lanes, n_b], to first order."""
         names = ("q", "v", "a", "lam")
         return Moment(*(moved(getattr(self, name), getattr(self, f"d{name}_db"), delta) for name in names))
 
@@ -67,23 +67,23 @@ class Switch:
     dt_db: Tensor | None = None
 
     def moved(self, delta: Tensor) -> Switch:
-        """Of all designs moved by delta [n_b], to first order."""
+        """Of all designs moved by delta [n_b] or [lanes, n_b], to first order."""
         t = moved(self.t, self.dt_db, delta)
         return Switch(self.phase, t, self.before.moved(delta), self.after.moved(delta))
 
 
 class MovedData(Mapping[str, Tensor]):
-    """Data of the neighbor by delta [n_b], to first order; an entry is made when somebody asks."""
+    """Data of the neighbor by delta [n_b] or [lanes, n_b], to first order; an entry is made when somebody asks."""
 
     def __init__(self, data: Mapping[str, Any], delta: Tensor):
-        self._data, self._delta = data, delta
+        self._data, self._delta = data, delta.mT if delta.dim() == 2 else delta[:, None]
         self._kept: dict[str, Tensor] = {}
 
     def __getitem__(self, name: str) -> Tensor:
         if name not in self._kept:
             x = self._data[name]
             moving = isinstance(x, Pair)
-            self._kept[name] = x.value + (x.tangent * self._delta[:, None]).sum(-2, keepdim=True) if moving else x
+            self._kept[name] = x.value + (x.tangent * self._delta).sum(-2, keepdim=True) if moving else x
         return self._kept[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -206,7 +206,10 @@ class Trajectory:
         self.shapes.prepare()
 
     def moved(self, delta: Tensor) -> Trajectory:
-        """The motion of all designs moved by delta [n_b], to first order; delta may carry tangents."""
+        """The motion of all designs moved by delta [n_b], or [lanes, n_b] for each lane its own, to first order.
+
+        delta may carry derivatives, forward or reverse.
+        """
         return replace(
             self,
             signals=Moved(self.signals, delta),

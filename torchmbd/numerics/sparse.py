@@ -121,10 +121,14 @@ class Pattern:
 
 @dataclass(frozen=True, eq=False)
 class SparseMatrix:
-    """Values [..., nnz] on a pattern: one matrix for each lane.  Raises InputError when their number is wrong."""
+    """Values [..., nnz] on a pattern: one matrix for each lane.  Raises InputError when their number is wrong.
+
+    symmetric: by the way in which it was made, so that nobody needs to look
+    """
 
     pattern: Pattern
     values: Float[Tensor, "*lanes nnz"]
+    symmetric: bool = False
 
     def __post_init__(self) -> None:
         if self.values.shape[-1:] != (self.pattern.nnz,):
@@ -141,7 +145,7 @@ class SparseMatrix:
     def restrict(self, keep: ArrayLike | Tensor) -> SparseMatrix:
         """Keep rows and columns `keep`, in that order."""
         pattern, slots = self.pattern.restrict(keep)
-        return SparseMatrix(pattern, self.values[..., slots])
+        return SparseMatrix(pattern, self.values[..., slots], self.symmetric)
 
     def dense(self) -> Float[Tensor, "*lanes n n"]:
         """All size x size numbers."""

@@ -79,7 +79,11 @@ def fixed_modes(K: Matrix, M: Matrix, reduce: Callable[[Matrix, Matrix], ModalBa
 
 
 def _detached(matrix: Matrix) -> Matrix:
-    return SparseMatrix(matrix.pattern, matrix.values.detach()) if isinstance(matrix, SparseMatrix) else matrix.detach()
+    return (
+        SparseMatrix(matrix.pattern, matrix.values.detach(), matrix.symmetric)
+        if isinstance(matrix, SparseMatrix)
+        else matrix.detach()
+    )
 
 
 def open_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, tuple[int, ...]]:

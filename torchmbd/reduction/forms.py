@@ -79,9 +79,10 @@ class Diagonal:
 
 @dataclass(frozen=True)
 class Sparse:
-    """values [..., nnz] on a pattern."""
+    """values [..., nnz] on a pattern; symmetric: known to be."""
 
     pattern: Pattern
+    symmetric: bool = False
     entry_dims = 1
 
     @property
@@ -131,7 +132,7 @@ Form = Dense | Diagonal | Sparse
 def recognize(name: str, matrix: Tensor | SparseMatrix, size: int | None = None) -> tuple[Form, Tensor]:
     """Split a matrix into its form and its values. With `size` given, a tensor [..., size] is a diagonal."""
     if isinstance(matrix, SparseMatrix):
-        form: Form = Sparse(matrix.pattern)
+        form: Form = Sparse(matrix.pattern, matrix.symmetric)
         values = matrix.values
     elif not isinstance(matrix, Tensor):
         raise InputError(f"{name} is a {type(matrix).__name__}; a tensor or a SparseMatrix is needed")
@@ -155,6 +156,8 @@ def check(name: str, form: Form, values: Tensor) -> None:
     wrong = ~torch.isfinite(values)
     if wrong.any():
         raise InputError(f"{_place(name, form, wrong)} = {values[wrong][0].item()}; finite numbers are needed")
+    if isinstance(form, Sparse) and form.symmetric:
+        return
     skew = (values - form.mirrored(values)).abs()
     scale = values.abs().amax(dim=tuple(range(1, values.dim())), keepdim=True)
     wrong = skew > SYMMETRY_TOLERANCE * scale

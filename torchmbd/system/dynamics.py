@@ -32,7 +32,7 @@ from torchmbd.numerics.pair import Pair, cat, linear, value
 from torchmbd.system import equations
 from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import Data
-from torchmbd.system.rank import Rank, confirmed, jacobians, rank_of, sound
+from torchmbd.system.rank import Rank, confirmed, jacobians, rank_of, sound, without_modes
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Topology
 
@@ -69,6 +69,11 @@ class Dynamics:
         return max(slots, default=0)
 
     @cached_property
+    def alike(self) -> Any:
+        """What this and other designs share that start alike (initial.py); None if the start depends on the design."""
+        return self.initial.alike(self)
+
+    @cached_property
     def start(self) -> tuple[Any, Any]:
         """Initial q [n_q, slots, lanes] and v [n_v, slots, lanes]: joints closed, velocities compatible."""
         return self.initial.solve(self)
@@ -76,14 +81,19 @@ class Dynamics:
     @cached_property
     def rank(self) -> Rank:
         """Rank of the constraints at the initial position, of the first lane that has not failed."""
+        ranks = {} if self.alike is None else self.alike.ranks
+        if self.topology in ranks:
+            return ranks[self.topology]
         lane = sound(self.data) if self.topology.rows else None
         if lane is None:
             return Rank(0, ())
         q, one = value(self.start[0]).detach(), self.some([lane]) if lane else self
         q = q[:, 0, min(lane, q.shape[-1] - 1)]
         with torch.no_grad():
-            J = jacobians(one, q[None], q.new_zeros(1))[0]
-            found = confirmed(one, q, rank_of(self.topology, J.cpu().numpy()))
+            J = jacobians(one, q[None], q.new_zeros(1))[0].cpu().numpy()
+            found = confirmed(one, q, rank_of(self.topology, J))
+        if self.alike is not None and without_modes(self.topology, J):
+            ranks[self.topology] = found
         if found.weak:
             warnings.warn(
                 f"{', '.join(found.weak)}: these rows differ by {100 * found.share:.1g} % of elastic displacement only, "
@@ -199,6 +209,10 @@ class CondensedStart:
 
     whole: Dynamics
     condensation: Condensation
+
+    def alike(self, dynamics: Dynamics) -> Any:
+        """As of the whole system."""
+        return self.whole.alike
 
     def solve(self, dynamics: Dynamics):
         """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs if the data of `dynamics` are."""

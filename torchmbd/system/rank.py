@@ -59,7 +59,7 @@ def rank_of(T: Topology, J: np.ndarray) -> Rank:
     """Rank of a Jacobian [rows, n_v]; rows without a law count first. Raises InputError for a drive that has no freedom."""
     driven = _driven(T)
     others = np.setdiff1d(np.arange(T.rows), driven)
-    J = J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), np.finfo(float).tiny)
+    J = _unit(J)
     rank, dependent = _dependent(J[others])
     total, _ = _dependent(np.concatenate([J[others], J[driven]]))
     if total < rank + len(driven):
@@ -148,6 +148,16 @@ def elsewhere(dynamics: Any, q: Tensor) -> Tensor | None:
         step = torch.zeros_like(step).index_put((torch.tensor(_rigid(T)),), -torch.linalg.pinv(J, rtol=1e-6) @ phi)
         away = equations.advance(T, away, step[:, None, None])
     return None
+
+
+def without_modes(T: Topology, J: np.ndarray) -> bool:
+    """Whether all rows of a Jacobian [rows, n_v] are independent even of undeformed bodies: so they are for all designs."""
+    return _dependent(_unit(J[:, _rigid(T)]))[0] == T.rows
+
+
+def _unit(J: np.ndarray) -> np.ndarray:
+    """Rows of length one."""
+    return J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), np.finfo(float).tiny)
 
 
 def _rigid(T: Topology) -> list[int]:

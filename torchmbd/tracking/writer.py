@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 PATIENCE = float(os.environ.get("TORCHMBD_PATIENCE", "15"))  # seconds for a store that is away when the study is over
 _POLL, _PAUSE = 0.1, (0.5, 1.0, 2.0, 5.0, 10.0)  # seconds
-_REST, _LONGEST = 2.0, 1.0  # times what sending took, and seconds: much at once costs hardly more than little
+_REST = 3.0  # seconds between two batches: much at once costs hardly more than little
 
 
 class Away(Exception):
@@ -69,14 +69,12 @@ class Writer:
         rested = 0.0
         while True:
             over = self.over()  # asked before the lines are read: what comes later is nothing
-            began = time.monotonic()
-            lines = read_lines(self.file, self.sent.offset) if over or began >= rested else []
+            lines = read_lines(self.file, self.sent.offset) if over or time.monotonic() >= rested else []
             if lines:
                 failure = self._insist(lambda lines=lines: self._send(lines))
                 if failure:
                     return {"waiting": failure}
-                took = time.monotonic() - began
-                rested = began + took + min(_REST * took, _LONGEST)
+                rested = time.monotonic() + _REST
             elif over:
                 break
             else:
