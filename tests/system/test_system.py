@@ -238,7 +238,10 @@ def test_what_a_system_is_not_made_of():
         (lambda: mbd.System([hub], free="hub"), "free is 'hub'"),
         (lambda: mbd.simulate(hub, 1.0), "system is RigidBody"),  # pyright: ignore
         (lambda: box("lost", position=torch.zeros(3, requires_grad=True)), "position of 'lost' carries a gradient"),
-        (lambda: mbd.FlexibleBody.plate("p", mbd.mesh.rectangle(1.0, 1.0, (1, 1)), None), "laminate of a plate is None"),
+        (
+            lambda: mbd.FlexibleBody.plate("p", mbd.mesh.rectangle(1.0, 1.0, (1, 1)), None),
+            "laminate of a plate is None",
+        ),
         (lambda: mbd.Revolute(mbd.Ground().at(), hub.at(), name=3), "name of a Revolute is 3"),  # pyright: ignore
         (lambda: mbd.Drive(mbd.Ground(), hub, angle=lambda: 0.0), "angle of .* gives TypeError"),  # pyright: ignore
     ):

@@ -53,5 +53,5 @@ def check_designs(system: System, designs: Any) -> None:
             found = f"has shape {tuple(x.shape)} of {x.dtype}" if isinstance(x, Tensor) else f"is {x!r}"
             shape = ", ".join(["lanes", *map(str, own[name].shape)])
             raise InputError(f"design {name!r} {found}; allowed: a float64 tensor [{shape}]")
-        for lane in torch.nonzero(~torch.isfinite(x.flatten(1)).all(1)).flatten().tolist():
+        for lane in torch.nonzero(~torch.isfinite(x.reshape(len(x), -1)).all(1)).flatten().tolist():
             raise InputError(f"design {name!r} of lane {lane} is {x[lane].tolist()}; allowed: finite numbers")
