@@ -89,7 +89,7 @@ class CompiledMarch(March):
     def _some(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, place: int) -> bool:
         """Steps between two looks; False if the factors cannot be relied on, and nothing is done."""
         sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
-        errors = torch.empty(self.lanes, dtype=torch.float64)
+        errors = torch.empty(2, self.slots, self.lanes, dtype=torch.float64)
         look = int(first % CHECK == 0)
         numbers = (self.lanes, self.slots, self.values.shape[2], self.tangents.shape[2])
         numbers += (
@@ -115,7 +115,7 @@ class CompiledMarch(March):
         self.fresh = 0
         self.sizes += sizes.unbind(0)
         if look and self.slots:
-            self.look(errors)
+            self.look(*errors)
         return True
 
     def _state(self, state: Tensor) -> State:

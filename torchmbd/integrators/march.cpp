@@ -18,7 +18,7 @@ struct Job {
   double *factors;                                               // [block][sizeof(Block)]
   const double *stay, *lost;                                     // [N], or null
   double *q, *v, *vd, *lam;                                      // records [steps][number][1 + slots][lanes]
-  double *sizes, *errors;                                        // [steps][2][lanes], [lanes]
+  double *sizes, *errors;                                        // [steps][2][lanes], [2][slots][lanes]
   double *room;                                                  // scratch
   const double *moved;                                           // [steps][block][1 + slots][moving][8]
 };
@@ -94,7 +94,6 @@ extern "C" long march(const Job* job) {
       if (due && J.corrections == 1) renew(in, J.stay, J.lost, factors, w, entries);
       finish(in, w, next);
       if (S) boundary(in, w, b);
-      V left = spread(0.0);
       for (int s = 0; s < S; s++) {
         V* ds = dz + (long)N * s;
         in.dx = state + (long)(1 + s) * N_X;
@@ -106,11 +105,12 @@ extern "C" long march(const Job* job) {
           residual_tangent(in, w, R);
           solve(factors.K, factors.inverse, R);
           for (int n = 0; n < N; n++) ds[n] -= R[n];
-          if (looks && k == J.passes) left = f_max(left, largest(R, N_V) / f_max(largest(ds, N_V), 2.2250738585072014e-308));
+          if (!looks || k != J.passes) continue;
+          put(J.errors + s * J.lanes + block * LANES, largest(R, N_V), valid);
+          put(J.errors + (S + s) * J.lanes + block * LANES, largest(ds, N_V), valid);
         }
         finish_tangent(in, w, next + (long)(1 + s) * N_X);
       }
-      if (S && J.look && i == 0) put(J.errors + block * LANES, left, valid);
       std::memcpy((void*)state, next, (1 + S) * N_X * sizeof(V));
       const long L = J.lanes, at = block * LANES;
       for (int s = 0; s <= S; s++) {

@@ -21,7 +21,9 @@ from torchmbd.system.elimination import Elimination, inverse, pays
 from torchmbd.system.topology import Prescribed
 
 CHECK = 25  # steps between two looks at what the correction of tangents leaves
-TANGENT_ERROR = 5e-6  # relative; more than this gets another correction
+TANGENT_ERROR = (
+    2e-5  # relative; more than this gets another correction. Gradients have 20 times that at most, as measured
+)
 MOST = 4  # corrections of tangents
 _ROUNDING = 1e-10  # of coordinates, with room for what equations and inverse make of it
 
@@ -39,6 +41,7 @@ class March:
         self.H: Any = None
         self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each look
+        self.largest: Tensor | None = None  # tangents of accelerations so far [n_b, lanes]
 
     def __call__(self, i: int, x: State, given: Any) -> State:
         """The state after step i."""
@@ -89,12 +92,16 @@ class March:
     def _looked(self, step: Any, z: Tensor, dz: Tensor) -> Tensor:
         """Tangents corrected once more; where that was needed, later steps will do it as well."""
         dz, size = step.tangent(self.H, z, dz)
-        largest = dz[: self.dynamics.topology.n_v].abs().amax(0)
-        self.look((size / largest.clamp_min(torch.finfo(largest.dtype).tiny)).amax(0))
+        self.look(size, dz[: self.dynamics.topology.n_v].abs().amax(0))
         return dz
 
-    def look(self, error: Tensor) -> None:
-        """Take note of what one more correction of the tangents changed [lanes], relative, of the worst variable."""
+    def look(self, size: Tensor, largest: Tensor) -> None:
+        """Take note of what one more correction of the tangents changed, and of the largest of these [n_b, lanes].
+
+        What counts is the worst variable, relative to the largest that its tangents have been.
+        """
+        self.largest = largest if self.largest is None else largest.maximum(self.largest)
+        error = (size / self.largest.clamp_min(torch.finfo(size.dtype).tiny)).amax(0)
         self.tangent_error.append(error)
         worst = float(error.nan_to_num(0.0, 1.0).max())
         if worst > TANGENT_ERROR:
