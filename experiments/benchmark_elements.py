@@ -1,8 +1,9 @@
-"""How good are the elements, what do large meshes cost? `python -m experiments.benchmark_elements [published] [bending] [cost]`
+"""How good are the elements, what do large meshes cost? `python -m experiments.benchmark_elements [PART ...]`
 
 published  problems of experiments/shell_problems.py with triangles and with quadrilaterals, side by side: found over
            reference at the usual mesh and at meshes twice and four times as fine
 bending    those that bend, with the bending of MITC4 and of DKMQ as published in the same quadrilateral, beside ours
+laminated  carbon strips of 3 x 0.5 bent in their plane by an end force, 6 x 1, 12 x 2 and 24 x 4 cells, over 96 x 16
 cost       processor seconds of one core:
 
 section    6 x 6 stiffness of a laminated box of some 5,000 elements; with its derivative by all ply angles
@@ -21,7 +22,7 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments.shell_problems import PROBLEMS
+from experiments.shell_problems import PROBLEMS, cantilever
 from torchmbd.elements import ELEMENTS, quad, quad_bending, sides
 from torchmbd.elements.quad_shape import Bilinear
 
@@ -94,6 +95,19 @@ def bending() -> None:
             print(f"{name + ': ' + quantity:44s}" + "   ".join(columns))
 
 
+def laminated() -> None:
+    """Print one line for each stack: triangles, quadrilaterals."""
+    for degrees in ([0], [30], [90], [45, -45], [0, 45, 90, -45]):
+        laminate = mbd.Laminate(CARBON, mbd.deg(degrees), 0.01 / len(degrees))
+
+        def deflection(kind: str, n: int, laminate: mbd.Laminate = laminate) -> float:
+            return cantilever(lambda s, t: (3 * s, 0.5 * t, 0.0), (6 * n, n), kind, laminate, {1: 1.0})["v"]
+
+        fine = deflection("quad", 16)
+        columns = [", ".join(f"{deflection(kind, n) / fine:.3f}" for n in (1, 2, 4)) for kind in ELEMENTS]
+        print(f"{degrees!s:20s}" + "   ".join(columns))
+
+
 def cost() -> None:
     """Print what large meshes cost."""
     elements, value, both = section()
@@ -104,7 +118,7 @@ def cost() -> None:
 
 
 def main() -> None:
-    parts = {"published": published, "bending": bending, "cost": cost}
+    parts = {"published": published, "bending": bending, "laminated": laminated, "cost": cost}
     for name in sys.argv[1:] or parts:
         parts[name]()
 

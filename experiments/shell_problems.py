@@ -27,21 +27,21 @@ from torchmbd.elements import PlateMatrices
 
 Place = Callable[[float, float], Sequence[float]]
 Ratios = dict[str, float]
+Law = tuple[float, float, float] | mbd.Laminate
 U, V, W, PHI1, PHI2, PHI3 = range(6)
 LEFT, RIGHT, BOTTOM, TOP = "left_edge", "right_edge", "bottom_edge", "top_edge"
 
 
 class Model:
-    """A mapped unit square of one isotropic material; `place` takes (s, t) in [0, 1] to (x, y, z)."""
+    """A mapped unit square of a laminate, or E, nu and thickness; `place` takes (s, t) in [0, 1] to (x, y, z)."""
 
-    def __init__(
-        self, place: Place, cells: tuple[int, int], kind: str, law: tuple[float, float, float], direction=(1.0, 0, 0)
-    ) -> None:
-        modulus, poisson, thickness = law
+    def __init__(self, place: Place, cells: tuple[int, int], kind: str, law: Law, direction=(1.0, 0, 0)) -> None:
         flat = mbd.mesh.rectangle(1.0, 1.0, cells, kind)
         nodes = [list(place(x + 0.5, y + 0.5)) for x, y, _ in flat.nodes.tolist()]
         self.mesh = mbd.Mesh(torch.tensor(nodes).double(), flat.triangles, flat.node_sets, quads=flat.quads)
-        laminate = mbd.Laminate(mbd.Ply.isotropic(modulus, poisson, 1.0), [0.0], thickness)
+        laminate = (
+            law if isinstance(law, mbd.Laminate) else mbd.Laminate(mbd.Ply.isotropic(*law[:2], 1.0), [0.0], law[2])
+        )
         self.plate = PlateMatrices(self.mesh, laminate, direction)
         self.K: Any = self.plate.pattern.to_scipy(self.plate.stiffness(laminate.entries().detach()).values)
         self.load = np.zeros(6 * len(nodes))
@@ -70,9 +70,7 @@ def _share(count: int) -> np.ndarray:
     return share / share.sum()
 
 
-def cantilever(
-    place: Place, cells: tuple[int, int], kind: str, law: tuple[float, float, float], references: Mapping[int, float]
-) -> Ratios:
+def cantilever(place: Place, cells: tuple[int, int], kind: str, law: Law, references: Mapping[int, float]) -> Ratios:
     """Mean end displacements under unit end forces."""
     found = {}
     for way, reference in references.items():

@@ -90,3 +90,9 @@ def test_a_warning_is_said_once_without_the_code_that_gave_it(capsys):
         for text in ("too few: 1037 steps", "too few: 1.3e+03 steps", "something else"):
             warnings.warn(text, stacklevel=1)
     assert capsys.readouterr().err.splitlines() == ["warning: too few: 1037 steps", "warning: something else"]
+
+
+def test_what_is_exempt_is_not_searched_again():
+    code = "import gc, torch; from torchmbd.process import exempt; exempt(); exempt(); print(gc.get_freeze_count())"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert int(found.stdout) > 50_000

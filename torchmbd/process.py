@@ -3,6 +3,8 @@
     settle        one thread: two make small batched solves 10 to 50 times slower. Memory that is freed stays with the
                   process: a batch of designs takes and frees hundreds of MB, and handing them back to the system and
                   asking for them again costs a sixth of its time, more where several workers ask at once
+    exempt        objects that imports and a first batch have left, half a million, are not searched for garbage again: each
+                  search would take 0.2 to 3 s
     give_way      helpers beside a study (the writer, the studio) take what its computation leaves
     come_forward  ... until the study waits for them
     breed         starts a process that has imported what workers need, for them to be forked from: they begin at once, while
@@ -17,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import gc
 import multiprocessing
 import os
 import re
@@ -25,6 +28,7 @@ import sys
 import threading
 import warnings
 from collections.abc import Iterator
+from functools import cache
 from multiprocessing import forkserver
 from pathlib import Path
 
@@ -75,6 +79,12 @@ def _children_deaf_to_interrupts() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+@cache
+def exempt() -> None:
+    """Take what is there out of the garbage collector's sight; once, after the first batch."""
+    gc.freeze()
 
 
 def brief_warnings() -> None:

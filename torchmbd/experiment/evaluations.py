@@ -24,6 +24,7 @@ import numpy as np
 
 from torchmbd.errors import MbdError
 from torchmbd.optimizers import Evaluation
+from torchmbd.process import exempt
 
 _TABLE = """
 create table if not exists evaluations (
@@ -124,6 +125,7 @@ class Remembered:
         missing = [k for k, evaluation in enumerate(found) if evaluation is None]
         if missing:
             fresh = self._compute(X[missing], gradients)
+            exempt()
             self._store.keep(X[missing], gradients, fresh)
             for k, evaluation in zip(missing, fresh, strict=True):
                 found[k] = evaluation

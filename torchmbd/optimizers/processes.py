@@ -26,7 +26,7 @@ import torch
 
 from torchmbd.errors import InputError
 from torchmbd.optimizers.optimizer import Evaluation, Problem
-from torchmbd.process import settle
+from torchmbd.process import exempt, settle
 
 _here: dict[str, Any] = {}  # in a worker: its copy of the problem, and where all workers meet
 
@@ -108,6 +108,7 @@ def _begin(problem: bytes, dtype: torch.dtype, door: Any) -> None:
     own = cloudpickle.loads(problem)
     _here.update(problem=own, door=door)
     own.evaluate(np.asarray(own.start)[None], True)  # what is made once is made now
+    exempt()
 
 
 def _meet() -> None:
