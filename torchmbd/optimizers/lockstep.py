@@ -1,8 +1,9 @@
 """Many starts side by side, so that their simulations are one batch.
 
 Every start runs its own optimizer in its own thread and blocks where it asks for an evaluation. The coordinator, in
-the caller's thread, waits until every live start has asked or ended, evaluates all requests as one batch (those with
-gradients, those without), and hands the answers back. A start that ends makes room for the next. So a batch depends
+the caller's thread, evaluates all requests as one batch (those with gradients, those without), and hands the answers
+back, one start after the other: each goes on until it asks again or ends, then the next, since threads that compute at
+once would only fight for the interpreter. A start that ends makes room for the next. So a batch depends
 on the starts alone, in their order, never on timing; the problem, the callback and the user's Ctrl-C live in the
 caller's thread.
 
@@ -37,6 +38,7 @@ class Lane:
     result: OptimizationResult | None = None
     error: BaseException | None = None
     thread: threading.Thread | None = None
+    turn: threading.Semaphore = field(default_factory=lambda: threading.Semaphore(0))
 
     @property
     def ended(self) -> bool:
@@ -63,8 +65,7 @@ class Lockstep:
         self.results: list[OptimizationResult] = []
         self.interrupted = False
         self.stopped_early = False
-        self._turn = threading.Condition()
-        self._stop = False
+        self._back = threading.Semaphore(0)  # the start whose turn it was has asked or ended
         self._live: list[Lane] = []
         self._next = 0
 
@@ -73,7 +74,6 @@ class Lockstep:
         try:
             self._launch()
             while self._live:
-                self._wait()
                 self._report()
                 self._collect()
                 self._launch()
@@ -98,12 +98,7 @@ class Lockstep:
             self._live.append(lane)
             self._next += 1
             lane.thread.start()
-            self._wait()
-
-    def _wait(self) -> None:
-        """Wait until every live start has asked or ended."""
-        with self._turn:
-            self._turn.wait_for(lambda: all(lane.ended or lane.request is not None for lane in self._live))
+            self._back.acquire()
 
     def _report(self) -> None:
         for lane in self._live:
@@ -133,10 +128,10 @@ class Lockstep:
             evaluations = self._evaluate(np.concatenate(requests), gradients)
             for lane, request in zip(group, requests, strict=True):
                 answers[lane.index] = [next(evaluations) for _ in request]
-        with self._turn:
-            for lane in asking:
-                lane.request, lane.answer = None, answers[lane.index]
-            self._turn.notify_all()
+        for lane in asking:
+            lane.request, lane.answer = None, answers[lane.index]
+            lane.turn.release()
+            self._back.acquire()
 
     def _evaluate(self, X: np.ndarray, gradients: bool) -> Iterator[Evaluation]:
         """Evaluate designs [k, n], at most `max_lanes` in one batch."""
@@ -148,9 +143,8 @@ class Lockstep:
             yield from evaluations
 
     def _stop_all(self) -> None:
-        with self._turn:
-            self._stop = True
-            self._turn.notify_all()
+        for lane in self._live:
+            lane.turn.release()  # and there is no answer
         for lane in self._live:
             if lane.thread is not None:
                 lane.thread.join()
@@ -159,13 +153,12 @@ class Lockstep:
         """What a thread does: run one start, leaving its result or its error in the lane."""
 
         def ask(X: np.ndarray, gradients: bool) -> list[Evaluation]:
-            with self._turn:
-                lane.request = X, gradients
-                self._turn.notify_all()
-                self._turn.wait_for(lambda: lane.answer is not None or self._stop)
-                if lane.answer is None:
-                    raise Interrupted
-                answer, lane.answer = lane.answer, None
+            lane.request = X, gradients
+            self._back.release()
+            lane.turn.acquire()
+            if lane.answer is None:
+                raise Interrupted
+            answer, lane.answer = lane.answer, None
             return answer
 
         result, error = None, None
@@ -173,9 +166,8 @@ class Lockstep:
             result = self.runners[lane.index](ask, lambda iterate: lane.reports.append(iterate))
         except BaseException as exception:
             error = exception
-        with self._turn:
-            lane.result, lane.error = result, error
-            self._turn.notify_all()
+        lane.result, lane.error = result, error
+        self._back.release()
 
 
 def side_by_side(
