@@ -101,3 +101,22 @@ def test_measures_of_the_design():
 def test_a_response_of_one_s_own_must_have_the_shape_of_one(function, found):
     with pytest.raises(mbd.InputError, match=rf"returned {found}; allowed: a tensor of shape \(2, 5\)"):
         mbd.Max(history(function)).value(clock(5))
+
+
+def test_few_numbers_in_reverse_and_many_in_forward_mode_have_the_same_gradients():
+    """One time alone is differentiated backward, a hundred together forward."""
+    system = pendulum()
+    motion = mbd.simulate(system, 0.02, steps=20, sensitivities=True)
+    times = torch.linspace(0.0, 0.02, 100, dtype=torch.float64).tolist()
+    for own in (
+        mbd.StrainEnergy("rod"),
+        mbd.Displacement("rod", "z", node="right"),
+        mbd.Velocity("rod", "y", node="right"),
+    ):
+        many = AtTimes(own, times=times).value_and_gradient(motion)
+        assert many.gradient is not None
+        assert many.gradient.shape[1] > len(motion.parameters)
+        for k in (1, 42, 99):
+            one = AtTime(own, times[k]).value_and_gradient(motion)
+            torch.testing.assert_close(one.value, many.value[:, k], rtol=1e-13, atol=0)
+            torch.testing.assert_close(one.gradient, many.gradient[:, k], rtol=1e-10, atol=1e-13)

@@ -249,3 +249,33 @@ def test_derivatives_where_joints_leave_freedoms_and_the_start_depends_on_the_de
             (along * x[:, 0, 0]).sum(), system.get_parameter("motor.p"), retain_graph=True
         )
         assert_close(gradient, along @ slope, rtol=1e-6, atol=1e-7)
+
+
+def crank_of_plates() -> mbd.System:
+    return build(2, cells=(6, 2), modes=2)
+
+
+def test_designs_whose_start_does_not_depend_on_the_design_share_it():
+    """Found once, the same as found for each; the rank of the constraints, too."""
+    system, name = crank_of_plates(), "rod.laminate.angles"
+    first, second = (system.dynamics({name: torch.tensor([[a, -a], [0.3, a]]).double()}, (name,)) for a in (0.2, 1.1))
+    assert first.alike is not None
+    assert first.alike is second.alike
+    assert first.condensed().alike is second.condensed().alike
+    for shared, own in zip(second.start, second.initial._closed(second), strict=True):
+        assert_close(shared, value(own), rtol=0, atol=1e-14)
+    assert second.rank is first.rank
+    assert second.condensed().rank is first.condensed().rank
+
+
+def test_a_start_is_found_anew_where_points_or_drives_have_changed():
+    system = crank_of_plates()
+    before = system.dynamics()
+    q, v = (x.clone() for x in before.start)
+    with torch.no_grad():
+        for attached in system.topology.attached:
+            attached.vector.mul_(1.1 if attached.is_point else 1.0)
+    after = system.dynamics()
+    assert after.alike is not before.alike
+    assert float((value(after.start[0]) - q).abs().max()) > 1e-3
+    assert float((value(after.start[1]) - v).abs().max()) > 1e-3
