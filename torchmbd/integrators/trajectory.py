@@ -5,6 +5,9 @@ Presented lanes (designs) first, then time, then components, the design axis las
     t [times]   q [lanes, times, n_q]   v, a [lanes, times, n_v]   lam [lanes, times, rows]
     dq_db [lanes, times, n_q, n_b]   dv_db, da_db [lanes, times, n_v, n_b]   dlam_db [lanes, times, rows, n_b]
 
+Sensitivities of modal rows go with the basis, which moves with the design (reduction/transport.py): differences of w of two
+designs are something else, for each has modes of its own. Responses do not depend on the choice.
+
 What nobody asks for is not made: rows of the whole, multipliers of condensed joints, mode shapes (signals.py, shapes.py).
 `moved(delta)` is the neighbor of a motion to first order in the design: the derivative of any function f of a motion is
 the Jacobian of f(motion.moved(delta)) at zero.
