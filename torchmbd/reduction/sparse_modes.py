@@ -28,7 +28,7 @@ from torchmbd.reduction.mass import mass_root
 from torchmbd.reduction.partition import partition
 from torchmbd.reduction.shift import choose_shift, comparable_shift
 
-TOLERANCE = 2e-12  # of the modes, relative to mu
+TOLERANCE = 1e-12  # of the modes, relative to mu
 DERIVATIVE_TOLERANCE = 1e-11  # of their derivatives, relative to c
 KNOWN = 1e-2  # residual of a discarded mode that is worth starting from
 MOST_STEPS = 300
