@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 PATIENCE = float(os.environ.get("TORCHMBD_PATIENCE", "15"))  # seconds for a store that is away when the study is over
 _POLL, _PAUSE = 0.1, (0.5, 1.0, 2.0, 5.0, 10.0)  # seconds
-_REST, _SHARE = 3.0, 0.05  # seconds between two batches at least; of a core at most while the study lives
+_REST, _SHARE = 3.0, 0.1  # seconds between two batches at least; of a core at most while the study lives
 
 
 class Away(Exception):
