@@ -23,7 +23,7 @@ from torch.nn.functional import pad
 
 from torchmbd.reduction.panels import panels
 
-BLOCK = 12  # the most columns; a block of one more than wanted finds all copies without a probe
+BLOCK = 12  # the most columns; a block of more than are wanted finds all copies without a probe
 NEXT = 1e-4  # residual of the pair after the last wanted: enough to judge the gap
 PROBES, SUSPICIOUS = 3, 0.7
 SAMPLE = 4  # lanes that are looked at first: where these have not converged the others need not be asked
@@ -56,7 +56,7 @@ def lanczos(
 
     Returns None when the Krylov space fills half of the whole space before that: then a dense method is the better one.
     """
-    block = min(max(n + 1, 4), BLOCK)
+    block = min(n + 2, BLOCK)
     ritz = _iterate(apply, _random(lanes, size, block, device), n, tolerance)
     if ritz is not None and block <= n and misses_a_copy(apply, ritz, n):
         ritz = _iterate(apply, _random(lanes, size, n + 2, device), n, tolerance)

@@ -9,7 +9,7 @@
 
 typedef double V __attribute__((vector_size(64), aligned(8)));
 typedef std::vector<double> Room;
-constexpr double TINY = 2.2250738585072014e-308;
+constexpr double TINY = 2.2250738585072014e-308, STAYS = 1e-3;  // as in sparse_modes.py
 
 struct Factor {  // of a block-tridiagonal matrix, as in blocks.py
   long lanes, blocks;
@@ -225,8 +225,8 @@ extern "C" long conjugate_gradients(const Factor* f, const double* G, const doub
       product<false>(n, N, {u, 1, n}, c.Hd.data(), inside.data(), P);
       product<true>(N, n, {u, n, 1}, inside.data(), c.Hd.data(), P);
       c.dots(c.d, c.Hd, c.step);
-      for (long j = 0; j < P; j++)  // what is done stays: there is only rounding to divide
-        c.step[j] = std::sqrt(c.square[j]) > c.target[j] ? c.square[j] / (c.step[j] > TINY ? c.step[j] : TINY) : 0.0;
+      for (long j = 0; j < P; j++)
+        c.step[j] = std::sqrt(c.square[j]) > STAYS * c.target[j] ? c.square[j] / (c.step[j] > TINY ? c.step[j] : TINY) : 0.0;
       for (long i = 0; i < N; i++)
         for (long j = 0; j < P; j++) {
           c.y[i * P + j] += c.step[j] * c.d[i * P + j];
