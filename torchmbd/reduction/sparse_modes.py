@@ -30,9 +30,9 @@ from torchmbd.reduction.partition import partition
 from torchmbd.reduction.shift import choose_shift, comparable_shift
 
 TOLERANCE = 1e-12  # of the modes, relative to mu
-DERIVATIVE_TOLERANCE = 1e-11  # of their derivatives, relative to c
+DERIVATIVE_TOLERANCE = 5e-12  # of their derivatives, relative to c
 KNOWN = 1e-2  # residual of a discarded mode that is worth starting from
-STAYS = 1e-3  # of what is asked: a column that has so little left goes on no more, for only rounding would be divided
+STAYS = 1e-2  # of what is asked: a column that has so little left goes on no more, for only rounding would be divided
 MOST_STEPS = 300
 NO_CONVERGENCE = f"derivatives of modes did not converge in {MOST_STEPS} steps; is K nearly singular?"
 
