@@ -51,4 +51,5 @@ def test_a_server_that_goes_away_costs_nothing(tmp_path, empty_store, monkeypatc
     assert sorted({point.step for point in history}) == list(range(50))
     assert {client.get_run(run).info.status for run in record.runs.values()} == {"FINISHED"}
     assert len(client.search_runs([record.experiment_id])) == 2
+    tracker.conclude()
     assert not folder.exists()

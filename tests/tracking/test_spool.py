@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from torchmbd.tracking import ProcessTracker, TrackingError
-from torchmbd.tracking.spool import Journal, Sent, load_sent, locked, read_lines, save_sent
+from torchmbd.tracking.spool import Journal, Sent, clear, load_sent, locked, read_lines, save_sent
 from torchmbd.tracking.store import open_store
 from torchmbd.tracking.writer import Writer, deliver
 
@@ -113,7 +113,7 @@ def test_a_store_that_is_away_is_caught_up_with(tmp_path):
     assert {run.info.status for run in runs} == {"FINISHED"}
     assert any(run.data.metrics == {"objective": 1.0 / 3} for run in runs)
     assert {t for run in runs for t in (run.info.start_time, run.info.end_time)} <= times  # not when it was sent
-    assert not folder.exists()
+    assert [file.name for file in folder.iterdir() if file.suffix != ".lock"] == ["sent.json"]
 
 
 def test_a_study_may_go_on_while_what_it_left_is_sent(tmp_path):
@@ -143,8 +143,28 @@ def test_a_study_that_goes_on_goes_on_in_its_runs(tmp_path):
     assert {run.info.status for run in written(tmp_path)} == {"FINISHED"}
     history = open_store(reply["uri"]).get_metric_history(reply["runs"]["start_0"], "objective")
     assert sorted((point.step, point.value) for point in history) == [(k, 1.0 / (k + 1)) for k in range(5)]
-    third = Writer(folder, told(folder, tmp_path, 1, "FINISHED"), lambda: True).run()  # over: a study of its own
-    assert not set(third["runs"].values()) & set(first)
+
+
+def test_a_study_that_has_not_told_its_end_is_ended_and_then_another_begins(tmp_path):
+    folder = tmp_path / "study"
+    lives = []
+    for _ in range(2):  # the first was killed with everything in the store
+        lives.append(Writer(folder, told(folder, tmp_path, 3, "FINISHED"), lambda: True).run())
+        assert {run.info.status for run in written(tmp_path)} == {"FINISHED"}
+    assert lives[0]["runs"] == lives[1]["runs"]
+    assert len(written(tmp_path)) == 2
+    history = open_store(lives[0]["uri"]).get_metric_history(lives[0]["runs"]["start_0"], "objective")
+    assert len(history) == 3
+    clear(folder)
+    third = Writer(folder, told(folder, tmp_path, 1, "FINISHED"), lambda: True).run()
+    assert not set(third["runs"].values()) & set(lives[0]["runs"].values())
+
+
+def test_a_study_that_is_begun_anew_leaves_the_earlier_one_alone(tmp_path):
+    folder = tmp_path / "study"
+    first = Writer(folder, told(folder, tmp_path, 3, "FINISHED"), lambda: True).run()
+    fresh = Writer(folder, told(folder, tmp_path, 3, "FINISHED", key="fresh"), lambda: True).run()
+    assert not set(fresh["runs"].values()) & set(first["runs"].values())
 
 
 def test_what_the_store_refuses_is_named_and_holds_nothing_up(tmp_path):
@@ -174,6 +194,9 @@ def test_a_writer_that_is_killed_is_replaced(tmp_path):
     assert run.info.run_id == record.runs["study"]
     assert run.info.status == "FINISHED"
     assert run.data.metrics == {"objective": 1.0}
+    assert load_sent(tmp_path / "study").runs == record.runs
+    tracker.conclude()
+    assert not (tmp_path / "study").exists()
 
 
 def test_what_waits_is_named(tmp_path, monkeypatch):

@@ -94,6 +94,8 @@ def run_plan(
     if record is None:
         return 1
     print_run_links(record, "sweep" if plan.study.sweep else "study", status, console)
+    if status == "FINISHED" and isinstance(tracker, ProcessTracker):
+        tracker.conclude()
     return EXIT[status]
 
 

@@ -3,8 +3,9 @@
 Runs begin and end, and metrics lie, at the time `when` they were told; a writer may be late.
 Metrics and tags are collected and written by log_batch, all of a run in one call: at `flush` and at `end`.
 
-A study that died is gone on with: its root run (tags study_key and run_key, any status but FINISHED) and the children
-of it are opened again under their keys, and what they hold of metrics (`steps`) is not written twice.
+A study that died is gone on with: its root run (tags study_key and run_key; any status but FINISHED, or the very run that
+the study's folder knows) and the children of it are opened again under their keys, and what they hold of metrics
+(`steps`) is not written twice.
 """
 
 from __future__ import annotations
@@ -34,8 +35,12 @@ class MlflowTracker:
         study: str | None = None,
         runs: Mapping[str, str] | None = None,
         steps: Mapping[str, Mapping[str, int]] | None = None,
+        earlier: str = "",
     ) -> None:
-        """`runs`, `steps`: what an earlier writer of this study has written, by the key of the run."""
+        """`runs`, `steps`: what an earlier writer of this study has written, by the key of the run.
+
+        earlier   run id of the root of an earlier life that has not told its end, if it is known
+        """
         self.uri = store_uri(uri)
         self.client = open_store(self.uri)
         self.experiment_id = experiment_id(self.client, experiment, self.uri)
@@ -45,6 +50,7 @@ class MlflowTracker:
         self.steps = {run: dict(last) for run, last in (steps or {}).items()}
         self._written = {run: dict(last) for run, last in self.steps.items()}
         self._open = [run for run, id in self.runs.items() if self._running(id)]
+        self._root = earlier
         self._earlier: dict[str, str] | None = None  # run ids of an earlier life of the study
         self._waiting: dict[str, list[Any]] = {}  # metrics
         self._words: dict[str, dict[str, str]] = {}  # tags
@@ -85,9 +91,9 @@ class MlflowTracker:
         if self.study is None:
             return None
         if parent is None:
-            mine = f"tags.study_key = '{self.study}' and tags.run_key = '{run}' and attributes.status != 'FINISHED'"
-            roots = self.client.search_runs([self.experiment_id], mine, max_results=1)
-            self._earlier = {run: roots[0].info.run_id} if roots else {}
+            root = self._left(run, f"attributes.run_id = '{self._root}'")
+            root = root or self._left(run, "attributes.status != 'FINISHED'")
+            self._earlier = {run: root} if root else {}
         elif self._earlier is None or parent not in self._earlier:
             return None
         elif len(self._earlier) == 1:
@@ -95,6 +101,12 @@ class MlflowTracker:
             found = self.client.search_runs([self.experiment_id], below, max_results=_MAX_RUNS)
             self._earlier |= {child.data.tags["run_key"]: child.info.run_id for child in found}
         return (self._earlier or {}).get(run)
+
+    def _left(self, run: str, condition: str) -> str | None:
+        """Return the id of a run that this study has left under a key, None if none meets the condition."""
+        mine = f"tags.study_key = '{self.study}' and tags.run_key = '{run}' and {condition}"
+        found = self.client.search_runs([self.experiment_id], mine, max_results=1)
+        return found[0].info.run_id if found else None
 
     def metrics(self, run: str, values: Mapping[str, float], step: int = 0) -> None:
         from mlflow.entities import Metric

@@ -103,8 +103,6 @@ class ProcessTracker:
         held, reply = self._journal.held, self._farewell()
         self._journal.close()
         self._log.close()
-        if reply.get("finished"):
-            clear(self.folder)
         self._locks.close()
         if held:
             raise TrackingError(f"{held} entries could not be written to {self.folder}: {self._journal.trouble}")
@@ -113,11 +111,17 @@ class ProcessTracker:
                 f"{reply['waiting']}\nNothing is lost: what the store does not have yet waits in {self.folder}; "
                 "the next study sends it, or `torchmbd sync`"
             )
-        if self._temporary:
+        if self._temporary or not reply["runs"]:  # nothing is there to go on with
             clear(self.folder)
         if reply["refused"]:
             raise TrackingError("; ".join(reply["refused"]))
         return Record(reply["uri"], reply["experiment_id"], reply["runs"])
+
+    def conclude(self) -> None:
+        """The user knows that the study has finished: the same command begins another, unless one is at it already."""
+        with locked(self.folder, "study.lock", wait=False) as mine:
+            if mine:
+                clear(self.folder)
 
     def _farewell(self) -> dict[str, Any]:
         """Close the writer's pipe and wait for its answer, from another writer if this one dies on it."""

@@ -3,12 +3,15 @@
     <session>.jsonl   one line for each call of a tracker, in order, [ms since 1970, [method, *arguments]];
                       a session is one life of the study's process
     sent.json         how far which session is in the store: bytes, run ids, last steps of metrics
+                      its runs are gone on with by the next session, whatever their status, while this file is here
     files/            what the study files (pictures, tables)
     study.lock        held by the process of the study: the same study cannot run twice at once
     writer.lock       held by the process that writes to the store
 
 A study that goes on after a death tells everything again in a new session (its evaluations come from
 torchmbd.experiment.evaluations), so the journal of an earlier session is superseded as soon as a new one begins.
+The folder goes when the study's own process has said on the screen that it finished: one that is killed before that, even
+with everything in the store, is ended by the same command, not begun anew.
 Locks are the kernel's: they end with their process, however it ends.
 Checked in tests/tracking/test_spool.py.
 """
@@ -45,6 +48,7 @@ class Sent:
     offset: int = 0  # bytes of the session's journal
     runs: dict[str, str] = field(default_factory=dict)  # run id of every key, of this session
     steps: dict[str, dict[str, int]] = field(default_factory=dict)  # last step of every metric of every run
+    earlier: str = ""  # run id of the root in an earlier session, which this one goes on with
     refused: list[str] = field(default_factory=list)  # what the store would not take, though it answers
     closed: bool = False  # everything of the session is there, no run is open
 
@@ -137,8 +141,13 @@ def drop_session(file: Path) -> None:
 
 
 def clear(folder: Path) -> None:
-    """Remove what a store has: a finished study leaves nothing here."""
+    """Remove the folder of a study that has told its end: nothing is left to go on with."""
     shutil.rmtree(folder, ignore_errors=True)
+
+
+def empty(folder: Path) -> None:
+    """Remove the files of a study, which a store has; what it takes to go on with its runs stays."""
+    shutil.rmtree(folder / "files", ignore_errors=True)
 
 
 @contextlib.contextmanager

@@ -2,7 +2,8 @@
 
 A line is sent until the store takes it. If it fails, is the store there at all? If not, the writer tries again, for
 as long as the study lives and `PATIENCE` seconds longer. If it is, the line itself is at fault: it is noted and left out.
-Between two batches the writer rests, for it shares the cores with the study's workers.
+Between two batches the writer rests, for it shares the cores with the study's workers: much at once costs hardly more than
+little, and many runs take a second each time.
 What is sent is noted in sent.json after every batch and every new run, so that no writer sends a run twice.
 """
 
@@ -24,9 +25,9 @@ from torchmbd.process import come_forward, give_way
 from torchmbd.tracking.spool import (
     Sent,
     Told,
-    clear,
     drop_session,
     drop_sessions,
+    empty,
     last_session,
     load_sent,
     locked,
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 
 PATIENCE = float(os.environ.get("TORCHMBD_PATIENCE", "15"))  # seconds for a store that is away when the study is over
 _POLL, _PAUSE = 0.1, (0.5, 1.0, 2.0, 5.0, 10.0)  # seconds
-_REST = 3.0  # seconds between two batches: much at once costs hardly more than little
+_REST, _SHARE = 3.0, 0.05  # seconds between two batches at least; of a core at most while the study lives
 
 
 class Away(Exception):
@@ -63,18 +64,21 @@ class Writer:
 
     def run(self) -> dict:
         """Send until the study is over and everything of it is in the store; return the last word."""
-        earlier = load_sent(self.folder)
-        self.sent = earlier if earlier.session == self.file.stem else Sent(self.file.stem, steps=earlier.steps)
+        self.sent = load_sent(self.folder)
+        if self.sent.session != self.file.stem:  # of an earlier life
+            root = next(iter(self.sent.runs.values()), self.sent.earlier)
+            self.sent = Sent(self.file.stem, steps=self.sent.steps, earlier=root)
         drop_sessions(self.folder, before=self.file)
         rested = 0.0
         while True:
             over = self.over()  # asked before the lines are read: what comes later is nothing
             lines = read_lines(self.file, self.sent.offset) if over or time.monotonic() >= rested else []
             if lines:
+                spent = time.process_time()
                 failure = self._insist(lambda lines=lines: self._send(lines))
                 if failure:
                     return {"waiting": failure}
-                rested = time.monotonic() + _REST
+                rested = time.monotonic() + max(_REST, (time.process_time() - spent) / _SHARE)
             elif over:
                 break
             else:
@@ -144,7 +148,9 @@ class Writer:
 
             experiment, uri, study = self.where or read_lines(self.file, 0)[0].line[1:]
             try:
-                self.tracker = MlflowTracker(str(experiment), uri, study, self.sent.runs, self.sent.steps)
+                self.tracker = MlflowTracker(
+                    str(experiment), uri, study, self.sent.runs, self.sent.steps, self.sent.earlier
+                )
             except (TrackingError, OSError) as error:
                 raise Away(_first_line(error)) from error
         return self.tracker
@@ -169,6 +175,7 @@ class Writer:
 
     def _close(self) -> dict:
         if self.tracker is None and not self.sent.runs:  # refused at the door: no store is created for it
+            drop_session(self.file)
             return {"uri": "", "experiment_id": "", "runs": {}, "refused": self.sent.refused, "finished": True}
         failure = self._insist(self._end)
         if failure or self.tracker is None:
@@ -209,7 +216,7 @@ def deliver(folder: Path, patience: float = PATIENCE) -> str | None:
         word = Writer(folder, file, lambda: True, patience).run()  # the study may go on meanwhile: its writer waits
         with locked(folder, "study.lock", wait=False) as over:
             if over and word.get("finished"):
-                clear(folder)
+                empty(folder)
     return word.get("waiting")
 
 
