@@ -201,14 +201,14 @@ def list_(folder: Path = Path("configs"), *, uri: str | None = None) -> int:
 
 @app.command
 def cache(*, clear: bool = False) -> int:
-    """List the compiled steps on disk, or clear them.
+    """List the compiled libraries on disk, or clear them.
 
     Parameters
     ----------
     clear
         Remove them all.
     """
-    from torchmbd.integrators.library import cache_folder, entries
+    from torchmbd.numerics.native import cache_folder, entries
 
     console = Console()
     for path, size, ready in entries():

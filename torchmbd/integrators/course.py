@@ -34,6 +34,7 @@ from torchmbd.integrators.trajectory import OK, Moment, Switch
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.least_norm import LeastNorm
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.selection import selected
 
@@ -73,11 +74,24 @@ class Course:
             return torch.full((self.steps + 1, rows, slots, lanes), torch.nan, dtype=torch.float64)
 
         self.q, self.v, self.vd, self.lam = (nothing(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
+        self.number = torch.full((self.steps + 1, lanes), -1)
+        self.least_norm: list[LeastNorm | None] = []
 
     @property
     def history(self) -> History:
         """The motion on the grid."""
         return History(self.q, self.v, self.vd, self.lam)
+
+    def multipliers(self, history: History) -> Tensor:
+        """Multipliers of all rows [times, rows, slots, lanes]; of redundant ones those of least norm."""
+        lam = history.lam
+        for number, least in enumerate(self.least_norm):
+            here = self.number == number
+            some = here.any(1)
+            if least is not None and bool(some.any()):
+                found = least.at_times(self.whole.data, self.times[some], history.q[some], lam[some])
+                lam = lam.index_put((some,), torch.where(here[some][:, None, None], found, lam[some]))
+        return lam
 
     def recorded(self) -> History:
         """The same with zeros where nothing is recorded."""
@@ -115,6 +129,7 @@ class Course:
         data = marked(self.whole.topology, self.whole.data, x.q, stage.locks)
         self.whole = replace(self.whole, data=data)
         dynamics = replace(self.whole, topology=stage.topology, saddle=stage.saddle, initial=self.opening)
+        self.least_norm.append(LeastNorm.of(self.whole.topology, dynamics.rank, stage.rows))
         parts = [self._begin(number, lane, lane_of(dynamics, lane), passage) for lane in range(self.whole.lanes)]
         state = together(parts)
         if number:
@@ -202,6 +217,7 @@ class Course:
         rows = torch.zeros_like(self.lam[i])
         rows[stage.rows] = lam
         self.lam[i, ..., lanes] = rows[..., lanes]
+        self.number[i, lanes] = self.stages.index(stage)
 
     def passage(self, stage: Stage, entry: Passage, left: dict[int, Passage], staying: list[int]) -> Passage:
         """Where all lanes left a stage that they entered at `entry`; those that did not are at an infinite time.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -18,7 +19,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrators.shapes import DesignShapes, OneLane
-from torchmbd.integrators.signals import Given
+from torchmbd.integrators.signals import Given, Rows, Signals
+from torchmbd.integrators.sized import determined
 from torchmbd.integrators.step import State
 from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.numerics.pair import Pair, value
@@ -64,6 +66,33 @@ class Event:
         return passed & (before.abs() > 1e-9 * after.abs())
 
 
+class Instant(Signals):
+    """A state x at a time t [1 + n, 1] as a motion of this time alone."""
+
+    def __init__(self, dynamics: Dynamics, t: Any, x: State):
+        super().__init__()
+        self.dynamics, self.t, self.x = dynamics, t, x
+        self.lanes, self.times = x.q.shape[-1], 1
+
+    def _values(self, name: str, rows: Rows) -> Tensor:
+        y = value(self._part(name))[:, 0].T[:, None]
+        return y if rows is None else y[..., list(rows)]
+
+    def _tangents(self, name: str, rows: Rows) -> Tensor | None:
+        part = self._part(name)
+        if not isinstance(part, Pair):
+            return None
+        y = part.tangent.permute(2, 0, 1)[:, None]
+        return y if rows is None else y[..., list(rows), :]
+
+    def _part(self, name: str) -> Any:
+        return self._lam if name == "lam" else {"q": self.x.q, "v": self.x.v, "a": self.x.vd}[name]
+
+    @cached_property
+    def _lam(self) -> Any:
+        return determined(self.dynamics, self.t, self.x)
+
+
 @dataclass
 class Views:
     """Makes motions of one time, for functions of the motion to look at.
@@ -93,7 +122,7 @@ class Views:
 
     def values(self, event: Event, dynamics: Dynamics, t: Tensor, x: State) -> Tensor:
         """The function at time t [] of all lanes [lanes]."""
-        motion = self._motion(self.whole, dynamics, t, x.values())
+        motion = self._motion(self.whole, dynamics, t[None, None], x.values())
         return event.of(motion)[:, 0]
 
     def _lane(self, lane: int, dynamics: Dynamics, t: Any, x: State) -> Trajectory:
@@ -104,7 +133,7 @@ class Views:
             designs={name: y[lane : lane + 1] for name, y in self.whole.designs.items()},
             shapes=OneLane(self.whole.shapes, lane, t.shape[0] - 1),
         )
-        return self._motion(one, dynamics, value(t)[0, 0], x)
+        return self._motion(one, dynamics, t, x)
 
     def neighbors(self, lane: int, dynamics: Dynamics, t: Any, x: State) -> Callable[[Tensor], Trajectory]:
         """The motion of one lane at t, a number [1 + n, 1], as a function of delta [n], to first order."""
@@ -124,13 +153,9 @@ class Views:
         return event.of(moved(zero))[0, 0], torch.func.jacfwd(lambda delta: event.of(moved(delta))[0, 0])(zero)
 
     @staticmethod
-    def _motion(base: Trajectory, dynamics: Dynamics, t: Tensor, x: State) -> Trajectory:
-        parts = {"q": x.q, "v": x.v, "a": x.vd, "lam": x.lam}
-        signals = Given(
-            {name: value(y)[:, 0].T[:, None] for name, y in parts.items()},
-            {name: y.tangent.permute(2, 0, 1)[:, None] for name, y in parts.items() if isinstance(y, Pair)},
-        )
-        return replace(base, t=t[None], signals=signals, dynamics=dynamics, known=None)
+    def _motion(base: Trajectory, dynamics: Dynamics, t: Any, x: State) -> Trajectory:
+        """t [1 + n, 1]."""
+        return replace(base, t=value(t)[0], signals=Instant(dynamics, t, x), dynamics=dynamics, known=None)
 
 
 def normal(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Any, Any]:

@@ -10,7 +10,8 @@ Checked in tests/integrators/test_signals.py.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 
 import torch
 from torch import Tensor
@@ -75,11 +76,14 @@ class Given(Signals):
 
 
 class Recorded(Signals):
-    """What an integrator left; chosen rows lie side by side in memory, all of them are views."""
+    """What an integrator left; chosen rows lie side by side in memory, all of them are views.
 
-    def __init__(self, history: History):
+    settled   makes the multipliers [times, rows, slots, lanes] that are shown of those that were integrated; None: they are
+    """
+
+    def __init__(self, history: History, settled: Callable[[History], Tensor] | None = None):
         super().__init__()
-        self.history = history
+        self.history, self._settled = history, settled
         self.times, _, slots, self.lanes = history.q.shape
         self.moving = slots > 1
 
@@ -93,10 +97,14 @@ class Recorded(Signals):
         x = self._of(name, rows, slice(1, None)).permute(3, 0, 1, 2)
         return x if rows is None else x.contiguous()
 
+    @cached_property
+    def _multipliers(self) -> Tensor:
+        return self.history.multipliers if self._settled is None else self._settled(self.history)
+
     @torch.no_grad()
     def _of(self, name: str, rows: Rows, slots: slice) -> Tensor:
         if name == "lam":
-            x = self.history.multipliers[:, :, slots]
+            x = self._multipliers[:, :, slots]
             return x if rows is None else x[:, list(rows)]
         return self.history.rows(ORDERS.index(name), rows, slots)
 

@@ -11,6 +11,7 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import torch
@@ -78,7 +79,8 @@ def simulate(
     with torch.no_grad():
         if phases is None:
             history, stats, status = run(dynamics, float(duration), steps, method, options)
-            motion = explained(_present(system, dynamics, history, stats, status, float(duration), **design))
+            signals = Recorded(history, partial(_multipliers, dynamics, float(duration)))
+            motion = explained(_present(system, dynamics, signals, stats, status, float(duration), **design))
             warn_of_spin(motion)
             return motion
         views = Views.of(system, dynamics, **design)
@@ -89,7 +91,8 @@ def simulate(
             counts, better = _through(again, method, options | _careful(options))
             if better.count(OK) > status.count(OK):
                 course, stats, status = again, counts | {"renewed": list(range(len(status)))}, better
-    motion = _present(system, course.whole, course.history, stats, status, float(duration), **design)
+    signals = Recorded(course.history, course.multipliers)
+    motion = _present(system, course.whole, signals, stats, status, float(duration), **design)
     warn_of_spin(motion)
     return replace(motion, switches=course.switches, actions=tuple(stage.topology.actions for stage in stages))
 
@@ -254,10 +257,19 @@ def _complaint(found: dict[str, float]) -> str:
     return OK
 
 
+def _multipliers(dynamics: Dynamics, duration: float, history: History) -> Tensor:
+    """All multipliers [times, rows, slots, lanes] of a motion; of redundant rows those of least norm."""
+    least = dynamics.least_norm
+    if least is None:
+        return history.multipliers
+    times = torch.linspace(0.0, duration, len(history.q), dtype=torch.float64)
+    return least.at_times(dynamics.data, times, history.rows(0), history.multipliers)
+
+
 def _present(
     system: System,
     dynamics: Dynamics,
-    history: History,
+    signals: Recorded,
     stats: dict[str, Any],
     status: list[str],
     duration: float,
@@ -266,8 +278,8 @@ def _present(
 ) -> Trajectory:
     """What was integrated, with all that belongs to it."""
     return Trajectory(
-        t=torch.linspace(0.0, duration, history.q.shape[0], dtype=torch.float64),
-        signals=Recorded(history),
+        t=torch.linspace(0.0, duration, signals.times, dtype=torch.float64),
+        signals=signals,
         status=status,
         stats=stats,
         system=system,

@@ -62,6 +62,12 @@ def known(T: Topology, t: Any, data: equations.Data) -> Prescribed:
     return given._replace(laws=laws, t=t)
 
 
+def determined(dynamics: Dynamics, t: Any, x: State) -> Any:
+    """Multipliers of a state at a time t [1 + n, 1]; of redundant rows those of least norm."""
+    least = dynamics.least_norm
+    return x.lam if least is None else least(dynamics.data, known(dynamics.topology, t, dynamics.data), x.q, x.lam)
+
+
 def _at(x: Jet, t: Pair) -> Pair:
     """What a law prescribes at a time that depends on the design."""
     moved = value(x.velocity) * t.tangent

@@ -39,7 +39,10 @@ OK = "ok"
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """The state of all lanes on one side of a switch [lanes, n], with sensitivities [lanes, n, n_b]."""
+    """The state of all lanes on one side of a switch [lanes, n], with sensitivities [lanes, n, n_b].
+
+    Multipliers of redundant rows are here as the iteration left them.
+    """
 
     q: Tensor
     v: Tensor
@@ -145,7 +148,7 @@ class Trajectory:
 
     @property
     def lam(self) -> Tensor:
-        """Multipliers [lanes, times, rows]; those of condensed joints are computed when somebody asks."""
+        """Multipliers [lanes, times, rows], of redundant rows those of least norm; computed when somebody asks."""
         return self.signals.values("lam")
 
     @property

@@ -13,8 +13,15 @@ from torchmbd.optimizers.batch import at_once
 from torchmbd.optimizers.door import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimizers.lockstep import Lockstep
 from torchmbd.optimizers.minima import Minimum, covered_share, distinct_minima, expected_minima
-from torchmbd.optimizers.optimizer import Iterate, OptimizationResult, Problem, find_method, require_range
-from torchmbd.optimizers.sampling import Starts, given
+from torchmbd.optimizers.optimizer import (
+    Iterate,
+    OptimizationResult,
+    Problem,
+    find_method,
+    require_count,
+    require_range,
+)
+from torchmbd.optimizers.sampling import Starts, recipe
 from torchmbd.optimizers.search import Ask, Report, Search, variable_scale
 
 
@@ -85,11 +92,10 @@ def multistart(
     """
     function = find_method(method, options)
     require_limits(max_iterations, max_analyses)
-    require_range("max_lanes", max_lanes, 1, 1_000_000)
+    require_count("max_lanes", max_lanes, 1, 1_000_000)
     require_range("feasibility", feasibility, 0.0, 1.0)
     initial, lower, upper = checked_box(problem)
-    recipe = given([initial]) if starts is None else starts if isinstance(starts, Starts) else given(list(starts))
-    points = np.array([checked_box(problem, point)[0] for point in recipe.points(problem)])
+    points = np.array([checked_box(problem, point)[0] for point in recipe(starts, initial).points(problem)])
     scale = variable_scale(initial, lower, upper) if scaling else None
     equalities = getattr(problem, "equalities", None)
 

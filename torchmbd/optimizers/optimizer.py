@@ -19,6 +19,7 @@ Checked in tests/contracts/test_optimizers.py, over the registry.
 from __future__ import annotations
 
 import inspect
+import numbers
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -185,9 +186,26 @@ def find_method(name: str, options: dict[str, Any]) -> Method:
 
 def require_range(name: str, value: float, low: float, high: float) -> float:
     """Return `value` if it is a number in [low, high]; InputError otherwise."""
-    if not low <= value <= high:
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= value <= high:
         raise InputError(f"{name} = {value!r}: must lie in [{low:g}, {high:g}]")
     return value
+
+
+def require_count(name: str, value: int, low: int, high: int) -> int:
+    """Return `value` if it is an integer in [low, high]; InputError otherwise."""
+    if not isinstance(value, numbers.Integral):
+        raise InputError(f"{name} = {value!r}: must be an integer")
+    require_range(name, value, low, high)
+    return value
+
+
+def require_problem(problem: Any) -> None:
+    """Raise InputError unless the argument has what every problem has."""
+    missing = [name for name in ("names", "start", "lower", "upper", "evaluate") if not hasattr(problem, name)]
+    if missing:
+        raise InputError(
+            f"problem is {problem!r}, without {', '.join(missing)}; allowed: a problem, such as mbd.Problem(...)"
+        )
 
 
 def refuse_equalities(method: str, search: Search) -> None:
@@ -197,6 +215,14 @@ def refuse_equalities(method: str, search: Search) -> None:
             f"method = {method!r} takes inequality constraints only, but constraints {search.equalities.tolist()} are "
             "equalities: use method='slsqp', or give each as two opposite inequalities with a tolerance"
         )
+
+
+def as_numbers(name: str, given: Any) -> np.ndarray:
+    """Return numbers as an array of one's own; InputError if they are none."""
+    try:
+        return np.array(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is {given!r}; allowed: numbers") from error
 
 
 def as_names(problem: Box, size: int) -> list[str]:

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -32,6 +32,7 @@ from torchmbd.numerics.pair import Pair, cat, linear, value
 from torchmbd.system import equations
 from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import Data
+from torchmbd.system.least_norm import LeastNorm
 from torchmbd.system.rank import Rank, confirmed, jacobians, rank_of, sound, without_modes
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Topology
@@ -106,6 +107,14 @@ class Dynamics:
     def redundant(self) -> tuple[str, ...]:
         """Names of constraint rows that follow from the others at the initial position (rank.py)."""
         return self.rank.redundant
+
+    @cached_property
+    def least_norm(self) -> LeastNorm | None:
+        """Makes undetermined multipliers those of least norm; None if all are determined."""
+        left, found = self.condensed(), self.rank
+        if left is not self and found.redundant:  # left out are the rows that those of what was left say
+            found = replace(found, left_out=tuple(self.initial.condensed.rows[list(left.rank.left_out)].tolist()))
+        return LeastNorm.of(self.topology, found)
 
     def diagonal(self, everywhere: bool = False) -> tuple[Tensor, Tensor] | None:
         """For the saddle-point matrix: which rows and columns stay, 1 or 0 [n], and what its diagonal loses [n].

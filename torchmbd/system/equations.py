@@ -31,7 +31,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.numerics.jet import Jet
-from torchmbd.numerics.pair import cat, contract, cross, dot, linear, matmul, matvec, matvec_t
+from torchmbd.numerics.pair import cat, contract, cross, dot, linear, matmul, matvec, matvec_t, value
 from torchmbd.numerics.rotation import axial, euler_rates, exponential, quaternion_product, rotation_matrix, skew
 from torchmbd.system.topology import Prescribed, Topology
 
@@ -61,6 +61,13 @@ class Placement:
     arguments: list[list[Any]]
     drives: list[tuple | None]
     t: Any = None
+
+    def values(self) -> Placement:
+        """The same without tangents."""
+        A, w, A_of, rho, g = (value(x) for x in (self.A, self.w, self.A_of, self.rho, self.g))
+        arguments = [[value(x) for x in vectors] for vectors in self.arguments]
+        drives: list[tuple | None] = [drive and tuple(value(x) for x in drive) for drive in self.drives]
+        return Placement(A, w, A_of, rho, g, arguments, drives, self.t)
 
 
 def split_q(T: Topology, q):

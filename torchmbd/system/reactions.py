@@ -9,6 +9,7 @@ Checked in tests/system/test_condensation.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -32,21 +33,27 @@ def multipliers(c: Condensation, data: Data, times: Tensor, q: Tensor, v: Tensor
     times, q, v, a  its motion [times, component, slots, lanes]
     left            multipliers of the rows that were left
     """
-    some = max(1, _TOGETHER // q.shape[-1])
+    return in_parts(lambda *x: _chunk(c, data, *x), times, q, v, a, left)
+
+
+def in_parts(f: Callable[..., Tensor], times: Tensor, *motion: Tensor) -> Tensor:
+    """f(times, *motion) [times, ...] of many times and lanes [times, component, slots, lanes], some at once."""
+    some = max(1, _TOGETHER // motion[0].shape[-1])
     parts = [slice(i, i + some) for i in range(0, len(times), some)]
-    return torch.cat([_chunk(c, data, times[s], *(x[s] for x in (q, v, a, left))) for s in parts])
+    return torch.cat([f(times[s], *(x[s] for x in motion)) for s in parts])
 
 
 def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
     n, lanes = len(times), motion[0].shape[-1]
-    q, v, a, left = (_pair(x.permute(1, 2, 0, 3).flatten(2)) for x in motion)  # times and lanes are one axis
+    q, v, a, left = (number(x) for x in motion)
     T = c.whole
     names = ("x", "Y", "gravity", *INERTIA)
-    wide = {name: _repeated(data[name], n, lanes) for name in names if name in data}
+    wide = {name: repeated(data[name], n, lanes) for name in names if name in data}
     given = side_by_side([T.prescribed(t, data) for t in times], lanes)
     gone = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
     at = equations.placement(T, wide, q, given)
-    B = _columns(T, wide, at, gone).permute(2, 0, 1)
+    pulls = unit_forces(T, wide, at, gone)[:2]
+    B = torch.cat([x[:, T.flexible :].flatten(0, 1) for x in pulls]).permute(2, 0, 1)
     inverse = torch.linalg.pinv(torch.where(torch.isfinite(B), B, 0.0), rtol=1e-9)  # of a lane that failed: R is nan
     lam = _placed(left, c.rows, T.rows)
     lam = lam + _placed(-_times(inverse, value(_residual(T, wide, at, v, a, lam))), gone, T.rows)
@@ -57,11 +64,15 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
     return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
 
 
-def _pair(x: Tensor) -> Any:
-    return Pair(x) if x.shape[1] > 1 else x
+def number(x: Tensor) -> Any:
+    """A motion [times, component, slots, lanes] as a number: times and lanes are one axis."""
+    flat = x.permute(1, 2, 0, 3).flatten(2)
+    return Pair(flat) if x.shape[2] > 1 else flat
 
 
-def _repeated(x: Any, times: int, lanes: int) -> Any:
+def repeated(x: Any, times: int, lanes: int) -> Any:
+    """A number of all lanes, or of one for all, at all times."""
+
     def wide(y: Tensor) -> Tensor:
         return y.expand(*y.shape[:-1], lanes).repeat(*([1] * (y.dim() - 1)), times)
 
@@ -70,23 +81,13 @@ def _repeated(x: Any, times: int, lanes: int) -> Any:
     return x if x.shape[-1] == 1 else wide(x)
 
 
-def _columns(T: Topology, data: Data, at: Placement, rows: Tensor) -> Tensor:
-    """Generalized forces on the rigid bodies [6 bodies, rows, lanes] of unit multipliers."""
+def unit_forces(T: Topology, data: Data, at: Placement, rows: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Values of the generalized forces [component, bodies, rows, lanes] of unit multipliers."""
     lanes = value(at.g).shape[-1]
     unit = torch.eye(T.rows, dtype=torch.float64)[:, rows, None].expand(-1, -1, lanes)
-    plain = replace(
-        at,
-        A=value(at.A),
-        w=value(at.w),
-        A_of=value(at.A_of),
-        rho=value(at.rho),
-        g=value(at.g),
-        arguments=[[value(x) for x in vectors] for vectors in at.arguments],
-        drives=[drive and tuple(value(x) for x in drive) for drive in at.drives],
-    )
+    plain = at.values()
     force = equations.force_on_vectors(T, plain, unit)
-    parts = equations.generalized_forces(T, {name: value(x) for name, x in data.items()}, plain, force)[:2]
-    return torch.cat([x[:, T.flexible :].flatten(0, 1) for x in parts])
+    return equations.generalized_forces(T, {name: value(x) for name, x in data.items()}, plain, force)
 
 
 def _residual(T: Topology, data: Data, at: Placement, v: Any, a: Any, lam: Any) -> Any:
