@@ -25,6 +25,7 @@ from torchmbd.process import come_forward, give_way
 from torchmbd.tracking.spool import (
     Sent,
     Told,
+    clear,
     drop_session,
     drop_sessions,
     empty,
@@ -216,7 +217,7 @@ def deliver(folder: Path, patience: float = PATIENCE) -> str | None:
         word = Writer(folder, file, lambda: True, patience).run()  # the study may go on meanwhile: its writer waits
         with locked(folder, "study.lock", wait=False) as over:
             if over and word.get("finished"):
-                empty(folder)
+                (empty if word["runs"] else clear)(folder)
     return word.get("waiting")
 
 
