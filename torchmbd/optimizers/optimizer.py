@@ -3,7 +3,8 @@
     minimize f(x)  subject to  c_i(x) <= 0,  lower <= x <= upper          (eq. 14)
 
 A problem is any object with `names`, `start`, `lower`, `upper` [n] and `evaluate(X [lanes, n], gradients) ->
-list[Evaluation]`. It may also have `equalities` (indices of the constraints that must vanish) and `motion(x)`. Three
+list[Evaluation]`. It may also have `equalities` (indices of the constraints that must vanish), `motion(x)`, and what
+torchmbd.optimizers.batch asks of one that evaluates elsewhere. Three
 examples of what keeps this contract: the transient optimization of a mechanism, a Hock-Schittkowski problem of four
 lines, a table of stored results.
 
