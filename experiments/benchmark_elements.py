@@ -3,7 +3,7 @@
 published  problems of experiments/shell_problems.py with triangles and with quadrilaterals, side by side: found over
            reference at the usual mesh and at meshes twice and four times as fine
 bending    those that bend, with the bending of MITC4 and of DKMQ as published in the same quadrilateral, beside ours
-laminated  carbon strips of 3 x 0.5 bent in their plane by an end force, 6 x 1, 12 x 2 and 24 x 4 cells, over 96 x 16
+laminated  carbon strips of 3 x 0.5 under end forces in their plane and across, 6 x 1, 12 x 2 and 24 x 4 cells, over 96 x 16
 cost       processor seconds of one core:
 
 section    6 x 6 stiffness of a laminated box of some 5,000 elements; with its derivative by all ply angles
@@ -96,15 +96,16 @@ def bending() -> None:
 
 
 def laminated() -> None:
-    """Print one line for each stack: triangles, quadrilaterals."""
-    for degrees in ([0], [30], [90], [45, -45], [0, 45, 90, -45]):
+    """Print one line for each stack: triangles and quadrilaterals in plane, then out of plane."""
+    for degrees in ([0], [30], [90], [45, -45], [0, 45, 90, -45], [20, 70]):
         laminate = mbd.Laminate(CARBON, mbd.deg(degrees), 0.01 / len(degrees))
 
-        def deflection(kind: str, n: int, laminate: mbd.Laminate = laminate) -> float:
-            return cantilever(lambda s, t: (3 * s, 0.5 * t, 0.0), (6 * n, n), kind, laminate, {1: 1.0})["v"]
+        def deflection(kind: str, n: int, laminate: mbd.Laminate = laminate) -> dict[str, float]:
+            return cantilever(lambda s, t: (3 * s, 0.5 * t, 0.0), (6 * n, n), kind, laminate, {1: 1.0, 2: 1.0})
 
         fine = deflection("quad", 16)
-        columns = [", ".join(f"{deflection(kind, n) / fine:.3f}" for n in (1, 2, 4)) for kind in ELEMENTS]
+        found = {kind: [deflection(kind, n) for n in (1, 2, 4)] for kind in ELEMENTS}
+        columns = [", ".join(f"{u[way] / fine[way]:.3f}" for u in found[kind]) for way in "vw" for kind in ELEMENTS]
         print(f"{degrees!s:20s}" + "   ".join(columns))
 
 

@@ -1,9 +1,9 @@
 """Rate and level of both elements: error against the exact series under refinement, thick and thin, coupled or not.
 
 The rate is 2 (error ~ size^2) in deflection and frequency alike: linear rotations when thick, quadratic ones when thin,
-lumped mass. It is measured from 16 to 32 cells. Where the element size passes the shear length (a/h = 100 here) the
-leading error changes its constant on the way, so only the level is asked. With quadrilaterals most of the error is that of
-loads and masses lumped at the nodes, the same at any thickness and stack.
+lumped mass. It is measured from 16 to 32 cells. Where the element size passes the shear length (a/h = 100 to 1000 here) the
+leading error changes its constant on the way, so only the level is asked. Loads lumped at the nodes bend a plate more than
+quadrilaterals err, so these are loaded by what bilinear functions take of the sine.
 """
 
 import math
@@ -23,45 +23,54 @@ STACKS = {
 }
 
 
-#: Errors allowed at 16 and at 32 cells a side.
-LEVELS = {"triangle": (5e-3, 1e-3), "quad": (7.5e-3, 2e-3)}
+#: Errors allowed at 16 and at 32 cells a side: of deflections and of frequencies (masses are lumped).
+LEVELS = {"triangle": ((5e-3, 1e-3), (5e-3, 1e-3)), "quad": ((4e-3, 1e-3), (5e-3, 2e-3))}
 
 
-def errors(laminate, kind):
-    """Relative errors of deflection (sine load) and first frequency with 16 and 32 cells a side."""
+def sine_deflection(laminate, n, support, kind):
+    """Center under a sine load, n cells a side: lumped loads, less what bilinear functions do not take of them."""
+    turn = math.pi / n
+    taken = (2 * (1 - math.cos(turn)) / turn**2) ** 2 if kind == "quad" else 1.0
+    return taken * center_deflection(laminate, (n, n), support, load="sine", kind=kind)
+
+
+def fall(errors, level):
+    """Errors at 16 and 32 cells are below their levels and a quarter of each other."""
+    coarse, fine = (abs(error) for error in errors)
+    assert coarse < level[0]
+    assert fine < level[1]
+    assert math.log2(coarse / fine) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("kind", LEVELS)
+@pytest.mark.parametrize("slenderness", [4, 10_000])
+@pytest.mark.parametrize("stack", STACKS)
+def test_deflections_have_rate_two(stack, slenderness, kind):
+    laminate = STACKS[stack](1 / slenderness)
     exact = Navier(laminate)
-    w, f = exact.sine_deflection(), exact.frequencies(1)[0]
-    support = exact.support
-    deflection = [abs(center_deflection(laminate, (n, n), support, load="sine", kind=kind) / w - 1) for n in (16, 32)]
-    frequency = [abs(plate_frequencies(laminate, (n, n), support, 1, kind=kind)[0] / f - 1) for n in (16, 32)]
-    return deflection, frequency
+    w = exact.sine_deflection()
+    fall([sine_deflection(laminate, n, exact.support, kind) / w - 1 for n in (16, 32)], LEVELS[kind][0])
 
 
 @pytest.mark.parametrize("kind", LEVELS)
 @pytest.mark.parametrize(
-    ("stack", "slenderness"),
-    [
-        ("isotropic", 4),
-        ("isotropic", 10),
-        ("isotropic", 1000),
-        ("0/90", 4),
-        ("0/90", 1000),
-        ("45/-45", 1000),
-    ],
+    ("stack", "slenderness"), [("isotropic", 4), ("isotropic", 1000), ("0/90", 4), ("0/90", 1000), ("45/-45", 4)]
 )
-def test_rate_is_two(stack, slenderness, kind):
-    for coarse, fine in errors(STACKS[stack](1 / slenderness), kind):
-        assert fine < LEVELS[kind][1]
-        if fine > 1e-4:  # of thin angle-ply quadrilaterals loads and elements cancel to less
-            assert math.log2(coarse / fine) == pytest.approx(2.0, abs=0.1)
+def test_frequencies_have_rate_two(stack, slenderness, kind):
+    """Not of thinner plates: unsymmetric ones lose digits that the levels need."""
+    laminate = STACKS[stack](1 / slenderness)
+    exact = Navier(laminate)
+    f = exact.frequencies(1)[0]
+    found = [plate_frequencies(laminate, (n, n), exact.support, 1, kind=kind)[0] / f - 1 for n in (16, 32)]
+    fall(found, LEVELS[kind][1])
 
 
 @pytest.mark.parametrize("kind", LEVELS)
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize("slenderness", [4, 10, 30, 100, 300, 1000])
 def test_no_locking_at_any_thickness(stack, slenderness, kind):
-    """16 cells a side: half a percent in deflection from a/h = 4 to 1000; quadrilaterals 0.75."""
+    """16 cells a side: half a percent in deflection from a/h = 4 to 1000; quadrilaterals 0.4."""
     laminate = STACKS[stack](1 / slenderness)
     exact = Navier(laminate)
-    found = center_deflection(laminate, (16, 16), exact.support, load="sine", kind=kind)
-    assert found == pytest.approx(exact.sine_deflection(), rel=LEVELS[kind][0])
+    found = sine_deflection(laminate, 16, exact.support, kind)
+    assert found == pytest.approx(exact.sine_deflection(), rel=LEVELS[kind][0][0])

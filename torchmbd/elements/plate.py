@@ -1,12 +1,13 @@
-"""Stiffness of a laminated plate or faceted shell, linear in the laminate's 21 entries.
+"""Stiffness of a laminated plate or faceted shell: linear in the laminate's 21 entries, but for inner forces of the cells.
 
-    K(b) = sum_i s_i(b) K_i,      s = laminate.entries() [..., 21],      K_i = sum_e sum_points weight E' C_i E
+    K(b) = sum_i s_i(b) K_i (+ inner forces),      s = laminate.entries() [..., 21],      K_i = sum_e sum_points weight E' C_i E
 
 C_i     the pattern of entry i in the 8 x 8 law (N, M, Q) = C (eps, kappa, gamma)
 E       strains of the cell (strains.py, shell_elements.py): triangles and quadrilaterals, mixed as the mesh mixes them
 basis   values of all K_i on one sparsity pattern, made once per mesh            [21, nnz]
+inner   membrane forces that vary over a quadrilateral (inner_forces.py): a small matrix for each cell and design
 
-So a new design costs one product `entries @ basis`, whatever the mesh, and derivatives in the design are exact.
+So a new design of triangles costs one product `entries @ basis`, whatever the mesh, and derivatives in the design are exact.
 Two numbers enter E from the laminate: mean Poisson's ratio and shear length (IsotropicMean). They are constants under
 any change of ply angle. When *thickness* is a design variable they stay those of the laminate given here: still a
 converging element with the exact gradient of what it computes, tuned to a neighboring thickness. A fifth more or less
@@ -22,17 +23,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.elements.facet import Facets, facets
+from torchmbd.elements.inner_forces import CellForces
 from torchmbd.elements.shell_elements import ELEMENTS
 from torchmbd.elements.strains import Strains
 from torchmbd.errors import InputError
-from torchmbd.materials import ENTRIES, IsotropicMean, Laminate
+from torchmbd.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness
 from torchmbd.mesh import Mesh, directed_area
+from torchmbd.numerics.linear_map import mapped
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
 
 _FIRST_ROW = {"A": (0, 0), "B": (0, 3), "D": (3, 3), "As": (6, 6)}
@@ -47,11 +51,40 @@ class Cells:
     strains: Strains
 
 
+class _Picked(NamedTuple):
+    """Some numbers of K, a linear map of entries and of the laws of inner forces (linear_map.py).
+
+    basis   columns of these numbers, and of more [21, columns]
+    inner   of the kinds that have inner forces
+    places  the column of every number of their cells
+    result  which columns are asked for
+    """
+
+    basis: Float[Tensor, "21 columns"]
+    inner: list[CellForces]
+    places: list[Int[Tensor, " numbers"]]
+    result: slice | Int[Tensor, " k"]
+
+    def __call__(self, *x: Tensor) -> Float[Tensor, "lanes columns"]:
+        """Of entries [lanes, 21] and laws [lanes, m, 13, 13]; in memory lanes come last."""
+        if not self.inner:
+            return x[0] @ self.basis
+        values = self.basis.mT @ x[0].mT
+        for own, place, law in zip(self.inner, self.places, x[1:], strict=True):
+            values.index_add_(0, place, own.numbers(law))
+        return values.mT
+
+    def adjoint(self, y: Float[Tensor, "lanes columns"]) -> tuple[Tensor, ...]:
+        """Back to entries and laws."""
+        laws = (own.adjoint(y.mT[place]) for own, place in zip(self.inner, self.places, strict=True))
+        return y @ self.basis.mT, *laws
+
+
 class PlateMatrices:
     """What a mesh contributes to stiffness and mass, made once per mesh.
 
     pattern   where K is not zero
-    basis     [21, nnz]: K values = entries @ basis, `...` lanes of entries give [..., nnz]
+    basis     [21, nnz]: K values = entries @ basis, and inner forces; `...` lanes of entries give [..., nnz]
     area      [n] tributary area of each node [m2]: lumped mass = mass_per_area * area,
               nodal rotary inertia = rotary_inertia_per_area * area
     kinds     the cells of each kind that there are
@@ -76,22 +109,29 @@ class PlateMatrices:
         self.mesh = mesh
         chosen = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
         self.mean = laminate if isinstance(laminate, IsotropicMean) else IsotropicMean.of(laminate)
-        self.kinds: dict[str, Cells] = {}
-        members = []
+        found = []
         for kind, corners in mesh.cells.items():
             own = chosen - mesh.first(kind)
             own = own[(own >= 0) & (own < len(corners))]
             if len(own):
-                plane = facets(mesh, direction, own, kind)
-                self.kinds[kind] = Cells(corners[own], plane, ELEMENTS[kind](plane, self.mean))
-                members.append(mesh.first(kind) + own)
-        self.members = torch.cat(members)
+                found.append((kind, own, facets(mesh, direction, own, kind)))
+        self.members = torch.cat([mesh.first(kind) + own for kind, own, _ in found])
         self.area = self._tributary()
-        self.pattern, slots = _block_pattern([own.corners for own in self.kinds.values()], len(mesh.nodes))
-        self.basis = sum(
-            (_basis(own.strains, slot, self.pattern.nnz) for own, slot in zip(self.kinds.values(), slots, strict=True)),
-            start=torch.zeros(()),
-        )
+        corners = [mesh.cells[kind][own] for kind, own, _ in found]
+        self.pattern, slots = _block_pattern(corners, len(mesh.nodes))
+        self.kinds = {
+            kind: Cells(at, plane, ELEMENTS[kind](plane, self.mean))
+            for (kind, _, plane), at in zip(found, corners, strict=True)
+        }
+        self.basis = self.area.new_zeros(len(ENTRIES), self.pattern.nnz)
+        inner, places = [], []
+        for own, slot in zip(self.kinds.values(), slots, strict=True):
+            _add_laws(self.basis, own.strains, slot)
+            if own.strains.forces is not None:
+                inner.append(CellForces(own.strains.forces))
+                places.append(slot.flatten())
+        self._whole = self._picked = _Picked(self.basis, inner, places, slice(None))
+        self._chosen: Tensor | None = None
 
     @property
     def axes(self) -> Float[Tensor, "m 3 3"]:
@@ -110,7 +150,29 @@ class PlateMatrices:
         """Return K of one laminate or of a batch."""
         if entries.shape[-1] != len(ENTRIES):
             raise InputError(f"entries has shape {tuple(entries.shape)}; allowed: [..., {len(ENTRIES)}]")
-        return SparseMatrix(self.pattern, entries @ self.basis)
+        return SparseMatrix(self.pattern, self.values(entries))
+
+    def values(
+        self, entries: Float[Tensor, "*lanes 21"], chosen: Int[Tensor, " k"] | None = None
+    ) -> Float[Tensor, "*lanes nnz"]:
+        """Return the numbers of K on the pattern, or only chosen ones: where they are is found once."""
+        if chosen is not None and chosen is not self._chosen:
+            self._chosen, self._picked = chosen, self._pick(chosen)
+        picked = self._whole if chosen is None else self._picked
+        numbers = entries.reshape(-1, len(ENTRIES))
+        law = LaminateStiffness.of(numbers)
+        values = mapped(picked, numbers, *(own.law(law.A, law.B) for own in picked.inner))
+        return values[:, picked.result].reshape(*entries.shape[:-1], -1)
+
+    def _pick(self, chosen: Int[Tensor, " k"]) -> _Picked:
+        """What makes the chosen numbers of K; others of a cell go to a last place that is left out."""
+        distinct, again = torch.unique(chosen, return_inverse=True)
+        place = torch.full((self.pattern.nnz,), len(distinct))
+        place[distinct] = torch.arange(len(distinct))
+        basis = torch.nn.functional.pad(self.basis[:, distinct], (0, 1 if self._whole.inner else 0))
+        same = torch.equal(again, torch.arange(len(distinct)))
+        places = [place[own] for own in self._whole.places]
+        return _Picked(basis, self._whole.inner, places, slice(len(distinct)) if same else again)
 
     def section_strains(self, displacements: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 8 k"]:
         """Return eps, kappa, gamma at the middle of each cell for k fields of nodal displacements, such as modes."""
@@ -158,9 +220,9 @@ def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
     return Pattern(rows, cols, 6 * n), cells
 
 
-def _basis(strains: Strains, slot: Tensor, nnz: int) -> Float[Tensor, "21 nnz"]:
+def _add_laws(basis: Float[Tensor, "21 nnz"], strains: Strains, slot: Int[Tensor, "m f f"]) -> None:
+    """Add sum_points weight E' C_i E of every entry i to its row."""
     weighted = strains.at * strains.weight[..., None, None]
-    basis = weighted.new_zeros(len(ENTRIES), nnz)
     slots = slot.flatten()
     for values, (name, i, j) in zip(basis, ENTRIES, strict=True):
         p0, q0 = _FIRST_ROW[name]
@@ -170,4 +232,3 @@ def _basis(strains: Strains, slot: Tensor, nnz: int) -> Float[Tensor, "21 nnz"]:
         if name == "B":  # stands in C twice, above and below the diagonal
             element = element + element.mT
         values.index_add_(0, slots, element.flatten())
-    return basis

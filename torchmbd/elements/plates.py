@@ -45,16 +45,11 @@ class Plates:
         self.laminate = laminate
         self.matrices = PlateMatrices(mesh, laminate, direction, cells)
         self.pattern = self.matrices.pattern
-        self._entries: Tensor | None = None  # of which entries `_basis` is
-        self._basis = self.matrices.basis
         self._ends, self._area = _points(self.matrices, mass == "consistent")
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
-        """K of the present design, or only some entries of it: they are picked from the constant basis, once."""
-        if entries is not self._entries:
-            self._entries = entries
-            self._basis = self.matrices.basis if entries is None else self.matrices.basis[:, entries]
-        return self.laminate.entries() @ self._basis
+        """K of the present design, or only some entries of it."""
+        return self.matrices.values(self.laminate.entries(), entries)
 
     def modules(self) -> dict[str, nn.Module]:
         """The laminate."""

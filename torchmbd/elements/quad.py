@@ -1,6 +1,7 @@
 """The laminated quadrilateral: membrane with drilling freedoms, DKMQ bending and transverse shear, warped cells.
 
-Strains at the 2 x 2 points of Gauss, and at two more that carry membrane strains of the drilling freedoms alone.
+Strains at the 2 x 2 points of Gauss, and at two more that carry membrane strains of the drilling freedoms alone; membrane
+forces that vary over the cell (inner_forces.py).
 
 A warped cell stands on its mean plane, its corners at heights z = +d, -d, +d, -d. Shallow shell theory in the cell,
 
@@ -28,27 +29,32 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.elements.facet import Facets
+from torchmbd.elements.inner_forces import varying
 from torchmbd.elements.quad_bending import plate_strains
-from torchmbd.elements.quad_membrane import membrane_strains
+from torchmbd.elements.quad_membrane import membrane
 from torchmbd.elements.quad_shape import Bilinear, gauss, middle
-from torchmbd.elements.strains import Strains, in_mesh_axes
+from torchmbd.elements.strains import Strains, in_mesh_axes, turned
 from torchmbd.materials import IsotropicMean
 
 
 def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
-    """Return the strains of every quadrilateral at its six points."""
+    """Return the strains of every quadrilateral at its six points, and its inner forces."""
     points = gauss(plane.corners)
     softness = plane.area * (plane.tilt**2 + _warp2(plane)) / mean.bending_length**2
-    flat = membrane_strains(plane.corners, points, mean.poisson, softness).unflatten(-1, (4, 3))
-    membrane = torch.cat([flat[..., :2], _of_warp(plane, points, flat[..., :2]), flat[..., 2:]], dim=-1)
+    flat = membrane(plane.corners, points, mean.poisson, softness)
+    constant, drill, work = (_of_corners(plane, rows) for rows in (flat.mean, flat.drill, flat.forces.work))
+    constant[..., 2:5] += _of_slopes(plane, points) + _of_bows(plane)
     curvature, shear = (
         torch.cat([own, torch.zeros_like(own[:, :2])], dim=1)
         for own in plate_strains(plane.corners, points, mean.shear_length, plane.cell)
     )
-    at = in_mesh_axes(plane.axes, membrane, curvature, shear)
+    in_plane = torch.cat([constant[:, None].expand(-1, 4, -1, -1, -1), drill], dim=1)
+    at = in_mesh_axes(plane.axes, in_plane, curvature, shear)
     weight = torch.cat([points.weight, plane.area[:, None].expand(-1, 2)], dim=1)
     share = points.weight / points.weight.sum(1, keepdim=True)
-    return Strains(at, weight, torch.einsum("mp,mpsf->msf", share, at[:, :4]))
+    center = torch.einsum("mp,mpsf->msf", share, at[:, :4])
+    bent = torch.einsum("mep,mpsf->mesf", varying(points.weight), at[:, :4, 3:6])
+    return Strains(at, weight, center, flat.forces._replace(work=turned(plane.axes, work), curvature=bent))
 
 
 def _warp2(plane: Facets) -> Float[Tensor, " m"]:
@@ -57,18 +63,19 @@ def _warp2(plane: Facets) -> Float[Tensor, " m"]:
     return ((plane.height.roll(-1, dims=1) - plane.height) / length).square().amax(1) / 3.0
 
 
-def _of_warp(plane: Facets, points: Bilinear, flat: Tensor) -> Float[Tensor, "m 6 3 4 3"]:
-    """Membrane strains of the freedoms w, phi_x, phi_y of a warped cell's corners."""
+def _of_corners(plane: Facets, rows: Float[Tensor, "m *rows 12"]) -> Float[Tensor, "m *rows 4 6"]:
+    """Rows on (u, v, theta) of the corners of the mean plane, on all freedoms of the corners in the cell's axes."""
+    flat = rows.unflatten(-1, (4, 3))
     w0 = middle(plane.corners).slopes[:, 0]  # gradient of the linear part [m, 2, 4]
-    lifted = torch.einsum("mpsic,mi,mcj->mpsj", flat, plane.height, w0)
-    mean = _of_slopes(plane, points, w0) + _of_bows(plane)
-    result = torch.cat([mean[:, None].expand(-1, 4, -1, -1, -1), mean.new_zeros(len(flat), 2, 3, 4, 3)], dim=1)
-    result[..., 0] += lifted
+    result = flat.new_zeros(*flat.shape[:-1], 6)
+    result[..., [0, 1, 5]] = flat
+    result[..., 2] = torch.einsum("m...ic,mi,mcj->m...j", flat[..., :2], plane.height, w0)
     return result
 
 
-def _of_slopes(plane: Facets, points: Bilinear, w0: Tensor) -> Float[Tensor, "m 3 4 3"]:
-    """Mean of sym grad z o (grad w - grad w_0) with grad w = -beta."""
+def _of_slopes(plane: Facets, points: Bilinear) -> Float[Tensor, "m 3 4 3"]:
+    """Mean of sym grad z o (grad w - grad w_0) with grad w = -beta, of w, phi_x, phi_y of the corners."""
+    w0 = middle(plane.corners).slopes[:, 0]
     zx, zy = torch.einsum("mpci,mi->cmp", points.slopes, plane.height)[..., None]
     share = (points.weight / points.weight.sum(1, keepdim=True))[..., None, None]
     N = points.shape.expand(len(w0), -1, -1)

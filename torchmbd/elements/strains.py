@@ -3,7 +3,8 @@
     (eps_xx, eps_yy, gamma_xy, kappa_xx, kappa_yy, kappa_xy, gamma_xz, gamma_yz) = E (u1 u2 u3 phi1 phi2 phi3) x corners
 
 in the laminate's axes (facet.py) and, of the freedoms, in mesh axes. E knows the cell and the laminate's isotropic mean, no
-ply angle: so the stiffness sum_points weight E' C E is linear in the laminate's 21 entries (plate.py).
+ply angle: so the stiffness sum_points weight E' C E is linear in the laminate's 21 entries (plate.py). What has to follow
+the laminate are membrane forces that vary over the cell, in elements that have them (inner_forces.py).
 An element is a function (Facets, IsotropicMean) -> Strains in a file of its own, and one line in shell_elements.py. It keeps
 rigid motions free, the rank full, constant strains exact on meshes that mix kinds (sides.py), and no place of its numbering
 better than another: tests/contracts/test_shell_elements.py runs over all.
@@ -18,16 +19,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchmbd.elements.inner_forces import InnerForces
+
 #: Freedoms of a corner, in this order, in every vector of torchmbd: displacements [m], rotations [rad].
 FREEDOMS = ("u1", "u2", "u3", "phi1", "phi2", "phi3")
 
 
 class Strains(NamedTuple):
-    """Strains at the points of every cell, the area that each point stands for [m2], and the strains to judge plies by."""
+    """Strains at the points of every cell, the area that each point stands for [m2], the strains to judge plies by, forces."""
 
     at: Float[Tensor, "m points 8 freedoms"]
     weight: Float[Tensor, "m points"]
     center: Float[Tensor, "m 8 freedoms"]
+    forces: InnerForces | None = None
 
 
 def in_mesh_axes(
@@ -48,5 +52,10 @@ def in_mesh_axes(
     local[:, :, 3:, :, 2] = bending[..., 0]
     local[:, :, 3:, :, 4] = bending[..., 1]
     local[:, :, 3:, :, 3] = -bending[..., 2]
+    return turned(axes, local)
+
+
+def turned(axes: Float[Tensor, "m 3 3"], local: Float[Tensor, "m *rows c 6"]) -> Float[Tensor, "m *rows 6c"]:
+    """Take rows on the freedoms of a cell's corners from its axes to mesh axes."""
     vectors = local.unflatten(-1, (2, 3))  # a displacement and a rotation at every corner
-    return torch.einsum("mpscvi,mij->mpscvj", vectors, axes).flatten(-3)
+    return torch.einsum("m...cvi,mij->m...cvj", vectors, axes).flatten(-3)

@@ -27,7 +27,7 @@ Checked in tests/materials/test_laminate.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -62,6 +62,14 @@ class LaminateStiffness(NamedTuple):
         """Collect the 21 independent numbers in the order of `ENTRIES`: upper triangles of A, B, D, As, row by row."""
         return torch.stack([getattr(self, name)[..., i, j] for name, i, j in ENTRIES], dim=-1)
 
+    @classmethod
+    def of(cls, entries: Float[Tensor, "*lanes 21"]) -> LaminateStiffness:
+        """Spread the 21 numbers out again."""
+        numbers = entries.split([6, 6, 6, 3], dim=-1)
+        three, two = [0, 1, 2, 1, 3, 4, 2, 4, 5], [0, 1, 1, 2]
+        A, B, D = (own[..., three].unflatten(-1, (3, 3)) for own in numbers[:3])
+        return cls(A, B, D, numbers[3][..., two].unflatten(-1, (2, 2)))
+
 
 class Laminate(nn.Module):
     """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
@@ -74,6 +82,7 @@ class Laminate(nn.Module):
                       of equal energy, a full matrix that follows the stack
     """
 
+    positive: ClassVar[tuple[str, ...]] = ("thickness",)  # parameters that are, whatever the design
     angles: Tensor
     thickness: Tensor
     _Q: Tensor

@@ -1,0 +1,60 @@
+"""A linear map of batches, told once with its adjoint: derivatives apply it again.
+
+    y = L(x_1, x_2, ...),     dy = L(dx_1, dx_2, ...),     (x_1, x_2, ...)' = L*(y')
+
+Left to itself, forward mode differentiates every product with a constant as one of two variables, and multiplies zeros.
+All x and y have one leading axis of lanes; under vmap there are more of these.
+Differentiable, forward and reverse, any number of times.
+Checked in tests/numerics/test_linear_map.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+
+class LinearMap(Protocol):
+    """What is asked of a map."""
+
+    def __call__(self, *x: Tensor) -> Tensor:
+        """y [lanes, ...] of x [lanes, ...]."""
+        ...
+
+    def adjoint(self, y: Tensor) -> tuple[Tensor, ...]:
+        """The x that have the same products with all x as y has with their map."""
+        ...
+
+
+def mapped(linear: LinearMap, *x: Tensor) -> Tensor:
+    """Return linear(*x)."""
+    return _Mapped.apply(linear, *x)  # pyright: ignore[reportReturnType]
+
+
+class _Mapped(torch.autograd.Function):
+    @staticmethod
+    def forward(linear: LinearMap, *x: Tensor) -> Tensor:
+        return linear(*x)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
+        ctx.linear = inputs[0]
+
+    @staticmethod
+    def jvp(ctx: Any, _: None, *dx: Tensor) -> Tensor:
+        return mapped(ctx.linear, *dx)
+
+    @staticmethod
+    def backward(ctx: Any, *dy: Tensor) -> tuple[Tensor | None, ...]:
+        return None, *ctx.linear.adjoint(dy[0])
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, linear: LinearMap, *x: Tensor) -> tuple[Tensor, int]:
+        n = info.batch_size
+        wide = [
+            own.expand(n, *own.shape) if dim is None else own.movedim(dim, 0)
+            for own, dim in zip(x, in_dims[1:], strict=True)
+        ]
+        return mapped(linear, *(own.flatten(0, 1) for own in wide)).unflatten(0, (n, -1)), 0
