@@ -17,7 +17,9 @@ from experiments import slider_crank
 from torchmbd.design.spline import Spline
 from torchmbd.integrators import generalized_alpha, library
 from torchmbd.integrators.history import History
+from torchmbd.numerics.native import enabled
 from torchmbd.numerics.pair import Pair, value
+from torchmbd.reduction import panels
 from torchmbd.system import Dynamics
 
 LINK, WIDTH = 0.3, 0.03  # of a link of the pendulum chain [m]
@@ -137,7 +139,7 @@ def compilation(wanted: bool) -> Iterator[None]:
 def compiled_ready(dynamics: Dynamics, build: bool = True) -> bool:
     """Whether compiled code serves these dynamics; a missing one is built now if `build`. False: it cannot be."""
     with compilation(True):
-        if not library.enabled():
+        if not enabled() or (build and not panels.build()):
             return False
         left = library.written_out(dynamics.condensed())
         if left is None:

@@ -181,34 +181,36 @@ def report(run: str, /, *, output: Path | None = None, uri: str | None = None) -
 
 
 @app.command(name="list")
-def list_(folder: Path = Path("configs"), *, uri: str | None = None) -> int:
+def list_(folder: Path | None = None, *, uri: str | None = None) -> int:
     """List the experiment files at hand and the studies so far.
 
     Parameters
     ----------
     folder
-        Where the experiment files are.
+        Where the experiment files are; default: configs.
     uri
         The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
     """
     from torchmbd.experiment.listing import print_configs, print_studies
 
+    if folder is not None and not folder.is_dir():
+        raise InputError(f"folder = {str(folder)!r}: is no folder; allowed: one that exists, default configs")
     console = Console()
-    print_configs(folder, console)
+    print_configs(folder or Path("configs"), console)
     print_studies(uri, console)
     return 0
 
 
 @app.command
 def cache(*, clear: bool = False) -> int:
-    """List the compiled steps on disk, or clear them.
+    """List the compiled libraries on disk, or clear them.
 
     Parameters
     ----------
     clear
         Remove them all.
     """
-    from torchmbd.integrators.library import cache_folder, entries
+    from torchmbd.numerics.native import cache_folder, entries
 
     console = Console()
     for path, size, ready in entries():

@@ -89,6 +89,9 @@ def test_bodies_that_share_a_laminate_share_its_angles():
         ({"reference": 15}, ["15", "0 to 14"]),
         ({"reference": [1.5]}, ["1.5", "0 to 14"]),
         ({"reference": []}, ["reference is []", "at least one node"]),
+        ({"rigid": 3}, ["rigid is 3", "a list of node sets"]),
+        ({"rigid": "left_edge"}, ["rigid is 'left_edge'", "a list of node sets"]),
+        ({"updated": "no"}, ["updated of 'rod'", "'no'", "True or False"]),
     ],
     ids=lambda x: "-".join(x) if isinstance(x, dict) else "",
 )

@@ -360,6 +360,23 @@ def test_wrong_lengths_are_named():
         optimize(quadratic(), start=[0, 0])
 
 
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"problem": None}, "problem is None, without names, start, lower, upper, evaluate; allowed: a problem"),
+        ({"max_iterations": 2.5}, "max_iterations = 2.5: must be an integer"),
+        ({"max_iterations": "3"}, "max_iterations = '3': must be an integer"),
+        ({"max_analyses": 0}, r"max_analyses = 0: must lie in \[1, "),
+        ({"start": "x"}, "start is 'x'; allowed: numbers"),
+        ({"feasibility": "x"}, r"feasibility = 'x': must lie in \[0, 1\]"),
+        ({"method": "differential_evolution", "population": 4.5}, "population = 4.5: must be an integer"),
+    ],
+)
+def test_arguments_of_a_wrong_kind_are_named(given, words):
+    with pytest.raises(InputError, match=words):
+        optimize(**({"problem": quadratic()} | given))
+
+
 def test_gradients_of_wrong_shape_are_named():
     problem = quadratic()
     problem.evaluate = lambda X, gradients: [Evaluation(1.0, np.zeros(0), np.zeros(2), np.zeros((0, 2)))]

@@ -120,3 +120,11 @@ def test_few_numbers_in_reverse_and_many_in_forward_mode_have_the_same_gradients
             one = AtTime(own, times[k]).value_and_gradient(motion)
             torch.testing.assert_close(one.value, many.value[:, k], rtol=1e-13, atol=0)
             torch.testing.assert_close(one.gradient, many.gradient[:, k], rtol=1e-10, atol=1e-13)
+
+
+@pytest.mark.parametrize("number", [0, -1, 3, 1.5, True])
+def test_a_frequency_that_does_not_exist_is_named(number):
+    """Also where no Problem has looked at the measure: 0 and -1 would be the last ones."""
+    motion = mbd.simulate(pendulum(), 0.01, steps=2)
+    with pytest.raises(mbd.InputError, match=rf"number is {number}; allowed: 1 to 2, the retained modes of 'rod'"):
+        mbd.Frequency("rod", number).value(motion)

@@ -25,7 +25,7 @@ def problem(**given) -> mbd.Problem:
         "iterations": (6, 6),
         "refresh": 1,
     }
-    return mbd.Problem(pendulum(), **(asked | given))
+    return mbd.Problem(**({"system": pendulum()} | asked | given))
 
 
 def thick(**given) -> mbd.Problem:
@@ -103,7 +103,9 @@ def test_an_initial_limit_needs_an_initial_motion():
     ("given", "words"),
     [
         ({"minimize": ENERGY}, ["minimize is", "StrainEnergy", "a measure, such as Integral"]),
+        ({"system": None}, ["system is None", "a System"]),
         ({"subject_to": [mbd.Max(ENERGY)]}, ["subject_to has", "Max", "constraints, such as Max"]),
+        ({"subject_to": "initial"}, ["subject_to is 'initial'", "a list of constraints, such as Max"]),
         ({"duration": 0.0}, ["duration", "0.0", "positive"]),
         ({"duration": math.nan}, ["duration", "nan", "positive"]),
         ({"method": "dopri"}, ["method 'dopri'", "did you mean 'dopri"]),
@@ -122,6 +124,11 @@ def test_bad_input_is_refused_at_the_door(given, words):
         problem(**given)
     for word in [*words, "allowed"]:
         assert word in str(error.value)
+
+
+def test_a_single_constraint_needs_no_list():
+    limit = mbd.Max(ENERGY) <= 1.0
+    assert problem(subject_to=limit).constraints == [limit]
 
 
 @pytest.mark.parametrize("limit", ["start", math.inf, math.nan, True])

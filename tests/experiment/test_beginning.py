@@ -55,3 +55,10 @@ def test_nothing_is_overwritten(folder):
     with pytest.raises(InputError, match="has no function 'buld'"):
         begin(folder / "other.yaml", "rod_model.py:buld")
     assert not (folder / "other.yaml").exists()
+
+
+def test_a_model_that_cannot_be_named_so_is_told_with_what_can(folder):
+    with pytest.raises(InputError, match=r"^model = 'rod_model': allowed: package\.module:function or path"):
+        begin(folder / "other.yaml", "rod_model")
+    with pytest.raises(InputError, match=r"^model module 'nothing' cannot be imported"):
+        begin(folder / "other.yaml", "nothing:build")

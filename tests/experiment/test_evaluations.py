@@ -66,7 +66,8 @@ def test_only_the_unknown_is_computed(tmp_path):
         return computed(X, gradients)
 
     store = Evaluations(tmp_path / "e.db", "p")
-    remembered = Remembered(problem, store, compute, lambda X, evaluations: heard.append(len(evaluations)))
+    source = SimpleNamespace(evaluate=compute)
+    remembered = Remembered(problem, store, source, lambda X, evaluations: heard.append(len(evaluations)))
     remembered.evaluate(X[:1], True)
     values = remembered.evaluate(X, True)
     assert [len(x) for x in asked] == [1, 2]

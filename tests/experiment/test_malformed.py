@@ -57,6 +57,7 @@ CASES = [
     ("max_iterations: 2", "max_iteration: 2", "optimizer.max_iteration", "did you mean 'max_iterations'"),
     ("sampler: sobol", "sampler: sobel", "starts.sampler = 'sobel'", "did you mean 'sobol'"),
     ("count: 2, ", "", "starts", "needs 'count'"),
+    ("count: 2, ", "count: 2000000, ", "starts.count = 2000000", "less than or equal to 1048576"),
     ("seed: 7", "seed: seven", "starts.seed = 'seven'", "integer"),
     ("tracking: {experiment: test}", "tracking: {uri: mlflow.db}", "tracking.uri = 'mlflow.db'", "sqlite:"),
     ("tracking: {experiment: test}", "tracking: {experiment: test}\ntracking: {}", "tracking", "is given twice"),

@@ -45,7 +45,7 @@ def test_a_key_is_that_of_a_topology() -> None:
 
 def test_a_key_covers_source_and_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     before = library.key(dynamics())
-    monkeypatch.setattr(library, "_surroundings", lambda compiler: "another source")
+    monkeypatch.setattr(library, "surroundings", lambda sources: "another source")
     assert library.key(dynamics()) != before
 
 

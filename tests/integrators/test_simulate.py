@@ -35,6 +35,10 @@ def system() -> mbd.System:
         ({"sensitivities": ["rod.laminate.angle"]}, ["'rod.laminate.angle'", "did you mean 'rod.laminate.angles'"]),
         ({"designs": {"rod.angles": torch.zeros(1, 2)}}, ["'rod.angles'", "allowed"]),
         ({"designs": {"rod.laminate.angles": torch.zeros(1, 3)}}, ["'rod.laminate.angles'", "(1, 3)", "[lanes, 2]"]),
+        (
+            {"designs": {"rod.laminate.thickness": torch.tensor([[1e-3, 1e-3], [1e-3, 0.0]]).double()}},
+            ["lane 1", "positive"],
+        ),
         ({"spectral_radius": 1.1}, ["spectral_radius", "1.1", "0 (strong damping) to 1 (none)"]),
         ({"spectral_radius": math.nan}, ["spectral_radius", "nan", "0 (strong damping) to 1 (none)"]),
         ({"iterations": (3, 0)}, ["iterations", "(3, 0)", "two positive integers"]),

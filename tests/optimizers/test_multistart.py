@@ -314,3 +314,18 @@ def test_default_is_the_problems_own_start():
     alone = optimize(waves())
     assert len(study.results) == 1
     assert study.results[0].value == alone.value
+
+
+@pytest.mark.parametrize(
+    ("starts", "words"),
+    [
+        (3, r"starts is 3; allowed: mbd.sobol\(...\)"),
+        ([[0.0, 0.0], [1.0]], "points: must be a list of start designs, all with one value per variable"),
+        (["a", "b"], "points is 'a'; allowed: numbers"),
+    ],
+)
+def test_starts_that_are_none_are_named(starts, words):
+    with pytest.raises(InputError, match=words):
+        multistart(waves(), starts=starts)
+    with pytest.raises(InputError, match="seed = 'x': must be an integer"):
+        sobol(2, seed="x")  # pyright: ignore[reportArgumentType]

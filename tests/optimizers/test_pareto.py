@@ -214,7 +214,7 @@ def test_dominated_rows():
 
 
 def test_what_it_refuses():
-    with pytest.raises(InputError, match=r"a front needs two at least"):
+    with pytest.raises(InputError, match=r"a front needs two criteria at least"):
         pareto_front(Several([1.0], lambda x: [x[0]], 1, lower=0.0, upper=2.0))
     with pytest.raises(InputError, match="none could be evaluated"):
         pareto_front(two_bowls(fails=lambda x: True))

@@ -13,6 +13,7 @@ from torchmbd.reduction.mass import BlockRoot, DiagonalRoot, mass_root
 from torchmbd.reduction.partition import partition
 from torchmbd.reduction.sparse_modes import SparseModes
 
+pytestmark = pytest.mark.usefixtures("products")
 LANES, N = 2, 480
 
 

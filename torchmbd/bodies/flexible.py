@@ -299,6 +299,8 @@ class FlexibleBody(nn.Module):
 
 
 def _reduction(name: str, kind: str, modes: int, interface: tuple[int, ...], updated: bool) -> Reduction:
+    if not isinstance(updated, bool):
+        raise InputError(f"updated of {name!r} is {updated!r}; allowed: True or False")
     if kind not in REDUCTIONS:
         raise unknown(f"reduction of {name!r}:", kind, REDUCTIONS)
     try:

@@ -99,6 +99,8 @@ def _whole(x: Any) -> bool:
 
 def rigid_links(mesh: Any, sets: Sequence[str | Sequence[int]]) -> list[RigidLink]:
     """Links that make each set of nodes one rigid body: its first node leads."""
+    if isinstance(sets, str) or not isinstance(sets, Sequence):
+        raise InputError(f"rigid is {sets!r}; allowed: a list of node sets, such as ['left_edge']")
     links = []
     for given in sets:
         leader, *others = node_indices(mesh, given)

@@ -185,6 +185,7 @@ class Frequency(Measure):
             raise InputError(f"number is {self.number!r}; allowed: 1 to {modes}, the retained modes of {self.body!r}")
 
     def value(self, motion: Trajectory) -> Tensor:
+        self.check(motion.system)
         Kr = motion.body(self.body).stiffness[0]
         square = torch.linalg.eigvalsh(Kr)[..., self.number - 1]
         return torch.sqrt(square) / (2.0 * math.pi)

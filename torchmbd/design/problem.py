@@ -31,6 +31,7 @@ from torchmbd.integrators import Phase, Trajectory, simulate
 from torchmbd.integrators.arguments import check
 from torchmbd.integrators.phases import plan
 from torchmbd.integrators.trajectory import OK
+from torchmbd.numerics.owned import several
 from torchmbd.optimizers import Evaluation
 from torchmbd.reduction import CutCluster
 from torchmbd.system import System
@@ -53,13 +54,19 @@ class Reference(NamedTuple):
     scale: np.ndarray
 
 
+def constraints_of(subject_to: Any) -> list[Constraint]:
+    """A constraint, or a list of them, as a list; InputError names what is none."""
+    given = [subject_to] if isinstance(subject_to, Constraint) else subject_to
+    return several("subject_to", given, Constraint, "constraints, such as Max(...) <= 'initial'")
+
+
 class Problem:
     """A transient optimization problem.
 
     system      the model; its parameters are the candidates for design variables
     duration    simulated time [s]
     minimize    a measure, such as Integral(StrainEnergy("rod")); of several rows: their largest
-    subject_to  constraints, such as Max(StrainEnergy("rod")) <= "initial"
+    subject_to  a constraint, such as Max(StrainEnergy("rod")) <= "initial", or a list of them
     bounds      (lower, upper) of the design variables: numbers for all, one for each, or a mapping from parameter
                 names to such pairs [rad for angles]
     variables   names of parameters; default: every parameter that requires a gradient
@@ -74,7 +81,7 @@ class Problem:
         system: System,
         duration: float,
         minimize: Measure,
-        subject_to: Sequence[Constraint] = (),
+        subject_to: Constraint | Sequence[Constraint] = (),
         bounds: Any = (-np.inf, np.inf),
         variables: Sequence[str] | None = None,
         start: Any = None,
@@ -85,11 +92,11 @@ class Problem:
         phases: Sequence[Phase] | None = None,
         **options: Any,
     ):
+        if not isinstance(system, System):
+            raise InputError(f"system is {system!r}; allowed: a System")
         if not isinstance(minimize, Measure):
             raise InputError(f"minimize is {minimize!r}; allowed: a measure, such as Integral(StrainEnergy('rod'))")
-        for constraint in subject_to:
-            if not isinstance(constraint, Constraint):
-                raise InputError(f"subject_to has {constraint!r}; allowed: constraints, such as Max(...) <= 'initial'")
+        subject_to = constraints_of(subject_to)
         check(duration, method, steps, options, phases is not None)
         if phases is not None:
             plan(system, phases, duration)
@@ -102,7 +109,7 @@ class Problem:
         if not 0.0 < bound[0] <= bound[1]:
             raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")
         self.system, self.duration, self.objective = system, duration, minimize
-        self.constraints = list(subject_to)
+        self.constraints = subject_to
         self.space = DesignSpace(system, variables, bounds, start, links)
         self.simulation = {"method": method, "steps": steps, "phases": phases, **options}
         # Rows of the extra variable come first among the constraints.

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.design.problem import Problem
+from torchmbd.design.problem import Problem, constraints_of
 from torchmbd.design.response import Constraint, Measure, all_measures
 from torchmbd.errors import InputError
 from torchmbd.integrators import Trajectory
@@ -37,9 +37,11 @@ class Tradeoff:
         system: System,
         duration: float,
         minimize: Mapping[str, Measure],
-        subject_to: Sequence[Constraint] = (),
+        subject_to: Constraint | Sequence[Constraint] = (),
         **options: Any,
     ):
+        if not isinstance(minimize, Mapping):
+            raise InputError(f"minimize is {minimize!r}; allowed: name -> measure, such as {{'energy': Integral(...)}}")
         self.criteria = list(minimize)
         if len(self.criteria) < 2:
             raise InputError(f"minimize has {self.criteria}; allowed: two criteria at least; for one, use Problem")
@@ -47,7 +49,7 @@ class Tradeoff:
         first, *others = minimize.values()
         # Criteria but the first come as rows without limit and scale among the constraints.
         rows = [Constraint(measure, 0.0, scale=1.0) for measure in others]
-        self.problem = Problem(system, duration, first, [*rows, *subject_to], **options)
+        self.problem = Problem(system, duration, first, [*rows, *constraints_of(subject_to)], **options)
         if self.problem.equalities.size:
             raise InputError("subject_to has equalities; allowed: inequalities")
         self.names, self.start, self.period = self.problem.names, self.problem.start, self.problem.period

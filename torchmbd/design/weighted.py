@@ -27,7 +27,11 @@ class WeightedSum(Measure):
     normalize: str | Sequence[float] | None = "initial"
 
     def __post_init__(self) -> None:
-        if not self.terms or any(not isinstance(term, (tuple, list)) or len(term) != 2 for term in self.terms):
+        if (
+            not isinstance(self.terms, Sequence)
+            or not self.terms
+            or any(not isinstance(term, (tuple, list)) or len(term) != 2 for term in self.terms)
+        ):
             raise InputError(f"terms is {self.terms!r}; allowed: pairs (weight, measure), at least one")
         all_measures([measure for _, measure in self.terms], "weighted sum")
         for weight, _ in self.terms:

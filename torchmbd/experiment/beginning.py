@@ -111,9 +111,13 @@ def begin(file: Path, model: str | None = None) -> list[Path]:
 
 def parts_of(model: str, folder: Path) -> Parts:
     """Build a model, `path/to/file.py:function` below the folder or `package.module:function`, and return its parts."""
+    from torchmbd.experiment.faults import Fault
     from torchmbd.experiment.model import build_model, find_model
 
-    function = find_model(model, folder)
+    try:
+        function = find_model(model, folder)
+    except InputError as error:
+        raise InputError(str(Fault(("model",), str(error)))) from error
     needed = [p.name for p in inspect.signature(function).parameters.values() if p.default is p.empty]
     if needed:
         raise InputError(

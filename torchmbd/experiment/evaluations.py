@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import sqlite3
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ import numpy as np
 
 from torchmbd.errors import MbdError
 from torchmbd.optimizers import Evaluation
+from torchmbd.optimizers.batch import Batch, Done, at_once, begin
 from torchmbd.process import exempt
 
 _TABLE = """
@@ -102,9 +104,9 @@ class Evaluations:
 
 
 class Remembered:
-    """A problem as optimizers see it: known designs come from the store, the others from `compute`.
+    """A problem as optimizers see it: known designs come from the store, the others from `source`.
 
-    compute   evaluates designs [lanes, n]: here, or on workers
+    source    what evaluates: the problem itself, or workers
     listener  hears of every batch, known or not
     """
 
@@ -112,28 +114,61 @@ class Remembered:
         self,
         problem: Any,
         store: Evaluations,
-        compute: Callable[[np.ndarray, bool], list[Evaluation]],
+        source: Any,
         listener: Callable[[np.ndarray, list[Evaluation]], None],
     ) -> None:
         self.names, self.start, self.lower, self.upper = problem.names, problem.start, problem.lower, problem.upper
         self.equalities, self.period = problem.equalities, problem.period
+        self.at_once = at_once(source)
         self.known = self.computed = 0
-        self._store, self._compute, self._listener = store, compute, listener
+        self._store, self._source, self._listener = store, source, listener
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        return self.begin(X, gradients, 1).evaluations()
+
+    def begin(self, X: np.ndarray, gradients: bool, among: int) -> Batch:
+        """Look designs [lanes, n] up, and begin to evaluate those that are not known."""
         found = self._store.find(X, gradients)
         missing = [k for k, evaluation in enumerate(found) if evaluation is None]
-        if missing:
-            fresh = self._compute(X[missing], gradients)
+        self.computed += len(missing)
+        self.known += len(X) - len(missing)
+        if not missing:
+            return _Recalled(Done([]), lambda _: self._told(X, found))
+
+        def complete(fresh: list[Evaluation]) -> list[Evaluation]:
             exempt()
             self._store.keep(X[missing], gradients, fresh)
             for k, evaluation in zip(missing, fresh, strict=True):
                 found[k] = evaluation
-        self.computed += len(missing)
-        self.known += len(X) - len(missing)
+            return self._told(X, found)
+
+        return _Recalled(begin(self._source, X[missing], gradients, among), complete)
+
+    def _told(self, X: np.ndarray, found: list[Evaluation | None]) -> list[Evaluation]:
         evaluations = [evaluation for evaluation in found if evaluation is not None]
         self._listener(X, evaluations)
         return evaluations
+
+
+@dataclass
+class _Recalled:
+    """A batch whose unknown part is under way; on disk, in the caller's thread, before anybody hears of it."""
+
+    unknown: Batch
+    complete: Callable[[list[Evaluation]], list[Evaluation]]
+
+    @property
+    def done(self) -> bool:
+        return self.unknown.done
+
+    def notify(self, call: Callable[[], None]) -> None:
+        self.unknown.notify(call)
+
+    def evaluations(self) -> list[Evaluation]:
+        return self.complete(self.unknown.evaluations())
+
+    def cancel(self) -> None:
+        self.unknown.cancel()
 
 
 def _numbers(evaluation: Evaluation) -> tuple[int, str, bytes]:

@@ -1,8 +1,10 @@
 """Evaluation on Dask workers: a cluster on this machine, any scheduler by its address, or jobs of SLURM (cluster.py).
 
-A batch of designs is cut into pieces, one for each worker, of LANES designs at most; a worker builds the model once, from
-the experiment file's own words, and evaluates a piece as one batch. Pieces are pure functions of the designs: one that a
-worker takes with it when it dies is evaluated again by another, and nothing depends on which.
+Every worker has a batch of its own under way, of LANES designs at most: the starts of a study are in as many groups
+(torchmbd.optimizers.lockstep), and no worker waits for another. Where there are fewer batches than workers, each is cut
+into pieces. A worker builds the model once, from the experiment file's own words, and evaluates a piece as one batch. Pieces
+are pure functions of the designs: one that a worker takes with it when it dies is evaluated again by another, and nothing
+depends on which.
 Half a batch takes more than half its time (a step costs the same operations): it is many starts that workers speed up.
 The optimizers, the store of evaluations and the tracker stay with the parent, so a study is the same on any cluster.
 
@@ -19,6 +21,8 @@ import logging
 import math
 import os
 import re
+from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Self
@@ -72,7 +76,7 @@ class Farm:
             raise InputError(
                 f"scheduler = {scheduler!r}: allowed: tcp://host:8786, tls:, ws:, wss:, or a cluster file .yaml"
             )
-        self.rows, self._workers, self._scheduler = rows, workers or os.cpu_count() or 1, scheduler
+        self.rows, self._workers, self.scheduler = rows, workers or os.cpu_count() or 1, scheduler
         folder = str(plan.file.absolute().parent)
         self._order = (json.dumps(plan.study.resolved()), folder, key)
 
@@ -90,21 +94,21 @@ class Farm:
         self._client: Any = None
         self._cluster = self._slurm.start(self._workers) if self._slurm else self._local_cluster()
         try:
-            self._client = Client(self._cluster or self._scheduler, timeout=_START)
-            first = 1 if self._scheduler else self._workers
+            self._client = Client(self._cluster or self.scheduler, timeout=_START)
+            first = 1 if self.scheduler else self._workers
             self._client.wait_for_workers(first, timeout=None if self._slurm else _START)
         except BaseException as error:  # also Ctrl-C, while jobs wait in a queue
             self.__exit__()
             if not isinstance(error, (OSError, TimeoutError, ValueError)):
                 raise
-            where = self._scheduler or "this machine"
+            where = self.scheduler or "this machine"
             raise MbdError(f"no worker answers on {where} after {_START} s: {error}") from error
         return self
 
     def _local_cluster(self) -> Any:
         from distributed import LocalCluster  # pyright: ignore[reportMissingImports]
 
-        if self._scheduler is not None:
+        if self.scheduler is not None:
             return None
         options: dict[str, Any] = {
             "memory_limit": 0,
@@ -126,30 +130,69 @@ class Farm:
         return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
 
     @property
+    def at_once(self) -> int:
+        """Batches under way at once: one for every worker, those that SLURM will still start too."""
+        return self._workers if self._slurm else self.size
+
+    @property
     def lanes(self) -> int:
-        """Designs that are worth asking for at once: a full batch for every worker, those that SLURM will still start too."""
-        return LANES * (self._workers if self._slurm else self.size)
+        """Designs that are worth asking for at once: a full batch for every worker."""
+        return LANES * self.at_once
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n], a piece on each worker."""
+        return self.begin(X, gradients, 1).evaluations()
+
+    def begin(self, X: np.ndarray, gradients: bool, among: int) -> Pieces:
+        """Begin to evaluate designs [lanes, n], one of `among` batches under way."""
+        count = max(min(self.size // among, len(X)), math.ceil(len(X) / LANES))
+        parts = np.array_split(X, count)
+        futures = [self._client.submit(evaluate_piece, *self._order, part, gradients, pure=False) for part in parts]
+        return Pieces(self, [len(part) for part in parts], futures)
+
+    def dismiss(self, futures: list[Any]) -> None:
+        """Stop what nobody waits for, unless the scheduler is gone."""
+        if self._client.status == "running":
+            self._client.cancel(futures, force=True)
+
+
+@dataclass
+class Pieces:
+    """A batch on workers (torchmbd.optimizers.batch)."""
+
+    farm: Farm
+    sizes: list[int]
+    futures: list[Any]  # of Dask, one for each piece
+
+    @property
+    def done(self) -> bool:
+        return all(future.done() for future in self.futures)
+
+    def notify(self, call: Callable[[], None]) -> None:
+        for future in self.futures:
+            future.add_done_callback(lambda _: call())
+
+    def evaluations(self) -> list[Evaluation]:
         from distributed import CancelledError, KilledWorker  # pyright: ignore[reportMissingImports]
 
-        count = max(min(self.size, len(X)), math.ceil(len(X) / LANES))
-        pieces = np.array_split(X, count)
-        futures = [self._client.submit(evaluate_piece, *self._order, piece, gradients, pure=False) for piece in pieces]
         found: list[Evaluation] = []
         try:
-            for piece, future in zip(pieces, futures, strict=True):
+            for size, future in zip(self.sizes, self.futures, strict=True):
                 try:
                     found += future.result()
                 except KilledWorker:
-                    found += [Evaluation.failure(f"failed: {_DEATHS} workers died of it", self.rows) for _ in piece]
+                    found += [Evaluation.failure(f"failed: {_DEATHS} workers died of it", self.farm.rows)] * size
         except CancelledError as error:
-            raise MbdError(f"the scheduler {self._scheduler or ''} is gone: {error}") from error
+            raise MbdError(f"the scheduler {self.farm.scheduler or ''} is gone: {error}") from error
         except BaseException:
-            self._client.cancel(futures, force=True)
+            self.cancel()
             raise
+        for future in self.futures:
+            future.release()  # left to `__del__`, a Ctrl-C that comes in there would be lost
         return found
+
+    def cancel(self) -> None:
+        self.farm.dismiss(self.futures)
 
 
 def evaluate_piece(study: str, folder: str, key: str, X: np.ndarray, gradients: bool) -> list[Evaluation]:

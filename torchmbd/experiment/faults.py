@@ -28,7 +28,7 @@ class Fault:
     def __str__(self) -> str:
         place = f"line {self.where}: " if isinstance(self.where, int) else f"in {self.where}: " if self.where else ""
         joint = "" if self.text.startswith((":", " ")) or not self.path else " "
-        return f"{place}{dotted(self.path)}{joint}{self.text}".strip()
+        return f"{place}{dotted(self.path)}{joint}{self.text if self.path else self.text.lstrip(': ')}".strip()
 
 
 class StudyError(InputError):

@@ -47,6 +47,8 @@ def find_phases(spec: str, folder: Path) -> list[Phase]:
 def find_function(spec: str, folder: Path) -> Callable[..., Any]:
     """Return the Python function that `spec` names, of a module or of a file below `folder`."""
     module_name, _, function_name = spec.rpartition(":")
+    if not module_name or not function_name:
+        raise InputError(f"= {shown(spec)}: allowed: package.module:function or path/to/file.py:function")
     module = _from_file(_inside(module_name, folder)) if module_name.endswith(".py") else _from_name(module_name)
     function = getattr(module, function_name, None)
     if not inspect.isfunction(function):

@@ -65,13 +65,13 @@ def run_plan(
             study = study_key(plan, store_uri(tracking.uri))
             folder = place() / study
             tracker = ProcessTracker(tracking.experiment, tracking.uri, folder, None if fresh else study)
-        compute, lanes = problem.evaluate, LANES
+        source, lanes = problem, LANES
         if farm is not None:
             with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):
                 stack.enter_context(farm)
-            compute, lanes = farm.evaluate, farm.lanes
+            source, lanes = farm, farm.lanes
         journal = Journal(plan, tracker, stack.enter_context(folder_of(tracker)))
-        remembered = Remembered(problem, store, compute, journal.evaluated)
+        remembered = Remembered(problem, store, source, journal.evaluated)
         status: Status = "FAILED"
         try:
             if plan.study.sweep:

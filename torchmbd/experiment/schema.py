@@ -167,7 +167,7 @@ class Starts(Section):
     """Where the optimizer starts: the design of the file (start 0) and more points between the bounds."""
 
     sampler: Annotated[str, _one_of(SAMPLERS)] = "none"
-    count: PositiveInt | None = None  # of all starts, the initial design among them
+    count: Annotated[PositiveInt, Field(le=2**20)] | None = None  # of all starts, the initial design among them
     seed: NonNegativeInt = 0
     include_initial: bool = True
     points: Annotated[list[list[float]], Len(min_length=1)] | None = None
@@ -195,7 +195,7 @@ class Range(Section):
 class Tracking(Section):
     """Where the runs go; see torchmbd.tracking.store for the default."""
 
-    experiment: Annotated[str, Len(1, 200)] = "torchmbd"
+    experiment: Annotated[str, Len(1, 200), Field(pattern=r"^[^\x00-\x1f]+$")] = "torchmbd"
     uri: str | None = None
 
     @field_validator("uri")

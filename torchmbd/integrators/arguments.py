@@ -55,3 +55,7 @@ def check_designs(system: System, designs: Any) -> None:
             raise InputError(f"design {name!r} {found}; allowed: a float64 tensor [{shape}]")
         for lane in torch.nonzero(~torch.isfinite(x.reshape(len(x), -1)).all(1)).flatten().tolist():
             raise InputError(f"design {name!r} of lane {lane} is {x[lane].tolist()}; allowed: finite numbers")
+        owner, _, own_name = name.rpartition(".")
+        if own_name in getattr(system.get_submodule(owner), "positive", ()) and not bool((x > 0.0).all()):
+            lane = int(torch.nonzero(~(x.reshape(len(x), -1) > 0.0).all(1))[0])
+            raise InputError(f"design {name!r} of lane {lane} is {x[lane].tolist()}; allowed: positive numbers")

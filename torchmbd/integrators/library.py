@@ -1,13 +1,10 @@
 """Compiled code on disk: one shared library per topology and kind (code.py), built by the C++ compiler of the machine.
 
-A library is valid for one key: topology (bodies, vectors, primitives, modes), the shapes of the data, the versions of
-torch and Python, the compiler, the processor, and the source of everything that the code is made of. So a stale library
-is never found. Step size, spectral radius, lanes and design variables are inputs. Laws of drives stay outside: any torch
-function; laws of forces that are a user's own are written out as scalar operations (forces/written.py), which are in the
-key; where that cannot be done the system stays uncompiled.
-A library that cannot be loaded is removed with a message; without a C++ compiler the eager step serves, said once.
-
-Cache: TORCHMBD_CACHE or ~/.cache/torchmbd. TORCHMBD_COMPILE=0 switches compilation off; CXX names the compiler.
+A library is valid for one key: topology (bodies, vectors, primitives, modes), the shapes of the data, the source of
+everything that the code is made of, and what every library depends on (numerics/native.py). Step size, spectral radius,
+lanes and design variables are inputs. Laws of drives stay outside: any torch function; laws of forces that are a user's
+own are written out as scalar operations (forces/written.py), which are in the key; where that cannot be done the system
+stays uncompiled.
 Checked in tests/integrators/test_library.py.
 """
 
@@ -17,14 +14,11 @@ import ctypes
 import hashlib
 import os
 import pickle
-import platform
-import shutil
 import subprocess
 import sys
 import tempfile
 import warnings
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -35,52 +29,19 @@ from torchmbd.forces.laws import LAWS, Scaled
 from torchmbd.forces.varied import Varied
 from torchmbd.forces.written import Written, written
 from torchmbd.integrators.code import Layout, source
+from torchmbd.numerics.native import OPTIONS, SUFFIX, cache_folder, compiler, enabled, load, surroundings
 from torchmbd.numerics.scalars import Untraceable
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Topology
 
 _SOURCES = ("numerics", "joints/primitive.py", "forces", "system", "integrators/step.py", "integrators/code.py")
 _SOURCES += ("integrators/factors.cpp", "integrators/march.cpp", "integrators/rates.cpp", "integrators/library.py")
-_OPTIONS = ("-O1", "-std=c++17", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
-_SUFFIX = ".so"
 _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
 _loaded: dict[str, ctypes.CDLL] = {}
 _seen: dict[str, int] = {}  # batches without a library
 _told: set[str] = set()  # why laws cannot be compiled
 _building: dict[str, subprocess.Popen | None] = {}  # None: a build that failed, which was said
-
-
-def cache_folder() -> Path:
-    """Where libraries are kept."""
-    return Path(os.environ.get("TORCHMBD_CACHE") or Path.home() / ".cache" / "torchmbd")
-
-
-def entries() -> list[tuple[Path, int, bool]]:
-    """What lies in the cache: path, bytes, and whether it is a library."""
-    if not cache_folder().is_dir():
-        return []
-    found = []
-    for path in sorted(cache_folder().iterdir()):
-        files = [f for f in path.rglob("*") if f.is_file()] if path.is_dir() else [path]
-        found.append((path, sum(f.stat().st_size for f in files), path.suffix == _SUFFIX))
-    return found
-
-
-def compiler() -> str:
-    """The C++ compiler."""
-    return os.environ.get("CXX", "g++")
-
-
-def enabled() -> bool:
-    """Whether compilation is wanted and a C++ compiler is there."""
-    if os.environ.get("TORCHMBD_COMPILE") == "0":
-        return False
-    if shutil.which(compiler()) is None:
-        warnings.warn("no C++ compiler: simulations run uncompiled, about ten times slower in batches", stacklevel=2)
-        os.environ["TORCHMBD_COMPILE"] = "0"
-        return False
-    return True
 
 
 def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
@@ -90,7 +51,7 @@ def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
     dynamics = known
     name, path = key(dynamics, kind), path_of(dynamics, kind)
     if name not in _loaded:
-        found = _load(path) if path.exists() else None
+        found = load(path)
         if found is None:
             _warn_of_failure(name)
             _seen[name] = _seen.get(name, 0) + 1
@@ -112,7 +73,7 @@ def _warn_of_failure(name: str) -> None:
 
 def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
     """Where the library of a system is, or would be."""
-    return cache_folder() / f"{key(dynamics, kind)}{_SUFFIX}"
+    return cache_folder() / f"{key(dynamics, kind)}{SUFFIX}"
 
 
 def written_out(dynamics: Dynamics) -> Dynamics | None:
@@ -149,7 +110,7 @@ def key(dynamics: Dynamics, kind: str = "step") -> str:
         _facts({k: v for k, v in vars(bare(T)).items() if k not in _ASIDE}),
     ]
     digest = hashlib.sha256(repr([kind, facts, Layout.of(dynamics.data, T)]).encode())
-    digest.update(_surroundings(compiler()).encode())
+    digest.update(surroundings(_SOURCES).encode())
     return digest.hexdigest()[:32]
 
 
@@ -164,42 +125,12 @@ def _facts(x: Any) -> Any:
     return (type(x).__qualname__, _facts(vars(x))) if hasattr(x, "__dict__") else repr(x)
 
 
-@cache
-def _surroundings(compiler: str) -> str:
-    """Source, versions, compiler and processor, as a digest."""
-    package, digest = Path(__file__).parent.parent, hashlib.sha256()
-    for part in _SOURCES:
-        path = package / part
-        for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:
-            digest.update(file.read_bytes())
-    version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
-    digest.update(repr([torch.__version__, sys.version_info[:2], version, _processor()]).encode())
-    return digest.hexdigest()
-
-
-def _processor() -> str:
-    facts = Path("/proc/cpuinfo")
-    if not facts.exists():
-        return platform.processor() + platform.machine()
-    lines = facts.read_text().splitlines()
-    return repr(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
-
-
 def bare(T: Topology) -> Topology:
     """The topology without bodies and laws: what the operations see."""
     attached = tuple(replace(a, body=None) for a in T.attached)
     primitives = tuple(type(p)(p.members, () if p.driven else p.data) for p in T.primitives)
     carriers = tuple(replace(c, law=None) for c in T.carriers)
     return replace(T, attached=attached, primitives=primitives, carriers=carriers)
-
-
-def _load(path: Path) -> ctypes.CDLL | None:
-    try:
-        return ctypes.CDLL(str(path))
-    except OSError as error:
-        warnings.warn(f"compiled library {path} cannot be loaded and is removed: {error}", stacklevel=3)
-        path.unlink(missing_ok=True)
-        return None
 
 
 Order = tuple[Topology, Layout, str, Any, str]
@@ -218,10 +149,10 @@ def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Pat
     with tempfile.TemporaryDirectory(dir=cache_folder()) as work:
         text, made = Path(work) / "code.cpp", Path(work) / "code.so"
         text.write_text(source(T, layout, kind, sample))
-        done = subprocess.run([compiler(), *_OPTIONS, "-o", str(made), str(text)], capture_output=True, text=True)
+        done = subprocess.run([compiler(), "-O1", *OPTIONS, "-o", str(made), str(text)], capture_output=True, text=True)
         if done.returncode:
             raise MbdError(f"{compiler()} failed on the {kind} of {', '.join(T.names)}: {done.stderr[-2000:]}")
-        return made.replace(cache_folder() / f"{name}{_SUFFIX}")
+        return made.replace(cache_folder() / f"{name}{SUFFIX}")
 
 
 def build_in_background(dynamics: Dynamics, kind: str = "step") -> subprocess.Popen | None:

@@ -27,7 +27,7 @@ Checked in tests/materials/test_laminate.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -82,6 +82,7 @@ class Laminate(nn.Module):
                       of equal energy, a full matrix that follows the stack
     """
 
+    positive: ClassVar[tuple[str, ...]] = ("thickness",)  # parameters that are, whatever the design
     angles: Tensor
     thickness: Tensor
     _Q: Tensor

@@ -6,6 +6,7 @@ Checked in tests/numerics/test_owned.py.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -49,6 +50,16 @@ def indices(name: str, given: ArrayLike | Tensor) -> Tensor:
     if broken.any():
         raise InputError(f"{name} holds {float(x.flatten()[broken][0])!r}; allowed: whole numbers")
     return x.long()
+
+
+def several(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
+    """Read a list of things of some kinds; InputError names the argument and what is none."""
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise InputError(f"{name} is {given!r}; allowed: a list of {allowed}")
+    for x in given:
+        if not isinstance(x, kinds):
+            raise InputError(f"{name} has {x!r}; allowed: {allowed}")
+    return list(given)
 
 
 def _read(name: str, given: ArrayLike | Tensor, allowed: str) -> Tensor:

@@ -26,7 +26,7 @@ from torchmbd.optimizers.branching import MAX_NEIGHBORS, STEPS, Branching, Candi
 from torchmbd.optimizers.door import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimizers.grid import Allowed, Grid
 from torchmbd.optimizers.multistart import Study, multistart
-from torchmbd.optimizers.optimizer import OptimizationResult, Problem, find_method, require_range
+from torchmbd.optimizers.optimizer import OptimizationResult, Problem, find_method, require_count
 from torchmbd.optimizers.sampling import Starts
 from torchmbd.optimizers.search import Search
 
@@ -84,8 +84,8 @@ def optimize_discrete(
     """
     function = find_method(method, options)
     require_limits(max_iterations, None)
-    require_range("max_boxes", max_boxes, 0, 1_000_000)
-    require_range("max_neighbors", max_neighbors, 0, 1_000_000)
+    require_count("max_boxes", max_boxes, 0, 1_000_000)
+    require_count("max_neighbors", max_neighbors, 0, 1_000_000)
     box = checked_box(problem)
     grid = Grid(problem, allowed, box[1], box[2], getattr(problem, "period", None), admits)
     archive = Archive(problem)

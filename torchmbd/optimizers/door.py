@@ -21,7 +21,10 @@ from torchmbd.optimizers.optimizer import (
     OptimizationResult,
     Problem,
     as_names,
+    as_numbers,
     find_method,
+    require_count,
+    require_problem,
     require_range,
 )
 from torchmbd.optimizers.search import Interrupted, OutOfAnalyses, Search, variable_scale
@@ -73,16 +76,17 @@ def optimize(
 
 def require_limits(max_iterations: int, max_analyses: int | None) -> None:
     """Raise InputError unless both limits make sense."""
-    require_range("max_iterations", max_iterations, 0, 1_000_000)
+    require_count("max_iterations", max_iterations, 0, 1_000_000)
     if max_analyses is not None:
-        require_range("max_analyses", max_analyses, 1, 1_000_000)
+        require_count("max_analyses", max_analyses, 1, 1_000_000)
 
 
 def checked_box(problem: Box, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return start, lower and upper [n] as float arrays; InputError names the variable that is wrong."""
+    require_problem(problem)
     size = np.asarray(problem.start).size
     names = as_names(problem, size)
-    x = np.array(problem.start if start is None else start, dtype=float).reshape(-1)
+    x = as_numbers("start", problem.start if start is None else start).reshape(-1)
     if x.size != size:
         raise InputError(f"start has {x.size} entries, allowed: {size} ({', '.join(names)})")
     lower, upper = (

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import NonlinearConstraint, differential_evolution
 
 from torchmbd.errors import InputError
-from torchmbd.optimizers.optimizer import Ending, Evaluation, refuse_equalities, register, require_range
+from torchmbd.optimizers.optimizer import Ending, Evaluation, refuse_equalities, register, require_count, require_range
 from torchmbd.optimizers.search import Search
 
 WORST = 1e9  # violation of a design that fails
@@ -32,7 +32,7 @@ def evolution(
     `population`: designs per variable. `tol`, `atol`: the end is where the standard deviation of the population's
     objectives is below atol (in units of the start's objective) + tol |mean|.
     """
-    require_range("population", population, 2, 1000)
+    require_count("population", population, 2, 1000)
     for name, value in {"tol": tol, "atol": atol}.items():
         require_range(name, value, 0.0, 1.0)
     refuse_equalities("differential_evolution", search)

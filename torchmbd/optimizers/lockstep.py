@@ -7,13 +7,19 @@ once would only fight for the interpreter. A start that ends makes room for the 
 on the starts alone, in their order, never on timing; the problem, the callback and the user's Ctrl-C live in the
 caller's thread.
 
+A problem that evaluates several batches at once, on workers (batch.py), gets as many groups of starts, dealt out in turn: while
+the optimizers of one group think, the batches of the others are under way, and no worker waits for another.
+
 A thread here only waits or does small arithmetic between two simulations: parallel computation is the problem's affair.
+Checked in tests/optimizers/test_lockstep.py.
 """
 
 from __future__ import annotations
 
+import queue
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -21,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError
+from torchmbd.optimizers.batch import Batch, begin
 from torchmbd.optimizers.optimizer import Evaluation, Iterate, OptimizationResult, Problem
 from torchmbd.optimizers.search import Ask, Interrupted, Report, Search
 
@@ -45,10 +52,25 @@ class Lane:
         return self.result is not None or self.error is not None
 
 
+@dataclass
+class Group:
+    """Starts whose requests are evaluated together."""
+
+    to_come: deque[int]  # indices of starts
+    width: int  # live starts at most
+    live: list[Lane] = field(default_factory=list)
+    asked: list[tuple[Lane, int]] = field(default_factory=list)  # who asked for how many designs, in the parts' order
+    parts: deque[tuple[np.ndarray, bool]] = field(
+        default_factory=deque
+    )  # designs to evaluate, one batch after the other
+    batch: Batch | None = None  # under way: the first part
+    found: list[Evaluation] = field(default_factory=list)  # of the parts that are done
+
+
 class Lockstep:
     """Runs `runners` (one per start), `max_lanes` at once; `go_on(results)` is asked before each further start.
 
-    `callback` hears of every iterate, `ended` of every result, as they come.
+    `callback` hears of every iterate, `ended` of every result, as they come. `groups` of starts, each of its own pace.
     """
 
     def __init__(
@@ -59,57 +81,57 @@ class Lockstep:
         callback: Callable[[Iterate], None] | None = None,
         go_on: Callable[[list[OptimizationResult]], bool] = lambda results: True,
         ended: Callable[[OptimizationResult], None] | None = None,
+        groups: int = 1,
     ) -> None:
-        self.problem, self.runners, self.max_lanes = problem, runners, max_lanes
+        self.problem, self.runners = problem, runners
         self.callback, self.go_on, self.ended = callback, go_on, ended
         self.results: list[OptimizationResult] = []
         self.interrupted = False
         self.stopped_early = False
         self._back = threading.Semaphore(0)  # the start whose turn it was has asked or ended
-        self._live: list[Lane] = []
-        self._next = 0
+        count = max(1, min(groups, max_lanes, len(runners)))
+        shares = [deque(range(k, len(runners), count)) for k in range(count)]
+        self._groups = [Group(share, max_lanes // count) for share in shares]
+        self._ready: queue.SimpleQueue[Group] = queue.SimpleQueue()  # groups whose batches may be done
 
     def run(self) -> list[OptimizationResult]:
         """Run all starts; return their results in the order of the starts (after Ctrl-C: of those begun)."""
         try:
-            self._launch()
+            for group in self._groups:
+                self._advance(group)
             while self._live:
-                self._report()
-                self._collect()
-                self._launch()
-                self._answer()
+                group = self._ready.get()
+                if group.batch is not None and group.batch.done:
+                    self._take(group, group.batch)
         except KeyboardInterrupt:
             self.interrupted = True
             self._stop_all()
-            self._report()
-            self._collect()
+            for group in self._groups:
+                self._hear(group)
         except BaseException:
             self._stop_all()
             raise
         return sorted(self.results, key=lambda result: result.start)
 
-    def _launch(self) -> None:
-        while len(self._live) < self.max_lanes and self._next < len(self.runners):
-            if self.results and not self.go_on(self.results):
-                self.stopped_early = True
-                return
-            lane = Lane(self._next)
-            lane.thread = threading.Thread(target=self._work, args=(lane,), name=f"start-{lane.index}", daemon=True)
-            self._live.append(lane)
-            self._next += 1
-            lane.thread.start()
-            self._back.acquire()
+    @property
+    def _live(self) -> list[Lane]:
+        return [lane for group in self._groups for lane in group.live]
 
-    def _report(self) -> None:
-        for lane in self._live:
+    def _advance(self, group: Group) -> None:
+        """Hear what the starts of a group have come to, begin others in the place of those that ended, and evaluate."""
+        self._hear(group)
+        while self._launch(group):
+            self._hear(group)
+        self._ask(group)
+
+    def _hear(self, group: Group) -> None:
+        for lane in group.live:
             reports, lane.reports = lane.reports, []
             for iterate in reports:
                 if self.callback is not None:
                     self.callback(iterate)
-
-    def _collect(self) -> None:
-        for lane in [lane for lane in self._live if lane.ended]:
-            self._live.remove(lane)
+        for lane in [lane for lane in group.live if lane.ended]:
+            group.live.remove(lane)
             if lane.error is not None:
                 raise lane.error
             assert lane.result is not None
@@ -117,32 +139,65 @@ class Lockstep:
             if self.ended is not None:
                 self.ended(lane.result)
 
-    def _answer(self) -> None:
-        asking = [lane for lane in self._live if lane.request is not None]
-        answers: dict[int, list[Evaluation]] = {}
+    def _launch(self, group: Group) -> bool:
+        """Begin starts while there is room; return whether one began."""
+        began = False
+        while len(group.live) < group.width and group.to_come:
+            if self.results and not self.go_on(self.results):
+                self.stopped_early = True
+                break
+            lane = Lane(group.to_come.popleft())
+            lane.thread = threading.Thread(target=self._work, args=(lane,), name=f"start-{lane.index}", daemon=True)
+            group.live.append(lane)
+            lane.thread.start()
+            self._back.acquire()
+            began = True
+        return began
+
+    def _ask(self, group: Group) -> None:
+        """Evaluate all that a group asks for: designs with gradients, then those without, `width` in one batch at most."""
         for gradients in (True, False):
-            group = [lane for lane in asking if lane.request is not None and lane.request[1] is gradients]
-            if not group:
+            asking = [lane for lane in group.live if lane.request is not None and lane.request[1] is gradients]
+            if not asking:
                 continue
-            requests = [lane.request[0] for lane in group if lane.request is not None]
-            evaluations = self._evaluate(np.concatenate(requests), gradients)
-            for lane, request in zip(group, requests, strict=True):
-                answers[lane.index] = [next(evaluations) for _ in request]
-        for lane in asking:
-            lane.request, lane.answer = None, answers[lane.index]
+            requests = [lane.request[0] for lane in asking if lane.request is not None]
+            group.asked += [(lane, len(request)) for lane, request in zip(asking, requests, strict=True)]
+            X = np.concatenate(requests)
+            group.parts += [(X[first : first + group.width], gradients) for first in range(0, len(X), group.width)]
+        self._begin(group)
+
+    def _begin(self, group: Group) -> None:
+        if group.parts:
+            among = sum(bool(other.live or other.to_come) for other in self._groups)
+            group.batch = begin(self.problem, *group.parts[0], among)
+            group.batch.notify(partial(self._ready.put, group))
+
+    def _take(self, group: Group, batch: Batch) -> None:
+        """Keep what a batch has found, and begin the next part or go on with the starts."""
+        evaluations = batch.evaluations()
+        (designs, _), group.batch = group.parts.popleft(), None
+        if len(evaluations) != len(designs):
+            raise InputError(f"problem.evaluate returned {len(evaluations)} evaluations for {len(designs)} designs")
+        group.found += evaluations
+        if group.parts:
+            self._begin(group)
+        else:
+            self._answer(group)
+            self._advance(group)
+
+    def _answer(self, group: Group) -> None:
+        """Give the starts of a group what they asked for; each goes on until it asks again or ends."""
+        asked, group.asked = group.asked, []
+        answers, group.found = iter(group.found), []
+        for lane, count in asked:
+            lane.request, lane.answer = None, [next(answers) for _ in range(count)]
             lane.turn.release()
             self._back.acquire()
 
-    def _evaluate(self, X: np.ndarray, gradients: bool) -> Iterator[Evaluation]:
-        """Evaluate designs [k, n], at most `max_lanes` in one batch."""
-        for first in range(0, len(X), self.max_lanes):
-            batch = X[first : first + self.max_lanes]
-            evaluations = self.problem.evaluate(batch, gradients)
-            if len(evaluations) != len(batch):
-                raise InputError(f"problem.evaluate returned {len(evaluations)} evaluations for {len(batch)} designs")
-            yield from evaluations
-
     def _stop_all(self) -> None:
+        for group in self._groups:
+            if group.batch is not None:
+                group.batch.cancel()
         for lane in self._live:
             lane.turn.release()  # and there is no answer
         for lane in self._live:

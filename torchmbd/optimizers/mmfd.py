@@ -30,7 +30,7 @@ from torchmbd.optimizers.conjugate import ConjugateMetric
 from torchmbd.optimizers.feasible_directions import FeasibleDirections, Settings
 from torchmbd.optimizers.metric import VariableMetric
 from torchmbd.optimizers.newton import NewtonMetric
-from torchmbd.optimizers.optimizer import Ending, refuse_equalities, register, require_range
+from torchmbd.optimizers.optimizer import Ending, refuse_equalities, register, require_count, require_range
 from torchmbd.optimizers.search import Search
 
 METRICS: dict[str, type[VariableMetric]] = {
@@ -68,7 +68,7 @@ def mmfd(
     positive = {"ctmin": ctmin, "delobj": delobj, "dabobj": dabobj, "dobj1": dobj1, "dx1": dx1, "kkt": kkt}
     for name, value in positive.items():
         require_range(name, value, 1e-16, 1e3)
-    require_range("itrmop", itrmop, 1, 1000)
+    require_count("itrmop", itrmop, 1, 1000)
     refuse_equalities("mmfd", search)
     learner = METRICS[metric](search.size)
     search.prefetch([search.start, *learner.companions(search, search.start)])

@@ -9,11 +9,19 @@ from typing import Any
 
 import numpy as np
 
+from torchmbd.optimizers.batch import at_once
 from torchmbd.optimizers.door import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimizers.lockstep import Lockstep
 from torchmbd.optimizers.minima import Minimum, covered_share, distinct_minima, expected_minima
-from torchmbd.optimizers.optimizer import Iterate, OptimizationResult, Problem, find_method, require_range
-from torchmbd.optimizers.sampling import Starts, given
+from torchmbd.optimizers.optimizer import (
+    Iterate,
+    OptimizationResult,
+    Problem,
+    find_method,
+    require_count,
+    require_range,
+)
+from torchmbd.optimizers.sampling import Starts, recipe
 from torchmbd.optimizers.search import Ask, Report, Search, variable_scale
 
 
@@ -76,7 +84,7 @@ def multistart(
     """Minimize `problem` from every start; the starts' simulations are evaluated together.
 
     `starts`: `sobol(...)`, `latin_hypercube(...)`, `given(...)` or a list of designs; default the problem's own
-    start. `max_lanes`: designs in one batch at most. Variables are scaled by the problem's start for all starts
+    start. `max_lanes`: designs under evaluation at most. Variables are scaled by the problem's start for all starts
     alike. `minima_left`: begin no further start once the estimated number of unknown minima is below it.
     `problem.period` [n], where present, says which variables are angles. `ended` hears of every result as it comes. The
     other arguments are those of `optimize`.
@@ -84,11 +92,10 @@ def multistart(
     """
     function = find_method(method, options)
     require_limits(max_iterations, max_analyses)
-    require_range("max_lanes", max_lanes, 1, 1_000_000)
+    require_count("max_lanes", max_lanes, 1, 1_000_000)
     require_range("feasibility", feasibility, 0.0, 1.0)
     initial, lower, upper = checked_box(problem)
-    recipe = given([initial]) if starts is None else starts if isinstance(starts, Starts) else given(list(starts))
-    points = np.array([checked_box(problem, point)[0] for point in recipe.points(problem)])
+    points = np.array([checked_box(problem, point)[0] for point in recipe(starts, initial).points(problem)])
     scale = variable_scale(initial, lower, upper) if scaling else None
     equalities = getattr(problem, "equalities", None)
 
@@ -118,6 +125,8 @@ def multistart(
         found = find(results)
         return expected_minima(sum(r.converged for r in results), len(found)) - len(found) > minima_left
 
-    lockstep = Lockstep(problem, [partial(runner, k) for k in range(len(points))], max_lanes, callback, go_on, ended)
+    runners = [partial(runner, k) for k in range(len(points))]
+    groups = at_once(problem) if minima_left is None else 1  # what is known by then must not depend on timing
+    lockstep = Lockstep(problem, runners, max_lanes, callback, go_on, ended, groups)
     results = lockstep.run()
     return Study(results, find(results), lockstep.interrupted, lockstep.stopped_early, points)

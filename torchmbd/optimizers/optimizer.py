@@ -3,7 +3,8 @@
     minimize f(x)  subject to  c_i(x) <= 0,  lower <= x <= upper          (eq. 14)
 
 A problem is any object with `names`, `start`, `lower`, `upper` [n] and `evaluate(X [lanes, n], gradients) ->
-list[Evaluation]`. It may also have `equalities` (indices of the constraints that must vanish) and `motion(x)`. Three
+list[Evaluation]`. It may also have `equalities` (indices of the constraints that must vanish), `motion(x)`, and what
+torchmbd.optimizers.batch asks of one that evaluates elsewhere. Three
 examples of what keeps this contract: the transient optimization of a mechanism, a Hock-Schittkowski problem of four
 lines, a table of stored results.
 
@@ -18,6 +19,7 @@ Checked in tests/contracts/test_optimizers.py, over the registry.
 from __future__ import annotations
 
 import inspect
+import numbers
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -184,9 +186,26 @@ def find_method(name: str, options: dict[str, Any]) -> Method:
 
 def require_range(name: str, value: float, low: float, high: float) -> float:
     """Return `value` if it is a number in [low, high]; InputError otherwise."""
-    if not low <= value <= high:
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= value <= high:
         raise InputError(f"{name} = {value!r}: must lie in [{low:g}, {high:g}]")
     return value
+
+
+def require_count(name: str, value: int, low: int, high: int) -> int:
+    """Return `value` if it is an integer in [low, high]; InputError otherwise."""
+    if not isinstance(value, numbers.Integral):
+        raise InputError(f"{name} = {value!r}: must be an integer")
+    require_range(name, value, low, high)
+    return value
+
+
+def require_problem(problem: Any) -> None:
+    """Raise InputError unless the argument has what every problem has."""
+    missing = [name for name in ("names", "start", "lower", "upper", "evaluate") if not hasattr(problem, name)]
+    if missing:
+        raise InputError(
+            f"problem is {problem!r}, without {', '.join(missing)}; allowed: a problem, such as mbd.Problem(...)"
+        )
 
 
 def refuse_equalities(method: str, search: Search) -> None:
@@ -196,6 +215,14 @@ def refuse_equalities(method: str, search: Search) -> None:
             f"method = {method!r} takes inequality constraints only, but constraints {search.equalities.tolist()} are "
             "equalities: use method='slsqp', or give each as two opposite inequalities with a tolerance"
         )
+
+
+def as_numbers(name: str, given: Any) -> np.ndarray:
+    """Return numbers as an array of one's own; InputError if they are none."""
+    try:
+        return np.array(given, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is {given!r}; allowed: numbers") from error
 
 
 def as_names(problem: Box, size: int) -> list[str]:

@@ -28,8 +28,15 @@ from torchmbd.optimizers.archive import Archive
 from torchmbd.optimizers.criteria import Criteria, ManyCriteria
 from torchmbd.optimizers.door import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimizers.family import Family
-from torchmbd.optimizers.optimizer import Evaluation, OptimizationResult, find_method, require_range
-from torchmbd.optimizers.sampling import Starts, given
+from torchmbd.optimizers.optimizer import (
+    Evaluation,
+    OptimizationResult,
+    find_method,
+    require_count,
+    require_problem,
+    require_range,
+)
+from torchmbd.optimizers.sampling import Starts, recipe
 from torchmbd.optimizers.search import Search
 
 TIE = 1e-4  # weight of the other criteria in an anchor: of several minima, the one that is best for them
@@ -95,14 +102,14 @@ def pareto_front(
     """
     function = find_method(method, options)
     require_limits(max_iterations, None)
-    require_range("divisions", divisions, 1, 10_000)
-    require_range("max_lanes", max_lanes, 1, 1_000_000)
+    require_count("divisions", divisions, 1, 10_000)
+    require_count("max_lanes", max_lanes, 1, 1_000_000)
     require_range("feasibility", feasibility, 0.0, 1.0)
-    if len(problem.criteria) < 2:
-        raise InputError(f"criteria = {list(problem.criteria)!r}: a front needs two at least; for one, use optimize")
+    require_problem(problem)
+    if len(getattr(problem, "criteria", ())) < 2:
+        raise InputError(f"problem is {problem!r}; a front needs two criteria at least, such as mbd.Tradeoff(...) has")
     box = checked_box(problem)
-    recipe = given([box[0]]) if starts is None else starts if isinstance(starts, Starts) else given(list(starts))
-    points = np.array([checked_box(problem, x)[0] for x in recipe.points(problem)])
+    points = np.array([checked_box(problem, x)[0] for x in recipe(starts, box[0]).points(problem)])
 
     def run_one(search: Search) -> OptimizationResult:
         return run_start(search, function, method, max_iterations, options, problem)

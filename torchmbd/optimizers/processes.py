@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.optimizers.optimizer import Evaluation, Problem
+from torchmbd.optimizers.optimizer import Evaluation, Problem, require_problem
 from torchmbd.process import exempt, settle
 
 _here: dict[str, Any] = {}  # in a worker: its copy of the problem, and where all workers meet
@@ -43,6 +43,7 @@ class Processes:
         count = len(os.sched_getaffinity(0)) if count is None else count
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
+        require_problem(problem)
         self.problem, self.count = problem, count
         spawn = multiprocessing.get_context("spawn")  # a fork would copy threads' locks in whatever state they are
         begin = (cloudpickle.dumps(problem), torch.get_default_dtype(), spawn.Barrier(count))

@@ -6,13 +6,14 @@ that is done when points are drawn.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.optimizers.optimizer import Box, require_range
+from torchmbd.optimizers.optimizer import Box, as_numbers, require_count
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,8 @@ class Starts:
 
 def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
     """Return `count` scrambled Sobol points; with `include_initial` the first of them is the problem's own start."""
-    require_range("count", count, 1, 2**20)
+    require_count("count", count, 1, 2**20)
+    require_count("seed", seed, 0, 2**63)
 
     def unit(size: int, number: int) -> np.ndarray:
         from scipy.stats import qmc
@@ -44,7 +46,8 @@ def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
 
 def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Starts:
     """Return `count` points of which each variable's values fill its range evenly; `include_initial` as in `sobol`."""
-    require_range("count", count, 1, 2**20)
+    require_count("count", count, 1, 2**20)
+    require_count("seed", seed, 0, 2**63)
 
     def unit(size: int, number: int) -> np.ndarray:
         from scipy.stats import qmc
@@ -56,12 +59,24 @@ def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Sta
 
 def given(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
     """Return the listed starts, in their order."""
-    X = np.array([np.asarray(point, dtype=float) for point in points])
+    designs = [as_numbers("points", point) for point in points]
+    X = np.array(designs) if len({x.shape for x in designs}) == 1 else np.zeros(0)
     if X.ndim != 2 or not X.size:
         raise InputError(
             "points: must be a list of start designs, all with one value per variable, at least one design"
         )
     return Starts("given", len(X), lambda problem: X)
+
+
+def recipe(starts: Starts | Sequence[Any] | np.ndarray | None, initial: np.ndarray) -> Starts:
+    """Return the starts that an argument of this name stands for; None: the initial design alone."""
+    if starts is None or isinstance(starts, Starts):
+        return given([initial]) if starts is None else starts
+    if isinstance(starts, str) or not isinstance(starts, Iterable):
+        raise InputError(
+            f"starts is {starts!r}; allowed: mbd.sobol(...) or another sampler, a list of designs, or None"
+        )
+    return given(list(starts))
 
 
 def _spread(unit: Callable[[int, int], np.ndarray], count: int, include_initial: bool) -> Callable[[Box], np.ndarray]:

@@ -110,9 +110,9 @@ def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor, cluster: float) -> tuple
     check("K", pencil.K_form, K)
     check("M", pencil.M_form, M)
     check_positive_diagonal("M", pencil.M_form, M)
-    pencil.modes = _modes(pencil, n, K, M)
-    values, vectors = pencil.modes.lowest()
-    _check_gap(values, n, cluster, rounding(pencil, K, M))
+    pencil.modes = modes = _modes(pencil, n, K, M)
+    values, vectors = modes.lowest()
+    _check_gap(values, n, cluster, rounding(pencil, K, M).maximum(ROUNDING * modes.shift.abs()))
     return values[:, :n], vectors
 
 

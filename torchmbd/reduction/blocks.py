@@ -13,10 +13,13 @@ Checked in tests/reduction/test_sparse_modes.py.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import torch
 from torch import Tensor
 
 from torchmbd.reduction.forms import Form
+from torchmbd.reduction.panels import Factor, panels
 from torchmbd.reduction.partition import Partition, form_slots
 
 
@@ -60,8 +63,15 @@ class BlockFactor:
                 S = torch.baddbmm(D[i + 1], self.E[i], B[i].mT, alpha=-1)
         self.pivot = torch.stack(pivots).amin(0)
 
+    @cached_property
+    def compiled(self) -> Factor:
+        """As compiled code sees it."""
+        return Factor(self.bounds, self.S_inverse, self.E)
+
     def solve(self, X: Tensor) -> Tensor:
         """A^-1 X for columns [lane, N, k]."""
+        if (code := panels(X)) is not None:
+            return code.solve(self.compiled, X)
         parts = [X[:, start:end] for start, end in zip(self.bounds, self.bounds[1:], strict=False)]
         forward = [parts[0]]
         for part, E in zip(parts[1:], self.E, strict=True):

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
+from torchmbd.reduction.panels import panels
 
 SYMMETRY_TOLERANCE = 1e-9
 
@@ -92,6 +93,8 @@ class Sparse:
     def multiply(self, values: Tensor, X: Tensor) -> Tensor:
         if values.device.type != "cpu":
             return SparseMatrix(self.pattern, values) @ X
+        if values.dim() == 3 and X.shape[:2] == (len(values), 1) and (code := panels(X)) is not None:
+            return code.multiply_sparse(self.pattern, values, X[:, 0])
         lanes = torch.broadcast_shapes(values.shape[:-1], X.shape[:-2])
         flat_values = values.expand(*lanes, -1).reshape(-1, self.pattern.nnz).numpy()
         flat_X = X.expand(*lanes, *X.shape[-2:]).reshape(-1, *X.shape[-2:]).numpy()

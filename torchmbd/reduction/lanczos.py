@@ -21,7 +21,9 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-BLOCK = 12  # rigid-body modes come by six, and products with twelve columns cost hardly more than with six
+from torchmbd.reduction.panels import panels
+
+BLOCK = 12  # the most columns; a block of more than are wanted finds all copies without a probe
 NEXT = 1e-4  # residual of the pair after the last wanted: enough to judge the gap
 PROBES, SUSPICIOUS = 3, 0.7
 SAMPLE = 4  # lanes that are looked at first: where these have not converged the others need not be asked
@@ -54,7 +56,7 @@ def lanczos(
 
     Returns None when the Krylov space fills half of the whole space before that: then a dense method is the better one.
     """
-    block = BLOCK if n > BLOCK // 2 else min(BLOCK // 2, n + 2)
+    block = min(n + 2, BLOCK)
     ritz = _iterate(apply, _random(lanes, size, block, device), n, tolerance)
     if ritz is not None and block <= n and misses_a_copy(apply, ritz, n):
         ritz = _iterate(apply, _random(lanes, size, n + 2, device), n, tolerance)
@@ -92,7 +94,7 @@ def _iterate(apply: Callable[[Tensor], Tensor], X: Tensor, n: int, tolerance: fl
             else:
                 return ritz
             look += _steps_to_go(excess, tolerance, step - n // p)
-        X = _repair(X, R, basis)
+        X = _repair(X, R, basis, columns[-1])
     return None
 
 
@@ -116,6 +118,8 @@ def _orthogonalize(W: Tensor, basis: Tensor, recent: int) -> Tensor:
 
     But for rounding all of them lie in the last two blocks: those first, then once more everything.
     """
+    if (code := panels(W)) is not None:
+        return code.orthogonalize(W, basis, recent)
     near = basis[..., -recent:]
     first = near.mT @ W
     W.baddbmm_(near, first, alpha=-1)
@@ -125,10 +129,13 @@ def _orthogonalize(W: Tensor, basis: Tensor, recent: int) -> Tensor:
     return second
 
 
-def _repair(X: Tensor, R: Tensor, basis: Tensor) -> Tensor:
-    """Where nothing new was left in a column, qr has put rounding in its place: make that orthogonal, too."""
+def _repair(X: Tensor, R: Tensor, basis: Tensor, taken: Tensor) -> Tensor:
+    """Where nothing new was left in a column, qr has put rounding in its place: make that orthogonal, too.
+
+    taken: what was taken out before, whose rounding it is
+    """
     new = R.diagonal(dim1=-2, dim2=-1).abs()
-    if bool((new.amin(-1) > 1e-8 * new.amax(-1)).all()):
+    if bool((new.amin(-1) > torch.maximum(1e-8 * new.amax(-1), 1e-12 * taken.abs().amax((-2, -1)))).all()):
         return X
     for _ in range(2):
         _orthogonalize(X, basis, X.shape[2])

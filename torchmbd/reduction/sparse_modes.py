@@ -24,14 +24,17 @@ from torchmbd.errors import SimulationFailure
 from torchmbd.reduction.blocks import BlockFactor, storage
 from torchmbd.reduction.forms import Form
 from torchmbd.reduction.lanczos import Ritz, lanczos
-from torchmbd.reduction.mass import mass_root
+from torchmbd.reduction.mass import DiagonalRoot, mass_root
+from torchmbd.reduction.panels import panels
 from torchmbd.reduction.partition import partition
 from torchmbd.reduction.shift import choose_shift, comparable_shift
 
 TOLERANCE = 1e-12  # of the modes, relative to mu
-DERIVATIVE_TOLERANCE = 1e-11  # of their derivatives, relative to c
+DERIVATIVE_TOLERANCE = 5e-12  # of their derivatives, relative to c
 KNOWN = 1e-2  # residual of a discarded mode that is worth starting from
+STAYS = 1e-2  # of what is asked: a column that has so little left goes on no more, for only rounding would be divided
 MOST_STEPS = 300
+NO_CONVERGENCE = f"derivatives of modes did not converge in {MOST_STEPS} steps; is K nearly singular?"
 
 
 class SparseModes:
@@ -57,7 +60,8 @@ class SparseModes:
         self.exhausted = ritz is None
         if ritz is not None:
             known = int((ritz.residuals() < KNOWN).sum(1).min())
-            vectors = ritz.Q @ ritz.V[..., : max(known, n + 1)]
+            code, V = panels(ritz.Q), ritz.V[..., : max(known, n + 1)]
+            vectors = ritz.Q @ V if code is None else code.multiply(ritz.Q, V)
             self.ritz, self.U, self.known = ritz, vectors[..., :n], vectors[..., n:]
 
     def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
@@ -98,6 +102,12 @@ class SparseModes:
         c = self._discard(self._discard(c))  # once more, for columns of which nearly nothing is left
         target = DERIVATIVE_TOLERANCE * torch.linalg.vector_norm(c, dim=1, keepdim=True) + rounding
         y, r = self._known_solution(c, inverse_mu)
+        if isinstance(self.root, DiagonalRoot) and (code := panels(y)) is not None:
+            shape = (len(y), 1, y.shape[2])
+            limits = inverse_mu.expand(shape), target.expand(shape)
+            if not code.conjugate_gradients(self.factor.compiled, self.root.G, self.U, *limits, y, r, MOST_STEPS):
+                raise SimulationFailure(NO_CONVERGENCE)
+            return self._discard(y)
         tiny = torch.finfo(y.dtype).tiny
         result, columns = torch.empty_like(y), torch.arange(y.shape[2], device=y.device)
         d, square = r.clone(), (r * r).sum(1, keepdim=True)
@@ -111,8 +121,11 @@ class SparseModes:
                 return self._discard(result)
             Hd = self._discard(torch.addcmul(d, inverse_mu, self._apply(d), value=-1))
             step = square / (d * Hd).sum(1, keepdim=True).clamp_min(tiny)
+            step = torch.where(
+                square.sqrt() > target, step, 0.0
+            )  # what is done stays: there is only rounding to divide
             y.addcmul_(step, d)
             r.addcmul_(step, Hd, value=-1)
             before, square = square, (r * r).sum(1, keepdim=True)
             d.mul_(square / before.clamp_min(tiny)).add_(r)
-        raise SimulationFailure(f"derivatives of modes did not converge in {MOST_STEPS} steps; is K nearly singular?")
+        raise SimulationFailure(NO_CONVERGENCE)

@@ -21,7 +21,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.forces.force import ForceElement
 from torchmbd.joints.joint import Joint
 from torchmbd.numerics.called import called
-from torchmbd.numerics.owned import positive
+from torchmbd.numerics.owned import positive, several
 from torchmbd.numerics.pair import Pair
 from torchmbd.numerics.variable import key
 from torchmbd.system import topology
@@ -56,7 +56,7 @@ class System(nn.Module):
     ):
         super().__init__()
         bodies, joints, forces, free = (
-            _several(name, given, kinds, allowed)
+            several(name, given, kinds, allowed)
             for name, given, kinds, allowed in (
                 ("bodies", bodies, (RigidBody, FlexibleBody), "bodies, such as mbd.RigidBody(...)"),
                 ("joints", joints, Joint, "joints, such as mbd.Revolute(...)"),
@@ -183,16 +183,6 @@ class System(nn.Module):
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data
-
-
-def _several(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str) -> list[Any]:
-    """A list of things of some kinds."""
-    if not isinstance(given, Sequence) or isinstance(given, str):
-        raise InputError(f"{name} is {given!r}; allowed: a list of {allowed}")
-    for x in given:
-        if not isinstance(x, kinds):
-            raise InputError(f"{name} has {x!r}; allowed: {allowed}")
-    return list(given)
 
 
 def _together(parts: list[Tensor], rank: int) -> Tensor:

@@ -25,6 +25,7 @@ from torchmbd.process import come_forward, give_way
 from torchmbd.tracking.spool import (
     Sent,
     Told,
+    clear,
     drop_session,
     drop_sessions,
     empty,
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
 
 PATIENCE = float(os.environ.get("TORCHMBD_PATIENCE", "15"))  # seconds for a store that is away when the study is over
 _POLL, _PAUSE = 0.1, (0.5, 1.0, 2.0, 5.0, 10.0)  # seconds
-_REST, _SHARE = 3.0, 0.05  # seconds between two batches at least; of a core at most while the study lives
+_REST, _SHARE = 3.0, 0.1  # seconds between two batches at least; of a core at most while the study lives
 
 
 class Away(Exception):
@@ -216,7 +217,7 @@ def deliver(folder: Path, patience: float = PATIENCE) -> str | None:
         word = Writer(folder, file, lambda: True, patience).run()  # the study may go on meanwhile: its writer waits
         with locked(folder, "study.lock", wait=False) as over:
             if over and word.get("finished"):
-                empty(folder)
+                (empty if word["runs"] else clear)(folder)
     return word.get("waiting")
 
 

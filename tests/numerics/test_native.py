@@ -1,0 +1,73 @@
+"""Libraries of fixed texts: built in the background, their faults."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from torchmbd.numerics.native import Native
+
+SOURCE = "reduction/panels.cpp"
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("TORCHMBD_CACHE", str(tmp_path))
+    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+    return tmp_path
+
+
+def test_it_appears_complete_when_it_is_built(cache: Path) -> None:
+    native = Native(SOURCE)
+    if native.build() is None:
+        pytest.skip("no C++ compiler")
+    assert list(cache.iterdir()) == [native.path()]
+    assert Native(SOURCE)() is not None
+    assert native() is native()
+
+
+def test_it_is_not_waited_for(cache: Path) -> None:
+    native = Native(SOURCE)
+    if native() is None and native._build is None:
+        pytest.skip("no C++ compiler")
+    assert native.build() is not None
+
+
+def test_switched_off(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TORCHMBD_COMPILE", "0")
+    assert Native(SOURCE)() is None
+    assert list(cache.iterdir()) == []
+
+
+def test_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    with pytest.warns(UserWarning, match=r"no C\+\+ compiler"):
+        assert Native(SOURCE).build() is None
+
+
+def test_a_compiler_that_fails_is_told_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CXX", "false")
+    native = Native(SOURCE)
+    with pytest.warns(UserWarning, match=r"panels.cpp cannot be compiled.*false -O3"):
+        assert native.build() is None
+    assert native() is None  # neither said nor tried again
+    assert list(cache.iterdir()) == []
+
+
+def test_a_corrupt_library_is_removed_and_built_again(cache: Path) -> None:
+    native = Native(SOURCE)
+    native.path().write_bytes(b"no library")
+    with pytest.warns(UserWarning, match="cannot be loaded and is removed"):
+        assert native() is None
+    assert native._build is not None
+    assert native.build() is not None
+
+
+def test_a_full_disk_is_a_warning(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "mkdir", full)
+    with pytest.warns(UserWarning, match="No space left on device"):
+        assert Native(SOURCE)() is None

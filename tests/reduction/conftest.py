@@ -1,0 +1,29 @@
+"""Both ways to multiply: torch, and compiled code."""
+
+from __future__ import annotations
+
+import pytest
+
+from torchmbd.reduction import panels
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A folder of its own for the compiled products, which are built once."""
+    return str(tmp_path_factory.mktemp("libraries"))
+
+
+@pytest.fixture
+def compiled(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Products are compiled code."""
+    monkeypatch.setenv("TORCHMBD_CACHE", library)
+    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+    if not panels.build():
+        pytest.skip("no C++ compiler")
+
+
+@pytest.fixture(params=["torch", "compiled"])
+def products(request: pytest.FixtureRequest) -> None:
+    """A test runs with products of torch and with compiled ones."""
+    if request.param == "compiled":
+        request.getfixturevalue("compiled")

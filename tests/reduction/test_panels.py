@@ -1,0 +1,101 @@
+"""Compiled products against those of torch, for sizes that fill no tile."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from torchmbd.numerics.sparse import Pattern, SparseMatrix
+from torchmbd.reduction.panels import Factor, Panels, panels
+
+pytestmark = pytest.mark.usefixtures("compiled")
+COLUMNS = [1, 5, 8, 9, 17, 24, 45]
+
+
+def random(*shape: int) -> torch.Tensor:
+    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(sum(shape)))
+
+
+def code() -> Panels:
+    found = panels(random(1))
+    assert found is not None
+    return found
+
+
+def close(found: torch.Tensor, expected: torch.Tensor) -> None:
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-13 * float(expected.abs().max()))
+
+
+def factored(sizes: tuple[int, ...], lanes: int = 3) -> tuple[Factor, torch.Tensor]:
+    """Factors of a block-tridiagonal matrix, and its inverse."""
+    bounds = [0, *torch.tensor(sizes).cumsum(0).tolist()]
+    A, S_inverse, E = torch.zeros(lanes, bounds[-1], bounds[-1], dtype=torch.float64), [], []
+    for i, size in enumerate(sizes):
+        here = slice(bounds[i], bounds[i + 1])
+        D = random(lanes, size, size)
+        D = D @ D.mT + 2 * size * torch.eye(size, dtype=torch.float64)
+        A[:, here, here] = D
+        if i:
+            B, before = random(lanes, size, sizes[i - 1]), slice(bounds[i - 1], bounds[i])
+            A[:, here, before], A[:, before, here] = B, B.mT
+            E.append(B @ S_inverse[-1])
+            D = D - E[-1] @ B.mT
+        S_inverse.append(D.inverse().mT)  # not contiguous
+    return Factor(bounds, S_inverse, E), A.inverse()
+
+
+@pytest.mark.parametrize("p", COLUMNS)
+@pytest.mark.parametrize("sizes", [(7,), (30, 30, 24), (5, 13, 1, 26)])
+def test_solve(sizes: tuple[int, ...], p: int) -> None:
+    factor, inverse = factored(sizes)
+    X = random(3, p, sum(sizes)).mT
+    close(code().solve(factor, X), inverse @ X)
+
+
+@pytest.mark.parametrize("p", COLUMNS)
+def test_multiply(p: int) -> None:
+    A, B = random(3, 31, 13), random(3, 13, p + 2)[..., :p]
+    close(code().multiply(A, B), A @ B)
+
+
+@pytest.mark.parametrize("p", COLUMNS)
+def test_multiply_sparse(p: int) -> None:
+    near = random(29, 29).abs() > 1
+    pattern = Pattern(*(near | near.mT).nonzero().unbind(1), 29)
+    values, X = random(2, 3, pattern.nnz), random(2, 29, p)
+    close(code().multiply_sparse(pattern, values, X), SparseMatrix(pattern, values) @ X[:, None])
+
+
+@pytest.mark.parametrize("p", COLUMNS)
+@pytest.mark.parametrize("k", [3, 22])
+def test_orthogonalize(k: int, p: int) -> None:
+    wide = torch.cat([torch.linalg.qr(random(3, 67, k))[0], random(3, 67, 5)], 2)
+    basis, W = wide[..., :k], random(3, 67, p)
+    left, found = W.clone(), None
+    found = code().orthogonalize(left, basis, 10)
+    close(found, basis.mT @ W)
+    close(left, W - basis @ (basis.mT @ W))
+    assert (basis.mT @ left).abs().max() < 1e-14
+
+
+@pytest.mark.parametrize("p", COLUMNS)
+def test_conjugate_gradients(p: int) -> None:
+    """Columns end at different times; those of a zero right-hand side at once."""
+    factor, inverse = factored((12, 20, 9))
+    G = random(3, 41, 1).abs() + 0.5
+    H = G * inverse * G.mT
+    mu, vectors = torch.linalg.eigh(H)
+    U, inverse_mu = vectors[..., -4:], 1 / mu[:, -4:][:, None, torch.arange(p) % 4]
+    c = random(3, 41, p) * torch.logspace(0, -9, p, dtype=torch.float64)
+    c[..., p // 2] = 0.0
+    c = c - U @ (U.mT @ c)
+    target = 5e-12 * torch.linalg.vector_norm(c, dim=1, keepdim=True)
+    y = torch.zeros_like(c)
+    assert code().conjugate_gradients(factor, G, U, inverse_mu, target, y, c, 100)
+    left = c - y + inverse_mu * (H @ y)
+    size = torch.linalg.vector_norm(c, dim=1)
+    worst = (torch.linalg.vector_norm(left, dim=1) / size.clamp_min(1e-30)).max()
+    assert worst < 1e-10
+    assert (y[..., p // 2] == 0.0).all()
+    if p > 1:
+        assert not code().conjugate_gradients(factor, G, U, inverse_mu, target, torch.zeros_like(c), c, 1)

@@ -1,0 +1,147 @@
+"""C++ on this machine: the compiler, the folder of shared libraries, and libraries of a fixed text.
+
+A library is valid for one key: its source and all that it is made of, the versions of torch and Python, the compiler and
+the processor. So a stale one is never found. One that cannot be loaded is removed with a message; without a C++ compiler
+torch serves, said once.
+
+Cache: TORCHMBD_CACHE or ~/.cache/torchmbd. TORCHMBD_COMPILE=0 switches compilation off; CXX names the compiler.
+Checked in tests/numerics/test_native.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
+
+import torch
+
+SUFFIX = ".so"
+OPTIONS = ("-std=c++17", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
+PACKAGE = Path(__file__).parent.parent
+
+
+def cache_folder() -> Path:
+    """Where libraries are kept."""
+    return Path(os.environ.get("TORCHMBD_CACHE") or Path.home() / ".cache" / "torchmbd")
+
+
+def entries() -> list[tuple[Path, int, bool]]:
+    """What lies in the cache: path, bytes, and whether it is a library."""
+    if not cache_folder().is_dir():
+        return []
+    found = []
+    for path in sorted(cache_folder().iterdir()):
+        files = [f for f in path.rglob("*") if f.is_file()] if path.is_dir() else [path]
+        found.append((path, sum(f.stat().st_size for f in files), path.suffix == SUFFIX))
+    return found
+
+
+def compiler() -> str:
+    """The C++ compiler."""
+    return os.environ.get("CXX", "g++")
+
+
+def enabled() -> bool:
+    """Whether compilation is wanted and a C++ compiler is there."""
+    if os.environ.get("TORCHMBD_COMPILE") == "0":
+        return False
+    if shutil.which(compiler()) is None:
+        warnings.warn("no C++ compiler: simulations run uncompiled, about ten times slower in batches", stacklevel=2)
+        os.environ["TORCHMBD_COMPILE"] = "0"
+        return False
+    return True
+
+
+def surroundings(sources: Iterable[str]) -> str:
+    """Source files of the package (or folders of them), versions, compiler and processor, as a digest."""
+    return _surroundings(tuple(sources), compiler())
+
+
+@cache
+def _surroundings(sources: tuple[str, ...], compiler: str) -> str:
+    digest = hashlib.sha256()
+    for part in sources:
+        path = PACKAGE / part
+        for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:
+            digest.update(file.read_bytes())
+    version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
+    digest.update(repr([OPTIONS, torch.__version__, sys.version_info[:2], version, _processor()]).encode())
+    return digest.hexdigest()
+
+
+def _processor() -> str:
+    facts = Path("/proc/cpuinfo")
+    if not facts.exists():
+        return platform.processor() + platform.machine()
+    lines = facts.read_text().splitlines()
+    return repr(sorted({line for line in lines if line.startswith(("model name", "flags", "Features"))}))
+
+
+def load(path: Path) -> ctypes.CDLL | None:
+    """A library; None if it is not there, or removed because it cannot be loaded."""
+    if not path.exists():
+        return None
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError as error:
+        warnings.warn(f"compiled library {path} cannot be loaded and is removed: {error}", stacklevel=3)
+        path.unlink(missing_ok=True)
+        return None
+
+
+class Native:
+    """The library of one file of the package, `source` relative to it; built in the background when first asked for."""
+
+    def __init__(self, source: str) -> None:
+        self.source = source
+        self._loaded: ctypes.CDLL | None = None
+        self._build: subprocess.Popen | None = None
+        self._failed = False
+
+    def __call__(self) -> ctypes.CDLL | None:
+        """The library if it is there and wanted."""
+        if not enabled() or self._failed:
+            return None
+        if self._loaded is None:
+            self._loaded = load(self.path())
+        if self._loaded is None and self._build is None:
+            self._begin()
+        elif self._loaded is None and self._build is not None and self._build.poll():
+            self._fail(f"{' '.join(map(str, self._build.args))} failed")  # pyright: ignore[reportArgumentType]
+        return self._loaded
+
+    def path(self) -> Path:
+        """Where the library is, or would be."""
+        return cache_folder() / f"{surroundings([self.source])[:32]}{SUFFIX}"
+
+    def build(self) -> ctypes.CDLL | None:
+        """The library, waited for."""
+        if self() is None and self._build is not None:
+            self._build.wait()
+        return self()
+
+    def _begin(self) -> None:
+        part = self.path().with_suffix(f".{os.getpid()}.part")
+        command = [compiler(), "-O3", *OPTIONS, "-o", str(part), str(PACKAGE / self.source)]
+        # It appears complete or not at all, also where this process has ended meanwhile.
+        shell = ["nice", "-n", "10", "sh", "-c", '"$@" && mv "$0" "${0%.*.part}.so"', str(part), *command]
+        try:
+            cache_folder().mkdir(parents=True, exist_ok=True)
+            self._build = subprocess.Popen(
+                shell, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+            )
+        except OSError as error:
+            self._fail(str(error))
+
+    def _fail(self, why: str) -> None:
+        self._failed = True
+        warnings.warn(f"{self.source} cannot be compiled, torch does its work more slowly: {why}", stacklevel=4)

@@ -1,0 +1,243 @@
+// Products with a few columns, one design after another, so that its numbers stay near the processor. See panels.py.
+//
+// Arrays are row-major and [lane][row][column]. Inside, columns are filled up with zeros to a multiple of eight.
+// A tile keeps R rows of W x 8 columns of a product in registers: with wide ones it runs at the speed of arithmetic.
+
+#include <cmath>
+#include <cstring>
+#include <vector>
+
+typedef double V __attribute__((vector_size(64), aligned(8)));
+typedef std::vector<double> Room;
+constexpr double TINY = 2.2250738585072014e-308, STAYS = 1e-2;  // as in sparse_modes.py
+
+struct Factor {  // of a block-tridiagonal matrix, as in blocks.py
+  long lanes, blocks;
+  const long* bounds;                  // [blocks + 1]
+  const double *const *S, *const *E;  // S_i^-1 [lane][s_i][s_i], E_i [lane][s_(i+1)][s_i]
+  long size() const { return bounds[blocks]; }
+  long rows(long block) const { return bounds[block + 1] - bounds[block]; }
+};
+
+struct Left {  // the left factor of a product: entry (r, c) at at[r * row + c * column]
+  const double* at;
+  long row, column;
+};
+
+namespace {
+inline long filled(long columns) { return (columns + 7) / 8 * 8; }
+
+// C = A B, or C -= A B. B and C have rows of P numbers.
+template <int R, int W, bool take>
+inline void tile(long inner, Left A, const double* B, double* C, long P) {
+  V sum[R][W] = {};
+  for (long c = 0; c < inner; c++) {
+    V b[W];
+    for (int w = 0; w < W; w++) b[w] = *(const V*)(B + c * P + 8 * w);
+    for (int r = 0; r < R; r++)
+      for (int w = 0; w < W; w++) sum[r][w] += A.at[r * A.row + c * A.column] * b[w];
+  }
+  for (int r = 0; r < R; r++)
+    for (int w = 0; w < W; w++) {
+      V* to = (V*)(C + r * P + 8 * w);
+      *to = take ? *to - sum[r][w] : sum[r][w];
+    }
+}
+
+template <int R, int W, bool take>
+void panel(long rows, long inner, Left A, const double* B, double* C, long P) {
+  long r = 0;
+  for (; r + R <= rows; r += R) tile<R, W, take>(inner, {A.at + r * A.row, A.row, A.column}, B, C + r * P, P);
+  for (; r < rows; r++) tile<1, W, take>(inner, {A.at + r * A.row, A.row, A.column}, B, C + r * P, P);
+}
+
+template <bool take>
+void product(long rows, long inner, Left A, const double* B, double* C, long P) {
+  long p = 0;
+  for (; p + 24 <= P; p += 24) panel<6, 3, take>(rows, inner, A, B + p, C + p, P);
+  for (; p + 16 <= P; p += 16) panel<8, 2, take>(rows, inner, A, B + p, C + p, P);
+  for (; p < P; p += 8) panel<12, 1, take>(rows, inner, A, B + p, C + p, P);
+}
+
+void fill_up(const double* from, double* to, long rows, long p) {
+  const long P = filled(p);
+  for (long i = 0; i < rows; i++) {
+    std::memcpy(to + i * P, from + i * p, p * sizeof(double));
+    for (long j = p; j < P; j++) to[i * P + j] = 0.0;
+  }
+}
+
+void cut(const double* from, double* to, long rows, long p) {
+  const long P = filled(p);
+  for (long i = 0; i < rows; i++) std::memcpy(to + i * p, from + i * P, p * sizeof(double));
+}
+
+// x = A^-1 y; y is used up.
+void solve_lane(const Factor& f, long lane, double* y, double* x, long P) {
+  for (long b = 1; b < f.blocks; b++) {
+    const long s = f.rows(b), before = f.rows(b - 1);
+    product<true>(s, before, {f.E[b - 1] + lane * s * before, before, 1}, y + f.bounds[b - 1] * P, y + f.bounds[b] * P, P);
+  }
+  for (long b = f.blocks - 1; b >= 0; b--) {
+    const long s = f.rows(b);
+    double* here = x + f.bounds[b] * P;
+    product<false>(s, s, {f.S[b] + lane * s * s, s, 1}, y + f.bounds[b] * P, here, P);
+    if (b + 1 == f.blocks) continue;
+    const long after = f.rows(b + 1);
+    product<true>(s, after, {f.E[b] + lane * after * s, 1, s}, x + f.bounds[b + 1] * P, here, P);
+  }
+}
+
+// Columns of a lane in conjugate gradients; those that are done leave.
+struct Columns {
+  long N, P;
+  std::vector<long> number;               // which column of the result stands here; -1: none
+  Room y, r, d, Hd, work;                 // [N][P]
+  Room square, target, inverse_mu, step;  // [P]
+
+  void dots(const Room& a, const Room& b, Room& out) const {
+    for (long p = 0; p < P; p += 8) {
+      V sum = {};
+      for (long i = 0; i < N; i++) sum += *(const V*)&a[i * P + p] * *(const V*)&b[i * P + p];
+      std::memcpy(&out[p], &sum, sizeof(V));
+    }
+  }
+  void put(double* to, long p) const {
+    for (long j = 0; j < P; j++)
+      if (number[j] >= 0)
+        for (long i = 0; i < N; i++) to[i * p + number[j]] = y[i * P + j];
+  }
+  void keep(const std::vector<long>& open) {
+    const long few = filled((long)open.size());
+    for (Room* x : {&y, &r, &d})
+      for (long i = 0; i < N; i++)  // rows only move forward
+        for (long j = 0; j < few; j++) (*x)[i * few + j] = j < (long)open.size() ? (*x)[i * P + open[j]] : 0.0;
+    std::vector<long> kept(few, -1);
+    for (long j = 0; j < few; j++) {
+      const bool some = j < (long)open.size();
+      kept[j] = some ? number[open[j]] : -1;
+      square[j] = some ? square[open[j]] : 0.0;
+      target[j] = some ? target[open[j]] : 0.0;
+      inverse_mu[j] = some ? inverse_mu[open[j]] : 0.0;
+    }
+    number = kept;
+    P = few;
+  }
+};
+}  // namespace
+
+// out [lane][N][p] = A^-1 X.
+extern "C" void solve(const Factor* f, const double* X, double* out, long p) {
+  const long N = f->size(), P = filled(p);
+  Room y(N * P), x(N * P);
+  for (long lane = 0; lane < f->lanes; lane++) {
+    fill_up(X + lane * N * p, y.data(), N, p);
+    solve_lane(*f, lane, y.data(), x.data(), P);
+    cut(x.data(), out + lane * N * p, N, p);
+  }
+}
+
+// Takes the components along the k first columns of a basis [lane][N][stride] out of W [lane][N][p]: first those along
+// the last `recent` of them, then all. Returns both together as coefficients [lane][k][p].
+extern "C" void orthogonalize(long lanes, long N, long k, long stride, long recent, const double* basis, double* W, long p,
+                              double* coefficients) {
+  const long P = filled(p);
+  Room w(N * P), some(k * P), all(k * P);
+  for (long lane = 0; lane < lanes; lane++) {
+    const double* Q = basis + lane * N * stride;
+    fill_up(W + lane * N * p, w.data(), N, p);
+    std::fill(all.begin(), all.end(), 0.0);
+    for (long first : {recent < k ? k - recent : 0, 0L}) {
+      product<false>(k - first, N, {Q + first, 1, stride}, w.data(), some.data(), P);
+      product<true>(N, k - first, {Q + first, stride, 1}, some.data(), w.data(), P);
+      for (long i = 0; i < (k - first) * P; i++) all[first * P + i] += some[i];
+    }
+    cut(w.data(), W + lane * N * p, N, p);
+    cut(all.data(), coefficients + lane * k * p, k, p);
+  }
+}
+
+// out [lane][rows][p] = A B for A [lane][rows][inner] with rows of `stride` numbers.
+extern "C" void multiply(long lanes, long rows, long inner, long stride, const double* A, const double* B, double* out, long p) {
+  const long P = filled(p);
+  Room b(inner * P), c(rows * P);
+  for (long lane = 0; lane < lanes; lane++) {
+    fill_up(B + lane * inner * p, b.data(), inner, p);
+    product<false>(rows, inner, {A + lane * rows * stride, stride, 1}, b.data(), c.data(), P);
+    cut(c.data(), out + lane * rows * p, rows, p);
+  }
+}
+
+// out [lane][T][N][p] = K X for values [lane][T][nnz] on one pattern and X [lane][N][p].
+extern "C" void multiply_sparse(long lanes, long T, long N, const int* start, const int* column, const double* values,
+                                const double* X, double* out, long p) {
+  const long P = filled(p), nnz = start[N];
+  Room x(N * P), z(N * P);
+  for (long lane = 0; lane < lanes; lane++) {
+    fill_up(X + lane * N * p, x.data(), N, p);
+    for (long t = lane * T; t < (lane + 1) * T; t++) {
+      for (long i = 0; i < N; i++)
+        for (long j = 0; j < P; j += 8) {
+          V sum = {};
+          for (int e = start[i]; e < start[i + 1]; e++) sum += values[t * nnz + e] * *(const V*)&x[column[e] * P + j];
+          std::memcpy(&z[i * P + j], &sum, sizeof(V));
+        }
+      cut(z.data(), out + t * N * p, N, p);
+    }
+  }
+}
+
+// Conjugate gradients for (1 - H / mu) y = c within what is orthogonal to U, H = G A^-1 G: `_conjugate_gradients` of
+// sparse_modes.py. y [lane][N][p] in and out, r its residual, U [lane][N][n], G [lane][N], target and inverse_mu [lane][p].
+// Returns 1 if a lane needs more than `most` steps.
+extern "C" long conjugate_gradients(const Factor* f, const double* G, const double* U, long n, const double* inverse_mu,
+                                    const double* target, double* y, const double* r, long p, long most) {
+  const long N = f->size(), full = filled(p);
+  Room inside(n * full);
+  for (long lane = 0; lane < f->lanes; lane++) {
+    Columns c{N, full};
+    for (Room* x : {&c.y, &c.r, &c.Hd, &c.work}) x->resize(N * full);
+    for (Room* x : {&c.square, &c.target, &c.inverse_mu, &c.step}) x->resize(full);
+    for (long j = 0; j < full; j++) c.number.push_back(j < p ? j : -1);
+    std::memcpy(c.target.data(), target + lane * p, p * sizeof(double));
+    std::memcpy(c.inverse_mu.data(), inverse_mu + lane * p, p * sizeof(double));
+    fill_up(y + lane * N * p, c.y.data(), N, p);
+    fill_up(r + lane * N * p, c.r.data(), N, p);
+    c.d = c.r;
+    c.dots(c.r, c.r, c.square);
+    const double *g = G + lane * N, *u = U + lane * N * n;
+    for (long k = 0;; k++) {
+      std::vector<long> open;
+      for (long j = 0; j < c.P; j++)
+        if (std::sqrt(c.square[j]) > c.target[j]) open.push_back(j);
+      if (filled((long)open.size()) < c.P) {
+        c.put(y + lane * N * p, p);
+        c.keep(open);
+      }
+      if (open.empty()) break;
+      if (k == most) return 1;
+      const long P = c.P;
+      for (long i = 0; i < N; i++)
+        for (long j = 0; j < P; j++) c.work[i * P + j] = g[i] * c.d[i * P + j];
+      solve_lane(*f, lane, c.work.data(), c.Hd.data(), P);
+      for (long i = 0; i < N; i++)
+        for (long j = 0; j < P; j++) c.Hd[i * P + j] = c.d[i * P + j] - c.inverse_mu[j] * (g[i] * c.Hd[i * P + j]);
+      product<false>(n, N, {u, 1, n}, c.Hd.data(), inside.data(), P);
+      product<true>(N, n, {u, n, 1}, inside.data(), c.Hd.data(), P);
+      c.dots(c.d, c.Hd, c.step);
+      for (long j = 0; j < P; j++)
+        c.step[j] = std::sqrt(c.square[j]) > STAYS * c.target[j] ? c.square[j] / (c.step[j] > TINY ? c.step[j] : TINY) : 0.0;
+      for (long i = 0; i < N; i++)
+        for (long j = 0; j < P; j++) {
+          c.y[i * P + j] += c.step[j] * c.d[i * P + j];
+          c.r[i * P + j] -= c.step[j] * c.Hd[i * P + j];
+        }
+      Room before = c.square;
+      c.dots(c.r, c.r, c.square);
+      for (long j = 0; j < P; j++) before[j] = c.square[j] / (before[j] > TINY ? before[j] : TINY);
+      for (long i = 0; i < N; i++)
+        for (long j = 0; j < P; j++) c.d[i * P + j] = before[j] * c.d[i * P + j] + c.r[i * P + j];
+    }
+  }
+  return 0;
+}

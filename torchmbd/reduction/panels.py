@@ -1,0 +1,129 @@
+"""Products of the structure stage by compiled code (panels.cpp): a few columns, one design after another.
+
+    solve                 A^-1 X of a block-tridiagonal matrix                      blocks.py
+    orthogonalize         W - Q Q' W                                                lanczos.py
+    multiply              A B;   multiply_sparse: K X for many K of one pattern     forms.py
+    conjugate_gradients   (1 - H / mu) y = c                                        sparse_modes.py
+
+A batch of designs that torch treats side by side leaves the cache of the processor with every operation; one after
+another they stay in it, and there is no call for each block. The same sums in another order: results agree to rounding.
+`panels` gives None where there is no compiled code (no compiler, not built yet, another device): torch does it then.
+Tensors are float64 on the CPU. No autograd inside. Checked in tests/reduction/test_panels.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from ctypes import POINTER, byref, c_long, c_void_p
+
+import torch
+from torch import Tensor
+
+from torchmbd.numerics.native import Native
+from torchmbd.numerics.sparse import Pattern
+
+_native = Native("reduction/panels.cpp")
+
+
+class _Factor(ctypes.Structure):
+    """As in panels.cpp."""
+
+    _fields_ = (
+        ("lanes", c_long),
+        ("blocks", c_long),
+        ("bounds", POINTER(c_long)),
+        ("S", POINTER(c_void_p)),
+        ("E", POINTER(c_void_p)),
+    )
+
+
+def panels(like: Tensor) -> Panels | None:
+    """The compiled products, if they are there and serve such tensors."""
+    code = _native() if like.device.type == "cpu" else None
+    return None if code is None else Panels(code)
+
+
+def build() -> bool:
+    """Wait until compiled products are there; False: they cannot be."""
+    return _native.build() is not None
+
+
+class Factor:
+    """A factorization as compiled code sees it; keeps what it points to.
+
+    bounds: first rows of the blocks, with the end; S_inverse, E: as in blocks.py
+    """
+
+    def __init__(self, bounds: Sequence[int], S_inverse: Sequence[Tensor], E: Sequence[Tensor]) -> None:
+        self._kept = [x.contiguous() for x in (*S_inverse, *E)]
+        n, places = len(S_inverse), [x.data_ptr() for x in self._kept]
+        numbers = (c_long * (n + 1))(*bounds)
+        S, E_places = (c_void_p * n)(*places[:n]), (c_void_p * max(len(E), 1))(*places[n:])
+        self.struct = _Factor(len(S_inverse[0]), n, numbers, S, E_places)
+
+
+class Panels:
+    """See the module header."""
+
+    def __init__(self, code: ctypes.CDLL) -> None:
+        self._code = code
+        code.conjugate_gradients.restype = c_long
+
+    def solve(self, factor: Factor, X: Tensor) -> Tensor:
+        """A^-1 X for columns [lane, N, p]."""
+        X = X.contiguous()
+        out = torch.empty_like(X)
+        self._code.solve(byref(factor.struct), *_places(X, out), c_long(X.shape[2]))
+        return out
+
+    def orthogonalize(self, W: Tensor, basis: Tensor, recent: int) -> Tensor:
+        """Take the components along basis [lane, N, k] out of W in place: those of the last columns first, then all.
+
+        Returns them [lane, k, p]. The rows of a basis may be longer than k.
+        """
+        lanes, N, k = basis.shape
+        assert basis.stride(2) == 1
+        assert basis.stride(0) == N * basis.stride(1)
+        left = W.contiguous()
+        found = W.new_empty(lanes, k, W.shape[2])
+        numbers = map(c_long, (lanes, N, k, basis.stride(1), recent))
+        self._code.orthogonalize(*numbers, *_places(basis, left), c_long(W.shape[2]), *_places(found))
+        if left is not W:
+            W.copy_(left)
+        return found
+
+    def multiply(self, A: Tensor, B: Tensor) -> Tensor:
+        """A B for A [lane, m, k], B [lane, k, p]."""
+        (lanes, rows, inner), A, B = A.shape, A.contiguous(), B.contiguous()
+        out = A.new_empty(lanes, rows, B.shape[2])
+        self._code.multiply(*map(c_long, (lanes, rows, inner, inner)), *_places(A, B, out), c_long(B.shape[2]))
+        return out
+
+    def multiply_sparse(self, pattern: Pattern, values: Tensor, X: Tensor) -> Tensor:
+        """K X for values [lane, T, nnz] and X [lane, N, p]: [lane, T, N, p]."""
+        (lanes, T, _), values, X = values.shape, values.contiguous(), X.contiguous()
+        out = X.new_empty(lanes, T, *X.shape[1:])
+        indices = c_void_p(pattern.indptr.ctypes.data), c_void_p(pattern.indices.ctypes.data)
+        numbers = map(c_long, (lanes, T, pattern.size))
+        self._code.multiply_sparse(*numbers, *indices, *_places(values, X, out), c_long(X.shape[2]))
+        return out
+
+    def conjugate_gradients(
+        self, factor: Factor, G: Tensor, U: Tensor, inverse_mu: Tensor, target: Tensor, y: Tensor, r: Tensor, most: int
+    ) -> bool:
+        """Continue from y [lane, N, p] with the residual r, in place, until |r| <= target [lane, 1, p]; False: it cannot.
+
+        H = G A^-1 G for G [lane, N, 1]; all within what is orthogonal to U [lane, N, n].
+        """
+        assert y.is_contiguous()
+        kept = [x.contiguous() for x in (G, U, inverse_mu, target, r)]
+        G_, U_, mu, limit, rest = _places(*kept)
+        sizes = c_long(U.shape[2]), c_long(y.shape[2]), c_long(most)
+        return not self._code.conjugate_gradients(
+            byref(factor.struct), G_, U_, sizes[0], mu, limit, *_places(y), rest, *sizes[1:]
+        )
+
+
+def _places(*tensors: Tensor) -> list[c_void_p]:
+    return [c_void_p(x.data_ptr()) for x in tensors]
