@@ -9,8 +9,8 @@ strains run linearly between opposite sides (MITC4). Thin cells get the discrete
 no locking between. Rotations fit at the sides, so constant moments pass any patch test.
 
 Left so, thin plates are too flexible: a clamped square with 8 x 8 cells by 1.8 % under a central load, one of 5 : 1 by 6 %, a
-clamped rhombus of 40 degrees under uniform load by 38 %. Three corrections of what the curvature has beyond its mean over the cell; the mean,
-and with it the patch test, stays:
+clamped rhombus of 40 degrees under uniform load by 38 %. Three corrections of what the curvature has beyond its mean over
+the cell; the mean, and with it the patch test, stays:
 
 twist       of w = x^2 y the corners see beta_x = -2 x y, but not how beta_y = -x^2 runs between them: half of the twist. In
             thin plates twist is twice d beta_xi / d eta, as d beta_eta / d xi is the same; so the twist of the bilinear
