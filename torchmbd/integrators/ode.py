@@ -10,6 +10,7 @@ Checked in tests/integrators/, tests/sensitivity/.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import torch
@@ -21,11 +22,13 @@ from torchmbd.errors import InputError
 from torchmbd.integrators.compiled_rates import RightHandSide, augment
 from torchmbd.integrators.generalized_alpha import initial
 from torchmbd.integrators.history import History
+from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics
 
 FIXED = {"euler", "midpoint", "heun2", "heun3", "rk4", "explicit_adams", "implicit_adams", "fixed_adams"}
 # torchdiffeq's own order of explicit_adams, 12, leaves no stability: at 50 steps, y' = -y ends 35 % off.
 DEFAULTS: dict[str, dict[str, Any]] = {"explicit_adams": {"max_order": 5}}
+FIRST_STEP = 0.01  # of 1 / omega; the steps grow tenfold at most from one to the next
 METHODS = tuple(sorted(name for name in SOLVERS if name != "scipy_solver"))
 
 
@@ -53,7 +56,7 @@ def integrate(
 
     before = dynamics.statistics["evaluations"]
     f = RightHandSide(dynamics)
-    y = flow(f, y0, times, arguments(method, rtol, atol, options))
+    y = flow(f, y0, times, arguments(dynamics, method, rtol, atol, options))
     counts = {"evaluations": dynamics.statistics["evaluations"] - before}
     a, lam = (
         torch.stack(x)
@@ -62,13 +65,33 @@ def integrate(
     return History(y[:, : T.n_q], y[:, T.n_q :], a, lam), counts
 
 
-def arguments(method: str, rtol: float, atol: float, options: dict[str, Any] | None) -> dict[str, Any]:
+def arguments(
+    dynamics: Dynamics, method: str, rtol: float, atol: float, options: dict[str, Any] | None
+) -> dict[str, Any]:
     """Arguments of torchdiffeq.odeint."""
     for name, tolerance in (("rtol", rtol), ("atol", atol)):
         if not isinstance(tolerance, (int, float)) or not 0.0 < tolerance < 1.0:
             raise InputError(f"{name} is {tolerance!r}; allowed: positive, below 1")
     tolerances = {} if method in FIXED else {"rtol": rtol, "atol": atol}
-    return {"method": method, "options": DEFAULTS.get(method, {}) | (options or {})} | tolerances
+    own = DEFAULTS.get(method, {}) if method in FIXED else first_step(dynamics)
+    return {"method": method, "options": own | (options or {})} | tolerances
+
+
+def first_step(dynamics: Dynamics) -> dict[str, float]:
+    """A first step [s] of adaptive methods that the fastest vibration bears; nothing for rigid bodies.
+
+    torchdiffeq judges it from the slopes at the start, where bodies at rest do not vibrate yet. dopri8 may overflow in it.
+    """
+    fastest = fastest_vibration(dynamics)
+    return {"first_step": FIRST_STEP / fastest} if 0.0 < fastest < math.inf else {}
+
+
+def fastest_vibration(dynamics: Dynamics) -> float:
+    """Largest circular frequency [rad/s] of the retained modes of all bodies and designs; 0 for rigid bodies."""
+    if "Kr" not in dynamics.data:
+        return 0.0
+    Kr = value(dynamics.data["Kr"])[:, :, :, 0].permute(2, 3, 0, 1)  # bodies, lanes
+    return float(torch.linalg.eigvalsh(Kr.detach()).max().clamp_min(0.0)) ** 0.5
 
 
 def flow(f: RightHandSide, y0: Tensor, times: Tensor, given: dict[str, Any]) -> Tensor:

@@ -29,7 +29,6 @@ from torchmbd.integrators.signals import Recorded
 from torchmbd.integrators.singular import explained
 from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import OK, Trajectory
-from torchmbd.numerics.pair import value
 from torchmbd.system import Dynamics, System
 
 # A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
@@ -155,9 +154,7 @@ def default_steps(dynamics: Dynamics, duration: float) -> int:
     """Twenty steps per period of the fastest retained mode, at least 200 in all."""
     if "Kr" not in dynamics.data:
         return 1000
-    Kr = value(dynamics.data["Kr"])[:, :, :, 0].permute(2, 3, 0, 1)  # bodies, lanes
-    fastest = float(torch.linalg.eigvalsh(Kr).max()) ** 0.5 / (2.0 * math.pi)
-    return max(200, math.ceil(20.0 * duration * fastest))
+    return max(200, math.ceil(20.0 * duration * ode.fastest_vibration(dynamics) / (2.0 * math.pi)))
 
 
 def run(

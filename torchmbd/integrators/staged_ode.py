@@ -35,7 +35,7 @@ def integrate(
     course: Course, method: str, rtol: float = 1e-7, atol: float = 1e-9, options: dict[str, Any] | None = None
 ) -> dict[str, Any]:
     """Integrate all lanes through all stages; options and statistics as of ode.integrate."""
-    given = arguments(method, rtol, atol, options)
+    given = arguments(course.whole, method, rtol, atol, options)
     before = course.whole.statistics["evaluations"]
     passage = course.start()
     for number in range(len(course.stages)):
