@@ -50,9 +50,14 @@ def compiler() -> str:
     return os.environ.get("CXX", "g++")
 
 
+def wanted() -> bool:
+    """Whether compilation is not switched off."""
+    return os.environ.get("TORCHMBD_COMPILE") != "0"
+
+
 def enabled() -> bool:
     """Whether compilation is wanted and a C++ compiler is there."""
-    if os.environ.get("TORCHMBD_COMPILE") == "0":
+    if not wanted():
         return False
     if shutil.which(compiler()) is None:
         warnings.warn("no C++ compiler: simulations run uncompiled, about ten times slower in batches", stacklevel=2)
@@ -109,13 +114,18 @@ class Native:
 
     def __call__(self) -> ctypes.CDLL | None:
         """The library if it is there and wanted."""
-        if not enabled() or self._failed:
+        if self._loaded is not None:  # asked for in every product: no look at the disk
+            return self._loaded if wanted() else None
+        if self._failed or not enabled():
             return None
-        if self._loaded is None:
-            self._loaded = load(self.path())
-        if self._loaded is None and self._build is None:
-            self._begin()
-        elif self._loaded is None and self._build is not None and self._build.poll():
+        self._loaded = load(self.path())
+        if self._build is None:
+            if self._loaded is None:
+                self._begin()
+        elif self._loaded is not None:
+            self._build.wait()  # it has nothing left to do
+            self._build = None
+        elif self._build.poll():
             self._fail(f"{' '.join(map(str, self._build.args))} failed")  # pyright: ignore[reportArgumentType]
         return self._loaded
 
