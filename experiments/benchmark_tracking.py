@@ -1,6 +1,6 @@
 """What do the experiment layer, its logging and its workers cost? `python -m experiments.benchmark_tracking WHAT ...`
 
-    overhead   a study of some ten seconds (the three-layer rod, 32 starts; `--iterations`) by `torchmbd run`'s own path,
+    overhead   a study of some ten seconds (the three-layer rod; `--starts`, `--iterations`) by `torchmbd run`'s own path,
                beside the same multistart called in Python, both in this process, by turns; the writer and the figures have
                the other core
     fresh      the same, each time in a store that is not there yet
@@ -10,7 +10,8 @@
     start      seconds from `torchmbd run` to the first iteration of the main job on the screen, in a store that is not there
                yet and then in that store
     scaling    128 designs on one Dask worker and on two (nothing else then)
-    workers    the command `torchmbd run` of that study with one worker and with two, from its start to its end
+    workers    the command `torchmbd run` of that study with one worker and with two, from its start to its end; with
+               `--starts 256 --iterations 30` a long one
 
 Wall time on whatever else the machine does.
 """
@@ -56,11 +57,10 @@ minimize: {integral: {strain_energy: rod}}
 subject_to:
   - {max: {strain_energy: rod}, at_most: initial}
 optimizer: {name: mmfd, max_iterations: ITERATIONS}
-starts: {sampler: sobol, count: 32, seed: 7}
+starts: {sampler: sobol, count: COUNT, seed: 7}
 tracking: {experiment: benchmark}
 """
 STARTS, STEPS, EVALUATION = 200, 30, 0.1  # iterations of each start, seconds for one design in a batch
-PAIRS = 5
 
 
 def timed(action: Callable[[], object]) -> tuple[float, float]:
@@ -70,7 +70,7 @@ def timed(action: Callable[[], object]) -> tuple[float, float]:
     return time.perf_counter() - wall, time.process_time() - processor
 
 
-def overhead(file: Path, fresh: bool) -> None:
+def overhead(file: Path, fresh: bool, pairs: int) -> None:
     """The study in Python alone, and through the whole layer; `fresh`: each time in a store of its own."""
     plan = load_study(file)
     problem = problem_of(plan)
@@ -89,7 +89,7 @@ def overhead(file: Path, fresh: bool) -> None:
         place(file.parent / "store")
         run_plan(load_study(file, ["optimizer.max_iterations=1"]), Console(file=io.StringIO()))
     more = []
-    for k in range(PAIRS):
+    for k in range(pairs):
         if fresh:
             place(file.parent / f"store_{k}")
         bare, layered = timed(alone)[0], timed(whole)[0]
@@ -214,8 +214,8 @@ def _quietly(command: list[str], file: Path, environment: dict[str, str]) -> Non
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     what = {
-        "overhead": lambda file: overhead(file, fresh=False),
-        "fresh": lambda file: overhead(file, fresh=True),
+        "overhead": lambda file: overhead(file, False, arguments.pairs),
+        "fresh": lambda file: overhead(file, True, arguments.pairs),
         "logging": lambda file: logging(file, table=False),
         "table": lambda file: logging(file, table=True),
         "start": lambda file: start(),
@@ -223,13 +223,16 @@ def main() -> None:
         "workers": workers,
     }
     parser.add_argument("what", nargs="+", choices=list(what), help="see the top of this file")
-    parser.add_argument("--iterations", type=int, default=12, help="of every start of the study")
+    parser.add_argument("--starts", type=int, default=48, help="of the study")
+    parser.add_argument("--iterations", type=int, default=20, help="of every start of the study, at most")
+    parser.add_argument("--pairs", type=int, default=5, help="of the study in Python and through the layer")
     arguments = parser.parse_args()
     settle()  # as the command line does
     for part in arguments.what:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "study.yaml"
-            file.write_text(STUDY.replace("ITERATIONS", str(arguments.iterations)), encoding="utf-8")
+            text = STUDY.replace("ITERATIONS", str(arguments.iterations)).replace("COUNT", str(arguments.starts))
+            file.write_text(text, encoding="utf-8")
             what[part](file)
 
 

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from torch.func import hessian, jacfwd
 from torch.testing import assert_close
 
 from tests.elements.plate_cases import CARBON, freedoms, mapped, solved, stiffness
@@ -112,14 +113,14 @@ def test_thick_limit_is_the_assumed_shear_with_bilinear_rotations():
 
 
 def test_thin_limit_is_the_discrete_kirchhoff_quadrilateral():
-    """A cubic deflection along x of a rectangle: no shear, and the curvature is its own where the middle is."""
+    """A cubic deflection along x of a rectangle: no shear, and its curvature with the weight of a long cell."""
     corners = torch.tensor([[[-0.5, -0.2], [0.5, -0.2], [0.5, 0.2], [-0.5, 0.2]]], dtype=torch.float64)
     x = corners[0, :, 0]
     u = torch.stack([x**3, -3 * x**2, 0 * x], dim=1).flatten()  # beta = -w,x: kappa_xx = -6 x
     points = gauss(corners)
     kappa, gamma = plate_strains(corners, points, 1e-7, CELL)
     assert (abs(gamma[0] @ u) < 1e-12).all()
-    assert_close(kappa[0, :, 0] @ u, -6 * 1.5**0.5 * points.place[0, :, 0], rtol=1e-9, atol=1e-12)
+    assert_close(kappa[0, :, 0] @ u, -6 * 1.6**0.5 * points.place[0, :, 0], rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.parametrize("width", [0.1, 1.0, 7.0])
@@ -135,6 +136,26 @@ def test_thin_rectangles_know_the_whole_twist_of_a_cubic(width):
     assert (abs(gamma[0] @ u) < 1e-12).all()
     exact = torch.stack([-2 * at[:, 1], 0 * at[:, 0], -4 * at[:, 0]], dim=1)
     assert_close(kappa[0] @ u, exact, rtol=1e-9, atol=1e-10)
+
+
+def test_thin_slanted_cells_know_the_curvature_of_all_cubics():
+    """w = xi^3, xi^2 eta and so on in a rhombus of 40 degrees, whose quadratic parts count once, but for 1 %."""
+    a, b = torch.tensor([0.5, 0.0]).double(), 0.5 * torch.tensor([math.cos(0.7), math.sin(0.7)]).double()
+    corners = torch.stack([-a - b, a - b, a + b, b - a])[None]
+    inverse = torch.linalg.inv(torch.stack([a, b], dim=1))  # natural coordinates of a place
+
+    def w(x, power):
+        xi, eta = inverse @ x
+        return xi**power * eta ** (3 - power)
+
+    points = gauss(corners)
+    for power in range(4):
+        slope, second = jacfwd(lambda x, k=power: w(x, k)), hessian(lambda x, k=power: w(x, k))
+        u = torch.stack([torch.cat([w(x, power)[None], -slope(x)]) for x in corners[0]]).flatten()
+        kappa, gamma = plate_strains(corners, points, 1e-7, CELL)
+        exact = torch.stack([-torch.stack([h[0, 0], h[1, 1], 2 * h[0, 1]]) for h in map(second, points.place[0])])
+        assert (abs(gamma[0] @ u) < 1e-11).all()
+        assert_close(kappa[0] @ u, exact, rtol=0, atol=0.02 * float(exact.abs().max()))
 
 
 @pytest.mark.parametrize(("thickness", "down", "across"), [(0.32, 0.005424, 0.001754), (0.0032, 5256.0, 1294.0)])

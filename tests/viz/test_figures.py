@@ -24,7 +24,8 @@ def test_every_start_is_drawn_and_the_best_on_top():
 
 def test_energies_are_labelled():
     t = np.linspace(0, 0.06, 5)
-    (axes,) = energy_over_time(t, {"start design": t**2, "optimum": t**3}).axes
+    (axes,) = energy_over_time(t, {"start design": t**2, "optimum": t**3}, body="rod").axes
+    assert axes.get_ylabel() == "strain energy of rod [J]"
     assert [text.get_text() for text in axes.get_legend().get_texts()] == ["start design", "optimum"]
     np.testing.assert_array_equal(axes.lines[1].get_ydata(), t**3)
 

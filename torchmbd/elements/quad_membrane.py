@@ -13,8 +13,9 @@ drill    what no stress sees: theta = 1 and theta = (1, -1, 1, -1) without displ
 Rectangles of any laminate bend exactly; one row of isotropic parallelograms or trapezoids of 45 degrees, 5 : 1, within 0.1 %.
 A membrane without drilling freedoms that passes the patch test cannot bend in trapezoids at all (MacNeal, 1987).
 
-softness    r >= 0 of curved shells (triangle.py): the bending of the sides in the mean by 1 / (1 + r), and in forces and drill
-            the rotations are drawn from theta to theta*(u), where they cost nothing, by 1 - 1 / sqrt(1 + 100 r)
+softness    r >= 0 of curved shells (triangle.py): the bending of the sides in the mean by 1 / (1 + r / 10), and in forces and
+            drill the rotations are drawn from theta to theta*(u), where they cost nothing, by 1 - 1 / sqrt(1 + 70 r). Less in
+            the mean locks hemispheres, more pinched cylinders; more of the other bends the roof too much
 
 Assumed: nu of the laminate's isotropic mean in drill and theta*; small strains. Rank 9, exact rigid-body motion.
 Source: sides that bend as parabolas: D. J. Allman, Comput. Struct. 19 (1984) 1-8; stresses that work on them: M. A. Aminpour,
@@ -31,13 +32,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.elements.inner_forces import CellForces, InnerForces, unit_laws, varying
-from torchmbd.elements.opt_membrane import HIGHER_SOFTNESS
 from torchmbd.elements.quad_shape import Bilinear, middle
 from torchmbd.elements.quad_states import bending, displacements, side_work, stresses
 from torchmbd.elements.sides import mean_strain
 
 #: Strains per unit of theta = 1 and of theta = (1, -1, 1, -1) in a square.
 DRILL = (0.65, 0.15)
+#: Of the mean and of the rest, per unit of r.
+MEAN_SOFTNESS, HIGHER_SOFTNESS = 0.1, 70.0
 
 _THETA, _PLANE = [2, 5, 8, 11], [0, 1, 3, 4, 6, 7, 9, 10]
 
@@ -74,7 +76,7 @@ def membrane(
         torch.zeros(len(x), 3, 3, 12, dtype=x.dtype),
     )
     soft = _softened(forces, drill, flexible, softness)
-    mean = mean_strain(corners, area, (1.0 / (1.0 + softness))[:, None].expand(-1, 4))
+    mean = mean_strain(corners, area, (1.0 / (1.0 + MEAN_SOFTNESS * softness))[:, None].expand(-1, 4))
     return Membrane(mean, drill @ soft[:, None], forces._replace(work=forces.work @ soft))
 
 

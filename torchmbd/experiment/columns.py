@@ -1,7 +1,10 @@
 """The design vector as people read it: short names, values in the unit of the file.
 
 rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg where two parameters would share the name)
+spring.stiffness[0]          ->  stiffness           a parameter that is one number has no others to be told from
 bound                        ->  bound               the extra variable of a min-max problem, the last
+
+Checked in tests/experiment/test_columns.py.
 """
 
 from __future__ import annotations
@@ -38,7 +41,8 @@ class Columns:
             suffix = "" if variable.unit == "none" else f"_{variable.unit}"
             for i in range(own[parameter].numel()):
                 labels.append(f"{parameter}[{i}]")
-                names.append(f"{word}_{i + 1}{suffix}")
+                number = f"_{i + 1}" if own[parameter].ndim else ""
+                names.append(f"{word}{number}{suffix}")
                 units.append(variable.unit)
         if rows > 1:
             labels, names, units = [*labels, BOUND], [*names, BOUND], [*units, "none"]

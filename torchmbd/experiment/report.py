@@ -113,7 +113,8 @@ def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal:
             continue
         energy = motion.body(body.name).strain_energy.numpy()
         files = [journal.folder / f"energy_{body.name}.{ending}" for ending in ("png", "pdf")]
-        STUDIO.draw("energy_over_time", files, t=t, energies=dict(zip(labels, energy, strict=True)))
+        energies = dict(zip(labels, energy, strict=True))
+        STUDIO.draw("energy_over_time", files, t=t, energies=energies, body=body.name)
     for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
         path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{plan.name}: {label}")
         journal.file(path)

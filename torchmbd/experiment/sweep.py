@@ -78,7 +78,9 @@ def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation,
 
 def _criteria(plan: Plan, problem: Problem, first: Evaluation, evaluations: list[Evaluation]) -> dict[str, list[float]]:
     """Return the objective, and the constrained responses, each divided by its value at the start design."""
-    name = words(plan.study.minimize, bodies=False)
+    specs = [plan.study.minimize, *(given.measure for given in plan.study.subject_to)]
+    bodies = len({words(spec).removeprefix(words(spec, bodies=False)) for spec in specs}) > 1  # they need their names
+    name = words(plan.study.minimize, bodies)
     result = {name: [e.objective / first.objective if e.status == "ok" else math.nan for e in evaluations]}
     row = 0
     for given, constraint in zip(plan.study.subject_to, problem.constraints, strict=True):
@@ -86,7 +88,7 @@ def _criteria(plan: Plan, problem: Problem, first: Evaluation, evaluations: list
         scale, limit = problem.reference.scale[here], problem.limits[here]  # a constraint is (response - limit) / scale
         # the largest of the rows; nan where it failed
         responses = [float((e.constraints[here] * scale + limit).max()) for e in (first, *evaluations)]
-        result.setdefault(words(given.measure, bodies=False), [response / responses[0] for response in responses[1:]])
+        result.setdefault(words(given.measure, bodies), [response / responses[0] for response in responses[1:]])
     return result
 
 

@@ -8,7 +8,8 @@ on the starts alone, in their order, never on timing; the problem, the callback 
 caller's thread.
 
 A problem that evaluates several batches at once, on workers (batch.py), gets as many groups of starts, dealt out in turn: while
-the optimizers of one group think, the batches of the others are under way, and no worker waits for another.
+the optimizers of one group think, the batches of the others are under way, and no worker waits for another. What is in a
+batch still depends on the starts alone, and on the number of groups.
 
 A thread here only waits or does small arithmetic between two simulations: parallel computation is the problem's affair.
 Checked in tests/optimizers/test_lockstep.py.
@@ -168,8 +169,7 @@ class Lockstep:
 
     def _begin(self, group: Group) -> None:
         if group.parts:
-            among = sum(bool(other.live or other.to_come) for other in self._groups)
-            group.batch = begin(self.problem, *group.parts[0], among)
+            group.batch = begin(self.problem, *group.parts[0], len(self._groups))
             group.batch.notify(partial(self._ready.put, group))
 
     def _take(self, group: Group, batch: Batch) -> None:

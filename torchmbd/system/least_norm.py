@@ -81,7 +81,7 @@ class LeastNorm:
         U, s, Vh = torch.linalg.svd(J.nan_to_num(0.0, 0.0, 0.0), full_matrices=False)  # nan: a lane that failed
         kept = s > _APART * s[:, :1]
         kept[:, : self.rank] |= s[:, : self.rank] > 0.0
-        U = U * kept[:, None]
+        U = U * kept[:, None] * self.acting[:, None]  # rounding put something into rows that do not act
         return (Vh.mT * torch.where(kept, 1.0 / s, 0.0)[:, None]) @ U.mT, U @ U.mT
 
 

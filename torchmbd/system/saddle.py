@@ -295,13 +295,13 @@ class Saddle:
             bending = h[:, :f] + matvec(S1, wdd) + 2.0 * matvec(spin_f, matvec(S1, wd))
             h = torch.cat([bending, h[:, f:]], 1) if f < T.bodies else bending
             blocks["pull"] = blocks["pull"] + factor * matmul(A[:, :, :f], matmul(Z_f, S1))
-            moved, slow, fast = ((C1 * x[:, None]).sum(2) for x in (at.w, wd, wdd))  # [3, 3, modes, flexible]
-            dP = data["C0"].transpose(0, 1) + G + moved
+            slow, fast = ((C1 * x[:, None]).sum(2) for x in (wd, wdd))  # [3, 3, modes, flexible]
+            dP = G + G.transpose(0, 1)  # C1_ijab = C1_jiba
             turned = _times(Z_f, dP) + fast + 2.0 * _times(spin_f, slow)
             pulled = matmul(skew(u_f), S1)
             blocks["twist"] = blocks["twist"] + factor * (axial(turned) - pulled)
             blocks["twist_back"] = blocks["twist_back"] - factor * pulled
-            blocks["modal"] = blocks["modal"] + factor * (Z_f[:, :, None, None] * C1).sum((0, 1))
+            blocks["modal"] = blocks["modal"] + factor * (Z_f[:, :, None, None] * C1).flatten(0, 1).sum(0)
         blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(h))
         blocks["inertia"] = blocks["inertia"] + factor * matmul(skew(S), skew(u))
 

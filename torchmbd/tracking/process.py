@@ -2,6 +2,7 @@
 
     study                                           writer (writer.py)
     ProcessTracker.metrics(...) -> journal on disk -> MlflowTracker.metrics(...)
+    the last child has ended    -> a line in its pipe  what it has saved up
     ProcessTracker.close()      -> end of its pipe -> MlflowTracker.close() -> JSON line: Record
 
 The journal (spool.py) is the truth, the store a copy of it that may lag behind: a server that is away for minutes is
@@ -14,6 +15,7 @@ migrates the store beside the study's own start.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import tempfile
@@ -51,7 +53,7 @@ class ProcessTracker:
             raise MbdError(f"the same study is running in another process (its folder is {self.folder})")
         self._journal = Journal(self.folder, ["session", experiment, self.uri, study or uuid.uuid4().hex])
         self._log = tempfile.TemporaryFile("w+")  # noqa: SIM115 - read when a writer fails, closed in close()
-        self._writers = 0
+        self._writers = self._open = 0
         self._process = self._start()
 
     def _start(self) -> subprocess.Popen[str]:
@@ -80,6 +82,7 @@ class ProcessTracker:
         params: Mapping[str, object] | None = None,
         tags: Mapping[str, str] | None = None,
     ) -> None:
+        self._open += 1
         self._send("begin", run, name, parent, {key: str(value) for key, value in (params or {}).items()}, tags or {})
 
     def metrics(self, run: str, values: Mapping[str, float], step: int = 0) -> None:
@@ -95,7 +98,17 @@ class ProcessTracker:
         self._send("view", run, list(columns), order_by)
 
     def end(self, run: str, status: Status) -> None:
+        self._open -= 1
         self._send("end", run, status)
+        if self._open <= 1:  # the root only: the study draws its pictures
+            self._hasten()
+
+    def _hasten(self) -> None:
+        """Tell the writer that soon somebody will wait for it."""
+        assert self._process.stdin is not None
+        with contextlib.suppress(BrokenPipeError):  # it died: the next one has all to do
+            self._process.stdin.write("\n")
+            self._process.stdin.flush()
 
     def close(self) -> Record:
         """Wait until everything is in the store; TrackingError says what is not, and where it waits."""

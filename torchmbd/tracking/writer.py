@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 PATIENCE = float(os.environ.get("TORCHMBD_PATIENCE", "15"))  # seconds for a store that is away when the study is over
 _POLL, _PAUSE = 0.1, (0.5, 1.0, 2.0, 5.0, 10.0)  # seconds
-_REST, _SHARE = 3.0, 0.1  # seconds between two batches at least; of a core at most while the study lives
+_REST, _SHARE = 1.0, 0.1  # seconds between two batches at least; of a core at most while the study computes
 
 
 class Away(Exception):
@@ -56,6 +56,7 @@ class Writer:
     folder: Path
     file: Path
     over: Callable[[], bool]  # whether the study is
+    hasty: Callable[[], bool] = lambda: False  # whether somebody will wait soon: no more rest
     patience: float = PATIENCE
     tracker: MlflowTracker | None = None
     sent: Sent = field(default_factory=Sent)
@@ -73,7 +74,9 @@ class Writer:
         rested = 0.0
         while True:
             over = self.over()  # asked before the lines are read: what comes later is nothing
-            lines = read_lines(self.file, self.sent.offset) if over or time.monotonic() >= rested else []
+            lines = (
+                read_lines(self.file, self.sent.offset) if over or self.hasty() or time.monotonic() >= rested else []
+            )
             if lines:
                 spent = time.process_time()
                 failure = self._insist(lambda lines=lines: self._send(lines))
@@ -214,7 +217,9 @@ def deliver(folder: Path, patience: float = PATIENCE) -> str | None:
                 return None  # it lives, and has a writer of its own
             if not held.enter_context(locked(folder, "writer.lock", wait=False)) or not file.exists():
                 return None
-        word = Writer(folder, file, lambda: True, patience).run()  # the study may go on meanwhile: its writer waits
+        word = Writer(
+            folder, file, lambda: True, patience=patience
+        ).run()  # the study may go on meanwhile: its writer waits
         with locked(folder, "study.lock", wait=False) as over:
             if over and word.get("finished"):
                 (empty if word["runs"] else clear)(folder)
@@ -233,12 +238,19 @@ def main(folder: str, mode: str = "") -> int:
         return len(waiting)
     file = last_session(place)
     assert file is not None
-    ended = threading.Event()
-    threading.Thread(target=lambda: (sys.stdin.read(), ended.set(), come_forward()), daemon=True).start()
+    ended, hasty = threading.Event(), threading.Event()
+
+    def listen() -> None:
+        for _ in sys.stdin:
+            hasty.set()
+        ended.set()
+        come_forward()
+
+    threading.Thread(target=listen, daemon=True).start()
     give_way()
     importlib.import_module("mlflow")  # 3 seconds, while the study begins
     with locked(place, "writer.lock"):  # the writer of a study that was killed may still be at work
-        word = Writer(place, file, ended.is_set).run()
+        word = Writer(place, file, ended.is_set, hasty.is_set).run()
     print(json.dumps(word))
     return 0
 

@@ -53,13 +53,13 @@ def convergence(
     return figure
 
 
-def energy_over_time(t: Numbers, energies: Mapping[str, Numbers]) -> Figure:
-    """Deformation energy of several designs of one motion (Fig. 9). t [s], energies [J] by the name of the design."""
+def energy_over_time(t: Numbers, energies: Mapping[str, Numbers], body: str = "") -> Figure:
+    """Deformation energy of a body in several designs of one motion (Fig. 9). t [s], energies [J] by the design's name."""
     figure, (axes,) = figure_of(3.4)
     for (label, energy), color in zip(energies.items(), CYCLE * len(energies), strict=False):
         axes.plot(t, energy, color=color, lw=1.3, label=label)
     axes.set_xlabel("time [s]")
-    axes.set_ylabel("strain energy [J]")
+    axes.set_ylabel(f"strain energy of {body} [J]" if body else "strain energy [J]")
     axes.set_xlim(float(t[0]), float(t[-1]))
     axes.set_ylim(bottom=0.0)
     axes.legend(frameon=False)
