@@ -64,9 +64,12 @@ class DesignSpace:
         self.lower, self.upper = self._bounds(bounds)
         for name, low, x, high in zip(self.names, self.lower, self.start, self.upper, strict=True):
             if not low <= high:
-                raise InputError(f"bounds of {name} are {float(low)} and {float(high)}; allowed: lower below upper, or the same")
+                given = f"{float(low)} and {float(high)}"
+                raise InputError(f"bounds of {name} are {given}; allowed: lower below upper, or the same")
             if not low <= x <= high:
-                raise InputError(f"start of {name} is {float(x)}; allowed: within its bounds, {float(low)} to {float(high)}")
+                raise InputError(
+                    f"start of {name} is {float(x)}; allowed: within its bounds, {float(low)} to {float(high)}"
+                )
 
     @property
     def period(self) -> np.ndarray:
