@@ -11,7 +11,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.numerics.pair import Pair, value
+from torchmbd.integrators.code import distinct
+from torchmbd.numerics.pair import Pair, linear, value
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed, Topology
 
@@ -43,12 +44,12 @@ def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
 
 
 def data_blocks(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
-    """Data in the order of their names: values [block, 1, n, 8] and tangents [block, n_b, n, 8].
+    """Distinct data in the order of their names: values [block, 1, n, 8] and tangents [block, n_b, n, 8].
 
     Behind them room for what laws with design variables prescribe, `moving_blocks`.
     """
     lanes, slots = dynamics.lanes, dynamics.tangents
-    parts = [dynamics.data[name] for name in sorted(dynamics.data)]
+    parts = [_distinct(name, dynamics.data[name]) for name in sorted(dynamics.data)]
     T = dynamics.topology
     moving = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
     parts.append(torch.zeros(moving, 1, 1, dtype=torch.float64))
@@ -60,6 +61,13 @@ def data_blocks(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
         return x.new_zeros(x.shape[:-2].numel(), slots, lanes)
 
     return blocks(values), blocks(torch.cat([tangents(x) for x in parts]))
+
+
+def _distinct(name: str, x: Any) -> Any:
+    """The numbers of a datum that are taken [n, slots, lanes]."""
+    taken, index, _ = distinct(name, tuple(x.shape[:-2]))
+    flat = linear(lambda y: y.reshape(-1, *y.shape[-2:]), x)
+    return flat if len(taken) == len(index) else flat.index_select(0, torch.from_numpy(taken))
 
 
 def moving_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, slots: int) -> Tensor:

@@ -11,7 +11,9 @@ Checked in tests/integrators/test_compiled.py.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,6 +49,23 @@ class Layout(NamedTuple):
         names, varied = sorted(data), [T.primitives[i] for i in T.varied]
         shapes = [tuple(data[name].shape[:-2]) for name in names] + [(p.driven, len(p.data)) for p in varied]
         return cls((*names, *(moving(i) for i in T.varied)), tuple(shapes))
+
+
+# Data that hold every number twice: which axes change places, and the sign. [3, 3, m, m, f], [3, m, m, f], [m, m, f].
+_TWICE = {"C1": ((1, 0, 3, 2, 4), 1), "H": ((0, 2, 1, 3), -1), "Kr": ((1, 0, 2), 1)}
+
+
+@cache
+def distinct(name: str, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places of the numbers that are taken of a datum, flat; for each of its entries which of them it is, and the sign."""
+    places = np.arange(math.prod(shape))
+    if name not in _TWICE:
+        return places, places, np.ones(len(places), dtype=int)
+    axes, sign = _TWICE[name]
+    mirrored = places.reshape(shape).transpose(axes).ravel()
+    taken, index = np.unique(np.minimum(places, mirrored), return_inverse=True)
+    signs = np.where(mirrored < places, sign, 1)
+    return taken, index, np.where(mirrored == places, max(sign, 0), signs)
 
 
 def moving(kind: int) -> str:
@@ -156,10 +175,27 @@ class _Writer:
         inputs, n = self.tape.inputs, len(layout.names)
         self.counts = [1, 1, len(state), len(state), n, n, len(uniform)]
         parts = [(k, 1, 1) for k in state]
-        data = [(*s, 1, 1) for s in layout.shapes]
         self.flat = [inputs(name, T.n_v + T.rows, 1, 1) for name in ("z", "dz")]
-        for name, shapes in (("x", parts), ("dx", parts), ("d", data), ("dd", data), ("u", uniform)):
+        for name, shapes in (("x", parts), ("dx", parts)):
             self.flat += _cut(inputs(name, sum(_size(s) for s in shapes)), shapes)
+        self.flat += self._data("d") + self._data("dd")
+        self.flat += _cut(inputs("u", sum(_size(s) for s in uniform)), uniform)
+
+    def _data(self, array: str) -> list[np.ndarray]:
+        """Numbers of the data, or of their tangents; of those that hold every number twice one half stands for both."""
+        found, start = [], 0
+        for name, shape in zip(self.layout.names, self.layout.shapes, strict=True):
+            taken, index, signs = distinct(name, shape)
+            numbers = self.tape.inputs(array, len(taken), start=start)
+            start += len(taken)
+            signed = {
+                1: numbers,
+                -1: np.array([self.tape.call("neg", int(x)) for x in numbers] if -1 in signs else numbers),
+                0: np.full_like(numbers, self.tape.zero),
+            }
+            flat = [signed[sign][i] for i, sign in zip(index.tolist(), signs.tolist(), strict=True)]
+            found.append(np.array(flat, dtype=np.int64).reshape(*shape, 1, 1))
+        return found
 
     def traced(self, f: Callable[..., Any]) -> list[int]:
         """f of numbers z, dz, a list of pairs (the state), the data by name, and an iterator of what all lanes share."""

@@ -149,7 +149,11 @@ def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Pat
     with tempfile.TemporaryDirectory(dir=cache_folder()) as work:
         text, made = Path(work) / "code.cpp", Path(work) / "code.so"
         text.write_text(source(T, layout, kind, sample))
-        done = subprocess.run([compiler(), "-O1", *OPTIONS, "-o", str(made), str(text)], capture_output=True, text=True)
+        done = subprocess.run(
+            [compiler(), "-O1", "-fexpensive-optimizations", *OPTIONS, "-o", str(made), str(text)],
+            capture_output=True,
+            text=True,
+        )
         if done.returncode:
             raise MbdError(f"{compiler()} failed on the {kind} of {', '.join(T.names)}: {done.stderr[-2000:]}")
         return made.replace(cache_folder() / f"{name}{SUFFIX}")

@@ -25,7 +25,7 @@ from pathlib import Path
 import torch
 
 SUFFIX = ".so"
-OPTIONS = ("-std=c++17", "-march=native", "-fno-math-errno", "-shared", "-fPIC")
+OPTIONS = ("-std=c++17", "-march=native", "-fno-math-errno", "-ffp-contract=fast", "-shared", "-fPIC")
 PACKAGE = Path(__file__).parent.parent
 
 

@@ -69,10 +69,10 @@ class Tape:
         """A number."""
         return self._node("constant", float(x) + 0.0)  # +0.0: there is one zero
 
-    def inputs(self, array: str, *shape: int) -> np.ndarray:
-        """All elements of an input array, in row-major order."""
-        count = math.prod(shape)
-        return np.array([self._node("input", array, i) for i in range(count)], dtype=np.int64).reshape(shape)
+    def inputs(self, array: str, *shape: int, start: int = 0) -> np.ndarray:
+        """Elements of an input array from `start` on, in row-major order."""
+        places = range(start, start + math.prod(shape))
+        return np.array([self._node("input", array, i) for i in places], dtype=np.int64).reshape(shape)
 
     def is_constant(self, a: int) -> bool:
         """Whether a number does not depend on inputs."""
