@@ -126,6 +126,14 @@ def test_bad_input_is_refused_at_the_door(given, words):
         assert word in str(error.value)
 
 
+def test_bounds_may_hold_a_variable():
+    start = float(problem().start[1])
+    asked = problem(bounds=([-1.0, start], [1.0, start]), subject_to=())
+    result = mbd.optimize(asked, "slsqp", max_iterations=2)
+    assert result.status in ("converged", "max_iterations")
+    assert result.x[1] == start != result.x[0]
+
+
 def test_a_single_constraint_needs_no_list():
     limit = mbd.Max(ENERGY) <= 1.0
     assert problem(subject_to=limit).constraints == [limit]

@@ -7,6 +7,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+import torch
 
 from tests.optimizers.analytic import Analytic
 from tests.optimizers.structures import three_bar_truss
@@ -149,6 +150,13 @@ def test_angles_are_neighbors_across_their_ends():
     assert result.best.x[0] == 80.0
     assert {60.0, 70.0, -80.0} < {c.x[0] for c in result.candidates}
     assert result.certificate.neighbors == 4
+
+
+def test_an_increment_may_be_a_tensor():
+    """As `mbd.deg(5)` is."""
+    problem = valley()
+    one, other = (Grid(problem, x, problem.lower, problem.upper, None).values for x in (2.0, torch.tensor(2.0)))
+    assert all(np.array_equal(a, b) for a, b in zip(one, other, strict=True))
 
 
 def test_values_inside_the_bounds_only():

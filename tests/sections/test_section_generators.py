@@ -102,6 +102,8 @@ def test_a_tube_knows_no_direction():
         (lambda: sections.rectangle(0.0, 0.1, AS4), ["width is 0.0 m"]),
         (lambda: sections.rectangle(0.1, 0.1, AS4, cells=(2.0, 2)), ["cells = (2.0, 2)", "2 integers"]),  # pyright: ignore[reportArgumentType]
         (lambda: sections.rectangle(0.1, 0.1, AS4, order=3), ["order = 3"]),
+        (lambda: sections.rectangle(0.1, 0.1, [0.1], AS4), ["angles is", "one angle per ply"]),  # pyright: ignore
+        (lambda: sections.box(0.1, 0.1, [0.1], AS4, 0.01), ["angles is", "one angle per ply"]),  # pyright: ignore
         (lambda: sections.strip(0.1, AS4, [0.1, 0.2], [1e-3]), ["1 thicknesses for 2 plies"]),
         (lambda: sections.strip(0.1, AS4, [0.1], -1e-3), ["thickness = -0.001"]),
         (lambda: sections.box(0.1, 0.02, AS4, [0.1], 0.01), ["walls of 0.01 m", "less than half"]),

@@ -63,10 +63,13 @@ class DesignSpace:
         self.start = self._vector("start", given if start is None else start)
         self.lower, self.upper = self._bounds(bounds)
         for name, low, x, high in zip(self.names, self.lower, self.start, self.upper, strict=True):
-            if not low < high:
-                raise InputError(f"bounds of {name} are {low!r} and {high!r}; allowed: lower below upper")
+            if not low <= high:
+                given = f"{float(low)} and {float(high)}"
+                raise InputError(f"bounds of {name} are {given}; allowed: lower below upper, or the same")
             if not low <= x <= high:
-                raise InputError(f"start of {name} is {x!r}; allowed: within its bounds, {low!r} to {high!r}")
+                raise InputError(
+                    f"start of {name} is {float(x)}; allowed: within its bounds, {float(low)} to {float(high)}"
+                )
 
     @property
     def period(self) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ class Grid:
     ) -> None:
         self.admits = admits
         names = list(problem.names)
-        entries = [allowed] * len(names) if allowed is None or np.isscalar(allowed) else list(allowed)  # type: ignore[arg-type]
+        entries = [allowed] * len(names) if allowed is None or _single(allowed) else list(allowed)  # type: ignore[arg-type]
         if len(entries) != len(names):
             raise InputError(f"allowed has {len(entries)} entries for {len(names)} variables ({', '.join(names)})")
         self.values = [_values(*row) for row in zip(names, entries, lower, upper, strict=True)]  # type: ignore[arg-type]
@@ -122,7 +123,7 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
     """Return the ascending values of one variable inside its bounds."""
     if entry is None:
         return None
-    if np.isscalar(entry):
+    if _single(entry):
         increment = float(entry)  # type: ignore[arg-type]
         if not (increment > 0.0 and np.isfinite(high - low)):
             raise InputError(
@@ -137,6 +138,11 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
     if not values.size or not np.isfinite(values).all():
         raise InputError(f"allowed of {name}: no value lies in its bounds [{low:g}, {high:g}]")
     return np.clip(values, low, high) + 0.0
+
+
+def _single(given: Any) -> bool:
+    """Whether this is one number, a tensor of one, such as mbd.deg(5), included."""
+    return np.isscalar(given) or getattr(given, "ndim", None) == 0
 
 
 def _fills(values: np.ndarray, period: float) -> bool:

@@ -83,7 +83,7 @@ def multistart(
 ) -> Study:
     """Minimize `problem` from every start; the starts' simulations are evaluated together.
 
-    `starts`: `sobol(...)`, `latin_hypercube(...)`, `given(...)` or a list of designs; default the problem's own
+    `starts`: `sobol(...)`, `latin_hypercube(...)` or a list of designs; default the problem's own
     start. `max_lanes`: designs under evaluation at most. Variables are scaled by the problem's start for all starts
     alike. `minima_left`: begin no further start once the estimated number of unknown minima is below it.
     `problem.period` [n], where present, says which variables are angles. `ended` hears of every result as it comes. The

@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -56,8 +57,8 @@ def rectangle(
     """Width along y, height along z, shared equally by the plies; cells over the whole width and height."""
     _positive(width=width, height=height)
     _check_cells(cells, 2, order)
-    each = max(1, round(cells[1] / len(angles)))
-    return _stack(line(-width / 2, width / 2, cells[0], order), ply, angles, height / len(angles), each, order)
+    each = max(1, round(cells[1] / _layers(angles)))
+    return _stack(line(-width / 2, width / 2, cells[0], order), ply, angles, height / _layers(angles), each, order)
 
 
 def box(
@@ -79,7 +80,7 @@ def box(
     _positive(width=width, height=height)
     _check_cells(cells, 3, order)
     walls = _walls(angles)
-    layers = len(walls["top"])
+    layers = _layers(walls["top"])
     t = _thicknesses(thickness, layers)
     if not 2 * t.sum() < min(width, height):
         raise InputError(f"box: walls of {t.sum():g} m in {width:g} m x {height:g} m; allowed: less than half of both")
@@ -112,7 +113,7 @@ def tube(
     """A hollow circle of this outer radius; plies from inside to outside; cells around and through each ply."""
     _positive(radius=radius)
     _check_cells(cells, 2, order)
-    t = _thicknesses(thickness, len(angles))
+    t = _thicknesses(thickness, _layers(angles))
     if not t.sum() < radius:
         raise InputError(f"tube: thickness {t.sum():g} m of radius {radius:g} m; allowed: less than the radius")
     radii = radius - t.sum() + np.concatenate([[0.0], np.cumsum(t)])
@@ -166,7 +167,7 @@ def i_section(
     _check_cells(cells, 3, order)
     names = ("top", "web", "bottom")
     _check_names(angles, names)
-    layers = len(angles["top"])
+    layers = _layers(angles["top"])
     t = _thicknesses(thickness, layers)
     if not (2 * t.sum() < height and t.sum() < width):
         raise InputError(f"i_section: walls of {t.sum():g} m do not fit into {width:g} m x {height:g} m")
@@ -189,7 +190,7 @@ def _stack(
     y: np.ndarray, ply: Plies, angles: Angles, thickness: float | Sequence[float] | Tensor, each: int, order: int
 ) -> Section:
     """Plies across the places y, each of so many elements through its thickness."""
-    t = _thicknesses(thickness, len(angles))
+    t = _thicknesses(thickness, _layers(angles))
     faces = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2
     patches = [Patch(grid(y, line(a, b, each, order)), layer) for layer, (a, b) in enumerate(pairwise(faces))]
     return Section(joined(patches, order), ply, angles)
@@ -209,13 +210,20 @@ def _walls(angles: Angles | Mapping[str, Angles]) -> Mapping[str, Angles]:
     return angles
 
 
+def _layers(angles: Any) -> int:
+    """How many plies there are; InputError for what is no list of angles."""
+    if isinstance(angles, str) or not hasattr(angles, "__len__") or getattr(angles, "ndim", 1) != 1:
+        raise InputError(f"angles is {angles!r}; allowed: one angle per ply, such as mbd.deg([45, -45]) [rad]")
+    return len(angles)
+
+
 def _check_names(angles: Mapping[str, Angles], names: Sequence[str]) -> None:
     if not isinstance(angles, Mapping):
         raise InputError(f"angles is {angles!r}; allowed: a mapping with {', '.join(names)}")
     for name in angles:
         if name not in names:
             raise unknown("wall", name, names)
-    counts = {name: len(angles[name]) if name in angles else 0 for name in names}
+    counts = {name: _layers(angles[name]) if name in angles else 0 for name in names}
     if len(set(counts.values())) > 1 or 0 in counts.values():
         raise InputError(f"angles give {counts} plies; allowed: as many plies in {', '.join(names)}")
 
