@@ -17,7 +17,7 @@ from torchmbd.integrators.history import History, Record
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics, regularized
-from torchmbd.system.elimination import Elimination, inverse, pays
+from torchmbd.system.elimination import Eliminated, Elimination, inverse, pays
 from torchmbd.system.topology import Prescribed
 
 CHECK = 25  # steps between two looks at what the correction of tangents leaves
@@ -73,7 +73,7 @@ class March:
             dz, _ = step.tangent(self.H, z, dz)
         return step.finish(z, dz)
 
-    def _inverse(self, step: Any, z: Tensor) -> Tensor:
+    def _inverse(self, step: Any, z: Tensor) -> Tensor | Eliminated:
         return self.invert(regularized(step.matrix(z), self.diagonal))
 
     def _values(self, step: Any, z: Tensor, renew: bool) -> Tensor:

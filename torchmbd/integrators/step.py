@@ -25,6 +25,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.numerics.pair import Pair, cat, combine, reciprocal, value
 from torchmbd.system import equations
+from torchmbd.system.elimination import Eliminated
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Prescribed, Topology
 
@@ -157,7 +158,7 @@ class Step:
             return m.T, m.w, self.x.q, self._known, self.given, m.data
         return m.T, m.plain, value(self.x.q), self._known_values, self._given_values, m.values
 
-    def correct(self, H: Tensor, z: Tensor) -> tuple[Tensor, Tensor]:
+    def correct(self, H: Tensor | Eliminated, z: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected unknowns, and the size of the correction of the accelerations [lanes]."""
         correction = apply(H, self.residual(z))
         return z - correction, self._size(correction)[0]
@@ -171,7 +172,7 @@ class Step:
         turn, v = equations.split_v(T, step)[1], combine(known.v, w.rate, vd)
         return self.model.saddle.matrix(data, at, w.scale, w.rate, v, vd, lam, turn)
 
-    def tangent(self, H: Tensor, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
+    def tangent(self, H: Tensor | Eliminated, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
         """Corrected design tangents [n, n_b, lanes] of the unknowns, and the size of their correction [n_b, lanes]."""
         R = self.residual(Pair.of(z, dz)).tangent
         correction = apply(H, R)
@@ -202,7 +203,7 @@ class Model:
         return Step(self, x, given)
 
 
-def apply(H: Tensor, R: Tensor) -> Tensor:
+def apply(H: Tensor | Eliminated, R: Tensor) -> Tensor:
     """Multiply right-hand sides [n, slots, lanes] by matrices [lanes, n, n]."""
     # In its own order torch multiplies lane by lane: many times slower.
-    return torch.bmm(H, R.permute(2, 0, 1).contiguous()).permute(1, 2, 0)
+    return (H @ R.permute(2, 0, 1).contiguous()).permute(1, 2, 0)

@@ -11,6 +11,8 @@ Checked in tests/system/test_elimination.py: against the dense inverse.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor
 
@@ -35,26 +37,50 @@ class Elimination:
                 by_size.setdefault(len(rows), []).append(rows)
         self.groups = [torch.tensor(rows, dtype=torch.long) for rows in by_size.values()]  # [bodies, rates of each]
 
-    def __call__(self, A: Tensor) -> Tensor:
+    def __call__(self, A: Tensor) -> Eliminated:
         """Inverses of matrices [lanes, n, n]; a lane whose matrix is singular becomes nan, alone."""
         n = self.n_v
         B, C, E = A[:, :n, n:], A[:, n:, :n], A[:, n:, n:]
-        X = torch.zeros_like(A[:, :n, :n])
-        XB, CX = torch.empty_like(B), torch.empty_like(C)
+        X, XB, CX = [], torch.empty_like(B), torch.empty_like(C)
         singular = torch.zeros(len(A), dtype=torch.bool, device=A.device)
         for rows in self.groups:
-            at = rows[:, :, None], rows[:, None, :]
-            x, info = torch.linalg.inv_ex(A[:, at[0], at[1]])
+            x, info = torch.linalg.inv_ex(A[:, rows[:, :, None], rows[:, None, :]])
             singular |= (info != 0).any(1)
-            X[:, at[0], at[1]] = x
+            X.append(x)
             XB[:, rows] = x @ B[:, rows]
             CX[:, :, rows] = (C[:, :, rows].permute(0, 2, 1, 3) @ x).permute(0, 2, 1, 3)
-        Y = inverse(C @ XB - E)
-        XBY = XB @ Y
-        H = torch.cat([torch.cat([X - XBY @ CX, XBY], 2), torch.cat([Y @ CX, -Y], 2)], 1)
-        if bool(singular.any()):
-            H[singular] = inverse(A[singular])
-        return H
+        lanes = singular.nonzero()[:, 0]
+        return Eliminated(self.groups, X, XB, CX, inverse(C @ XB - E), lanes, inverse(A[lanes]))
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Inverses in parts, to be multiplied: formed, they would cost more than all their parts.
+
+    X      of each group of bodies [lanes, bodies, k, k]
+    lanes  those that went the dense way, `dense` their inverses
+    """
+
+    groups: list[Tensor]
+    X: list[Tensor]
+    XB: Tensor
+    CX: Tensor
+    Y: Tensor
+    lanes: Tensor
+    dense: Tensor
+
+    def __matmul__(self, b: Tensor) -> Tensor:
+        """The inverses times columns [lanes, n, k]."""
+        n = self.XB.shape[1]
+        top, bottom = b[:, :n], b[:, n:]
+        below = self.Y @ (self.CX @ top - bottom)
+        above = torch.empty_like(top)
+        for rows, X in zip(self.groups, self.X, strict=True):
+            above[:, rows] = X @ top[:, rows]
+        found = torch.cat([above - self.XB @ below, below], 1)
+        if len(self.lanes):
+            found[self.lanes] = self.dense @ b[self.lanes]
+        return found
 
 
 def inverse(K: Tensor) -> Tensor:
