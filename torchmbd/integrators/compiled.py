@@ -89,7 +89,7 @@ class CompiledMarch(March):
     def _some(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, place: int) -> bool:
         """Steps between two looks; False if the factors cannot be relied on, and nothing is done."""
         sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
-        errors = torch.empty(2, self.slots, self.lanes, dtype=torch.float64)
+        errors = torch.empty(3, self.slots, self.lanes, dtype=torch.float64)
         look = int(first % CHECK == 0)
         numbers = (self.lanes, self.slots, self.values.shape[2], self.tangents.shape[2])
         numbers += (

@@ -18,7 +18,7 @@ struct Job {
   double *factors;                                               // [block][sizeof(Block)]
   const double *stay, *lost;                                     // [N], or null
   double *q, *v, *vd, *lam;                                      // records [steps][number][1 + slots][lanes]
-  double *sizes, *errors;                                        // [steps][2][lanes], [2][slots][lanes]
+  double *sizes, *errors;                                        // [steps][2][lanes], [3][slots][lanes]
   double *room;                                                  // scratch
   const double *moved;                                           // [steps][block][1 + slots][moving][8]
 };
@@ -108,6 +108,7 @@ extern "C" long march(const Job* job) {
           if (!looks || k != J.passes) continue;
           put(J.errors + s * J.lanes + block * LANES, largest(R, N_V), valid);
           put(J.errors + (S + s) * J.lanes + block * LANES, largest(ds, N_V), valid);
+          put(J.errors + (2 * S + s) * J.lanes + block * LANES, largest(ds + N_V, ROWS), valid);
         }
         finish_tangent(in, w, next + (long)(1 + s) * N_X);
       }

@@ -25,6 +25,7 @@ TANGENT_ERROR = (
     2e-5  # relative; more than this gets another correction. Gradients have 20 times that at most, as measured
 )
 MOST = 4  # corrections of tangents
+_NOTHING = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
 _ROUNDING = 1e-10  # of coordinates, with room for what equations and inverse make of it
 
 
@@ -92,14 +93,18 @@ class March:
     def _looked(self, step: Any, z: Tensor, dz: Tensor) -> Tensor:
         """Tangents corrected once more; where that was needed, later steps will do it as well."""
         dz, size = step.tangent(self.H, z, dz)
-        self.look(size, dz[: self.dynamics.topology.n_v].abs().amax(0))
+        n_v = self.dynamics.topology.n_v
+        forces = dz[n_v:].abs().amax(0) if len(dz) > n_v else torch.zeros_like(size)
+        self.look(size, dz[:n_v].abs().amax(0), forces)
         return dz
 
-    def look(self, size: Tensor, largest: Tensor) -> None:
+    def look(self, size: Tensor, largest: Tensor, forces: Tensor) -> None:
         """Take note of what one more correction of the tangents changed, and of the largest of these [n_b, lanes].
 
-        What counts is the worst variable, relative to the largest that its tangents have been.
+        What counts is the worst variable, relative to the largest that its tangents have been; or, where they are
+        nothing but rounding (a load that a joint carries away), to what that of the multipliers' tangents makes of them.
         """
+        largest = largest.maximum(_NOTHING / float(value(self.dynamics.data["mass"]).max()) * forces)
         self.largest = largest if self.largest is None else largest.maximum(self.largest)
         error = (size / self.largest.clamp_min(torch.finfo(size.dtype).tiny)).amax(0)
         self.tangent_error.append(error)
