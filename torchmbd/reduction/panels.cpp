@@ -3,6 +3,7 @@
 // Arrays are row-major and [lane][row][column]. Inside, columns are filled up with zeros to a multiple of eight.
 // A tile keeps R rows of W x 8 columns of a product in registers: with wide ones it runs at the speed of arithmetic.
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <vector>
@@ -154,17 +155,6 @@ extern "C" void orthogonalize(long lanes, long N, long k, long stride, long rece
     }
     cut(w.data(), W + lane * N * p, N, p);
     cut(all.data(), coefficients + lane * k * p, k, p);
-  }
-}
-
-// out [lane][rows][p] = A B for A [lane][rows][inner] with rows of `stride` numbers.
-extern "C" void multiply(long lanes, long rows, long inner, long stride, const double* A, const double* B, double* out, long p) {
-  const long P = filled(p);
-  Room b(inner * P), c(rows * P);
-  for (long lane = 0; lane < lanes; lane++) {
-    fill_up(B + lane * inner * p, b.data(), inner, p);
-    product<false>(rows, inner, {A + lane * rows * stride, stride, 1}, b.data(), c.data(), P);
-    cut(c.data(), out + lane * rows * p, rows, p);
   }
 }
 

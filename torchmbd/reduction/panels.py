@@ -2,7 +2,7 @@
 
     solve                 A^-1 X of a block-tridiagonal matrix                      blocks.py
     orthogonalize         W - Q Q' W                                                lanczos.py
-    multiply              A B;   multiply_sparse: K X for many K of one pattern     forms.py
+    multiply_sparse       K X for many K of one pattern                             forms.py
     conjugate_gradients   (1 - H / mu) y = c                                        sparse_modes.py
 
 A batch of designs that torch treats side by side leaves the cache of the processor with every operation; one after
@@ -92,13 +92,6 @@ class Panels:
         if left is not W:
             W.copy_(left)
         return found
-
-    def multiply(self, A: Tensor, B: Tensor) -> Tensor:
-        """A B for A [lane, m, k], B [lane, k, p]."""
-        (lanes, rows, inner), A, B = A.shape, A.contiguous(), B.contiguous()
-        out = A.new_empty(lanes, rows, B.shape[2])
-        self._code.multiply(*map(c_long, (lanes, rows, inner, inner)), *_places(A, B, out), c_long(B.shape[2]))
-        return out
 
     def multiply_sparse(self, pattern: Pattern, values: Tensor, X: Tensor) -> Tensor:
         """K X for values [lane, T, nnz] and X [lane, N, p]: [lane, T, N, p]."""

@@ -60,8 +60,7 @@ class SparseModes:
         self.exhausted = ritz is None
         if ritz is not None:
             known = int((ritz.residuals() < KNOWN).sum(1).min())
-            code, V = panels(ritz.Q), ritz.V[..., : max(known, n + 1)]
-            vectors = ritz.Q @ V if code is None else code.multiply(ritz.Q, V)
+            vectors = ritz.Q @ ritz.V[..., : max(known, n + 1)]
             self.ritz, self.U, self.known = ritz, vectors[..., :n], vectors[..., n:]
 
     def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
