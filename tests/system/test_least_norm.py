@@ -110,3 +110,16 @@ def test_a_lock_that_repeats_a_hinge_shares_with_it():
     axes = frame_axes(one, hinge.a)[0, 0].T
     weight = sum(one.reaction(name).force[0, -1] for name in ("hinge", "twin"))
     assert_close(weight, -0.7 * (axes @ tensor(*GRAVITY)), rtol=0, atol=1e-2)  # at rest, locked
+
+
+def test_a_lane_that_failed_gets_nan_and_the_others_their_own():
+    motion = mbd.simulate(doors(), 0.02, steps=4).require_ok()
+    dynamics, q, lam = motion.dynamics, motion.q[0].T[:, None, :2], motion.lam[0].T[:, None, :2]
+    least = dynamics.least_norm
+    assert least is not None
+    broken = q.clone()
+    broken[..., 1] = torch.nan
+    given = dynamics.topology.prescribed(torch.zeros((), dtype=torch.float64), dynamics.data)
+    found = least(dynamics.data, given, broken, lam)  # finite multipliers all the same
+    assert bool(found[..., 1].isnan().all())
+    assert_close(found[..., 0], least(dynamics.data, given, q, lam)[..., 0], rtol=0, atol=1e-12)

@@ -78,10 +78,12 @@ class LeastNorm:
         """J+ [lanes, n_v, rows] and P [lanes, rows, rows]."""
         parts = unit_forces(self.T, data, at, torch.arange(self.T.rows))
         J = torch.cat([x.flatten(0, 1) for x in parts]).permute(2, 1, 0) * self.acting[:, None]
-        U, s, Vh = torch.linalg.svd(J.nan_to_num(0.0, 0.0, 0.0), full_matrices=False)  # nan: a lane that failed
+        failed = ~torch.isfinite(J).all(1).all(1)[:, None, None]  # lanes: what they get is nan
+        U, s, Vh = torch.linalg.svd(torch.where(failed, 0.0, J), full_matrices=False)
         kept = s > _APART * s[:, :1]
         kept[:, : self.rank] |= s[:, : self.rank] > 0.0
         U = U * kept[:, None] * self.acting[:, None]  # rounding put something into rows that do not act
+        U = torch.where(failed, torch.nan, U)
         return (Vh.mT * torch.where(kept, 1.0 / s, 0.0)[:, None]) @ U.mT, U @ U.mT
 
 
