@@ -80,19 +80,21 @@ class March:
     def _values(self, step: Any, z: Tensor, renew: bool) -> Tensor:
         """Unknowns of one step."""
         H = self._inverse(step, z) if self.H is None else self.H
-        sizes = []
+        corrections = []
         for k in range(self.corrections):
             if self.refresh == 0 or (renew and k == max(self.corrections - 1, 1)):
                 H = self._inverse(step, z)
-            z, size = step.correct(H, z)
-            sizes.append(size)
+            z, correction = step.correct(H, z)
+            corrections.append(correction)
         self.H = self._inverse(step, z) if renew and self.corrections == 1 else H
-        self.sizes.append(torch.stack([sizes[max(self.corrections - 2, 0)], sizes[-1]]))
+        last = corrections[max(self.corrections - 2, 0)], corrections[-1]
+        self.sizes.append(torch.stack([step.size(x)[0] for x in last]))
         return z
 
     def _looked(self, step: Any, z: Tensor, dz: Tensor) -> Tensor:
         """Tangents corrected once more; where that was needed, later steps will do it as well."""
-        dz, size = step.tangent(self.H, z, dz)
+        dz, correction = step.tangent(self.H, z, dz)
+        size = step.size(correction)
         n_v = self.dynamics.topology.n_v
         forces = dz[n_v:].abs().amax(0) if len(dz) > n_v else torch.zeros_like(size)
         self.look(size, dz[:n_v].abs().amax(0), forces)

@@ -158,9 +158,9 @@ class Step:
         return m.T, m.plain, value(self.x.q), self._known_values, self._given_values, m.values
 
     def correct(self, H: Tensor | Eliminated, z: Tensor) -> tuple[Tensor, Tensor]:
-        """Corrected unknowns, and the size of the correction of the accelerations [lanes]."""
+        """Corrected unknowns, and their correction [n, 1, lanes]."""
         correction = apply(H, self.residual(z))
-        return z - correction, self._size(correction)[0]
+        return z - correction, correction
 
     def matrix(self, z: Tensor) -> Tensor:
         """Iteration matrix [lanes, n, n]."""
@@ -172,12 +172,12 @@ class Step:
         return self.model.saddle.matrix(data, at, w.scale, w.rate, v, vd, lam, turn)
 
     def tangent(self, H: Tensor | Eliminated, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
-        """Corrected design tangents [n, n_b, lanes] of the unknowns, and the size of their correction [n_b, lanes]."""
-        R = self.residual(Pair.of(z, dz)).tangent
-        correction = apply(H, R)
-        return dz - correction, self._size(correction)
+        """Corrected design tangents [n, n_b, lanes] of the unknowns, and their correction."""
+        correction = apply(H, self.residual(Pair.of(z, dz)).tangent)
+        return dz - correction, correction
 
-    def _size(self, correction: Tensor) -> Tensor:
+    def size(self, correction: Tensor) -> Tensor:
+        """Size of a correction of the accelerations [slots, lanes]."""
         return correction[: self.model.T.n_v].abs().amax(0)
 
     def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
