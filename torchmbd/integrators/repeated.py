@@ -36,15 +36,13 @@ class RepeatedModel(Model):
 
     def step(self, x: State, given: Prescribed) -> Step:
         """The step from x; the one before is over."""
-        numbers = _numbers(x, given)
-        shapes = [y.shape for y in numbers]
+        shapes = [y.shape for y in _numbers(x, given)]
         if shapes != self._seen:
             self._seen, self._step = shapes, None
             return super().step(x, given)
         if self._step is None:
             self._step = RepeatedStep(self, x, given)
-        for mine, new in zip(self._step.numbers, numbers, strict=True):
-            mine.copy_(new)
+        self._step.move(x, given)
         return self._step
 
 
@@ -58,16 +56,27 @@ class RepeatedStep(Step):
         self.given = Prescribed(laws, *(_own(y) for y in given[1:]))
         self.numbers = _numbers(self.x, self.given)
         self._recorded: dict[str, tuple[Tensor, Recorded]] = {}
+        self._at: Tensor | None = None  # unknowns at which `_residual` is
+
+    def move(self, x: State, given: Prescribed) -> None:
+        """To another state."""
+        self._at = None
+        for mine, new in zip(self.numbers, _numbers(x, given), strict=True):
+            mine.copy_(new)
 
     def residual(self, z: Any) -> Any:
         """As of a step."""
         if isinstance(z, Pair):
             return Pair(self._repeat("tangent", z.full, lambda step, full: [step.residual(Pair(full)).full])[0])
+        if z is self._at:
+            return self._residual
         return self._repeat("residual", z, lambda step, z: [step.residual(z)])[0]
 
     def matrix(self, z: Tensor) -> Tensor:
-        """As of a step."""
-        return self._repeat("matrix", z, lambda step, z: [step.matrix(z)])[0]
+        """As of a step; the residual, which is often asked for next, has half of the work in common."""
+        K, self._residual = self._repeat("matrix", z, lambda step, z: [step.matrix(z), step.residual(z)])
+        self._at = z
+        return K
 
     def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
         """As of a step; the state is the caller's own."""

@@ -7,6 +7,7 @@ operations of one run are noted, and repeated one after another into memory that
 
     views                          made once, for what they look at keeps its place
     what depends on no input       computed once
+    an operation done twice        done once
     results                        into an arena, in which memory of what nobody reads any more is used again: it stays
                                    near the processor
 
@@ -42,8 +43,8 @@ class Recorded:
         recorder = _Recorder()
         with torch.no_grad(), recorder:
             found = f()
-        repeated = _repeated(recorder.calls, _homes(inputs))
-        place = _Arena(repeated, _homes(found))
+        repeated, twins = _once(_repeated(recorder.calls, _homes(inputs)))
+        place = _Arena(repeated, _homes(found), twins)
         self._steps = [_operation(call, place) for call in repeated]
         self.results = [place(x) for x in found]
         if not all(_same(x, y) for x, y in zip(self(), found, strict=True)):
@@ -109,10 +110,35 @@ def _repeated(calls: list[_Call], inputs: set[int]) -> list[_Call]:
     return found
 
 
+def _once(calls: list[_Call]) -> tuple[list[_Call], dict[int, int]]:
+    """Operations without those that were done before on the same numbers, and for their homes where the results are."""
+    changed = {home for call in calls for home in call.writes & call.reads}
+    first: dict[Any, int] = {}
+    twins: dict[int, int] = {}
+    kept = []
+
+    def key(x: Any) -> Any:
+        if isinstance(x, Tensor):
+            home = _home(x)
+            return twins.get(home, home), x.storage_offset(), x.shape, x.stride()
+        return tuple(key(y) for y in x) if isinstance(x, (list, tuple)) else repr(x)
+
+    for call in calls:
+        if isinstance(call.made, Tensor) and changed.isdisjoint(call.reads | call.writes):
+            home = _home(call.made)
+            before = first.setdefault((call.func, key(call.args), key(sorted(call.kwargs.items()))), home)
+            if before != home:
+                twins[home] = before
+                continue
+        kept.append(call._replace(reads={twins.get(home, home) for home in call.reads}))
+    return kept, twins
+
+
 class _Arena:
     """Maps tensors of the recorded run to where they are when it is repeated."""
 
-    def __init__(self, calls: list[_Call], results: set[int]):
+    def __init__(self, calls: list[_Call], results: set[int], twins: dict[int, int]):
+        self.twins = twins
         sizes: dict[int, int] = {}
         last: dict[int, int] = {}
         for i, call in enumerate(calls):
@@ -121,7 +147,7 @@ class _Arena:
                 if home in call.writes - call.reads and home not in sizes and x.dtype == torch.float64:
                     sizes[home] = -(-x.untyped_storage().nbytes() // (8 * _ALIGNED)) * _ALIGNED
             last.update(dict.fromkeys(call.reads | call.writes, i))
-        last.update(dict.fromkeys(results, len(calls)))
+        last.update((twins.get(home, home), len(calls)) for home in results)
         self.starts: dict[int, int] = {}
         room = _Room()
         for i, call in enumerate(calls):
@@ -136,7 +162,10 @@ class _Arena:
 
     def __call__(self, x: Any) -> Any:
         """The tensor that has the place of x."""
-        start = self.starts.get(_home(x)) if isinstance(x, Tensor) else None
+        if not isinstance(x, Tensor):
+            return x
+        home = _home(x)
+        start = self.starts.get(self.twins.get(home, home))
         return x if start is None else self.memory.as_strided(x.shape, x.stride(), start + x.storage_offset())
 
 
