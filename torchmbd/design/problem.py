@@ -108,7 +108,7 @@ class Problem:
                 )
         if not 0.0 < bound[0] <= bound[1]:
             raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")
-        self.system, self.duration, self.objective = system, duration, minimize
+        self.system, self.duration, self.objective = system, float(duration), minimize
         self.constraints = subject_to
         self.space = DesignSpace(system, variables, bounds, start, links)
         self.simulation = {"method": method, "steps": steps, "phases": phases, **options}

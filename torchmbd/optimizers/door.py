@@ -136,7 +136,11 @@ def restored(search: Search, ending: Ending, function: Method, max_iterations: i
 def result_of(search: Search, ending: Ending, method: str, problem: Box, evaluate: bool = True) -> OptimizationResult:
     """Return the ending in physical units, with multipliers; "converged" must be feasible, whatever the method said."""
     y, status, message = best_of(search, ending)
-    evaluation = search.evaluate(y, gradients=True) if evaluate else search.evaluate_known(y)
+    evaluation = known = search.evaluate_known(y)
+    if evaluate:
+        evaluation = search.evaluate(y, gradients=True)
+    if known.ok and not evaluation.ok:
+        evaluation, message = known, f"{message}; its gradient could not be evaluated: {evaluation.status}"
     violation = search.violation(evaluation) if evaluation.ok else float("nan")
     if status == "converged" and not violation <= search.feasibility:
         status, message = "infeasible", f"{message}, but a constraint is violated by {violation:.3g}"
