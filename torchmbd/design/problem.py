@@ -33,6 +33,7 @@ from torchmbd.integrators.phases import plan
 from torchmbd.integrators.trajectory import OK
 from torchmbd.numerics.owned import several
 from torchmbd.optimizers import Evaluation
+from torchmbd.optimizers.optimizer import as_numbers
 from torchmbd.reduction import CutCluster
 from torchmbd.system import System
 
@@ -147,10 +148,16 @@ class Problem:
         kinds = ["at_most"] * self.peaks + [c.kind for c in self.constraints for _ in range(c.measure.rows)]
         return np.array([i for i, kind in enumerate(kinds) if kind == "equal"], dtype=int)
 
+    def _checked(self, X: Any) -> np.ndarray:
+        X, n = as_numbers("designs", X), len(self.names)
+        if X.ndim != 2 or X.shape[1] != n:
+            raise InputError(f"designs have shape {X.shape}; allowed: [lanes, {n}], of {', '.join(self.names)}")
+        return X
+
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:
         """Motions of designs [lanes, n], with sensitivities by all parameters if `gradients`."""
         names = self.space.variables if gradients else False
-        designs = self.space.designs(np.asarray(X)[:, : len(self.space.names)])
+        designs = self.space.designs(self._checked(X)[:, : len(self.space.names)])
         return simulate(self.system, self.duration, sensitivities=names, designs=designs, **self.simulation)
 
     def motion(self, x: np.ndarray) -> Trajectory:
@@ -186,6 +193,7 @@ class Problem:
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n] as one batch."""
+        X = self._checked(X)
         rows = self.peaks + sum(c.measure.rows for c in self.constraints)
         try:
             motion = self.simulate(X, gradients)
@@ -199,7 +207,7 @@ class Problem:
             if len(X) == 1:
                 return [Evaluation.failure(f"failed: {error}", rows)]
             return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]
-        values, slopes = self._rows(motion, np.asarray(X))
+        values, slopes = self._rows(motion, X)
         result = []
         for lane, status in enumerate(motion.status):
             numbers, slope = values[lane], None if slopes is None else slopes[lane]
