@@ -39,10 +39,7 @@ OK = "ok"
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """The state of all lanes on one side of a switch [lanes, n], with sensitivities [lanes, n, n_b].
-
-    Multipliers of redundant rows are here as the iteration left them.
-    """
+    """The state of all lanes on one side of a switch [lanes, n], with sensitivities [lanes, n, n_b]."""
 
     q: Tensor
     v: Tensor
@@ -214,7 +211,7 @@ class Trajectory:
     def moved(self, delta: Tensor) -> Trajectory:
         """The motion of all designs moved by delta [n_b], or [lanes, n_b] for each lane its own, to first order.
 
-        delta may carry derivatives, forward or reverse.
+        delta may carry derivatives, forward or reverse; second ones are those of the first-order neighbor, not of the motion.
         """
         return replace(
             self,
