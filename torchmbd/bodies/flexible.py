@@ -45,7 +45,7 @@ from torchmbd.reduction import CutCluster, inertia_invariants
 
 
 class FlexibleBody(nn.Module):
-    """A flexible body; made by `FlexibleBody.plate` and its like.
+    """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_mesh` or `.from_bdf`.
 
     The body frame sits at the reference node (the mean of several) with the axes of the mesh. The modules of the parts,
     such as a laminate, are registered by their names; where several parts have any, by the names of the parts.
@@ -53,7 +53,7 @@ class FlexibleBody(nn.Module):
     parts   name -> part of the assembly
     links   nodes that follow others
     rigid   sets of nodes that move as one rigid body; the first of each leads and may carry what the whole set carries
-    Others as in `plate`.
+    name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface, updated   as in `plate`
     """
 
     position: Tensor

@@ -124,14 +124,17 @@ class Problem:
 
     @property
     def start(self) -> np.ndarray:
+        """Initial design [n]."""
         return self._with_bound(self.space.start, self._bound[0])
 
     @property
     def lower(self) -> np.ndarray:
+        """Lower bounds [n], -inf where there are none."""
         return self._with_bound(self.space.lower, 0.0)
 
     @property
     def upper(self) -> np.ndarray:
+        """Upper bounds [n], inf where there are none."""
         return self._with_bound(self.space.upper, self._bound[1])
 
     @property

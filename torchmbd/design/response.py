@@ -275,10 +275,14 @@ KINDS = ("at_most", "at_least", "equal")
 
 @dataclass(frozen=True)
 class Constraint:
-    """measure <= limit (37), >= or = limit; "initial" is the value of the measure at the initial design.
+    """measure <= limit (37), >= or = limit; written Max(...) <= 0.5, Min(...) >= "initial", Final(...).equals(0.0).
 
-    For a measure of several rows "initial" is the largest of them. Optimizers see (g - c) / scale, feasible where not
-    positive; scale is |c|, or 1 for c = 0, unless given in the unit of the measure.
+    measure  g, one number or several rows of a kind
+    limit    c, in the unit of the measure; "initial": the value at the initial design, the largest of several rows
+    kind     "at_most", "at_least" or "equal"
+    scale    what the violation is divided by, in the unit of the measure; None: |c|, or 1 for c = 0
+
+    Optimizers see (g - c) / scale, feasible where not positive.
     """
 
     measure: Measure

@@ -52,6 +52,7 @@ def simulate(
 ) -> Trajectory:
     """Simulate one design, or a batch of designs side by side (lanes).
 
+    system         the model; its own parameters are the design where `designs` says nothing
     duration       simulated time [s], positive
     method         "generalized_alpha" or a method of torchdiffeq, such as "dopri5" or "rk4"
     steps          equal time steps, and output intervals; default: 20 per period of the fastest retained mode, at least 200.

@@ -98,8 +98,14 @@ class MovedData(Mapping[str, Tensor]):
 
 @dataclass(eq=False)
 class Trajectory:
-    """A motion of one design or of a batch; see the module header for shapes.
+    """A motion of one design or of a batch; made by `simulate`.
 
+    t           times [times] [s]
+    q, v, a     coordinates [lanes, times, n_q] [m, -], rates [lanes, times, n_v] [m/s, rad/s] and accelerations
+    lam         multipliers [lanes, times, rows] [N, N m]
+    dq_db, ...  their sensitivities, the design axis last [..., n_b]
+    system      the model;  dynamics: its equations of motion for these designs
+    known       what measures evaluated together share
     signals     coordinates, rates, accelerations and multipliers by rows
     shapes      mode shapes of the designs
     status      for each lane "ok" or the reason of the failure

@@ -29,7 +29,13 @@ class Starts:
 
 
 def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
-    """Return `count` scrambled Sobol points; with `include_initial` the first of them is the problem's own start."""
+    """Start designs of a scrambled Sobol sequence over the bounds of the problem [count, n].
+
+    count            how many
+    seed             of the scrambling; the same seed, the same points
+    include_initial  the first of them is the problem's own start
+    InputError for bounds that are not finite, when the points are drawn. Source: Owen scrambling of scipy.stats.qmc.
+    """
     require_count("count", count, 1, 2**20)
     require_count("seed", seed, 0, 2**63)
 
@@ -45,7 +51,11 @@ def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
 
 
 def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Starts:
-    """Return `count` points of which each variable's values fill its range evenly; `include_initial` as in `sobol`."""
+    """Start designs of which each variable's values fill its range evenly [count, n].
+
+    count, seed, include_initial   as in `sobol`
+    Source: Latin hypercube of scipy.stats.qmc.
+    """
     require_count("count", count, 1, 2**20)
     require_count("seed", seed, 0, 2**63)
 
