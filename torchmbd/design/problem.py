@@ -24,7 +24,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.design.response import Constraint, Measure, differentiate
+from torchmbd.design.differentiate import differentiate
+from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Phase, Trajectory, simulate
