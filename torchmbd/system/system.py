@@ -81,9 +81,7 @@ class System(nn.Module):
                 raise InputError(f"body name {body.name!r} is taken by torchmbd; allowed: any other identifier")
             self.add_module(body.name, body)
         self._add_laws()
-        self.register_load_state_dict_post_hook(
-            lambda system, _: system._join(system.joints)
-        )  # places may have changed
+        self.register_load_state_dict_post_hook(_joined_anew)
 
     def _add_laws(self) -> None:
         """Take in the modules of joints and forces whose parameters are design variables, by the names of these."""
@@ -187,6 +185,11 @@ class System(nn.Module):
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data
+
+
+def _joined_anew(system: System, _: Any) -> None:
+    """After loading other numbers: places may have changed. A function of the module, so that a system can be pickled."""
+    system._join(system.joints)
 
 
 def _together(parts: list[Tensor], rank: int) -> Tensor:
