@@ -27,7 +27,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-
 # (a x b)_k out of the nine products a_i b_j. With it a cross product takes half the time of torch's own.
 _UNIT = torch.eye(3, dtype=torch.float64)
 CROSS_FORM = torch.linalg.cross(_UNIT[:, :, None], _UNIT[:, None], dim=0).reshape(3, 9)

@@ -52,7 +52,7 @@ class Recorded:
 
     def __call__(self) -> list[Tensor]:
         """The results for what is in the inputs now."""
-        with torch.no_grad():
+        with torch.inference_mode():
             for step in self._steps:
                 step()
         return self.results
@@ -100,14 +100,13 @@ def _repeated(calls: list[_Call], inputs: set[int]) -> list[_Call]:
     while len(moving) > size:
         size = len(moving)
         moving.update(home for call in calls if not call.reads.isdisjoint(moving) for home in call.writes)
-    found = [call for call in calls if not moving.isdisjoint(call.reads | call.writes)]
-    made = {home for call in found for home in call.writes - call.reads}
-    for call in found:
-        if not call.writes:
+    made = {home for call in calls for home in call.writes - call.reads}
+    for call in calls:
+        if not call.writes and not moving.isdisjoint(call.reads):
             raise Unrepeatable(f"{call.func} asks for a number, on which a function may branch")
         if torch.Tag.nondeterministic_seeded in call.func.tags or not call.writes <= made:
             raise Unrepeatable(f"{call.func} is random, or changes what is not the function's own")
-    return found
+    return [call for call in calls if not moving.isdisjoint(call.reads | call.writes)]
 
 
 def _once(calls: list[_Call]) -> tuple[list[_Call], dict[int, int]]:
