@@ -31,6 +31,7 @@ app = App(
     version=__version__,
     default_parameter=Parameter(negative=""),
 )
+Uri = Annotated[str | None, Parameter(help="The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.")]
 
 
 @app.command
@@ -126,7 +127,7 @@ def schema() -> int:
 
 
 @app.command
-def best(run: str | None = None, /, *, count: int = 5, uri: str | None = None) -> int:
+def best(run: str | None = None, /, *, count: int = 5, uri: Uri = None) -> int:
     """Print the best designs of a study.
 
     Parameters
@@ -135,8 +136,6 @@ def best(run: str | None = None, /, *, count: int = 5, uri: str | None = None) -
         Run id, its beginning, or the name of a study; default: the latest study.
     count
         How many.
-    uri
-        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
     """
     from torchmbd.experiment.compare import print_best
 
@@ -145,15 +144,13 @@ def best(run: str | None = None, /, *, count: int = 5, uri: str | None = None) -
 
 
 @app.command
-def compare(a: str, b: str, /, *, uri: str | None = None) -> int:
+def compare(a: str, b: str, /, *, uri: Uri = None) -> int:
     """Print what two studies were told differently, and how they ended.
 
     Parameters
     ----------
     a, b
         Run ids, their beginnings, or names of studies.
-    uri
-        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
     """
     from torchmbd.experiment.compare import print_comparison
 
@@ -162,7 +159,7 @@ def compare(a: str, b: str, /, *, uri: str | None = None) -> int:
 
 
 @app.command
-def report(run: str, /, *, output: Path | None = None, uri: str | None = None) -> int:
+def report(run: str, /, *, output: Path | None = None, uri: Uri = None) -> int:
     """Write the report of a study: one HTML file that needs nothing else.
 
     Parameters
@@ -171,8 +168,6 @@ def report(run: str, /, *, output: Path | None = None, uri: str | None = None) -
         Run id, its beginning, or the name of a study.
     output
         Name of the file; default: the study's name and run id.
-    uri
-        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
     """
     from torchmbd.experiment.html_report import write_report
 
@@ -181,15 +176,13 @@ def report(run: str, /, *, output: Path | None = None, uri: str | None = None) -
 
 
 @app.command(name="list")
-def list_(folder: Path | None = None, *, uri: str | None = None) -> int:
+def list_(folder: Path | None = None, *, uri: Uri = None) -> int:
     """List the experiment files at hand and the studies so far.
 
     Parameters
     ----------
     folder
         Where the experiment files are; default: configs.
-    uri
-        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
     """
     from torchmbd.experiment.listing import print_configs, print_studies
 
@@ -224,7 +217,7 @@ def cache(*, clear: bool = False) -> int:
 @app.command
 def ui(
     *,
-    uri: str | None = None,
+    uri: Uri = None,
     host: str = "127.0.0.1",
     port: Annotated[int, Parameter(name=["--port", "-p"])] = 5000,
 ) -> int:
@@ -232,8 +225,6 @@ def ui(
 
     Parameters
     ----------
-    uri
-        The MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db.
     host
         Address to listen on; the default is reachable from this machine only.
     port

@@ -106,6 +106,20 @@ def load(run: str, uri: str | None = None, folder: str | Path = ".") -> LoadedSt
     return load_run(run, uri, folder)
 
 
+def problem_of(file: str | Path, *assignments: str) -> Problem:
+    """The problem of an experiment file, for whatever a file has no keys for: angles in steps, fronts, tolerances.
+
+    file         the experiment file (YAML)
+    assignments  overrides of single values, as at the command line: "options.layers=2"
+
+    Nothing is tracked. Raises InputError with every fault of the file.
+    """
+    from torchmbd.experiment.assemble import problem_of
+    from torchmbd.experiment.load import load_study
+
+    return problem_of(load_study(file, assignments))
+
+
 __all__ = [
     "RMS",
     "Acceleration",
@@ -195,6 +209,7 @@ __all__ = [
     "optimize",
     "optimize_discrete",
     "pareto_front",
+    "problem_of",
     "sections",
     "simulate",
     "sobol",

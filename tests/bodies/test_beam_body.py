@@ -41,6 +41,21 @@ def test_angles_of_the_section_are_the_parameters():
         mbd.FlexibleBody.beam("arm", BeamLine.straight(0.6, 4), "steel")  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.parametrize(("asked", "kept"), [(1, 4), (2, 4), (3, 4), (4, 4), (5, 6), (9, 10)])
+def test_equal_frequencies_are_kept_together(asked, kept):
+    """A square tube held at its center: four ends that bend alike, then pairs."""
+    ply = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
+    tube = mbd.sections.box(0.02, 0.02, ply, mbd.deg([45, -45]), thickness=1e-3)
+    body = mbd.FlexibleBody.beam("arm", BeamLine.straight(0.3, 8), tube, modes=asked)
+    assert body.modes == kept
+    Kr = body.structure()["Kr"]
+    assert Kr.shape == (kept, kept)
+    more = mbd.FlexibleBody.beam("arm", BeamLine.straight(0.3, 8), tube, modes=12).structure()["Kr"]
+    squares = torch.linalg.eigvalsh(more.detach())
+    assert squares[kept] > (1.0 + 1e-6) * squares[kept - 1]  # the next is another one
+    assert_close(torch.linalg.eigvalsh(Kr.detach()), squares[:kept], rtol=1e-9, atol=0.0)
+
+
 def test_invariants_are_those_of_the_solid():
     """A straight coupled beam off its line: mass, center and moments of inertia about the reference node."""
     section, length, n = coupled_section(), 0.9, 200

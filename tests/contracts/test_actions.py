@@ -18,7 +18,8 @@ import torchmbd as mbd
 from tests.mechanisms import box, plate, random_state, tensor, turned
 from torchmbd.forces import FORCES, Gap, Pieces, Spring, Table
 from torchmbd.forces.action import KINDS, Action
-from torchmbd.numerics.pair import Pair, slopes
+from torchmbd.numerics.elementwise import slopes
+from torchmbd.numerics.pair import Pair
 from torchmbd.system import equations
 
 COUNT, LANES, TANGENTS = 3, 2, 2

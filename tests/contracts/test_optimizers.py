@@ -184,6 +184,35 @@ def test_failures_in_part_of_the_domain_are_stepped_back_from(method, reason):
         assert result.kkt_residual <= 1e-2
 
 
+@pytest.mark.parametrize("method", [*METHODS, "differential_evolution"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_gradient_that_fails_where_the_values_do_not(method, seed):
+    """Asked for afterwards, gradients fail by chance: what is told are the values of a design that was evaluated."""
+    chance = np.random.default_rng(seed)
+
+    class Moody(Analytic):
+        def _one(self, x, gradients):
+            good = super()._one(x, gradients)
+            fails = gradients and len(self.points) > 1 and (method == "differential_evolution" or chance.random() < 0.4)
+            return Evaluation.failure("out of memory") if fails else good
+
+    problem = Moody(
+        "moody",
+        [5.0, 4.0],
+        lambda x: (x[0] - 1) ** 2 + x[0] * x[1] + x[1] ** 2 + 1,
+        lambda x: [3 - x[0]],
+        lower=-9,
+        upper=9,
+    )
+    result = solve(problem, method, max_iterations=20, eager_gradients=False)
+    assert result.status in STATUSES
+    assert result.failures > 0
+    assert result.value == pytest.approx(problem.f(result.x), rel=1e-12)
+    assert result.value <= result.history[0].objective
+    if np.isnan(result.kkt_residual):
+        assert "gradient could not be evaluated" in result.message
+
+
 @pytest.mark.parametrize("method", METHODS)
 def test_a_narrow_failure_on_the_way_is_passed(method):
     problem = Analytic(

@@ -126,6 +126,15 @@ def test_bad_input_is_refused_at_the_door(given, words):
         assert word in str(error.value)
 
 
+@pytest.mark.parametrize("X", [np.zeros(2), np.zeros((2, 3)), [[1.0]], "x", [[1.0], [1.0, 2.0]]])
+def test_designs_of_another_shape_are_named(shared, X):
+    for call in (lambda: shared.evaluate(X, False), lambda: shared.simulate(X)):
+        with pytest.raises(
+            InputError, match=r"designs .*; allowed: (\[lanes, 2\], of rod.laminate.angles\[0\]|numbers)"
+        ):
+            call()
+
+
 def test_bounds_may_hold_a_variable():
     start = float(problem().start[1])
     asked = problem(bounds=([-1.0, start], [1.0, start]), subject_to=())

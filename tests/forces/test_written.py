@@ -9,7 +9,7 @@ from torch.testing import assert_close
 
 from torchmbd.forces import Gap, OfTime, Pieces, Spring, Table
 from torchmbd.forces.written import written
-from torchmbd.numerics.pair import slopes
+from torchmbd.numerics.elementwise import slopes
 from torchmbd.numerics.scalars import Untraceable
 
 LAWS = {

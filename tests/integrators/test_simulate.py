@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from torch.testing import assert_close
@@ -27,6 +28,9 @@ def system() -> mbd.System:
         ({"duration": math.inf}, ["duration", "inf", "positive"]),
         ({"duration": math.nan}, ["duration", "nan", "positive"]),
         ({"duration": "1"}, ["duration", "'1'", "positive"]),
+        ({"duration": True}, ["duration", "True", "positive"]),
+        ({"sensitivities": "rod.laminate.angles"}, ["sensitivities", "'rod.laminate.angles'", "a list of names"]),
+        ({"sensitivities": 1}, ["sensitivities", "1", "True, False"]),
         ({"steps": 0}, ["steps", "0", "positive integer"]),
         ({"steps": 10.0}, ["steps", "10.0", "positive integer"]),
         ({"steps": True}, ["steps", "True", "positive integer"]),
@@ -57,6 +61,47 @@ def test_bad_input_is_named_with_its_value_and_what_is_allowed(system, given, wo
         mbd.simulate(system, **({"duration": 0.01, "steps": 2} | given))
     for word in [*words, "allowed"]:
         assert word in str(error.value)
+
+
+def test_numbers_of_numpy_are_numbers(system):
+    plain, given = mbd.simulate(system, 0.25, steps=2), mbd.simulate(system, np.float32(0.25), steps=np.int64(2))
+    assert torch.equal(plain.q, given.q)
+    assert type(given.stats["steps"]) is int
+
+
+@pytest.mark.parametrize("transform", ["grad", "jacrev", "jacfwd", "hessian", "vmap", "backward", "dual"])
+def test_derivatives_that_would_be_lost_are_refused(system, transform):
+    """They were zeros."""
+    angles = mbd.deg([[20.0, -50.0]])
+
+    def energy(x: torch.Tensor) -> torch.Tensor:
+        return mbd.simulate(system, 0.01, steps=1, designs={"rod.laminate.angles": x}).q.sum()
+
+    def dual(x: torch.Tensor) -> torch.Tensor:
+        with torch.autograd.forward_ad.dual_level():
+            return energy(torch.autograd.forward_ad.make_dual(x, x))
+
+    def backward(x: torch.Tensor) -> torch.Tensor:
+        return energy(x.requires_grad_())
+
+    run = {"backward": backward, "dual": dual}.get(transform) or getattr(torch.func, transform)(energy)
+    given = angles[None] if transform == "vmap" else angles.clone()
+    with pytest.raises(InputError, match=r"is being differentiated.*x\.detach\(\), and sensitivities=\['rod"):
+        run(given)
+    with torch.no_grad():  # nobody wants a gradient here
+        energy(torch.nn.Parameter(angles))
+
+
+def test_a_system_of_other_numbers_is_refused():
+    with pytest.raises(
+        InputError, match=r"parameter 'rod\.laminate\.angles' is torch\.float32; allowed: torch\.float64"
+    ):
+        mbd.simulate(pendulum().float(), 0.01, steps=1)
+    system = pendulum()
+    with torch.no_grad():
+        system.get_parameter("rod.laminate.angles")[1] = math.nan
+    with pytest.raises(InputError, match=r"parameter 'rod\.laminate\.angles' is .*nan\]; allowed: finite numbers"):
+        mbd.simulate(system, 0.01, steps=1)
 
 
 def test_designs_of_different_numbers_of_lanes_are_refused():

@@ -31,6 +31,8 @@ def test_what_is_none_is_named():
         indices("x", [[1, 2], [3]])
     with pytest.raises(InputError, match=r"x holds 1\.5; allowed: whole numbers"):
         indices("x", [1.0, 1.5])
+    with pytest.raises(InputError, match=r"x is .*1j.*; allowed: numbers, real ones"):
+        reals("x", [1j])
     with pytest.raises(InputError, match="x holds nan"):
         indices("x", [1.0, float("nan")])
 

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -99,6 +100,29 @@ def test_an_error_of_the_problem_is_the_caller_s(shared):
     with pytest.raises(Overflow, match="a bowl is full at 3"):
         shared.evaluate(np.full((2, 2), 3.0), False)
     assert len(shared.evaluate(np.zeros((2, 2)), False)) == 2
+
+
+class Locked(Bowl):
+    """Its errors, and what it is said to hold, cannot travel."""
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        error = Overflow("nothing fits")
+        error.args = (*error.args, threading.Lock())
+        raise error
+
+
+def test_an_error_that_cannot_travel_is_told(capfd):
+    """Also where the first evaluation, which nobody asked for, has it: no process says so, or ends."""
+    with Processes(Locked(0.0), 2) as problem, pytest.raises(RuntimeError, match=r"Overflow: .*nothing fits"):
+        problem.evaluate(np.zeros((2, 2)), False)
+    assert "Exception in initializer" not in capfd.readouterr().err
+
+
+def test_a_problem_that_cannot_travel_is_refused():
+    bowl = Bowl(0.0)
+    bowl.center = threading.Lock()  # pyright: ignore[reportAttributeAccessIssue]
+    with pytest.raises(mbd.InputError, match="cannot be sent to other processes: cannot pickle"):
+        Processes(bowl, 2)
 
 
 SCRIPT = """

@@ -9,7 +9,7 @@ import torch
 
 from torchmbd.errors import InputError
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
-from torchmbd.reduction import REDUCTIONS, constraint_modes, craig_bampton
+from torchmbd.reduction import REDUCTIONS, CraigBampton, VibrationModes, constraint_modes, craig_bampton, uncut
 
 SIZE, INTERFACE = 20, [7, 0, 12]
 
@@ -163,6 +163,15 @@ def changed(matrix: torch.Tensor, index: tuple[int, ...], value: float) -> torch
 def test_bad_input_is_named(K, M, n, interface, message):
     with pytest.raises(InputError, match=message):
         craig_bampton(K, M, n, interface)
+
+
+def test_as_many_modes_as_it_takes():
+    """A cluster of three is longer than what is known beyond the first two."""
+    K = torch.diag(torch.tensor([7.0, 1.0, 3.0, 3.0, 3.0, 4.0, 5.0]).double())
+    M = torch.ones(7).double()
+    for asked, found in ((0, 0), (1, 1), (2, 4), (3, 4), (4, 4), (5, 5), (6, 6)):
+        assert uncut(CraigBampton(asked, [0]), K, M).n == found
+    assert uncut(VibrationModes(2, updated=False), K, M) == VibrationModes(4, updated=False)
 
 
 def test_a_lane_that_is_loose_is_named():

@@ -112,6 +112,34 @@ def test_a_lock_that_repeats_a_hinge_shares_with_it():
     assert_close(weight, -0.7 * (axes @ tensor(*GRAVITY)), rtol=0, atol=1e-2)  # at rest, locked
 
 
+def test_both_sides_of_a_switch_share_what_they_carry():
+    """A driven door whose second leaf stops at an angle: the time of the switch, and with it the motor's law, moves
+    with the design. Total derivatives beside those of neighbors with switches of their own."""
+    system = doors(mbd.Sine(mbd.variable(0.4), 5.0))
+    until = mbd.Event(lambda motion: motion.body("a").A[..., :, 0] @ AXES[:, 1] - 0.3, "rising")
+    phases = [mbd.Phase(until=until, name="turn"), mbd.Phase(lock=["fold 0"])]
+
+    def run(**given) -> mbd.Trajectory:
+        return mbd.simulate(system, 0.05, steps=15, phases=phases, iterations=(6, 4), **given).require_ok()
+
+    motion = run(sensitivities=["motor.amplitude"])
+    size = 1e-5
+    near = run(designs={"motor.amplitude": tensor(0.4 + size, 0.4 - size)})
+    (switch,), (other,) = motion.switches, near.switches
+    t = float(switch.t)
+    assert 0.01 < t < 0.04
+    for side, sides in ((switch.before, other.before), (switch.after, other.after)):
+        d, q = motion.dynamics.values(), side.q[0, :, None, None]
+        acting = (side.lam[0] != 0.0).double()
+        J = d.saddle.jacobian(d.data, placement(d.topology, d.data, q, d.topology.prescribed(switch.t[0], d.data)))[0]
+        U, s, _ = torch.linalg.svd(acting[:, None] * J)
+        loose = U[:, int((s > 1e-6).sum()) :] * acting[:, None]
+        assert float((loose.T @ side.lam[0]).abs().max()) < 1e-8 * float(side.lam.abs().max())
+        assert side.dlam_db is not None
+        wanted = (sides.lam[0] - sides.lam[1]) / (2.0 * size)
+        assert_close(side.dlam_db[0, :, 0], wanted, rtol=0, atol=1e-5 * float(wanted.abs().max()))
+
+
 def test_a_lane_that_failed_gets_nan_and_the_others_their_own():
     motion = mbd.simulate(doors(), 0.02, steps=4).require_ok()
     dynamics, q, lam = motion.dynamics, motion.q[0].T[:, None, :2], motion.lam[0].T[:, None, :2]

@@ -16,14 +16,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-import torch
 from torch import Tensor, nn
 
+from torchmbd.bodies.beam_parts import beam_parts
 from torchmbd.bodies.bulk_body import read_bdf
 from torchmbd.bodies.frame import Frame, identifier, place, rotation, vector
 from torchmbd.bodies.modal_damping import ModalDamping
 from torchmbd.bodies.mount import Mount, node_indices, rigid_links
 from torchmbd.bodies.plausibility import warn_units
+from torchmbd.bodies.reduced import matrices, reduced
 from torchmbd.bodies.reference import reference_nodes
 from torchmbd.bodies.zones import zone_parts
 from torchmbd.elements import (
@@ -37,14 +38,14 @@ from torchmbd.elements import (
     Plates,
     RigidLink,
 )
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError
 from torchmbd.materials import Laminate
 from torchmbd.mesh import Mesh, MeshFile, read_mesh
-from torchmbd.reduction import REDUCTIONS, Reduction, inertia_invariants
+from torchmbd.reduction import CutCluster, inertia_invariants
 
 
 class FlexibleBody(nn.Module):
-    """A flexible body; made by `FlexibleBody.plate` and its like.
+    """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_mesh` or `.from_bdf`.
 
     The body frame sits at the reference node (the mean of several) with the axes of the mesh. The modules of the parts,
     such as a laminate, are registered by their names; where several parts have any, by the names of the parts.
@@ -52,7 +53,7 @@ class FlexibleBody(nn.Module):
     parts   name -> part of the assembly
     links   nodes that follow others
     rigid   sets of nodes that move as one rigid body; the first of each leads and may carry what the whole set carries
-    Others as in `plate`.
+    name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface, updated   as in `plate`
     """
 
     position: Tensor
@@ -86,11 +87,8 @@ class FlexibleBody(nn.Module):
         self._register(parts)
         self.assembly = Assembly(mesh, parts, self.reference, links)
         self.free = self.assembly.freedoms.free
-        held = self._rows(node_indices(mesh, interface))
-        least, most = 0 if held else 1, len(self.free) - len(held)
-        if not isinstance(modes, int) or not least <= modes <= most:
-            raise InputError(f"modes of {name!r} is {modes!r}; allowed: {least} to {most}, the freedoms of the mesh")
-        self.reduction = _reduction(name, reduction, modes, held, updated)
+        held = node_indices(mesh, interface)
+        self.reduction = reduced(name, self.assembly, reduction, modes, held, self.reference, updated)
         self.modes = self.reduction.size
         self.damping = ModalDamping(name, damping)
 
@@ -142,7 +140,8 @@ class FlexibleBody(nn.Module):
 
         mesh            triangles or quadrilaterals; the plies follow its x axis
         laminate        its `angles` [rad] are the body's design parameters
-        modes           retained vibration modes of the body fixed at its reference nodes (and its interface)
+        modes           retained vibration modes of the body fixed at its reference nodes (and its interface); a few more
+                        where others have the frequency of the last, as in a tube, which bends alike in all directions
         position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); joints close the rest
         reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]
@@ -186,17 +185,7 @@ class FlexibleBody(nn.Module):
                         twist also at the start and the end of each [m, 2]
         Others as in `plate`. The inertia of the section sits on rigid arms at the nodes (and middles, if consistent).
         """
-        if not isinstance(line, BeamLine):
-            raise InputError(f"line of {name!r} is a {type(line).__name__}; allowed: a BeamLine")
-        parts: dict[str, Part] = {}
-        given: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * len(line.elements)
-        if len(given) != len(line.elements):
-            wrong = f"{len(given)} sections for {len(line.elements)} elements of {name!r}"
-            raise InputError(f"{wrong}; allowed: one, or one for each")
-        distinct = list(dict.fromkeys(given))
-        for k, own in enumerate(distinct):
-            members = [e for e, s in enumerate(given) if s is own]
-            parts[f"section{k}"] = Beams(line, own, orientation, offset, twist, members, mass)
+        parts = beam_parts(name, line, section, orientation, offset, twist, mass)
         return cls(name, line, parts, modes, position, axes, reference, damping, reduction, interface, updated)
 
     @classmethod
@@ -278,32 +267,12 @@ class FlexibleBody(nn.Module):
         Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; leading axes are those of the
         laminate's parameters (designs).
         """
-        K, M = self.assembly.stiffness(), self.assembly.mass()
-        if isinstance(M, Tensor):
-            M = M.expand(*K.values.shape[:-1], -1)
-        basis = self.reduction(K, M)
+        try:
+            basis = self.reduction(*matrices(self.assembly))
+        except CutCluster as error:
+            raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
         psi = self.assembly.freedoms.expand(basis.vectors)
         _, mass, rotary, _ = self.assembly.masses()
         x = self.assembly.places(self.mesh.nodes - self.origin)
         result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi))
         return result | {"Kr": basis.stiffness, "psi": psi}
-
-    def _rows(self, interface: Sequence[int]) -> tuple[int, ...]:
-        """Rows of the free freedoms that belong to interface nodes."""
-        for node in interface:
-            if node in self.reference or list(interface).count(node) > 1:
-                allowed = "nodes that are no reference, each once"
-                raise InputError(f"interface of {self.name!r} has node {node}; allowed: {allowed}")
-        freedoms = [6 * node + i for node in interface for i in range(6)]
-        return tuple(torch.searchsorted(self.free, torch.tensor(freedoms, dtype=torch.long)).tolist())
-
-
-def _reduction(name: str, kind: str, modes: int, interface: tuple[int, ...], updated: bool) -> Reduction:
-    if not isinstance(updated, bool):
-        raise InputError(f"updated of {name!r} is {updated!r}; allowed: True or False")
-    if kind not in REDUCTIONS:
-        raise unknown(f"reduction of {name!r}:", kind, REDUCTIONS)
-    try:
-        return REDUCTIONS[kind](modes, interface, updated)
-    except InputError as error:
-        raise InputError(f"reduction of {name!r}: {error}") from None

@@ -34,6 +34,7 @@ class Ground:
 class RigidBody(nn.Module):
     """A rigid body.
 
+    name              an identifier, unique in its system
     mass              [kg], positive
     inertia           about the center of mass: (Jxx, Jyy, Jzz) or a symmetric 3 x 3 matrix [kg m2]
     center            center of mass in body axes [m]

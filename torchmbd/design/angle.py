@@ -26,7 +26,7 @@ from torchmbd.system import System
 
 @dataclass(frozen=True)
 class Angle(History):
-    """Angle of a body about an axis of another one.
+    """Angle of a body about an axis of another one [lanes, times] [rad].
 
     body       that turns
     axis       "x", "y", "z" or a direction of three numbers, in the axes of the observer

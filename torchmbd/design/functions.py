@@ -52,10 +52,19 @@ def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[i
 
 
 def history(function: Callable[[Any], Tensor]) -> History:
-    """Make a history of a function: motion -> [lanes, times], written with torch operations."""
+    """Make a history of a function of the motion.
+
+    function  motion -> [lanes, times], any unit, written with torch operations: the gradient is that of these
+    Of several lanes, or of none; what it looks at is told in torchmbd/integrators/trajectory.py. InputError where it returns
+    another shape, when it is called.
+    """
     return FunctionHistory(function)
 
 
 def measure(function: Callable[[Any], Tensor]) -> Measure:
-    """Make a measure of a function: motion -> [lanes], written with torch operations."""
+    """Make a measure of a function of the motion.
+
+    function  motion -> [lanes], any unit, written with torch operations: the gradient is that of these
+    InputError where it returns another shape, when it is called.
+    """
     return FunctionMeasure(function)

@@ -36,7 +36,10 @@ Direction = str | Sequence[float]
 
 @dataclass(frozen=True)
 class StrainEnergy(History):
-    """Elastic energy of a flexible body."""
+    """Elastic energy U = 1/2 w' Kr w of a flexible body [lanes, times] [J]; eq. (17).
+
+    body  its name
+    """
 
     body: str
 
@@ -55,7 +58,7 @@ class StrainEnergy(History):
 
 @dataclass(frozen=True)
 class Position(History):
-    """Component of the position of a point.
+    """Component of the position of a point [lanes, times] [m].
 
     body       whose point
     axis       "x", "y", "z" or a direction of three numbers
@@ -75,6 +78,7 @@ class Position(History):
 
     @property
     def observer(self) -> str:
+        """Who sees the point: a body or "ground"."""
         return GROUND if self.seen_from is None else self.seen_from
 
     def check(self, system: System) -> None:
@@ -122,7 +126,10 @@ class Position(History):
 
 @dataclass(frozen=True)
 class Displacement(Position):
-    """Change of position since the start; by default seen from the body itself if that is flexible: elastic."""
+    """Change of position since the start [lanes, times] [m]; arguments as of Position.
+
+    By default seen from the body itself if a node is given: the elastic displacement; else from the ground.
+    """
 
     def check(self, system: System) -> None:
         super().check(system)
@@ -133,6 +140,7 @@ class Displacement(Position):
 
     @property
     def observer(self) -> str:
+        """Who sees the point: a body or "ground"."""
         return self.seen_from or (self.body if self.node is not None else GROUND)
 
     def vector(self, motion: Trajectory) -> Tensor:
@@ -144,21 +152,27 @@ class Displacement(Position):
 
 @dataclass(frozen=True)
 class Velocity(Position):
-    """Rate of the position as the observer sees it."""
+    """Rate of the position as the observer sees it [lanes, times] [m/s]; arguments as of Position."""
 
     order: ClassVar[int] = 1
 
 
 @dataclass(frozen=True)
 class Acceleration(Position):
-    """Second rate of the position as the observer sees it."""
+    """Second rate of the position as the observer sees it [lanes, times] [m/s2]; arguments as of Position."""
 
     order: ClassVar[int] = 2
 
 
 @dataclass(frozen=True)
 class RelativeDisplacement(History):
-    """Elastic displacement of node a less that of node b: along z of a plate, the local torsion of eq. (38)."""
+    """Elastic displacement of node a less that of node b [lanes, times] [m]: along z of a plate the local torsion, eq. (38).
+
+    body  the flexible body
+    a, b  its nodes, by name or index
+    axis  "x", "y", "z" or a direction of three numbers
+    axes  whose axes the component is in: a body or "ground"; default: the body's own
+    """
 
     body: str
     a: str | int
@@ -187,7 +201,7 @@ class RelativeDisplacement(History):
 
 @dataclass(frozen=True)
 class Reaction(History):
-    """Force, or torque about the joint's point, that a joint exerts on one of its bodies.
+    """Force, or torque about the joint's point, that a joint exerts on one of its bodies [lanes, times].
 
     joint  name of the joint
     axis   "x", "y", "z" or a direction of three numbers

@@ -33,7 +33,11 @@ from torchmbd.system import System
 
 @dataclass(frozen=True)
 class OfHistory(Measure):
-    """A measure of a history on a window of time; default: the whole motion."""
+    """A measure of a history on a window of time.
+
+    history  y(t) [lanes, times]
+    window   (t0, t1) [s]; None: the whole motion
+    """
 
     history: History
     window: Window = None
@@ -90,42 +94,48 @@ def _jumps(history: History, motion: Trajectory) -> tuple[Jump, ...]:
 
 
 class Integral(OfHistory):
-    """Integral of a history over time."""
+    """Integral of a history over time [lanes], in the unit of the history times s; eq. (21)."""
 
     def reduce(self, curve: Spline) -> Tensor:
         return curve.integral()
 
 
 class Mean(OfHistory):
-    """Mean of a history over time."""
+    """Mean of a history over time [lanes], in the unit of the history."""
 
     def reduce(self, curve: Spline) -> Tensor:
         return curve.integral() / (curve.t[-1] - curve.t[0])
 
 
 class RMS(OfHistory):
-    """Root of the mean square of a history over time; not differentiable where the history vanishes."""
+    """Root of the mean square of a history over time [lanes], in the unit of the history.
+
+    Not differentiable where the history vanishes throughout.
+    """
 
     def reduce(self, curve: Spline) -> Tensor:
         return torch.sqrt(curve.integral(torch.square) / (curve.t[-1] - curve.t[0]))
 
 
 class Max(OfHistory):
-    """Largest value of a history, located between the samples."""
+    """Largest value of a history [lanes], in its unit, located between the samples; eq. (18).
+
+    Where two peaks are equally high the gradient is that of one of them: AtPeaks keeps both.
+    """
 
     def reduce(self, curve: Spline) -> Tensor:
         return curve.maximum()
 
 
 class Min(OfHistory):
-    """Smallest value of a history, located between the samples."""
+    """Smallest value of a history [lanes], in its unit, located between the samples."""
 
     def reduce(self, curve: Spline) -> Tensor:
         return -curve.negative().maximum()
 
 
 class Final(OfHistory):
-    """Value of a history at the end."""
+    """Value of a history at the end of the motion, or of the window [lanes], in its unit."""
 
     def reduce(self, curve: Spline) -> Tensor:
         return curve.y[..., -1]
@@ -133,7 +143,11 @@ class Final(OfHistory):
 
 @dataclass(frozen=True)
 class AtTime(Measure):
-    """Value of a history at one time [s]."""
+    """Value of a history at one time [lanes], in its unit.
+
+    history  y(t) [lanes, times]
+    time     [s], zero or positive, up to the duration of the motion
+    """
 
     history: History
     time: float
@@ -156,7 +170,12 @@ class AtTime(Measure):
 
 @dataclass(frozen=True)
 class SmoothMax(OfHistory):
-    """Aggregate of all samples that overestimates their largest, the less the larger `sharpness`."""
+    """Aggregate of all samples [lanes], in the unit of the history: their largest, or up to c ln(samples) / rho more.
+
+    sharpness  rho, positive: the larger, the nearer to the largest, and the more like a kink [-]
+    scale      c, positive: the size of the history, in its unit
+    Source: Kreisselmeier and Steinhauser (1979).
+    """
 
     sharpness: float = 50.0
     scale: float = 1.0
@@ -174,7 +193,12 @@ class SmoothMax(OfHistory):
 
 @dataclass(frozen=True)
 class Frequency(Measure):
-    """Natural frequency of a flexible body fixed at its reference nodes; `number` 1 is the lowest [Hz]."""
+    """Natural frequency [lanes] [Hz] of a flexible body fixed at its reference nodes.
+
+    body    its name
+    number  1 is the lowest; up to the number of retained modes
+    Where frequencies coincide, the gradient is that of one of them.
+    """
 
     body: str
     number: int = 1
@@ -193,7 +217,10 @@ class Frequency(Measure):
 
 @dataclass(frozen=True)
 class Mass(Measure):
-    """Mass of a body, or of all bodies."""
+    """Mass [lanes] [kg].
+
+    body  its name; None: of all bodies
+    """
 
     body: str | None = None
 

@@ -25,7 +25,11 @@ from torchmbd.system import System
 
 @dataclass(frozen=True)
 class PlyFailure(History):
-    """Failure index of a laminated body: "tsai_wu", "tsai_wu_irf" (grows in proportion to the load) or "max_stress"."""
+    """Failure index of a laminated body [lanes, times] [-]: below one nothing fails.
+
+    body       its name; plies with a Strength
+    criterion  "tsai_wu", "tsai_wu_irf" (grows in proportion to the load) or "max_stress" (materials/strength.py)
+    """
 
     body: str
     criterion: str = "tsai_wu"

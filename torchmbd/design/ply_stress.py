@@ -26,7 +26,13 @@ EXTREMES = ("highest", "lowest")
 
 @dataclass(frozen=True)
 class PlyStress(History):
-    """Extreme stress of a laminated body."""
+    """Highest or lowest stress among the ply points of a laminated body [lanes, times] [Pa].
+
+    body       its name
+    component  "11" along the fibers, "22" across, "12", "13", "23" shear, in the axes of the ply
+    layer      0 at the bottom; None: all
+    extreme    "highest" or "lowest"
+    """
 
     body: str
     component: str

@@ -24,7 +24,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.design.response import Constraint, Measure, differentiate
+from torchmbd.design.differentiate import differentiate
+from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Phase, Trajectory, simulate
@@ -33,6 +34,7 @@ from torchmbd.integrators.phases import plan
 from torchmbd.integrators.trajectory import OK
 from torchmbd.numerics.owned import several
 from torchmbd.optimizers import Evaluation
+from torchmbd.optimizers.optimizer import as_numbers
 from torchmbd.reduction import CutCluster
 from torchmbd.system import System
 
@@ -108,7 +110,7 @@ class Problem:
                 )
         if not 0.0 < bound[0] <= bound[1]:
             raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")
-        self.system, self.duration, self.objective = system, duration, minimize
+        self.system, self.duration, self.objective = system, float(duration), minimize
         self.constraints = subject_to
         self.space = DesignSpace(system, variables, bounds, start, links)
         self.simulation = {"method": method, "steps": steps, "phases": phases, **options}
@@ -123,14 +125,17 @@ class Problem:
 
     @property
     def start(self) -> np.ndarray:
+        """Initial design [n]."""
         return self._with_bound(self.space.start, self._bound[0])
 
     @property
     def lower(self) -> np.ndarray:
+        """Lower bounds [n], -inf where there are none."""
         return self._with_bound(self.space.lower, 0.0)
 
     @property
     def upper(self) -> np.ndarray:
+        """Upper bounds [n], inf where there are none."""
         return self._with_bound(self.space.upper, self._bound[1])
 
     @property
@@ -147,10 +152,16 @@ class Problem:
         kinds = ["at_most"] * self.peaks + [c.kind for c in self.constraints for _ in range(c.measure.rows)]
         return np.array([i for i, kind in enumerate(kinds) if kind == "equal"], dtype=int)
 
+    def _checked(self, X: Any) -> np.ndarray:
+        X, n = as_numbers("designs", X), len(self.names)
+        if X.ndim != 2 or X.shape[1] != n:
+            raise InputError(f"designs have shape {X.shape}; allowed: [lanes, {n}], of {', '.join(self.names)}")
+        return X
+
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:
         """Motions of designs [lanes, n], with sensitivities by all parameters if `gradients`."""
         names = self.space.variables if gradients else False
-        designs = self.space.designs(np.asarray(X)[:, : len(self.space.names)])
+        designs = self.space.designs(self._checked(X)[:, : len(self.space.names)])
         return simulate(self.system, self.duration, sensitivities=names, designs=designs, **self.simulation)
 
     def motion(self, x: np.ndarray) -> Trajectory:
@@ -186,6 +197,7 @@ class Problem:
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n] as one batch."""
+        X = self._checked(X)
         rows = self.peaks + sum(c.measure.rows for c in self.constraints)
         try:
             motion = self.simulate(X, gradients)
@@ -199,7 +211,7 @@ class Problem:
             if len(X) == 1:
                 return [Evaluation.failure(f"failed: {error}", rows)]
             return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]
-        values, slopes = self._rows(motion, np.asarray(X))
+        values, slopes = self._rows(motion, X)
         result = []
         for lane, status in enumerate(motion.status):
             numbers, slope = values[lane], None if slopes is None else slopes[lane]

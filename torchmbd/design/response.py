@@ -21,52 +21,16 @@ Checked in tests/contracts/test_responses.py.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchmbd.design.differentiate import Valued, differentiate
 from torchmbd.errors import InputError
 from torchmbd.integrators import Trajectory
 from torchmbd.system import System
-
-
-class Valued(NamedTuple):
-    """A value with its design gradient; None for a motion without sensitivities."""
-
-    value: Tensor
-    gradient: Tensor | None
-
-
-def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
-    """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b].
-
-    In reverse mode where f has no more numbers than there are design variables, else in forward mode. Lanes know nothing of
-    each other: the gradient of a sum over lanes by the neighbor of each lane is that of each.
-    """
-    shared = replace(motion, known={})  # what measures share lives as long as this
-    n = len(motion.parameters)
-    if not n:
-        return Valued(f(shared), None)
-    with torch.enable_grad():
-        delta = torch.zeros(motion.lanes, n, dtype=torch.float64, requires_grad=True)
-        found = f(shared.moved(delta))
-    value, rows = found.detach(), found[0].numel()
-    if rows <= n:
-        return Valued(value, _reversed(found, delta).reshape(*value.shape, n))
-    motion.prepare()
-    gradient = torch.func.jacfwd(lambda delta: f(shared.moved(delta)))(torch.zeros(n, dtype=torch.float64))
-    assert isinstance(gradient, Tensor)
-    return Valued(value, gradient)
-
-
-def _reversed(found: Tensor, delta: Tensor) -> Tensor:
-    """Gradients of rows [lanes, ...] by delta [lanes, n]: [lanes, rows, n]."""
-    if not found.requires_grad:  # of nothing that depends on the design
-        return delta.new_zeros(len(found), found[0].numel(), delta.shape[1])
-    sums = found.flatten(1).sum(0) if found.dim() > 1 else found.sum()[None]
-    return torch.stack([torch.autograd.grad(x, delta, retain_graph=True)[0] for x in sums.unbind()], 1)
 
 
 class History:
@@ -275,10 +239,14 @@ KINDS = ("at_most", "at_least", "equal")
 
 @dataclass(frozen=True)
 class Constraint:
-    """measure <= limit (37), >= or = limit; "initial" is the value of the measure at the initial design.
+    """measure <= limit (37), >= or = limit; written Max(...) <= 0.5, Min(...) >= "initial", Final(...).equals(0.0).
 
-    For a measure of several rows "initial" is the largest of them. Optimizers see (g - c) / scale, feasible where not
-    positive; scale is |c|, or 1 for c = 0, unless given in the unit of the measure.
+    measure  g, one number or several rows of a kind
+    limit    c, in the unit of the measure; "initial": the value at the initial design, the largest of several rows
+    kind     "at_most", "at_least" or "equal"
+    scale    what the violation is divided by, in the unit of the measure; None: |c|, or 1 for c = 0
+
+    Optimizers see (g - c) / scale, feasible where not positive.
     """
 
     measure: Measure

@@ -27,7 +27,11 @@ from torchmbd.errors import InputError
 
 @dataclass(frozen=True)
 class AtTimes(OfHistory):
-    """A history at `count` equally spaced times of the window, ends included, or at the given `times` [s]."""
+    """A history at many times [lanes, rows], in its unit: one limit holds for all; eq. (23).
+
+    count  how many equally spaced times of the window, ends included
+    times  [s], instead of count and window
+    """
 
     count: int = 101
     times: Sequence[float] | None = None
@@ -58,7 +62,10 @@ class AtTimes(OfHistory):
 
 @dataclass(frozen=True)
 class AtPeaks(OfHistory):
-    """The `count` highest local maxima of a history, the highest first; where there are fewer, low values fill up."""
+    """The highest local maxima of a history [lanes, count], in its unit, the highest first; eqs. (20), (22).
+
+    count  how many; where there are fewer, low values fill up
+    """
 
     count: int = 8
 

@@ -26,10 +26,12 @@ from torchmbd.system import System
 
 
 class Tradeoff:
-    """A transient problem of several criteria.
+    """A transient problem of several criteria, for `pareto_front`.
 
-    minimize   name -> measure of one number, two at least
-    others     as in Problem
+    system, duration  as in Problem [s]
+    minimize          name -> measure of one number, two at least
+    subject_to        inequalities, as in Problem
+    options           bounds, variables, start, links, method, steps, phases and options of the method, as in Problem
     """
 
     def __init__(

@@ -21,7 +21,12 @@ from torchmbd.system import System
 
 @dataclass(frozen=True)
 class WeightedSum(Measure):
-    """Weighted sum of (weight, measure) pairs; see the module header."""
+    """Weighted sum of measures [lanes]; eq. (38).
+
+    terms      (weight, measure) pairs, at least one
+    normalize  what each measure is divided by: "initial", its value at the initial design (the sum has no unit then);
+               one number for each, in the unit of its measure; None: nothing, weights carry the units
+    """
 
     terms: Sequence[tuple[float, Measure]]
     normalize: str | Sequence[float] | None = "initial"

@@ -75,9 +75,11 @@ class GivenSection(nn.Module):
         return cls(torch.diag(K), torch.diag(M))
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
+        """Stiffness matrix of the section."""
         return self.matrix
 
     def mass(self) -> Float[Tensor, "6 6"]:
+        """Mass matrix of the section, per length."""
         return self.inertia
 
 

@@ -37,7 +37,8 @@ from torch import Tensor
 
 from torchmbd.forces.laws import Scaled, Spring
 from torchmbd.forces.varied import Varied
-from torchmbd.numerics.pair import Pair, cat, cross, dot, lifted, linear, reciprocal, slopes, sqrt, value
+from torchmbd.numerics.elementwise import lifted, reciprocal, slopes, sqrt
+from torchmbd.numerics.pair import Pair, cat, cross, dot, linear, value
 
 Law = Callable[[Tensor, Tensor, Tensor], Tensor]
 Data = Mapping[str, Any]  # of a design: name -> number (system/equations.py)

@@ -21,7 +21,7 @@ Vector = Sequence[float | Tensor] | Callable[[Tensor], Tensor] | Scaled
 
 
 class _Load(ForceElement):
-    """axes: "ground" keeps the direction, "frame" follows the frame."""
+    """axes: "ground" keeps the direction, "frame" follows the frame; name: of the element, and of its design variables."""
 
     def __init__(self, frame: Frame, vector: Vector, axes: str = "ground", name: str | None = None):
         super().__init__((frame,), name)
@@ -54,7 +54,12 @@ def _component(vector: Callable[..., Any], k: int, t: Tensor) -> Tensor:
 
 
 class Force(_Load):
-    """`Force(frame, (fx, fy, fz))` [N] at the point of the frame; or a torch function of time, [] [s] -> [3] [N].
+    """`Force(frame, (fx, fy, fz))`: a force at the point of a frame.
+
+    frame   where it acts
+    vector  [N], or a torch function of time, [] [s] -> [3] [N]
+    axes    "ground": the force keeps its direction; "frame": it follows the frame
+    name    of the element, and of its design variables
 
     Design variables: Force(frame, (mbd.variable(2.0), 0.0, 0.0), name="push") has "push.x", and
     mbd.forces.Scaled(mbd.variable(1.0), function) has "push.factor".
@@ -67,7 +72,10 @@ class Force(_Load):
 
 
 class Torque(_Load):
-    """`Torque(frame, (mx, my, mz))` [N m] on the body (or node) of the frame; otherwise as a Force [N m]."""
+    """`Torque(frame, (mx, my, mz))`: a torque on the body, or on the node, of a frame.
+
+    vector  [N m], or a torch function of time, [] [s] -> [3] [N m]; others as of Force
+    """
 
     def actions(self, scribe: Scribe) -> Iterator[Applied]:
         triad = tuple(scribe.axis(self.frames[0], axis) for axis in "xyz")

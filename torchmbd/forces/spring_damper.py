@@ -21,6 +21,8 @@ from torchmbd.joints.joint import Scribe, others
 
 
 class _Between(ForceElement):
+    """a, b: the frames; name: of the element, and of its design variables; others as told by each kind."""
+
     def __init__(
         self,
         a: Frame,
@@ -57,6 +59,7 @@ class AxialSpringDamper(_Between):
     """`AxialSpringDamper(a, b, axis="x", ...)`: along an axis of frame a, s = (g_b - g_a) . axis, of a sliding joint.
 
     stiffness [N/m], damping [N s/m], rest [m]; law f(s, s', t) [N] on b along the axis
+    given  these, and the name
     """
 
     def __init__(self, a: Frame, b: Frame, axis: str = "x", **given):
@@ -76,6 +79,7 @@ class RotationalSpringDamper(_Between):
     rest angle, or of `law.center`.
 
     stiffness [N m/rad], damping [N m s/rad], rest [rad]; law f(theta, theta', t) [N m] on b about the axis
+    given  these, and the name
     """
 
     def __init__(self, a: Frame, b: Frame, axis: str = "z", **given):

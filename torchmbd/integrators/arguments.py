@@ -6,7 +6,8 @@ Checked in tests/integrators/test_simulate.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import numbers
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import ode
+from torchmbd.numerics.owned import refuse_derivatives, whole
 from torchmbd.system import System
 
 METHODS = ("generalized_alpha", *ode.METHODS)
@@ -21,9 +23,9 @@ METHODS = ("generalized_alpha", *ode.METHODS)
 
 def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> None:
     """Refuse arguments of `simulate` that are wrong for every system; InputError names them."""
-    if not isinstance(duration, (int, float)) or not 0 < duration < math.inf:
+    if not isinstance(duration, numbers.Real) or isinstance(duration, bool) or not 0 < float(duration) < math.inf:
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
-    if steps is not None and (not isinstance(steps, int) or isinstance(steps, bool) or steps < 1):
+    if steps is not None and not (whole(steps) and steps >= 1):
         raise InputError(f"steps is {steps!r}; allowed: a positive integer")
     if method == "scipy_solver":
         raise InputError(
@@ -46,6 +48,9 @@ def check_designs(system: System, designs: Any) -> None:
     own = dict(system.named_parameters())
     if not isinstance(designs, (Mapping, type(None))):
         raise InputError(f"designs is {designs!r}; allowed: parameter name -> tensor [lanes, ...]")
+    for name, x in own.items():
+        if name not in (designs or {}) and not bool(torch.isfinite(x).all()):
+            raise InputError(f"parameter {name!r} is {x.tolist()}; allowed: finite numbers")
     for name, x in (designs or {}).items():
         if name not in own:
             raise unknown("parameter", name, own)
@@ -53,9 +58,28 @@ def check_designs(system: System, designs: Any) -> None:
             found = f"has shape {tuple(x.shape)} of {x.dtype}" if isinstance(x, Tensor) else f"is {x!r}"
             shape = ", ".join(["lanes", *map(str, own[name].shape)])
             raise InputError(f"design {name!r} {found}; allowed: a float64 tensor [{shape}]")
+        refuse_derivatives(f"design {name!r}", x, f"sensitivities=[{name!r}]")
         for lane in torch.nonzero(~torch.isfinite(x.reshape(len(x), -1)).all(1)).flatten().tolist():
             raise InputError(f"design {name!r} of lane {lane} is {x[lane].tolist()}; allowed: finite numbers")
         owner, _, own_name = name.rpartition(".")
         if own_name in getattr(system.get_submodule(owner), "positive", ()) and not bool((x > 0.0).all()):
             lane = int(torch.nonzero(~(x.reshape(len(x), -1) > 0.0).all(1))[0])
             raise InputError(f"design {name!r} of lane {lane} is {x[lane].tolist()}; allowed: positive numbers")
+
+
+def check_sensitivities(system: System, sensitivities: Any) -> list[str]:
+    """Names of the parameters whose sensitivities are asked for; InputError names what is wrong."""
+    own = dict(system.named_parameters())
+    if sensitivities is True:
+        names = [name for name, x in own.items() if x.requires_grad]
+        if not names:
+            raise InputError("sensitivities=True, but no parameter of the system requires a gradient")
+        return names
+    if sensitivities is False or sensitivities is None:
+        return []
+    if isinstance(sensitivities, str) or not isinstance(sensitivities, Sequence):
+        raise InputError(f"sensitivities is {sensitivities!r}; allowed: True, False or a list of names of parameters")
+    for name in sensitivities:
+        if name not in own:
+            raise unknown("parameter", name, own)
+    return list(sensitivities)

@@ -31,7 +31,7 @@ from torchmbd.integrators.switch import (
     together,
 )
 from torchmbd.integrators.trajectory import OK, Moment, Switch
-from torchmbd.numerics.pair import Pair, value
+from torchmbd.numerics.pair import Pair, linear, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.least_norm import LeastNorm
@@ -137,14 +137,26 @@ class Course:
         return dynamics, state
 
     def _switch(self, number: int, passage: Passage, after: State) -> Switch:
-        n, t = self.whole.topology.rows, passage.t
+        t = passage.t
         return Switch(
             self.stages[number].name,
             value(t)[0],
-            _moment(passage.x, self.stages[number - 1].rows, n),
-            _moment(after, self.stages[number].rows, n),
+            _moment(passage.x, self._multipliers(number - 1, t, passage.x)),
+            _moment(after, self._multipliers(number, t, after)),
             t.tangent.T if isinstance(t, Pair) else None,
         )
+
+    def _multipliers(self, number: int, t: Any, x: State) -> Any:
+        """Multipliers of all rows [rows, ...] on one side of a switch, as `multipliers`."""
+        n, rows = self.whole.topology.rows, torch.tensor(self.stages[number].rows, dtype=torch.long)
+        lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), x.lam)
+        least, parts = self.least_norm[number], []
+        for k in range(self.whole.lanes):
+            own = [pick(y, [k]) for y in (t, x.q, lam)]
+            if least is not None and bool(torch.isfinite(value(own[0])).all()):
+                own[2] = least.at_own_time(lane_of(self.whole, k).data, *own)
+            parts.append(own[2])
+        return side_by_side(parts)
 
     def _begin(self, number: int, lane: int, dynamics: Dynamics, passage: Passage) -> State:
         """The state of one lane after a switch."""
@@ -233,10 +245,8 @@ class Course:
         return Passage(side_by_side([p.t for p in parts]), together([p.x for p in parts]))
 
 
-def _moment(x: State, rows: list[int], all_rows: int) -> Moment:
-    """Lanes first; multipliers among those of the whole."""
-    full = [y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, x.lam)]
-    lam = full[3].new_zeros(all_rows, *full[3].shape[1:])
-    full[3] = lam.index_copy(0, torch.tensor(rows, dtype=torch.long), full[3])
+def _moment(x: State, lam: Any) -> Moment:
+    """Lanes first; lam: multipliers of all rows."""
+    full = [y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, lam)]
     tangents = [y[:, 1:].permute(2, 0, 1) if isinstance(x.q, Pair) else None for y in full]
     return Moment(*(y[:, 0].T for y in full), *tangents)

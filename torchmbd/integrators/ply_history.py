@@ -33,6 +33,8 @@ _CHUNK = 2_000_000  # stresses that are looked through at once
 class PlyHistory:
     """The plies of one body along a motion.
 
+    motion    a Trajectory
+    name      of the body
     basis     ply strains and stresses of the modes [lanes, points, 5, modes], components as in PLY_COMPONENTS
     points    cell, layer and face (0 bottom, 1 top) of each point [points, 3]
     strength  numbers of the ply's Strength at each point [points, 8]; None where a ply has none

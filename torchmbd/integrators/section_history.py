@@ -43,7 +43,12 @@ class _Part(NamedTuple):
 
 
 class SectionHistory:
-    """The beams of one body along a motion, one part for each section: "section0", "section1", ... of FlexibleBody.beam."""
+    """The beams of one body along a motion, one part for each section: "section0", "section1", ... of FlexibleBody.beam.
+
+    motion  a Trajectory
+    name    of the body
+    Its methods have forces [N], moments [N m] and stresses [Pa], lanes first, then times.
+    """
 
     def __init__(self, motion: Trajectory, name: str):
         view = motion.body(name)

@@ -17,9 +17,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError
 from torchmbd.integrators import generalized_alpha, ode, staged_alpha, staged_ode
-from torchmbd.integrators.arguments import check, check_designs
+from torchmbd.integrators.arguments import check, check_designs, check_sensitivities
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
@@ -52,6 +52,7 @@ def simulate(
 ) -> Trajectory:
     """Simulate one design, or a batch of designs side by side (lanes).
 
+    system         the model; its own parameters are the design where `designs` says nothing
     duration       simulated time [s], positive
     method         "generalized_alpha" or a method of torchdiffeq, such as "dopri5" or "rk4"
     steps          equal time steps, and output intervals; default: 20 per period of the fastest retained mode, at least 200.
@@ -67,31 +68,32 @@ def simulate(
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
     check(duration, method, steps, options, phases is not None)
+    duration = float(duration)
     check_designs(system, designs)
-    names = design_names(system, sensitivities, designs)
+    names = check_sensitivities(system, sensitivities)
     batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
     if phases is not None:
-        system, stages = plan(system, phases, float(duration))
+        system, stages = plan(system, phases, duration)
     dynamics = system.dynamics(batch, tangents=names)
-    steps = steps or default_steps(dynamics, duration)
+    steps = int(steps or default_steps(dynamics, duration))
     design = {"designs": batch, "parameters": labels(system, names)}
     with torch.no_grad():
         if phases is None:
-            history, stats, status = run(dynamics, float(duration), steps, method, options)
-            signals = Recorded(history, partial(_multipliers, dynamics, float(duration)))
-            motion = explained(_present(system, dynamics, signals, stats, status, float(duration), **design))
+            history, stats, status = run(dynamics, duration, steps, method, options)
+            signals = Recorded(history, partial(_multipliers, dynamics, duration))
+            motion = explained(_present(system, dynamics, signals, stats, status, duration, **design))
             warn_of_spin(motion)
             return motion
         views = Views.of(system, dynamics, **design)
-        course = Course(dynamics, stages, views, float(duration), steps)
+        course = Course(dynamics, stages, views, duration, steps)
         stats, status = _through(course, method, options)
         if method == "generalized_alpha" and options.get("refresh", 1) and any(x != OK for x in status):
-            again = Course(dynamics, stages, views, float(duration), steps)
+            again = Course(dynamics, stages, views, duration, steps)
             counts, better = _through(again, method, options | _careful(options))
             if better.count(OK) > status.count(OK):
                 course, stats, status = again, counts | {"renewed": list(range(len(status)))}, better
     signals = Recorded(course.history, course.multipliers)
-    motion = _present(system, course.whole, signals, stats, status, float(duration), **design)
+    motion = _present(system, course.whole, signals, stats, status, duration, **design)
     warn_of_spin(motion)
     return replace(motion, switches=course.switches, actions=tuple(stage.topology.actions for stage in stages))
 
@@ -113,23 +115,6 @@ def _careful(options: Mapping[str, Any]) -> dict[str, Any]:
     """
     values, tangents = options.get("iterations", (3, 1))
     return {"iterations": (2 * values, tangents), "refresh": 0}
-
-
-def design_names(
-    system: System, sensitivities: bool | Sequence[str], designs: Mapping[str, Tensor] | None
-) -> list[str]:
-    """Names of the parameters whose sensitivities are asked for."""
-    own = dict(system.named_parameters())
-    if sensitivities is True:
-        names = [name for name, x in own.items() if x.requires_grad]
-        if not names:
-            raise InputError("sensitivities=True, but no parameter of the system requires a gradient")
-        return names
-    names = list(sensitivities or [])
-    for name in names:
-        if name not in own:
-            raise unknown("parameter", name, own)
-    return names
 
 
 def labels(system: System, names: Sequence[str]) -> tuple[str, ...]:

@@ -22,7 +22,8 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.numerics.pair import Pair, cat, combine, reciprocal, value
+from torchmbd.numerics.elementwise import reciprocal
+from torchmbd.numerics.pair import Pair, cat, combine, value
 from torchmbd.system import equations
 from torchmbd.system.elimination import Eliminated
 from torchmbd.system.saddle import Saddle

@@ -26,7 +26,8 @@ from torch import Tensor
 from torchmbd.integrators.events import Event, Views, normal
 from torchmbd.integrators.step import State
 from torchmbd.joints.lock import Lock
-from torchmbd.numerics.pair import Pair, cat, combine, dot, matvec, matvec_t, reciprocal, value
+from torchmbd.numerics.elementwise import reciprocal
+from torchmbd.numerics.pair import Pair, cat, combine, dot, matvec, matvec_t, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics, solve
 from torchmbd.system.topology import Topology

@@ -39,10 +39,7 @@ OK = "ok"
 
 @dataclass(frozen=True, eq=False)
 class Moment:
-    """The state of all lanes on one side of a switch [lanes, n], with sensitivities [lanes, n, n_b].
-
-    Multipliers of redundant rows are here as the iteration left them.
-    """
+    """The state of all lanes on one side of a switch [lanes, n], with sensitivities [lanes, n, n_b]."""
 
     q: Tensor
     v: Tensor
@@ -101,8 +98,14 @@ class MovedData(Mapping[str, Tensor]):
 
 @dataclass(eq=False)
 class Trajectory:
-    """A motion of one design or of a batch; see the module header for shapes.
+    """A motion of one design or of a batch; made by `simulate`.
 
+    t           times [times] [s]
+    q, v, a     coordinates [lanes, times, n_q] [m, -], rates [lanes, times, n_v] [m/s, rad/s] and accelerations
+    lam         multipliers [lanes, times, rows] [N, N m]
+    dq_db, ...  their sensitivities, the design axis last [..., n_b]
+    system      the model;  dynamics: its equations of motion for these designs
+    known       what measures evaluated together share
     signals     coordinates, rates, accelerations and multipliers by rows
     shapes      mode shapes of the designs
     status      for each lane "ok" or the reason of the failure
@@ -214,7 +217,7 @@ class Trajectory:
     def moved(self, delta: Tensor) -> Trajectory:
         """The motion of all designs moved by delta [n_b], or [lanes, n_b] for each lane its own, to first order.
 
-        delta may carry derivatives, forward or reverse.
+        delta may carry derivatives, forward or reverse; second ones are those of the first-order neighbor, not of the motion.
         """
         return replace(
             self,

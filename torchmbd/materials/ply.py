@@ -29,7 +29,14 @@ from torchmbd.materials.strength import Strength
 
 @dataclass(frozen=True)
 class Ply:
-    """Elastic constants [Pa] and density [kg/m3] of one layer, in its own axes (1 = fibre)."""
+    """One unidirectional layer in its own axes (1 = fibre, 2 = across, 3 = thickness); Ply.isotropic makes a metal's.
+
+    E1, E2          moduli along and across the fibre [Pa]
+    G12, G13, G23   shear moduli [Pa]
+    nu12            Poisson's ratio, strain along 2 for a stress along 1; nu12^2 < E1 / E2
+    density         [kg/m3]
+    strength        a Strength, for criteria of failure; None: nobody asks for it
+    """
 
     E1: float
     E2: float

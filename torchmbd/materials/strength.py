@@ -32,8 +32,11 @@ PLY_COMPONENTS = ("11", "22", "12", "13", "23")
 
 @dataclass(frozen=True)
 class Strength:
-    """Strengths of one ply [Pa], all positive: tension and compression along (X) and across (Y) the fibre, shear (S).
+    """Strengths of one ply [Pa], all positive.
 
+    Xt, Xc        tension and compression along the fibre
+    Yt, Yc        across it
+    S12           shear in the plane
     S13, S23      infinite by default: transverse shear stresses do not count
     interaction   F12 / sqrt(F11 F22) of Tsai-Wu, in (-1, 1)
     """

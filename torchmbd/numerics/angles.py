@@ -17,7 +17,11 @@ from torchmbd.errors import InputError
 
 
 def deg(degrees: float | Sequence[float] | Tensor) -> Tensor:
-    """Turn degrees into radians, as a float64 tensor of the same shape."""
+    """Turn degrees [deg] into radians [rad], as a float64 tensor of the same shape.
+
+    degrees  a number, numbers in lists, or a tensor, whose gradient is kept
+    InputError for what are no numbers.
+    """
     try:
         given = torch.as_tensor(degrees, dtype=torch.float64)
     except (TypeError, ValueError) as error:

@@ -9,7 +9,7 @@ Checked in tests/numerics/test_pair.py and, through every joint, in tests/contra
 
 from __future__ import annotations
 
-from torchmbd.numerics import pair
+from torchmbd.numerics import elementwise, pair
 
 
 class Jet:
@@ -59,16 +59,16 @@ def dot(a, b):
 def sin(angle):
     """Sine of a number or of a jet."""
     if not isinstance(angle, Jet):
-        return pair.sin(angle)
-    s, c = pair.sin(angle.value), pair.cos(angle.value)
+        return elementwise.sin(angle)
+    s, c = elementwise.sin(angle.value), elementwise.cos(angle.value)
     return Jet(s, c * angle.velocity, c * angle.acceleration - s * (angle.velocity * angle.velocity))
 
 
 def cos(angle):
     """Cosine of a number or of a jet."""
     if not isinstance(angle, Jet):
-        return pair.cos(angle)
-    s, c = pair.sin(angle.value), pair.cos(angle.value)
+        return elementwise.cos(angle)
+    s, c = elementwise.sin(angle.value), elementwise.cos(angle.value)
     return Jet(c, -(s * angle.velocity), -(s * angle.acceleration) - c * (angle.velocity * angle.velocity))
 
 

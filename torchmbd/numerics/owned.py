@@ -6,13 +6,16 @@ Checked in tests/numerics/test_owned.py.
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import torch
+import torch.autograd.forward_ad as forward_ad
 from numpy.typing import ArrayLike
 from torch import Tensor
+from torch._C._functorch import is_functorch_wrapped_tensor
 
 from torchmbd.errors import InputError
 
@@ -32,6 +35,21 @@ def scalar(name: str, given: Any, allowed: str = "a finite number", unit: str = 
     if not math.isfinite(x):
         raise InputError(f"{name} is {given!r}{unit}; allowed: {allowed}")
     return x
+
+
+def whole(given: Any) -> bool:
+    """Whether it is a whole number, of Python or NumPy; True and False are none."""
+    return isinstance(given, numbers.Integral) and not isinstance(given, bool)
+
+
+def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
+    """InputError where x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
+    watched = x.requires_grad and torch.is_grad_enabled()
+    wrapped = is_functorch_wrapped_tensor(x)
+    if watched or wrapped or forward_ad.unpack_dual(x).tangent is not None:
+        raise InputError(
+            f"{name} is being differentiated, which would be lost here; allowed: x.detach(), and {instead}"
+        )
 
 
 def positive(name: str, given: Any, unit: str) -> float:
@@ -64,6 +82,9 @@ def several(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str)
 
 def _read(name: str, given: ArrayLike | Tensor, allowed: str) -> Tensor:
     try:
-        return (given.detach() if isinstance(given, Tensor) else torch.from_numpy(np.array(given))).clone()
+        x = (given.detach() if isinstance(given, Tensor) else torch.from_numpy(np.array(given))).clone()
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} is {given!r}; allowed: {allowed}") from error
+    if x.is_complex():
+        raise InputError(f"{name} is {given!r}; allowed: {allowed}, real ones")
+    return x

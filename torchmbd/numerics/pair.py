@@ -210,56 +210,6 @@ def contract(a: Any, b: Any, dims: int | tuple[int, ...]) -> Any:
     return product
 
 
-def function(f: Callable[[Tensor], Tensor], df: Callable[[Tensor], Tensor], x: Any) -> Any:
-    """Apply a scalar function, elementwise, given with its derivative."""
-    if isinstance(x, Pair):
-        return Pair.of(f(x.value), df(x.value) * x.tangent)
-    return f(x)
-
-
-def sin(x: Any) -> Any:
-    return function(torch.sin, torch.cos, x)
-
-
-def cos(x: Any) -> Any:
-    return function(torch.cos, lambda y: -torch.sin(y), x)
-
-
-def sqrt(x: Any) -> Any:
-    return function(torch.sqrt, lambda y: 0.5 * torch.rsqrt(y), x)
-
-
-def slopes(f: Callable[..., Tensor], *xs: Tensor) -> list[Tensor]:
-    """Partial derivatives of an elementwise function by each of its arguments."""
-    result = []
-    for k, x in enumerate(xs):
-        moved: Any = torch.func.jvp(lambda y, k=k: f(*xs[:k], y, *xs[k + 1 :]), (x,), (torch.ones_like(x),))
-        result.append(moved[1])
-    return result
-
-
-def lifted(f: Callable[..., Tensor], *xs: Any) -> Any:
-    """Apply an elementwise function of several numbers; its derivatives come from forward mode."""
-    paired = [k for k, x in enumerate(xs) if isinstance(x, Pair)]
-    values = [value(x) for x in xs]
-    if not paired:
-        return f(*values)
-
-    def moving(*some: Tensor) -> Tensor:
-        full = list(values)
-        for k, x in zip(paired, some, strict=True):
-            full[k] = x
-        return f(*full)
-
-    found = slopes(moving, *(values[k] for k in paired))
-    tangents = [slope * xs[k].tangent for k, slope in zip(paired, found, strict=True)]
-    return Pair.of(f(*values), torch.stack(tangents).sum(0) if len(tangents) > 1 else tangents[0])
-
-
-def reciprocal(x: Any) -> Any:
-    return function(lambda y: 1.0 / y, lambda y: -1.0 / (y * y), x)
-
-
 def combine(x: Any, factor: Any, y: Any) -> Any:
     """x + factor y, for a factor without component axes."""
     if isinstance(factor, (Tensor, Pair)):

@@ -19,7 +19,10 @@ from torchmbd.numerics.pair import linear
 
 
 def variable(x: float | Tensor) -> nn.Parameter:
-    """A finite number as a design variable [unit of its place]."""
+    """A number as a design variable: a parameter [] of the law, load or drive in which it stands.
+
+    x  where it starts, finite [unit of its place]
+    """
     given = x.detach() if isinstance(x, Tensor) else x
     return nn.Parameter(torch.tensor(scalar("variable", given, "one finite number"), dtype=torch.float64))
 

@@ -72,15 +72,19 @@ def optimize_discrete(
     feasibility: float = FEASIBILITY,
     **options: Any,
 ) -> DiscreteResult:
-    """Minimize `problem` over designs whose variables take allowed values only.
+    """Minimize over designs whose variables take allowed values only.
 
-    `allowed`: one entry per variable, an increment in its unit, a list of values, or None (continuous); one increment
-    serves all. `starts`, `max_lanes`, `options`: of the relaxation, as in `multistart`. `max_boxes`: boxes searched at most.
-    `max_neighbors`: where more lie within two increments per variable, the certificate takes two increments in all.
-    `admits`: rules that a design on the values must keep, such as those of a laminate; rounding then takes the nearest
-    admitted design within two increments (a rule that ties variables, such as symmetry, is better a link of the problem, for
-    few designs keep it). Continuous variables keep their values among neighbors. InputError as in
-    `multistart`, and where no value is in bounds.
+    problem        as in `optimize`
+    allowed        one entry per variable, an increment in its unit, a list of values, or None (continuous); one increment
+                   serves all [rad for angles: mbd.deg(5)]
+    max_boxes      boxes searched at most
+    max_neighbors  where more lie within two increments per variable, the certificate takes two increments in all
+    admits         rules that a design [n] on the values must keep, such as those of a laminate; rounding then takes the
+                   nearest admitted design within two increments (a rule that ties variables, such as symmetry, is better
+                   a link of the problem, for few designs keep it)
+    method, starts, max_iterations, max_lanes, feasibility, options   of the relaxation, as in `multistart`
+
+    Continuous variables keep their values among neighbors. Raises InputError as `multistart`, and where no value is in bounds.
     """
     function = find_method(method, options)
     require_limits(max_iterations, None)

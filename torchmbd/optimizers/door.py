@@ -46,13 +46,21 @@ def optimize(
     max_analyses: int | None = None,
     **options: Any,
 ) -> OptimizationResult:
-    """Minimize `problem` from one start.
+    """Minimize from one start.
 
-    `start` [n]: default `problem.start`. `scaling`: variables by |start|, objective by |objective(start)|. `callback` is
-    called with every accepted iterate. `feasibility`: violation of a constraint that still counts as none.
-    `eager_gradients`: ask gradients together with all values (a simulation saved per iteration) instead of afterwards.
-    `max_analyses`: simulations at most. `options` are the method's own. InputError: unknown method or option, crossed
-    bounds, start outside the bounds, wrong lengths.
+    problem          such as a Problem; any object as told in optimizer.py
+    method           "mmfd", "slsqp", "trust-constr", "mma", "ccsaq", "ipopt" or "differential_evolution"
+    start            initial design [n]; None: problem.start
+    max_iterations   accepted designs at most
+    scaling          variables by |start|, objective by |objective(start)|
+    callback         called with every accepted Iterate
+    feasibility      violation of a constraint that still counts as none [-]
+    eager_gradients  ask for gradients together with all values (a simulation saved per iteration), not afterwards
+    max_analyses     simulations at most; None: any number
+    options          the method's own
+
+    A simulation that fails is stepped back from, and counted in the result. Raises InputError for an unknown method or
+    option, crossed bounds, a start outside the bounds, wrong lengths.
     """
     function = find_method(method, options)
     x, lower, upper = checked_box(problem, start)
@@ -136,7 +144,11 @@ def restored(search: Search, ending: Ending, function: Method, max_iterations: i
 def result_of(search: Search, ending: Ending, method: str, problem: Box, evaluate: bool = True) -> OptimizationResult:
     """Return the ending in physical units, with multipliers; "converged" must be feasible, whatever the method said."""
     y, status, message = best_of(search, ending)
-    evaluation = search.evaluate(y, gradients=True) if evaluate else search.evaluate_known(y)
+    evaluation = known = search.evaluate_known(y)
+    if evaluate:
+        evaluation = search.evaluate(y, gradients=True)
+    if known.ok and not evaluation.ok:
+        evaluation, message = known, f"{message}; its gradient could not be evaluated: {evaluation.status}"
     violation = search.violation(evaluation) if evaluation.ok else float("nan")
     if status == "converged" and not violation <= search.feasibility:
         status, message = "infeasible", f"{message}, but a constraint is violated by {violation:.3g}"

@@ -133,8 +133,7 @@ def run_foreign(search: Search, run: Callable[[Guard], Stop], max_iterations: in
         if stop is None:
             break
         message = stop.message
-        y = _better(search, stop.y)
-        evaluation = search.evaluate(y, gradients=True)
+        y, evaluation = _with_gradient(search, _better(search, stop.y), walls)
         quality = kuhn_tucker(evaluation, y, search.lower, search.upper, search.equality)
         feasible = search.violation(evaluation) <= search.feasibility
         reached = abs(evaluation.objective)
@@ -184,6 +183,15 @@ def _better(search: Search, y: np.ndarray) -> np.ndarray:
 
     best = search.best
     return y if best is None or rank(y) <= rank(best) else best
+
+
+def _with_gradient(search: Search, y: np.ndarray, walls: list[np.ndarray]) -> tuple[np.ndarray, Evaluation]:
+    """Return `y`, or the best design after it whose gradient does not fail, with its evaluation."""
+    while not (evaluation := search.evaluate(y, gradients=True)).ok:
+        walls.append(y)
+        assert search.best is not None  # the start, if no other
+        y = search.best
+    return y, evaluation
 
 
 def _ending(search: Search, y: np.ndarray, message: str, max_iterations: int) -> Ending:

@@ -81,14 +81,17 @@ def multistart(
     minima_left: float | None = None,
     **options: Any,
 ) -> Study:
-    """Minimize `problem` from every start; the starts' simulations are evaluated together.
+    """Minimize from every start; the starts' simulations are evaluated together.
 
-    `starts`: `sobol(...)`, `latin_hypercube(...)` or a list of designs; default the problem's own
-    start. `max_lanes`: designs under evaluation at most. Variables are scaled by the problem's start for all starts
-    alike. `minima_left`: begin no further start once the estimated number of unknown minima is below it.
-    `problem.period` [n], where present, says which variables are angles. `ended` hears of every result as it comes. The
-    other arguments are those of `optimize`.
-    Ctrl-C ends every start and returns what there is, `interrupted` set.
+    problem      as in `optimize`; `problem.period` [n], where present, says which variables are angles
+    starts       `sobol(...)`, `latin_hypercube(...)` or a list of designs [count, n]; None: the problem's own start
+    ended        hears of every OptimizationResult as it comes
+    max_lanes    designs under evaluation at most
+    scaling      variables by the problem's start, for all starts alike
+    minima_left  begin no further start once the estimated number of unknown minima is below it
+    method, callback, max_iterations, feasibility, eager_gradients, max_analyses, options   as in `optimize`
+
+    A start that fails says so in its result. Ctrl-C ends every start and returns what there is, `interrupted` set.
     """
     function = find_method(method, options)
     require_limits(max_iterations, max_analyses)

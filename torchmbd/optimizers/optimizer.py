@@ -125,29 +125,49 @@ class Ending:
 
 @dataclass(frozen=True)
 class OptimizationResult:
-    """The end of one start, in physical units."""
+    """The end of one start, in physical units.
+
+    x                     design [n], the best that was found
+    value                 objective there; nan: the start could not be evaluated
+    constraints           [m], satisfied where <= 0
+    violation             the largest of a constraint, 0 where all are satisfied
+    status, message       a key of STATUSES, and a sentence why; only "converged" claims an optimum
+    method                its name
+    iterations            accepted designs after the start
+    analyses              simulations, with or without gradients
+    gradient_evaluations  how many of them carried gradients
+    failures              how many of them failed
+    history               accepted designs, the start first
+    multipliers           of the constraints [m]
+    bound_multipliers     [n], positive at an upper, negative at a lower bound
+    kkt_residual          of the scaled problem (kkt.py); nan where no gradient is known
+    names                 of the design variables [n]
+    start                 which start of a multistart it was
+    problem               what was minimized
+    """
 
     x: np.ndarray
     value: float
     constraints: np.ndarray
     violation: float
-    status: str  # a key of STATUSES
-    message: str  # one sentence
+    status: str
+    message: str
     method: str
     iterations: int
-    analyses: int  # simulations, with or without gradients
-    gradient_evaluations: int  # how many of them carried gradients
-    failures: int  # how many of them failed
+    analyses: int
+    gradient_evaluations: int
+    failures: int
     history: list[Iterate]
-    multipliers: np.ndarray  # [m], of the constraints
-    bound_multipliers: np.ndarray  # [n], positive at an upper, negative at a lower bound
-    kkt_residual: float  # scaled problem, see kkt.py; nan where no gradient is known
+    multipliers: np.ndarray
+    bound_multipliers: np.ndarray
+    kkt_residual: float
     names: list[str] = field(default_factory=list)
     start: int = 0
     problem: Any = field(default=None, repr=False, compare=False)
 
     @property
     def converged(self) -> bool:
+        """Whether the method's criteria hold and the constraints are satisfied."""
         return self.status == "converged"
 
     @cached_property

@@ -93,11 +93,15 @@ def pareto_front(
     feasibility: float = FEASIBILITY,
     **options: Any,
 ) -> Front:
-    """Find the front of `problem`.
+    """Find the designs of which no other is better in all criteria.
 
-    `divisions`: steps between two anchors; C(divisions + k - 1, k - 1) points in all. `starts`: of the anchors' searches, as
-    in `multistart`; `everywhere`: of every point's too, where fronts are only local. `options` are those of the method.
-    InputError as in `optimize`, for fewer than two criteria, and where no feasible design is found for an anchor. Ctrl-C
+    problem     a Tradeoff, or another problem of several criteria
+    divisions   steps between two anchors; C(divisions + k - 1, k - 1) points in all, of k criteria
+    starts      of the anchors' searches, as in `multistart`
+    everywhere  of every point's too, where fronts are only local
+    method, max_iterations, max_lanes, feasibility, options   of every search, as in `multistart`
+
+    Raises InputError as `optimize`, for fewer than two criteria, and where no feasible design is found for an anchor. Ctrl-C
     returns what there is, once the anchors are known.
     """
     function = find_method(method, options)

@@ -10,6 +10,7 @@ Checked in tests/optimizers/test_processes.py.
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import multiprocessing.connection
 import os
@@ -46,7 +47,7 @@ class Processes:
         require_problem(problem)
         self.problem, self.count = problem, count
         spawn = multiprocessing.get_context("spawn")  # a fork would copy threads' locks in whatever state they are
-        begin = (cloudpickle.dumps(problem), torch.get_default_dtype(), spawn.Barrier(count))
+        begin = (_packed(problem), torch.get_default_dtype(), spawn.Barrier(count))
         self._pool: ProcessPoolExecutor | None = ProcessPoolExecutor(count, spawn, _begin, begin)
         self._begun = [self._pool.submit(_meet) for _ in range(count)]  # they start while the caller goes on
 
@@ -101,6 +102,16 @@ class Processes:
         self.close()
 
 
+def _packed(problem: Problem) -> bytes:
+    try:
+        return cloudpickle.dumps(problem)
+    except Exception as error:  # of whatever the problem holds
+        allowed = "one that can be pickled, with responses that hold no locks, files or threads"
+        raise InputError(
+            f"problem {problem!r} cannot be sent to other processes: {error}; allowed: {allowed}"
+        ) from error
+
+
 def _begin(problem: bytes, dtype: torch.dtype, door: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's affair
     threading.Thread(target=_end_with_the_caller, daemon=True).start()
@@ -108,7 +119,8 @@ def _begin(problem: bytes, dtype: torch.dtype, door: Any) -> None:
     torch.set_default_dtype(dtype)
     own = cloudpickle.loads(problem)
     _here.update(problem=own, door=door)
-    own.evaluate(np.asarray(own.start)[None], True)  # what is made once is made now
+    with contextlib.suppress(Exception):  # it comes again, when the caller asks
+        own.evaluate(np.asarray(own.start)[None], True)  # what is made once is made now
     exempt()
 
 
@@ -121,7 +133,10 @@ def _evaluate(X: np.ndarray, gradients: bool) -> bytes:
     try:
         return cloudpickle.dumps(_here["problem"].evaluate(X, gradients))
     except Exception as error:
-        return cloudpickle.dumps(error)
+        try:
+            return cloudpickle.dumps(error)
+        except Exception:  # it holds what cannot travel
+            return cloudpickle.dumps(RuntimeError(f"{type(error).__name__}: {error}"))
 
 
 def _end_with_the_caller() -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from operator import itemgetter
 
 import numpy as np
 
@@ -75,7 +76,7 @@ class Search:
         self._ask, self._report = ask, report
         self.equalities = np.zeros(0, dtype=int) if equalities is None else np.asarray(equalities, dtype=int)
         self._cache: dict[bytes, Evaluation] = {}  # physical units, by the bytes of x
-        self._best: tuple[tuple[bool, float], np.ndarray] | None = None
+        self._ranks: dict[bytes, tuple[tuple[bool, float], np.ndarray]] = {}  # with y, of what succeeded
 
     @property
     def size(self) -> int:
@@ -137,7 +138,7 @@ class Search:
     @property
     def best(self) -> np.ndarray | None:
         """Scaled y of the best design seen (feasible and lowest, else least infeasible); None if none succeeded."""
-        return None if self._best is None else self._best[1]
+        return min(self._ranks.values(), key=itemgetter(0))[1] if self._ranks else None
 
     def _remember(self, y: np.ndarray, evaluation: Evaluation) -> None:
         if not evaluation.ok:
@@ -145,8 +146,7 @@ class Search:
         violation = self.violation(evaluation)
         infeasible = violation > self.feasibility
         rank = (infeasible, violation if infeasible else evaluation.objective)
-        if self._best is None or rank < self._best[0]:
-            self._best = (rank, np.array(y, dtype=float))
+        self._ranks[self.physical(y).tobytes()] = (rank, np.array(y, dtype=float))
 
     def _equality_mask(self, constraints: int) -> np.ndarray:
         mask = np.zeros(constraints, dtype=bool)
@@ -176,6 +176,8 @@ class Search:
             self.failures += not evaluation.ok
             if evaluation.ok and self.equality.size != evaluation.constraints.size:
                 self.equality = self._equality_mask(evaluation.constraints.size)
+            if not evaluation.ok:
+                self._ranks.pop(x.tobytes(), None)  # its values were known, its gradient fails
             self._cache[x.tobytes()] = evaluation
         if len(allowed) < len(designs):
             raise OutOfAnalyses

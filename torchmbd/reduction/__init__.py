@@ -1,12 +1,12 @@
 """Reduction of a flexible body: modes, their derivatives, inertia invariants. Knows matrices and nodes, no element."""
 
-from torchmbd.reduction.basis import CutCluster, ModalBasis, modal_basis
+from torchmbd.reduction.basis import CutCluster, Matrix, ModalBasis, modal_basis
 from torchmbd.reduction.branches import Branches, eigenpair_branches
 from torchmbd.reduction.constraint_modes import constraint_modes
 from torchmbd.reduction.continuity import Alignment, align, span
 from torchmbd.reduction.craig_bampton import craig_bampton
 from torchmbd.reduction.eigenpairs import Eigenpairs, eigenpairs
-from torchmbd.reduction.family import REDUCTIONS, CraigBampton, Reduction, VibrationModes
+from torchmbd.reduction.family import REDUCTIONS, CraigBampton, Reduction, VibrationModes, uncut
 from torchmbd.reduction.invariants import inertia_invariants
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "CraigBampton",
     "CutCluster",
     "Eigenpairs",
+    "Matrix",
     "ModalBasis",
     "Reduction",
     "VibrationModes",
@@ -27,4 +28,5 @@ __all__ = [
     "inertia_invariants",
     "modal_basis",
     "span",
+    "uncut",
 ]

@@ -40,11 +40,15 @@ SMALL = 150  # freedoms; below, all modes by a dense method cost no more
 
 
 class CutCluster(InputError):
-    """n cuts a cluster. `lanes`: the numbers of the lanes, leading dimensions flattened; the others can be reduced."""
+    """n cuts a cluster.
 
-    def __init__(self, message: str, lanes: tuple[int, ...]) -> None:
+    lanes   where, leading dimensions flattened; the others can be reduced
+    beyond  the least n, as far as is known, that may not cut it
+    """
+
+    def __init__(self, message: str, lanes: tuple[int, ...], beyond: int) -> None:
         super().__init__(message)
-        self.lanes = lanes
+        self.lanes, self.beyond = lanes, beyond
 
 
 class ModalBasis(NamedTuple):
@@ -137,15 +141,15 @@ def _check_gap(values: Tensor, n: int, cluster: float, rounding: Tensor) -> None
     cut = (~apart[:, n - 1]).nonzero().squeeze(-1).tolist()
     lane = cut[0]
     ends = (apart[lane].nonzero().squeeze(-1) + 1).tolist()  # the numbers of modes after which there is a gap
-    allowed = [
-        f"n = {end}" for end in (max((e for e in ends if e < n), default=0), *[e for e in ends if e > n][:1]) if end
-    ]
+    below, beyond = max((e for e in ends if e < n), default=0), next((e for e in ends if e > n), 0)
+    allowed = [f"n = {end}" for end in (below, beyond) if end]
     also = f" (and of lanes {', '.join(map(str, cut[1:]))})" if len(cut) > 1 else ""
     raise CutCluster(
         f"n = {n} cuts a cluster{lane_name(lane, len(values))}{also}: eigenvalues {n} and {n + 1} are "
         f"{values[lane, n - 1]:.10g} and {values[lane, n]:.10g}, closer than cluster = {cluster:g} relative; "
         f"take {' or '.join(allowed) or 'more modes'}",
         tuple(cut),
+        beyond or values.shape[1],
     )
 
 

@@ -13,11 +13,13 @@ Checked in tests/reduction/test_craig_bampton.py, tests/sensitivity/test_eigen_f
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
+import torch
+
 from torchmbd.errors import InputError
-from torchmbd.reduction.basis import Matrix, ModalBasis, modal_basis
+from torchmbd.reduction.basis import CutCluster, Matrix, ModalBasis, modal_basis
 from torchmbd.reduction.craig_bampton import craig_bampton
 
 
@@ -72,6 +74,18 @@ class CraigBampton:
 
     def __call__(self, K: Matrix, M: Matrix) -> ModalBasis:
         return craig_bampton(K, M, self.n, self.interface, updated=self.updated)
+
+
+def uncut(reduction: VibrationModes | CraigBampton, K: Matrix, M: Matrix) -> VibrationModes | CraigBampton:
+    """The same reduction with as many modes more as it takes to cut no cluster of equal frequencies of K and M."""
+    with torch.no_grad():
+        while True:
+            try:
+                reduction(K, M)
+            except CutCluster as error:
+                reduction = replace(reduction, n=error.beyond)
+            else:
+                return reduction
 
 
 REDUCTIONS: dict[str, type[VibrationModes] | type[CraigBampton]] = {

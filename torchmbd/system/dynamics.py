@@ -45,8 +45,13 @@ REGULARIZATION = (
 
 @dataclass(eq=False)
 class Dynamics:
-    """Frozen equations of motion of one design or of a batch of designs (lanes).
+    """Frozen equations of motion of one design or of a batch of designs (lanes); what `system()` returns.
 
+    Called with t [] [s] and z [lanes, n] it is the right-hand side dz/dt for torchdiffeq, from `initial_state()`.
+
+    topology       bodies, joints and forces as arrays of indices;  saddle: how their matrix is laid out
+    initial        how joints are closed at the start
+    statistics     how often it was evaluated
     data           name -> tensor or pair [component..., 1, lanes]; a lane axis of one holds for all
     stabilization  time constant of the constraint stabilization [s]
     """

@@ -46,8 +46,11 @@ class Equilibrium:
 
 
 def equilibrium(model: Any) -> Equilibrium:
-    """Static equilibrium near the initial position of a System or of its Dynamics, drives held at t = 0.
+    """Static equilibrium near the initial position, drives held at t = 0.
 
+    model  a System (one design) or its Dynamics (lanes)
+
+    Returns q [lanes, n_q] [m, -], multipliers lam [lanes, rows] [N, N m], and frequencies [lanes, freedoms] [Hz].
     Raises InputError with the forces that remain if there is none.
     """
     if not (hasattr(model, "with_joints") or hasattr(model, "initial_state")):

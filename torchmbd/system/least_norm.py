@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.numerics.jet import Jet
-from torchmbd.numerics.pair import Pair, cat
+from torchmbd.numerics.pair import Pair, cat, value
 from torchmbd.system import equations
 from torchmbd.system.equations import Data, Placement
 from torchmbd.system.rank import Rank
@@ -74,6 +74,10 @@ class LeastNorm:
         pulls = _forces(self.T, data, at, acting * (lam.value - least))
         return Pair.of(least, _times(P, lam.tangent - moved) + moved + _times(inverse.mT, pulls))
 
+    def at_own_time(self, data: Data, t: Any, q: Any, lam: Any) -> Any:
+        """The same for one lane at a time t [1, 1] that may depend on the design; derivatives are total."""
+        return self(data, _prescribed(self.T, data, t), q, lam)
+
     def _inverses(self, data: Data, at: Placement) -> tuple[Tensor, Tensor]:
         """J+ [lanes, n_v, rows] and P [lanes, rows, rows]."""
         parts = unit_forces(self.T, data, at, torch.arange(self.T.rows))
@@ -85,6 +89,26 @@ class LeastNorm:
         U = U * kept[:, None] * self.acting[:, None]  # rounding put something into rows that do not act
         U = torch.where(failed, torch.nan, U)
         return (Vh.mT * torch.where(kept, 1.0 / s, 0.0)[:, None]) @ U.mT, U @ U.mT
+
+
+def _prescribed(T: Topology, data: Data, t: Any) -> Prescribed:
+    """What is known at the time t, whose derivatives by the design move what the laws prescribe."""
+    now = value(t)[0, 0]
+    given = T.prescribed(now, data)
+    if not isinstance(t, Pair):
+        return given
+    plain = {name: value(x) for name, x in data.items()}
+
+    def laws(s: Tensor) -> list[tuple]:
+        return [law or () for law in T.prescribed(s, plain).laws]
+
+    _, rates = torch.func.jvp(laws, (now,), (torch.ones_like(now),))[:2]
+
+    def moved(x: Any, rate: Tensor) -> Pair:
+        return Pair.of(value(x), rate * t.tangent + (x.tangent if isinstance(x, Pair) else 0.0))
+
+    moving = [law and tuple(map(moved, law, rate)) for law, rate in zip(given.laws, rates, strict=True)]
+    return given._replace(laws=moving)
 
 
 def _rates(T: Topology, data: Data, at: Placement, mu: Tensor) -> Tensor:

@@ -21,7 +21,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.forces.force import ForceElement
 from torchmbd.joints.joint import Joint
 from torchmbd.numerics.called import called
-from torchmbd.numerics.owned import positive, several
+from torchmbd.numerics.owned import positive, refuse_derivatives, several
 from torchmbd.numerics.pair import Pair
 from torchmbd.numerics.variable import key
 from torchmbd.system import topology
@@ -81,9 +81,7 @@ class System(nn.Module):
                 raise InputError(f"body name {body.name!r} is taken by torchmbd; allowed: any other identifier")
             self.add_module(body.name, body)
         self._add_laws()
-        self.register_load_state_dict_post_hook(
-            lambda system, _: system._join(system.joints)
-        )  # places may have changed
+        self.register_load_state_dict_post_hook(_joined_anew)
 
     def _add_laws(self) -> None:
         """Take in the modules of joints and forces whose parameters are design variables, by the names of these."""
@@ -138,6 +136,9 @@ class System(nn.Module):
         """
         own = dict(self.named_parameters())
         given = dict(parameters or {})
+        for name, x in own.items():
+            if x.dtype != torch.float64:
+                raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
         for name, x in given.items():
             if name not in own:
                 raise unknown("parameter", name, own)
@@ -145,6 +146,7 @@ class System(nn.Module):
                 raise InputError(
                     f"parameter {name!r} has shape {tuple(x.shape)}; allowed: [lanes, {', '.join(map(str, own[name].shape))}]"
                 )
+            refuse_derivatives(f"parameter {name!r}", x, f"tangents=[{name!r}], or system() in reverse mode")
         lanes = {name: x.shape[0] for name, x in given.items()}
         if len(set(lanes.values())) > 1:
             raise InputError(f"lanes of the parameters are {lanes}; allowed: the same number for all")
@@ -183,6 +185,11 @@ class System(nn.Module):
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data
+
+
+def _joined_anew(system: System, _: Any) -> None:
+    """After loading other numbers: places may have changed. A function of the module, so that a system can be pickled."""
+    system._join(system.joints)
 
 
 def _together(parts: list[Tensor], rank: int) -> Tensor:

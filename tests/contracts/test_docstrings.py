@@ -1,0 +1,55 @@
+"""What `help` says of every public name: each argument, and of numbers their units or shapes."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from types import ModuleType
+
+import pytest
+
+from torchmbd import public
+from torchmbd.design import History, Measure
+
+NAMES = [name for name in public.__all__ if not isinstance(getattr(public, name), ModuleType)]
+
+
+def told(thing: object) -> str:
+    """The docstring; of a class also those that it inherits from."""
+    family = thing.__mro__ if inspect.isclass(thing) else [thing]
+    return "\n".join(own.__doc__ or "" for own in family if own.__module__.startswith("torchmbd"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_argument_is_told(name):
+    thing = getattr(public, name)
+    assert thing.__doc__
+    if inspect.isclass(thing) and issubclass(thing, Exception):
+        return
+    text = told(thing)
+    words, elsewhere = set(re.findall(r"\w+", text.lower())), "see the module header" in text
+    unsaid = [x for x in inspect.signature(thing).parameters if not {x.lower(), *x.lower().split("_")} & words]
+    assert unsaid == [] or elsewhere
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_methods_are_told(name):
+    thing = getattr(public, name)
+    if not inspect.isclass(thing):
+        return
+    for key, method in vars(thing).items():
+        own = inspect.isfunction(method) or isinstance(method, (property, classmethod, staticmethod))
+        if own and not key.startswith("_"):
+            assert inspect.getdoc(getattr(thing, key)), f"{name}.{key}"
+
+
+RESPONSES = [
+    name for name in NAMES if inspect.isclass(x := getattr(public, name)) and issubclass(x, (History, Measure))
+]
+
+
+@pytest.mark.parametrize("name", RESPONSES)
+def test_responses_tell_their_shape_and_unit(name):
+    doc = getattr(public, name).__doc__
+    assert re.search(r"\[lanes(, \w+)?\]", doc)
+    assert re.search(r"\[(m|s|m/s|m/s2|J|N|Pa|Hz|kg|rad|-)\]|\bunits?\b", doc)

@@ -1,0 +1,54 @@
+"""Design gradients of functions of a motion, along its first-order neighbors (Trajectory.moved); eq. (27).
+
+    df/db = d/d(delta) f(motion.moved(delta))  at delta = 0
+
+Forward or reverse mode, whichever has fewer columns. Checked in tests/contracts/test_responses.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators import Trajectory
+
+
+class Valued(NamedTuple):
+    """A value with its design gradient; None for a motion without sensitivities."""
+
+    value: Tensor
+    gradient: Tensor | None
+
+
+def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
+    """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b].
+
+    In reverse mode where f has no more numbers than there are design variables, else in forward mode. Lanes know nothing of
+    each other: the gradient of a sum over lanes by the neighbor of each lane is that of each.
+    """
+    shared = replace(motion, known={})  # what measures share lives as long as this
+    n = len(motion.parameters)
+    if not n:
+        return Valued(f(shared), None)
+    with torch.enable_grad():
+        delta = torch.zeros(motion.lanes, n, dtype=torch.float64, requires_grad=True)
+        found = f(shared.moved(delta))
+    value, rows = found.detach(), found[0].numel()
+    if rows <= n:
+        return Valued(value, _reversed(found, delta).reshape(*value.shape, n))
+    motion.prepare()
+    gradient = torch.func.jacfwd(lambda delta: f(shared.moved(delta)))(torch.zeros(n, dtype=torch.float64))
+    assert isinstance(gradient, Tensor)
+    return Valued(value, gradient)
+
+
+def _reversed(found: Tensor, delta: Tensor) -> Tensor:
+    """Gradients of rows [lanes, ...] by delta [lanes, n]: [lanes, rows, n]."""
+    if not found.requires_grad:  # of nothing that depends on the design
+        return delta.new_zeros(len(found), found[0].numel(), delta.shape[1])
+    sums = found.flatten(1).sum(0) if found.dim() > 1 else found.sum()[None]
+    return torch.stack([torch.autograd.grad(x, delta, retain_graph=True)[0] for x in sums.unbind()], 1)
