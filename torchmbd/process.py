@@ -40,6 +40,11 @@ BROOD = ("distributed", "torchmbd.experiment.farm")  # what workers of a study n
 _AUTOGROUP = Path("/proc/self/autogroup")
 
 
+def cache_folder() -> Path:
+    """Where a user's processes keep what serves them all: compiled libraries, the lock of new stores."""
+    return Path(os.environ.get("TORCHMBD_CACHE") or Path.home() / ".cache" / "torchmbd")
+
+
 def settle() -> None:
     """Make this process fit for batches of small solves; torch's own threads included."""
     for name, count in ONE_THREAD.items():
