@@ -25,6 +25,7 @@ import torchmbd as mbd
 from experiments.shell_problems import PROBLEMS, cantilever
 from torchmbd.elements import ELEMENTS, quad, quad_bending, sides
 from torchmbd.elements.quad_shape import Bilinear
+from torchmbd.materials import IsotropicMean
 
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
 
@@ -68,18 +69,18 @@ def published() -> None:
 
 def mitc4(corners: Tensor, points: Bilinear, *_: object) -> tuple[Tensor, Tensor]:
     """Bilinear rotations, every gap taken for shear: K.-J. Bathe and E. N. Dvorkin (1985)."""
-    gap, _tangent, length = sides.gaps(corners)
-    return quad_bending.linear_curvatures(points), quad_bending.shear_strains(points, 0.5 * length[..., None] * gap)
+    gap = sides.gaps(corners)[0]
+    return quad_bending.linear_curvatures(points), quad_bending.shear_strains(corners, points, gap)
 
 
-def dkmq(corners: Tensor, points: Bilinear, shear_length: float, *_: object) -> tuple[Tensor, Tensor]:
+def dkmq(corners: Tensor, points: Bilinear, mean: IsotropicMean, *_: object) -> tuple[Tensor, Tensor]:
     """Gaps shared by the length of the side, curvatures as they are: I. Katili (1993)."""
     gap, tangent, length = sides.gaps(corners)
-    delta, gamma = sides.shared(gap, shear_length, length**2)
+    delta, gamma = sides.shared(gap, mean.shear_length, length**2)
     curvature = (
         quad_bending.linear_curvatures(points) + quad_bending.quadratic_curvatures(points, tangent) @ delta[:, None]
     )
-    return curvature, quad_bending.shear_strains(points, 0.5 * length[..., None] * gamma)
+    return curvature, quad_bending.shear_strains(corners, points, gamma)
 
 
 def bending() -> None:

@@ -197,7 +197,7 @@ def plates(kind: str, n: int, aspect: int = 1) -> Ratios:
 def morley(kind: str, n: int, thickness: float = 0.01) -> Ratios:
     """The 30 degree rhombus on soft supports, 8 x 8 cells, L / h = 100: with the layers of shear at the edges.
 
-    Cells larger than h cannot see these layers: they tend to 0.408 / 0.423 = 0.965 first. Thinner plates: over 0.408e-3.
+    Triangles larger than h cannot see these layers: they tend to 0.408 / 0.423 = 0.965 first. Thinner plates: over 0.408e-3.
     """
     cos, sin = math.cos(math.pi / 6), math.sin(math.pi / 6)
     model = Model(lambda s, t: (s + t * cos, t * sin, 0.0), (8 * n, 8 * n), kind, (10.92, 0.3, thickness))

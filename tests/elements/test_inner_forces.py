@@ -16,11 +16,12 @@ from torchmbd.materials import Laminate
 from torchmbd.numerics.angles import deg
 
 PLATE = PlateMatrices(turned(irregular(0.5, 0.3, (3, 2), kind="mixed"), rotation(7)), GENERAL, (1.0, 0.3, -0.2))
+ALONE = torch.ones(1, 4, dtype=torch.bool)
 RECTANGLE = torch.tensor([[[-0.9, -0.4], [0.9, -0.4], [0.9, 0.4], [-0.9, 0.4]]], dtype=torch.float64)
 
 
 def forces(corners):
-    return CellForces(membrane(corners, gauss(corners), 0.3, torch.zeros(1, dtype=torch.float64)).forces)
+    return CellForces(membrane(corners, gauss(corners), 0.3, torch.zeros(1, dtype=torch.float64), ALONE).forces)
 
 
 def test_a_rectangle_in_bending_has_the_energy_of_its_material():

@@ -16,6 +16,7 @@ from rich.console import Console
 from torchmbd.experiment.load import load_study
 from torchmbd.experiment.run import run_plan
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
+from torchmbd.tracking.store import open_store
 
 VALID = Path(__file__).with_name("study.yaml").read_text()
 
@@ -55,4 +56,4 @@ def finished(tmp_path_factory, empty_store):
         plan = load_study(file, ["simulate.duration=0.002", f"simulate.steps={steps}"])
         assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
         runs.append(tracker.runs["study"])
-    return SimpleNamespace(folder=folder, file=file, uri=uri, runs=runs, client=tracker.client)
+    return SimpleNamespace(folder=folder, file=file, uri=uri, runs=runs, client=open_store(uri))

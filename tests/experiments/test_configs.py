@@ -32,6 +32,7 @@ def test_there_are_configs():
     assert {file.stem for file in CONFIGS} >= {
         # Tables 3-5
         *(f"l{layers}_energy_{what}" for layers in (1, 2, 3) for what in ("integral", "peak", "bound", "torsion")),
+        "l2_energy_tolerance",
         "l1_angle_sweep",
         "l1_torsion_sweep",
         "figures4_7",

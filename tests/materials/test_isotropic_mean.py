@@ -19,6 +19,7 @@ def test_isotropic_plate_is_its_own_mean():
     assert mean.poisson == pytest.approx(0.33, rel=1e-12)
     D, As = 70e9 * 8e-9 / 12 / (1 - 0.33**2), 5 / 6 * 70e9 / 2.66 * 2e-3
     assert mean.shear_length == pytest.approx(math.sqrt(12 * D / As), rel=1e-12)
+    assert mean.layer_length == pytest.approx(2e-3 / math.sqrt(10.0), rel=1e-12)  # of Mindlin's plate: h / sqrt 10
 
 
 @given(one=ANGLES, two=ANGLES)

@@ -7,16 +7,22 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import pytest
 
+from torchmbd.numerics.native import entries
 from torchmbd.tracking import ProcessTracker, TrackingError
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store, store_uri
 
 TRACKERS = [MlflowTracker, ProcessTracker]
+
+
+def made(tracker_type, experiment: str, uri: str, folder: Path):
+    return MlflowTracker(experiment, uri) if tracker_type is MlflowTracker else ProcessTracker(experiment, uri, folder)
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +34,7 @@ def uri(tmp_path_factory, empty_store):
 def test_what_is_told_is_read_back(tracker_type, uri, tmp_path):
     picture = tmp_path / "a.txt"
     picture.write_text("picture")
-    tracker = tracker_type(f"contract-{tracker_type.__name__}", uri)
+    tracker = made(tracker_type, f"contract-{tracker_type.__name__}", uri, tmp_path / "study")
     tracker.begin("study", "L3", params={"options.layers": 3}, tags={"kind": "study"})
     tracker.begin("start_1", "start 1", parent="study")
     for step in range(1200):  # more than one batch of MLflow's
@@ -53,8 +59,8 @@ def test_what_is_told_is_read_back(tracker_type, uri, tmp_path):
 
 
 @pytest.mark.parametrize("tracker_type", TRACKERS)
-def test_what_is_left_open_is_killed(tracker_type, uri):
-    tracker = tracker_type("open", uri)
+def test_what_is_left_open_is_killed(tracker_type, uri, tmp_path):
+    tracker = made(tracker_type, "open", uri, tmp_path / "study")
     tracker.begin("study", "s")
     tracker.begin("start_0", "s0", parent="study")
     tracker.begin("start_1", "s1", parent="study")
@@ -76,8 +82,8 @@ def test_what_is_left_open_is_killed(tracker_type, uri):
         (ProcessTracker, lambda tracker: tracker.artifact("study", "/does/not/exist"), "does/not/exist"),
     ],
 )
-def test_what_cannot_be_written_is_an_error(tracker_type, uri, bad, message):
-    tracker = tracker_type("errors", uri)
+def test_what_cannot_be_written_is_an_error(tracker_type, uri, bad, message, tmp_path):
+    tracker = made(tracker_type, "errors", uri, tmp_path / "study")
     tracker.begin("study", "s")
 
     def tell_and_close():
@@ -95,7 +101,7 @@ def test_a_store_that_cannot_be_opened_is_named(tracker_type, tmp_path, monkeypa
     bad = f"sqlite:///{tmp_path / 'file' / 'runs.db'}"
 
     def use():
-        tracker = tracker_type("x", bad)
+        tracker = made(tracker_type, "x", bad, tmp_path / "study")
         tracker.begin("study", "s")
         tracker.close()
 
@@ -113,9 +119,10 @@ def test_a_deleted_experiment_is_named(uri):
 
 STUDY = """
 import sys, time
+from pathlib import Path
 from torchmbd.tracking import ProcessTracker
 if __name__ == "__main__":
-    tracker = ProcessTracker("killed", sys.argv[1])
+    tracker = ProcessTracker("killed", sys.argv[1], Path(sys.argv[2]))
     tracker.begin("study", "s")
     tracker.begin("start_0", "s0", parent="study")
     tracker.metrics("start_0", {"objective": 3.0}, 0)
@@ -128,7 +135,9 @@ def test_a_study_that_is_killed_leaves_no_run_running(tmp_path, empty_store):
     """kill -9: no handler runs in the study; its writer sees the pipe close."""
     uri = f"sqlite:///{shutil.copy(empty_store, tmp_path)}"
     MlflowTracker("killed", uri).close()
-    study = subprocess.Popen([sys.executable, "-c", STUDY, uri], stdout=subprocess.PIPE, text=True)
+    study = subprocess.Popen(
+        [sys.executable, "-c", STUDY, uri, str(tmp_path / "study")], stdout=subprocess.PIPE, text=True
+    )
     assert study.stdout is not None
     assert study.stdout.readline() == "told\n"
     os.kill(study.pid, signal.SIGKILL)
@@ -149,7 +158,7 @@ def test_a_study_that_is_killed_leaves_no_run_running(tmp_path, empty_store):
 def test_two_studies_open_a_fresh_store_at_once(tmp_path):
     """Without the lock MLflow's migration crashes one of them, or the experiment is made twice."""
     uri = f"sqlite:///{tmp_path / 'runs.db'}"
-    trackers = [ProcessTracker("same", uri) for _ in range(2)]
+    trackers = [ProcessTracker("same", uri, tmp_path / f"study_{k}") for k in range(2)]
     for tracker in trackers:
         tracker.begin("study", "s")
     records = [tracker.close() for tracker in trackers]
@@ -158,8 +167,21 @@ def test_two_studies_open_a_fresh_store_at_once(tmp_path):
 
 
 def test_a_study_that_says_nothing_creates_no_store(tmp_path):
-    ProcessTracker("silent", f"sqlite:///{tmp_path / 'runs.db'}").close()
+    ProcessTracker("silent", f"sqlite:///{tmp_path / 'runs.db'}", tmp_path / "study").close()
     assert not list(tmp_path.iterdir())
+
+
+def test_stores_leave_one_lock_for_all(tmp_path, empty_store, monkeypatch):
+    for name in ("TMPDIR", "TORCHMBD_CACHE"):
+        monkeypatch.setenv(name, str(tmp_path / name))
+        (tmp_path / name).mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "TMPDIR"))
+    for k in range(2):
+        (tmp_path / f"{k}").mkdir()
+        MlflowTracker("own", f"sqlite:///{shutil.copy(empty_store, tmp_path / f'{k}')}").close()
+    assert not list((tmp_path / "TMPDIR").iterdir())
+    assert [file.name for file in (tmp_path / "TORCHMBD_CACHE").iterdir()] == ["stores.lock"]
+    assert not entries()  # torchmbd cache lists libraries
 
 
 def test_the_default_store(monkeypatch, tmp_path):

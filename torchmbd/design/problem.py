@@ -152,16 +152,17 @@ class Problem:
         kinds = ["at_most"] * self.peaks + [c.kind for c in self.constraints for _ in range(c.measure.rows)]
         return np.array([i for i, kind in enumerate(kinds) if kind == "equal"], dtype=int)
 
-    def _checked(self, X: Any) -> np.ndarray:
-        X, n = as_numbers("designs", X), len(self.names)
-        if X.ndim != 2 or X.shape[1] != n:
-            raise InputError(f"designs have shape {X.shape}; allowed: [lanes, {n}], of {', '.join(self.names)}")
+    def _checked(self, X: Any, *sizes: int) -> np.ndarray:
+        X = as_numbers("designs", X)
+        if X.ndim != 2 or X.shape[1] not in sizes:
+            raise InputError(f"designs have shape {X.shape}; allowed: [lanes, {sizes[-1]}], of {', '.join(self.names)}")
         return X
 
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:
         """Motions of designs [lanes, n], with sensitivities by all parameters if `gradients`."""
         names = self.space.variables if gradients else False
-        designs = self.space.designs(self._checked(X)[:, : len(self.space.names)])
+        n = len(self.space.names)  # the extra variable may be there: it moves nothing
+        designs = self.space.designs(self._checked(X, n, len(self.names))[:, :n])
         return simulate(self.system, self.duration, sensitivities=names, designs=designs, **self.simulation)
 
     def motion(self, x: np.ndarray) -> Trajectory:
@@ -197,7 +198,7 @@ class Problem:
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n] as one batch."""
-        X = self._checked(X)
+        X = self._checked(X, len(self.names))
         rows = self.peaks + sum(c.measure.rows for c in self.constraints)
         try:
             motion = self.simulate(X, gradients)

@@ -8,6 +8,7 @@ height   of the corners over the plane: 0 for triangles; of a quadrilateral +d, 
 area     [m], m2
 cell     mean area of the cells that share each side 12, 23, ...                   [m, corners], m2
 mixed    whether cells of different kinds share the side                           [m, corners]
+alone    whether no other cell lies at the side                                    [m, corners]
 tilt     to the smooth shell that the facets stand for, at the worst corner (shell_normals.py)   [m], rad; 0: flat plate
 
 The laminate's x-axis *is* e1, so strains come out in laminate axes and the laminate needs no turning.
@@ -42,6 +43,7 @@ class Facets:
     area: Float[Tensor, " m"]
     cell: Float[Tensor, "m corners"]
     mixed: Bool[Tensor, "m corners"]
+    alone: Bool[Tensor, "m corners"]
     tilt: Float[Tensor, " m"]
 
 
@@ -69,8 +71,8 @@ def facets(
     p = mesh.nodes[mesh.cells[kind][members]]
     local = (p - p.mean(dim=1, keepdim=True)) @ axes.mT
     tilt = (corner_normals(mesh)[kind][members] - e3[:, None]).norm(dim=2).amax(1)
-    cell, mixed = (of_kind[kind][members] for of_kind in _sides(mesh))
-    return Facets(axes, local[..., :2].contiguous(), local[..., 2], mesh.areas[own], cell, mixed, tilt)
+    cell, mixed, alone = (of_kind[kind][members] for of_kind in _sides(mesh))
+    return Facets(axes, local[..., :2].contiguous(), local[..., 2], mesh.areas[own], cell, mixed, alone, tilt)
 
 
 def _axes(mesh: Mesh, own: Tensor, e3: Tensor, d: Tensor) -> Float[Tensor, "m 3 3"]:
@@ -87,8 +89,8 @@ def _axes(mesh: Mesh, own: Tensor, e3: Tensor, d: Tensor) -> Float[Tensor, "m 3 
     return torch.stack([e1, torch.linalg.cross(e3, e1), e3], dim=1)
 
 
-def _sides(mesh: Mesh) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-    """For every side of the cells of each kind: the mean area of the cells there, and whether these differ in kind.
+def _sides(mesh: Mesh) -> tuple[dict[str, Tensor], ...]:
+    """For every side of the cells of each kind: the mean area of the cells there, whether they differ in kind, or are but one.
 
     One cell lies at an edge of the mesh, two inside, more where plates branch.
     """
@@ -103,7 +105,6 @@ def _sides(mesh: Mesh) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
     kind = torch.cat([areas.new_full((len(n),), float(k)) for k, n in enumerate(numbers)])
     mean, there = ((x.new_zeros(len(count)).index_add(0, place, x) / count)[place] for x in (areas, kind))
     mixed = there != kind  # the mean of equal whole numbers is that number
-    result = [x.split([len(n) for n in numbers]) for x in (mean, mixed)]
+    result = [x.split([len(n) for n in numbers]) for x in (mean, mixed, (count == 1)[place])]
     kinds = list(zip(mesh.cells, width, strict=True))
-    cell, differ = ({k: x.unflatten(0, (-1, w)) for (k, w), x in zip(kinds, xs, strict=True)} for xs in result)
-    return cell, differ
+    return tuple({k: x.unflatten(0, (-1, w)) for (k, w), x in zip(kinds, xs, strict=True)} for xs in result)

@@ -41,12 +41,12 @@ def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     """Return the strains of every quadrilateral at its six points, and its inner forces."""
     points = gauss(plane.corners)
     softness = plane.area * (plane.tilt**2 + _warp2(plane)) / mean.bending_length**2
-    flat = membrane(plane.corners, points, mean.poisson, softness)
+    flat = membrane(plane.corners, points, mean.poisson, softness, plane.alone)
     constant, drill, work = (_of_corners(plane, rows) for rows in (flat.mean, flat.drill, flat.forces.work))
     constant[..., 2:5] += _of_slopes(plane, points) + _of_bows(plane)
     curvature, shear = (
         torch.cat([own, torch.zeros_like(own[:, :2])], dim=1)
-        for own in plate_strains(plane.corners, points, mean.shear_length, plane.cell)
+        for own in plate_strains(plane.corners, points, mean, plane.cell, plane.alone)
     )
     in_plane = torch.cat([constant[:, None].expand(-1, 4, -1, -1, -1), drill], dim=1)
     at = in_mesh_axes(plane.axes, in_plane, curvature, shear)

@@ -1,6 +1,11 @@
-"""From a plan to what runs: the Problem of torchmbd.design and the start designs."""
+"""From a plan to what runs: the Problem of torchmbd.design, what optimizers see of it, and the start designs.
+
+Checked in tests/experiment/test_tolerances.py, tests/experiment/test_run.py.
+"""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 
@@ -8,7 +13,7 @@ from torchmbd.design import Constraint, Problem
 from torchmbd.design.spec import measure_of
 from torchmbd.experiment.check import vector
 from torchmbd.experiment.load import Plan
-from torchmbd.optimizers import Starts, given, latin_hypercube, sobol
+from torchmbd.optimizers import RobustProblem, Starts, given, latin_hypercube, sobol
 
 
 def problem_of(plan: Plan) -> Problem:
@@ -29,6 +34,18 @@ def problem_of(plan: Plan) -> Problem:
         phases=plan.phases,
         **study.simulate.options,
     )
+
+
+def tolerances(plan: Plan) -> np.ndarray:
+    """Return how far every design variable may be off [SI], zero for what is made exactly."""
+    given = vector(plan.study.design, plan.system, "tolerance")
+    return np.append(given, np.zeros(len(plan.columns.names) - given.size)) * plan.columns.factors
+
+
+def sought(plan: Plan, problem: Any) -> Any:
+    """Return what optimizers see: the problem, or its mean over the tolerances; InputError where there is none."""
+    own = tolerances(plan)
+    return RobustProblem(problem, own) if own.any() else problem
 
 
 def starts_of(plan: Plan, start: np.ndarray) -> Starts:

@@ -20,9 +20,11 @@ from torchmbd.errors import MbdError
 from torchmbd.experiment.journal import flat
 from torchmbd.experiment.load import FiguresPlan
 from torchmbd.experiment.model import find_function
+from torchmbd.experiment.place import figures_key, place
 from torchmbd.experiment.run import EXIT, close, folder_of, print_run_links
 from torchmbd.tracking import ProcessTracker, Status, Tracker
 from torchmbd.tracking.provenance import provenance
+from torchmbd.tracking.store import store_uri
 
 RUN, SENTENCE = "study", "sentence"
 PICTURES = (".png", ".pdf", ".svg", ".html", ".gif")
@@ -31,7 +33,9 @@ PICTURES = (".png", ".pdf", ".svg", ".html", ".gif")
 def run_figures(plan: FiguresPlan, console: Console, tracker: Tracker | None = None) -> int:
     """Draw, and file what was drawn; return the exit code."""
     tracking = plan.study.tracking
-    tracker = tracker or ProcessTracker(tracking.experiment, tracking.uri)
+    if tracker is None:
+        key = figures_key(plan, store_uri(tracking.uri))
+        tracker = ProcessTracker(tracking.experiment, tracking.uri, place() / key, key)
     began = time.monotonic()
     status: Status = "FAILED"
     resolved = plan.study.resolved()
@@ -52,6 +56,8 @@ def run_figures(plan: FiguresPlan, console: Console, tracker: Tracker | None = N
     if record is None:
         return 1
     print_run_links(record, "figures", status, console)
+    if status == "FINISHED" and isinstance(tracker, ProcessTracker):
+        tracker.conclude()
     return EXIT[status]
 
 

@@ -21,7 +21,7 @@ from rich.console import Console
 
 from torchmbd.design import Problem
 from torchmbd.design.spec import words
-from torchmbd.experiment.assemble import problem_of, starts_of
+from torchmbd.experiment.assemble import problem_of, sought, starts_of, tolerances
 from torchmbd.experiment.evaluations import Evaluations
 from torchmbd.experiment.load import FiguresPlan, Plan
 from torchmbd.experiment.place import evaluations_file, problem_key
@@ -49,7 +49,7 @@ class Estimate:
 
 def estimate(plan: Plan, problem: Problem) -> Estimate:
     """Measure two short motions and extrapolate."""
-    starts = _starts(plan, problem)
+    starts = np.repeat(_starts(plan, problem), getattr(sought(plan, problem), "simulations", 1), axis=0)
     gradients = plan.study.sweep is None
     X = starts[:_LANES]
     optimizer = plan.study.optimizer or Optimizer()
@@ -73,7 +73,7 @@ def _starts(plan: Plan, problem: Problem) -> np.ndarray:
     if plan.study.sweep is not None:
         [span] = plan.study.sweep.values()
         return np.tile(problem.start, (span.count + 1, 1))
-    return starts_of(plan, problem.start).points(problem)
+    return starts_of(plan, problem.start).points(sought(plan, problem))
 
 
 def _shares(steps: int | None) -> list[float]:
@@ -116,7 +116,9 @@ def print_estimate(plan: Plan | FiguresPlan, console: Console) -> None:
     problem = problem_of(plan)
     console.print(
         f"{plan.file} is valid: {words(plan.study.minimize)}, {_count(len(plan.columns.names), 'design variable')}, "
-        f"{_count(len(plan.study.subject_to), 'constraint')}",
+        f"{_count(len(plan.study.subject_to), 'constraint')}"
+        + ", mean over the tolerances"
+        * bool(tolerances(plan).any()),
         markup=False,
         soft_wrap=True,
     )

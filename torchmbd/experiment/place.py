@@ -19,7 +19,7 @@ from typing import Any
 
 import torch
 
-from torchmbd.experiment.load import Plan
+from torchmbd.experiment.load import FiguresPlan, Plan
 from torchmbd.experiment.model import find_function, find_model
 
 _NUMBERS = ("model", "options", "design", "simulate", "minimize", "subject_to")
@@ -51,6 +51,11 @@ def problem_key(plan: Plan) -> str:
 def study_key(plan: Plan, uri: str) -> str:
     """Return the hash of what the course of a study depends on."""
     return _hash([plan.study.resolved(), model_source(plan), _code(), plan.name, uri])
+
+
+def figures_key(plan: FiguresPlan, uri: str) -> str:
+    """Return the hash of what figures are asked for."""
+    return _hash([plan.study.resolved(), plan.name, uri])
 
 
 def model_source(plan: Plan) -> str:

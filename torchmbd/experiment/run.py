@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.design import Problem
-from torchmbd.experiment.assemble import problem_of, starts_of
+from torchmbd.experiment.assemble import problem_of, sought, starts_of
 from torchmbd.experiment.evaluations import Evaluations, Remembered
 from torchmbd.experiment.farm import LANES, Farm
 from torchmbd.experiment.journal import PARENT, Journal
@@ -55,6 +55,7 @@ def run_plan(
     fresh      forget the evaluations of this problem, and begin the study anew
     """
     problem, tracking, began = problem_of(plan), plan.study.tracking, time.monotonic()
+    sought(plan, problem)  # what is wrong with it is refused before anything is kept
     farm = _farm(plan, problem, workers, scheduler)
     with ExitStack() as stack:
         store = Evaluations(evaluations_file(), problem_key(plan))
@@ -129,13 +130,17 @@ def run_study(
     """Optimize from every start, `lanes` of them at once."""
     optimizer = plan.study.optimizer or Optimizer()
     recipe = starts_of(plan, problem.start)
-    options: dict[str, Any] = {"max_lanes": lanes} | optimizer.options
-    points = recipe.points(remembered)
+    target = sought(plan, remembered)
+    each = getattr(target, "simulations", 1)  # of one design
+    options: dict[str, Any] = {"max_lanes": max(1, lanes // each)} | optimizer.options
+    points = recipe.points(target)
     journal.begin("study")
     STUDIO.open()
     for index, point in enumerate(points):
         journal.begin_start(index, point)
     title = f"{plan.name}: {optimizer.name} from {len(points)} start{'s' if len(points) > 1 else ''}"
+    if each > 1:
+        console.print("the objective is its mean over the tolerances", style="dim")
     with Progress(plan.columns, len(points), title, console) as progress:
 
         def callback(iterate: Iterate) -> None:
@@ -146,7 +151,7 @@ def run_study(
                     progress.note(f"{trouble}; the study goes on, and keeps it in memory")
 
         study = multistart(
-            remembered,
+            target,
             optimizer.name,
             list(points),
             callback,

@@ -4,6 +4,7 @@
     poisson        = U4(A) / U1(A)
     shear_length   = sqrt(12 U1(D) / ((As_xz + As_yz) / 2))     [m]
     bending_length = sqrt(12 U1(D) / U1(A))                    [m], the thickness of a homogeneous plate
+    layer_length   = sqrt(D66 / As), with the same poisson for D    [m], in which twist becomes shear at a free edge
 
 U1, U4 and the trace of As do not change when a ply is turned, so these numbers depend on plies and thicknesses but
 on no ply angle. That is why an element may use them as constants and still be linear in the laminate's entries.
@@ -44,6 +45,11 @@ class IsotropicMean:
             raise InputError(f"IsotropicMean: shear_length = {self.shear_length!r} m; allowed: a finite number > 0")
         if not self.bending_length > 0.0:
             raise InputError(f"IsotropicMean: bending_length = {self.bending_length!r} m; allowed: a number > 0")
+
+    @property
+    def layer_length(self) -> float:
+        """Shear along a free edge falls as exp(-y / layer_length) [m]."""
+        return self.shear_length * math.sqrt((1.0 - self.poisson) / 24.0)
 
     @classmethod
     def of(cls, laminate: Laminate | LaminateStiffness) -> IsotropicMean:

@@ -24,14 +24,11 @@ from pathlib import Path
 
 import torch
 
+from torchmbd.process import cache_folder
+
 SUFFIX = ".so"
 OPTIONS = ("-std=c++17", "-march=native", "-fno-math-errno", "-ffp-contract=fast", "-shared", "-fPIC")
 PACKAGE = Path(__file__).parent.parent
-
-
-def cache_folder() -> Path:
-    """Where libraries are kept."""
-    return Path(os.environ.get("TORCHMBD_CACHE") or Path.home() / ".cache" / "torchmbd")
 
 
 def entries() -> list[tuple[Path, int, bool]]:
@@ -39,7 +36,7 @@ def entries() -> list[tuple[Path, int, bool]]:
     if not cache_folder().is_dir():
         return []
     found = []
-    for path in sorted(cache_folder().iterdir()):
+    for path in sorted(path for path in cache_folder().iterdir() if path.suffix != ".lock"):
         files = [f for f in path.rglob("*") if f.is_file()] if path.is_dir() else [path]
         found.append((path, sum(f.stat().st_size for f in files), path.suffix == SUFFIX))
     return found

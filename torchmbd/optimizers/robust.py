@@ -81,6 +81,11 @@ class RobustProblem:
             raise InputError(f"start: its worst case is {failed or worst}; allowed: a positive number")
         return worst
 
+    @property
+    def simulations(self) -> int:
+        """How many designs of the problem are looked at for one of this, corners that constraints rise to left out."""
+        return len(self.shifts)
+
     def design(self, x: np.ndarray) -> np.ndarray:
         """The design [n] of a point of this problem, without beta."""
         return x[: self.shifts.shape[1]]

@@ -9,8 +9,8 @@ The journal (spool.py) is the truth, the store a copy of it that may lag behind:
 caught up with, a writer that is killed is replaced by another that goes on at the same line, and what is not in the
 store when the study ends is sent by the next study of the same place, or by `deliver_all`.
 When the study is killed, its end of the pipe closes: the writer then ends every open run as KILLED.
-The writer has a session of its own: Ctrl-C in the terminal is the study's to handle. It imports MLflow (3 s) and
-migrates the store beside the study's own start.
+The writer has a session of its own: Ctrl-C in the terminal is the study's to handle. Where it needs MLflow, it imports
+it (3 s) and makes the store's tables beside the study's own start.
 """
 
 from __future__ import annotations
@@ -38,16 +38,13 @@ _WRITERS = 5  # that may die before the study goes on without
 class ProcessTracker:
     """Keeps the contract of torchmbd.tracking.tracker in another process.
 
-    folder  where the study's journal and files are until the store has them; None: a temporary folder
+    folder  where the study's journal and files are until the store has them
     study   the same for every life of a study: its unfinished runs are gone on with; None: a new study
     """
 
-    def __init__(
-        self, experiment: str, uri: str | None = None, folder: Path | None = None, study: str | None = None
-    ) -> None:
+    def __init__(self, experiment: str, uri: str | None, folder: Path, study: str | None = None) -> None:
         self.uri = store_uri(uri)  # of this process: another may send it, from another folder
-        self._temporary = folder is None
-        self.folder = folder or Path(tempfile.mkdtemp(prefix="torchmbd-"))
+        self.folder = folder
         self._locks = ExitStack()
         if not self._locks.enter_context(locked(self.folder, "study.lock", wait=False)):
             raise MbdError(f"the same study is running in another process (its folder is {self.folder})")
@@ -124,7 +121,7 @@ class ProcessTracker:
                 f"{reply['waiting']}\nNothing is lost: what the store does not have yet waits in {self.folder}; "
                 "the next study sends it, or `torchmbd sync`"
             )
-        if self._temporary or not reply["runs"]:  # nothing is there to go on with
+        if not reply["runs"]:  # nothing is there to go on with
             clear(self.folder)
         if reply["refused"]:
             raise TrackingError("; ".join(reply["refused"]))

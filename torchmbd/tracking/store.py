@@ -2,14 +2,13 @@
 
     an explicit URI, else MLFLOW_TRACKING_URI, else sqlite:///<working directory>/mlflow.db with mlartifacts/ beside it
 
-A fresh SQLite store is made under a file lock, for two processes that create its tables at once crash (MLflow 3.17), and
-beside its place: a full disk or a kill in the middle leaves none rather than half of one.
+A fresh SQLite store is made under a lock (one file in the user's cache), for two processes that create its tables at once
+crash (MLflow 3.17), and beside its place: a full disk or a kill in the middle leaves none rather than half of one.
 """
 
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import logging
 import os
 import sqlite3
@@ -20,6 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchmbd.errors import InputError
+from torchmbd.process import cache_folder
 from torchmbd.tracking.tracker import TrackingError
 
 if TYPE_CHECKING:
@@ -111,12 +111,12 @@ def experiment_id(client: MlflowClient, name: str, uri: str) -> str:
 
 @contextmanager
 def _alone(uri: str) -> Iterator[None]:
-    """Hold the lock of a SQLite store, so that one process at a time creates tables and experiments."""
+    """Hold the lock of all SQLite stores, so that one process at a time creates tables and experiments."""
     if sqlite_file(uri) is None:
         yield
         return
-    name = hashlib.sha256(uri.encode()).hexdigest()[:16]
-    with (Path(tempfile.gettempdir()) / f"torchmbd-{os.getuid()}-{name}.lock").open("w") as lock:
+    cache_folder().mkdir(parents=True, exist_ok=True)
+    with (cache_folder() / "stores.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 

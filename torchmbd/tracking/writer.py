@@ -4,12 +4,11 @@ A line is sent until the store takes it. If it fails, is the store there at all?
 as long as the study lives and `PATIENCE` seconds longer. If it is, the line itself is at fault: it is noted and left out.
 Between two batches the writer rests, for it shares the cores with the study's workers: much at once costs hardly more than
 little, and many runs take a second each time.
-What is sent is noted in sent.json after every batch and every new run, so that no writer sends a run twice.
+What is sent is noted in sent.json after every batch; where a run that is told twice would be there twice, after every new run.
 """
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import sys
@@ -62,6 +61,7 @@ class Writer:
     sent: Sent = field(default_factory=Sent)
     where: list[str | None] = field(default_factory=list)  # experiment, uri, study
     when: int | None = None  # the last line was told
+    _heard: int = 0  # offset behind the last line that the tracker was told
     _ended: float | None = None
 
     def run(self) -> dict:
@@ -70,6 +70,7 @@ class Writer:
         if self.sent.session != self.file.stem:  # of an earlier life
             root = next(iter(self.sent.runs.values()), self.sent.earlier)
             self.sent = Sent(self.file.stem, steps=self.sent.steps, earlier=root)
+        self._heard = self.sent.offset
         drop_sessions(self.folder, before=self.file)
         rested = 0.0
         while True:
@@ -101,27 +102,30 @@ class Writer:
                     self._ended = self._ended or time.monotonic()
                     if time.monotonic() - self._ended > self.patience:
                         return str(error)
-                time.sleep(min(pause, 1.0) if self.over() else pause)
+                self._sleep(min(pause, _PAUSE[1]) if self.over() else pause)
                 pause = next(pauses, pause)
             else:
                 return None
 
+    def _sleep(self, seconds: float) -> None:
+        """Sleep, until the study is over at most: somebody waits then."""
+        over, until = self.over(), time.monotonic() + seconds
+        while time.monotonic() < until and self.over() == over:
+            time.sleep(_POLL)
+
     def _send(self, lines: list[Told]) -> None:
         for (method, *arguments), end, when in lines:
-            if end <= self.sent.offset:
-                continue  # sent before the store went away
+            if end <= self._heard:
+                continue  # before the store went away
             self.when = when
             if method == "session":
                 self.where = arguments
-            elif method == "begin":
-                self._flush()
-                self._command(method, arguments)
-                self._note(end)
-            elif method == "end":
-                self._flush(arguments[0])
-                self._command(method, arguments)
             elif method != "close":
                 self._command(method, arguments)
+            self._heard = end
+            if method == "begin" and self.tracker is not None and not self.tracker.store.repeatable:
+                self._flush()  # told again, this run would be there twice
+                self._note(end)
         self._flush()
         self._note(lines[-1].end)
 
@@ -136,15 +140,24 @@ class Writer:
             self._require_store(error)
             self.sent.refused.append(f"{method} {arguments[0] if arguments else ''}: {_first_line(error)}")
 
-    def _flush(self, *runs: str) -> None:
+    def _flush(self) -> None:
         if self.tracker is None:
             return
         try:
-            self.tracker.flush(*runs)
+            self.tracker.flush()
         except Exception as error:
             self._require_store(error)
-            self.sent.refused.append(f"metrics and tags: {_first_line(error)}")
-            self.tracker.forget(*runs)
+            for run in self.tracker.waiting:
+                self._flush_one(self.tracker, run)
+
+    def _flush_one(self, tracker: MlflowTracker, run: str) -> None:
+        """Write what waits of one run: what the store refuses of it costs the others nothing."""
+        try:
+            tracker.flush(run)
+        except Exception as error:
+            self._require_store(error)
+            self.sent.refused.append(f"what was told of {run}: {_first_line(error)}")
+            tracker.forget(run)
 
     def _opened(self) -> MlflowTracker:
         if self.tracker is None:
@@ -152,9 +165,8 @@ class Writer:
 
             experiment, uri, study = self.where or read_lines(self.file, 0)[0].line[1:]
             try:
-                self.tracker = MlflowTracker(
-                    str(experiment), uri, study, self.sent.runs, self.sent.steps, self.sent.earlier
-                )
+                own = self.sent
+                self.tracker = MlflowTracker(str(experiment), uri, study, own.runs, own.steps, own.earlier, own.session)
             except (TrackingError, OSError) as error:
                 raise Away(_first_line(error)) from error
         return self.tracker
@@ -164,7 +176,7 @@ class Writer:
         try:
             if self.tracker is None:
                 raise error
-            self.tracker.probe()
+            self.tracker.store.probe()
         except Exception as reason:
             raise Away(_first_line(reason)) from error
 
@@ -248,7 +260,6 @@ def main(folder: str, mode: str = "") -> int:
 
     threading.Thread(target=listen, daemon=True).start()
     give_way()
-    importlib.import_module("mlflow")  # 3 seconds, while the study begins
     with locked(place, "writer.lock"):  # the writer of a study that was killed may still be at work
         word = Writer(place, file, ended.is_set, hasty.is_set).run()
     print(json.dumps(word))
