@@ -92,12 +92,13 @@ def energy(dynamics: Dynamics, history: History) -> Tensor:
     """Strain energy of all flexible bodies and its design tangents [1 + n_b, lanes, times]."""
     T = dynamics.topology
     w = history.rows(0, range(7 * T.bodies, T.n_q)).movedim(0, -1).unflatten(0, (T.modes, T.flexible))
-    Kr = dynamics.data["Kr"]
-    Kw = torch.einsum("abfl,bfslt->afslt", value(Kr)[:, :, :, 0], w)
-    U = torch.einsum("aflt,afslt->slt", w[:, :, 0], Kw)
+    Kr, still = dynamics.data["Kr"], w[:, :, 0]  # [modes, modes, bodies, slots, lanes], [modes, bodies, lanes, times]
+    force = torch.einsum("abfl,bflt->aflt", value(Kr)[:, :, :, 0], still)
+    U = (force.unsqueeze(2) * w).sum((0, 1))
     U[0] *= 0.5
     if isinstance(Kr, Pair):
-        U[1:] += 0.5 * torch.einsum("aflt,abfsl,bflt->slt", w[:, :, 0], Kr.tangent, w[:, :, 0])
+        products = (still.unsqueeze(1) * still).flatten(0, 2)  # [modes modes bodies, lanes, times]
+        U[1:] += 0.5 * torch.einsum("ksl,klt->slt", Kr.tangent.flatten(0, 2), products)
     return U
 
 
