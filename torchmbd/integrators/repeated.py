@@ -7,6 +7,7 @@ Checked in tests/integrators/test_repeated.py.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +17,7 @@ from torch import Tensor
 from torchmbd.forces.written import known
 from torchmbd.integrators.step import Model, State, Step, Weights
 from torchmbd.numerics.pair import Pair
-from torchmbd.numerics.recorded import Recorded
+from torchmbd.numerics.recorded import Recorded, Unrepeatable
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
 
@@ -55,7 +56,7 @@ class RepeatedStep(Step):
         laws = [law if law is None else tuple(_own(y) for y in law) for law in given.laws]
         self.given = Prescribed(laws, *(_own(y) for y in given[1:]))
         self.numbers = _numbers(self.x, self.given)
-        self._recorded: dict[str, tuple[Tensor, Recorded]] = {}
+        self._recorded: dict[str, tuple[Tensor, Callable[[], list[Tensor]]]] = {}
         self._at: Tensor | None = None  # unknowns at which `_residual` is
 
     def move(self, x: State, given: Prescribed) -> None:
@@ -91,12 +92,22 @@ class RepeatedStep(Step):
 
     def _repeat(self, name: str, z: Tensor, f: Callable[[Step, Tensor], list[Tensor]]) -> list[Tensor]:
         if name not in self._recorded:
-            mine = z.clone()
-            whole = Recorded(lambda: f(Step(self.model, self.x, self.given), mine), [*self.numbers, mine])
-            self._recorded[name] = mine, whole
+            self._recorded[name] = self._record(z.clone(), f)
         mine, whole = self._recorded[name]
         mine.copy_(z)
         return whole()
+
+    def _record(
+        self, mine: Tensor, f: Callable[[Step, Tensor], list[Tensor]]
+    ) -> tuple[Tensor, Callable[[], list[Tensor]]]:
+        def once() -> list[Tensor]:
+            return f(Step(self.model, self.x, self.given), mine)
+
+        try:
+            return mine, Recorded(once, [*self.numbers, mine])
+        except Unrepeatable as error:  # a joint of the user's own may be made of anything
+            warnings.warn(f"uncompiled steps take twice as long as need be: {error}", stacklevel=2)
+            return mine, once
 
 
 def _own(x: Any) -> Any:

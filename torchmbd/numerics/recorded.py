@@ -202,7 +202,9 @@ def _operation(call: _Call, place: _Arena) -> Callable[[], Any]:
     args, kwargs = _mapped(call.args, place), {k: place(x) for k, x in call.kwargs.items()}
     (made,) = _mapped([call.made], place)
     if call.func._schema.is_mutable:
-        return partial(getattr(args[0], name), *args[1:], **kwargs)
+        return partial(
+            getattr(args[0], name) if name.endswith("_") else partial(call.func, args[0]), *args[1:], **kwargs
+        )
     if name in ("new_zeros", "zeros_like", "zeros"):
         return made.zero_
     if name in ("clone", "_to_copy"):
@@ -212,7 +214,7 @@ def _operation(call: _Call, place: _Arena) -> Callable[[], Any]:
         direct = partial(public, *args, **kwargs, out=made)
         try:
             direct()
-        except TypeError:  # has no `out`
+        except (TypeError, RuntimeError):  # has no `out`, or none of this form
             pass
         else:
             return direct
