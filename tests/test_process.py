@@ -47,6 +47,22 @@ def output(code: str, *arguments: str, environment: dict[str, str] | None = None
     return done.stdout.split()
 
 
+@pytest.mark.parametrize("settled", [False, True])
+def test_a_settled_process_does_without_dynamo(settled):
+    """Without: torch imports it by itself, as long as it does there is something to leave out."""
+    code = """
+import sys, torch
+from torchmbd.process import settle
+if "settle" in sys.argv:
+    settle()
+x = torch.tensor([2.0, 3.0])
+value, tangents = torch.func.vmap(lambda v: torch.func.jvp(lambda x: 2 * x * x - 1, (x,), (v,)))(torch.eye(2))
+print("torch._dynamo" in sys.modules, *value[0].tolist(), *tangents.flatten().tolist())
+"""
+    words = output(code, "settle" if settled else "")
+    assert words == [str(not settled), "7.0", "17.0", "8.0", "0.0", "0.0", "12.0"]
+
+
 def test_a_bred_process_has_its_imports_and_settings_and_is_deaf():
     code = """
 import multiprocessing, os, signal, sys

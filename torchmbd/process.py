@@ -2,7 +2,9 @@
 
     settle        one thread: two make small batched solves 10 to 50 times slower. Memory that is freed stays with the
                   process: a batch of designs takes and frees hundreds of MB, and handing them back to the system and
-                  asking for them again costs a sixth of its time, more where several workers ask at once
+                  asking for them again costs a sixth of its time, more where several workers ask at once.
+                  torch's own Python code for tangents that are zero runs as it is: to keep torch.compile from looking
+                  into it, torch would import torch._dynamo at its first call, half a second to a second of every process
     exempt        objects that imports and a first batch have left, half a million, are not searched for garbage again: each
                   search would take 0.2 to 3 s
     give_way      helpers beside a study (the writer, the studio) take what its computation leaves
@@ -20,6 +22,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import gc
+import inspect
 import multiprocessing
 import os
 import re
@@ -31,12 +34,13 @@ from collections.abc import Iterator
 from functools import cache
 from multiprocessing import forkserver
 from pathlib import Path
+from types import FunctionType
 
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
 MEMORY = {"MALLOC_ARENA_MAX": "1", "MALLOC_MMAP_MAX_": "0", "MALLOC_TRIM_THRESHOLD_": f"{2**31 - 1}"}
 _MALLOPT = ((-8, 1), (-4, 0), (-1, 2**31 - 1))  # M_ARENA_MAX, M_MMAP_MAX, M_TRIM_THRESHOLD of malloc.h
 _NICE = 5
-BROOD = ("distributed", "torchmbd.experiment.farm")  # what workers of a study need
+BROOD = ("distributed", "torchmbd.experiment.farm", "torch.fx.experimental.symbolic_shapes")  # what workers import
 _AUTOGROUP = Path("/proc/self/autogroup")
 
 
@@ -55,6 +59,20 @@ def settle() -> None:
     with contextlib.suppress(AttributeError, OSError):  # no glibc
         for parameter, value in _MALLOPT:
             ctypes.CDLL(None).mallopt(parameter, value)
+    _leave_dynamo_out()
+
+
+def _leave_dynamo_out() -> None:
+    """Tell the wrappers of torch._refs (torch/_compile.py) that what they wrap needs no wrapper: here nothing is compiled."""
+    import torch._compile
+    import torch._refs
+
+    for reference in list(vars(torch._refs).values()):
+        while isinstance(reference, FunctionType):
+            if reference.__code__.co_filename == torch._compile.__file__:
+                plain = inspect.getclosurevars(reference).nonlocals["fn"]
+                plain.__dynamo_disable = plain  # an attribute of a function: its name is not mangled
+            reference = getattr(reference, "__wrapped__", None)
 
 
 def breed(*modules: str) -> None:

@@ -72,20 +72,28 @@ def test_groups_end_as_one_lockstep_does(method):
         assert [i.objective for i in one.history] == [i.objective for i in other.history]
 
 
-def test_lanes_are_shared_out():
+@pytest.mark.parametrize(
+    ("lanes", "groups", "width"),
+    [
+        (7, 6, 2),  # starts enough for a second batch beside each of the three that are evaluated
+        (15, 4, 3),  # of five lanes each: four groups find starts for half of them, five would not
+        (36, 3, 4),
+    ],
+)
+def test_lanes_are_shared_out(lanes, groups, width):
     problem = Elsewhere(valley(), 3)
-    multistart(problem, "mmfd", sobol(12, seed=3), max_lanes=7)
-    assert problem.began[:3] == [(2, 3)] * 3  # two live starts in each of three groups
-    assert max(size for size, _ in problem.began) == 2
+    multistart(problem, "mmfd", sobol(12, seed=3), max_lanes=lanes)
+    assert problem.began[:groups] == [(width, groups)] * groups
+    assert max(size for size, _ in problem.began) <= lanes // 3
 
 
 def test_no_group_waits_for_another():
-    """The first start's batches are slow: the others are through before it has three."""
+    """The first start's batches are slow: the others are through before."""
     first = sobol(4, seed=3).points(valley())[0]
     slow = Elsewhere(valley(), 2, lambda X: 0.1 if np.abs(X - first).max(1).min() < 1e-12 else 0.0)
     ends = []
     multistart(slow, "slsqp", sobol(4, seed=3), ended=lambda r: ends.append(r.start), max_lanes=4)
-    assert set(ends[:2]) == {1, 3}
+    assert ends[-1] == 0
 
 
 def test_one_group_where_the_number_of_starts_depends_on_results():

@@ -7,9 +7,10 @@ once would only fight for the interpreter. A start that ends makes room for the 
 on the starts alone, in their order, never on timing; the problem, the callback and the user's Ctrl-C live in the
 caller's thread.
 
-A problem that evaluates several batches at once, on workers (batch.py), gets as many groups of starts, dealt out in turn: while
-the optimizers of one group think, the batches of the others are under way, and no worker waits for another. What is in a
-batch still depends on the starts alone, and on the number of groups.
+A problem that evaluates several batches at once, on workers (batch.py), gets as many groups of starts, dealt out in turn, and
+up to twice as many where that leaves each starts for half a batch: no worker waits for another, nor for the optimizers, since
+while those of one group think, the batch of another is at hand. What is in a batch still depends on the starts alone, and on
+the number of workers.
 
 A thread here only waits or does small arithmetic between two simulations: parallel computation is the problem's affair.
 Checked in tests/optimizers/test_lockstep.py.
@@ -90,9 +91,10 @@ class Lockstep:
         self.interrupted = False
         self.stopped_early = False
         self._back = threading.Semaphore(0)  # the start whose turn it was has asked or ended
-        count = max(1, min(groups, max_lanes, len(runners)))
-        shares = [deque(range(k, len(runners), count)) for k in range(count)]
-        self._groups = [Group(share, max_lanes // count) for share in shares]
+        at_once = max(1, min(groups, max_lanes, len(runners)))
+        width = max_lanes // at_once
+        count = 1 if at_once == 1 else max(at_once, min(2 * at_once, 2 * len(runners) // width))
+        self._groups = [Group(deque(range(k, len(runners), count)), width) for k in range(count)]
         self._ready: queue.SimpleQueue[Group] = queue.SimpleQueue()  # groups whose batches may be done
 
     def run(self) -> list[OptimizationResult]:
