@@ -1,6 +1,7 @@
 """From a Nastran model to a mesh: cells with the direction of their material, zones by property, named nodes.
 
-node sets   "grid_12", "spc_1" (of set 1; "spc_0": what GRIDs hold themselves), "conm2_7", "rbe2_30" and "rbe3_31" (the grid where a frame may sit)
+node sets   "grid_12", "spc_1" (of set 1; "spc_0": what GRIDs hold themselves), "conm2_7", "rbe2_30" and "rbe3_31" (the
+            grid where a frame may sit)
 direction   x axis of the laminate: the first side of the element turned by THETA, or the x axis of a system (MCID;
             of a cylindrical one the radius at the element's middle)
 
