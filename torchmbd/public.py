@@ -112,7 +112,8 @@ def problem_of(file: str | Path, *assignments: str) -> Problem:
     file         the experiment file (YAML)
     assignments  overrides of single values, as at the command line: "options.layers=2"
 
-    Tolerances and steps of the file are left to the caller: RobustProblem(...), optimize_discrete(...). Nothing is tracked. Raises InputError with every fault of the file.
+    Tolerances and steps of the file are left to the caller (RobustProblem, optimize_discrete), and nothing is tracked.
+    Raises InputError with every fault of the file.
     """
     from torchmbd.experiment.assemble import problem_of
     from torchmbd.experiment.load import load_study
