@@ -31,7 +31,6 @@ ACCURACY = 5e-4
 LADDER = (200, 300, 400, 500, 600, 800, 1000, 1400, 2000)
 CONVERGED = 8000
 LOOKED_AT = 4  # designs
-EAGER_SHARE = 5  # uncompiled runs: the first fifth of the motion, the same step size
 
 
 @dataclass(frozen=True)
@@ -111,17 +110,16 @@ def measured(case: Case, rows: tuple[Row, ...], settings: Settings) -> Result:
     runs = peer_runs(case, LOOKED_AT) if peer else []
     lines = []
     for row, dynamics in todo:
-        share = 1 if row.compiled else EAGER_SHARE
         functions: dict[str, Callable[[], object]] = {}
         with compilation(row.compiled):
-            run = _run(dynamics, case.duration / share, ours.steps // share)
+            run = _run(dynamics, case.duration, ours.steps)
             functions["ours"] = run
             if peer:
                 functions["peer"] = lambda: sum(run(case.duration, peer.steps).seconds for run in runs) / len(runs)
             if row.compiled:
                 run()  # loads the library
-            seconds = interleaved(functions, settings.repeat if row.compiled else min(settings.repeat, 2))
-        own = seconds["ours"] * share / row.lanes
+            seconds = interleaved(functions, settings.repeat if row.compiled else min(settings.repeat, 3))
+        own = seconds["ours"] / row.lanes
         other = seconds["peer"] * (case.count + 1 if row.gradients else 1) if peer else None
         result.figures[row.figure] = ratio(other, own)
         what = f"{'gradient' if row.gradients else 'values'}, {'compiled' if row.compiled else 'eager'}"

@@ -39,7 +39,6 @@ OPERATIONS = {
     "cat second axis": (lambda a, b: pair.cat([a, b, a], 1), M, M),
     "constant map": (lambda a: pair.constant_map(torch.arange(6.0, dtype=torch.float64).reshape(2, 3), a), M),
     "linear": (lambda a: pair.linear(lambda y: y[1:], a), V),
-    "bilinear": (lambda a, b: pair.bilinear(lambda x, y: x[:, None] * y[None], a, b), V, V),
     "shapes": (lambda a: a.transpose(0, 1).flatten(0, 1).unsqueeze(0).unflatten(1, (3, 3)).sum(1)[0, 1:], M),
     "gather": (lambda a: a.index_select(0, torch.tensor([2, 0, 2])), V),
 }

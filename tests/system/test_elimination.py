@@ -9,7 +9,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, box, pendulum, plate, random_state, rigid_pendulum
 from torchmbd.system import equations
-from torchmbd.system.elimination import Elimination, inverse, pays
+from torchmbd.system.elimination import Elimination, factored, pays
 
 
 def chain(links: int) -> mbd.System:
@@ -51,7 +51,8 @@ def test_a_lane_with_a_singular_block_goes_the_dense_way():
     A[1, rows[0], rows[0]] = 1e-3  # the block stays singular
     A[2] = 0.0
     found = formed(system, A)
-    assert_close(found[1], inverse(A[1:2])[0], rtol=1e-9, atol=1e-9, equal_nan=True)
+    dense = factored(A[1:2]) @ torch.eye(A.shape[1], dtype=A.dtype)[None]
+    assert_close(found[1], dense[0], rtol=1e-9, atol=1e-9, equal_nan=True)
     assert bool(found[2].isnan().all())
     assert bool(found[0].isfinite().all())
 

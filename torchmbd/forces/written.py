@@ -18,6 +18,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.forces.laws import LAWS, Scaled
+from torchmbd.forces.varied import Varied
 from torchmbd.numerics.scalars import Tape, Untraceable
 from torchmbd.numerics.slopes import derivative
 
@@ -66,6 +68,13 @@ class Written:
                 f = _TORCH.get(op) or getattr(torch, op)
                 numbers.append(f(*(numbers[a] for a in args)))
         return [numbers[i] for i in self.outputs]
+
+
+def known(law: Any) -> bool:
+    """Whether a law is of this library, with nothing of the user's own in it."""
+    if isinstance(law, (Varied, Scaled)):
+        return known(law.law)
+    return type(law) in (Written, *LAWS) and not callable(getattr(law, "law", None))
 
 
 def written(law: Any) -> Written:

@@ -13,10 +13,11 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchmbd.integrators import repeated
 from torchmbd.integrators.blocks import addresses, blocks, data_blocks, in_all_lanes, lanes_out, moving_blocks, shared
 from torchmbd.integrators.library import library
 from torchmbd.integrators.march import CHECK, March, Record
-from torchmbd.integrators.step import Model, State, Weights
+from torchmbd.integrators.step import State, Weights
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
@@ -37,7 +38,7 @@ def march(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: 
     """The march of a system: by compiled code if its library is there."""
     code = None if any(value(x).is_cuda for x in dynamics.data.values()) else library(dynamics)
     if code is None:
-        return March(dynamics, Model(dynamics.topology, dynamics.saddle, w, dynamics.data), iterations, refresh)
+        return March(dynamics, repeated.model(dynamics, w), iterations, refresh)
     return CompiledMarch(code, dynamics, w, iterations, refresh)
 
 
@@ -52,7 +53,7 @@ class CompiledMarch(March):
         iterations: tuple[int, int],
         refresh: int,
     ):
-        super().__init__(dynamics, Model(dynamics.topology, dynamics.saddle, w, dynamics.data), iterations, refresh)
+        super().__init__(dynamics, repeated.model(dynamics, w), iterations, refresh)
         self.code: ctypes.CDLL | None = code
         self.lanes, self.slots, self.fresh = dynamics.lanes, dynamics.tangents, 1
         code.march_room.restype = code.march_factors.restype = code.march.restype = ctypes.c_long

@@ -25,9 +25,9 @@ from typing import Any
 import torch
 
 from torchmbd.errors import MbdError
-from torchmbd.forces.laws import LAWS, Scaled
+from torchmbd.forces.laws import Scaled
 from torchmbd.forces.varied import Varied
-from torchmbd.forces.written import Written, written
+from torchmbd.forces.written import known, written
 from torchmbd.integrators.code import Layout, source
 from torchmbd.numerics.native import OPTIONS, SUFFIX, cache_folder, compiler, enabled, load, surroundings
 from torchmbd.numerics.scalars import Untraceable
@@ -95,8 +95,7 @@ def _written(law: Any) -> Any:
     """The law as numbers of a known form or as scalar operations."""
     if isinstance(law, (Varied, Scaled)):
         return replace(law, law=_written(law.law))
-    known = type(law) is Written or (type(law) in LAWS and not callable(getattr(law, "law", None)))
-    return law if known else written(law)
+    return law if known(law) else written(law)
 
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:

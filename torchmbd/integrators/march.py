@@ -1,4 +1,4 @@
-"""The march of an integrator: steps one after another, the inverse of the iteration matrix, and what iterations leave.
+"""The march of an integrator: steps one after another, factors of the iteration matrix, and what iterations leave.
 
 `March` is the eager one: operators of torch on all lanes, any device. compiled.py has the same by compiled code.
 Checked in tests/integrators/.
@@ -17,7 +17,7 @@ from torchmbd.integrators.history import History, Record
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics, regularized
-from torchmbd.system.elimination import Eliminated, Elimination, inverse, pays
+from torchmbd.system.elimination import Eliminated, Elimination, Factored, factored, pays
 from torchmbd.system.topology import Prescribed
 
 CHECK = 25  # steps between two looks at what the correction of tangents leaves
@@ -26,11 +26,11 @@ TANGENT_ERROR = (
 )
 MOST = 4  # corrections of tangents
 _NOTHING = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
-_ROUNDING = 1e-10  # of coordinates, with room for what equations and inverse make of it
+_ROUNDING = 1e-10  # of coordinates, with room for what equations and factors make of it
 
 
 class March:
-    """Steps of one simulation; keeps the inverse and what the iterations leave."""
+    """Steps of one simulation; keeps the factors and what the iterations leave."""
 
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
         self.dynamics, self.model, self.refresh = dynamics, model, refresh
@@ -38,7 +38,7 @@ class March:
         if any(p.varies for p in dynamics.topology.primitives):
             self.passes = max(self.passes, 2)  # the start of a drive kicks the tangents between two looks
         self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
-        self.invert = Elimination(dynamics.topology) if pays(dynamics.topology) else inverse
+        self.factor = Elimination(dynamics.topology) if pays(dynamics.topology) else factored
         self.H: Any = None
         self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each look
@@ -56,7 +56,7 @@ class March:
         return x
 
     def forget(self) -> None:
-        """The state has jumped: the inverse kept does not suit it."""
+        """The state has jumped: the factors kept do not suit it."""
         self.H = None
 
     def _step(self, i: int, x: State, given: Any) -> State:
@@ -74,25 +74,27 @@ class March:
             dz, _ = step.tangent(self.H, z, dz)
         return step.finish(z, dz)
 
-    def _inverse(self, step: Any, z: Tensor) -> Tensor | Eliminated:
-        return self.invert(regularized(step.matrix(z), self.diagonal))
+    def _factors(self, step: Any, z: Tensor) -> Factored | Eliminated:
+        return self.factor(regularized(step.matrix(z), self.diagonal))
 
     def _values(self, step: Any, z: Tensor, renew: bool) -> Tensor:
         """Unknowns of one step."""
-        H = self._inverse(step, z) if self.H is None else self.H
-        sizes = []
+        H = self._factors(step, z) if self.H is None else self.H
+        corrections = []
         for k in range(self.corrections):
             if self.refresh == 0 or (renew and k == max(self.corrections - 1, 1)):
-                H = self._inverse(step, z)
-            z, size = step.correct(H, z)
-            sizes.append(size)
-        self.H = self._inverse(step, z) if renew and self.corrections == 1 else H
-        self.sizes.append(torch.stack([sizes[max(self.corrections - 2, 0)], sizes[-1]]))
+                H = self._factors(step, z)
+            z, correction = step.correct(H, z)
+            corrections.append(correction)
+        self.H = self._factors(step, z) if renew and self.corrections == 1 else H
+        last = corrections[max(self.corrections - 2, 0)], corrections[-1]
+        self.sizes.append(torch.stack([step.size(x)[0] for x in last]))
         return z
 
     def _looked(self, step: Any, z: Tensor, dz: Tensor) -> Tensor:
         """Tangents corrected once more; where that was needed, later steps will do it as well."""
-        dz, size = step.tangent(self.H, z, dz)
+        dz, correction = step.tangent(self.H, z, dz)
+        size = step.size(correction)
         n_v = self.dynamics.topology.n_v
         forces = dz[n_v:].abs().amax(0) if len(dz) > n_v else torch.zeros_like(size)
         self.look(size, dz[:n_v].abs().amax(0), forces)

@@ -17,7 +17,7 @@ from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics
-from torchmbd.system.elimination import inverse
+from torchmbd.system.elimination import factored
 from torchmbd.system.topology import Prescribed, Topology
 
 _MOST = 25  # corrections
@@ -31,19 +31,21 @@ def sized(dynamics: Dynamics, method: Coefficients, x: State, h: Any, t1: Any) -
     z = torch.cat([value(x.vd), value(x.lam)])
     before = torch.inf
     for _ in range(_MOST):
-        H = inverse(dynamics.determined(step.matrix(z)))
-        z, size = step.correct(H, z)
-        if _done(float(size), before, z):
+        H = factored(dynamics.determined(step.matrix(z)))
+        z, correction = step.correct(H, z)
+        size = float(step.size(correction))
+        if _done(size, before, z):
             break
-        before = float(size)
+        before = size
     if not isinstance(x.q, Pair):
         return step.finish(z)
     dz, before = torch.cat([x.vd.tangent, x.lam.tangent]), torch.inf
     for _ in range(_MOST):
-        dz, size = step.tangent(H, z, dz)
-        if _done(float(size.max()), before, dz):
+        dz, correction = step.tangent(H, z, dz)
+        size = float(step.size(correction).max())
+        if _done(size, before, dz):
             break
-        before = float(size.max())
+        before = size
     return step.finish(z, dz)
 
 

@@ -8,7 +8,7 @@ stands (code.py), and the eager and the compiled integrator are one text.
     tangent   dz <- dz - H (R_z dz + R_x dx + R_b)         all tangents of state and data
     finish    the new state of converged unknowns          values and tangents
 
-x is the state at the start of the step, z = (v1', lam) the unknowns [n, 1, lanes], H the inverse [lanes, n, n].
+x is the state at the start of the step, z = (v1', lam) the unknowns [n, 1, lanes], H the inverse of a matrix, as factors.
 The matrix is exact but for second derivatives of constraints other than coinciding points, so that one tangent
 correction is mostly enough.
 """
@@ -25,7 +25,7 @@ from torchmbd.errors import InputError
 from torchmbd.numerics.elementwise import reciprocal
 from torchmbd.numerics.pair import Pair, cat, combine, value
 from torchmbd.system import equations
-from torchmbd.system.elimination import Eliminated
+from torchmbd.system.elimination import Eliminated, Factored
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Prescribed, Topology
 
@@ -158,10 +158,10 @@ class Step:
             return m.T, m.w, self.x.q, self._known, self.given, m.data
         return m.T, m.plain, value(self.x.q), self._known_values, self._given_values, m.values
 
-    def correct(self, H: Tensor | Eliminated, z: Tensor) -> tuple[Tensor, Tensor]:
-        """Corrected unknowns, and the size of the correction of the accelerations [lanes]."""
+    def correct(self, H: Factored | Eliminated, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Corrected unknowns, and their correction [n, 1, lanes]."""
         correction = apply(H, self.residual(z))
-        return z - correction, self._size(correction)[0]
+        return z - correction, correction
 
     def matrix(self, z: Tensor) -> Tensor:
         """Iteration matrix [lanes, n, n]."""
@@ -172,13 +172,13 @@ class Step:
         turn, v = equations.split_v(T, step)[1], combine(known.v, w.rate, vd)
         return self.model.saddle.matrix(data, at, w.scale, w.rate, v, vd, lam, turn)
 
-    def tangent(self, H: Tensor | Eliminated, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
-        """Corrected design tangents [n, n_b, lanes] of the unknowns, and the size of their correction [n_b, lanes]."""
-        R = self.residual(Pair.of(z, dz)).tangent
-        correction = apply(H, R)
-        return dz - correction, self._size(correction)
+    def tangent(self, H: Factored | Eliminated, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
+        """Corrected design tangents [n, n_b, lanes] of the unknowns, and their correction."""
+        correction = apply(H, self.residual(Pair.of(z, dz)).tangent)
+        return dz - correction, correction
 
-    def _size(self, correction: Tensor) -> Tensor:
+    def size(self, correction: Tensor) -> Tensor:
+        """Size of a correction of the accelerations [slots, lanes]."""
         return correction[: self.model.T.n_v].abs().amax(0)
 
     def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
@@ -203,7 +203,6 @@ class Model:
         return Step(self, x, given)
 
 
-def apply(H: Tensor | Eliminated, R: Tensor) -> Tensor:
-    """Multiply right-hand sides [n, slots, lanes] by matrices [lanes, n, n]."""
-    # In its own order torch multiplies lane by lane: many times slower.
-    return (H @ R.permute(2, 0, 1).contiguous()).permute(1, 2, 0)
+def apply(H: Factored | Eliminated, R: Tensor) -> Tensor:
+    """Multiply right-hand sides [n, slots, lanes] by the inverses of matrices."""
+    return (H @ R.permute(2, 0, 1)).permute(1, 2, 0)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from torchmbd.numerics.pair import Pair, cat, constant_map, cross, dot, value
+from torchmbd.numerics.pair import CROSS_FORM, Pair, cat, constant_map, cross, dot, value
 
 # A_ij = sum_ab _A[3 i + j, 4 a + b] p_a p_b, symmetric in a and b; with |p| = 1 the form of the header.
 _A = torch.zeros(3, 3, 4, 4, dtype=torch.float64)
@@ -38,6 +38,15 @@ for _i, _j, _k, _sign in ((0, 1, 2, 1), (1, 2, 0, 1), (2, 0, 1, 1), (0, 2, 1, -1
     AXIAL[_i, 3 * _k + _j] = _sign
 
 
+# (p d)_0 = p0 d0 - e.x, and p0 x + d0 e + e x x below it, out of the 16 products of p = (p0, e) and d = (d0, x).
+PRODUCT_FORM = torch.zeros(4, 4, 4, dtype=torch.float64)
+PRODUCT_FORM[0] = torch.diag(torch.tensor([1.0, -1.0, -1.0, -1.0], dtype=torch.float64))
+for _i in range(3):
+    PRODUCT_FORM[1 + _i, 0, 1 + _i] = PRODUCT_FORM[1 + _i, 1 + _i, 0] = 1.0
+PRODUCT_FORM[1:, 1:, 1:] = CROSS_FORM.reshape(3, 3, 3)
+PRODUCT_FORM = PRODUCT_FORM.reshape(4, 16)
+
+
 def rotation_matrix(p):
     """Rotation matrices [3, 3, ...] of Euler parameters [4, ...], body -> ground."""
     products = p[:, None] * p[None]
@@ -56,8 +65,8 @@ def axial(Y):
 
 def quaternion_product(p, d):
     """Product of Euler parameters [4, ...]: rotate by p after d (d in the axes of p's body)."""
-    p0, e, d0, x = p[:1], p[1:], d[:1], d[1:]
-    return cat([p0 * d0 - dot(e, x)[None], p0 * x + d0 * e + cross(e, x)])
+    products = p.unsqueeze(1) * d.unsqueeze(0)
+    return constant_map(PRODUCT_FORM.to(value(p).device), products.flatten(0, 1))
 
 
 def euler_rates(p, omega):

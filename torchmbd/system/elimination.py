@@ -1,11 +1,11 @@
-"""Block elimination: the inverse of a saddle-point matrix from those of the bodies' own blocks.
+"""Solving with a saddle-point matrix: by its triangular factors, or by those of the bodies' own blocks.
 
     [ K  B ]^-1   [ X - X B Y C X    X B Y ]       X = K^-1, block by block: one block for each body
     [ C  E ]    = [     Y C X         -Y   ]       Y = (C X B - E)^-1: of the size of the constraints
 
 A mechanism of many bodies has a K of small blocks: what a dense inverse spends on their zeros grows with the cube of
-their number. Worth it from some size on (`pays`); a lane with a singular block (a body without inertia) goes the dense way.
-Applied forces couple bodies through their laws: not for them.
+their number. Block elimination is worth it from some size on (`pays`); a lane with a singular block (a body without
+inertia) goes the dense way. Applied forces couple bodies through their laws: not for them.
 Checked in tests/system/test_elimination.py: against the dense inverse.
 """
 
@@ -50,7 +50,7 @@ class Elimination:
             XB[:, rows] = x @ B[:, rows]
             CX[:, :, rows] = (C[:, :, rows].permute(0, 2, 1, 3) @ x).permute(0, 2, 1, 3)
         lanes = singular.nonzero()[:, 0]
-        return Eliminated(self.groups, X, XB, CX, inverse(C @ XB - E), lanes, inverse(A[lanes]))
+        return Eliminated(self.groups, X, XB, CX, factored(C @ XB - E), lanes, factored(A[lanes]))
 
 
 @dataclass(frozen=True)
@@ -58,20 +58,20 @@ class Eliminated:
     """Inverses in parts, to be multiplied: formed, they would cost more than all their parts.
 
     X      of each group of bodies [lanes, bodies, k, k]
-    lanes  those that went the dense way, `dense` their inverses
+    Y, dense  as factors; `lanes` are those that went the dense way
     """
 
     groups: list[Tensor]
     X: list[Tensor]
     XB: Tensor
     CX: Tensor
-    Y: Tensor
+    Y: Factored
     lanes: Tensor
-    dense: Tensor
+    dense: Factored
 
     def __matmul__(self, b: Tensor) -> Tensor:
         """The inverses times columns [lanes, n, k]."""
-        n = self.XB.shape[1]
+        b, n = b.contiguous(), self.XB.shape[1]  # in another order torch multiplies lane by lane: many times slower
         top, bottom = b[:, :n], b[:, n:]
         below = self.Y @ (self.CX @ top - bottom)
         above = torch.empty_like(top)
@@ -83,12 +83,24 @@ class Eliminated:
         return found
 
 
-def inverse(K: Tensor) -> Tensor:
-    """Inverses of matrices [lanes, n, n]. A lane whose matrix is singular becomes nan, alone."""
-    H, info = torch.linalg.inv_ex(K)
-    if not K.is_cuda and not bool(info.any()):
-        return H
-    return torch.where((info == 0)[:, None, None], H, torch.nan)
+@dataclass(frozen=True)
+class Factored:
+    """Triangular factors of matrices [lanes, n, n]: what is multiplied by their inverses is solved for."""
+
+    LU: Tensor
+    pivots: Tensor
+
+    def __matmul__(self, b: Tensor) -> Tensor:
+        """The inverses times columns [lanes, n, k]."""
+        return torch.linalg.lu_solve(self.LU, self.pivots, b)
+
+
+def factored(K: Tensor) -> Factored:
+    """Factors of matrices [lanes, n, n]. A lane whose matrix is singular becomes nan, alone."""
+    LU, pivots, info = torch.linalg.lu_factor_ex(K)
+    if K.is_cuda or bool(info.any()):
+        LU = torch.where((info == 0)[:, None, None], LU, torch.nan)
+    return Factored(LU, pivots)
 
 
 def own_rates(T: Topology) -> list[list[int]]:

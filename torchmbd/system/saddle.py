@@ -178,7 +178,7 @@ class Saddle:
         flat = torch.cat([flat, flat.new_zeros(1, lanes)])
         size = self.T.n_v + self.T.rows
         flat = flat.index_select(0, self._index) if self._project is None else self._project(flat)
-        K = flat.reshape(size, size, lanes).permute(2, 0, 1).contiguous()
+        K = flat.reshape(size, size, lanes).permute(2, 0, 1)
         if v is not None and T.actions:
             K = K + pad(self._action_slopes(data, at, v, stiffness, damping), (0, T.rows, 0, T.rows))
         return K
@@ -376,6 +376,8 @@ class Projection:
         table, weights = np.full((self.width, size), zero), np.zeros((self.width, size))
         table[depth, target], weights[depth, target] = index[i[I], i[J]], factor[I] * factor[J]
         self.table, self.weights = torch.from_numpy(table.ravel()), torch.from_numpy(weights)[..., None]
+        self.plain = self.width == 1 and bool((weights[0][table[0] < zero] == 1.0).all())  # the last place is zero
 
     def __call__(self, flat: Tensor) -> Tensor:
-        return (flat.index_select(0, self.table).unflatten(0, self.weights.shape[:2]) * self.weights).sum(0)
+        entries = flat.index_select(0, self.table)
+        return entries if self.plain else (entries.unflatten(0, self.weights.shape[:2]) * self.weights).sum(0)
