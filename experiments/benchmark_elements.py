@@ -4,6 +4,7 @@ published  problems of experiments/shell_problems.py with triangles and with qua
            reference at the usual mesh and at meshes twice and four times as fine
 bending    those that bend, with the bending of MITC4 and of DKMQ as published in the same quadrilateral, beside ours
 laminated  carbon strips of 3 x 0.5 under end forces in their plane and across, 6 x 1, 12 x 2 and 24 x 4 cells, over 96 x 16
+stage      the structure stage of a rod of 24 x 4 cells, 8 modes, with quadrilaterals over that with triangles, by turns
 cost       processor seconds of one core:
 
 section    6 x 6 stiffness of a laminated box of some 5,000 elements; with its derivative by all ply angles
@@ -20,6 +21,7 @@ from unittest import mock
 
 import torch
 from torch import Tensor
+from torch.func import functional_call, jvp, vmap
 
 import torchmbd as mbd
 from experiments.shell_problems import PROBLEMS, cantilever
@@ -110,6 +112,35 @@ def laminated() -> None:
         print(f"{degrees!s:20s}" + "   ".join(columns))
 
 
+def stages(kind: str, lanes: int) -> tuple[Callable[[], object], Callable[[], object]]:
+    """The structure stage of a rod in some designs: alone, and with tangents by its three angles."""
+    laminate = mbd.Laminate(CARBON, mbd.deg([45, -45, 45]), 2.5e-3)
+    body = mbd.FlexibleBody.plate("rod", mbd.mesh.rectangle(0.304, 0.04, (24, 4), kind), laminate, modes=8)
+    system = mbd.System([body])
+    start = laminate.angles.detach()
+    angles = start + 0.3 * torch.randn(lanes, 3, generator=torch.Generator().manual_seed(0)).double()
+
+    def stage(x: Tensor) -> dict[str, Tensor]:
+        return functional_call(system, {"rod.laminate.angles": x}, ("rod",))
+
+    def tangents() -> object:
+        return vmap(lambda way: jvp(stage, (angles,), (way.expand_as(angles),)))(torch.eye(3, dtype=torch.float64))
+
+    return lambda: stage(angles), tangents
+
+
+@torch.no_grad()
+def stage() -> None:
+    """Print ratios of the least of ten runs by turns."""
+    for lanes in (1, 16, 64):
+        runs = {kind: stages(kind, lanes) for kind in ELEMENTS}
+        for name, k in (("alone", 0), ("with tangents", 1)):
+            spent = [{kind: seconds(runs[kind][k]) for kind in ELEMENTS} for _ in range(12)][2:]
+            least = {kind: min(own[kind] for own in spent) for kind in ELEMENTS}
+            ratio = least["quad"] / least["triangle"]
+            print(f"{lanes} designs, {name}: {1e3 * least['quad']:.0f} ms, {ratio:.2f} times as long as with triangles")
+
+
 def cost() -> None:
     """Print what large meshes cost."""
     elements, value, both = section()
@@ -120,7 +151,7 @@ def cost() -> None:
 
 
 def main() -> None:
-    parts = {"published": published, "bending": bending, "laminated": laminated, "cost": cost}
+    parts = {"published": published, "bending": bending, "laminated": laminated, "stage": stage, "cost": cost}
     for name in sys.argv[1:] or parts:
         parts[name]()
 

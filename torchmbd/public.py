@@ -107,12 +107,13 @@ def load(run: str, uri: str | None = None, folder: str | Path = ".") -> LoadedSt
 
 
 def problem_of(file: str | Path, *assignments: str) -> Problem:
-    """The problem of an experiment file, for whatever a file has no keys for: angles in steps, fronts, tolerances.
+    """The problem of an experiment file, for whatever a file has no keys for, such as other criteria of the same motion.
 
     file         the experiment file (YAML)
     assignments  overrides of single values, as at the command line: "options.layers=2"
 
-    Nothing is tracked. Raises InputError with every fault of the file.
+    Tolerances and steps of the file are left to the caller (RobustProblem, optimize_discrete), and nothing is tracked.
+    Raises InputError with every fault of the file.
     """
     from torchmbd.experiment.assemble import problem_of
     from torchmbd.experiment.load import load_study

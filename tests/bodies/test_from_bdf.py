@@ -181,6 +181,22 @@ SECTIONS = {
 }
 
 
+@pytest.mark.parametrize("end", ["", "NO,1.,2.-4,6.-9,1.-9,0.,4.-9\n,\n,"])
+def test_shear_factors_of_a_beam(end, body):
+    """K1 and K2 stand after end B, or in its place; zero is rigid: a short cantilever, sheared along y more than along z."""
+    lines = [
+        "GRID,1,,0.,0.,0.",
+        "GRID,2,,.01,0.,0.",
+        "CBEAM,1,5,1,2,0.,1.,0.",
+        "MAT1,2,70.+9,,.3,2700.",
+        "SPC1,1,123456,1",
+    ]
+    made = body("\n".join([*lines, "PBEAM,5,2,2.-4,6.-9,1.-9,0.,4.-9", ",", f",{end}.25,0."]), modes=2)
+    K = made.assembly.parts["pbeam_5"].section.stiffness()
+    assert float(K[1, 1]) == pytest.approx(0.25 * 2e-4 * 70e9 / 2.6)
+    assert float(K[2, 2]) > 1e5 * float(K[1, 1])
+
+
 @pytest.mark.parametrize("section", SECTIONS)
 def test_beams_of_bars(section, body):
     """A cantilever of ten bars: bending frequencies in both planes within 1 %, plane 1 along the orientation vector."""
@@ -200,11 +216,19 @@ def test_beams_of_bars(section, body):
     ("old", "new", "words"),
     [
         ("PBARL,5,2,,BAR", "PBARL,5,2,,I", ["PBARL 5", "TYPE is 'I'", "ROD, TUBE, BAR"]),
-        (",0.,1.,1.", ",0.,1.,1.\n,3", ["CBAR 1", "pins or offsets ('3')"]),
+        (",0.,1.,1.", ",0.,1.,1.\n,3", ["CBAR 1", "pins ('3')"]),
+        (
+            ",0.,1.,1.",
+            ",0.,1.,1.\n,,,.1,,,.2",
+            ["CBAR 1", "[0.1, 0.0, 0.0] and [0.2, 0.0, 0.0]", "the same at both ends"],
+        ),
+        (",0.,1.,1.", ",0.,1.,1.\n,,,.1,,,.1", ["CBAR 1", "lies along the bar"]),
+        (",0.,1.,1.", ",0.,1.,1.,BGG", ["CBAR 1", "OFFT 'BGG'"]),
         ("CBAR,1,5,1,2,0.,1.,1.", "CBAR,1,5,1,2,99", ["CBAR 1", "GRID 99 does not exist"]),
         ("MAT1,2,70.+9,,.3", "MAT1,2,70.+9,,", ["MAT1 2", "two of E, G, NU"]),
         ("PBARL,5,2,,BAR", "PBCOMP,5,2", ["CBAR 1", "property 5 does not exist"]),
         ("PBARL,5,2,,BAR\n,.01,.02", "PBEAM,5,2,2.-4,6.-9,1.-9,0.,4.-9\n,\n,NO,1.,1.-4", ["PBEAM 5", "field 19"]),
+        ("PBARL,5,2,,BAR\n,.01,.02", "PBEAM,5,2,2.-4,6.-9,1.-9,0.,4.-9\n,\n,.8,.7,,.1", ["PBEAM 5", "field 20"]),
     ],
 )
 def test_what_is_wrong_with_beams_is_named(old, new, words, body):
@@ -224,6 +248,21 @@ def test_a_stiffened_plate(body):
     made = body(model(extra=extra))
     assert float(values(made)[0]) > 2 * float(values(body(model()))[0])
     assert float(made.structure()["mass"]) == pytest.approx(0.03 * 1586 * 4.5e-3 + 0.3 * 1e-4 * 2700)
+
+
+def test_an_eccentric_stiffener(body):
+    """A bar in its place by offsets, or on grids of its own there that rigid elements carry: the same modes."""
+    section = ["PBARL,5,2,,BAR", ",.004,.02", "MAT1,2,70.+9,,.3,2700."]
+    offset = [
+        f"CBAR,{100 + i},5,{100 * i + 2},{100 * i + 102},0.,0.,1.\n,,,.0,.003,.012,0.,.003,.012" for i in range(6)
+    ]
+    own = [f"GRID,{900 + i},,{0.05 * i - 0.15!r},.003,.012" for i in range(7)]
+    own += [f"RBE2,{700 + i},{100 * i + 2},123456,{900 + i}" for i in range(7)]
+    own += [f"CBAR,{100 + i},5,{900 + i},{901 + i},0.,0.,1." for i in range(6)]
+    found, expected = (values(body(model(extra=[*section, *extra]))) for extra in (offset, own))
+    assert_close(found, expected, rtol=1e-8, atol=0)
+    middle = [f"CBAR,{100 + i},5,{100 * i + 2},{100 * i + 102},0.,0.,1." for i in range(6)]
+    assert float(found[0]) > 1.5 * float(values(body(model(extra=[*section, *middle])))[0])
 
 
 def test_a_mechanism_from_a_file_has_gradients(body):

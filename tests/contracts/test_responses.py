@@ -200,3 +200,23 @@ def renamed() -> mbd.System:
     for joint in system.joints:
         joint.name += "s"
     return system
+
+
+@pytest.mark.parametrize("around", [torch.no_grad, torch.inference_mode, torch.enable_grad])
+@pytest.mark.parametrize(
+    "measure", [mbd.Integral(mbd.StrainEnergy("rod")), mbd.AtTimes(mbd.StrainEnergy("rod"), count=9)]
+)
+def test_gradients_do_not_depend_on_what_torch_is_told_around(around, measure):
+    """In reverse and in forward mode; of motions that were simulated there or outside."""
+    system = pendulum()
+
+    def run() -> mbd.Trajectory:
+        return mbd.simulate(system, 0.01, steps=10, sensitivities=True)
+
+    wanted = measure.value_and_gradient(run())[1]
+    with around():
+        inside = run()
+        first = measure.value_and_gradient(inside)[1]
+    outside = measure.value_and_gradient(inside)[1]
+    for found in (first, outside):
+        assert_close(found, wanted, rtol=1e-12, atol=0.0)

@@ -80,6 +80,21 @@ def test_offset_and_twist_are_a_rigid_arm():
         assert float(((dense(here) - dense(there)) * d[:, None] * d).abs().max()) < 1e-10
 
 
+@pytest.mark.parametrize("twist", [0.0, 0.4, [0.1, -0.3, 0.5], [[0.0, 0.2], [0.2, 0.1], [0.1, 0.4]]])
+@pytest.mark.parametrize("offset", [(0.01, 0.02), [[0.03, -0.02], [0.0, 0.01], [-0.02, 0.0]]])
+def test_offsets_and_twists_of_single_elements(offset, twist):
+    """All elements at once are the elements one by one."""
+    section, line = coupled_section(), BeamLine.straight(0.6, 3)
+    found = dense(Assembly(line, {"b": Beams(line, section, (0, 1, 0), offset, twist)}).stiffness())
+    of_each = torch.as_tensor(offset).double().expand(3, 2), torch.as_tensor(twist).double()
+    ways = of_each[1] if of_each[1].ndim else of_each[1].expand(3)
+    parts = {
+        f"b{k}": Beams(line, section, (0, 1, 0), of_each[0][k], ways if ways.ndim == 2 else ways[k], [k])
+        for k in range(3)
+    }
+    assert_close(found, dense(Assembly(line, parts).stiffness()), rtol=1e-12, atol=1e-9 * float(found.abs().max()))
+
+
 def test_section_forces_are_about_the_sections_axes():
     """A cantilever with offset and twist under a force at its tip."""
     section, offset, twist = coupled_section(), (0.03, -0.02), 0.5

@@ -95,7 +95,7 @@ def test_everything_that_is_wrong_is_named_at_once(write):
         "line 3: options = [3]: must be a mapping",
         "line 5: design.rod.laminate.angles.start.1 = 'x': must be a valid number",
         "line 5: design.rod.laminate.angles.upper is missing",
-        "line 5: design.rod.laminate.angles.uper unknown key; allowed: start, lower, upper, unit, tolerance; "
+        "line 5: design.rod.laminate.angles.uper unknown key; allowed: start, lower, upper, unit, tolerance, step; "
         "did you mean 'upper'",
         "line 5: design.rod.laminate.angles.unit = 'degree': allowed: deg, rad, m, mm, none; did you mean 'deg'?",
         "line 6: design.other = 3: must be a mapping",

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from torchmbd.errors import InputError
@@ -31,7 +32,7 @@ def test_a_system_by_grids():
     found = data(text)
     assert found.grids[4] == pytest.approx((1.0, 3.0, 0.0))
     card = found.grid_cards[4]
-    assert found.systems.axes(6, card)[0].tolist() == pytest.approx([0.0, 1.0, 0.0])
+    assert found.systems.axes(6, card, np.zeros(3))[0].tolist() == pytest.approx([0.0, 1.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -84,3 +85,34 @@ def test_thickness_at_corners_and_offsets_are_refused():
     with pytest.raises(InputError, match=r"CQUAD4 1 .*: thickness at a corner is .2"):
         data(f"{GRIDS}\nCQUAD4,1,1,1,2,3,4\n,,,.2")
     assert math.isclose(data(f"{GRIDS}\nPSHELL,1,1,.1\nCTRIA3,1,1,1,2,3,30.").shells[0].theta, 30.0)
+
+
+def test_a_grid_may_hold_itself():
+    """Permanent constraints are supports of set 0."""
+    found = data("GRID,1,,0.,0.,0.,,123456\nGRID,2,,1.,0.,0.,,6")
+    assert [(s.set, s.components, s.grids) for s in found.supports] == [(0, "123456", (1,)), (0, "6", (2,))]
+
+
+def test_x_of_a_cylindrical_system_is_the_radius_at_the_place():
+    """Axis along z through (1, 1, 0); at (1, 4, 7) the radius points along y, at (-1, -1, 0) to both sides."""
+    found = data("CORD2C,2,0,1.,1.,0.,1.,1.,1.\n,2.,1.,0.\nGRID,1,,1.,4.,7.")
+    axes = found.systems.axes(2, found.grid_cards[1], np.array([1.0, 4.0, 7.0]))
+    assert axes.tolist() == [pytest.approx(row) for row in ([0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0])]
+    aslant = found.systems.axes(2, found.grid_cards[1], np.array([-1.0, -1.0, 0.0]))[0]
+    assert aslant.tolist() == pytest.approx([-math.sqrt(0.5), -math.sqrt(0.5), 0.0])
+    with pytest.raises(InputError, match="lies on the axis of system 2"):
+        found.systems.axes(2, found.grid_cards[1], np.array([1.0, 1.0, 3.0]))
+
+
+@pytest.mark.parametrize("card", ["GRDSET,,1,,,,2", "BAROR,,5,,,0.,1.,0.", "BEAMOR,,5", "RJOINT,5,1,2,123"])
+def test_cards_that_change_others_are_refused(card):
+    with pytest.raises(InputError, match="cannot be read, and without it the structure is another"):
+        data(f"GRID,1,,0.,0.,0.\n{card}")
+
+
+def test_inertias_that_differ_are_told():
+    with pytest.warns(UserWarning, match=r"CONM2 9 .*\[1.0, 2.0, 3.0\].*taken as 2 about any axis"):
+        (mass,) = data("GRID,1,,0.,0.,0.\nCONM2,9,1,,5.\n,1.,,2.,,,3.").masses
+    assert mass.rotary == pytest.approx(2.0)
+    with pytest.raises(InputError, match="CID is -1"):
+        data("GRID,1,,1.,0.,0.\nCONM2,9,1,-1,5.,0.,0.,0.")

@@ -1,6 +1,7 @@
 """A Nastran model as the makings of a flexible body: mesh, parts, links and reference.
 
-Each PCOMP and PSHELL is a part of its own, "pcomp_7"; each PBAR with one orientation another. RBE2 and RBE3 become links,
+Each PCOMP and PSHELL is a part of its own, "pcomp_7"; each PBAR another, its bars where
+their offsets put them (the same at both ends, across the bar). RBE2 and RBE3 become links,
 and the grid of each a named node, "rbe2_30", where a frame may sit; CONM2 are point masses. Grids whose six freedoms are
 held (SPC, SPC1) become the reference of the body; other supports are left out, with a warning: joints do that in a
 mechanism.
@@ -14,10 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.bodies.bulk_materials import UNITS, Units, laminate_of, section_of, units_of
-from torchmbd.elements import Average, Beams, Part, Plates, PointMasses, RigidLink
+from torchmbd.elements import Average, BeamMatrices, Beams, Part, Plates, PointMasses, RigidLink
 from torchmbd.errors import InputError
 from torchmbd.mesh import Bar, BulkData, Mesh, bulk_mesh, read_cards
 
@@ -70,26 +72,54 @@ def _beams(data: BulkData, mesh: Mesh, index: dict[int, int], scale: Units) -> d
         orientation = torch.tensor([_orientation(data, bar) for bar in own], dtype=torch.float64)
         card = data.properties[number]
         section = section_of(data, card, scale)
-        parts[f"{card.name.lower()}_{number}"] = Beams(_Line(mesh.nodes, pairs), section, orientation)
+        line = _Line(mesh.nodes, pairs)
+        offset = torch.tensor([_offset(bar) for bar in own], dtype=torch.float64) * scale.length
+        parts[f"{card.name.lower()}_{number}"] = Beams(
+            line, section, orientation, _across(line, orientation, offset, own)
+        )
     return parts
 
 
 def _orientation(data: BulkData, bar: Bar) -> list[float]:
-    """The vector of plane 1: to the grid G0, or X1 X2 X3."""
+    """The vector of plane 1, from the end A of the bar: to the grid G0, or X1 X2 X3."""
     card = bar.card
-    for position in range(9, 17):
-        if card.text(position) and (position < 11 or card.real(position, f"field {position}") != 0.0):
-            raise InputError(f"{card}: pins or offsets ({card.text(position)!r}); allowed: none")
+    for position in (9, 10):
+        if card.text(position):
+            raise InputError(f"{card}: pins ({card.text(position)!r}); allowed: none")
+    if any(_offset(bar)) and any(data.grid_cards[grid].integer(6, "CD", 0) for grid in bar.grids):
+        raise InputError(f"{card}: its offsets are in systems CD of its grids; allowed: the basic system")
     if card.text(5).isdigit():
         grid = card.integer(5, "G0")
         if grid not in data.grids:
             raise InputError(f"{card}: GRID {grid} does not exist")
-        return [x - a for x, a in zip(data.grids[grid], data.grids[bar.grids[0]], strict=True)]
+        return [x - a - w for x, a, w in zip(data.grids[grid], data.grids[bar.grids[0]], _offset(bar), strict=True)]
     if data.grid_cards[bar.grids[0]].integer(6, "CD", 0):
         raise InputError(
             f"{card}: its vector is in the system CD of GRID {bar.grids[0]}; allowed: the basic system, or G0"
         )
     return [card.real(k, f"X{k - 4}", 0.0) for k in (5, 6, 7)]
+
+
+def _offset(bar: Bar) -> list[float]:
+    """From the grids to the ends of the bar: the same at both."""
+    start, end = ([bar.card.real(k + i, f"W{i + 1}{end}", 0.0) for i in range(3)] for k, end in ((11, "A"), (14, "B")))
+    if start != end or bar.card.text(8).upper() not in ("", "GGG"):
+        raise InputError(
+            f"{bar.card}: offsets {start} and {end}, OFFT {bar.card.text(8)!r}; allowed: the same at both ends, OFFT GGG"
+        )
+    return start
+
+
+def _across(line: _Line, orientation: Tensor, offset: Tensor, bars: list[Bar]) -> Float[Tensor, "m 2"]:
+    """Offsets along y and z of the bars; they lie across."""
+    if not offset.any():
+        return offset[:, 1:]
+    e_x, e_y, e_z = BeamMatrices(line, orientation).axes.unbind(1)
+    along = (e_x * offset).sum(1).abs() > 1e-6 * offset.norm(dim=1)
+    if along.any():
+        bar = bars[int(along.nonzero()[0])]
+        raise InputError(f"{bar.card}: offset {_offset(bar)} lies along the bar; allowed: across it")
+    return torch.stack([(e_y * offset).sum(1), (e_z * offset).sum(1)], dim=1)
 
 
 def _links(data: BulkData, index: dict[int, int]) -> list[RigidLink | Average]:

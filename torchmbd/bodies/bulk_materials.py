@@ -24,7 +24,7 @@ from torchmbd.materials import Laminate, Ply, Strength
 from torchmbd.mesh import BulkData, Card
 from torchmbd.numerics.angles import deg
 
-RIGID_IN_SHEAR = 1e6  # in place of infinity, where PBAR leaves K1 or K2 blank
+RIGID_IN_SHEAR = 1e6  # in place of infinity: K1 or K2 zero, or blank on a PBAR
 
 
 @dataclass(frozen=True)
@@ -192,14 +192,24 @@ def _given(card: Card) -> tuple[list[float], float]:
         raise InputError(f"{card}: I12 is {card.text(product)}; allowed: 0, principal axes")
     places = ((3, "A"), (4, "I1"), (5, "I2"), (7, "J")) if beam else ((3, "A"), (4, "I1"), (5, "I2"), (6, "J"))
     numbers = [card.real(k, name) for k, name in places]
-    if not beam:
-        shear = [card.real(k, name, RIGID_IN_SHEAR) for k, name in ((17, "K1"), (18, "K2"))]
-        return numbers + shear, card.real(7, "NSM", 0.0)
-    for k in range(19, len(card.fields) + 1):
-        at_start = card.real(k - 16, "end A", 0.0) if k < 25 else None
-        if card.text(k) and card.text(k).upper() not in ("YES", "NO", "YESA") and card.real(k, "end B") != at_start:
-            raise InputError(f"{card}: field {k} is {card.text(k)}; allowed: one station with the numbers of end A")
-    return [*numbers, 1.0, 1.0], card.real(8, "NSM", 0.0)
+    last = _after_stations(card) if beam else 17
+    shear = [card.real(last + k, f"K{k + 1}", 1.0 if beam else 0.0) or RIGID_IN_SHEAR for k in (0, 1)]
+    return numbers + shear, card.real(8 if beam else 7, "NSM", 0.0)
+
+
+def _after_stations(card: Card) -> int:
+    """The field of K1 of a PBEAM: after end B, if that is told."""
+    stations = ("YES", "YESA", "NO")
+    last = 33 if card.text(17).upper() in stations else 17
+    for k, word in enumerate(card.fields[18:], start=19):
+        if k < last:
+            right = not word or k > 24 or card.real(k, "end B") == card.real(k - 16, "end A", 0.0)
+        else:
+            right = word.upper() not in stations and (k < last + 2 or card.real(k, f"field {k}", 0.0) == 0.0)
+        if not right:
+            allowed = "one station with the numbers of end A, then K1, K2, then zeros"
+            raise InputError(f"{card}: field {k} is {word}; allowed: {allowed}")
+    return last
 
 
 def _shape(card: Card) -> tuple[list[float], float]:

@@ -34,16 +34,16 @@ def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
     n = len(motion.parameters)
     if not n:
         return Valued(f(shared), None)
-    with torch.enable_grad():
+    with torch.inference_mode(False), torch.enable_grad():  # wherever the caller is
         delta = torch.zeros(motion.lanes, n, dtype=torch.float64, requires_grad=True)
         found = f(shared.moved(delta))
-    value, rows = found.detach(), found[0].numel()
-    if rows <= n:
-        return Valued(value, _reversed(found, delta).reshape(*value.shape, n))
-    motion.prepare()
-    gradient = torch.func.jacfwd(lambda delta: f(shared.moved(delta)))(torch.zeros(n, dtype=torch.float64))
-    assert isinstance(gradient, Tensor)
-    return Valued(value, gradient)
+        value, rows = found.detach(), found[0].numel()
+        if rows <= n:
+            return Valued(value, _reversed(found, delta).reshape(*value.shape, n))
+        motion.prepare()
+        gradient = torch.func.jacfwd(lambda delta: f(shared.moved(delta)))(torch.zeros(n, dtype=torch.float64))
+        assert isinstance(gradient, Tensor)
+        return Valued(value, gradient)
 
 
 def _reversed(found: Tensor, delta: Tensor) -> Tensor:

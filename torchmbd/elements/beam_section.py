@@ -89,9 +89,9 @@ def line_transform(offset: Float[Tensor, "*n 2"], twist: Float[Tensor, "*n"]) ->
         raise InputError(f"offset is {offset.tolist()}; allowed: finite numbers, y and z [m]")
     if not (twist.abs() <= 2 * torch.pi).all():
         raise InputError(f"twist is {twist.tolist()}; allowed: -2 pi to 2 pi [rad]")
+    y, z, twist = torch.broadcast_tensors(*offset.unbind(-1), twist)
     c, s = torch.cos(twist), torch.sin(twist)
     o, one = torch.zeros_like(c), torch.ones_like(c)
-    y, z = (x.expand_as(c) for x in offset.unbind(-1))
     turn = _matrix([[one, o, o], [o, c, -s], [o, s, c]])
     arm = _matrix([[o, -z, y], [z, o, o], [-y, o, o]])
     return torch.cat([torch.cat([turn, torch.zeros_like(turn)], -1), torch.cat([arm @ turn, turn], -1)], -2)

@@ -1,6 +1,6 @@
 """From a plan to what runs: the Problem of torchmbd.design, what optimizers see of it, and the start designs.
 
-Checked in tests/experiment/test_tolerances.py, tests/experiment/test_run.py.
+Checked in tests/experiment/test_tolerances.py, tests/experiment/test_steps.py, tests/experiment/test_run.py.
 """
 
 from __future__ import annotations
@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 
 from torchmbd.design import Constraint, Problem
+from torchmbd.design.problem import BOUND
 from torchmbd.design.spec import measure_of
+from torchmbd.errors import InputError
 from torchmbd.experiment.check import vector
 from torchmbd.experiment.load import Plan
 from torchmbd.optimizers import RobustProblem, Starts, given, latin_hypercube, sobol
+from torchmbd.optimizers.grid import Grid
 
 
 def problem_of(plan: Plan) -> Problem:
@@ -38,14 +41,31 @@ def problem_of(plan: Plan) -> Problem:
 
 def tolerances(plan: Plan) -> np.ndarray:
     """Return how far every design variable may be off [SI], zero for what is made exactly."""
-    given = vector(plan.study.design, plan.system, "tolerance")
+    return _all(plan, "tolerance")
+
+
+def increments(plan: Plan) -> list[float | None]:
+    """Return the step of every design variable [SI]; None where it takes any value."""
+    return [float(step) or None for step in _all(plan, "step")]
+
+
+def _all(plan: Plan, key: str) -> np.ndarray:
+    given = vector(plan.study.design, plan.system, key)
     return np.append(given, np.zeros(len(plan.columns.names) - given.size)) * plan.columns.factors
 
 
 def sought(plan: Plan, problem: Any) -> Any:
-    """Return what optimizers see: the problem, or its mean over the tolerances; InputError where there is none."""
-    own = tolerances(plan)
-    return RobustProblem(problem, own) if own.any() else problem
+    """Return what optimizers see: the problem, or its mean over the tolerances.
+
+    Raises InputError where it has none, where no step lies between the bounds, and for steps of a min-max problem.
+    """
+    own, steps = tolerances(plan), increments(plan)
+    target = RobustProblem(problem, own) if own.any() else problem
+    if any(steps) and plan.columns.labels[-1] == BOUND:
+        raise InputError("design has a step, and the objective several rows; allowed: one number, such as max")
+    if any(steps):
+        Grid(target, steps, target.lower, target.upper, target.period)
+    return target
 
 
 def starts_of(plan: Plan, start: np.ndarray) -> Starts:

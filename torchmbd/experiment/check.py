@@ -75,12 +75,12 @@ def values(given: float | Sequence[float], size: int) -> np.ndarray | None:
 
 
 def vector(design: Mapping[str, Variable], system: System, key: str) -> np.ndarray:
-    """Return "start", "lower", "upper" or "tolerance" of the whole design vector, in the units of the file."""
+    """Return "start", "lower", "upper", "tolerance" or "step" of the whole design vector, in the units of the file."""
     own = dict(system.named_parameters())
     parts = []
     for name, variable in design.items():
         given = getattr(variable, key)
-        if given is None and key == "tolerance":
+        if given is None and key in ("tolerance", "step"):
             parts.append(np.zeros(own[name].numel()))
         elif given is None:  # a start that the file leaves to the model
             parts.append(own[name].detach().reshape(-1).numpy() / UNITS[variable.unit])
@@ -143,7 +143,7 @@ def _design_faults(design: Mapping[str, Variable], system: System) -> list[Fault
         size = own[name].numel()
         sized = {
             key: values(given, size)
-            for key in ("start", "lower", "upper", "tolerance")
+            for key in ("start", "lower", "upper", "tolerance", "step")
             if (given := getattr(variable, key)) is not None
         }
         for key, x in sized.items():

@@ -21,7 +21,7 @@ from rich.console import Console
 
 from torchmbd.design import Problem
 from torchmbd.design.spec import words
-from torchmbd.experiment.assemble import problem_of, sought, starts_of, tolerances
+from torchmbd.experiment.assemble import increments, problem_of, sought, starts_of, tolerances
 from torchmbd.experiment.evaluations import Evaluations
 from torchmbd.experiment.load import FiguresPlan, Plan
 from torchmbd.experiment.place import evaluations_file, problem_key
@@ -127,7 +127,9 @@ def print_estimate(plan: Plan | FiguresPlan, console: Console) -> None:
     known = f"; {store.count()} evaluations of this problem are in the store already" if store else ""
     console.print(
         f"at most about {cost.simulations} simulations in batches of {cost.lanes}, {_time(cost.batch_seconds)} each: "
-        f"{_time(cost.seconds)} in one process, {cost.memory / 2**30:.1f} GiB{known}",
+        f"{_time(cost.seconds)} in one process, {cost.memory / 2**30:.1f} GiB{known}"
+        + "; designs on the steps are looked at after that"
+        * any(increments(plan)),
         markup=False,
         soft_wrap=True,
     )

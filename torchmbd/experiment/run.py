@@ -19,7 +19,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.design import Problem
-from torchmbd.experiment.assemble import problem_of, sought, starts_of
+from torchmbd.experiment.assemble import increments, problem_of, sought, starts_of
 from torchmbd.experiment.evaluations import Evaluations, Remembered
 from torchmbd.experiment.farm import LANES, Farm
 from torchmbd.experiment.journal import PARENT, Journal
@@ -29,6 +29,7 @@ from torchmbd.experiment.place import evaluations_file, place, problem_key, stud
 from torchmbd.experiment.progress import Progress
 from torchmbd.experiment.report import print_results, study_pictures
 from torchmbd.experiment.schema import Optimizer
+from torchmbd.experiment.steps import lay
 from torchmbd.experiment.sweep import run_sweep
 from torchmbd.optimizers import Iterate, Study, multistart
 from torchmbd.tracking import ProcessTracker, Record, Status, Tracker, TrackingError
@@ -164,8 +165,11 @@ def run_study(
     _summarize(study, journal)
     if best is not None:
         journal.best(best)
+    interrupted = study.interrupted
+    if best is not None and any(increments(plan)) and not interrupted:
+        interrupted = lay(plan, target, points, options, study, journal, console).status == "interrupted"
     study_pictures(plan, study, problem, store.visited(len(points[0])), journal, console)
-    if study.interrupted:
+    if interrupted:
         return "KILLED"
     return "FINISHED" if best is not None else "FAILED"
 

@@ -1,7 +1,7 @@
 """The experiment file as data: sections, types, ranges, and names that are known without the model.
 
     model      module:function or file.py:function that returns a System      options   its arguments
-    design     parameter -> start, lower, upper, unit, tolerance             simulate  duration, method, steps, ...
+    design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, ...
     minimize   {integral: {strain_energy: rod}}, see design/spec.py          subject_to  [{max: ..., at_most: initial}]
     optimizer  name, max_iterations, the method's own options                starts    sampler, count, seed, ...
     sweep      one design variable from .. to ..: evaluated as one batch, instead of optimizer and starts
@@ -85,7 +85,8 @@ class Variable(Section):
     """A design variable; a single number serves every entry of the parameter.
 
     With a tolerance the criterion is its mean over variables that are off by up to it, and constraints hold there throughout
-    (optimizers/robust.py).
+    (optimizers/robust.py). With a step the study ends with the best design whose variables are multiples of it
+    (optimizers/discrete.py).
     """
 
     start: Numbers | None = None  # default: as the model is built
@@ -93,13 +94,14 @@ class Variable(Section):
     upper: Numbers
     unit: Annotated[str, _one_of(UNITS)]  # without a default: 45 is a very different angle in radians
     tolerance: Numbers | None = None  # default: made exactly
+    step: Numbers | None = None  # 0, and default: any value
 
-    @field_validator("tolerance")
+    @field_validator("tolerance", "step")
     @classmethod
-    def _not_negative(cls, tolerance: Numbers | None) -> Numbers | None:
-        if tolerance is not None and min(tolerance if isinstance(tolerance, list) else [tolerance]) < 0.0:
+    def _not_negative(cls, given: Numbers | None) -> Numbers | None:
+        if given is not None and min(given if isinstance(given, list) else [given]) < 0.0:
             raise PydanticCustomError("kind", "must not be negative")
-        return tolerance
+        return given
 
 
 class Simulation(Section):
@@ -250,8 +252,10 @@ class Study(Section):
         if self.sweep is not None and extra:
             text = f"sweep and {' and '.join(extra)} are both given; allowed: a sweep, or an optimizer with starts"
             raise PydanticCustomError("kind", "{text}", {"text": text})
-        if self.sweep is not None and any(variable.tolerance is not None for variable in self.design.values()):
-            raise PydanticCustomError("kind", "sweep and a tolerance are both given; allowed: one of them")
+        for key in ("tolerance", "step"):
+            if self.sweep is not None and any(getattr(variable, key) is not None for variable in self.design.values()):
+                text = f"sweep and a {key} are both given; allowed: one of them"
+                raise PydanticCustomError("kind", "{text}", {"text": text})
         return self
 
     def resolved(self) -> dict[str, Any]:

@@ -71,31 +71,32 @@ def simulate(
     duration = float(duration)
     check_designs(system, designs)
     names = check_sensitivities(system, sensitivities)
-    batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
-    if phases is not None:
-        system, stages = plan(system, phases, duration)
-    dynamics = system.dynamics(batch, tangents=names)
-    steps = int(steps or default_steps(dynamics, duration))
-    design = {"designs": batch, "parameters": labels(system, names)}
-    with torch.no_grad():
-        if phases is None:
-            history, stats, status = run(dynamics, duration, steps, method, options)
-            signals = Recorded(history, partial(_multipliers, dynamics, duration))
-            motion = explained(_present(system, dynamics, signals, stats, status, duration, **design))
-            warn_of_spin(motion)
-            return motion
-        views = Views.of(system, dynamics, **design)
-        course = Course(dynamics, stages, views, duration, steps)
-        stats, status = _through(course, method, options)
-        if method == "generalized_alpha" and options.get("refresh", 1) and any(x != OK for x in status):
-            again = Course(dynamics, stages, views, duration, steps)
-            counts, better = _through(again, method, options | _careful(options))
-            if better.count(OK) > status.count(OK):
-                course, stats, status = again, counts | {"renewed": list(range(len(status)))}, better
-    signals = Recorded(course.history, course.multipliers)
-    motion = _present(system, course.whole, signals, stats, status, duration, **design)
-    warn_of_spin(motion)
-    return replace(motion, switches=course.switches, actions=tuple(stage.topology.actions for stage in stages))
+    with torch.inference_mode(False):  # wherever the caller is: inference tensors have no gradients, not even later
+        batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
+        if phases is not None:
+            system, stages = plan(system, phases, duration)
+        dynamics = system.dynamics(batch, tangents=names)
+        steps = int(steps or default_steps(dynamics, duration))
+        design = {"designs": batch, "parameters": labels(system, names)}
+        with torch.no_grad():
+            if phases is None:
+                history, stats, status = run(dynamics, duration, steps, method, options)
+                signals = Recorded(history, partial(_multipliers, dynamics, duration))
+                motion = explained(_present(system, dynamics, signals, stats, status, duration, **design))
+                warn_of_spin(motion)
+                return motion
+            views = Views.of(system, dynamics, **design)
+            course = Course(dynamics, stages, views, duration, steps)
+            stats, status = _through(course, method, options)
+            if method == "generalized_alpha" and options.get("refresh", 1) and any(x != OK for x in status):
+                again = Course(dynamics, stages, views, duration, steps)
+                counts, better = _through(again, method, options | _careful(options))
+                if better.count(OK) > status.count(OK):
+                    course, stats, status = again, counts | {"renewed": list(range(len(status)))}, better
+        signals = Recorded(course.history, course.multipliers)
+        motion = _present(system, course.whole, signals, stats, status, duration, **design)
+        warn_of_spin(motion)
+        return replace(motion, switches=course.switches, actions=tuple(stage.topology.actions for stage in stages))
 
 
 def _through(course: Course, method: str, options: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:

@@ -12,6 +12,7 @@ Checked in tests/mesh/test_bulk_data.py.
 from __future__ import annotations
 
 import re
+import warnings
 from collections import Counter
 from dataclasses import dataclass, field
 
@@ -24,7 +25,9 @@ BARS = ("CBAR", "CBEAM")
 PROPERTIES = ("PSHELL", "PCOMP", "PBAR", "PBARL", "PBEAM", "PBEAML")
 MATERIALS = ("MAT1", "MAT8")
 #: Cards that are structure and start with no C; every other unknown card that does not is a load or a control.
-_STRUCTURE = re.compile(r"^(RBAR|RBE1|RROD|RSPLINE|RSSCON|RTRPLT|MPC|GENEL|DMIG|MAT\d+|PCOMPG|PSOLID|SPOINT)$")
+_STRUCTURE = re.compile(
+    r"^(RBAR|RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT|MPC|GENEL|DMIG|MAT\d+|PCOMPG|PSOLID|SPOINT|EPOINT|GRDSET|BAROR|BEAMOR)$"
+)
 _QUIET = ("PARAM", "EIGRL", "EIGR", "PLOTEL", "SPCADD", "MDLPRM")
 
 
@@ -70,7 +73,7 @@ class Mass:
 
 @dataclass(frozen=True)
 class Support:
-    """An SPC1 or SPC: held components of grids."""
+    """An SPC1 or SPC, or what a GRID holds itself (set 0): held components of grids."""
 
     card: Card
     set: int
@@ -106,6 +109,8 @@ class BulkData:
             if number in data.grids:
                 raise InputError(f"{card}: GRID {number} stands twice, first at {data.grid_cards[number].where}")
             data.grids[number], data.grid_cards[number] = data.systems.place(card), card
+            if card.text(7):
+                data.supports.append(Support(card, 0, card.text(7), (number,)))
         for card in cards:
             if card.name != "GRID" and not card.name.startswith("CORD"):
                 data._take(card)
@@ -185,9 +190,17 @@ def _shell(card: Card, corners: int) -> Shell:
 
 def _mass(card: Card) -> Mass:
     offsets = [card.real(k, f"X{k - 4}", 0.0) for k in (5, 6, 7)]
+    if card.integer(3, "CID", 0) < 0:
+        raise InputError(f"{card}: CID is {card.text(3)}, X1 to X3 are a place; allowed: none, put a grid there")
     if any(offsets):
         raise InputError(f"{card}: offset is {offsets}; allowed: none, put a grid there and an RBE2 between")
     principal = [card.real(k, name, 0.0) for k, name in ((9, "I11"), (11, "I22"), (14, "I33"))]
+    products = [card.real(k, name, 0.0) for k, name in ((10, "I21"), (12, "I31"), (13, "I32"))]
+    if any(products) or max(principal) != min(principal):
+        mean = sum(principal) / 3.0
+        warnings.warn(
+            f"{card}: inertias {principal}, products {products}; taken as {mean:g} about any axis", stacklevel=2
+        )
     return Mass(card, card.integer(2, "G"), card.real(4, "M"), sum(principal) / 3.0)
 
 

@@ -1,7 +1,9 @@
 """From a Nastran model to a mesh: cells with the direction of their material, zones by property, named nodes.
 
-node sets   "grid_12", "spc_1" (of set 1), "conm2_7", "rbe2_30" and "rbe3_31" (the grid where a frame may sit)
-direction   x axis of the laminate: the first side of the element turned by THETA, or the x axis of a system (MCID)
+node sets   "grid_12", "spc_1" (of set 1; "spc_0": what GRIDs hold themselves), "conm2_7", "rbe2_30" and "rbe3_31" (the
+            grid where a frame may sit)
+direction   x axis of the laminate: the first side of the element turned by THETA, or the x axis of a system (MCID;
+            of a cylindrical one the radius at the element's middle)
 
 Every grid must belong to something: a grid that nothing refers to is named and refused.
 Checked in tests/mesh/test_bulk_mesh.py.
@@ -72,9 +74,9 @@ def _cells(corners: list[list[int]], count: int) -> Tensor:
 
 
 def _direction(data: BulkData, shell: Shell) -> list[float]:
-    if shell.system is not None:
-        return data.systems.axes(shell.system, shell.card)[0].tolist()
     p = torch.tensor([data.grids[grid] for grid in shell.grids], dtype=torch.float64)
+    if shell.system is not None:
+        return data.systems.axes(shell.system, shell.card, p.mean(0).numpy())[0].tolist()
     side = p[1] - p[0]
     normal = torch.linalg.cross(p[2] - p[0], (p[3] if len(p) == 4 else p[2]) - p[1])
     size = normal.norm()

@@ -32,9 +32,16 @@ class Systems:
                     part = Card(card.name, card.fields[start:] if start else card.fields, card.where)
                     self._cards[part.integer(1, "CID")] = part
 
-    def axes(self, number: int, card: Card) -> np.ndarray:
-        """Unit vectors of a system [3, 3]."""
-        return self._system(number, card, ())[1]
+    def axes(self, number: int, card: Card, at: np.ndarray) -> np.ndarray:
+        """Unit vectors of a system [3, 3] at a place in basic coordinates; x of a cylindrical one is its radius there."""
+        origin, axes, cylindrical = self._system(number, card, ())
+        if not cylindrical:
+            return axes
+        x, y, _ = axes @ (at - origin)
+        r = math.hypot(x, y)
+        if r == 0.0:
+            raise InputError(f"{card}: it lies on the axis of system {number}; allowed: a place with a radius")
+        return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, r]]) / r @ axes
 
     def place(self, grid: Card, opened: tuple[int, ...] = ()) -> tuple[float, float, float]:
         """Position of a GRID in basic coordinates."""
