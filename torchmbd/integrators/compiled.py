@@ -22,10 +22,10 @@ from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
 
-_NUMBERS = ("lanes", "slots", "data", "data_tangents", "uniform", "first", "steps", "corrections", "passes", "refresh")
+_NUMBERS = ("lanes", "slots", "data", "data_tangents", "uniform", "first", "steps", "corrections", "most", "refresh")
 _NUMBERS += ("look", "fresh", "moving")
 _ARRAYS = ("given", "state", "values", "tangents", "factors", "stay", "lost", "q", "v", "vd", "lam", "sizes", "errors")
-_ARRAYS += ("room", "moved")
+_ARRAYS += ("room", "moved", "passes")
 
 
 class _Job(ctypes.Structure):
@@ -98,7 +98,7 @@ class CompiledMarch(March):
             first,
             len(table),
             self.corrections,
-            self.passes,
+            int(self.passes.max()),
             self.refresh,
             look,
             self.fresh,
@@ -107,6 +107,7 @@ class CompiledMarch(March):
         stay, lost = self.diagonal or (None, None)
         arrays = [table, state, self.values, self.tangents, self.factors, stay, lost]
         arrays += [part[place:] for part in record.parts] + [sizes, errors, self.room, moved]
+        arrays.append(blocks(self.passes[None, None]))
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)
         job = _Job(*numbers, *addresses(arrays))

@@ -10,7 +10,7 @@ constexpr int MOST = 4;  // as in march.py
 
 struct Job {
   long lanes, slots, data, data_tangents, uniform;                // numbers of each
-  long first, steps, corrections, passes, refresh, look, fresh;  // look: at factors and tangents; fresh: no factors yet
+  long first, steps, corrections, most, refresh, look, fresh;  // look: at factors and tangents; fresh: no factors yet
   long moving;                                                   // the last of the data, which change from step to step
   const double *given;                                           // [steps][uniform]
   double *state;                                                 // [block][1 + slots][N_X][8], in and out
@@ -21,6 +21,7 @@ struct Job {
   double *sizes, *errors;                                        // [steps][2][lanes], [3][slots][lanes]
   double *room;                                                  // scratch
   const double *moved;                                           // [steps][block][1 + slots][moving][8]
+  const double *passes;                                          // [block][8], corrections of tangents; `most` of all
 };
 
 extern "C" long march_room(long slots) {
@@ -70,6 +71,7 @@ extern "C" long march(const Job* job) {
     In in;
     in.d = (const V*)J.values + block * J.data;
     in.b = b;
+    const V passes = ((const V*)J.passes)[block];
     bool fresh = J.fresh;
     for (long i = 0; i < J.steps; i++) {
       in.u = J.given + i * J.uniform;
@@ -101,11 +103,12 @@ extern "C" long march(const Job* job) {
         in.dz = ds;
         start(in.dx, ds);
         const bool looks = J.look && i == 0;
-        for (long k = 0; k < J.passes + looks + (begins ? MOST : 0); k++) {
+        for (long k = 0; k < J.most + looks + (begins ? MOST : 0); k++) {
           residual_tangent(in, w, R);
           solve(factors.K, factors.inverse, R);
-          for (int n = 0; n < N; n++) ds[n] -= R[n];
-          if (!looks || k != J.passes) continue;
+          const V wanted = spread(k < J.most ? (double)k : -1.0);
+          for (int n = 0; n < N; n++) ds[n] = passes > wanted ? ds[n] - R[n] : ds[n];
+          if (!looks || k != J.most) continue;
           put(J.errors + s * J.lanes + block * LANES, largest(R, N_V), valid);
           put(J.errors + (S + s) * J.lanes + block * LANES, largest(ds, N_V), valid);
           put(J.errors + (2 * S + s) * J.lanes + block * LANES, largest(ds + N_V, ROWS), valid);

@@ -26,6 +26,7 @@ TANGENT_ERROR = (
 )
 MOST = 4  # corrections of tangents
 _NOTHING = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
+_EVEN = 1e-9  # of a correction: rounding
 _ROUNDING = 1e-10  # of coordinates, with room for what equations and factors make of it
 
 
@@ -34,9 +35,13 @@ class March:
 
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
         self.dynamics, self.model, self.refresh = dynamics, model, refresh
-        self.corrections, self.passes = iterations
+        self.corrections, passes = iterations
         if any(p.varies for p in dynamics.topology.primitives):
-            self.passes = max(self.passes, 2)  # the start of a drive kicks the tangents between two looks
+            passes = max(passes, 2)  # the start of a drive kicks the tangents between two looks
+        # Corrections of tangents: what a lane gets depends on no other.
+        mass = value(dynamics.data["mass"])
+        self.passes = mass.new_full((dynamics.lanes,), float(passes))
+        self.nothing = _NOTHING / mass.amax((0, 1))
         self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
         self.factor = Elimination(dynamics.topology) if pays(dynamics.topology) else factored
         self.H: Any = None
@@ -66,8 +71,9 @@ class March:
         if not isinstance(x.q, Pair):
             return step.finish(z)
         dz = torch.cat([x.vd.tangent, x.lam.tangent])
-        for _ in range(self.passes):
-            dz, _ = step.tangent(self.H, z, dz)
+        for k in range(int(self.passes.max())):
+            better, _ = step.tangent(self.H, z, dz)
+            dz = torch.where(self.passes > k, better, dz)
         if i % CHECK == 0:
             dz = self._looked(step, z, dz)
         for _ in range(MOST if begins else 0):  # accelerations of the start are not those of a step
@@ -106,15 +112,13 @@ class March:
         What counts is the worst variable, relative to the largest that its tangents have been; or, where they are
         nothing but rounding (a load that a joint carries away), to what that of the multipliers' tangents makes of them.
         """
-        largest = largest.maximum(_NOTHING / float(value(self.dynamics.data["mass"]).max()) * forces)
+        largest = largest.maximum(self.nothing * forces)
         self.largest = largest if self.largest is None else largest.maximum(self.largest)
         error = (size / self.largest.clamp_min(torch.finfo(size.dtype).tiny)).amax(0)
         self.tangent_error.append(error)
-        worst = float(error.nan_to_num(0.0, 1.0).max())
-        if worst > TANGENT_ERROR:
-            # Each correction leaves the same share of what the one before left.
-            needed = math.ceil(self.passes * math.log(TANGENT_ERROR) / math.log(min(worst, 0.5)))
-            self.passes = max(self.passes, min(needed, MOST))
+        # Each correction leaves the same share of what the one before left.
+        share = error.nan_to_num(0.0, 0.5).clamp(TANGENT_ERROR, 0.5).log() / math.log(TANGENT_ERROR)
+        self.passes = self.passes.maximum((self.passes / share - _EVEN).ceil().clamp_max(MOST))
 
     def errors(self, history: History, duration: float) -> dict[str, Tensor]:
         """Estimated relative errors of the iteration [lanes].

@@ -1,0 +1,29 @@
+"""What a design gets does not depend on what else is in its batch."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import soft_slider_crank
+
+ANGLES = "rod.laminate.angles"
+
+
+@pytest.mark.parametrize("steps", [20, 60])
+def test_gradients_alone_and_in_a_batch(steps):
+    """Coarse steps: some designs call for more corrections of their tangents than others."""
+    system = soft_slider_crank()
+    designs = mbd.deg([[0.0, 0.0], [90.0, 80.0], [30.0, -20.0], [5.0, 85.0], [45.0, -45.0]])
+
+    def tangents(some: torch.Tensor) -> torch.Tensor:
+        motion = mbd.simulate(system, 0.02, steps=steps, sensitivities=True, designs={ANGLES: some})
+        assert motion.dq_db is not None
+        return motion.dq_db
+
+    together = tangents(designs)
+    for k in range(len(designs)):
+        alone = tangents(designs[k : k + 1])[0]
+        assert_close(together[k], alone, rtol=0, atol=1e-8 * float(alone.abs().max()))
