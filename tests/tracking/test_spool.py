@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import shutil
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from torchmbd.tracking import ProcessTracker, TrackingError
+from torchmbd.tracking import ProcessTracker, TrackingError, mlflow_tracker
 from torchmbd.tracking.spool import Journal, Sent, clear, load_sent, locked, read_lines, save_sent
 from torchmbd.tracking.store import open_store
 from torchmbd.tracking.writer import Writer, deliver
@@ -197,6 +198,33 @@ def test_a_writer_that_is_killed_is_replaced(tmp_path):
     assert load_sent(tmp_path / "study").runs == record.runs
     tracker.conclude()
     assert not (tmp_path / "study").exists()
+
+
+def test_making_a_store_is_nothing_to_rest_from(tmp_path, monkeypatch):
+    """Half a second of work at its door: at a tenth of a core the next lines would come five seconds later."""
+    opened = mlflow_tracker.open_runs
+
+    def making(uri: str, experiment: str):
+        until = time.process_time() + 0.5
+        while time.process_time() < until:
+            pass
+        return opened(uri, experiment)
+
+    monkeypatch.setattr(mlflow_tracker, "open_runs", making)
+    folder, over = tmp_path / "study", threading.Event()
+    file = told(folder, tmp_path, 1)
+    writer = threading.Thread(target=Writer(folder, file, over.is_set).run)
+    writer.start()
+    while not load_sent(folder).offset:
+        time.sleep(0.01)
+    began, sent = time.monotonic(), load_sent(folder).offset
+    with file.open("a") as journal:
+        journal.write(json.dumps([0, ["metrics", "start_0", {"objective": 0.1}, 1]]) + "\n")
+    while load_sent(folder).offset == sent:
+        time.sleep(0.01)
+    assert time.monotonic() - began < 4.0
+    over.set()
+    writer.join()
 
 
 def test_what_waits_is_named(tmp_path, monkeypatch):

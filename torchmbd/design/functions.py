@@ -44,17 +44,18 @@ class FunctionMeasure(Measure):
 def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[int, ...]) -> Tensor:
     """Call a user's function; InputError if it does not return what it must."""
     result = function(motion)
-    if not isinstance(result, Tensor) or result.shape != shape:
-        found = f"shape {tuple(result.shape)}" if isinstance(result, Tensor) else repr(result)
+    if not isinstance(result, Tensor) or result.shape != shape or not result.is_floating_point():
+        found = f"shape {tuple(result.shape)} of {result.dtype}" if isinstance(result, Tensor) else repr(result)
         name = getattr(function, "__name__", repr(function))
-        raise InputError(f"response {name!r} returned {found}; allowed: a tensor of shape {shape}")
+        raise InputError(f"response {name!r} returned {found}; allowed: a tensor of shape {shape}, real numbers")
     return result
 
 
 def history(function: Callable[[Any], Tensor]) -> History:
     """Make a history of a function of the motion.
 
-    function  motion -> [lanes, times], any unit, written with torch operations: the gradient is that of these
+    function  motion -> [lanes, times], any unit, written with torch operations: the gradient is that of these, and of what
+              has left torch (detach, numpy, float) there is none
     Of several lanes, or of none; what it looks at is told in torchmbd/integrators/trajectory.py. InputError where it returns
     another shape, when it is called.
     """
@@ -64,7 +65,7 @@ def history(function: Callable[[Any], Tensor]) -> History:
 def measure(function: Callable[[Any], Tensor]) -> Measure:
     """Make a measure of a function of the motion.
 
-    function  motion -> [lanes], any unit, written with torch operations: the gradient is that of these
+    function  motion -> [lanes], any unit, written with torch operations, as of `history`
     InputError where it returns another shape, when it is called.
     """
     return FunctionMeasure(function)

@@ -14,7 +14,8 @@ motion, its rates, the multipliers, the reduced stiffness, the mode shapes. A re
 
     mbd.Max(reach) <= 0.5
 
-Histories add, subtract, multiply by numbers and are squared (`(a - b) ** 2`); measures add and multiply by numbers.
+Histories add, subtract, multiply, divide by numbers and are squared (`(a - b) ** 2`); measures add and are multiplied and
+divided by numbers.
 Checked in tests/contracts/test_responses.py.
 """
 
@@ -61,6 +62,9 @@ class History:
         return Combined(torch.mul, (self, factor))
 
     __rmul__ = __mul__
+
+    def __truediv__(self, divisor: float) -> History:
+        return Combined(torch.div, (self, divisor))
 
     def __neg__(self) -> History:
         return Combined(torch.mul, (self, -1.0))
@@ -140,6 +144,11 @@ class Measure:
         return Scaled(self, factor)
 
     __rmul__ = __mul__
+
+    def __truediv__(self, divisor: float) -> Measure:
+        if not _finite(divisor) or not divisor:
+            raise InputError(f"a measure is divided by {divisor!r}; allowed: a finite number but 0")
+        return Scaled(self, 1.0 / divisor)
 
     def __neg__(self) -> Measure:
         return Scaled(self, -1.0)
@@ -263,6 +272,11 @@ class Constraint:
             raise InputError(f"kind of a constraint is {self.kind!r}; allowed: {', '.join(KINDS)}")
         if self.scale is not None and not (_finite(self.scale) and float(self.scale) > 0.0):
             raise InputError(f"scale of a constraint is {self.scale!r}; allowed: a positive number")
+
+    def __bool__(self) -> bool:
+        raise InputError(
+            "a constraint is neither true nor false, as a chain like 1 <= Max(...) <= 2 takes it; allowed: two constraints"
+        )
 
 
 def _finite(x: Any) -> bool:

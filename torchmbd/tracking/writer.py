@@ -62,6 +62,7 @@ class Writer:
     where: list[str | None] = field(default_factory=list)  # experiment, uri, study
     when: int | None = None  # the last line was told
     _heard: int = 0  # offset behind the last line that the tracker was told
+    _opened_at: float = 0.0  # processor time when the store was opened: making one, once, is nothing to rest from
     _ended: float | None = None
 
     def run(self) -> dict:
@@ -79,11 +80,12 @@ class Writer:
                 read_lines(self.file, self.sent.offset) if over or self.hasty() or time.monotonic() >= rested else []
             )
             if lines:
-                spent = time.process_time()
+                began = time.process_time()
                 failure = self._insist(lambda lines=lines: self._send(lines))
                 if failure:
                     return {"waiting": failure}
-                rested = time.monotonic() + max(_REST, (time.process_time() - spent) / _SHARE)
+                spent = time.process_time() - max(began, self._opened_at)
+                rested = time.monotonic() + max(_REST, spent / _SHARE)
             elif over:
                 break
             else:
@@ -169,6 +171,7 @@ class Writer:
                 self.tracker = MlflowTracker(str(experiment), uri, study, own.runs, own.steps, own.earlier, own.session)
             except (TrackingError, OSError) as error:
                 raise Away(_first_line(error)) from error
+            self._opened_at = time.process_time()
         return self.tracker
 
     def _require_store(self, error: Exception) -> None:

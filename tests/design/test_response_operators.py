@@ -1,0 +1,58 @@
+"""Arithmetic and comparisons of responses as people write them, and what is refused of it."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import pendulum
+
+ENERGY = mbd.StrainEnergy("rod")
+REACH = mbd.Position("rod", "x", node="right")
+
+
+@pytest.fixture(scope="module")
+def motion() -> mbd.Trajectory:
+    return mbd.simulate(pendulum(), 0.02, steps=10, sensitivities=True)
+
+
+def test_quotients(motion):
+    y, z = (h.series(motion) for h in (ENERGY / 4.0, ENERGY * 0.25))
+    assert_close(y.value, z.value, rtol=1e-14, atol=0.0)
+    assert_close(y.gradient, z.gradient, rtol=1e-14, atol=0.0)
+    a, b = (m.of(motion) for m in (mbd.Max(ENERGY) / 4, 0.25 * mbd.Max(ENERGY)))
+    assert_close(a.value, b.value, rtol=1e-14, atol=0.0)
+    assert_close(a.gradient, b.gradient, rtol=1e-14, atol=0.0)
+    ratio = (ENERGY / REACH).series(motion)  # of two histories: the quotient rule, rates included
+    e, r = ENERGY.series(motion), REACH.series(motion)
+    assert e.gradient is not None
+    assert r.gradient is not None
+    slope = (e.gradient - (e.value / r.value)[..., None] * r.gradient) / r.value[..., None]
+    assert_close(ratio.gradient, slope, rtol=1e-10, atol=1e-18)
+    rates, step = (ENERGY / REACH).rates(motion), motion.t[1]
+    assert rates is not None
+    by_steps = (ratio.value[:, 2:] - ratio.value[:, :-2]) / (2.0 * step)
+    assert_close(rates[0][:, 1:-1], by_steps, rtol=0.0, atol=0.1 * float(by_steps.abs().max()))
+
+
+@pytest.mark.parametrize("divisor", [0, 0.0, "2", None, float("nan"), True])
+def test_divisors_that_are_none(divisor):
+    with pytest.raises(mbd.InputError, match=r"a measure is divided by .*; allowed: a finite number but 0"):
+        _ = mbd.Max(ENERGY) / divisor
+
+
+def test_a_chain_of_comparisons_is_refused():
+    """Python would drop the first."""
+    with pytest.raises(mbd.InputError, match=r"a constraint is neither true nor false.*allowed: two constraints"):
+        _ = 0.1 <= mbd.Max(ENERGY) <= 1.0
+
+
+@pytest.mark.parametrize(
+    "function", [lambda m: m.q[..., 0] + 0j, lambda m: m.q[..., 0] > 0, lambda m: m.q[..., 0].long()]
+)
+def test_functions_return_real_numbers(motion, function):
+    with pytest.raises(mbd.InputError, match=r"allowed: a tensor of shape .*, real numbers"):
+        mbd.history(function).values(motion)
+    assert torch.isfinite(mbd.history(lambda m: m.q[..., 0]).values(motion)).all()
