@@ -33,6 +33,18 @@ def test_curved_beam(elements):
     assert float(tip(beams, line, [0.0, 0.0, 1.0])[2]) == pytest.approx(0.5022, rel=0.015)
 
 
+@pytest.mark.parametrize(("elements", "ratio"), [(6, 0.9926), (12, 0.9981), (24, 0.9995)])
+def test_chords_are_stiffer_than_the_arc(elements, ratio):
+    """Out of the plane: exact straight beams along the chords, the share of the polygon in what flat cells miss there."""
+    arc, section = (
+        BeamLine.arc(4.22, np.pi / 2, elements),
+        sections.rectangle(0.1, 0.2, Orthotropic.isotropic(1e7, 0.25, 1.0)),
+    )
+    chords = BeamLine(arc.nodes, arc.elements)
+    found, exact = (tip(Beams(own, section, (0.0, 0.0, 1.0)), own, [0.0, 0.0, 1.0])[2] for own in (chords, arc))
+    assert float(found / exact) == pytest.approx(ratio, abs=1e-4)
+
+
 @pytest.mark.parametrize("elements", [1, 4, 12])
 def test_twisted_beam(elements):
     """Length 12, width 1.1, depth 0.32, twisted by 90 degrees from root to tip: any number of twisted elements."""

@@ -1,7 +1,8 @@
 """A wound tube as a shell of laminated cells and as a section of solids: extension, torsion, bending and what couples them.
 
-Two floors that share no code but the ply. The shell is a polygon of 40 sides (it encloses 0.4 % less than the circle, so it twists
-0.7 % more), its walls know no curvature in their own stiffness; the section has a round wall of the same middle radius.
+Two floors that share no code but the ply. The shell is a polygon of 40 sides, which encloses 0.4 % less than the circle
+and twists 0.7 % more; its walls know no curvature in their own stiffness. The section has a round wall of the same middle
+radius.
 """
 
 import math
