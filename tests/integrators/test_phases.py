@@ -11,11 +11,13 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, box, pendulum, turned
+from tests.sensitivity.test_law_variables import arm
 from torchmbd.integrators import Trajectory
 from torchmbd.integrators.signals import Given
 
 GROUND = mbd.Ground()
 NAME = "rod.laminate.angles"
+TIP = torch.tensor([0.3031, -0.0302, 0.1815], dtype=torch.float64)  # of the arm, where it starts
 
 
 def rotors(hinges: int = 1) -> mbd.System:
@@ -145,6 +147,23 @@ def test_lanes_switch_at_their_own_times_and_do_not_interact():
         alone = mbd.simulate(system, 0.05, steps=25, designs={NAME: designs[lane : lane + 1]}, phases=phases)
         assert_close(alone.q[0], together.q[lane], rtol=0, atol=1e-12)
         assert_close(alone.switches[0].t[0], times[lane], rtol=0, atol=1e-12)
+
+
+def test_tangents_before_a_lane_arrives_are_not_looked_at():
+    """A lane waits for its switch with a state that its drive, far behind, does not suit: that says nothing of it."""
+    system = arm("step")
+    designs = {"motor.size": torch.tensor([0.5, 0.25], dtype=torch.float64)}
+
+    def way(motion: Trajectory) -> Tensor:
+        tip = motion.body("hub").at((0.2, 0.05, 0.0)).position
+        return (tip - TIP).norm(dim=-1) - 0.045
+
+    options = {"steps": 200, "phases": [mbd.Phase(until=mbd.Event(way)), mbd.Phase()], "sensitivities": ["motor.size"]}
+    together = mbd.simulate(system, 0.2, designs=designs, **options).require_ok()
+    assert float(together.switches[0].t.diff()) > 0.03
+    for lane in range(2):
+        alone = mbd.simulate(system, 0.2, designs={"motor.size": designs["motor.size"][lane:][:1]}, **options)
+        assert_close(together.stats["tangent_error"][lane], alone.stats["tangent_error"][0], rtol=0, atol=1e-9)
 
 
 def test_a_phase_that_never_ends_is_the_status_of_its_lane():

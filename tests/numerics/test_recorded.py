@@ -64,6 +64,12 @@ FUNCTIONS = {
         b.new_zeros(2),
     ],
     "empty": lambda a, b: [torch.cat([a[:0], b]), a[:0].sum(0) + b[0]],
+    "masks": lambda a, b: [
+        torch.where(a > 0.0, a, b),
+        torch.where(a > 0.0, b, a),
+        a[:, torch.tensor([True, False, True])],
+    ],
+    "places": lambda a, b: [b.gather(1, a.argmax(1, keepdim=True)), a.gather(1, a.argmax(1, keepdim=True))],
     "an input": lambda a, b: [a, b[0]],
     "in place": in_place,
     "twice": twice,
@@ -115,6 +121,8 @@ def test_what_cannot_be_repeated():
         lambda: [x + torch.rand(3, dtype=x.dtype) * x],
         lambda: [outside.add_(x)],
         lambda: [outside.add_(1.0), x * 2.0],
+        lambda: [x[x > 0.0]],
+        lambda: [(x > 0.0).nonzero() * x.sum()],
     ):
         with pytest.raises(Unrepeatable):
             Recorded(f, [x])

@@ -20,6 +20,7 @@ from torchmbd.tracking.runs import ClientRuns, open_runs
 from torchmbd.tracking.spool import Journal
 from torchmbd.tracking.sqlite_runs import REVISION, SqliteRuns
 from torchmbd.tracking.store import experiment_id, open_store
+from torchmbd.tracking.writer import Writer
 
 TABLES = ("experiments", "experiment_tags", "runs", "tags", "params", "metrics", "latest_metrics")
 
@@ -137,6 +138,47 @@ def test_a_store_that_was_moved_away_is_missed(tmp_path, empty_store):
     (tmp_path / "elsewhere.db").rename(tmp_path / "runs.db")
     run = tracker.close().runs["study"]
     assert open_store(uri).get_run(run).info.status == "KILLED"
+
+
+def told(folder: Path, uri: str, step: int, tag: str = "") -> Path:
+    """A journal with a metric that SQLite refuses if its step is too large."""
+    journal = Journal(folder, ["session", "own", uri, "k"])
+    journal.append(["begin", "study", "s", None, {}, {"file": tag}])
+    journal.append(["metrics", "study", {"objective": 1.0}, step])
+    journal.append(["end", "study", "FINISHED"])
+    journal.close()
+    return journal.file
+
+
+def test_a_run_that_is_refused_is_named(tmp_path, empty_store):
+    uri = f"sqlite:///{shutil.copy(empty_store, tmp_path)}"
+    word = Writer(tmp_path / "study", told(tmp_path / "study", uri, 2**63), lambda: True).run()
+    assert "too large" in word["refused"][0]
+    assert not word["finished"]
+
+
+def test_bytes_that_are_no_characters_cost_nothing(tmp_path, empty_store):
+    uri = f"sqlite:///{shutil.copy(empty_store, tmp_path)}"
+    word = Writer(tmp_path / "study", told(tmp_path / "study", uri, 0, "a\udcff.yaml"), lambda: True).run()
+    assert not word["refused"]
+    assert open_store(uri).get_run(word["runs"]["study"]).data.tags["file"] == "a?.yaml"
+
+
+def test_a_store_that_was_locked_for_a_while_loses_nothing(tmp_path, empty_store, monkeypatch):
+    """Whoever else wrote is gone when the store is asked: what was to be written waits nevertheless."""
+    uri = f"sqlite:///{shutil.copy(empty_store, tmp_path)}"
+    own, left = SqliteRuns.write, [4]
+
+    def write(self, drafts):
+        if left[0]:
+            left[0] -= 1
+            raise sqlite3.OperationalError("database is locked")
+        own(self, drafts)
+
+    monkeypatch.setattr(SqliteRuns, "write", write)
+    word = Writer(tmp_path / "study", told(tmp_path / "study", uri, 0), lambda: True).run()
+    assert not word["refused"]
+    assert open_store(uri).get_run(word["runs"]["study"]).info.status == "FINISHED"
 
 
 def test_a_writer_does_without_mlflow_where_the_experiment_is_there(tmp_path, empty_store):

@@ -48,6 +48,7 @@ class March:
         self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each look
         self.largest: Tensor | None = None  # tangents of accelerations so far [n_b, lanes]
+        self.counts = mass.new_ones(dynamics.lanes, dtype=torch.bool)  # lanes whose motion is one
 
     def __call__(self, i: int, x: State, given: Any) -> State:
         """The state after step i."""
@@ -112,9 +113,10 @@ class March:
         What counts is the worst variable, relative to the largest that its tangents have been; or, where they are
         nothing but rounding (a load that a joint carries away), to what that of the multipliers' tangents makes of them.
         """
-        largest = largest.maximum(self.nothing * forces)
+        largest = torch.where(self.counts, largest.maximum(self.nothing * forces), 0.0)
         self.largest = largest if self.largest is None else largest.maximum(self.largest)
         error = (size / self.largest.clamp_min(torch.finfo(size.dtype).tiny)).amax(0)
+        error = torch.where(self.counts, error, 0.0)
         self.tangent_error.append(error)
         # Each correction leaves the same share of what the one before left.
         share = error.nan_to_num(0.0, 0.5).clamp(TANGENT_ERROR, 0.5).log() / math.log(TANGENT_ERROR)

@@ -75,6 +75,7 @@ class _Leg:
         older = recent = x
         for i in range(int(self.first.min()), len(self.times)):
             if bool(inside.any()):
+                march.counts = inside
                 older, recent, x = recent, x, march(i, x, schedule[i])
                 march.sizes[-1] = torch.where(inside, march.sizes[-1], 0.0)
             for lane in torch.nonzero(alive & (self.first == i))[:, 0].tolist():

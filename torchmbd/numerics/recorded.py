@@ -106,7 +106,16 @@ def _repeated(calls: list[_Call], inputs: set[int]) -> list[_Call]:
             raise Unrepeatable(f"{call.func} asks for a number, on which a function may branch")
         if torch.Tag.nondeterministic_seeded in call.func.tags or not call.writes <= made:
             raise Unrepeatable(f"{call.func} is random, or changes what is not the function's own")
+        if torch.Tag.dynamic_output_shape in call.func.tags and not moving.isdisjoint(_choosing(call)):
+            raise Unrepeatable(f"{call.func} makes as many numbers as others say")
     return [call for call in calls if not moving.isdisjoint(call.reads | call.writes)]
+
+
+def _choosing(call: _Call) -> set[int]:
+    """What says how many numbers an operation makes: of an index, its masks."""
+    if call.func.overloadpacket.__name__ != "index":
+        return call.reads
+    return _homes([x for x in _tensors(call.args[1:]) if x.dtype in (torch.bool, torch.uint8)])
 
 
 def _once(calls: list[_Call]) -> tuple[list[_Call], dict[int, int]]:
@@ -123,7 +132,8 @@ def _once(calls: list[_Call]) -> tuple[list[_Call], dict[int, int]]:
         return tuple(key(y) for y in x) if isinstance(x, (list, tuple)) else repr(x)
 
     for call in calls:
-        if isinstance(call.made, Tensor) and changed.isdisjoint(call.reads | call.writes):
+        floats = isinstance(call.made, Tensor) and call.made.dtype == torch.float64  # others are not in the arena
+        if floats and changed.isdisjoint(call.reads | call.writes):
             home = _home(call.made)
             before = first.setdefault((call.func, key(call.args), key(sorted(call.kwargs.items()))), home)
             if before != home:

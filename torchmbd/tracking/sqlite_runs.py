@@ -97,19 +97,20 @@ class SqliteRuns:
     def write(self, drafts: Sequence[Draft]) -> None:
         """All of it or nothing."""
         new = [draft for draft in drafts if draft.name is not None]
-        names = [(draft.id, "mlflow.runName", draft.name) for draft in new]
+        names = [(draft.id, "mlflow.runName", _text(str(draft.name))) for draft in new]
         metrics = [_metric(draft.id, point) for draft in drafts for point in draft.metrics]
         with _opened(self.file) as base:
             base.executemany(_RUN, map(self._row, new))
-            base.executemany(_TAG, [(d.id, key, x[:_MAX_TAG]) for d in drafts for key, x in d.tags.items()] + names)
-            base.executemany(_PARAM, [(d.id, key, x) for d in drafts for key, x in d.params.items()])
+            tags = [(d.id, key, _text(x[:_MAX_TAG])) for d in drafts for key, x in d.tags.items()]
+            base.executemany(_TAG, tags + names)
+            base.executemany(_PARAM, [(d.id, key, _text(x)) for d in drafts for key, x in d.params.items()])
             base.executemany(_METRIC, metrics)
             base.executemany(_LATEST, _latest(metrics))
             base.executemany(_STATUS, [(d.status, d.ended, d.id) for d in drafts if d.status is not None])
 
     def _row(self, draft: Draft) -> tuple[object, ...]:
-        user = draft.tags.get("mlflow.user", "unknown")
-        return draft.id, draft.name, user, draft.began, str(self._files(draft.id)), int(self.experiment_id)
+        user = _text(draft.tags.get("mlflow.user", "unknown"))
+        return draft.id, _text(str(draft.name)), user, draft.began, str(self._files(draft.id)), int(self.experiment_id)
 
     def _files(self, run_id: str) -> Path:
         return self._location / run_id / "artifacts"
@@ -134,8 +135,10 @@ class SqliteRuns:
             return dict(base.execute(_CHILDREN, (run_id,)).fetchall())
 
     def status(self, run_id: str) -> str:
+        """Return the status of a run, "" for one that the store has refused or lost."""
         with _opened(self.file) as base:
-            return base.execute("select status from runs where run_uuid = ?", (run_id,)).fetchone()[0]
+            found = base.execute("select status from runs where run_uuid = ?", (run_id,)).fetchone()
+        return "" if found is None else found[0]
 
     def probe(self) -> None:
         self.note(PROBE, str(time.time()))
@@ -147,6 +150,11 @@ def _opened(file: Path) -> Iterator[sqlite3.Connection]:
     with closing(sqlite3.connect(f"{file.as_uri()}?mode=rw", uri=True, timeout=_SECONDS)) as base, base:
         base.execute("pragma foreign_keys = on")
         yield base
+
+
+def _text(text: str) -> str:
+    """What can be written of a text: the name of a file may have bytes that are no characters."""
+    return text.encode(errors="replace").decode()
 
 
 def _metric(run_id: str, point: Point) -> Row:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
 import sys
 import threading
 import time
@@ -175,7 +176,12 @@ class Writer:
         return self.tracker
 
     def _require_store(self, error: Exception) -> None:
-        """Raise Away unless the store can be read and written."""
+        """Raise Away unless the store can be read and written.
+
+        A database that was locked or full was away, though it may be there again.
+        """
+        if isinstance(error, sqlite3.OperationalError):
+            raise Away(_first_line(error)) from error
         try:
             if self.tracker is None:
                 raise error
