@@ -106,8 +106,8 @@ extern "C" long march(const Job* job) {
         for (long k = 0; k < J.most + looks + (begins ? MOST : 0); k++) {
           residual_tangent(in, w, R);
           solve(factors.K, factors.inverse, R);
-          const V wanted = spread(k < J.most ? (double)k : -1.0);
-          for (int n = 0; n < N; n++) ds[n] = passes > wanted ? ds[n] - R[n] : ds[n];
+          const V done = spread(k < J.most ? (double)k : -1.0), share = passes > done ? spread(1.0) : spread(0.0);
+          for (int n = 0; n < N; n++) ds[n] -= share * R[n];
           if (!looks || k != J.most) continue;
           put(J.errors + s * J.lanes + block * LANES, largest(R, N_V), valid);
           put(J.errors + (S + s) * J.lanes + block * LANES, largest(ds, N_V), valid);
