@@ -80,7 +80,7 @@ def test_bad_input_ends_with_2_and_no_traceback(folder, empty_store, capsys, arg
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_study_that_is_interrupted_keeps_what_was_computed(folder, number):
-    study = start("run", "study.yaml", "optimizer.max_iterations=100", "optimizer.name=mmfd", "options.cells=8")
+    study = start("run", "study.yaml", "optimizer.max_iterations=100", "optimizer.name=mmfd", "simulate.steps=400")
     assert study.stdout is not None
     lines = iter(study.stdout.readline, "")
     shown = next(line for line in lines if re.search(r"start +1 +iteration +0", line))
