@@ -120,6 +120,8 @@ def test_what_cannot_be_repeated():
         lambda: [x * 2.0 if x.sum() > 0.0 else x],
         lambda: [x + torch.rand(3, dtype=x.dtype) * x],
         lambda: [outside.add_(x)],
+        lambda: [x * float(x.numpy()[0])],
+        lambda: [x * x.tolist()[0]],
         lambda: [outside.add_(1.0), x * 2.0],
         lambda: [x[x > 0.0]],
         lambda: [(x > 0.0).nonzero() * x.sum()],
