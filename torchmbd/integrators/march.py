@@ -118,7 +118,7 @@ class March:
         error = (size / self.largest.clamp_min(torch.finfo(size.dtype).tiny)).amax(0)
         error = torch.where(self.counts, error, 0.0)
         self.tangent_error.append(error)
-        # Each correction leaves the same share of what the one before left.
+        # Each correction leaves the same share of what the one before left. A lane that has failed, nan, gets no more.
         share = error.nan_to_num(0.0, 0.5).clamp(TANGENT_ERROR, 0.5).log() / math.log(TANGENT_ERROR)
         self.passes = self.passes.maximum((self.passes / share - _EVEN).ceil().clamp_max(MOST))
 
