@@ -15,6 +15,10 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrators import Trajectory
+from torchmbd.integrators.adjoint import Adjoint
+
+
+ROWS = 16  # that go back together: their derivatives by a whole motion are all in memory
 
 
 class Valued(NamedTuple):
@@ -36,6 +40,8 @@ def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
         return Valued(f(shared), None)
     with torch.inference_mode(False), torch.enable_grad():  # wherever the caller is
         delta = torch.zeros(motion.lanes, n, dtype=torch.float64, requires_grad=True)
+        if motion.adjoint is not None:
+            return _backwards(f, shared, motion.adjoint, delta)
         found = f(shared.moved(delta))
         value, rows = found.detach(), found[0].numel()
         if rows <= n:
@@ -44,6 +50,24 @@ def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
         gradient = torch.func.jacfwd(lambda delta: f(shared.moved(delta)))(torch.zeros(n, dtype=torch.float64))
         assert isinstance(gradient, Tensor)
         return Valued(value, gradient)
+
+
+def _backwards(f: Callable[[Any], Tensor], motion: Trajectory, adjoint: Adjoint, delta: Tensor) -> Valued:
+    """The same by the adjoint of the motion."""
+    opened, leaves = motion.opened(delta)
+    found = f(opened)
+    value, parts = found.detach(), []
+    for some in found.flatten(1).sum(0).split(ROWS) if found.dim() > 1 else [found.sum()[None]]:
+        if not some.requires_grad:  # of nothing that depends on the design
+            parts.append(delta.new_zeros(len(delta), len(some), delta.shape[1]))
+            continue
+        slopes = [
+            torch.autograd.grad(x, [delta, *leaves], retain_graph=True, allow_unused=True, materialize_grads=True)
+            for x in some.unbind()
+        ]
+        direct, *bars = zip(*slopes, strict=True)
+        parts.append(torch.stack(direct, 1) + adjoint([torch.cat(x, 2) for x in bars]))
+    return Valued(value, torch.cat(parts, 1).reshape(*value.shape, delta.shape[1]))
 
 
 def _reversed(found: Tensor, delta: Tensor) -> Tensor:

@@ -43,6 +43,19 @@ def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], ph
             raise unknown(f"for method {method!r} the option", name, allowed)
 
 
+def check_adjoint(adjoint: Any, method: str, phases: bool, names: Sequence[str]) -> None:
+    """Refuse adjoint=True where there is no way back; InputError says why."""
+    if adjoint is not None and not isinstance(adjoint, bool):
+        raise InputError(f"adjoint is {adjoint!r}; allowed: True, False or None")
+    if not adjoint:
+        return
+    if method != "generalized_alpha" or phases:
+        found = "phases are given" if phases else f"method is {method!r}"
+        raise InputError(f"adjoint is True, but {found}; allowed: method 'generalized_alpha' without phases")
+    if not names:
+        raise InputError("adjoint is True, but sensitivities names no parameter; allowed: with sensitivities")
+
+
 def check_designs(system: System, designs: Any) -> None:
     """Refuse designs that are not finite float64 numbers of the system's parameters; InputError names them."""
     own = dict(system.named_parameters())

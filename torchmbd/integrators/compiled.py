@@ -75,7 +75,7 @@ class CompiledMarch(March):
             return super().run(x, schedule, record, first, place)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         moved = moving_blocks(self.dynamics.topology, schedule, self.lanes, self.slots)
-        table = _uniform(self.weights, shared(self.dynamics.topology, schedule))
+        table = uniform(self.weights, shared(self.dynamics.topology, schedule))
         done = 0
         while done < len(schedule):
             since = (first + done) % CHECK
@@ -127,7 +127,7 @@ class CompiledMarch(March):
         return State(*(Pair(y) if self.slots else y for y in parts))
 
 
-def _uniform(weights: Tensor, schedule: Sequence[Prescribed]) -> Tensor:
+def uniform(weights: Tensor, schedule: Sequence[Prescribed]) -> Tensor:
     """What is the same for all lanes at each step [steps, n]."""
     steps = [(x.A, x.r, x.t, *(part for law in x.laws if law is not None for part in law)) for x in schedule]
     parts = [torch.stack(part).reshape(len(schedule), -1) for part in zip(*steps, strict=True)]

@@ -40,6 +40,7 @@ from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.equations import split_v
 from torchmbd.system.expansion import Expansion
 
+SPECTRAL_RADIUS = 0.9
 GOOD_STEP = 0.01  # estimated error of a step that keeps energies within 1e-3
 _STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only
 
@@ -52,6 +53,15 @@ def initial(dynamics: Dynamics) -> State:
     return State(q, v, a, a, lam)
 
 
+def begin(dynamics: Dynamics) -> tuple[Dynamics, State]:
+    """What a condensation leaves of a system, and its initial state."""
+    x, left = initial(dynamics), dynamics.condensed()
+    if left is dynamics:
+        return dynamics, x
+    x = left.initial.condensation.state(x)
+    return left, x._replace(lam=left.carried(x.lam))
+
+
 def _paired(x: Any, tangents: int) -> Any:
     if isinstance(x, Pair) or not tangents:
         return x
@@ -62,7 +72,7 @@ def integrate(
     dynamics: Dynamics,
     duration: float,
     steps: int,
-    spectral_radius: float = 0.9,
+    spectral_radius: float = SPECTRAL_RADIUS,
     iterations: tuple[int, int] = (3, 1),
     refresh: int = 1,
 ) -> tuple[History, dict[str, Any]]:
@@ -79,11 +89,7 @@ def integrate(
     checked(iterations, refresh)
     h = duration / steps
     w = Coefficients(spectral_radius).weights(h)
-    x = initial(dynamics)
-    left = dynamics.condensed()
-    if left is not dynamics:
-        x = left.initial.condensation.state(x)
-        x = x._replace(lam=left.carried(x.lam))
+    left, x = begin(dynamics)
     march = compiled.march(left, w, iterations, refresh)
     times = h * torch.arange(steps + 1, dtype=torch.float64)
     record = Record(x, steps + 1)

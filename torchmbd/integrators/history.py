@@ -7,7 +7,7 @@ Checked in tests/integrators/test_signals.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from torch import Tensor
@@ -26,6 +26,8 @@ class History:
     vd: Tensor
     lam: Tensor
     expansion: Expansion | None = None
+    # Lanes that were integrated with smaller steps: of which history they are which lane, with how many steps for one here.
+    finer: dict[int, tuple[History, int, int]] = field(default_factory=dict)
 
     def rows(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
         """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes]."""

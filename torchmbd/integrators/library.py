@@ -35,7 +35,7 @@ from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Topology
 
 _SOURCES = ("numerics", "joints/primitive.py", "forces", "system", "integrators/step.py", "integrators/code.py")
-_SOURCES += ("integrators/factors.cpp", "integrators/march.cpp", "integrators/rates.cpp", "integrators/library.py")
+_SOURCES += ("integrators/library.py", *(f"integrators/{name}.cpp" for name in ("factors", "march", "adjoint", "rates")))
 _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
 _loaded: dict[str, ctypes.CDLL] = {}
@@ -138,7 +138,7 @@ Order = tuple[Topology, Layout, str, Any, str]
 def order(dynamics: Dynamics, kind: str = "step") -> Order:
     """What `build` needs; can be pickled."""
     T, zero = dynamics.topology, torch.zeros((), dtype=torch.float64)
-    sample = T.prescribed(zero).shared(T.varied) if kind == "step" else T.law_jets(zero)
+    sample = T.prescribed(zero).shared(T.varied) if kind != "rates" else T.law_jets(zero)
     return bare(T), Layout.of(dynamics.data, T), kind, sample, key(dynamics, kind)
 
 

@@ -18,15 +18,17 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrators import generalized_alpha, ode, staged_alpha, staged_ode
-from torchmbd.integrators.arguments import check, check_designs, check_sensitivities
+from torchmbd.integrators import compiled_adjoint, generalized_alpha, ode, staged_alpha, staged_ode
+from torchmbd.integrators.adjoint import Adjoint
+from torchmbd.integrators.arguments import check, check_adjoint, check_designs, check_sensitivities
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
 from torchmbd.integrators.phases import Phase, plan
 from torchmbd.integrators.shapes import DesignShapes
-from torchmbd.integrators.signals import Recorded
+from torchmbd.integrators.signals import Recorded, Untangled
 from torchmbd.integrators.singular import explained
+from torchmbd.integrators.step import Coefficients
 from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.system import Dynamics, System
@@ -48,6 +50,7 @@ def simulate(
     sensitivities: bool | Sequence[str] = False,
     designs: Mapping[str, Tensor] | None = None,
     phases: Sequence[Phase] | None = None,
+    adjoint: bool | None = False,
     **options: Any,
 ) -> Trajectory:
     """Simulate one design, or a batch of designs side by side (lanes).
@@ -60,6 +63,9 @@ def simulate(
     sensitivities  True: by every parameter that requires a gradient; or the names of parameters
     designs        parameter name -> values [lanes, ...]; others keep their own values
     phases         locks, releases and ends of the phases that follow each other (phases.py); default: one without either
+    adjoint        True: no sensitivities of the motion itself; gradients of responses by going back through its steps, which
+                   costs about a simulation for each response, however many variables there are (adjoint.py).
+                   generalized_alpha without phases only. None: where that is possible and compiled code for it is at hand
     options        generalized_alpha: spectral_radius, iterations, refresh, halvings (not with phases);
                    torchdiffeq: rtol, atol, options
 
@@ -71,6 +77,7 @@ def simulate(
     duration = float(duration)
     check_designs(system, designs)
     names = check_sensitivities(system, sensitivities)
+    check_adjoint(adjoint, method, phases is not None, names)
     with torch.inference_mode(False):  # wherever the caller is: inference tensors have no gradients, not even later
         batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
         if phases is not None:
@@ -80,11 +87,17 @@ def simulate(
         design = {"designs": batch, "parameters": labels(system, names)}
         with torch.no_grad():
             if phases is None:
-                history, stats, status = run(dynamics, duration, steps, method, options)
-                signals = Recorded(history, partial(_multipliers, dynamics, duration))
+                back = bool(names) and method == "generalized_alpha" and _back(adjoint, dynamics)
+                moving = dynamics.values() if back else dynamics
+                history, stats, status = run(moving, duration, steps, method, options, precise=bool(names))
+                signals = (Untangled if back else Recorded)(history, partial(_multipliers, moving, duration))
                 motion = explained(_present(system, dynamics, signals, stats, status, duration, **design))
                 warn_of_spin(motion)
-                return motion
+                if not back:
+                    return motion
+                coefficients = Coefficients(options.get("spectral_radius", generalized_alpha.SPECTRAL_RADIUS))
+                found = Adjoint(dynamics, history, duration, coefficients.weights, compiled_adjoint.sweep)
+                return replace(motion, adjoint=found)
             views = Views.of(system, dynamics, **design)
             course = Course(dynamics, stages, views, duration, steps)
             stats, status = _through(course, method, options)
@@ -97,6 +110,11 @@ def simulate(
         motion = _present(system, course.whole, signals, stats, status, duration, **design)
         warn_of_spin(motion)
         return replace(motion, switches=course.switches, actions=tuple(stage.topology.actions for stage in stages))
+
+
+def _back(adjoint: bool | None, dynamics: Dynamics) -> bool:
+    """Whether gradients come by going back through the steps."""
+    return compiled_adjoint.ready(dynamics.condensed()) if adjoint is None else adjoint
 
 
 def _through(course: Course, method: str, options: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
@@ -144,14 +162,20 @@ def default_steps(dynamics: Dynamics, duration: float) -> int:
 
 
 def run(
-    dynamics: Dynamics, duration: float, steps: int, method: str, options: dict[str, Any]
+    dynamics: Dynamics,
+    duration: float,
+    steps: int,
+    method: str,
+    options: dict[str, Any],
+    precise: bool = False,
 ) -> tuple[History, dict[str, Any], list[str]]:
     """Integrate; a lane that fails does not take the others with it.
 
-    Equal steps: the lanes that failed are tried again (`_with_retries`). Adaptive methods: the lanes are run one by one.
+    Equal steps: the lanes that failed are tried again (`_with_retries`), if `precise` also those whose equations are not
+    solved well enough for gradients. Adaptive methods: the lanes are run one by one.
     """
     if method == "generalized_alpha":
-        return _with_retries(dynamics, duration, steps, **options)
+        return _with_retries(dynamics, duration, steps, precise, **options)
     try:
         history, stats = ode.integrate(dynamics, duration, steps, method, **options)
         return history, stats, _status(history, duration, steps, {})
@@ -165,7 +189,7 @@ def run(
 
 
 def _with_retries(
-    dynamics: Dynamics, duration: float, steps: int, halvings: int = 1, **options: Any
+    dynamics: Dynamics, duration: float, steps: int, precise: bool, halvings: int = 1, **options: Any
 ) -> tuple[History, dict[str, Any], list[str]]:
     """generalized_alpha; lanes that fail, or whose gradients are imprecise, are tried again carefully, then with half the step.
 
@@ -176,13 +200,13 @@ def _with_retries(
     history, stats = generalized_alpha.integrate(dynamics, duration, steps, **options)
     status = _status(history, duration, steps, stats)
     quick = options.get("refresh", 1) > 0
-    poor = (stats["iteration_error"] > (IMPRECISE if quick and dynamics.tangents else torch.inf)).tolist()
+    poor = (stats["iteration_error"] > (IMPRECISE if quick and precise else torch.inf)).tolist()
     failed = [lane for lane, reason in enumerate(status) if reason != OK or poor[lane]]
     if not failed or not (quick or halvings):
         return history, stats, status
     often, left = (1, halvings) if quick else (2, halvings - 1)
     options |= _careful(options) if quick else {}
-    better, counts, retried = _with_retries(dynamics.some(failed), duration, often * steps, left, **options)
+    better, counts, retried = _with_retries(dynamics.some(failed), duration, often * steps, precise, left, **options)
     cured = [(i, lane) for i, lane in enumerate(failed) if retried[i] == OK]
     if not cured:
         return history, stats, status
@@ -201,7 +225,19 @@ def _with_retries(
         status[lane] = OK
     halved = lanes if often == 2 else [failed[i] for i in counts.get("halved", [])]
     stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved]}
-    return replace(history, **parts), stats, status
+    return replace(history, **parts, finer=_finer(better, often, cured)), stats, status
+
+
+def _finer(better: History, often: int, cured: list[tuple[int, int]]) -> dict:
+    """Where the smaller steps of lanes are that were `cured` [(place among the failed, lane)]."""
+    result = {}
+    for i, lane in cured:
+        if i in better.finer:
+            history, own, every = better.finer[i]
+            result[lane] = history, own, every * often
+        elif often > 1:
+            result[lane] = better, i, often
+    return result
 
 
 def _empty(dynamics: Dynamics, steps: int) -> History:
@@ -240,13 +276,16 @@ def _complaint(found: dict[str, float]) -> str:
     return OK
 
 
-def _multipliers(dynamics: Dynamics, duration: float, history: History) -> Tensor:
-    """All multipliers [times, rows, slots, lanes] of a motion; of redundant rows those of least norm."""
+def _multipliers(dynamics: Dynamics, duration: float, history: History, data: Any = None) -> Tensor:
+    """All multipliers [times, rows, slots, lanes] of a motion; of redundant rows those of least norm.
+
+    data   instead of those of the dynamics
+    """
     least = dynamics.least_norm
     if least is None:
         return history.multipliers
     times = torch.linspace(0.0, duration, len(history.q), dtype=torch.float64)
-    return least.at_times(dynamics.data, times, history.rows(0), history.multipliers)
+    return least.at_times(dynamics.data if data is None else data, times, history.rows(0), history.multipliers)
 
 
 def _present(

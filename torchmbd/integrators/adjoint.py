@@ -1,0 +1,243 @@
+"""The adjoint of a simulation by generalized-alpha: gradients of few responses by many design variables.
+
+Tangents cost a share of a simulation for each *variable*; going back through the steps costs about half of one for each
+*response*, and as much once for all, however many variables there are. y the derivative of a response by the state
+x1 = F(z, x) after a step, z the unknowns of the step, R(z; x, b) = 0 (step.py):
+
+    R_z' mu = F_z' y
+    y  <-  F_x' y - R_x' mu  +  what the response takes from the state x itself
+    dJ/db  <-  dJ/db - R_b' mu
+
+and last y' dx/db of the state at the start. It is the exact derivative of the discrete map, as the tangents are: both
+agree within what their iterations leave. mu comes from the factors of the iteration matrix, transposed and at the solution
+itself, with corrections until they are small. The structure stage stays in forward mode: dJ/db is taken by the numbers of
+the reduced model, whose tangents are there.
+
+`Adjoint` is what a motion keeps for it; `Sweep` goes back through equal steps by operators of torch, compiled_adjoint.py
+by compiled code. Not for phases, nor for the methods of torchdiffeq.
+Checked in tests/sensitivity/test_adjoint.py.
+Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 15 (implicit functions).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators.generalized_alpha import begin
+from torchmbd.integrators.history import History
+from torchmbd.integrators.step import Model, State, Step, Weights, apply
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system.dynamics import Dynamics, regularized
+from torchmbd.system.elimination import Elimination, factored, pays
+from torchmbd.system.topology import Prescribed
+
+MOST = 4  # corrections of mu
+ENOUGH = 1e-3  # a correction of this relative size leaves its square
+
+
+@dataclass
+class Grid:
+    """Lanes that were integrated with the same equal steps.
+
+    lanes     their numbers in the batch;  history: their states, of what a condensation left
+    dynamics  their equations (of what was left), with design tangents;  start: their initial state, with tangents
+    times     of the states [n];  every: steps between two outputs
+    """
+
+    lanes: list[int]
+    history: History
+    dynamics: Dynamics
+    start: State
+    weights: Weights
+    times: Tensor
+    every: int
+
+
+@dataclass(eq=False)
+class Adjoint:
+    """Goes back through a motion.
+
+    dynamics   of the whole system, with design tangents
+    history    what was integrated, by equal steps over the duration [s]
+    weigh      gives the weights of a step of size h [s]
+    sweep      makes a Sweep of a grid
+    """
+
+    dynamics: Dynamics
+    history: History
+    duration: float
+    weigh: Callable[[float], Weights]
+    sweep: Callable[[Grid], Sweep]
+
+    @cached_property
+    def error(self) -> Tensor:
+        """Estimated relative error of the gradients asked for so far [lanes]."""
+        return torch.zeros(self.dynamics.lanes, dtype=torch.float64)
+
+    @torch.no_grad()
+    def __call__(self, bars: Sequence[Tensor]) -> Tensor:
+        """Gradients [lanes, rows, n_b] of responses whose derivatives by q, v, a, lam are `bars` [times, n, rows, lanes]."""
+        result = bars[0].new_zeros(bars[0].shape[-1], bars[0].shape[2], self.dynamics.tangents)
+        for sweep in self._sweeps:
+            lanes = sweep.grid.lanes
+            found, error = sweep([_spaced(x[..., lanes], sweep.grid.every) for x in bars])
+            result[lanes] = found.permute(2, 0, 1)
+            self.error[lanes] = self.error[lanes].maximum(error)
+        return result
+
+    @cached_property
+    def _sweeps(self) -> list[Sweep]:
+        """One for the lanes with the steps that were asked for, one for each lane that had to take smaller ones."""
+        finer = self.history.finer
+        some = [lane for lane in range(self.dynamics.lanes) if lane not in finer]
+        grids = [self._grid(some, self.history, some, 1)] if some else []
+        grids += [self._grid([lane], history, [own], every) for lane, (history, own, every) in finer.items()]
+        return [self.sweep(grid) for grid in grids]
+
+    def _grid(self, lanes: list[int], history: History, own: list[int], every: int) -> Grid:
+        """Of lanes of the batch, which are `own` in a history."""
+        whole = len(lanes) == self.dynamics.lanes
+        left, start = begin(self.dynamics if whole else self.dynamics.some(lanes))
+        states = (x if x.shape[-1] == len(own) else x[..., own] for x in (history.q, history.v, history.vd, history.lam))
+        h = self.duration / (len(history.q) - 1)
+        times = h * torch.arange(len(history.q), dtype=torch.float64)
+        return Grid(lanes, History(*states), left, start, self.weigh(h), times, every)
+
+
+def _spaced(x: Tensor, every: int) -> Tensor:
+    """Numbers [times, ...] of outputs among those of all steps, zero in between."""
+    if every == 1:
+        return x
+    result = x.new_zeros(every * (len(x) - 1) + 1, *x.shape[1:])
+    result[::every] = x
+    return result
+
+
+class Sweep:
+    """The way back through one grid by operators of torch."""
+
+    def __init__(self, grid: Grid):
+        self.grid, self.dynamics = grid, grid.dynamics
+        T = self.dynamics.topology
+        self.schedule = T.schedule(grid.times[1:], self.dynamics.data)
+        self.diagonal = self.dynamics.diagonal()
+        self.factor = Elimination(T) if pays(T) else factored
+
+    def __call__(self, bars: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+        """Gradients [rows, n_b, lanes] and their estimated relative error [lanes]."""
+        lanes = len(self.grid.lanes)
+        data = {name: _leaf(value(x).expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
+        model = Model(self.dynamics.topology, self.dynamics.saddle, self.grid.weights, data)
+        states = self._states()
+        y = self._taken(bars, -1)
+        slopes, error = None, bars[0].new_zeros(lanes)
+        for i in reversed(range(len(self.schedule))):
+            found = _StepBack(model, states[i], states[i + 1], self.schedule[i])
+            y, by_data, by_laws, left = found(y, self._factors)
+            y = State(*(a + b for a, b in zip(y, self._taken(bars, i), strict=True)))
+            part = contracted(self.dynamics.data, by_data) + contracted(found.laws, by_laws)
+            slopes, error = part if slopes is None else slopes + part, error.maximum(left)
+        start = dict(zip(State._fields, self.grid.start, strict=True))
+        slopes = slopes + contracted(start, y._asdict())
+        return slopes, error
+
+    def _states(self) -> list[State]:
+        """States [n, 1, lanes] at all times; the algorithmic acceleration, which is not recorded, from the others."""
+        h, w = self.grid.history, self.grid.weights
+        a, found = value(self.grid.start.a).expand(*h.vd.shape[1:]), []
+        for i, (q, v, vd, lam) in enumerate(zip(h.q, h.v, h.vd, h.lam, strict=True)):
+            a = w.a_from_vd * h.vd[i - 1] + w.a_from_a * a + w.share * vd if i else a
+            found.append(State(q, v, vd, a, lam))
+        return found
+
+    def _taken(self, bars: Sequence[Tensor], i: int) -> State:
+        q, v, vd, lam = (x[i] for x in bars)
+        return State(q, v, vd, torch.zeros_like(vd), lam)
+
+    def _factors(self, K: Tensor) -> Any:
+        return self.factor(regularized(K.mT, self.diagonal))
+
+
+class _StepBack:
+    """One step in reverse mode."""
+
+    def __init__(self, model: Model, before: State, after: State, given: Prescribed):
+        T = model.T
+        varied = {i: given.laws[i] or () for i in T.varied}
+        self.laws = {f"{i}.{k}": x for i, law in varied.items() for k, x in enumerate(law)}
+        self.x, self.z = before.map(_leaf), _leaf(torch.cat([after.vd, after.lam]))
+        lanes = self.z.shape[-1]
+        self.law_values = {name: _leaf(value(x).expand(*x.shape[:-2], 1, lanes)) for name, x in self.laws.items()}
+        laws: list = [
+            tuple(self.law_values[f"{i}.{k}"] for k in range(len(law or ()))) if i in varied else law
+            for i, law in enumerate(given.laws)
+        ]
+        self.data = model.data
+        with torch.enable_grad():
+            step = Step(model, self.x, Prescribed(laws, *given[1:]))
+            self.end, self.residual = step.finish(self.z), step.residual(self.z)
+        with torch.no_grad():
+            self.matrix = step.matrix(self.z)
+
+    def __call__(self, y: State, factors: Callable[[Tensor], Any]) -> tuple[State, dict, dict, Tensor]:
+        """y before the step, derivatives by data and laws [..., rows, lanes], and what the iteration leaves [lanes]."""
+        H, rows = factors(self.matrix), range(y.q.shape[1])
+        found = [self._row(H, y.map(lambda x, row=row: x[:, row : row + 1])) for row in rows]
+        states, data, laws, left = zip(*found, strict=True)
+        before = State(*(torch.cat(x, 1) for x in zip(*states, strict=True)))
+        by_data, by_laws = ({k: torch.cat([x[k] for x in some], -2) for k in some[0]} for some in (data, laws))
+        return before, by_data, by_laws, torch.stack(left).amax(0)
+
+    def _row(self, H: Any, y: State) -> tuple[State, dict, dict, Tensor]:
+        goal, *known = _pulled(self.end, y, [self.z, *self.x])
+        mu, left = self._solved(H, goal)
+        names, law_names = list(self.data), list(self.law_values)
+        leaves = [*self.x, *self.data.values(), *self.law_values.values()]
+        by = [-x for x in _pulled([self.residual], [mu], leaves)]
+        n = len(known)
+        state = State(*(a + b for a, b in zip(known, by[:n], strict=True)))
+        data = dict(zip(names, by[n : n + len(names)], strict=True))
+        return state, data, dict(zip(law_names, by[n + len(names) :], strict=True)), left
+
+    def _solved(self, H: Any, goal: Tensor) -> tuple[Tensor, Tensor]:
+        """mu [n, 1, lanes] with R_z' mu = goal, and its estimated relative error [lanes]."""
+        mu = apply(H, goal)
+        n_v = self.x.v.shape[0]
+        active = left = torch.ones_like(goal[0, 0])
+        for _ in range(MOST):
+            (pulled,) = _pulled([self.residual], [mu], [self.z])
+            correction = apply(H, pulled - goal)
+            mu = mu - active * correction
+            size = mu[:n_v, 0].abs().amax(0).clamp_min(torch.finfo(mu.dtype).tiny)
+            change = correction[:n_v, 0].abs().amax(0) / size
+            left = torch.where(active > 0.0, change, left)
+            active = active * (change > ENOUGH)  # what a lane gets depends on no other
+            if not bool(active.any()):
+                break
+        return mu, left * left
+
+
+def _leaf(x: Tensor) -> Tensor:
+    return x.detach().clone().requires_grad_()
+
+
+def _pulled(outputs: Sequence[Tensor], weights: Sequence[Tensor], by: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """Derivatives of sum(weights * outputs); zeros where there are none."""
+    of, by_weights = zip(*((x, w) for x, w in zip(outputs, weights, strict=True) if x.requires_grad), strict=True)
+    return torch.autograd.grad(of, by, by_weights, retain_graph=True, allow_unused=True, materialize_grads=True)
+
+
+def contracted(moving: Mapping[str, Any], by: Mapping[str, Tensor]) -> Tensor:
+    """Sum of derivatives [..., rows, lanes] times design tangents [..., n_b, lanes] of the same numbers: [rows, n_b, lanes]."""
+    parts = [
+        torch.einsum("krl,kbl->rbl", by[name].flatten(0, -3), x.tangent.expand(*x.shape[:-2], -1, by[name].shape[-1]).flatten(0, -3))
+        for name, x in moving.items()
+        if isinstance(x, Pair)
+    ]
+    return sum(parts[1:], parts[0]) if parts else torch.zeros(())
