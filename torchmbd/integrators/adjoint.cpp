@@ -8,7 +8,6 @@
 // If factors cannot be relied on, `adjoint` returns 1 and its results mean nothing.
 
 constexpr int N_X = N_Q + 3 * N_V + ROWS;  // a state: q, v, v', a, lam
-constexpr int N_S = N_X - N_V;             // what is recorded of it: without a
 constexpr int MOST = 4;                    // corrections of mu
 constexpr long CHECK = 25;                 // steps between two looks at the factors, as in march.py
 constexpr double ENOUGH = 1e-3;            // a correction of this relative size leaves its square
@@ -17,8 +16,9 @@ enum { SHARE, A_FROM_VD, A_FROM_A };       // places among what all lanes share:
 struct Job {
   long lanes, rows, data, uniform, steps, moving;  // numbers of each; moving: last of the data, which change with the step
   const double *given;                             // [steps][uniform]
-  const double *states, *start;                    // [block][steps + 1][N_S][8], a at the start [block][N_V][8]
-  const double *bars;                              // [block][steps + 1][rows][N_S][8]: what responses take from states
+  const double *recorded[4];                       // q, v, v', lam [steps + 1][number][1][lanes]
+  const double *bars[4];                           // what responses take from them [steps + 1][number][rows][lanes], or null
+  const double *start;                             // a at the start [block][N_V][8]
   double *values;                                  // [block][data][8]
   const double *moved;                             // [steps][block][1 + any][moving][8]
   const double *stay, *lost;                       // [N], or null
@@ -49,17 +49,26 @@ static void solve_transposed(const V* K, const V* inverse, V* b) {
   }
 }
 
-// State i in the order that generated code takes.
-static void state(const V* recorded, const V* a, V* x) {
-  std::memcpy((void*)x, recorded, (N_Q + 2 * N_V) * sizeof(V));
-  std::memcpy((void*)(x + N_Q + 2 * N_V), a, N_V * sizeof(V));
-  std::memcpy((void*)(x + N_Q + 3 * N_V), recorded + N_Q + 2 * N_V, ROWS * sizeof(V));
+constexpr int COUNT[] = {N_Q, N_V, N_V, ROWS}, AT[] = {0, N_Q, N_Q + N_V, N_Q + 3 * N_V};  // of q, v, v', lam in a state
+
+// Eight lanes of a record, of which `valid` exist; the last of them stands for the others.
+static inline V get(const double* from, int valid) {
+  V x = spread(from[valid - 1]);
+  std::memcpy(&x, from, valid * sizeof(double));
+  return x;
 }
 
-// Adds what a response takes from a recorded state.
-static void take(const V* bars, V* y) {
-  for (int n = 0; n < N_Q + 2 * N_V; n++) y[n] += bars[n];
-  for (int n = 0; n < ROWS; n++) y[N_Q + 3 * N_V + n] += bars[N_Q + 2 * N_V + n];
+// State i without its algorithmic acceleration.
+static void state(const Job& J, long i, long block, int valid, V* x) {
+  for (int k = 0; k < 4; k++)
+    for (int n = 0; n < COUNT[k]; n++) x[AT[k] + n] = get(J.recorded[k] + (i * COUNT[k] + n) * J.lanes + block * LANES, valid);
+}
+
+// Adds what a response takes from state i.
+static void take(const Job& J, long i, long s, long block, int valid, V* y) {
+  for (int k = 0; k < 4; k++)
+    for (int n = 0; J.bars[k] && n < COUNT[k]; n++)
+      y[AT[k] + n] += get(J.bars[k] + ((i * COUNT[k] + n) * J.rows + s) * J.lanes + block * LANES, valid);
 }
 
 extern "C" long adjoint(const Job* job) {
@@ -71,18 +80,21 @@ extern "C" long adjoint(const Job* job) {
   V *x = z + N, *end = x + N_X, *unknowns = end + PULL_END, *known = unknowns + PULL_UNKNOWNS;
   V *ys = known + PULL_KNOWN, *as = ys + S * N_X;
   for (long block = 0; block < blocks; block++) {
-    const V* states = (const V*)J.states + block * (J.steps + 1) * N_S;
-    const V* bars = (const V*)J.bars + block * (J.steps + 1) * S * N_S;
+    const int valid = (int)(J.lanes - block * LANES < LANES ? J.lanes - block * LANES : LANES);
     V *values = (V*)J.values + block * J.data, *slopes = (V*)J.slopes + block * S * J.data;
     V worst = spread(0.0);
     std::memcpy((void*)as, (const V*)J.start + block * N_V, N_V * sizeof(V));
     for (long i = 0; i < J.steps; i++) {
       const double* u = J.given + i * J.uniform;
-      const V *before = states + i * N_S + N_Q + N_V, *after = before + N_S, *a = as + i * N_V;
-      for (int n = 0; n < N_V; n++) as[(i + 1) * N_V + n] = u[A_FROM_VD] * before[n] + u[A_FROM_A] * a[n] + u[SHARE] * after[n];
+      const double* vd = J.recorded[2] + i * N_V * J.lanes + block * LANES;
+      for (int n = 0; n < N_V; n++) {
+        const V before = get(vd + n * J.lanes, valid), after = get(vd + (N_V + n) * J.lanes, valid);
+        as[(i + 1) * N_V + n] = u[A_FROM_VD] * before + u[A_FROM_A] * as[i * N_V + n] + u[SHARE] * after;
+      }
     }
     std::memset((void*)ys, 0, S * N_X * sizeof(V));
-    for (long s = 0; s < S; s++) take(bars + (J.steps * S + s) * N_S, ys + s * N_X);
+    for (long s = 0; s < S; s++) take(J, J.steps, s, block, valid, ys + s * N_X);
+    state(J, J.steps, block, valid, x);
     for (long i = J.steps - 1; i >= 0; i--) {
       if (J.moving) {
         const V* from = (const V*)J.moved + (i * blocks + block) * J.moved_slots * J.moving;
@@ -93,10 +105,12 @@ extern "C" long adjoint(const Job* job) {
       in.d = values;
       in.b = b;
       in.mu = mu;
-      state(states + i * N_S, as + i * N_V, x);
-      in.x = x;
-      std::memcpy((void*)z, states + (i + 1) * N_S + N_Q + N_V, N * sizeof(V));
+      std::memcpy((void*)z, x + AT[2], N_V * sizeof(V));
+      std::memcpy((void*)(z + N_V), x + AT[3], ROWS * sizeof(V));
       in.z = z;
+      state(J, i, block, valid, x);
+      std::memcpy((void*)(x + N_Q + 2 * N_V), as + i * N_V, N_V * sizeof(V));
+      in.x = x;
       if (i % CHECK == 0 && !reliable(in, J.stay, J.lost, factors, w, entries)) return 1;
       if (i % CHECK) renew(in, J.stay, J.lost, factors, w, entries);
       boundary(in, w, b);
@@ -132,7 +146,7 @@ extern "C" long adjoint(const Job* job) {
           const int to = PULL_KNOWN_AT[e];
           (to < N_X ? y[to] : own[to - N_X]) -= known[e];
         }
-        take(bars + (i * S + s) * N_S, y);
+        take(J, i, s, block, valid, y);
         if (!J.moving) continue;
         V* to = (V*)J.moved_slopes + ((i * blocks + block) * S + s) * J.moving;
         std::memcpy((void*)to, own + J.data - J.moving, J.moving * sizeof(V));

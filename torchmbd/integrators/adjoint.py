@@ -29,7 +29,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.generalized_alpha import begin
+from torchmbd.integrators.generalized_alpha import Begun, begin
 from torchmbd.integrators.history import History
 from torchmbd.integrators.step import Model, State, Step, Weights, apply
 from torchmbd.numerics.pair import Pair, value
@@ -39,6 +39,15 @@ from torchmbd.system.topology import Prescribed
 
 MOST = 4  # corrections of mu
 ENOUGH = 1e-3  # a correction of this relative size leaves its square
+
+
+# What responses take from q, v, a, lam, in this order [times, n, rows, lanes]; None: nothing.
+Bars = Sequence[Tensor | None]
+
+
+def rows_of(bars: Bars) -> int:
+    """Number of responses."""
+    return next((x.shape[2] for x in bars if x is not None), 0)
 
 
 @dataclass
@@ -63,13 +72,14 @@ class Grid:
 class Adjoint:
     """Goes back through a motion.
 
-    dynamics   of the whole system, with design tangents
+    dynamics   of the whole system, with design tangents;  begun: the start of its motion
     history    what was integrated, by equal steps over the duration [s]
     weigh      gives the weights of a step of size h [s]
     sweep      makes a Sweep of a grid
     """
 
     dynamics: Dynamics
+    begun: Begun
     history: History
     duration: float
     weigh: Callable[[float], Weights]
@@ -81,12 +91,13 @@ class Adjoint:
         return torch.zeros(self.dynamics.lanes, dtype=torch.float64)
 
     @torch.no_grad()
-    def __call__(self, bars: Sequence[Tensor]) -> Tensor:
-        """Gradients [lanes, rows, n_b] of responses whose derivatives by q, v, a, lam are `bars` [times, n, rows, lanes]."""
-        result = bars[0].new_zeros(bars[0].shape[-1], bars[0].shape[2], self.dynamics.tangents)
+    def __call__(self, bars: Bars) -> Tensor:
+        """Gradients [lanes, rows, n_b] of responses."""
+        result = torch.zeros(self.dynamics.lanes, rows_of(bars), self.dynamics.tangents, dtype=torch.float64)
         for sweep in self._sweeps:
             lanes = sweep.grid.lanes
-            found, error = sweep([_spaced(x[..., lanes], sweep.grid.every) for x in bars])
+            own = bars if len(lanes) == len(result) else [x if x is None else x[..., lanes] for x in bars]
+            found, error = sweep([x if x is None else _spaced(x, sweep.grid.every) for x in own])
             result[lanes] = found.permute(2, 0, 1)
             self.error[lanes] = self.error[lanes].maximum(error)
         return result
@@ -103,7 +114,7 @@ class Adjoint:
     def _grid(self, lanes: list[int], history: History, own: list[int], every: int) -> Grid:
         """Of lanes of the batch, which are `own` in a history."""
         whole = len(lanes) == self.dynamics.lanes
-        left, start = begin(self.dynamics if whole else self.dynamics.some(lanes))
+        left, start = self.begun if whole else begin(self.dynamics.some(lanes))
         states = (x if x.shape[-1] == len(own) else x[..., own] for x in (history.q, history.v, history.vd, history.lam))
         h = self.duration / (len(history.q) - 1)
         times = h * torch.arange(len(history.q), dtype=torch.float64)
@@ -129,14 +140,14 @@ class Sweep:
         self.diagonal = self.dynamics.diagonal()
         self.factor = Elimination(T) if pays(T) else factored
 
-    def __call__(self, bars: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    def __call__(self, bars: Bars) -> tuple[Tensor, Tensor]:
         """Gradients [rows, n_b, lanes] and their estimated relative error [lanes]."""
         lanes = len(self.grid.lanes)
         data = {name: _leaf(value(x).expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
         model = Model(self.dynamics.topology, self.dynamics.saddle, self.grid.weights, data)
         states = self._states()
         y = self._taken(bars, -1)
-        slopes, error = None, bars[0].new_zeros(lanes)
+        slopes, error = None, torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(self.schedule))):
             found = _StepBack(model, states[i], states[i + 1], self.schedule[i])
             y, by_data, by_laws, left = found(y, self._factors)
@@ -156,8 +167,10 @@ class Sweep:
             found.append(State(q, v, vd, a, lam))
         return found
 
-    def _taken(self, bars: Sequence[Tensor], i: int) -> State:
-        q, v, vd, lam = (x[i] for x in bars)
+    def _taken(self, bars: Bars, i: int) -> State:
+        h, rows = self.grid.history, rows_of(bars)
+        both = zip(bars, (h.q, h.v, h.vd, h.lam), strict=True)
+        q, v, vd, lam = (y.new_zeros(y.shape[1], rows, y.shape[-1]) if x is None else x[i] for x, y in both)
         return State(q, v, vd, torch.zeros_like(vd), lam)
 
     def _factors(self, K: Tensor) -> Any:

@@ -6,12 +6,11 @@ Checked in tests/sensitivity/test_adjoint.py.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.adjoint import Grid, Sweep, contracted
+from torchmbd.integrators.adjoint import Bars, Grid, Sweep, contracted, rows_of
 from torchmbd.integrators.blocks import addresses, blocks, data_blocks, in_all_lanes, lanes_out, moving_blocks, shared
 from torchmbd.integrators.compiled import uniform
 from torchmbd.integrators.library import library
@@ -20,8 +19,8 @@ from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics
 
 _NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
-_ARRAYS = ("given", "states", "start", "bars", "values", "moved", "stay", "lost", "slopes", "moved_slopes")
-_ARRAYS += ("start_slopes", "error", "room")
+_ARRAYS = ("given", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved", "stay", "lost")
+_ARRAYS += ("slopes", "moved_slopes", "start_slopes", "error", "room")
 
 
 class _Job(ctypes.Structure):
@@ -58,21 +57,21 @@ class CompiledSweep(Sweep):
         self.moved = moving_blocks(T, self.schedule, lanes, slots)
         self.table = uniform(torch.tensor(grid.weights, dtype=torch.float64), shared(T, self.schedule))
         h = grid.history
-        self.states = _timed(torch.cat([h.q, h.v, h.vd, h.lam], 1))
+        self.states = [x.contiguous() for x in (h.q, h.v, h.vd, h.lam)]
         self.start = blocks(in_all_lanes(value(grid.start.a), lanes))
 
-    def __call__(self, bars: Sequence[Tensor]) -> tuple[Tensor, Tensor]:
+    def __call__(self, bars: Bars) -> tuple[Tensor, Tensor]:
         if self.code is None:
             return super().__call__(bars)
-        T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), bars[0].shape[2], len(self.table)
+        T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), rows_of(bars), len(self.table)
         count, data, moving = len(self.values), self.values.shape[2], self.moved.shape[3]
         n_x = T.n_q + 3 * T.n_v + T.rows
         new = self.values.new_zeros
         slopes, moved_slopes = new(count, rows, data, 8), new(steps, count, rows, moving, 8)
         start_slopes, error = new(count, rows, n_x, 8), new(count, 8)
         room = torch.empty(self.code.adjoint_room(rows, steps) // 8, dtype=torch.float64)
-        arrays = [self.table, self.states, self.start, _timed(torch.cat(list(bars), 1)), self.values, self.moved]
-        arrays += [*(self.dynamics.diagonal() or (None, None)), slopes, moved_slopes, start_slopes, error, room]
+        arrays = [self.table, *self.states, *(x if x is None else x.contiguous() for x in bars), self.start]
+        arrays += [self.values, self.moved, *(self.dynamics.diagonal() or (None, None)), slopes, moved_slopes, start_slopes, error, room]
         numbers = (lanes, rows, data, self.table.shape[1], steps, moving)
         job = _Job(*numbers, *addresses(arrays), self.moved.shape[2])
         if self.code.adjoint(ctypes.byref(job)):
@@ -87,10 +86,3 @@ class CompiledSweep(Sweep):
         by = dict(zip(State._fields, y, strict=True))
         return found + contracted(start, by), error.flatten()[:lanes]
 
-
-def _timed(x: Tensor) -> Tensor:
-    """Numbers [times, n, slots, lanes] as [block, times, slots, n, 8]; the last lane fills the last block."""
-    missing = -x.shape[-1] % 8
-    if missing:
-        x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], missing)], -1)
-    return x.unflatten(-1, (-1, 8)).permute(3, 0, 2, 1, 4).contiguous()

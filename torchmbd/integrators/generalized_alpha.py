@@ -26,7 +26,7 @@ Checked in tests/integrators/, tests/convergence/ (order), tests/sensitivity/ (a
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -53,13 +53,24 @@ def initial(dynamics: Dynamics) -> State:
     return State(q, v, a, a, lam)
 
 
-def begin(dynamics: Dynamics) -> tuple[Dynamics, State]:
+class Begun(NamedTuple):
     """What a condensation leaves of a system, and its initial state."""
+
+    left: Dynamics
+    start: State
+
+    def values(self) -> Begun:
+        """The same without design tangents."""
+        return Begun(self.left.values(), self.start.values())
+
+
+def begin(dynamics: Dynamics) -> Begun:
+    """The start of a motion."""
     x, left = initial(dynamics), dynamics.condensed()
     if left is dynamics:
-        return dynamics, x
+        return Begun(dynamics, x)
     x = left.initial.condensation.state(x)
-    return left, x._replace(lam=left.carried(x.lam))
+    return Begun(left, x._replace(lam=left.carried(x.lam)))
 
 
 def _paired(x: Any, tangents: int) -> Any:
@@ -75,11 +86,13 @@ def integrate(
     spectral_radius: float = SPECTRAL_RADIUS,
     iterations: tuple[int, int] = (3, 1),
     refresh: int = 1,
+    begun: Begun | None = None,
 ) -> tuple[History, dict[str, Any]]:
     """Integrate all lanes with `steps` equal steps.
 
     iterations  corrections of values, and the least number of corrections of tangents, in every step
     refresh     steps between two inverses of the iteration matrix; 0: a new one before every correction
+    begun       what `begin` makes of the dynamics, if that is known
 
     Returns the states at steps + 1 times, and statistics: for each lane the estimated relative error of the iteration in
     the accelerations ("iteration_error") and in their design tangents ("tangent_error"), the estimated error of a step
@@ -89,7 +102,7 @@ def integrate(
     checked(iterations, refresh)
     h = duration / steps
     w = Coefficients(spectral_radius).weights(h)
-    left, x = begin(dynamics)
+    left, x = begun or begin(dynamics)
     march = compiled.march(left, w, iterations, refresh)
     times = h * torch.arange(steps + 1, dtype=torch.float64)
     record = Record(x, steps + 1)

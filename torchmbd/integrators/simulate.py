@@ -88,15 +88,16 @@ def simulate(
         with torch.no_grad():
             if phases is None:
                 back = bool(names) and method == "generalized_alpha" and _back(adjoint, dynamics)
+                begun = generalized_alpha.begin(dynamics) if back else None
                 moving = dynamics.values() if back else dynamics
-                history, stats, status = run(moving, duration, steps, method, options, precise=bool(names))
+                history, stats, status = run(moving, duration, steps, method, options, bool(names), begun)
                 signals = (Untangled if back else Recorded)(history, partial(_multipliers, moving, duration))
                 motion = explained(_present(system, dynamics, signals, stats, status, duration, **design))
                 warn_of_spin(motion)
                 if not back:
                     return motion
                 coefficients = Coefficients(options.get("spectral_radius", generalized_alpha.SPECTRAL_RADIUS))
-                found = Adjoint(dynamics, history, duration, coefficients.weights, compiled_adjoint.sweep)
+                found = Adjoint(dynamics, begun, history, duration, coefficients.weights, compiled_adjoint.sweep)
                 return replace(motion, adjoint=found)
             views = Views.of(system, dynamics, **design)
             course = Course(dynamics, stages, views, duration, steps)
@@ -168,6 +169,7 @@ def run(
     method: str,
     options: dict[str, Any],
     precise: bool = False,
+    begun: generalized_alpha.Begun | None = None,
 ) -> tuple[History, dict[str, Any], list[str]]:
     """Integrate; a lane that fails does not take the others with it.
 
@@ -175,7 +177,8 @@ def run(
     solved well enough for gradients. Adaptive methods: the lanes are run one by one.
     """
     if method == "generalized_alpha":
-        return _with_retries(dynamics, duration, steps, precise, **options)
+        values = begun and begun.values()
+        return _with_retries(dynamics, duration, steps, precise, begun=values, **options)
     try:
         history, stats = ode.integrate(dynamics, duration, steps, method, **options)
         return history, stats, _status(history, duration, steps, {})
@@ -189,7 +192,7 @@ def run(
 
 
 def _with_retries(
-    dynamics: Dynamics, duration: float, steps: int, precise: bool, halvings: int = 1, **options: Any
+    dynamics: Dynamics, duration: float, steps: int, precise: bool, halvings: int = 1, begun: Any = None, **options: Any
 ) -> tuple[History, dict[str, Any], list[str]]:
     """generalized_alpha; lanes that fail, or whose gradients are imprecise, are tried again carefully, then with half the step.
 
@@ -197,7 +200,7 @@ def _with_retries(
     """
     if not isinstance(halvings, int) or halvings < 0:
         raise InputError(f"halvings is {halvings!r}; allowed: a whole number, 0 or more")
-    history, stats = generalized_alpha.integrate(dynamics, duration, steps, **options)
+    history, stats = generalized_alpha.integrate(dynamics, duration, steps, begun=begun, **options)
     status = _status(history, duration, steps, stats)
     quick = options.get("refresh", 1) > 0
     poor = (stats["iteration_error"] > (IMPRECISE if quick and precise else torch.inf)).tolist()
@@ -206,7 +209,7 @@ def _with_retries(
         return history, stats, status
     often, left = (1, halvings) if quick else (2, halvings - 1)
     options |= _careful(options) if quick else {}
-    better, counts, retried = _with_retries(dynamics.some(failed), duration, often * steps, precise, left, **options)
+    better, counts, retried = _with_retries(dynamics.some(failed), duration, often * steps, precise, left, None, **options)
     cured = [(i, lane) for i, lane in enumerate(failed) if retried[i] == OK]
     if not cured:
         return history, stats, status
