@@ -8,9 +8,10 @@
 // If factors cannot be relied on, `adjoint` returns 1 and its results mean nothing.
 
 constexpr int N_X = N_Q + 3 * N_V + ROWS;  // a state: q, v, v', a, lam
-constexpr int MOST = 4;                    // corrections of mu
+constexpr int MOST = 12;                   // corrections of mu, as in adjoint.py
 constexpr long CHECK = 25;                 // steps between two looks at the factors, as in march.py
-constexpr double ENOUGH = 1e-3;            // a correction of this relative size leaves its square
+constexpr double ENOUGH = 1e-6;            // estimated relative error of mu that gets no other
+constexpr double TINY = 1e-300;
 enum { SHARE, A_FROM_VD, A_FROM_A };       // places among what all lanes share: the first weights of step.py
 
 struct Job {
@@ -26,7 +27,7 @@ struct Job {
   double *start_slopes;                            // [block][rows][N_X][8], by the state at the start
   double *error;                                   // [block][8], estimated relative error of mu
   double *room;                                    // scratch
-  long moved_slots;                                // 1 + any
+  long moved_slots, corrections;                   // 1 + any; of mu, at least
 };
 
 extern "C" long adjoint_room(long rows, long steps) {
@@ -126,21 +127,22 @@ extern "C" long adjoint(const Job* job) {
         }
         std::memcpy((void*)mu, goal, N * sizeof(V));
         solve_transposed(factors.K, factors.inverse, mu);
-        V share = spread(1.0), left = spread(0.0);
-        for (int k = 0; k < MOST; k++) {
+        V share = spread(1.0), left = spread(0.0), before = spread(1.0);
+        for (long k = 1; k <= MOST || k <= J.corrections; k++) {
           pull_unknowns(in, w, unknowns);
           for (int n = 0; n < N; n++) R[n] = -goal[n];
           for (int e = 0; e < PULL_UNKNOWNS; e++) R[PULL_UNKNOWNS_AT[e]] += unknowns[e];
           solve_transposed(factors.K, factors.inverse, R);
           for (int n = 0; n < N; n++) mu[n] -= share * R[n];
-          const V size = largest(mu, N_V), change = largest(R, N_V) / (size > 1e-300 ? size : spread(1e-300));
-          left = share > 0.0 ? change : left;
-          share = change > ENOUGH ? share : spread(0.0);  // what a lane gets depends on no other
+          const V size = largest(mu, N_V), change = largest(R, N_V) / (size > TINY ? size : spread(TINY));
+          left = share > 0.0 ? change * change / before : left;  // each leaves the same share of what the one before left
+          before = change > TINY ? change : spread(TINY);
+          if (k >= J.corrections) share = left > ENOUGH ? share : spread(0.0);  // what a lane gets depends on no other
           bool done = true;
           for (int l = 0; l < LANES; l++) done &= share[l] == 0.0;
           if (done) break;
         }
-        worst = left * left > worst ? left * left : worst;
+        worst = left > worst ? left : worst;
         pull_known(in, w, known);
         for (int e = 0; e < PULL_KNOWN; e++) {
           const int to = PULL_KNOWN_AT[e];

@@ -29,16 +29,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.generalized_alpha import Begun, begin
+from torchmbd.integrators.generalized_alpha import SPECTRAL_RADIUS, Begun, begin
 from torchmbd.integrators.history import History
-from torchmbd.integrators.step import Model, State, Step, Weights, apply
+from torchmbd.integrators.step import Coefficients, Model, State, Step, Weights, apply
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics, regularized
 from torchmbd.system.elimination import Elimination, factored, pays
 from torchmbd.system.topology import Prescribed
 
-MOST = 4  # corrections of mu
-ENOUGH = 1e-3  # a correction of this relative size leaves its square
+MOST = 12  # corrections of mu
+ENOUGH = 1e-6  # estimated relative error of mu that gets no other; gradients have 20 times that at most, as measured
 
 
 # What responses take from q, v, a, lam, in this order [times, n, rows, lanes]; None: nothing.
@@ -57,6 +57,7 @@ class Grid:
     lanes     their numbers in the batch;  history: their states, of what a condensation left
     dynamics  their equations (of what was left), with design tangents;  start: their initial state, with tangents
     times     of the states [n];  every: steps between two outputs
+    corrections   of mu, at least
     """
 
     lanes: list[int]
@@ -66,6 +67,7 @@ class Grid:
     weights: Weights
     times: Tensor
     every: int
+    corrections: int
 
 
 @dataclass(eq=False)
@@ -74,7 +76,7 @@ class Adjoint:
 
     dynamics   of the whole system, with design tangents;  begun: the start of its motion
     history    what was integrated, by equal steps over the duration [s]
-    weigh      gives the weights of a step of size h [s]
+    options    of generalized_alpha
     sweep      makes a Sweep of a grid
     """
 
@@ -82,7 +84,7 @@ class Adjoint:
     begun: Begun
     history: History
     duration: float
-    weigh: Callable[[float], Weights]
+    options: Mapping[str, Any]
     sweep: Callable[[Grid], Sweep]
 
     @cached_property
@@ -118,7 +120,8 @@ class Adjoint:
         states = (x if x.shape[-1] == len(own) else x[..., own] for x in (history.q, history.v, history.vd, history.lam))
         h = self.duration / (len(history.q) - 1)
         times = h * torch.arange(len(history.q), dtype=torch.float64)
-        return Grid(lanes, History(*states), left, start, self.weigh(h), times, every)
+        weights = Coefficients(self.options.get("spectral_radius", SPECTRAL_RADIUS)).weights(h)
+        return Grid(lanes, History(*states), left, start, weights, times, every, self.options.get("iterations", (0, 1))[1])
 
 
 def _spaced(x: Tensor, every: int) -> Tensor:
@@ -149,7 +152,7 @@ class Sweep:
         y = self._taken(bars, -1)
         slopes, error = None, torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(self.schedule))):
-            found = _StepBack(model, states[i], states[i + 1], self.schedule[i])
+            found = _StepBack(model, states[i], states[i + 1], self.schedule[i], self.grid.corrections)
             y, by_data, by_laws, left = found(y, self._factors)
             y = State(*(a + b for a, b in zip(y, self._taken(bars, i), strict=True)))
             part = contracted(self.dynamics.data, by_data) + contracted(found.laws, by_laws)
@@ -180,8 +183,8 @@ class Sweep:
 class _StepBack:
     """One step in reverse mode."""
 
-    def __init__(self, model: Model, before: State, after: State, given: Prescribed):
-        T = model.T
+    def __init__(self, model: Model, before: State, after: State, given: Prescribed, corrections: int):
+        T, self.corrections = model.T, corrections
         varied = {i: given.laws[i] or () for i in T.varied}
         self.laws = {f"{i}.{k}": x for i, law in varied.items() for k, x in enumerate(law)}
         self.x, self.z = before.map(_leaf), _leaf(torch.cat([after.vd, after.lam]))
@@ -222,18 +225,21 @@ class _StepBack:
         """mu [n, 1, lanes] with R_z' mu = goal, and its estimated relative error [lanes]."""
         mu = apply(H, goal)
         n_v = self.x.v.shape[0]
-        active = left = torch.ones_like(goal[0, 0])
-        for _ in range(MOST):
+        active = left = before = torch.ones_like(goal[0, 0])
+        for k in range(1, max(MOST, self.corrections) + 1):
             (pulled,) = _pulled([self.residual], [mu], [self.z])
             correction = apply(H, pulled - goal)
             mu = mu - active * correction
             size = mu[:n_v, 0].abs().amax(0).clamp_min(torch.finfo(mu.dtype).tiny)
             change = correction[:n_v, 0].abs().amax(0) / size
-            left = torch.where(active > 0.0, change, left)
-            active = active * (change > ENOUGH)  # what a lane gets depends on no other
+            # Each correction leaves the same share of what the one before left.
+            left = torch.where(active > 0.0, change * change / before, left)
+            before = change.clamp_min(torch.finfo(mu.dtype).tiny)
+            if k >= self.corrections:
+                active = active * (left > ENOUGH)  # what a lane gets depends on no other
             if not bool(active.any()):
                 break
-        return mu, left * left
+        return mu, left
 
 
 def _leaf(x: Tensor) -> Tensor:

@@ -30,6 +30,7 @@ class _Job(ctypes.Structure):
         *((n, ctypes.c_long) for n in _NUMBERS),
         *((n, ctypes.c_void_p) for n in _ARRAYS),
         ("moved_slots", ctypes.c_long),
+        ("corrections", ctypes.c_long),
     ]
 
 
@@ -73,7 +74,7 @@ class CompiledSweep(Sweep):
         arrays = [self.table, *self.states, *(x if x is None else x.contiguous() for x in bars), self.start]
         arrays += [self.values, self.moved, *(self.dynamics.diagonal() or (None, None)), slopes, moved_slopes, start_slopes, error, room]
         numbers = (lanes, rows, data, self.table.shape[1], steps, moving)
-        job = _Job(*numbers, *addresses(arrays), self.moved.shape[2])
+        job = _Job(*numbers, *addresses(arrays), self.moved.shape[2], self.grid.corrections)
         if self.code.adjoint(ctypes.byref(job)):
             self.code = None
             return super().__call__(bars)

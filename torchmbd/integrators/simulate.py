@@ -28,7 +28,6 @@ from torchmbd.integrators.phases import Phase, plan
 from torchmbd.integrators.shapes import DesignShapes
 from torchmbd.integrators.signals import Recorded, Untangled
 from torchmbd.integrators.singular import explained
-from torchmbd.integrators.step import Coefficients
 from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.system import Dynamics, System
@@ -96,8 +95,7 @@ def simulate(
                 warn_of_spin(motion)
                 if not back:
                     return motion
-                coefficients = Coefficients(options.get("spectral_radius", generalized_alpha.SPECTRAL_RADIUS))
-                found = Adjoint(dynamics, begun, history, duration, coefficients.weights, compiled_adjoint.sweep)
+                found = Adjoint(dynamics, begun, history, duration, options, compiled_adjoint.sweep)
                 return replace(motion, adjoint=found)
             views = Views.of(system, dynamics, **design)
             course = Course(dynamics, stages, views, duration, steps)
