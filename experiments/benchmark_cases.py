@@ -6,7 +6,7 @@ import contextlib
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -15,8 +15,10 @@ from torch import Tensor
 import torchmbd as mbd
 from experiments import slider_crank
 from torchmbd.design.spline import Spline
-from torchmbd.integrators import generalized_alpha, library
+from torchmbd.integrators import compiled_adjoint, generalized_alpha, library
+from torchmbd.integrators.adjoint import Adjoint
 from torchmbd.integrators.history import History
+from torchmbd.integrators.trajectory import MovedData
 from torchmbd.numerics.native import enabled
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.reduction import panels
@@ -109,10 +111,14 @@ def measures(t: Tensor, U: Tensor) -> Tensor:
 
 def responses(duration: float, U: Tensor) -> tuple[Tensor, Tensor]:
     """Peak and integral of the energy [2, lanes] and their gradients [2, lanes, n_b]."""
-    t = torch.linspace(0.0, duration, U.shape[-1], dtype=U.dtype)
     zero = U.new_zeros(len(U) - 1)
-    gradient = torch.func.jacfwd(lambda d: measures(t, U[0] + torch.einsum("slt,s->lt", U[1:], d)))(zero)
-    return measures(t, U[0]), gradient  # type: ignore[return-value]
+    gradient = torch.func.jacfwd(lambda d: responses_of(duration, U[0] + torch.einsum("slt,s->lt", U[1:], d)))(zero)
+    return responses_of(duration, U[0]), gradient  # type: ignore[return-value]
+
+
+def responses_of(duration: float, U: Tensor) -> Tensor:
+    """Peak and integral of energies [..., times] over the duration: [2, ...]."""
+    return measures(torch.linspace(0.0, duration, U.shape[-1], dtype=U.dtype), U)
 
 
 def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> tuple[Tensor, Tensor]:
@@ -121,6 +127,20 @@ def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> t
         history, _ = generalized_alpha.integrate(dynamics, duration, steps, **options)
         U = energy(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
+
+
+def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[Tensor, Tensor]:
+    """The same, with the gradients of both responses by going back through the steps."""
+    with torch.no_grad():
+        begun = generalized_alpha.begin(dynamics)
+        history, _ = generalized_alpha.integrate(dynamics.values(), duration, steps, begun=begun.values())
+    q, delta = history.q.requires_grad_(), torch.zeros(dynamics.lanes, dynamics.tangents, dtype=torch.float64)
+    moved = replace(dynamics.values(), data=dict(MovedData(dynamics.data, delta.requires_grad_())))
+    found = responses_of(duration, energy(moved, replace(history, q=q))[0])
+    slopes = [torch.autograd.grad(row.sum(), (delta, q), retain_graph=True) for row in found]
+    back = Adjoint(dynamics, begun, history, duration, {}, compiled_adjoint.sweep)
+    by_motion = back([torch.cat([x for _, x in slopes], 2), None, None, None])
+    return found.detach(), torch.stack([x for x, _ in slopes], 1).add(by_motion).movedim(1, 0)
 
 
 @contextlib.contextmanager
@@ -145,10 +165,11 @@ def compiled_ready(dynamics: Dynamics, build: bool = True) -> bool:
         left = library.written_out(dynamics.condensed())
         if left is None:
             return False
-        if not library.path_of(left).exists():
-            if not build:
-                return False
-            library.build(*library.order(left))
+        for kind in ("step", "adjoint"):
+            if not library.path_of(left, kind).exists():
+                if not build:
+                    return False
+                library.build(*library.order(left, kind))
         return True
 
 

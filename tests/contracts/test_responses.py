@@ -139,7 +139,9 @@ def motions(request) -> tuple[Trajectory, Trajectory]:
         for names, x in (([name], designs), (False, neighbors))
     )
     shifted.stats["difference"] = step
-    exact.stats["back"] = mbd.simulate(system, DURATION, sensitivities=[name], designs={name: designs}, adjoint=True, **options)
+    exact.stats["back"] = mbd.simulate(
+        system, DURATION, sensitivities=[name], designs={name: designs}, adjoint=True, **options
+    )
     return exact, shifted
 
 

@@ -145,7 +145,7 @@ def test_the_gradient_is_that_of_forward_tangents(name):
     assert float(back.adjoint.error.max()) < 1e-9
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", ["laws of forces", "laws of drives", "redundant", "many bodies"])
 def test_compiled_and_eager_agree(name, at_once):
     make, duration, steps = CASES[name]
     system = make()

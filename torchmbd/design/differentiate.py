@@ -17,7 +17,6 @@ from torch import Tensor
 from torchmbd.integrators import Trajectory
 from torchmbd.integrators.adjoint import Adjoint
 
-
 ROWS = 16  # that go back together: their derivatives by a whole motion are all in memory
 
 

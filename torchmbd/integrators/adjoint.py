@@ -117,11 +117,14 @@ class Adjoint:
         """Of lanes of the batch, which are `own` in a history."""
         whole = len(lanes) == self.dynamics.lanes
         left, start = self.begun if whole else begin(self.dynamics.some(lanes))
-        states = (x if x.shape[-1] == len(own) else x[..., own] for x in (history.q, history.v, history.vd, history.lam))
+        parts = (history.q, history.v, history.vd, history.lam)
+        q, v, vd, lam = (x if x.shape[-1] == len(own) else x[..., own] for x in parts)
         h = self.duration / (len(history.q) - 1)
         times = h * torch.arange(len(history.q), dtype=torch.float64)
         weights = Coefficients(self.options.get("spectral_radius", SPECTRAL_RADIUS)).weights(h)
-        return Grid(lanes, History(*states), left, start, weights, times, every, self.options.get("iterations", (0, 1))[1])
+        return Grid(
+            lanes, History(q, v, vd, lam), left, start, weights, times, every, self.options.get("iterations", (0, 1))[1]
+        )
 
 
 def _spaced(x: Tensor, every: int) -> Tensor:
@@ -150,13 +153,13 @@ class Sweep:
         model = Model(self.dynamics.topology, self.dynamics.saddle, self.grid.weights, data)
         states = self._states()
         y = self._taken(bars, -1)
-        slopes, error = None, torch.zeros(lanes, dtype=torch.float64)
+        slopes, error = torch.zeros(()), torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(self.schedule))):
             found = _StepBack(model, states[i], states[i + 1], self.schedule[i], self.grid.corrections)
             y, by_data, by_laws, left = found(y, self._factors)
             y = State(*(a + b for a, b in zip(y, self._taken(bars, i), strict=True)))
             part = contracted(self.dynamics.data, by_data) + contracted(found.laws, by_laws)
-            slopes, error = part if slopes is None else slopes + part, error.maximum(left)
+            slopes, error = slopes + part, error.maximum(left)
         start = dict(zip(State._fields, self.grid.start, strict=True))
         slopes = slopes + contracted(start, y._asdict())
         return slopes, error
@@ -185,7 +188,7 @@ class _StepBack:
 
     def __init__(self, model: Model, before: State, after: State, given: Prescribed, corrections: int):
         T, self.corrections = model.T, corrections
-        varied = {i: given.laws[i] or () for i in T.varied}
+        varied: dict[int, tuple] = {i: given.laws[i] or () for i in T.varied}
         self.laws = {f"{i}.{k}": x for i, law in varied.items() for k, x in enumerate(law)}
         self.x, self.z = before.map(_leaf), _leaf(torch.cat([after.vd, after.lam]))
         lanes = self.z.shape[-1]
@@ -205,7 +208,7 @@ class _StepBack:
         """y before the step, derivatives by data and laws [..., rows, lanes], and what the iteration leaves [lanes]."""
         H, rows = factors(self.matrix), range(y.q.shape[1])
         found = [self._row(H, y.map(lambda x, row=row: x[:, row : row + 1])) for row in rows]
-        states, data, laws, left = zip(*found, strict=True)
+        states, data, laws, left = (list(x) for x in zip(*found, strict=True))
         before = State(*(torch.cat(x, 1) for x in zip(*states, strict=True)))
         by_data, by_laws = ({k: torch.cat([x[k] for x in some], -2) for k in some[0]} for some in (data, laws))
         return before, by_data, by_laws, torch.stack(left).amax(0)
@@ -253,10 +256,11 @@ def _pulled(outputs: Sequence[Tensor], weights: Sequence[Tensor], by: Sequence[T
 
 
 def contracted(moving: Mapping[str, Any], by: Mapping[str, Tensor]) -> Tensor:
-    """Sum of derivatives [..., rows, lanes] times design tangents [..., n_b, lanes] of the same numbers: [rows, n_b, lanes]."""
-    parts = [
-        torch.einsum("krl,kbl->rbl", by[name].flatten(0, -3), x.tangent.expand(*x.shape[:-2], -1, by[name].shape[-1]).flatten(0, -3))
-        for name, x in moving.items()
-        if isinstance(x, Pair)
-    ]
-    return sum(parts[1:], parts[0]) if parts else torch.zeros(())
+    """Sum of derivatives [..., rows, lanes] times tangents [..., n_b, lanes] of the same numbers: [rows, n_b, lanes]."""
+    total = torch.zeros(())
+    for name, x in moving.items():
+        if isinstance(x, Pair):
+            slopes = by[name].flatten(0, -3)
+            tangents = x.tangent.flatten(0, -3).expand(-1, -1, slopes.shape[-1])
+            total = total + torch.einsum("krl,kbl->rbl", slopes, tangents)
+    return total

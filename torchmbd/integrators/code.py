@@ -5,8 +5,9 @@
     rates     the index-1 right-hand side (equations.py), driven by rates.cpp
 
 Tangents are written out for one design variable, pullbacks for one response, so that the code does not depend on how many
-there are; all data may depend on the design. What they need of the values is kept from the values ("boundary"). Beside the code stand the tables of a
-sparse factorization: rates in their order, then constraints by least degree. So the time per link of a chain is constant.
+there are; all data may depend on the design. What they need of the values is kept from the values ("boundary"). Beside the
+code stand the tables of a sparse factorization: rates in their order, then constraints by least degree. So the time per
+link of a chain is constant.
 Checked in tests/integrators/test_compiled.py.
 """
 
@@ -133,13 +134,13 @@ def step(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[in
 
 def adjoint(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[int, ...]]]:
     """Code of a step in reverse mode; the arguments and the rest of what is returned as of `step`."""
-    code, *rest = step(T, given)
+    code, state, uniform = step(T, given)
     pulled = {
         "pull_end": Pulled("finish", "y", ("z", "x")),
         "pull_unknowns": Pulled("residual", "mu", ("z",)),
         "pull_known": Pulled("residual", "mu", ("x", "d")),
     }
-    return code._replace(tangents={}, driver="adjoint.cpp", pulled=pulled), *rest
+    return code._replace(tangents={}, driver="adjoint.cpp", pulled=pulled), state, uniform
 
 
 def rates(T: Topology, drives: list[tuple | None]) -> tuple[Code, list[int], list[tuple[int, ...]]]:

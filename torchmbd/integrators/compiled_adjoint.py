@@ -19,7 +19,22 @@ from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics
 
 _NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
-_ARRAYS = ("given", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved", "stay", "lost")
+_ARRAYS = (
+    "given",
+    "q",
+    "v",
+    "vd",
+    "lam",
+    "q_bar",
+    "v_bar",
+    "vd_bar",
+    "lam_bar",
+    "start",
+    "values",
+    "moved",
+    "stay",
+    "lost",
+)
 _ARRAYS += ("slopes", "moved_slopes", "start_slopes", "error", "room")
 
 
@@ -72,7 +87,16 @@ class CompiledSweep(Sweep):
         start_slopes, error = new(count, rows, n_x, 8), new(count, 8)
         room = torch.empty(self.code.adjoint_room(rows, steps) // 8, dtype=torch.float64)
         arrays = [self.table, *self.states, *(x if x is None else x.contiguous() for x in bars), self.start]
-        arrays += [self.values, self.moved, *(self.dynamics.diagonal() or (None, None)), slopes, moved_slopes, start_slopes, error, room]
+        arrays += [
+            self.values,
+            self.moved,
+            *(self.diagonal or (None, None)),
+            slopes,
+            moved_slopes,
+            start_slopes,
+            error,
+            room,
+        ]
         numbers = (lanes, rows, data, self.table.shape[1], steps, moving)
         job = _Job(*numbers, *addresses(arrays), self.moved.shape[2], self.grid.corrections)
         if self.code.adjoint(ctypes.byref(job)):
@@ -86,4 +110,3 @@ class CompiledSweep(Sweep):
         start = dict(zip(State._fields, self.grid.start, strict=True))
         by = dict(zip(State._fields, y, strict=True))
         return found + contracted(start, by), error.flatten()[:lanes]
-

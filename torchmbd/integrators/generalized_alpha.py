@@ -108,7 +108,9 @@ def integrate(
     record = Record(x, steps + 1)
     record.put(0, x)
     march.run(x, left.topology.schedule(times[1:], left.data), record)
-    whole = None if left.topology is dynamics.topology else Expansion.of(left.initial.condensation, dynamics.data, times)
+    whole = (
+        None if left.topology is dynamics.topology else Expansion.of(left.initial.condensation, dynamics.data, times)
+    )
     history = record.history(whole)
     error = step_error(left, history, spectral_radius, h)
     suggested = (steps * (error / GOOD_STEP).sqrt()).ceil()

@@ -35,7 +35,10 @@ from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Topology
 
 _SOURCES = ("numerics", "joints/primitive.py", "forces", "system", "integrators/step.py", "integrators/code.py")
-_SOURCES += ("integrators/library.py", *(f"integrators/{name}.cpp" for name in ("factors", "march", "adjoint", "rates")))
+_SOURCES += (
+    "integrators/library.py",
+    *(f"integrators/{name}.cpp" for name in ("factors", "march", "adjoint", "rates")),
+)
 _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
 _loaded: dict[str, ctypes.CDLL] = {}

@@ -19,7 +19,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrators.history import History
 
-Settled = Callable[[History], Tensor]
+Settled = Callable[..., Tensor]  # of a history
 ORDERS = ("q", "v", "a")
 Rows = Sequence[int] | None
 

@@ -93,10 +93,10 @@ def simulate(
                 signals = (Untangled if back else Recorded)(history, partial(_multipliers, moving, duration))
                 motion = explained(_present(system, dynamics, signals, stats, status, duration, **design))
                 warn_of_spin(motion)
-                if not back:
+                if begun is None:
                     return motion
-                found = Adjoint(dynamics, begun, history, duration, options, compiled_adjoint.sweep)
-                return replace(motion, adjoint=found)
+                way_back = Adjoint(dynamics, begun, history, duration, options, compiled_adjoint.sweep)
+                return replace(motion, adjoint=way_back)
             views = Views.of(system, dynamics, **design)
             course = Course(dynamics, stages, views, duration, steps)
             stats, status = _through(course, method, options)
@@ -207,7 +207,9 @@ def _with_retries(
         return history, stats, status
     often, left = (1, halvings) if quick else (2, halvings - 1)
     options |= _careful(options) if quick else {}
-    better, counts, retried = _with_retries(dynamics.some(failed), duration, often * steps, precise, left, None, **options)
+    better, counts, retried = _with_retries(
+        dynamics.some(failed), duration, often * steps, precise, left, None, **options
+    )
     cured = [(i, lane) for i, lane in enumerate(failed) if retried[i] == OK]
     if not cured:
         return history, stats, status

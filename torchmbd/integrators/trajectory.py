@@ -236,10 +236,10 @@ class Trajectory:
         signals = self.signals
         assert isinstance(signals, Recorded)
         base, data = signals.history, MovedData(self.dynamics.data, delta)
-        leaves = [x.detach().requires_grad_() for x in (base.q, base.v, base.vd, base.lam)]
+        q, v, vd, lam = leaves = [x.detach().requires_grad_() for x in (base.q, base.v, base.vd, base.lam)]
         expansion = None if base.expansion is None else replace(base.expansion, data=data)
         settled = None if signals.settled is None else partial(signals.settled, data=data)
-        return self._neighbor(Differentiable(History(*leaves, expansion), settled), delta), leaves
+        return self._neighbor(Differentiable(History(q, v, vd, lam, expansion), settled), delta), leaves
 
     def _neighbor(self, signals: Signals, delta: Tensor) -> Trajectory:
         return replace(
