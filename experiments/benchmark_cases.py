@@ -124,7 +124,7 @@ def responses_of(duration: float, U: Tensor) -> Tensor:
 def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> tuple[Tensor, Tensor]:
     """The motion stage of a batch: from frozen dynamics to `responses`."""
     with torch.no_grad():
-        history, _ = generalized_alpha.integrate(dynamics, duration, steps, **options)
+        history, _ = generalized_alpha.integrate(generalized_alpha.begin(dynamics), duration, steps, **options)
         U = energy(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
 
@@ -133,12 +133,12 @@ def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[T
     """The same, with the gradients of both responses by going back through the steps."""
     with torch.no_grad():
         begun = generalized_alpha.begin(dynamics)
-        history, _ = generalized_alpha.integrate(dynamics.values(), duration, steps, begun=begun.values())
+        history, _ = generalized_alpha.integrate(begun.values(), duration, steps)
     q, delta = history.q.requires_grad_(), torch.zeros(dynamics.lanes, dynamics.tangents, dtype=torch.float64)
     moved = replace(dynamics.values(), data=dict(MovedData(dynamics.data, delta.requires_grad_())))
     found = responses_of(duration, energy(moved, replace(history, q=q))[0])
     slopes = [torch.autograd.grad(row.sum(), (delta, q), retain_graph=True) for row in found]
-    back = Adjoint(dynamics, begun, history, duration, {}, compiled_adjoint.sweep)
+    back = Adjoint(begun, history, duration, {}, compiled_adjoint.sweep)
     by_motion = back([torch.cat([x for _, x in slopes], 2), None, None, None])
     return found.detach(), torch.stack([x for x, _ in slopes], 1).add(by_motion).movedim(1, 0)
 

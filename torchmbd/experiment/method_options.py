@@ -27,7 +27,7 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     if simulation is not None:
         integrate = generalized_alpha.integrate if simulation.method == "generalized_alpha" else ode.integrate
         types = _types(integrate, lambda p: p.default is not p.empty)
-        own = ("duration", "method", "steps", "phases")
+        own = ("duration", "method", "steps", "phases", "adjoint")
         faults += _faults("simulate", simulation.method, simulation.options, types, own)
     optimizer: Optimizer | None = sections.get("optimizer")
     if optimizer is not None:

@@ -112,6 +112,7 @@ class Simulation(Section):
     method: Annotated[str, _one_of(METHODS)] = "generalized_alpha"
     steps: PositiveInt | None = None
     phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
+    adjoint: bool | None = None  # gradients by going back through the motion; default: where that is less work
 
     @model_validator(mode="after")
     def _steps_that_numbers_hold(self) -> Self:

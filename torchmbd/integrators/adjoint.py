@@ -74,18 +74,22 @@ class Grid:
 class Adjoint:
     """Goes back through a motion.
 
-    dynamics   of the whole system, with design tangents;  begun: the start of its motion
+    begun      the system with its start, with design tangents
     history    what was integrated, by equal steps over the duration [s]
     options    of generalized_alpha
     sweep      makes a Sweep of a grid
     """
 
-    dynamics: Dynamics
     begun: Begun
     history: History
     duration: float
     options: Mapping[str, Any]
     sweep: Callable[[Grid], Sweep]
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """Of the whole system."""
+        return self.begun.whole
 
     @cached_property
     def error(self) -> Tensor:
@@ -116,7 +120,7 @@ class Adjoint:
     def _grid(self, lanes: list[int], history: History, own: list[int], every: int) -> Grid:
         """Of lanes of the batch, which are `own` in a history."""
         whole = len(lanes) == self.dynamics.lanes
-        left, start = self.begun if whole else begin(self.dynamics.some(lanes))
+        _, left, start = self.begun if whole else begin(self.dynamics.some(lanes))
         parts = (history.q, history.v, history.vd, history.lam)
         q, v, vd, lam = (x if x.shape[-1] == len(own) else x[..., own] for x in parts)
         h = self.duration / (len(history.q) - 1)

@@ -54,23 +54,24 @@ def initial(dynamics: Dynamics) -> State:
 
 
 class Begun(NamedTuple):
-    """What a condensation leaves of a system, and its initial state."""
+    """A system, what a condensation leaves of it, and the initial state of that."""
 
+    whole: Dynamics
     left: Dynamics
     start: State
 
     def values(self) -> Begun:
         """The same without design tangents."""
-        return Begun(self.left.values(), self.start.values())
+        return Begun(self.whole.values(), self.left.values(), self.start.values())
 
 
 def begin(dynamics: Dynamics) -> Begun:
     """The start of a motion."""
     x, left = initial(dynamics), dynamics.condensed()
     if left is dynamics:
-        return Begun(dynamics, x)
+        return Begun(dynamics, dynamics, x)
     x = left.initial.condensation.state(x)
-    return Begun(left, x._replace(lam=left.carried(x.lam)))
+    return Begun(dynamics, left, x._replace(lam=left.carried(x.lam)))
 
 
 def _paired(x: Any, tangents: int) -> Any:
@@ -80,19 +81,17 @@ def _paired(x: Any, tangents: int) -> Any:
 
 
 def integrate(
-    dynamics: Dynamics,
+    begun: Begun,
     duration: float,
     steps: int,
     spectral_radius: float = SPECTRAL_RADIUS,
     iterations: tuple[int, int] = (3, 1),
     refresh: int = 1,
-    begun: Begun | None = None,
 ) -> tuple[History, dict[str, Any]]:
-    """Integrate all lanes with `steps` equal steps.
+    """Integrate all lanes with `steps` equal steps, from what `begin` makes of their dynamics.
 
     iterations  corrections of values, and the least number of corrections of tangents, in every step
     refresh     steps between two inverses of the iteration matrix; 0: a new one before every correction
-    begun       what `begin` makes of the dynamics, if that is known
 
     Returns the states at steps + 1 times, and statistics: for each lane the estimated relative error of the iteration in
     the accelerations ("iteration_error") and in their design tangents ("tangent_error"), the estimated error of a step
@@ -102,16 +101,14 @@ def integrate(
     checked(iterations, refresh)
     h = duration / steps
     w = Coefficients(spectral_radius).weights(h)
-    left, x = begun or begin(dynamics)
+    whole, left, x = begun
     march = compiled.march(left, w, iterations, refresh)
     times = h * torch.arange(steps + 1, dtype=torch.float64)
     record = Record(x, steps + 1)
     record.put(0, x)
     march.run(x, left.topology.schedule(times[1:], left.data), record)
-    whole = (
-        None if left.topology is dynamics.topology else Expansion.of(left.initial.condensation, dynamics.data, times)
-    )
-    history = record.history(whole)
+    same = left.topology is whole.topology
+    history = record.history(None if same else Expansion.of(left.initial.condensation, whole.data, times))
     error = step_error(left, history, spectral_radius, h)
     suggested = (steps * (error / GOOD_STEP).sqrt()).ceil()
     statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": largest_turn(left, history, h)}

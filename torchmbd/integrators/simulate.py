@@ -86,17 +86,15 @@ def simulate(
         design = {"designs": batch, "parameters": labels(system, names)}
         with torch.no_grad():
             if phases is None:
-                back = bool(names) and method == "generalized_alpha" and _back(adjoint, dynamics)
-                begun = generalized_alpha.begin(dynamics) if back else None
-                moving = dynamics.values() if back else dynamics
-                history, stats, status = run(moving, duration, steps, method, options, bool(names), begun)
-                signals = (Untangled if back else Recorded)(history, partial(_multipliers, moving, duration))
-                motion = explained(_present(system, dynamics, signals, stats, status, duration, **design))
+                if names and method == "generalized_alpha" and _back(adjoint, dynamics):
+                    motion = _with_way_back(system, dynamics, duration, steps, options, design)
+                else:
+                    history, stats, status = run(dynamics, duration, steps, method, options)
+                    signals = Recorded(history, partial(_multipliers, dynamics, duration))
+                    motion = _present(system, dynamics, signals, stats, status, duration, **design)
+                motion = explained(motion)
                 warn_of_spin(motion)
-                if begun is None:
-                    return motion
-                way_back = Adjoint(dynamics, begun, history, duration, options, compiled_adjoint.sweep)
-                return replace(motion, adjoint=way_back)
+                return motion
             views = Views.of(system, dynamics, **design)
             course = Course(dynamics, stages, views, duration, steps)
             stats, status = _through(course, method, options)
@@ -114,6 +112,18 @@ def simulate(
 def _back(adjoint: bool | None, dynamics: Dynamics) -> bool:
     """Whether gradients come by going back through the steps."""
     return compiled_adjoint.ready(dynamics.condensed()) if adjoint is None else adjoint
+
+
+def _with_way_back(
+    system: System, dynamics: Dynamics, duration: float, steps: int, options: dict[str, Any], design: dict[str, Any]
+) -> Trajectory:
+    """A motion without tangents, and its adjoint."""
+    begun = generalized_alpha.begin(dynamics)
+    values = begun.values()
+    history, stats, status = _with_retries(values, duration, steps, precise=True, **options)
+    signals = Untangled(history, partial(_multipliers, values.whole, duration))
+    motion = _present(system, dynamics, signals, stats, status, duration, **design)
+    return replace(motion, adjoint=Adjoint(begun, history, duration, options, compiled_adjoint.sweep))
 
 
 def _through(course: Course, method: str, options: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
@@ -161,22 +171,15 @@ def default_steps(dynamics: Dynamics, duration: float) -> int:
 
 
 def run(
-    dynamics: Dynamics,
-    duration: float,
-    steps: int,
-    method: str,
-    options: dict[str, Any],
-    precise: bool = False,
-    begun: generalized_alpha.Begun | None = None,
+    dynamics: Dynamics, duration: float, steps: int, method: str, options: dict[str, Any]
 ) -> tuple[History, dict[str, Any], list[str]]:
     """Integrate; a lane that fails does not take the others with it.
 
-    Equal steps: the lanes that failed are tried again (`_with_retries`), if `precise` also those whose equations are not
-    solved well enough for gradients. Adaptive methods: the lanes are run one by one.
+    Equal steps: the lanes that failed are tried again (`_with_retries`). Adaptive methods: the lanes are run one by one.
     """
     if method == "generalized_alpha":
-        values = begun and begun.values()
-        return _with_retries(dynamics, duration, steps, precise, begun=values, **options)
+        begun = generalized_alpha.begin(dynamics)
+        return _with_retries(begun, duration, steps, precise=dynamics.tangents > 0, **options)
     try:
         history, stats = ode.integrate(dynamics, duration, steps, method, **options)
         return history, stats, _status(history, duration, steps, {})
@@ -190,15 +193,15 @@ def run(
 
 
 def _with_retries(
-    dynamics: Dynamics, duration: float, steps: int, precise: bool, halvings: int = 1, begun: Any = None, **options: Any
+    begun: generalized_alpha.Begun, duration: float, steps: int, precise: bool, halvings: int = 1, **options: Any
 ) -> tuple[History, dict[str, Any], list[str]]:
     """generalized_alpha; lanes that fail, or whose gradients are imprecise, are tried again carefully, then with half the step.
 
-    halvings: how many times the step may be halved
+    precise: whether there are gradients;  halvings: how many times the step may be halved
     """
     if not isinstance(halvings, int) or halvings < 0:
         raise InputError(f"halvings is {halvings!r}; allowed: a whole number, 0 or more")
-    history, stats = generalized_alpha.integrate(dynamics, duration, steps, begun=begun, **options)
+    history, stats = generalized_alpha.integrate(begun, duration, steps, **options)
     status = _status(history, duration, steps, stats)
     quick = options.get("refresh", 1) > 0
     poor = (stats["iteration_error"] > (IMPRECISE if quick and precise else torch.inf)).tolist()
@@ -207,9 +210,8 @@ def _with_retries(
         return history, stats, status
     often, left = (1, halvings) if quick else (2, halvings - 1)
     options |= _careful(options) if quick else {}
-    better, counts, retried = _with_retries(
-        dynamics.some(failed), duration, often * steps, precise, left, None, **options
-    )
+    again = generalized_alpha.begin(begun.whole.some(failed))
+    better, counts, retried = _with_retries(again, duration, often * steps, precise, left, **options)
     cured = [(i, lane) for i, lane in enumerate(failed) if retried[i] == OK]
     if not cured:
         return history, stats, status
