@@ -13,12 +13,12 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchmbd.integrators import repeated
+from torchmbd.integrators import captured, repeated
 from torchmbd.integrators.blocks import addresses, blocks, data_blocks, in_all_lanes, lanes_out, moving_blocks, shared
 from torchmbd.integrators.library import library
 from torchmbd.integrators.march import CHECK, March, Record
 from torchmbd.integrators.step import State, Weights
-from torchmbd.numerics.pair import Pair, value
+from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
 
@@ -35,8 +35,10 @@ class _Job(ctypes.Structure):
 
 
 def march(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: int) -> March:
-    """The march of a system: by compiled code if its library is there."""
-    code = None if any(value(x).is_cuda for x in dynamics.data.values()) else library(dynamics)
+    """The march of a system: by compiled code if its library is there; on a device, by graphs."""
+    if dynamics.device.type != "cpu":
+        return captured.march(dynamics, w, iterations, refresh)
+    code = library(dynamics)
     if code is None:
         return March(dynamics, repeated.model(dynamics, w), iterations, refresh)
     return CompiledMarch(code, dynamics, w, iterations, refresh)

@@ -25,9 +25,7 @@ from typing import Any
 import torch
 
 from torchmbd.errors import MbdError
-from torchmbd.forces.laws import Scaled
-from torchmbd.forces.varied import Varied
-from torchmbd.forces.written import known, written
+from torchmbd.forces.written import writable
 from torchmbd.integrators.code import Layout, source
 from torchmbd.numerics.native import OPTIONS, SUFFIX, cache_folder, compiler, enabled, load, surroundings
 from torchmbd.numerics.scalars import Untraceable
@@ -80,7 +78,7 @@ def written_out(dynamics: Dynamics) -> Dynamics | None:
     """The same dynamics with laws of forces of a known form; None if there is one that cannot be, which is said once."""
     old = dynamics.topology.actions
     try:
-        new = tuple(replace(action, laws=tuple(_written(law) for law in action.laws)) for action in old)
+        new = tuple(replace(action, laws=tuple(writable(law) for law in action.laws)) for action in old)
     except Untraceable as error:
         if str(error) not in _told:
             _told.add(str(error))
@@ -89,13 +87,6 @@ def written_out(dynamics: Dynamics) -> Dynamics | None:
     if all(one.laws == other.laws for one, other in zip(new, old, strict=True)):
         return dynamics
     return replace(dynamics, topology=replace(dynamics.topology, actions=new))
-
-
-def _written(law: Any) -> Any:
-    """The law as numbers of a known form or as scalar operations."""
-    if isinstance(law, (Varied, Scaled)):
-        return replace(law, law=_written(law.law))
-    return law if known(law) else written(law)
 
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:

@@ -60,14 +60,15 @@ def simulate(
     sensitivities  True: by every parameter that requires a gradient; or the names of parameters
     designs        parameter name -> values [lanes, ...]; others keep their own values
     phases         locks, releases and ends of the phases that follow each other (phases.py); default: one without either
-    options        generalized_alpha: spectral_radius, iterations, refresh, halvings (not with phases);
+    options        generalized_alpha: spectral_radius, iterations, refresh; halvings and device (not with phases);
                    torchdiffeq: rtol, atol, options
+    device         "cuda" or "cuda:1": the motion is made there, in float64; its structure, and responses, on the CPU
 
     A lane that fails is reported in `status`. Raises InputError for bad arguments.
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
-    check(duration, method, steps, options, phases is not None)
+    options = check(duration, method, steps, options, phases is not None)
     duration = float(duration)
     check_designs(system, designs)
     names = check_sensitivities(system, sensitivities)
@@ -189,9 +190,8 @@ def _with_retries(
     source, lanes = (list(x) for x in zip(*cured, strict=True))
 
     def patch(x: Tensor, y: Tensor) -> Tensor:
-        x = x.clone()
-        x[..., lanes] = y[::often][..., source]
-        return x
+        old, new = (torch.tensor(i).to(x.device) for i in (lanes, source))
+        return x.index_copy(-1, old, y[::often].index_select(-1, new))
 
     parts = {name: patch(getattr(history, name), getattr(better, name)) for name in ("q", "v", "vd", "lam")}
     for name in (*_LOOKED_AT, "tangent_error"):
@@ -212,7 +212,7 @@ def _empty(dynamics: Dynamics, steps: int) -> History:
 def _status(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:
     """For each lane: the first time at which it is not finite, or what its steps leave to be desired."""
     # A sum is finite where all its terms are, short of overflow: one pass over the numbers.
-    good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0)
+    good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0).cpu()
     result = []
     for lane in range(good.shape[1]):
         bad = torch.nonzero(~good[:, lane])
