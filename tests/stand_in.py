@@ -92,7 +92,7 @@ class StandIn(TorchDispatchMode):
         new = to is not None and torch.device(to) == DEVICE and (not given or func in _COPIES)
         if not there and not new:  # torch uses the name for purposes of its own
             return func(*args, **kwargs)
-        if func in _COPIES and (to is not None or len(there) == 1 and len(given) == 2):
+        if func in _COPIES and (to is not None or (len(there) == 1 and len(given) == 2)):
             return self._copied(func, args, kwargs, given, to)
         for x in given:
             if not isinstance(x, There) and (x.device == DEVICE or x.dim() or func is _aten.index_select.default):
@@ -125,7 +125,7 @@ class StandIn(TorchDispatchMode):
 
     def _asks(self, func: Any, given: list) -> None:
         masks = func in _INDEXED and any(x.dtype == torch.bool for x in given)
-        if func in _ASKING or masks or torch.Tag.dynamic_output_shape in func.tags and func is not _aten.index.Tensor:
+        if func in _ASKING or masks or (torch.Tag.dynamic_output_shape in func.tags and func is not _aten.index.Tensor):
             if self._notes is not None:
                 raise Elsewhere(f"{func}: a graph cannot ask for a number")
             self.asked[str(func)] += 1
@@ -156,7 +156,7 @@ class StandIn(TorchDispatchMode):
 
         def replay() -> None:
             self.launched += 1
-            with torch.no_grad(), torch._C._DisableTorchDispatch():
+            with torch.inference_mode(), torch._C._DisableTorchDispatch():
                 for again in notes:
                     again()
 

@@ -23,9 +23,7 @@ Named = str | torch.device | None
 DEVICES: dict[str, Callable[[], bool]] = {"cpu": lambda: True, "cuda": torch.cuda.is_available}  # type -> is there one
 
 
-def check(
-    duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False
-) -> dict[str, Any]:
+def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> dict[str, Any]:
     """The options, without a device that is the CPU; InputError for arguments of `simulate` wrong for every system."""
     if not isinstance(duration, numbers.Real) or isinstance(duration, bool) or not 0 < float(duration) < math.inf:
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")

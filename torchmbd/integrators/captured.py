@@ -21,12 +21,12 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.forces.written import Untraceable, writable
+from torchmbd.forces.written import writable
 from torchmbd.integrators import repeated
 from torchmbd.integrators.history import Record
 from torchmbd.integrators.march import Kind, Made, March
 from torchmbd.integrators.step import State, Weights
-from torchmbd.numerics.pair import Pair
+from torchmbd.numerics.scalars import Untraceable
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.elimination import Factored
 from torchmbd.system.topology import Prescribed
@@ -49,15 +49,18 @@ def placed_on(dynamics: Dynamics, device: torch.device) -> Dynamics:
     """The dynamics on a device. InputError where a law of a force cannot be there."""
     if device == dynamics.device:
         return dynamics
-    old = dynamics.topology.actions
     try:
-        new = tuple(replace(action, laws=tuple(writable(law) for law in action.laws)) for action in old)
+        laws = [tuple(map(writable, action.laws)) for action in dynamics.topology.actions]
     except Untraceable as error:
         raise InputError(
             f"device is '{device}', but a law of a force cannot be written out for it: {error}; allowed: device='cpu', or laws "
             "of operators of torch that work elementwise, without branches in Python"
         ) from error
-    return replace(dynamics, topology=replace(dynamics.topology, actions=new)).to(device)
+    there = dynamics.to(device)
+    T = there.topology
+    actions = tuple(replace(action, laws=own) for action, own in zip(T.actions, laws, strict=True))
+    there.topology = there.saddle.T = replace(T, actions=actions)
+    return there
 
 
 def march(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: int) -> March:
