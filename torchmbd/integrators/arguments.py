@@ -35,7 +35,7 @@ def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], ph
         )
     if method not in METHODS:
         raise unknown("method", method, METHODS)
-    options = _placed(options, method, phases)
+    options = on_device(options, method, phases)
     allowed = (
         ("spectral_radius", "iterations", "refresh", *(() if phases else ("halvings", "device")))
         if method == "generalized_alpha"
@@ -47,8 +47,8 @@ def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], ph
     return options
 
 
-def _placed(options: Mapping[str, Any], method: str, phases: bool) -> dict[str, Any]:
-    """Options with the name of a device that is there, and none for the CPU."""
+def on_device(options: Mapping[str, Any], method: str, phases: bool) -> dict[str, Any]:
+    """Options with the name of a device that is there, none for the CPU; InputError for one that does not serve."""
     rest, name = {key: x for key, x in options.items() if key != "device"}, options.get("device")
     try:
         device = torch.device("cpu" if name is None else name) if isinstance(name, Named) else None

@@ -29,11 +29,15 @@ class History:
     expansion: Expansion | None = None
 
     def rows(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
-        """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes]."""
+        """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes], on the CPU."""
+        return self.rows_there(order, rows, slots).cpu()
+
+    def rows_there(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
+        """The same where they are; on the CPU where something had to be added that was not integrated."""
         x = (self.q, self.v, self.vd)[order][:, :, slots]
         if self.expansion is not None:
             return self.expansion.rows(order, x, rows, known=not slots.start)
-        return (x if rows is None else chosen(x, rows)).cpu()
+        return x if rows is None else chosen(x, rows)
 
     @cached_property
     def multipliers(self) -> Tensor:
