@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -74,17 +75,19 @@ def march(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: 
 class CapturedMarch(March):
     """March by graphs; a state that it returns lasts until the next step."""
 
-    def __init__(self, capture: Capture, dynamics: Dynamics, *arguments: Any):
+    def __init__(self, capture: Capture | None, dynamics: Dynamics, *arguments: Any):
         super().__init__(dynamics, *arguments)
-        self.capture: Capture | None = capture
+        self.capture = capture
         self.graphs: dict[Kind, _Graph | None] = {}  # None: a kind that has been seen once
 
     def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0, place: int = 1) -> State:
         """As of any march."""
-        if self.dynamics.device.type != "cuda":
-            return super().run(x, schedule, record, first, place)
-        with torch.cuda.device(self.dynamics.device):
-            return super().run(x, schedule, record, first, place)
+        cuda = self.dynamics.device.type == "cuda"
+        with torch.cuda.device(self.dynamics.device) if cuda else nullcontext():
+            return self._marched(x, schedule, record, first, place)
+
+    def _marched(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int, place: int) -> State:
+        return super().run(x, schedule, record, first, place)
 
     def made(self, kind: Kind, x: State, given: Any) -> Made:
         """As of any march."""

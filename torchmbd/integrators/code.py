@@ -2,6 +2,7 @@
 
     step    a step of generalized-alpha (step.py), driven by march.cpp
     rates   the index-1 right-hand side (equations.py), driven by rates.cpp
+    kernel  a step for one lane, driven by march.cu on a device
 
 Tangents are written out for one design variable, so that the code does not depend on how many there are; all data may
 depend on them. What they need of the values is kept from the values ("boundary"). Beside the code stand the tables of a
@@ -23,7 +24,7 @@ from torch import Tensor
 
 from torchmbd.errors import MbdError
 from torchmbd.integrators.step import Model, State, Weights
-from torchmbd.numerics.emit import PRELUDE, Emitter
+from torchmbd.numerics.emit import CUDA_PRELUDE, PRELUDE, Emitter
 from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair, separate, value
 from torchmbd.numerics.scalars import Tape
@@ -33,6 +34,7 @@ from torchmbd.system.topology import Prescribed, Topology
 
 MOST = 400_000  # operations, beyond which a compiler takes too long
 _IN = "struct In { const V *x, *d, *z, *dx, *dd, *dz, *b; const double* u; };\n"
+_IN_KERNEL = "struct In { Room x, d, z, dx, dd, dz, b; const double* u; };\n"
 
 
 class Layout(NamedTuple):
@@ -118,6 +120,12 @@ def step(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[in
     return code, [T.n_q, T.n_v, T.n_v, T.n_v, T.rows], [(len(Weights._fields),), *(tuple(x.shape) for x in parts)]
 
 
+def kernel(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[int, ...]]]:
+    """Code of a step for a device; otherwise as `step`."""
+    code, state, uniform = step(T, given)
+    return code._replace(driver="march.cu"), state, uniform
+
+
 def rates(T: Topology, drives: list[tuple | None]) -> tuple[Code, list[int], list[tuple[int, ...]]]:
     """Code of the right-hand side; `drives`: laws with their slopes (Topology.law_jets), which show their shapes."""
     saddle = Saddle(T)
@@ -158,12 +166,16 @@ def rates(T: Topology, drives: list[tuple | None]) -> tuple[Code, list[int], lis
     )
 
 
-KINDS: dict[str, Callable[..., tuple[Code, list[int], list[tuple[int, ...]]]]] = {"step": step, "rates": rates}
+KINDS: dict[str, Callable[..., tuple[Code, list[int], list[tuple[int, ...]]]]] = {
+    "step": step,
+    "rates": rates,
+    "kernel": kernel,
+}
 
 
 def source(T: Topology, layout: Layout, kind: str, sample: Any) -> str:
-    """C++ of a topology; `sample` is the second argument of the kind."""
-    code, state, uniform = KINDS[kind](T, sample)
+    """C++ of a topology; `sample` is the second argument of the kind, behind whose colon a machine may be named."""
+    code, state, uniform = KINDS[kind.partition(":")[0]](T, sample)
     return _Writer(T, layout, state, uniform).text(code)
 
 
@@ -230,8 +242,11 @@ class _Writer:
         sizes |= {"BOUNDARY": len(inner), "MATRIX": len(entries)}
         constants = "".join(f"constexpr int {k} = {v};\n" for k, v in sizes.items())
         tables = _table("PLACES", [i for i, _ in entries]) + factorization(pattern, self.T.n_v)
-        drivers = [(Path(__file__).parent / name).read_text() for name in ("factors.cpp", code.driver)]
-        return "\n".join([PRELUDE, _IN, constants, tables, *functions, *drivers])
+        cuda = code.driver.endswith(".cu")
+        drivers = [code.driver] if cuda else ["factors.cpp", code.driver]
+        texts = [(Path(__file__).parent / name).read_text() for name in drivers]
+        head = [CUDA_PRELUDE, _IN_KERNEL] if cuda else [PRELUDE, _IN]
+        return "\n".join([*head, constants, tables, *functions, *texts])
 
     def _boundary(self, emitter: Emitter, outputs: list[int]) -> list[int]:
         """Values that the operations on tangents need, other than inputs."""
@@ -274,4 +289,4 @@ def factorization(pattern: np.ndarray, first: int) -> str:
 
 
 def _table(name: str, numbers: Sequence[int]) -> str:
-    return f"static const int {name}[] = {{{', '.join(map(str, numbers)) or '0'}}};\n"
+    return f"TABLE {name}[] = {{{', '.join(map(str, numbers)) or '0'}}};\n"
