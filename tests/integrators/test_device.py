@@ -18,6 +18,7 @@ from tests.mechanisms import box, pendulum, soft_slider_crank, sprung
 from tests.sensitivity.test_law_variables import arm
 from tests.stand_in import Elsewhere, StandIn, stand_in
 from tests.system.test_initial import four_bar
+from tests.system.test_least_norm import doors
 from torchmbd.errors import InputError
 from torchmbd.integrators import captured
 from torchmbd.integrators.march import CHECK, March
@@ -51,7 +52,7 @@ CASES: dict[str, tuple[Callable[[], mbd.System], dict[str, Any]]] = {
     "condensed": (soft_slider_crank, {"iterations": (2, 2)}),
     "values alone": (pendulum, {"sensitivities": False}),
     "factors kept": (pendulum, {"refresh": 3}),
-    "redundant constraints": (four_bar, {"sensitivities": False}),
+    "redundant constraints": (partial(doors, mbd.Sine(0.4, 1.5)), {"sensitivities": False}),
     "factors always": (four_bar, {"sensitivities": False, "refresh": 0}),
     "contact and springs": (stop, {}),
     "a law of the user's own": (partial(sprung, softening), {}),
@@ -68,10 +69,14 @@ def motion(system: mbd.System, **options: Any) -> mbd.Trajectory:
     return mbd.simulate(system, **({"duration": 0.03, "steps": 60, "sensitivities": True} | designs | options))
 
 
-def same(found: mbd.Trajectory, expected: mbd.Trajectory, close: float) -> None:
-    """All that a motion has, relative to the largest, on the CPU."""
+# Relative to the largest. Rounding of coordinates comes into accelerations as 1 / h^2.
+CLOSE = {"q": 1e-9, "v": 1e-9, "dq_db": 1e-9, "dv_db": 1e-9, "a": 1e-6, "lam": 1e-6, "da_db": 1e-6, "dlam_db": 1e-6}
+
+
+def same(found: mbd.Trajectory, expected: mbd.Trajectory) -> None:
+    """All that a motion has, on the CPU."""
     assert found.status == expected.status
-    for name in ("q", "v", "a", "lam", "dq_db", "dv_db", "da_db", "dlam_db"):
+    for name, close in CLOSE.items():
         x, y = getattr(found, name), getattr(expected, name)
         assert (x is None) == (y is None)
         if y is not None and y.numel():
@@ -98,7 +103,7 @@ def test_the_numbers_of_the_cpu(name: str, device: str, there: Place) -> None:
     expected = motion(make(), **options).require_ok()
     with there(device) as place:
         found = motion(make(), device=device, **options)
-        same(found, expected, 1e-9)
+        same(found, expected)
         if isinstance(place, StandIn):
             assert place.launched > 50  # of 60 steps
 
@@ -118,7 +123,7 @@ def test_a_lane_that_fails_leaves_the_others_alone(device: str, there: Place, mo
     with there(device):
         found = motion(system, duration=0.002, steps=30, device=device)
         assert [status == "ok" for status in found.status] == [True, False, True]
-        same(found, expected, 1e-9)
+        same(found, expected)
 
 
 @pytest.mark.parametrize("device", ["meta", cuda])
@@ -187,7 +192,7 @@ def test_steps_that_cannot_be_captured_are_done_one_by_one(monkeypatch: pytest.M
     with stand_in(monkeypatch) as device:
         with pytest.warns(UserWarning, match="cannot be captured, which makes them slow: .* cannot ask for a number"):
             found = motion(pendulum(), device="meta")
-        same(found, expected, 1e-9)
+        same(found, expected)
         assert device.launched == 0
 
 

@@ -89,7 +89,7 @@ def test_the_numbers_of_the_eager_march(name: str, by_kernel: Callable[[], Used]
     system = make()
     expected = motion(system, **options).require_ok()
     used = by_kernel()
-    same(motion(system, **options), expected, 1e-8)
+    same(motion(system, **options), expected)
     assert used[0].launched.count("march") >= 3  # one for each look at least
     assert used[0].launched[0] == "room"
 
@@ -100,7 +100,7 @@ def test_one_correction_of_values(by_kernel: Callable[[], Used]) -> None:
     options = {"iterations": (1, 1), "steps": 30, "duration": 0.01}
     expected = motion(system, **options)
     by_kernel()
-    same(motion(system, **options), expected, 1e-8)
+    same(motion(system, **options), expected)
 
 
 @needs_compiler
@@ -130,7 +130,7 @@ def test_factors_that_cannot_be_relied_on_are_found_out(by_kernel: Callable[[], 
     used = by_kernel()
     found = motion(weightless(), sensitivities=False, steps=40)
     assert used[0].launched == ["room", "doubts"]
-    same(found, expected, 1e-9)
+    same(found, expected)
 
 
 def nvrtc() -> Any:
@@ -182,6 +182,6 @@ def test_on_a_device(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 
     own = kernel.kernels
     monkeypatch.setattr(kernel, "kernels", at_once)
-    same(motion(system, device="cuda", **options), expected, 1e-8)
+    same(motion(system, device="cuda", **options), expected)
     assert made
     assert None not in made
