@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import importlib.util
+import pickle
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -15,9 +16,11 @@ import torch
 from torch import Tensor
 
 from tests.integrators.test_compiled import weightless
-from tests.integrators.test_device import CASES, motion, same
+from tests.integrators.test_device import CASES, CHECK, looks, motion, same  # noqa: F401
+from tests.stand_in import DEVICE, stand_in
 from torchmbd.errors import MbdError
 from torchmbd.integrators import compiled, kernel, library, repeated
+from torchmbd.integrators.captured import placed_on
 from torchmbd.integrators.code import source
 from torchmbd.numerics.nvrtc import compile_kernel
 from torchmbd.system import Dynamics
@@ -32,7 +35,7 @@ class Here:
     def __init__(self, dynamics: Dynamics, folder: Path):
         known = library.written_out(dynamics)
         assert known is not None
-        T, layout, kind, sample, name = library.order(known, "kernel:here")
+        T, layout, kind, sample, name = library.order(known.to(torch.device("cpu")), "kernel:here")
         text, made = folder / f"{name}.cpp", folder / f"{name}.so"
         if not made.exists():
             text.write_text(source(T, layout, kind, sample))
@@ -65,7 +68,9 @@ def by_kernel(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], Use
         return kernel.KernelMarch(used[-1], dynamics, repeated.model(dynamics, w), *arguments)
 
     def begin() -> Used:
+        monkeypatch.setattr(kernel, "CHECK", CHECK)
         monkeypatch.setattr(compiled, "march", march)
+        monkeypatch.setattr(kernel, "march", march)
         return used
 
     return begin
@@ -95,9 +100,25 @@ def test_the_numbers_of_the_eager_march(name: str, by_kernel: Callable[[], Used]
 
 
 @needs_compiler
+def test_on_a_stand_in_for_a_device(by_kernel: Callable[[], Used], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The host asks at looks only: for doubts, and for corrections."""
+    make, options = CASES["drives with variables"]
+    system = make()
+    expected = motion(system, **options)
+    used, asked = by_kernel(), []
+    for steps in (2 * CHECK, 3 * CHECK):
+        with stand_in(monkeypatch, graphs=False) as device:
+            found = motion(system, device="meta", steps=steps, duration=steps * 0.0005, **options)
+            torch.testing.assert_close(found.q, expected.q[:, : steps + 1], rtol=0, atol=1e-9)
+        asked.append(device.asked.total())
+    assert used[-1].launched.count("march") == 6
+    assert asked[1] - asked[0] == 2
+
+
+@needs_compiler
 def test_one_correction_of_values(by_kernel: Callable[[], Used]) -> None:
     system = CASES["factors kept"][0]()
-    options = {"iterations": (1, 1), "steps": 30, "duration": 0.01}
+    options = {"iterations": (1, 1), "duration": 0.01}
     expected = motion(system, **options)
     by_kernel()
     same(motion(system, **options), expected)
@@ -116,9 +137,9 @@ def test_a_lane_that_fails_leaves_the_others_alone(
         return dynamics
 
     monkeypatch.setattr(system, "dynamics", spoilt)
-    expected = motion(system, duration=0.002, steps=30)
+    expected = motion(system, duration=0.002)
     by_kernel()
-    found = motion(system, duration=0.002, steps=30)
+    found = motion(system, duration=0.002)
     assert [status == "ok" for status in found.status] == [True, False, True]
     torch.testing.assert_close(found.q[[0, 2]], expected.q[[0, 2]], rtol=0, atol=1e-9)
 
@@ -126,9 +147,9 @@ def test_a_lane_that_fails_leaves_the_others_alone(
 @needs_compiler
 def test_factors_that_cannot_be_relied_on_are_found_out(by_kernel: Callable[[], Used]) -> None:
     """A point mass: no inertia about any axis."""
-    expected = motion(weightless(), sensitivities=False, steps=40)
+    expected = motion(weightless(), sensitivities=False)
     used = by_kernel()
-    found = motion(weightless(), sensitivities=False, steps=40)
+    found = motion(weightless(), sensitivities=False)
     assert used[0].launched == ["room", "doubts"]
     same(found, expected)
 
@@ -185,3 +206,17 @@ def test_on_a_device(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     same(motion(system, device="cuda", **options), expected)
     assert made
     assert None not in made
+
+
+def test_a_kernel_is_found_from_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the same key, and what has it built can be sent to another process."""
+    dynamics = CASES["a law of the user's own"][0]().dynamics()
+    known = library.written_out(dynamics)
+    assert known is not None
+    expected = library.order(known, "kernel:sm_90")
+    with stand_in(monkeypatch):
+        there = placed_on(dynamics, DEVICE)
+        assert library.key(there, "kernel:sm_90") == expected[-1]
+        found = library.order(there.to(torch.device("cpu")), "kernel:sm_90")
+    assert found[-1] == expected[-1]
+    assert pickle.loads(pickle.dumps(found))[1] == expected[1]

@@ -58,7 +58,7 @@ class KernelMarch(CapturedMarch):
         self.launch: Launch | None = launch
         self.lanes, self.slots, self.fresh = dynamics.lanes, dynamics.tangents, 1
         self.values, self.tangents = flat_data(dynamics)
-        self.weights = self.values.new_tensor(model.plain)
+        self.weights = torch.tensor(model.plain, dtype=torch.float64).to(dynamics.device)
         size = torch.zeros(1, dtype=torch.long).to(dynamics.device)
         self.launch("room", size, 1)
         n, n_x = T.n_v + T.rows, T.n_q + 3 * T.n_v + T.rows

@@ -118,7 +118,7 @@ def key(dynamics: Dynamics, kind: str = "step") -> str:
 def _facts(x: Any) -> Any:
     """Everything that an object is made of, as numbers, names and lists."""
     if isinstance(x, torch.Tensor):
-        return x.tolist()
+        return x.cpu().tolist()
     if isinstance(x, dict):
         return [(k, _facts(y)) for k, y in sorted(x.items())]
     if isinstance(x, (list, tuple)):
