@@ -21,6 +21,7 @@ from torchmbd.integrators.history import History
 from torchmbd.integrators.trajectory import MovedData
 from torchmbd.numerics.native import enabled
 from torchmbd.numerics.pair import Pair, value
+from torchmbd.numerics.placed import placed
 from torchmbd.reduction import panels
 from torchmbd.system import Dynamics
 
@@ -93,8 +94,9 @@ def pendulum(links: int = 2, modes: int = 8, cells: tuple[int, int] = (16, 2), d
 def energy(dynamics: Dynamics, history: History) -> Tensor:
     """Strain energy of all flexible bodies and its design tangents [1 + n_b, lanes, times]."""
     T = dynamics.topology
-    w = history.rows(0, range(7 * T.bodies, T.n_q)).movedim(0, -1).unflatten(0, (T.modes, T.flexible))
-    Kr, still = dynamics.data["Kr"], w[:, :, 0]  # [modes, modes, bodies, slots, lanes], [modes, bodies, lanes, times]
+    w = history.rows_there(0, range(7 * T.bodies, T.n_q)).movedim(0, -1).unflatten(0, (T.modes, T.flexible))
+    still = w[:, :, 0]  # [modes, bodies, lanes, times]
+    Kr = placed(dynamics.data["Kr"], w.device)  # [modes, modes, bodies, slots, lanes]
     force = torch.einsum("abfl,bflt->aflt", value(Kr)[:, :, :, 0], still)
     U = (force.unsqueeze(2) * w).sum((0, 1))
     U[0] *= 0.5
@@ -118,7 +120,7 @@ def responses(duration: float, U: Tensor) -> tuple[Tensor, Tensor]:
 
 def responses_of(duration: float, U: Tensor) -> Tensor:
     """Peak and integral of energies [..., times] over the duration: [2, ...]."""
-    return measures(torch.linspace(0.0, duration, U.shape[-1], dtype=U.dtype), U)
+    return measures(torch.linspace(0.0, duration, U.shape[-1], dtype=U.dtype, device=U.device), U)
 
 
 def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> tuple[Tensor, Tensor]:

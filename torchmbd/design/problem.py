@@ -121,7 +121,7 @@ class Problem:
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound
         names = self.space.variables
-        check_adjoint(adjoint, method, phases is not None, names)
+        check_adjoint(adjoint, method, phases is not None, names, options.get("device"))
         count = sum(system.get_parameter(name).numel() for name in names)
         self.adjoint = False if adjoint is None and count <= self._count else adjoint
 

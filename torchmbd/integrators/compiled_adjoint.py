@@ -11,8 +11,16 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrators.adjoint import Bars, Grid, Sweep, contracted, rows_of
-from torchmbd.integrators.blocks import addresses, blocks, data_blocks, in_all_lanes, lanes_out, moving_blocks, shared
-from torchmbd.integrators.compiled import uniform
+from torchmbd.integrators.blocks import (
+    addresses,
+    blocks,
+    data_blocks,
+    in_all_lanes,
+    lanes_out,
+    moving_blocks,
+    shared,
+    uniform,
+)
 from torchmbd.integrators.library import library
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import value

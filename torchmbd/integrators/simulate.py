@@ -64,19 +64,21 @@ def simulate(
     phases         locks, releases and ends of the phases that follow each other (phases.py); default: one without either
     adjoint        True: no sensitivities of the motion itself; gradients of responses by going back through its steps, which
                    costs about a simulation for each response, however many variables there are (adjoint.py).
-                   generalized_alpha without phases only. None: where that is possible and compiled code for it is at hand
-    options        generalized_alpha: spectral_radius, iterations, refresh, halvings (not with phases);
+                   generalized_alpha on the CPU without phases only. None: where that is possible and compiled code is at hand
+    options        generalized_alpha: spectral_radius, iterations, refresh; halvings and device (not with phases);
                    torchdiffeq: rtol, atol, options
+    device         "cuda" or "cuda:1": the motion is made there, in float64; its structure, and responses, on the CPU
 
     A lane that fails is reported in `status`. Raises InputError for bad arguments.
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
-    check(duration, method, steps, options, phases is not None)
+    options = check(duration, method, steps, options, phases is not None)
     duration = float(duration)
     check_designs(system, designs)
     names = check_sensitivities(system, sensitivities)
-    check_adjoint(adjoint, method, phases is not None, names)
+    check_adjoint(adjoint, method, phases is not None, names, options.get("device"))
+    possible = bool(names) and method == "generalized_alpha" and "device" not in options
     with torch.inference_mode(False):  # wherever the caller is: inference tensors have no gradients, not even later
         batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
         if phases is not None:
@@ -86,7 +88,7 @@ def simulate(
         design = {"designs": batch, "parameters": labels(system, names)}
         with torch.no_grad():
             if phases is None:
-                if names and method == "generalized_alpha" and _back(adjoint, dynamics):
+                if possible and _back(adjoint, dynamics):
                     motion = _with_way_back(system, dynamics, duration, steps, options, design)
                 else:
                     history, stats, status = run(dynamics, duration, steps, method, options)
@@ -218,9 +220,8 @@ def _with_retries(
     source, lanes = (list(x) for x in zip(*cured, strict=True))
 
     def patch(x: Tensor, y: Tensor) -> Tensor:
-        x = x.clone()
-        x[..., lanes] = y[::often][..., source]
-        return x
+        old, new = (torch.tensor(i).to(x.device) for i in (lanes, source))
+        return x.index_copy(-1, old, y[::often].index_select(-1, new))
 
     parts = {name: patch(getattr(history, name), getattr(better, name)) for name in ("q", "v", "vd", "lam")}
     for name in (*_LOOKED_AT, "tangent_error"):
@@ -253,7 +254,7 @@ def _empty(dynamics: Dynamics, steps: int) -> History:
 def _status(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:
     """For each lane: the first time at which it is not finite, or what its steps leave to be desired."""
     # A sum is finite where all its terms are, short of overflow: one pass over the numbers.
-    good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0)
+    good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0).cpu()
     result = []
     for lane in range(good.shape[1]):
         bad = torch.nonzero(~good[:, lane])
