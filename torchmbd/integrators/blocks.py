@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.code import distinct
+from torchmbd.integrators.layout import distinct
 from torchmbd.numerics.pair import Pair, linear, value
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed, Topology

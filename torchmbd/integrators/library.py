@@ -27,16 +27,25 @@ import torch
 
 from torchmbd.errors import MbdError
 from torchmbd.forces.written import writable
-from torchmbd.integrators.code import Layout, source
+from torchmbd.integrators.code import source
+from torchmbd.integrators.layout import Layout
 from torchmbd.numerics import nvrtc
 from torchmbd.numerics.native import OPTIONS, SUFFIX, cache_folder, compiler, enabled, load, surroundings
 from torchmbd.numerics.scalars import Untraceable
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Topology
 
-_SOURCES = ("numerics", "joints/primitive.py", "forces", "system", "integrators/step.py", "integrators/code.py")
+_SOURCES = (
+    "numerics",
+    "joints/primitive.py",
+    "forces",
+    "system",
+    "integrators/step.py",
+    "integrators/code.py",
+    "integrators/layout.py",
+)
 _DRIVERS = ("factors.cpp", "march.cpp", "adjoint.cpp", "rates.cpp", "march.cu")
-_SOURCES += ("integrators/library.py", *(f"integrators/{name}" for name in _DRIVERS))
+_SOURCES += tuple(f"integrators/{name}" for name in _DRIVERS)
 _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
 _loaded: dict[str, Any] = {}

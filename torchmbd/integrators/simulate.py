@@ -8,7 +8,6 @@ own name on the index-1 form. Both return the same Trajectory and agree within t
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -21,6 +20,7 @@ from torchmbd.errors import InputError
 from torchmbd.integrators import compiled_adjoint, generalized_alpha, ode, staged_alpha, staged_ode
 from torchmbd.integrators.adjoint import Adjoint
 from torchmbd.integrators.arguments import check, check_adjoint, check_designs, check_sensitivities
+from torchmbd.integrators.attempts import careful, run, status_of, with_retries
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
@@ -31,14 +31,6 @@ from torchmbd.integrators.singular import explained
 from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.system import Dynamics, System
-
-# A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
-ITERATION_ERROR = 1e-2
-# With sensitivities more than this is tried again carefully: gradients are those of equations that are solved.
-IMPRECISE = 1e-3
-TURN = 1.0  # [rad] of a body in one step
-STEP_ERROR = 1.0  # as large as the vibrations themselves: worth a warning
-_LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
 
 
 def simulate(
@@ -102,7 +94,7 @@ def simulate(
             stats, status = _through(course, method, options)
             if method == "generalized_alpha" and options.get("refresh", 1) and any(x != OK for x in status):
                 again = Course(dynamics, stages, views, duration, steps)
-                counts, better = _through(again, method, options | _careful(options))
+                counts, better = _through(again, method, options | careful(options))
                 if better.count(OK) > status.count(OK):
                     course, stats, status = again, counts | {"renewed": list(range(len(status)))}, better
         signals = Recorded(course.history, course.multipliers)
@@ -122,7 +114,7 @@ def _with_way_back(
     """A motion without tangents, and its adjoint."""
     begun = generalized_alpha.begin(dynamics)
     values = begun.values()
-    history, stats, status = _with_retries(values, duration, steps, precise=True, **options)
+    history, stats, status = with_retries(values, duration, steps, precise=True, **options)
     signals = Untangled(history, partial(_multipliers, values.whole, duration))
     motion = _present(system, dynamics, signals, stats, status, duration, **design)
     return replace(motion, adjoint=Adjoint(begun, history, duration, options, compiled_adjoint.sweep))
@@ -134,17 +126,8 @@ def _through(course: Course, method: str, options: dict[str, Any]) -> tuple[dict
         stats = staged_alpha.integrate(course, **options)
     else:
         stats = staged_ode.integrate(course, method, **options)
-    found = _status(course.history, course.duration, course.steps, stats)
+    found = status_of(course.history, course.duration, course.steps, stats)
     return stats, [own if own != OK else other for own, other in zip(course.status, found, strict=True)]
-
-
-def _careful(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of generalized_alpha for lanes that failed: a new matrix for every correction, and more of these.
-
-    The matrix of the step before does not suit one near a singular position: there its inverse grows without bound.
-    """
-    values, tangents = options.get("iterations", (3, 1))
-    return {"iterations": (2 * values, tangents), "refresh": 0}
 
 
 def labels(system: System, names: Sequence[str]) -> tuple[str, ...]:
@@ -170,116 +153,6 @@ def default_steps(dynamics: Dynamics, duration: float) -> int:
     if "Kr" not in dynamics.data:
         return 1000
     return max(200, math.ceil(20.0 * duration * ode.fastest_vibration(dynamics) / (2.0 * math.pi)))
-
-
-def run(
-    dynamics: Dynamics, duration: float, steps: int, method: str, options: dict[str, Any]
-) -> tuple[History, dict[str, Any], list[str]]:
-    """Integrate; a lane that fails does not take the others with it.
-
-    Equal steps: the lanes that failed are tried again (`_with_retries`). Adaptive methods: the lanes are run one by one.
-    """
-    if method == "generalized_alpha":
-        begun = generalized_alpha.begin(dynamics)
-        return _with_retries(begun, duration, steps, precise=dynamics.tangents > 0, **options)
-    try:
-        history, stats = ode.integrate(dynamics, duration, steps, method, **options)
-        return history, stats, _status(history, duration, steps, {})
-    except FloatingPointError as error:
-        if dynamics.lanes == 1:
-            return _empty(dynamics, steps), {}, [f"failed: {error}"]
-    parts = [run(dynamics.some([i]), duration, steps, method, options) for i in range(dynamics.lanes)]
-    q, v, vd, lam = (torch.cat([getattr(h, name) for h, _, _ in parts], -1) for name in ("q", "v", "vd", "lam"))
-    counts = {"evaluations": sum(s.get("evaluations", 0) for _, s, _ in parts)}
-    return History(q, v, vd, lam), counts, [status for _, _, statuses in parts for status in statuses]
-
-
-def _with_retries(
-    begun: generalized_alpha.Begun, duration: float, steps: int, precise: bool, halvings: int = 1, **options: Any
-) -> tuple[History, dict[str, Any], list[str]]:
-    """generalized_alpha; lanes that fail, or whose gradients are imprecise, are tried again carefully, then with half the step.
-
-    precise: whether there are gradients;  halvings: how many times the step may be halved
-    """
-    if not isinstance(halvings, int) or halvings < 0:
-        raise InputError(f"halvings is {halvings!r}; allowed: a whole number, 0 or more")
-    history, stats = generalized_alpha.integrate(begun, duration, steps, **options)
-    status = _status(history, duration, steps, stats)
-    quick = options.get("refresh", 1) > 0
-    poor = (stats["iteration_error"] > (IMPRECISE if quick and precise else torch.inf)).tolist()
-    failed = [lane for lane, reason in enumerate(status) if reason != OK or poor[lane]]
-    if not failed or not (quick or halvings):
-        return history, stats, status
-    often, left = (1, halvings) if quick else (2, halvings - 1)
-    options |= _careful(options) if quick else {}
-    again = generalized_alpha.begin(begun.whole.some(failed))
-    better, counts, retried = _with_retries(again, duration, often * steps, precise, left, **options)
-    cured = [(i, lane) for i, lane in enumerate(failed) if retried[i] == OK]
-    if not cured:
-        return history, stats, status
-    source, lanes = (list(x) for x in zip(*cured, strict=True))
-
-    def patch(x: Tensor, y: Tensor) -> Tensor:
-        old, new = (torch.tensor(i).to(x.device) for i in (lanes, source))
-        return x.index_copy(-1, old, y[::often].index_select(-1, new))
-
-    parts = {name: patch(getattr(history, name), getattr(better, name)) for name in ("q", "v", "vd", "lam")}
-    for name in (*_LOOKED_AT, "tangent_error"):
-        if name in stats:
-            stats[name][lanes] = counts[name][source]
-    for lane in lanes:
-        status[lane] = OK
-    halved = lanes if often == 2 else [failed[i] for i in counts.get("halved", [])]
-    stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved]}
-    return replace(history, **parts, finer=_finer(better, often, cured)), stats, status
-
-
-def _finer(better: History, often: int, cured: list[tuple[int, int]]) -> dict:
-    """Where the smaller steps of lanes are that were `cured` [(place among the failed, lane)]."""
-    result = {}
-    for i, lane in cured:
-        if i in better.finer:
-            history, own, every = better.finer[i]
-            result[lane] = history, own, every * often
-        elif often > 1:
-            result[lane] = better, i, often
-    return result
-
-
-def _empty(dynamics: Dynamics, steps: int) -> History:
-    start = generalized_alpha.initial(dynamics)
-    return History.of([start.map(lambda x: x * torch.nan)] * (steps + 1))
-
-
-def _status(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:
-    """For each lane: the first time at which it is not finite, or what its steps leave to be desired."""
-    # A sum is finite where all its terms are, short of overflow: one pass over the numbers.
-    good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0).cpu()
-    result = []
-    for lane in range(good.shape[1]):
-        bad = torch.nonzero(~good[:, lane])
-        if len(bad):
-            result.append(f"failed: the motion is not finite from t = {duration * int(bad[0]) / steps:.6g} s on")
-        else:
-            result.append(_complaint({name: float(stats[name][lane]) for name in _LOOKED_AT if name in stats}))
-    return result
-
-
-def _complaint(found: dict[str, float]) -> str:
-    """What is wrong with the steps of a finite motion, or "ok"."""
-    if found.get("iteration_error", 0.0) > ITERATION_ERROR:
-        left = found["iteration_error"]
-        return f"failed: the iteration of a step did not converge (relative error {left:.1e}); more steps help"
-    if found.get("turn", 0.0) > TURN:
-        return f"failed: a body turns by {found['turn']:.2g} rad in one step; allowed: {TURN:g}"
-    if found.get("step_error", 0.0) > STEP_ERROR:
-        # Not a failure: of a stiff body only the gross motion may be wanted, which damped vibrations leave right.
-        warnings.warn(
-            f"the steps do not resolve the vibrations of a flexible body (estimated error {found['step_error']:.1e} of the "
-            f"largest): its energies mean little; {found['suggested_steps']:.0f} steps would resolve them",
-            stacklevel=6,
-        )
-    return OK
 
 
 def _multipliers(dynamics: Dynamics, duration: float, history: History, data: Any = None) -> Tensor:
