@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import importlib.util
 import pickle
 import shutil
 import subprocess
@@ -22,7 +21,7 @@ from torchmbd.errors import MbdError
 from torchmbd.integrators import compiled, kernel, library, repeated
 from torchmbd.integrators.captured import placed_on
 from torchmbd.integrators.code import source
-from torchmbd.numerics.nvrtc import compile_kernel
+from torchmbd.numerics import nvrtc
 from torchmbd.system import Dynamics
 
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
@@ -154,33 +153,18 @@ def test_factors_that_cannot_be_relied_on_are_found_out(by_kernel: Callable[[], 
     same(found, expected)
 
 
-def nvrtc() -> Any:
-    """The library, of a CUDA on this machine or of its package; without one the test is skipped."""
-    package = importlib.util.find_spec("nvidia.cuda_nvrtc") if importlib.util.find_spec("nvidia") else None
-    folders = [Path(place) / "lib" for place in (package.submodule_search_locations if package else None) or ()]
-    for folder in folders:
-        for builtins in folder.glob("libnvrtc-builtins.so*"):
-            ctypes.CDLL(str(builtins))
-    for name in [
-        *(str(x) for folder in folders for x in folder.glob("libnvrtc.so*")),
-        "libnvrtc.so.13",
-        "libnvrtc.so.12",
-    ]:
-        try:
-            return ctypes.CDLL(name)
-        except OSError:
-            continue
-    return pytest.skip("needs NVRTC")
-
-
 def test_nvrtc_compiles_the_text(tmp_path: Path) -> None:
     """For a device that need not be there."""
-    rtc, dynamics = nvrtc(), CASES["drives with variables"][0]().dynamics()
+    try:
+        nvrtc.library()
+    except MbdError as error:
+        pytest.skip(str(error))
+    dynamics = CASES["drives with variables"][0]().dynamics()
     T, layout, kind, sample, _ = library.order(dynamics, "kernel:sm_90")
-    compile_kernel(source(T, layout, kind, sample), "sm_90", tmp_path / "code.cubin", rtc)
+    nvrtc.compile_kernel(source(T, layout, kind, sample), "sm_90", tmp_path / "code.cubin")
     assert (tmp_path / "code.cubin").read_bytes().startswith(b"\x7fELF")
     with pytest.raises(MbdError, match=r"NVRTC fails with \d+: .*error"):
-        compile_kernel("KERNEL nonsense", "sm_90", tmp_path / "code.cubin", rtc)
+        nvrtc.compile_kernel("KERNEL nonsense", "sm_90", tmp_path / "code.cubin")
 
 
 @needs_cuda

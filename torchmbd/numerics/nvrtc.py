@@ -7,9 +7,11 @@ Checked in tests/integrators/test_kernel.py, where NVRTC and a device are there.
 from __future__ import annotations
 
 import ctypes
+import importlib.util
 from pathlib import Path
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from torchmbd.errors import MbdError
@@ -18,13 +20,25 @@ SUFFIX = ".cubin"
 THREADS = 32  # of a group: few lanes make groups for many processors
 
 
-def compile_kernel(text: str, architecture: str, to: Path, rtc: Any = None) -> None:
-    """Write the machine code for an architecture, such as "sm_90"; MbdError with what NVRTC says. rtc: its library."""
-    if rtc is None:
-        from torch.cuda._utils import _get_gpu_rtc_library
+def library() -> ctypes.CDLL:
+    """NVRTC, of the CUDA that torch was made for: of its packages, or of the system; MbdError if there is none."""
+    spec, major = importlib.util.find_spec("nvidia"), (torch.version.cuda or "").partition(".")[0]
+    folders = [Path(place) for place in (spec and spec.submodule_search_locations) or ()]
+    own = [file for folder in folders for file in sorted(folder.glob(f"*/lib/libnvrtc.so.{major}*"))]
+    for file in own:
+        for part in file.parent.glob("libnvrtc-builtins.so.*"):  # which it asks for by name only
+            ctypes.CDLL(str(part))
+    for name in (*map(str, own), f"libnvrtc.so.{major}", "libnvrtc.so"):
+        try:
+            return ctypes.CDLL(name)
+        except OSError:
+            continue
+    raise MbdError("NVRTC is not there: no package of torch has it, and the system does not find libnvrtc.so")
 
-        rtc = _get_gpu_rtc_library()
-    program, size = ctypes.c_void_p(), ctypes.c_size_t()
+
+def compile_kernel(text: str, architecture: str, to: Path) -> None:
+    """Write the machine code for an architecture, such as "sm_90"; MbdError with what NVRTC says."""
+    rtc, program, size = library(), ctypes.c_void_p(), ctypes.c_size_t()
 
     def done(result: int) -> None:
         if not result:
