@@ -5,17 +5,18 @@ A step has some thousand operations, and each is over sooner than Python begins 
 was captured: the state, what is prescribed, factors and numbers of corrections are copied there before it is launched. The
 host asks for nothing but at a look, every `CHECK` steps.
 
-Steps of a kind differ by numbers only (march.Kind). The first of a kind is done operation by operation, which makes what
-is made once: records, workspaces of libraries.
+Steps of a kind differ by numbers only (march.Kind). The first of a kind is done operation by operation, in the stream that
+will be captured, which makes what is made once: records, handles and workspaces of libraries.
 Checked in tests/integrators/test_device.py: on a stand-in for a device, and on a device where there is one.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import torch
@@ -38,9 +39,26 @@ Capture = Callable[[Callable[[], Any]], tuple[Any, Callable[[], None]]]
 def cuda_graph(f: Callable[[], Any]) -> tuple[Any, Callable[[], None]]:
     """What f returns, without numbers yet, and what makes them whenever it is called."""
     graph = torch.cuda.CUDAGraph()
-    with torch.cuda.graph(graph):
+    with torch.cuda.graph(graph, stream=torch.cuda.current_stream()):
         found = f()
     return found, graph.replay
+
+
+@cache
+def side_stream(device: torch.device) -> torch.cuda.Stream:
+    """Where steps are made: the default stream cannot be captured, and libraries keep workspaces for each stream."""
+    return torch.cuda.Stream(device)
+
+
+@contextmanager
+def beside(device: torch.device) -> Iterator[None]:
+    """In the side stream of a device, after what has been asked of the current one, and before what will be."""
+    with torch.cuda.device(device):
+        now, stream = torch.cuda.current_stream(), side_stream(device)
+        stream.wait_stream(now)
+        with torch.cuda.stream(stream):
+            yield
+        now.wait_stream(stream)
 
 
 GRAPHS: dict[str, Capture] = {"cuda": cuda_graph}  # type of device -> how operations are captured
@@ -82,8 +100,8 @@ class CapturedMarch(March):
 
     def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0, place: int = 1) -> State:
         """As of any march."""
-        cuda = self.dynamics.device.type == "cuda"
-        with torch.cuda.device(self.dynamics.device) if cuda else nullcontext():
+        device = self.dynamics.device
+        with beside(device) if device.type == "cuda" else nullcontext():
             return self._marched(x, schedule, record, first, place)
 
     def _marched(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int, place: int) -> State:
