@@ -239,6 +239,14 @@ def test_many_responses_go_back_in_parts(monkeypatch):
     assert_close(found, wanted, rtol=0, atol=1e-6 * float(wanted.abs().max()))
 
 
+def test_gradients_that_did_not_converge_say_so(monkeypatch):
+    motion = mbd.simulate(sprung(), 0.02, steps=15, sensitivities=True, adjoint=True)
+    monkeypatch.setattr(adjoint, "MOST", 1)
+    monkeypatch.setattr(adjoint, "POOR", 1e-6)
+    with pytest.warns(UserWarning, match=r"lane 0: going back .* error of .*; more steps help, or adjoint=False"):
+        mbd.Integral(mbd.StrainEnergy("rod")).value_and_gradient(motion)
+
+
 def test_a_number_that_does_not_depend_on_the_motion():
     motion = mbd.simulate(pendulum(), 0.01, steps=5, sensitivities=True, adjoint=True)
     assert float(mbd.Frequency("rod").value_and_gradient(motion)[1].abs().max()) > 0
