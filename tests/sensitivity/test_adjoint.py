@@ -126,6 +126,7 @@ def at_once(kept: Path, monkeypatch: pytest.MonkeyPatch) -> list:
 
     for module in (compiled, compiled_adjoint):
         monkeypatch.setattr(module, "library", found)
+    monkeypatch.setattr(compiled_adjoint, "at_hand", lambda dynamics: True)
     return asked
 
 
@@ -239,6 +240,14 @@ def test_many_responses_go_back_in_parts(monkeypatch):
     assert_close(found, wanted, rtol=0, atol=1e-6 * float(wanted.abs().max()))
 
 
+def test_gradients_that_did_not_converge_say_so(monkeypatch):
+    motion = mbd.simulate(sprung(), 0.02, steps=15, sensitivities=True, adjoint=True)
+    monkeypatch.setattr(adjoint, "MOST", 1)
+    monkeypatch.setattr(adjoint, "POOR", 1e-6)
+    with pytest.warns(UserWarning, match=r"lane 0: going back .* error of .*; more steps help, or adjoint=False"):
+        mbd.Integral(mbd.StrainEnergy("rod")).value_and_gradient(motion)
+
+
 def test_a_number_that_does_not_depend_on_the_motion():
     motion = mbd.simulate(pendulum(), 0.01, steps=5, sensitivities=True, adjoint=True)
     assert float(mbd.Frequency("rod").value_and_gradient(motion)[1].abs().max()) > 0
@@ -288,6 +297,23 @@ def test_a_problem_goes_back_where_that_is_less_work_and_compiled(at_once):
 
 def test_a_problem_without_compiled_code_goes_forward():
     assert energies(2).simulate(energies(2).start[None], True).adjoint is None
+
+
+def test_steps_are_compiled_first(kept, monkeypatch):
+    """What goes back through them is not asked for before."""
+    monkeypatch.setenv("TORCHMBD_CACHE", str(kept / "empty"))
+    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+    begun = []
+    monkeypatch.setattr(library, "build_in_background", lambda dynamics, kind: begun.append(kind))
+    monkeypatch.setattr(library, "_seen", {})
+    monkeypatch.setattr(library, "_loaded", {})
+    for _ in range(3):
+        energies(2).simulate(energies(2).start[None], True)
+    assert set(begun) == {"step"}
+    monkeypatch.setattr(compiled_adjoint, "at_hand", lambda dynamics: True)
+    for _ in range(2):
+        energies(2).simulate(energies(2).start[None], True)
+    assert "adjoint" in begun
 
 
 def test_a_problem_refuses_a_way_back_that_is_not_there():

@@ -21,6 +21,7 @@ Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapte
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,6 +39,7 @@ from torchmbd.system.elimination import Elimination, factored, pays
 from torchmbd.system.topology import Prescribed
 
 MOST = 12  # corrections of mu
+POOR = 1e-3  # estimated relative error of mu that is worth a warning
 ENOUGH = 1e-6  # estimated relative error of mu that gets no other; gradients have 20 times that at most, as measured
 
 
@@ -106,6 +108,12 @@ class Adjoint:
             found, error = sweep([x if x is None else _spaced(x, sweep.grid.every) for x in own])
             result[lanes] = found.permute(2, 0, 1)
             self.error[lanes] = self.error[lanes].maximum(error)
+        for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
+            warnings.warn(
+                f"lane {lane}: going back through the motion leaves an error of {float(self.error[lane]):.1e} of its "
+                "gradients; more steps help, or adjoint=False",
+                stacklevel=2,
+            )
         return result
 
     @cached_property

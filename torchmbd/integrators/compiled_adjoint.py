@@ -21,7 +21,7 @@ from torchmbd.integrators.blocks import (
     shared,
     uniform,
 )
-from torchmbd.integrators.library import library
+from torchmbd.integrators.library import at_hand, library
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics
@@ -64,8 +64,8 @@ def sweep(grid: Grid) -> Sweep:
 
 
 def ready(dynamics: Dynamics) -> bool:
-    """Whether there is compiled code for going back; asked for again, it is built in the background."""
-    return library(dynamics, "adjoint") is not None
+    """Whether there is compiled code for going back; asked for again, it is built in the background, after that of steps."""
+    return at_hand(dynamics) and library(dynamics, "adjoint") is not None
 
 
 class CompiledSweep(Sweep):

@@ -63,9 +63,9 @@ def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
 
 def found(dynamics: Dynamics, kind: str, load: Callable[[Path], Any], place: str = "") -> Any:
     """What was built for a system, loaded for a place, if it is there; asked for again, it is built in the background."""
-    name, path = key(dynamics, kind), path_of(dynamics, kind)
+    name = key(dynamics, kind)
     if name + place not in _loaded:
-        code = load(path)
+        code = load(_path(name, kind))
         if code is None:
             _warn_of_failure(name)
             _seen[name] = _seen.get(name, 0) + 1
@@ -74,6 +74,14 @@ def found(dynamics: Dynamics, kind: str, load: Callable[[Path], Any], place: str
             return None
         _loaded[name + place] = code
     return _loaded[name + place]
+
+
+def at_hand(dynamics: Dynamics, kind: str = "step") -> bool:
+    """Whether there is a library of a system; asking does not build one."""
+    if not enabled() or (known := written_out(dynamics)) is None:
+        return False
+    name = key(known, kind)
+    return name in _loaded or _path(name, kind).exists()
 
 
 def _warn_of_failure(name: str) -> None:
