@@ -35,7 +35,8 @@ def march(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: 
     launch = kernels(dynamics) if dynamics.device.type == "cuda" and wanted() else None
     if launch is None:
         return captured.march(dynamics, w, iterations, refresh)
-    return KernelMarch(launch, dynamics, repeated.model(dynamics, w), iterations, refresh)
+    with torch.cuda.device(dynamics.device):
+        return KernelMarch(launch, dynamics, repeated.model(dynamics, w), iterations, refresh)
 
 
 def kernels(dynamics: Dynamics) -> Launch | None:
