@@ -247,7 +247,7 @@ def test_what_a_device_does_not_do(monkeypatch: pytest.MonkeyPatch) -> None:
             mbd.simulate(pendulum(), 0.01, "dopri5", device="meta")
         with pytest.raises(InputError, match="device is 'meta' with phases"):
             mbd.simulate(pendulum(), 0.01, device="meta", phases=[mbd.Phase()])
-        with pytest.raises(InputError, match="adjoint is True, but device is 'meta'; allowed: .* on the CPU"):
+        with pytest.raises(InputError, match=r"adjoint is True, but device is 'meta'; allowed: .* on the CPU"):
             motion(pendulum(), device="meta", adjoint=True)
         assert motion(pendulum(), device="meta", adjoint=None, steps=3).adjoint is None
         branching = sprung(lambda s, rate, t: -2.0 * s if float(s) > 0.0 else -s)
