@@ -6,7 +6,7 @@ import contextlib
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -15,10 +15,13 @@ from torch import Tensor
 import torchmbd as mbd
 from experiments import slider_crank
 from torchmbd.design.spline import Spline
-from torchmbd.integrators import generalized_alpha, library
+from torchmbd.integrators import compiled_adjoint, generalized_alpha, library
+from torchmbd.integrators.adjoint import Adjoint
 from torchmbd.integrators.history import History
+from torchmbd.integrators.trajectory import MovedData
 from torchmbd.numerics.native import enabled
 from torchmbd.numerics.pair import Pair, value
+from torchmbd.numerics.placed import placed
 from torchmbd.reduction import panels
 from torchmbd.system import Dynamics
 
@@ -91,8 +94,9 @@ def pendulum(links: int = 2, modes: int = 8, cells: tuple[int, int] = (16, 2), d
 def energy(dynamics: Dynamics, history: History) -> Tensor:
     """Strain energy of all flexible bodies and its design tangents [1 + n_b, lanes, times]."""
     T = dynamics.topology
-    w = history.rows(0, range(7 * T.bodies, T.n_q)).movedim(0, -1).unflatten(0, (T.modes, T.flexible))
-    Kr, still = dynamics.data["Kr"], w[:, :, 0]  # [modes, modes, bodies, slots, lanes], [modes, bodies, lanes, times]
+    w = history.rows_there(0, range(7 * T.bodies, T.n_q)).movedim(0, -1).unflatten(0, (T.modes, T.flexible))
+    still = w[:, :, 0]  # [modes, bodies, lanes, times]
+    Kr = placed(dynamics.data["Kr"], w.device)  # [modes, modes, bodies, slots, lanes]
     force = torch.einsum("abfl,bflt->aflt", value(Kr)[:, :, :, 0], still)
     U = (force.unsqueeze(2) * w).sum((0, 1))
     U[0] *= 0.5
@@ -109,18 +113,36 @@ def measures(t: Tensor, U: Tensor) -> Tensor:
 
 def responses(duration: float, U: Tensor) -> tuple[Tensor, Tensor]:
     """Peak and integral of the energy [2, lanes] and their gradients [2, lanes, n_b]."""
-    t = torch.linspace(0.0, duration, U.shape[-1], dtype=U.dtype)
     zero = U.new_zeros(len(U) - 1)
-    gradient = torch.func.jacfwd(lambda d: measures(t, U[0] + torch.einsum("slt,s->lt", U[1:], d)))(zero)
-    return measures(t, U[0]), gradient  # type: ignore[return-value]
+    gradient = torch.func.jacfwd(lambda d: responses_of(duration, U[0] + torch.einsum("slt,s->lt", U[1:], d)))(zero)
+    return responses_of(duration, U[0]), gradient  # type: ignore[return-value]
+
+
+def responses_of(duration: float, U: Tensor) -> Tensor:
+    """Peak and integral of energies [..., times] over the duration: [2, ...]."""
+    return measures(torch.linspace(0.0, duration, U.shape[-1], dtype=U.dtype, device=U.device), U)
 
 
 def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> tuple[Tensor, Tensor]:
     """The motion stage of a batch: from frozen dynamics to `responses`."""
     with torch.no_grad():
-        history, _ = generalized_alpha.integrate(dynamics, duration, steps, **options)
+        history, _ = generalized_alpha.integrate(generalized_alpha.begin(dynamics), duration, steps, **options)
         U = energy(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
+
+
+def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[Tensor, Tensor]:
+    """The same, with the gradients of both responses by going back through the steps."""
+    with torch.no_grad():
+        begun = generalized_alpha.begin(dynamics)
+        history, _ = generalized_alpha.integrate(begun.values(), duration, steps)
+    q, delta = history.q.requires_grad_(), torch.zeros(dynamics.lanes, dynamics.tangents, dtype=torch.float64)
+    moved = replace(dynamics.values(), data=dict(MovedData(dynamics.data, delta.requires_grad_())))
+    found = responses_of(duration, energy(moved, replace(history, q=q))[0])
+    slopes = [torch.autograd.grad(row.sum(), (delta, q), retain_graph=True) for row in found]
+    back = Adjoint(begun, history, duration, {}, compiled_adjoint.sweep)
+    by_motion = back([torch.cat([x for _, x in slopes], 2), None, None, None])
+    return found.detach(), torch.stack([x for x, _ in slopes], 1).add(by_motion).movedim(1, 0)
 
 
 @contextlib.contextmanager
@@ -145,10 +167,11 @@ def compiled_ready(dynamics: Dynamics, build: bool = True) -> bool:
         left = library.written_out(dynamics.condensed())
         if left is None:
             return False
-        if not library.path_of(left).exists():
-            if not build:
-                return False
-            library.build(*library.order(left))
+        for kind in ("step", "adjoint"):
+            if not library.path_of(left, kind).exists():
+                if not build:
+                    return False
+                library.build(*library.order(left, kind))
         return True
 
 

@@ -14,13 +14,23 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from experiments import gradients, slider_crank
-from experiments.benchmark_cases import Case, compilation, compiled_ready, crank3, interleaved, motion, pendulum
+from experiments.benchmark_cases import (
+    Case,
+    compilation,
+    compiled_ready,
+    crank3,
+    interleaved,
+    motion,
+    motion_backwards,
+    pendulum,
+)
 from experiments.benchmark_modes import rod
 from experiments.benchmark_report import Cell, Grid, Result, Settings
 from torchmbd.numerics.pair import Pair
@@ -50,24 +60,32 @@ def structure(settings: Settings) -> Result:
 
 
 def variables(settings: Settings) -> Result:
-    """One more variable, in simulations of the batch: the mean between the third and the tenth of a ten-layer rod."""
+    """One more variable, in simulations of the batch: the mean between the third and the tenth of a ten-layer rod.
+
+    Gradients of peak and integral of the energy, by the adjoint as a problem of so many variables has them; and tangents of
+    the whole motion.
+    """
     system = slider_crank.build(10)
     case = Case("ten angles", system, slider_crank.DURATION, {ANGLES: 1.0}, "slider_crank")
     whole = case.dynamics(LANES, gradients=True)
     some = {n: _first_tangents(whole, n) for n in TANGENTS}
     batches = {"values": whole.values()} | {str(n): dynamics for n, dynamics in some.items()}
+    figures: dict[str, float | None] = dict.fromkeys(("tenth_variable", "tenth_variable_tangents"))
     if not all(compiled_ready(x, build=not settings.quick) for x in batches.values()):
-        return Result({"tenth_variable": None})
+        return Result(figures)
     with compilation(True):
-        functions = {name: _stage(x, STEPS) for name, x in batches.items()}
+        functions = {f"{name}, tangents" if x.tangents else name: _stage(x, STEPS) for name, x in batches.items()}
+        functions |= {f"{n}, adjoint": partial(motion_backwards, x, case.duration, STEPS) for n, x in some.items()}
         for function in functions.values():
             function()
         seconds = interleaved(functions, settings.repeat)
     few, many = TANGENTS
-    figure = (seconds[str(many)] - seconds[str(few)]) / (many - few) / seconds["values"]
+    for name, kind in zip(figures, ("adjoint", "tangents"), strict=True):
+        more = seconds[f"{many}, {kind}"] - seconds[f"{few}, {kind}"]
+        figures[name] = more / (many - few) / seconds["values"]
     rows = [[name, 1e3 * s / LANES] for name, s in seconds.items()]
     title = f"variables: slider-crank, {LANES} lanes, {STEPS} steps"
-    return Result({"tenth_variable": figure}, [Grid(title, ["variables", "ms per design"], rows)])
+    return Result(figures, [Grid(title, ["variables", "ms per design"], rows)])
 
 
 def _first_tangents(dynamics: Dynamics, count: int) -> Dynamics:

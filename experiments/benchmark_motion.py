@@ -23,6 +23,7 @@ from experiments.benchmark_cases import (
     interleaved,
     measures,
     motion,
+    motion_backwards,
     pendulum,
 )
 from experiments.benchmark_report import Grid, Result, Settings, ratio
@@ -80,16 +81,27 @@ def both_accuracies(case: Case, settings: Settings) -> tuple[Accuracy, Accuracy 
 
 @dataclass(frozen=True)
 class Row:
-    """One batch: lanes, with gradients or not, compiled or not; `figure` is its name in the JSON object."""
+    """One batch: lanes, with gradients or not, compiled or not; `figure` is its name in the JSON object.
+
+    back   gradients by going back through the steps, as a problem has them by itself where there are more variables than
+           responses and compiled code; else by tangents of the whole motion
+    """
 
     figure: str
     lanes: int
     gradients: bool = True
     compiled: bool = True
+    back: bool = True
+
+    @property
+    def what(self) -> str:
+        kind = "adjoint" if self.back and self.compiled else "tangents"
+        return f"{f'gradient, {kind}' if self.gradients else 'values'}, {'compiled' if self.compiled else 'eager'}"
 
 
 ROWS = (
     Row("gradient_3x32", 32),
+    Row("tangents_3x32", 32, back=False),
     Row("gradient_3x1", 1),
     Row("values_x32", 32, gradients=False),
     Row("eager_3x128", 128, compiled=False),
@@ -112,7 +124,7 @@ def measured(case: Case, rows: tuple[Row, ...], settings: Settings) -> Result:
     for row, dynamics in todo:
         functions: dict[str, Callable[[], object]] = {}
         with compilation(row.compiled):
-            run = _run(dynamics, case.duration, ours.steps)
+            run = _run(dynamics, case.duration, ours.steps, row)
             functions["ours"] = run
             if peer:
                 functions["peer"] = lambda: sum(run(case.duration, peer.steps).seconds for run in runs) / len(runs)
@@ -122,16 +134,16 @@ def measured(case: Case, rows: tuple[Row, ...], settings: Settings) -> Result:
         own = seconds["ours"] / row.lanes
         other = seconds["peer"] * (case.count + 1 if row.gradients else 1) if peer else None
         result.figures[row.figure] = ratio(other, own)
-        what = f"{'gradient' if row.gradients else 'values'}, {'compiled' if row.compiled else 'eager'}"
-        lines.append([what, row.lanes, 1e3 * own, None if other is None else 1e3 * other, ratio(other, own)])
+        lines.append([row.what, row.lanes, 1e3 * own, None if other is None else 1e3 * other, ratio(other, own)])
     title = f"{case.title}: milliseconds per design"
     result.tables.append(Grid(title, ["what", "lanes", "torchmbd", "Exudyn", "Exudyn / torchmbd"], lines))
     result.tables.append(_accuracies(case, ours, peer))
     return result
 
 
-def _run(dynamics: Any, duration: float, steps: int) -> Callable[[], object]:
-    return lambda: motion(dynamics, duration, steps) and None
+def _run(dynamics: Any, duration: float, steps: int, row: Row) -> Callable[[], object]:
+    run = motion_backwards if row.gradients and row.back and row.compiled else motion
+    return lambda: run(dynamics, duration, steps) and None
 
 
 def _accuracies(case: Case, ours: Accuracy, peer: Accuracy | None) -> Grid:
@@ -151,7 +163,7 @@ def slider_crank_part(settings: Settings) -> Result:
 
 def eight_part(settings: Settings) -> Result:
     """Four layers, angles and thicknesses: gradient_8x32."""
-    return measured(crank8(), (Row("gradient_8x32", 32),), settings)
+    return measured(crank8(), (Row("gradient_8x32", 32), Row("tangents_8x32", 32, back=False)), settings)
 
 
 def pendulum_part(settings: Settings) -> Result:

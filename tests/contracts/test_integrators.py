@@ -15,7 +15,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import pendulum
 from torchmbd.integrators import METHODS, Trajectory
-from torchmbd.integrators.simulate import run
+from torchmbd.integrators.attempts import run
 
 DURATION = 0.02
 

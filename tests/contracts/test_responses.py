@@ -139,6 +139,9 @@ def motions(request) -> tuple[Trajectory, Trajectory]:
         for names, x in (([name], designs), (False, neighbors))
     )
     shifted.stats["difference"] = step
+    exact.stats["back"] = mbd.simulate(
+        system, DURATION, sensitivities=[name], designs={name: designs}, adjoint=True, **options
+    )
     return exact, shifted
 
 
@@ -184,6 +187,15 @@ def test_gradient_of_a_measure_against_differences(response, motions):
     assert response.of(motions[1]).gradient is None
     with pytest.raises(mbd.InputError, match="motion has no sensitivities"):
         response.value_and_gradient(motions[1])
+
+
+@pytest.mark.parametrize("response", [*cases(MEASURES), *OTHERS, *cases(HISTORIES)])
+def test_going_back_through_the_motion_gives_the_same_gradient(response, motions):
+    """adjoint=True: of every response, whatever it looks at."""
+    measure = AtTime(response, 0.0123) if isinstance(response, History) else response
+    wanted, found = (measure.of(x) for x in (motions[0], motions[0].stats["back"]))
+    assert_close(found.value, wanted.value, rtol=1e-9, atol=1e-9 * float(wanted.value.abs().max()))
+    assert_close(found.gradient, wanted.gradient, rtol=0, atol=1e-8 * float(wanted.gradient.abs().max()))
 
 
 @pytest.mark.parametrize("response", [*cases(HISTORIES), *(c for c in cases(MEASURES) if "mass1" not in str(c.id))])

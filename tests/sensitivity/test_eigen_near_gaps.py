@@ -4,6 +4,7 @@
 
 Q_0 is a Hadamard matrix over a power of two, D, W and Lambda are small multiples of powers of two: K, M and dK have no
 rounding at b = 0. In the families of eigen_families.py rounding of K itself moves derivatives of vectors by rounding / gap^2.
+What rounding leaves depends on the order in which a processor adds: 0.6 to 1.7e-7 at the nearest gap.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ def relative(found: Tensor, expected: Tensor) -> float:
     return float((torch.linalg.norm(found - expected, dim=-2) / torch.linalg.norm(expected, dim=-2)).max())
 
 
-@pytest.mark.parametrize(("exponent", "tolerance"), [(-7, 1e-10), (-13, 1e-8), (-16, 1e-7)])
+@pytest.mark.parametrize(("exponent", "tolerance"), [(-7, 1e-10), (-13, 1e-8), (-16, 3e-7)])
 @pytest.mark.parametrize("with_mass", [False, True], ids=["", "M"])
 @pytest.mark.parametrize("size", [16, 256], ids=["dense", "krylov"])
 def test_vectors_and_their_derivatives_are_what_the_numbers_tell(size, with_mass, exponent, tolerance):

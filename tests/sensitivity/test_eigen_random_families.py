@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -55,6 +56,23 @@ def family(modes: list[Mode], variables: int, with_mass: bool, size: int, seed: 
 def test_gauge_free_derivatives_are_exact(spectrum, with_mass, size, seed):
     errors = derivative_errors(family(*spectrum, with_mass, size, seed), modal_basis)
     assert max(errors.values()) < 1e-9, errors
+
+
+@pytest.mark.parametrize("size", [23, 151], ids=["dense", "krylov"])
+@pytest.mark.parametrize("soft", [1e-10, 1e-8, 1e-7, 1e-6, 1e-5])
+def test_a_soft_mode_beside_rigid_ones(soft, size):
+    """K passes for definite there: each pivot is rounding divided by the one before."""
+    modes = [(0.0, [0.0], 0.0), (0.0, [0.0], 0.0), (soft, [1.0], 0.0), (5.2, [1.0], 0.0)]
+    errors = derivative_errors(family(modes, 1, False, size, 100), modal_basis)
+    assert max(errors.values()) < 1e-9, errors
+
+
+@pytest.mark.parametrize("gap", [1e-13, 1e-12, 1e-10])
+def test_slopes_next_to_rounding_add_up(gap):
+    """Vectors that rounding mixes by per cent are turned apart, not stretched."""
+    made = family([(0.0, [0.0], 0.0), (gap, [-1.0], 0.0), (5.2, [1.0], 0.0)], 1, True, 18, 0)
+    slopes = jacfwd(lambda b: eigenpairs(*made.exact(b)[:2], made.n).values)(torch.zeros(1, dtype=torch.float64))
+    assert float(slopes[:2].sum()) == pytest.approx(-1.0, abs=1e-10)
 
 
 @settings(max_examples=12, deadline=None, derandomize=True)

@@ -168,7 +168,7 @@ def test_integral_of_a_history_that_jumps_against_differences(window, motion):
     measures = [kind(speed, window) for kind in (mbd.Integral, mbd.RMS)]
     for measure in (*measures, mbd.Integral(mbd.StrainEnergy("rod"), window)):
         found = measure.value_and_gradient(motion)
-        agree(found.gradient[0], differences(found.value), 1e-6)
+        agree(found.gradient[0], differences(found.value), 3e-6)  # rounding of differences: 1.1e-6 on some processors
 
 
 def test_both_routes_agree_on_what_comes_after_a_switch(swing):

@@ -15,6 +15,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrators import Trajectory
+from torchmbd.integrators.adjoint import Adjoint
+
+ROWS = 16  # that go back together: their derivatives by a whole motion are all in memory
 
 
 class Valued(NamedTuple):
@@ -36,6 +39,8 @@ def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
         return Valued(f(shared), None)
     with torch.inference_mode(False), torch.enable_grad():  # wherever the caller is
         delta = torch.zeros(motion.lanes, n, dtype=torch.float64, requires_grad=True)
+        if motion.adjoint is not None:
+            return _backwards(f, shared, motion.adjoint, delta)
         found = f(shared.moved(delta))
         value, rows = found.detach(), found[0].numel()
         if rows <= n:
@@ -46,9 +51,37 @@ def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
         return Valued(value, gradient)
 
 
+def _backwards(f: Callable[[Any], Tensor], motion: Trajectory, adjoint: Adjoint, delta: Tensor) -> Valued:
+    """The same by the adjoint of the motion."""
+    opened, leaves = motion.opened(delta)
+    found = f(opened)
+    parts = [_some_backwards(some, [delta, *leaves], adjoint) for some in _sums(found).split(ROWS)]
+    return Valued(found.detach(), torch.cat(parts, 1).reshape(*found.shape, delta.shape[1]))
+
+
+def _some_backwards(sums: Tensor, by: list[Tensor], adjoint: Adjoint) -> Tensor:
+    """Gradients [lanes, rows, n] of sums over lanes [rows]; by: delta [lanes, n] and what the adjoint takes."""
+    delta, lanes = by[0], len(by[0])
+    if not sums.requires_grad:  # of nothing that depends on the design
+        return delta.new_zeros(lanes, len(sums), delta.shape[1])
+    slopes = [torch.autograd.grad(x, by, retain_graph=True, allow_unused=True) for x in sums.unbind()]
+    direct, *bars = (
+        None if all(x is None for x in some) else [torch.zeros_like(like) if x is None else x for x in some]
+        for some, like in zip(zip(*slopes, strict=True), by, strict=True)
+    )
+    found = [] if direct is None else [torch.stack(direct, 1)]
+    if any(bars):
+        found.append(adjoint([None if x is None else torch.cat(x, 2) for x in bars]))
+    return sum(found[1:], found[0])
+
+
+def _sums(found: Tensor) -> Tensor:
+    """Rows of numbers [lanes, ...], each summed over the lanes."""
+    return found.flatten(1).sum(0) if found.dim() > 1 else found.sum()[None]
+
+
 def _reversed(found: Tensor, delta: Tensor) -> Tensor:
     """Gradients of rows [lanes, ...] by delta [lanes, n]: [lanes, rows, n]."""
     if not found.requires_grad:  # of nothing that depends on the design
         return delta.new_zeros(len(found), found[0].numel(), delta.shape[1])
-    sums = found.flatten(1).sum(0) if found.dim() > 1 else found.sum()[None]
-    return torch.stack([torch.autograd.grad(x, delta, retain_graph=True)[0] for x in sums.unbind()], 1)
+    return torch.stack([torch.autograd.grad(x, delta, retain_graph=True)[0] for x in _sums(found).unbind()], 1)

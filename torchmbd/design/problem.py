@@ -29,7 +29,7 @@ from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Phase, Trajectory, simulate
-from torchmbd.integrators.arguments import check
+from torchmbd.integrators.arguments import check, check_adjoint
 from torchmbd.integrators.phases import plan
 from torchmbd.integrators.trajectory import OK
 from torchmbd.numerics.owned import several
@@ -75,6 +75,8 @@ class Problem:
     start       initial design [n]; default: the system's own
     links       entries that follow others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
     bound       (start, upper) of the extra variable, where `minimize` has several rows
+    adjoint     gradients by going back through the motion; default: where there are more design variables than numbers of
+                objective and constraints, and compiled code for it is at hand, for then it is faster
     method, steps, phases, options   as in `simulate`
     """
 
@@ -92,6 +94,7 @@ class Problem:
         links: Any = None,
         bound: tuple[float, float] = (1.0, 1.0),
         phases: Sequence[Phase] | None = None,
+        adjoint: bool | None = None,
         **options: Any,
     ):
         if not isinstance(system, System):
@@ -117,6 +120,15 @@ class Problem:
         # Rows of the extra variable come first among the constraints.
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound
+        names = self.space.variables
+        check_adjoint(adjoint, method, phases is not None, names, options.get("device"))
+        count = sum(system.get_parameter(name).numel() for name in names)
+        self.adjoint = False if adjoint is None and count <= self._count else adjoint
+
+    @property
+    def _count(self) -> int:
+        """Numbers of a motion whose gradients are asked for."""
+        return (self.peaks or 1) + sum(c.measure.rows for c in self.constraints)
 
     @property
     def names(self) -> list[str]:
@@ -163,7 +175,8 @@ class Problem:
         names = self.space.variables if gradients else False
         n = len(self.space.names)  # the extra variable may be there: it moves nothing
         designs = self.space.designs(self._checked(X, n, len(self.names))[:, :n])
-        return simulate(self.system, self.duration, sensitivities=names, designs=designs, **self.simulation)
+        own = {"adjoint": self.adjoint} if gradients else {}
+        return simulate(self.system, self.duration, sensitivities=names, designs=designs, **own, **self.simulation)
 
     def motion(self, x: np.ndarray) -> Trajectory:
         """Motion of one design [n]."""
@@ -199,7 +212,7 @@ class Problem:
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n] as one batch."""
         X = self._checked(X, len(self.names))
-        rows = self.peaks + sum(c.measure.rows for c in self.constraints)
+        rows = self._count - (0 if self.peaks else 1)
         try:
             motion = self.simulate(X, gradients)
         except CutCluster as error:  # the others of the batch go on together

@@ -13,10 +13,11 @@ from typing import Any, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
-from torchmbd.errors import nearest
+from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, shown
 from torchmbd.experiment.schema import Optimizer, Simulation
 from torchmbd.integrators import generalized_alpha, ode
+from torchmbd.integrators.arguments import on_device
 from torchmbd.optimizers import OPTIMIZERS, multistart
 
 
@@ -26,9 +27,13 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     simulation: Simulation | None = sections.get("simulate")
     if simulation is not None:
         integrate = generalized_alpha.integrate if simulation.method == "generalized_alpha" else ode.integrate
-        types = _types(integrate, lambda p: p.default is not p.empty)
-        own = ("duration", "method", "steps", "phases")
-        faults += _faults("simulate", simulation.method, simulation.options, types, own)
+        types = _types(integrate, lambda p: p.default is not p.empty and p.name != "device")
+        own = ("duration", "method", "steps", "phases", "adjoint", "device")
+        faults += _faults("simulate", simulation.method, simulation.model_extra or {}, types, own)
+        try:
+            on_device(simulation.options, simulation.method, simulation.phases is not None)
+        except InputError as error:
+            faults.append(Fault(("simulate", "device"), str(error)))
     optimizer: Optimizer | None = sections.get("optimizer")
     if optimizer is not None:
         types = {}

@@ -1,7 +1,7 @@
 """The experiment file as data: sections, types, ranges, and names that are known without the model.
 
     model      module:function or file.py:function that returns a System      options   its arguments
-    design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, ...
+    design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, device, ...
     minimize   {integral: {strain_energy: rod}}, see design/spec.py          subject_to  [{max: ..., at_most: initial}]
     optimizer  name, max_iterations, the method's own options                starts    sampler, count, seed, ...
     sweep      one design variable from .. to ..: evaluated as one batch, instead of optimizer and starts
@@ -112,6 +112,8 @@ class Simulation(Section):
     method: Annotated[str, _one_of(METHODS)] = "generalized_alpha"
     steps: PositiveInt | None = None
     phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
+    adjoint: bool | None = None  # gradients by going back through the motion; default: where that is less work
+    device: str | None = None  # where motions are made, such as cuda; default: the CPU
 
     @model_validator(mode="after")
     def _steps_that_numbers_hold(self) -> Self:
@@ -123,7 +125,7 @@ class Simulation(Section):
 
     @property
     def options(self) -> dict[str, Any]:
-        return dict(self.model_extra or {})
+        return dict(self.model_extra or {}) | ({} if self.device is None else {"device": self.device})
 
 
 class Constraint(Section):

@@ -12,7 +12,7 @@ Checked in tests/forces/test_written.py.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -75,6 +75,13 @@ def known(law: Any) -> bool:
     if isinstance(law, (Varied, Scaled)):
         return known(law.law)
     return type(law) in (Written, *LAWS) and not callable(getattr(law, "law", None))
+
+
+def writable(law: Any) -> Any:
+    """The law as numbers of a known form or as scalar operations; Untraceable where it can be neither."""
+    if isinstance(law, (Varied, Scaled)):
+        return replace(law, law=writable(law.law))
+    return law if known(law) else written(law)
 
 
 def written(law: Any) -> Written:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -19,10 +19,12 @@ from torchmbd.numerics.owned import refuse_derivatives, whole
 from torchmbd.system import System
 
 METHODS = ("generalized_alpha", *ode.METHODS)
+Named = str | torch.device | None
+DEVICES: dict[str, Callable[[], bool]] = {"cpu": lambda: True, "cuda": torch.cuda.is_available}  # type -> is there one
 
 
-def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> None:
-    """Refuse arguments of `simulate` that are wrong for every system; InputError names them."""
+def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> dict[str, Any]:
+    """The options, without a device that is the CPU; InputError for arguments of `simulate` wrong for every system."""
     if not isinstance(duration, numbers.Real) or isinstance(duration, bool) or not 0 < float(duration) < math.inf:
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
     if steps is not None and not (whole(steps) and steps >= 1):
@@ -33,14 +35,52 @@ def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], ph
         )
     if method not in METHODS:
         raise unknown("method", method, METHODS)
+    options = on_device(options, method, phases)
     allowed = (
-        ("spectral_radius", "iterations", "refresh", *(() if phases else ("halvings",)))
+        ("spectral_radius", "iterations", "refresh", *(() if phases else ("halvings", "device")))
         if method == "generalized_alpha"
         else ("rtol", "atol", "options")
     )
     for name in options:
         if name not in allowed:
             raise unknown(f"for method {method!r} the option", name, allowed)
+    return options
+
+
+def on_device(options: Mapping[str, Any], method: str, phases: bool) -> dict[str, Any]:
+    """Options with the name of a device that is there, none for the CPU; InputError for one that does not serve."""
+    rest, name = {key: x for key, x in options.items() if key != "device"}, options.get("device")
+    try:
+        device = torch.device("cpu" if name is None else name) if isinstance(name, Named) else None
+    except RuntimeError:  # torch knows no such name
+        device = None
+    there = [kind for kind, available in DEVICES.items() if available()]
+    if device is None or device.type not in there:
+        missing = "" if "cuda" in there else "; torch finds no CUDA device on this machine"
+        raise InputError(f"device is {name!r}; allowed: {' or '.join(map(repr, there))}{missing}")
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise InputError(f"device is {name!r}; allowed: 'cuda:0' to 'cuda:{torch.cuda.device_count() - 1}'")
+    if device.type == "cpu":
+        return rest
+    if method != "generalized_alpha" or phases:
+        what = "with phases" if phases else f"for method {method!r}"
+        raise InputError(f"device is {name!r} {what}; allowed: method 'generalized_alpha' without phases, or 'cpu'")
+    return rest | {"device": str(device)}
+
+
+def check_adjoint(adjoint: Any, method: str, phases: bool, names: Sequence[str], device: Any = None) -> None:
+    """Refuse adjoint=True where there is no way back; InputError says why."""
+    if adjoint is not None and not isinstance(adjoint, bool):
+        raise InputError(f"adjoint is {adjoint!r}; allowed: True, False or None")
+    if not adjoint:
+        return
+    elsewhere = device not in (None, "cpu")
+    if method != "generalized_alpha" or phases or elsewhere:
+        found = "phases are given" if phases else f"method is {method!r}"
+        found = f"device is {device!r}" if elsewhere else found
+        raise InputError(f"adjoint is True, but {found}; allowed: method 'generalized_alpha' on the CPU without phases")
+    if not names:
+        raise InputError("adjoint is True, but sensitivities names no parameter; allowed: with sensitivities")
 
 
 def check_designs(system: System, designs: Any) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.code import distinct
+from torchmbd.integrators.layout import distinct
 from torchmbd.numerics.pair import Pair, linear, value
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed, Topology
@@ -44,15 +44,21 @@ def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
 
 
 def data_blocks(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
-    """Distinct data in the order of their names: values [block, 1, n, 8] and tangents [block, n_b, n, 8].
+    """Distinct data in the order of their names: values [block, 1, n, 8] and tangents [block, n_b, n, 8]; see `flat_data`."""
+    values, tangents = flat_data(dynamics)
+    return blocks(values), blocks(tangents)
 
-    Behind them room for what laws with design variables prescribe, `moving_blocks`.
+
+def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
+    """Distinct data in the order of their names: values [n, 1, lanes] and tangents [n, n_b, lanes].
+
+    Behind them room for what laws with design variables prescribe, `moving`.
     """
     lanes, slots = dynamics.lanes, dynamics.tangents
     parts = [_distinct(name, dynamics.data[name]) for name in sorted(dynamics.data)]
     T = dynamics.topology
-    moving = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
-    parts.append(torch.zeros(moving, 1, 1, dtype=torch.float64))
+    room = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
+    parts.append(value(parts[0]).new_zeros(room, 1, 1))
     values = torch.cat([in_all_lanes(value(x).reshape(-1, 1, value(x).shape[-1]), lanes) for x in parts])
 
     def tangents(x: Any) -> Tensor:
@@ -60,27 +66,41 @@ def data_blocks(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
             return in_all_lanes(x.tangent.reshape(-1, *x.tangent.shape[-2:]), lanes)
         return x.new_zeros(x.shape[:-2].numel(), slots, lanes)
 
-    return blocks(values), blocks(torch.cat([tangents(x) for x in parts]))
+    return values, torch.cat([tangents(x) for x in parts])
 
 
 def _distinct(name: str, x: Any) -> Any:
     """The numbers of a datum that are taken [n, slots, lanes]."""
     taken, index, _ = distinct(name, tuple(x.shape[:-2]))
     flat = linear(lambda y: y.reshape(-1, *y.shape[-2:]), x)
-    return flat if len(taken) == len(index) else flat.index_select(0, torch.from_numpy(taken))
+    return flat if len(taken) == len(index) else flat.index_select(0, torch.from_numpy(taken).to(value(flat).device))
 
 
 def moving_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, slots: int) -> Tensor:
     """What laws with design variables prescribe [times, block, 1 + n_b, n, 8]."""
     if not T.varied:
         return torch.zeros(len(schedule), 0, 0, 0, LANES, dtype=torch.float64)
+    return torch.stack([blocks(x) for x in moving(T, schedule, lanes, slots)])
+
+
+def moving(T: Topology, schedule: Sequence[Prescribed], lanes: int, slots: int) -> Tensor:
+    """What laws with design variables prescribe [times, n, 1 + n_b, lanes]."""
+    if not T.varied:
+        return schedule[0].A.new_zeros(len(schedule), 0, 1 + slots, lanes)
 
     def numbers(given: Prescribed) -> Tensor:
         parts = [x.full if isinstance(x, Pair) else x for i in T.varied for x in given.laws[i] or ()]
         wide = [torch.cat([x, x.new_zeros(len(x), 1 + slots - x.shape[1], x.shape[2])], 1) for x in parts]
-        return blocks(torch.cat([in_all_lanes(x, lanes) for x in wide]))
+        return torch.cat([in_all_lanes(x, lanes) for x in wide])
 
     return torch.stack([numbers(given) for given in schedule])
+
+
+def uniform(weights: Tensor, schedule: Sequence[Prescribed]) -> Tensor:
+    """What is the same for all lanes at each step [steps, n]."""
+    steps = [(x.A, x.r, x.t, *(part for law in x.laws if law is not None for part in law)) for x in schedule]
+    parts = [torch.stack(part).reshape(len(schedule), -1) for part in zip(*steps, strict=True)]
+    return torch.cat([weights.expand(len(schedule), -1), *parts], 1)
 
 
 def shared(T: Topology, schedule: Sequence[Prescribed]) -> Sequence[Prescribed]:

@@ -1,19 +1,20 @@
 """The C++ of one topology: straight-line code out of torch functions, around it texts that are the same for all.
 
-    step    a step of generalized-alpha (step.py), driven by march.cpp
-    rates   the index-1 right-hand side (equations.py), driven by rates.cpp
+    step      a step of generalized-alpha (step.py), driven by march.cpp
+    adjoint   the derivative of the same step in reverse mode, driven by adjoint.cpp
+    rates     the index-1 right-hand side (equations.py), driven by rates.cpp
+    kernel    a step for one lane, driven by march.cu on a device
 
-Tangents are written out for one design variable, so that the code does not depend on how many there are; all data may
-depend on them. What they need of the values is kept from the values ("boundary"). Beside the code stand the tables of a
-sparse factorization: rates in their order, then constraints by least degree. So the time per link of a chain is constant.
+Tangents are written out for one design variable, pullbacks for one response, so that the code does not depend on how many
+there are; all data may depend on the design. What they need of the values is kept from the values ("boundary"). Beside the
+code stand the tables of a sparse factorization: rates in their order, then constraints by least degree. So the time per
+link of a chain is constant.
 Checked in tests/integrators/test_compiled.py.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,55 +23,21 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import MbdError
+from torchmbd.integrators.layout import Layout, distinct, moving
 from torchmbd.integrators.step import Model, State, Weights
-from torchmbd.numerics.emit import PRELUDE, Emitter
+from torchmbd.numerics.emit import CUDA_PRELUDE, PRELUDE, Emitter
 from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair, separate, value
+from torchmbd.numerics.reverse import pullback
 from torchmbd.numerics.scalars import Tape
 from torchmbd.system import equations
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Prescribed, Topology
 
 MOST = 400_000  # operations, beyond which a compiler takes too long
-_IN = "struct In { const V *x, *d, *z, *dx, *dd, *dz, *b; const double* u; };\n"
-
-
-class Layout(NamedTuple):
-    """Data of a system in the order in which compiled code takes them: names and components.
-
-    Behind them what laws with design variables prescribe, which changes from step to step (`moving`).
-    """
-
-    names: tuple[str, ...]
-    shapes: tuple[tuple[int, ...], ...]
-
-    @classmethod
-    def of(cls, data: dict[str, Any], T: Topology) -> Layout:
-        names, varied = sorted(data), [T.primitives[i] for i in T.varied]
-        shapes = [tuple(data[name].shape[:-2]) for name in names] + [(p.driven, len(p.data)) for p in varied]
-        return cls((*names, *(moving(i) for i in T.varied)), tuple(shapes))
-
-
-# Data that hold every number twice: which axes change places, and the sign. [3, 3, m, m, f], [3, m, m, f], [m, m, f].
-_TWICE = {"C1": ((1, 0, 3, 2, 4), 1), "H": ((0, 2, 1, 3), -1), "Kr": ((1, 0, 2), 1)}
-
-
-@cache
-def distinct(name: str, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places of the numbers that are taken of a datum, flat; for each of its entries which of them it is, and the sign."""
-    places = np.arange(math.prod(shape))
-    if name not in _TWICE:
-        return places, places, np.ones(len(places), dtype=int)
-    axes, sign = _TWICE[name]
-    mirrored = places.reshape(shape).transpose(axes).ravel()
-    taken, index = np.unique(np.minimum(places, mirrored), return_inverse=True)
-    signs = np.where(mirrored < places, sign, 1)
-    return taken, index, np.where(mirrored == places, max(sign, 0), signs)
-
-
-def moving(kind: int) -> str:
-    """Name of what the laws of a kind of primitive prescribe among the data."""
-    return f"~{kind}"
+_IN = "struct In { const V *x, *d, *z, *dx, *dd, *dz, *y, *mu, *b; const double* u; };\n"
+_IN_KERNEL = "struct In { Room x, d, z, dx, dd, dz, b; const double* u; };\n"
+_MOVING = ("dx", "dd", "dz", "y", "mu")  # what differs from one variable, or from one response, to the next
 
 
 class Code(NamedTuple):
@@ -79,12 +46,22 @@ class Code(NamedTuple):
     values, tangents   name -> f, without and with the tangents of one variable
     matrix             f of the iteration matrix
     driver             its text
+    pulled             name -> the derivatives of values by arrays, weighted with an array
     """
 
     values: dict[str, Callable[..., Any]]
     tangents: dict[str, Callable[..., Any]]
     matrix: Callable[..., Any]
     driver: str
+    pulled: dict[str, Pulled] = {}  # noqa: RUF012 (nobody writes into it)
+
+
+class Pulled(NamedTuple):
+    """Derivatives of sum(weights * values[of]) by the numbers of the arrays `by`, one array after another."""
+
+    of: str
+    weights: str
+    by: tuple[str, ...]
 
 
 def step(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[int, ...]]]:
@@ -116,6 +93,23 @@ def step(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[in
     code = Code(values, tangents, of(lambda step, z, dz: step.matrix(z)), "march.cpp")
     parts = [given.A, given.r, given.t, *(part for law in given.laws if law is not None for part in law)]
     return code, [T.n_q, T.n_v, T.n_v, T.n_v, T.rows], [(len(Weights._fields),), *(tuple(x.shape) for x in parts)]
+
+
+def adjoint(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[int, ...]]]:
+    """Code of a step in reverse mode; the arguments and the rest of what is returned as of `step`."""
+    code, state, uniform = step(T, given)
+    pulled = {
+        "pull_end": Pulled("finish", "y", ("z", "x")),
+        "pull_unknowns": Pulled("residual", "mu", ("z",)),
+        "pull_known": Pulled("residual", "mu", ("x", "d")),
+    }
+    return code._replace(tangents={}, driver="adjoint.cpp", pulled=pulled), state, uniform
+
+
+def kernel(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[int, ...]]]:
+    """Code of a step for a device; otherwise as `step`."""
+    code, state, uniform = step(T, given)
+    return code._replace(driver="march.cu"), state, uniform
 
 
 def rates(T: Topology, drives: list[tuple | None]) -> tuple[Code, list[int], list[tuple[int, ...]]]:
@@ -158,12 +152,17 @@ def rates(T: Topology, drives: list[tuple | None]) -> tuple[Code, list[int], lis
     )
 
 
-KINDS: dict[str, Callable[..., tuple[Code, list[int], list[tuple[int, ...]]]]] = {"step": step, "rates": rates}
+KINDS: dict[str, Callable[..., tuple[Code, list[int], list[tuple[int, ...]]]]] = {
+    "step": step,
+    "adjoint": adjoint,
+    "rates": rates,
+    "kernel": kernel,
+}
 
 
 def source(T: Topology, layout: Layout, kind: str, sample: Any) -> str:
-    """C++ of a topology; `sample` is the second argument of the kind."""
-    code, state, uniform = KINDS[kind](T, sample)
+    """C++ of a topology; `sample` is the second argument of the kind, behind whose colon a machine may be named."""
+    code, state, uniform = KINDS[kind.partition(":")[0]](T, sample)
     return _Writer(T, layout, state, uniform).text(code)
 
 
@@ -175,9 +174,13 @@ class _Writer:
         inputs, n = self.tape.inputs, len(layout.names)
         self.counts = [1, 1, len(state), len(state), n, n, len(uniform)]
         parts = [(k, 1, 1) for k in state]
+        self.arrays: dict[str, list[int]] = {}  # all numbers of an input array, in their order
         self.flat = [inputs(name, T.n_v + T.rows, 1, 1) for name in ("z", "dz")]
+        self.arrays["z"] = self.flat[0].ravel().tolist()
         for name, shapes in (("x", parts), ("dx", parts)):
-            self.flat += _cut(inputs(name, sum(_size(s) for s in shapes)), shapes)
+            numbers = inputs(name, sum(_size(s) for s in shapes))
+            self.arrays[name] = numbers.tolist()
+            self.flat += _cut(numbers, shapes)
         self.flat += self._data("d") + self._data("dd")
         self.flat += _cut(inputs("u", sum(_size(s) for s in uniform)), uniform)
 
@@ -195,6 +198,7 @@ class _Writer:
             }
             flat = [signed[sign][i] for i, sign in zip(index.tolist(), signs.tolist(), strict=True)]
             found.append(np.array(flat, dtype=np.int64).reshape(*shape, 1, 1))
+        self.arrays[array] = self.tape.inputs(array, start).tolist()
         return found
 
     def traced(self, f: Callable[..., Any]) -> list[int]:
@@ -217,26 +221,40 @@ class _Writer:
         n = self.T.n_v + self.T.rows
         values, tangents = ({k: self.traced(f) for k, f in fs.items()} for fs in (code.values, code.tangents))
         entries = [(i, node) for i, node in enumerate(self.traced(code.matrix)) if node != self.tape.zero]
-        emitter = Emitter(self.tape, {name: f"in.{name}" for name in ("x", "d", "z", "dx", "dd", "dz", "u")})
-        inner = self._boundary(emitter, [node for outputs in tangents.values() for node in outputs])
+        pulled = {name: self._pulled(values[what.of], what) for name, what in code.pulled.items()}
+        moving = tangents | {name: [node for _, node in found] for name, found in pulled.items()}
+        emitter = Emitter(self.tape, {name: f"in.{name}" for name in ("x", "d", "z", "u", *_MOVING)})
+        inner = self._boundary(emitter, [node for outputs in moving.values() for node in outputs])
         known = {node: f"in.b[{i}]" for i, node in enumerate(inner)}
-        functions = [emitter.function(name, outputs) for name, outputs in values.items()]
+        functions = [] if pulled else [emitter.function(name, outputs) for name, outputs in values.items()]
         functions.append(emitter.function("matrix", [node for _, node in entries]))
         functions.append(emitter.function("boundary", inner))
-        functions += [emitter.function(name, outputs, known) for name, outputs in tangents.items()]
+        functions += [emitter.function(name, outputs, known) for name, outputs in moving.items()]
         pattern = np.zeros((n, n), dtype=bool)
         pattern.flat[[i for i, _ in entries]] = True
         sizes = {"N_Q": self.T.n_q, "N_V": self.T.n_v, "ROWS": self.T.rows, "ROOM": emitter.room}
         sizes |= {"BOUNDARY": len(inner), "MATRIX": len(entries)}
+        sizes |= {name.upper(): len(found) for name, found in pulled.items()}
         constants = "".join(f"constexpr int {k} = {v};\n" for k, v in sizes.items())
         tables = _table("PLACES", [i for i, _ in entries]) + factorization(pattern, self.T.n_v)
-        drivers = [(Path(__file__).parent / name).read_text() for name in ("factors.cpp", code.driver)]
-        return "\n".join([PRELUDE, _IN, constants, tables, *functions, *drivers])
+        tables += "".join(_table(f"{name.upper()}_AT", [i for i, _ in found]) for name, found in pulled.items())
+        cuda = code.driver.endswith(".cu")
+        drivers = [code.driver] if cuda else ["factors.cpp", code.driver]
+        texts = [(Path(__file__).parent / name).read_text() for name in drivers]
+        head = [CUDA_PRELUDE, _IN_KERNEL] if cuda else [PRELUDE, _IN]
+        return "\n".join([*head, constants, tables, *functions, *texts])
+
+    def _pulled(self, outputs: list[int], what: Pulled) -> list[tuple[int, int]]:
+        """Place and number of each derivative that is not zero."""
+        weights = self.tape.inputs(what.weights, len(outputs)).tolist()
+        by = [node for array in what.by for node in self.arrays[array]]
+        found = pullback(self.tape, outputs, weights, by)
+        return [(i, node) for i, node in enumerate(found) if node != self.tape.zero]
 
     def _boundary(self, emitter: Emitter, outputs: list[int]) -> list[int]:
         """Values that the operations on tangents need, other than inputs."""
         tape = self.tape
-        moving = {i for i, op in enumerate(tape.op) if op == "input" and tape.args[i][0] in ("dx", "dd", "dz")}
+        moving = {i for i, op in enumerate(tape.op) if op == "input" and tape.args[i][0] in _MOVING}
         order = emitter.order(outputs)
         for node in order:
             if any(a in moving for a in tape.args[node]):
@@ -274,4 +292,4 @@ def factorization(pattern: np.ndarray, first: int) -> str:
 
 
 def _table(name: str, numbers: Sequence[int]) -> str:
-    return f"static const int {name}[] = {{{', '.join(map(str, numbers)) or '0'}}};\n"
+    return f"TABLE {name}[] = {{{', '.join(map(str, numbers)) or '0'}}};\n"

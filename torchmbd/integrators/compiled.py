@@ -13,12 +13,21 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchmbd.integrators import repeated
-from torchmbd.integrators.blocks import addresses, blocks, data_blocks, in_all_lanes, lanes_out, moving_blocks, shared
+from torchmbd.integrators import kernel, repeated
+from torchmbd.integrators.blocks import (
+    addresses,
+    blocks,
+    data_blocks,
+    in_all_lanes,
+    lanes_out,
+    moving_blocks,
+    shared,
+    uniform,
+)
 from torchmbd.integrators.library import library
 from torchmbd.integrators.march import CHECK, March, Record
 from torchmbd.integrators.step import State, Weights
-from torchmbd.numerics.pair import Pair, value
+from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
 
@@ -35,8 +44,10 @@ class _Job(ctypes.Structure):
 
 
 def march(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: int) -> March:
-    """The march of a system: by compiled code if its library is there."""
-    code = None if any(value(x).is_cuda for x in dynamics.data.values()) else library(dynamics)
+    """The march of a system: by compiled code if its library is there; on a device, by graphs or a kernel."""
+    if dynamics.device.type != "cpu":
+        return kernel.march(dynamics, w, iterations, refresh)
+    code = library(dynamics)
     if code is None:
         return March(dynamics, repeated.model(dynamics, w), iterations, refresh)
     return CompiledMarch(code, dynamics, w, iterations, refresh)
@@ -75,7 +86,7 @@ class CompiledMarch(March):
             return super().run(x, schedule, record, first, place)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         moved = moving_blocks(self.dynamics.topology, schedule, self.lanes, self.slots)
-        table = _uniform(self.weights, shared(self.dynamics.topology, schedule))
+        table = uniform(self.weights, shared(self.dynamics.topology, schedule))
         done = 0
         while done < len(schedule):
             since = (first + done) % CHECK
@@ -125,10 +136,3 @@ class CompiledMarch(March):
         T = self.dynamics.topology
         parts = lanes_out(state, self.lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         return State(*(Pair(y) if self.slots else y for y in parts))
-
-
-def _uniform(weights: Tensor, schedule: Sequence[Prescribed]) -> Tensor:
-    """What is the same for all lanes at each step [steps, n]."""
-    steps = [(x.A, x.r, x.t, *(part for law in x.laws if law is not None for part in law)) for x in schedule]
-    parts = [torch.stack(part).reshape(len(schedule), -1) for part in zip(*steps, strict=True)]
-    return torch.cat([weights.expand(len(schedule), -1), *parts], 1)

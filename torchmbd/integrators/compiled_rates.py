@@ -16,7 +16,7 @@ from torch import Tensor
 
 from torchmbd.integrators.blocks import addresses, data_blocks
 from torchmbd.integrators.library import library
-from torchmbd.numerics.pair import Pair, value
+from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
 PATIENCE = 100  # evaluations
@@ -67,11 +67,7 @@ class RightHandSide:
 
     def __init__(self, dynamics: Dynamics):
         self.dynamics = dynamics
-        self.eager = (
-            dynamics.redundant
-            or bool(dynamics.topology.varied)
-            or any(value(x).is_cuda for x in dynamics.data.values())
-        )
+        self.eager = bool(dynamics.redundant or dynamics.topology.varied)
         self.fast: CompiledRates | None = None
         self.count = 0
 

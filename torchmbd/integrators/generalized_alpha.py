@@ -26,20 +26,22 @@ Checked in tests/integrators/, tests/convergence/ (order), tests/sensitivity/ (a
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrators import compiled
+from torchmbd.integrators import captured, compiled
 from torchmbd.integrators.history import History, Record
 from torchmbd.integrators.step import Coefficients, State
 from torchmbd.numerics.pair import Pair
+from torchmbd.numerics.placed import placed
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.equations import split_v
 from torchmbd.system.expansion import Expansion
 
+SPECTRAL_RADIUS = 0.9
 GOOD_STEP = 0.01  # estimated error of a step that keeps energies within 1e-3
 _STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only
 
@@ -52,6 +54,27 @@ def initial(dynamics: Dynamics) -> State:
     return State(q, v, a, a, lam)
 
 
+class Begun(NamedTuple):
+    """A system, what a condensation leaves of it, and the initial state of that."""
+
+    whole: Dynamics
+    left: Dynamics
+    start: State
+
+    def values(self) -> Begun:
+        """The same without design tangents."""
+        return Begun(self.whole.values(), self.left.values(), self.start.values())
+
+
+def begin(dynamics: Dynamics) -> Begun:
+    """The start of a motion."""
+    x, left = initial(dynamics), dynamics.condensed()
+    if left is dynamics:
+        return Begun(dynamics, dynamics, x)
+    x = left.initial.condensation.state(x)
+    return Begun(dynamics, left, x._replace(lam=left.carried(x.lam)))
+
+
 def _paired(x: Any, tangents: int) -> Any:
     if isinstance(x, Pair) or not tangents:
         return x
@@ -59,17 +82,19 @@ def _paired(x: Any, tangents: int) -> Any:
 
 
 def integrate(
-    dynamics: Dynamics,
+    begun: Begun,
     duration: float,
     steps: int,
-    spectral_radius: float = 0.9,
+    spectral_radius: float = SPECTRAL_RADIUS,
     iterations: tuple[int, int] = (3, 1),
     refresh: int = 1,
+    device: str = "cpu",
 ) -> tuple[History, dict[str, Any]]:
-    """Integrate all lanes with `steps` equal steps.
+    """Integrate all lanes with `steps` equal steps, from what `begin` makes of their dynamics.
 
     iterations  corrections of values, and the least number of corrections of tangents, in every step
     refresh     steps between two inverses of the iteration matrix; 0: a new one before every correction
+    device      where steps are made, and where their numbers stay until somebody asks; "cpu", or "cuda" (captured.py)
 
     Returns the states at steps + 1 times, and statistics: for each lane the estimated relative error of the iteration in
     the accelerations ("iteration_error") and in their design tangents ("tangent_error"), the estimated error of a step
@@ -79,23 +104,23 @@ def integrate(
     checked(iterations, refresh)
     h = duration / steps
     w = Coefficients(spectral_radius).weights(h)
-    x = initial(dynamics)
-    left = dynamics.condensed()
-    if left is not dynamics:
-        x = left.initial.condensation.state(x)
-        x = x._replace(lam=left.carried(x.lam))
-    march = compiled.march(left, w, iterations, refresh)
+    whole, left, x = begun
     times = h * torch.arange(steps + 1, dtype=torch.float64)
+    same = left.topology is whole.topology
+    expansion = None if same else Expansion.of(left.initial.condensation, whole.data, times)
+    place = torch.device(device)
+    schedule = left.topology.schedule(times[1:], left.data, place)
+    left, x = captured.placed_on(left, place), placed(x, place)
+    march = compiled.march(left, w, iterations, refresh)
     record = Record(x, steps + 1)
     record.put(0, x)
-    march.run(x, left.topology.schedule(times[1:], left.data), record)
-    whole = None if left is dynamics else Expansion.of(left.initial.condensation, dynamics.data, times)
-    history = record.history(whole)
+    march.run(x, schedule, record)
+    history = record.history(expansion)
     error = step_error(left, history, spectral_radius, h)
     suggested = (steps * (error / GOOD_STEP).sqrt()).ceil()
-    statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": largest_turn(left, history, h)}
-    statistics |= {"step_error": error, "suggested_steps": suggested} | march.errors(history, duration)
-    return history, statistics
+    statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": largest_turn(left, history, h).cpu()}
+    found = {"step_error": error, "suggested_steps": suggested} | march.errors(history, duration)
+    return history, statistics | {name: y.cpu() for name, y in found.items()}
 
 
 def step_error(dynamics: Dynamics, history: History, spectral_radius: float, h: float) -> Tensor:

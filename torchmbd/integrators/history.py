@@ -1,20 +1,21 @@
 """A motion as an integrator leaves it: numbers [times, component, 1 + n_b, lanes], values, then design tangents.
 
-Of a condensed system only what was left of it is kept; rows of the whole are made when somebody asks (signals.py).
+Of a condensed system only what was left of it is kept; rows of the whole are made when somebody asks (signals.py). On a
+device it stays there, and what somebody asks for comes from there: most of a motion is never looked at.
 Checked in tests/integrators/test_signals.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from torch import Tensor
 
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import Pair, value
-from torchmbd.system.expansion import Expansion
+from torchmbd.system.expansion import Expansion, chosen
 
 
 @dataclass
@@ -26,20 +27,26 @@ class History:
     vd: Tensor
     lam: Tensor
     expansion: Expansion | None = None
+    # Lanes that were integrated with smaller steps: of which history they are which lane, with how many steps for one here.
+    finer: dict[int, tuple[History, int, int]] = field(default_factory=dict)
 
     def rows(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
-        """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes]."""
+        """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes], on the CPU."""
+        return self.rows_there(order, rows, slots).cpu()
+
+    def rows_there(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
+        """The same where they are; on the CPU where something had to be added that was not integrated."""
         x = (self.q, self.v, self.vd)[order][:, :, slots]
         if self.expansion is not None:
             return self.expansion.rows(order, x, rows, known=not slots.start)
-        return x if rows is None else x[:, list(rows)]
+        return x if rows is None else chosen(x, rows)
 
     @cached_property
     def multipliers(self) -> Tensor:
         """Of all constraints [times, rows, slots, lanes]."""
         if self.expansion is None:
-            return self.lam
-        return self.expansion.multipliers(self.q, self.v, self.vd, self.lam)
+            return self.lam.cpu()
+        return self.expansion.multipliers(*(x.cpu() for x in (self.q, self.v, self.vd, self.lam)))
 
     @classmethod
     def of(cls, states: list[State]) -> History:

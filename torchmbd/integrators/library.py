@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,20 +26,29 @@ from typing import Any
 import torch
 
 from torchmbd.errors import MbdError
-from torchmbd.forces.laws import Scaled
-from torchmbd.forces.varied import Varied
-from torchmbd.forces.written import known, written
-from torchmbd.integrators.code import Layout, source
+from torchmbd.forces.written import writable
+from torchmbd.integrators.code import source
+from torchmbd.integrators.layout import Layout
+from torchmbd.numerics import nvrtc
 from torchmbd.numerics.native import OPTIONS, SUFFIX, cache_folder, compiler, enabled, load, surroundings
 from torchmbd.numerics.scalars import Untraceable
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Topology
 
-_SOURCES = ("numerics", "joints/primitive.py", "forces", "system", "integrators/step.py", "integrators/code.py")
-_SOURCES += ("integrators/factors.cpp", "integrators/march.cpp", "integrators/rates.cpp", "integrators/library.py")
+_SOURCES = (
+    "numerics",
+    "joints/primitive.py",
+    "forces",
+    "system",
+    "integrators/step.py",
+    "integrators/code.py",
+    "integrators/layout.py",
+)
+_DRIVERS = ("factors.cpp", "march.cpp", "adjoint.cpp", "rates.cpp", "march.cu")
+_SOURCES += tuple(f"integrators/{name}" for name in _DRIVERS)
 _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
-_loaded: dict[str, ctypes.CDLL] = {}
+_loaded: dict[str, Any] = {}
 _seen: dict[str, int] = {}  # batches without a library
 _told: set[str] = set()  # why laws cannot be compiled
 _building: dict[str, subprocess.Popen | None] = {}  # None: a build that failed, which was said
@@ -48,18 +58,30 @@ def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
     """The library of a system if it is there; asked for again, it is built in the background."""
     if not enabled() or (known := written_out(dynamics)) is None:
         return None
-    dynamics = known
-    name, path = key(dynamics, kind), path_of(dynamics, kind)
-    if name not in _loaded:
-        found = load(path)
-        if found is None:
+    return found(known, kind, load)
+
+
+def found(dynamics: Dynamics, kind: str, load: Callable[[Path], Any], place: str = "") -> Any:
+    """What was built for a system, loaded for a place, if it is there; asked for again, it is built in the background."""
+    name = key(dynamics, kind)
+    if name + place not in _loaded:
+        code = load(_path(name, kind))
+        if code is None:
             _warn_of_failure(name)
             _seen[name] = _seen.get(name, 0) + 1
             if _seen[name] >= _BATCHES and name not in _building:
-                build_in_background(dynamics, kind)
+                build_in_background(dynamics.to(torch.device("cpu")), kind)
             return None
-        _loaded[name] = found
-    return _loaded[name]
+        _loaded[name + place] = code
+    return _loaded[name + place]
+
+
+def at_hand(dynamics: Dynamics, kind: str = "step") -> bool:
+    """Whether there is a library of a system; asking does not build one."""
+    if not enabled() or (known := written_out(dynamics)) is None:
+        return False
+    name = key(known, kind)
+    return name in _loaded or _path(name, kind).exists()
 
 
 def _warn_of_failure(name: str) -> None:
@@ -73,14 +95,18 @@ def _warn_of_failure(name: str) -> None:
 
 def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
     """Where the library of a system is, or would be."""
-    return cache_folder() / f"{key(dynamics, kind)}{SUFFIX}"
+    return _path(key(dynamics, kind), kind)
+
+
+def _path(name: str, kind: str) -> Path:
+    return cache_folder() / f"{name}{nvrtc.SUFFIX if kind.startswith('kernel') else SUFFIX}"
 
 
 def written_out(dynamics: Dynamics) -> Dynamics | None:
     """The same dynamics with laws of forces of a known form; None if there is one that cannot be, which is said once."""
     old = dynamics.topology.actions
     try:
-        new = tuple(replace(action, laws=tuple(_written(law) for law in action.laws)) for action in old)
+        new = tuple(replace(action, laws=tuple(writable(law) for law in action.laws)) for action in old)
     except Untraceable as error:
         if str(error) not in _told:
             _told.add(str(error))
@@ -89,13 +115,6 @@ def written_out(dynamics: Dynamics) -> Dynamics | None:
     if all(one.laws == other.laws for one, other in zip(new, old, strict=True)):
         return dynamics
     return replace(dynamics, topology=replace(dynamics.topology, actions=new))
-
-
-def _written(law: Any) -> Any:
-    """The law as numbers of a known form or as scalar operations."""
-    if isinstance(law, (Varied, Scaled)):
-        return replace(law, law=_written(law.law))
-    return law if known(law) else written(law)
 
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:
@@ -116,7 +135,7 @@ def key(dynamics: Dynamics, kind: str = "step") -> str:
 def _facts(x: Any) -> Any:
     """Everything that an object is made of, as numbers, names and lists."""
     if isinstance(x, torch.Tensor):
-        return x.tolist()
+        return x.cpu().tolist()
     if isinstance(x, dict):
         return [(k, _facts(y)) for k, y in sorted(x.items())]
     if isinstance(x, (list, tuple)):
@@ -138,7 +157,7 @@ Order = tuple[Topology, Layout, str, Any, str]
 def order(dynamics: Dynamics, kind: str = "step") -> Order:
     """What `build` needs; can be pickled."""
     T, zero = dynamics.topology, torch.zeros((), dtype=torch.float64)
-    sample = T.prescribed(zero).shared(T.varied) if kind == "step" else T.law_jets(zero)
+    sample = T.prescribed(zero).shared(T.varied) if kind != "rates" else T.law_jets(zero)
     return bare(T), Layout.of(dynamics.data, T), kind, sample, key(dynamics, kind)
 
 
@@ -148,6 +167,9 @@ def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Pat
     with tempfile.TemporaryDirectory(dir=cache_folder()) as work:
         text, made = Path(work) / "code.cpp", Path(work) / "code.so"
         text.write_text(source(T, layout, kind, sample))
+        if kind.startswith("kernel"):
+            nvrtc.compile_kernel(text.read_text(), kind.partition(":")[2], made)
+            return made.replace(_path(name, kind))
         done = subprocess.run(
             [compiler(), "-O1", "-fexpensive-optimizations", *OPTIONS, "-o", str(made), str(text)],
             capture_output=True,
@@ -155,7 +177,7 @@ def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Pat
         )
         if done.returncode:
             raise MbdError(f"{compiler()} failed on the {kind} of {', '.join(T.names)}: {done.stderr[-2000:]}")
-        return made.replace(cache_folder() / f"{name}{SUFFIX}")
+        return made.replace(_path(name, kind))
 
 
 def build_in_background(dynamics: Dynamics, kind: str = "step") -> subprocess.Popen | None:

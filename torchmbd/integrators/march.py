@@ -1,6 +1,7 @@
 """The march of an integrator: steps one after another, factors of the iteration matrix, and what iterations leave.
 
-`March` is the eager one: operators of torch on all lanes, any device. compiled.py has the same by compiled code.
+`March` is the eager one: operators of torch on all lanes, any device, which is never asked for a number but at a look.
+compiled.py has the same by compiled code, captured.py as graphs of a device.
 Checked in tests/integrators/.
 """
 
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -16,6 +17,7 @@ from torch import Tensor
 from torchmbd.integrators.history import History, Record
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import Pair, value
+from torchmbd.numerics.placed import placed
 from torchmbd.system.dynamics import Dynamics, regularized
 from torchmbd.system.elimination import Eliminated, Elimination, Factored, factored, pays
 from torchmbd.system.topology import Prescribed
@@ -30,6 +32,28 @@ _EVEN = 1e-9  # of a correction: rounding
 _ROUNDING = 1e-10  # of coordinates, with room for what equations and factors make of it
 
 
+class Kind(NamedTuple):
+    """What steps differ by, other than in their numbers.
+
+    begins, renew, looks   whether there are no factors yet, new ones are made, tangents are looked at
+    most                   corrections of tangents that a lane gets at most
+    """
+
+    begins: bool
+    renew: bool
+    looks: bool
+    most: int
+
+
+class Made(NamedTuple):
+    """What a step leaves: state, factors, sizes of the last two corrections of values [2, lanes], and arguments of `look`."""
+
+    state: State
+    H: Any
+    sizes: Tensor
+    seen: tuple[Tensor, ...]
+
+
 class March:
     """Steps of one simulation; keeps the factors and what the iterations leave."""
 
@@ -40,10 +64,12 @@ class March:
             passes = max(passes, 2)  # the start of a drive kicks the tangents between two looks
         # Corrections of tangents: what a lane gets depends on no other.
         mass = value(dynamics.data["mass"])
-        self.passes = mass.new_full((dynamics.lanes,), float(passes))
+        self.passes, self.most = mass.new_full((dynamics.lanes,), float(passes)), passes
         self.nothing = _NOTHING / mass.amax((0, 1))
-        self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
-        self.factor = Elimination(dynamics.topology) if pays(dynamics.topology) else factored
+        self.diagonal = placed(dynamics.diagonal(everywhere=refresh == 0), mass.device)
+        # Which lanes go the dense way by elimination would have to be asked for.
+        here = mass.device.type == "cpu"
+        self.factor = Elimination(dynamics.topology) if here and pays(dynamics.topology) else factored
         self.H: Any = None
         self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each look
@@ -66,26 +92,35 @@ class March:
         self.H = None
 
     def _step(self, i: int, x: State, given: Any) -> State:
-        step, begins = self.model.step(x, given), self.H is None
-        renew = self.refresh == 0 or i % self.refresh == 0
-        z = self._values(step, torch.cat([value(x.vd), value(x.lam)]), renew)
+        renew, looks = self.refresh == 0 or i % self.refresh == 0, isinstance(x.q, Pair) and i % CHECK == 0
+        made = self.made(Kind(self.H is None, renew, looks, self.most), x, given)
+        self.H = made.H
+        self.sizes.append(made.sizes)
+        if looks:
+            self.look(*made.seen)
+        return made.state
+
+    def made(self, kind: Kind, x: State, given: Any) -> Made:
+        """A step from x, with the factors and the numbers of corrections that are kept; changes none of these."""
+        step = self.model.step(x, given)
+        z, H, sizes = self._values(step, torch.cat([value(x.vd), value(x.lam)]), kind.renew)
         if not isinstance(x.q, Pair):
-            return step.finish(z)
-        dz = torch.cat([x.vd.tangent, x.lam.tangent])
-        for k in range(int(self.passes.max())):
-            better, _ = step.tangent(self.H, z, dz)
+            return Made(step.finish(z), H, sizes, ())
+        dz, seen = torch.cat([x.vd.tangent, x.lam.tangent]), ()
+        for k in range(kind.most):
+            better, _ = step.tangent(H, z, dz)
             dz = torch.where(self.passes > k, better, dz)
-        if i % CHECK == 0:
-            dz = self._looked(step, z, dz)
-        for _ in range(MOST if begins else 0):  # accelerations of the start are not those of a step
-            dz, _ = step.tangent(self.H, z, dz)
-        return step.finish(z, dz)
+        if kind.looks:
+            dz, *seen = self._looked(step, H, z, dz)
+        for _ in range(MOST if kind.begins else 0):  # accelerations of the start are not those of a step
+            dz, _ = step.tangent(H, z, dz)
+        return Made(step.finish(z, dz), H, sizes, tuple(seen))
 
     def _factors(self, step: Any, z: Tensor) -> Factored | Eliminated:
         return self.factor(regularized(step.matrix(z), self.diagonal))
 
-    def _values(self, step: Any, z: Tensor, renew: bool) -> Tensor:
-        """Unknowns of one step."""
+    def _values(self, step: Any, z: Tensor, renew: bool) -> tuple[Tensor, Any, Tensor]:
+        """Unknowns of one step, the factors then, and the sizes of the last two corrections [2, lanes]."""
         H = self._factors(step, z) if self.H is None else self.H
         corrections = []
         for k in range(self.corrections):
@@ -93,19 +128,17 @@ class March:
                 H = self._factors(step, z)
             z, correction = step.correct(H, z)
             corrections.append(correction)
-        self.H = self._factors(step, z) if renew and self.corrections == 1 else H
+        H = self._factors(step, z) if renew and self.corrections == 1 else H
         last = corrections[max(self.corrections - 2, 0)], corrections[-1]
-        self.sizes.append(torch.stack([step.size(x)[0] for x in last]))
-        return z
+        return z, H, torch.stack([step.size(x)[0] for x in last])
 
-    def _looked(self, step: Any, z: Tensor, dz: Tensor) -> Tensor:
-        """Tangents corrected once more; where that was needed, later steps will do it as well."""
-        dz, correction = step.tangent(self.H, z, dz)
+    def _looked(self, step: Any, H: Any, z: Tensor, dz: Tensor) -> tuple[Tensor, ...]:
+        """Tangents corrected once more, and the arguments of `look`: where that was needed, later steps do it as well."""
+        dz, correction = step.tangent(H, z, dz)
         size = step.size(correction)
         n_v = self.dynamics.topology.n_v
         forces = dz[n_v:].abs().amax(0) if len(dz) > n_v else torch.zeros_like(size)
-        self.look(size, dz[:n_v].abs().amax(0), forces)
-        return dz
+        return dz, size, dz[:n_v].abs().amax(0), forces
 
     def look(self, size: Tensor, largest: Tensor, forces: Tensor) -> None:
         """Take note of what one more correction of the tangents changed, and of the largest of these [n_b, lanes].
@@ -121,6 +154,7 @@ class March:
         # Each correction leaves the same share of what the one before left. A lane that has failed, nan, gets no more.
         share = error.nan_to_num(0.0, 0.5).clamp(TANGENT_ERROR, 0.5).log() / math.log(TANGENT_ERROR)
         self.passes = self.passes.maximum((self.passes / share - _EVEN).ceil().clamp_max(MOST))
+        self.most = int(self.passes.max())
 
     def errors(self, history: History, duration: float) -> dict[str, Tensor]:
         """Estimated relative errors of the iteration [lanes].

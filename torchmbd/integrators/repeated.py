@@ -37,7 +37,7 @@ class RepeatedModel(Model):
 
     def step(self, x: State, given: Prescribed) -> Step:
         """The step from x; the one before is over."""
-        shapes = [y.shape for y in _numbers(x, given)]
+        shapes = [y.shape for y in numbers(x, given)]
         if shapes != self._seen:
             self._seen, self._step = shapes, None
             return super().step(x, given)
@@ -52,17 +52,16 @@ class RepeatedStep(Step):
 
     def __init__(self, model: Model, x: State, given: Prescribed):
         self.model = model
-        self.x = x.map(_own)
-        laws = [law if law is None else tuple(_own(y) for y in law) for law in given.laws]
-        self.given = Prescribed(laws, *(_own(y) for y in given[1:]))
-        self.numbers = _numbers(self.x, self.given)
+        self.x = x.map(own)
+        self.given = own_given(given)
+        self.numbers = numbers(self.x, self.given)
         self._recorded: dict[str, tuple[Tensor, Callable[[], list[Tensor]]]] = {}
         self._at: Tensor | None = None  # unknowns at which `_residual` is
 
     def move(self, x: State, given: Prescribed) -> None:
         """To another state."""
         self._at = None
-        for mine, new in zip(self.numbers, _numbers(x, given), strict=True):
+        for mine, new in zip(self.numbers, numbers(x, given), strict=True):
             mine.copy_(new)
 
     def residual(self, z: Any) -> Any:
@@ -110,11 +109,18 @@ class RepeatedStep(Step):
             return mine, once
 
 
-def _own(x: Any) -> Any:
+def own_given(given: Prescribed) -> Prescribed:
+    """A copy of what is known."""
+    laws = [law if law is None else tuple(own(y) for y in law) for law in given.laws]
+    return Prescribed(laws, *(own(y) for y in given[1:]))
+
+
+def own(x: Any) -> Any:
+    """A copy of a number."""
     return Pair(x.full.clone()) if isinstance(x, Pair) else x.clone()
 
 
-def _numbers(x: State, given: Prescribed) -> list[Tensor]:
+def numbers(x: State, given: Prescribed) -> list[Tensor]:
     """All tensors of a state and of what is known."""
     parts = [*x, *(y for law in given.laws if law is not None for y in law), *given[1:]]
     return [y.full if isinstance(y, Pair) else y for y in parts]

@@ -16,8 +16,10 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.integrators.history import History
 
+Settled = Callable[..., Tensor]  # of a history
 ORDERS = ("q", "v", "a")
 Rows = Sequence[int] | None
 
@@ -79,11 +81,14 @@ class Recorded(Signals):
     """What an integrator left; chosen rows lie side by side in memory, all of them are views.
 
     settled   makes the multipliers [times, rows, slots, lanes] that are shown of those that were integrated; None: they are
+              the same
     """
 
-    def __init__(self, history: History, settled: Callable[[History], Tensor] | None = None):
+    differentiable = False
+
+    def __init__(self, history: History, settled: Settled | None = None):
         super().__init__()
-        self.history, self._settled = history, settled
+        self.history, self.settled = history, settled
         self.times, _, slots, self.lanes = history.q.shape
         self.moving = slots > 1
 
@@ -99,14 +104,30 @@ class Recorded(Signals):
 
     @cached_property
     def _multipliers(self) -> Tensor:
-        return self.history.multipliers if self._settled is None else self._settled(self.history)
+        return self.history.multipliers if self.settled is None else self.settled(self.history)
 
-    @torch.no_grad()
     def _of(self, name: str, rows: Rows, slots: slice) -> Tensor:
-        if name == "lam":
-            x = self._multipliers[:, :, slots]
-            return x if rows is None else x[:, list(rows)]
-        return self.history.rows(ORDERS.index(name), rows, slots)
+        with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
+            if name == "lam":
+                x = self._multipliers[:, :, slots]
+                return x if rows is None else x[:, list(rows)]
+            return self.history.rows(ORDERS.index(name), rows, slots)
+
+
+class Untangled(Recorded):
+    """What an integrator left without design tangents, of a motion with design variables (adjoint.py)."""
+
+    def _tangents(self, name: str, rows: Rows) -> Tensor | None:
+        raise InputError(
+            "the motion was simulated with adjoint=True: it has gradients of responses, but no sensitivities of its "
+            "coordinates; allowed: simulate(..., sensitivities=..., adjoint=False)"
+        )
+
+
+class Differentiable(Recorded):
+    """What an integrator left, as functions of the tensors of its history."""
+
+    differentiable = True
 
 
 class Moved(Signals):

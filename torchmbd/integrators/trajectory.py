@@ -18,18 +18,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 from torch import Tensor
 
 from torchmbd.errors import SimulationFailure, unknown
 from torchmbd.forces.action import Action
+from torchmbd.integrators.adjoint import Adjoint
 from torchmbd.integrators.body_motion import BodyMotion
 from torchmbd.integrators.energies import Energies, energies
+from torchmbd.integrators.history import History
 from torchmbd.integrators.reaction import JointReaction, reaction
 from torchmbd.integrators.shapes import MovedShapes, OneLane, Shapes, moved_designs
-from torchmbd.integrators.signals import Given, Moved, Signals, moved
+from torchmbd.integrators.signals import Differentiable, Given, Moved, Recorded, Signals, moved
 from torchmbd.integrators.singular import SingularPosition, singular_positions
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
@@ -114,6 +116,7 @@ class Trajectory:
     parameters  names of the design variables of the sensitivities, one for each slot
     switches    passages into the second phase and all later ones
     actions     applied forces of each phase; none: of all the same
+    adjoint     the way back, of a motion that has gradients of responses and no sensitivities of its own
     """
 
     t: Tensor
@@ -128,6 +131,7 @@ class Trajectory:
     switches: list[Switch] = field(default_factory=list)
     actions: tuple[tuple[Action, ...], ...] = ()
     known: dict[Any, Any] | None = field(default=None, repr=False)  # what measures evaluated together share
+    adjoint: Adjoint | None = field(default=None, repr=False)
 
     @property
     def lanes(self) -> int:
@@ -218,16 +222,36 @@ class Trajectory:
         """The motion of all designs moved by delta [n_b], or [lanes, n_b] for each lane its own, to first order.
 
         delta may carry derivatives, forward or reverse; second ones are those of the first-order neighbor, not of the motion.
+        Raises InputError for a motion that was simulated with adjoint=True.
         """
+        if self.adjoint is not None:
+            self.signals.tangents("q")
+        return self._neighbor(Moved(self.signals, delta), delta)
+
+    def opened(self, delta: Tensor) -> tuple[Trajectory, list[Tensor]]:
+        """The motion as a function of what `adjoint` takes: q, v, a, lam [times, n, 1, lanes] as they were integrated.
+
+        What does not go by them, the reduced model, the mode shapes and the designs, is moved by delta [lanes, n_b].
+        """
+        signals = self.signals
+        assert isinstance(signals, Recorded)
+        base, data = signals.history, MovedData(self.dynamics.data, delta)
+        q, v, vd, lam = leaves = [x.detach().requires_grad_() for x in (base.q, base.v, base.vd, base.lam)]
+        expansion = None if base.expansion is None else replace(base.expansion, data=data)
+        settled = None if signals.settled is None else partial(signals.settled, data=data)
+        return self._neighbor(Differentiable(History(q, v, vd, lam, expansion), settled), delta), leaves
+
+    def _neighbor(self, signals: Signals, delta: Tensor) -> Trajectory:
         return replace(
             self,
-            signals=Moved(self.signals, delta),
+            signals=signals,
             dynamics=replace(self.dynamics, data=MovedData(self.dynamics.data, delta)),
             shapes=MovedShapes(self.shapes, delta),
             designs=moved_designs(self.designs, self.parameters, delta),
             parameters=(),
             switches=[switch.moved(delta) for switch in self.switches],
             known=None if self.known is None else {},
+            adjoint=None,
         )
 
     def at_moment(self, lane: int, t: Tensor, moment: Moment) -> Trajectory:
@@ -245,4 +269,5 @@ class Trajectory:
             parameters=(),
             switches=[],
             known=None,
+            adjoint=None,
         )

@@ -148,7 +148,7 @@ class Distance(Primitive):
 
     def lengths(self) -> Tensor:
         """The lengths L [n, 1, 1] [m]."""
-        return torch.tensor(self.data, dtype=torch.float64, device=self.members[0].device)[:, None, None]
+        return torch.tensor(self.data, dtype=torch.float64).to(self.members[0].device)[:, None, None]
 
 
 class Angle(Primitive):

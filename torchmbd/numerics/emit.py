@@ -1,6 +1,8 @@
 """C++ of straight-line code: functions of a tape (scalars.py) whose numbers are eight lanes side by side.
 
-    void name(const In& in, V* w, V* out)     V eight doubles, w room for what lives longer than one part
+    void name(const In& in, Room w, Room out)     numbers V: eight doubles; w: room for what lives longer than one part
+
+The same text is CUDA (`CUDA_PRELUDE`), one lane for each thread: V is a double, and a Room has gaps of all other lanes.
 
 Long functions are written in parts of some hundred statements, for compilers need more than linear time in their length.
 Operations come in the order in which the results need them, so that few numbers live at once.
@@ -21,6 +23,10 @@ _INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
 PRELUDE = """#include <cmath>
 #include <cstring>
 typedef double V __attribute__((vector_size(64)));
+typedef V* Room;
+#define PART static __attribute__((noinline)) void
+#define WHOLE static void
+#define TABLE static const int
 static inline V spread(double x) { return V{x, x, x, x, x, x, x, x}; }
 static inline V spread(V x) { return x; }
 #define EACH(name, expression) \\
@@ -31,16 +37,53 @@ static inline V spread(V x) { return x; }
   template <class A, class B> static inline V f_##name(A p, B q) { \\
     V x = spread(p), y = spread(q), r; \\
     for (int l = 0; l < 8; l++) { double a = x[l], b = y[l]; r[l] = expression; } return r; }
-EACH(sqrt, std::sqrt(a)) EACH(sin, std::sin(a)) EACH(cos, std::cos(a)) EACH(exp, std::exp(a)) EACH(abs, std::fabs(a))
-EACH(log, std::log(a)) EACH(tanh, std::tanh(a))
-BOTH(max, a > b ? a : (a == a ? b : a)) BOTH(min, a < b ? a : (a == a ? b : a))
-BOTH(gt, a > b ? 1.0 : 0.0) BOTH(ge, a >= b ? 1.0 : 0.0) BOTH(atan2, std::atan2(a, b))
+FUNCTIONS
 static inline double f_where(double c, double a, double b) { return c > 0.0 ? a : b; }
 template <class A, class B, class C> static inline V f_where(A c, B p, C q) {
   V condition = spread(c), x = spread(p), y = spread(q), r;
   for (int l = 0; l < 8; l++) r[l] = condition[l] > 0.0 ? x[l] : y[l];
   return r; }
 """
+_FUNCTIONS = """EACH(sqrt, std::sqrt(a)) EACH(sin, std::sin(a)) EACH(cos, std::cos(a)) EACH(exp, std::exp(a))
+EACH(abs, std::fabs(a)) EACH(log, std::log(a)) EACH(tanh, std::tanh(a))
+BOTH(max, a > b ? a : (a == a ? b : a)) BOTH(min, a < b ? a : (a == a ? b : a))
+BOTH(gt, a > b ? 1.0 : 0.0) BOTH(ge, a >= b ? 1.0 : 0.0) BOTH(atan2, std::atan2(a, b))"""
+PRELUDE = PRELUDE.replace("FUNCTIONS", _FUNCTIONS)
+
+# A compiler of C++ takes it as well, `lane` says of which thread: so it is tested without a device.
+CUDA_PRELUDE = """#ifdef __CUDACC_RTC__
+#define MEMBER __device__
+#define DEVICE static __device__
+#define PART static __device__ __noinline__ void
+#define TABLE static __device__ const int
+#define KERNEL extern "C" __global__ void
+#define NAN __longlong_as_double(0x7ff8000000000000LL)
+#define HUGE_VAL __longlong_as_double(0x7ff0000000000000LL)
+#else
+#include <cmath>
+struct Index { unsigned x; };
+static Index blockIdx, blockDim = {1}, threadIdx;
+extern "C" void lane(unsigned l) { blockIdx.x = l; }
+#define MEMBER
+#define DEVICE static
+#define PART static __attribute__((noinline)) void
+#define TABLE static const int
+#define KERNEL extern "C" void
+#endif
+#define WHOLE DEVICE void
+typedef double V;
+struct Room {
+  double* at;
+  long gap;
+  MEMBER double& operator[](long i) const { return at[i * gap]; }
+};
+DEVICE Room operator+(Room a, long i) { return {a.at + i * a.gap, a.gap}; }
+DEVICE double spread(double x) { return x; }
+#define EACH(name, expression) DEVICE double f_##name(double a) { return expression; }
+#define BOTH(name, expression) DEVICE double f_##name(double a, double b) { return expression; }
+FUNCTIONS
+DEVICE double f_where(double c, double a, double b) { return c > 0.0 ? a : b; }
+""".replace("FUNCTIONS", _FUNCTIONS.replace("std::", ""))
 
 
 class Emitter:
@@ -73,13 +116,13 @@ class Emitter:
                     lines.append(f"  w[{places.take(node, last[node])}] = spread(t{node});")
                 lines += [f"  out[{i}] = spread(t{node});" for i in wanted.get(node, ())]
             places.free(k)
-            text.append(f"static __attribute__((noinline)) void {name}_{k}(const In& in, V* w, V* out) {{\n")
+            text.append(f"PART {name}_{k}(const In& in, Room w, Room out) {{\n")
             text.append("\n".join(lines) + "\n}\n")
         self.room = max(self.room, places.size)
         calls = "".join(f"  {name}_{k}(in, w, out);\n" for k in range(len(parts)))
         rest = [(i, n) for n, where in wanted.items() if n not in part_of for i in where]
         calls += "".join(f"  out[{i}] = spread({self._leaf(n, known)});\n" for i, n in rest)
-        return "".join(text) + f"static void {name}(const In& in, V* w, V* out) {{\n{calls}}}\n"
+        return "".join(text) + f"WHOLE {name}(const In& in, Room w, Room out) {{\n{calls}}}\n"
 
     def order(self, outputs: Iterable[int], known: dict[int, str] | None = None) -> list[int]:
         """The operations that the outputs need, arguments first."""

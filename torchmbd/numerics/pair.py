@@ -186,6 +186,11 @@ def _zero_tangents(x: Tensor | float, like: Tensor) -> Tensor:
     return full
 
 
+def slope_of(x: Any) -> Tensor:
+    """How x moves and not where it is: the tangents of a pair; of a tensor zero, with its derivatives in reverse mode."""
+    return x.tangent if isinstance(x, Pair) else x - x.detach()
+
+
 def value(x: Any) -> Tensor:
     """The value part [component..., 1, lane]."""
     return x.value if isinstance(x, Pair) else x

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.reduction.forms import Form, lane_name
-from torchmbd.reduction.shift import choose_shift, comparable_shift
+from torchmbd.reduction.shift import choose_shift, comparable_shift, too_near
 
 
 class DenseModes:
@@ -37,8 +37,8 @@ class DenseModes:
         self.n = n
         self.shift, self.L = choose_shift(K_form.diagonal(K), M_form.diagonal(M), factorize)
         self._decompose(M_dense)
-        if (self.shift < 0).any():
-            self.shift = comparable_shift(self.shift, self._values(n + 1))
+        if (near := too_near(self.shift, self.mu[:, : n + 1])).any():
+            self.shift = comparable_shift(near, self.shift, self._values(n + 1))
             self.L, _ = factorize(self.shift)
             self._decompose(M_dense)
 

@@ -4,7 +4,7 @@ sigma = 0 where K is safely positive definite. Otherwise (a free body: rigid-bod
 sigma < 0 grows tenfold from a tiny part of the highest frequency until the factorization succeeds with
 pivots that stand clear of rounding. Each lane has its own sigma; nothing that leaves the reduction depends on it.
 Such a first sigma is so near to zero that digits are lost in K - sigma M, so once the eigenvalues are roughly known,
-a second one of their own size takes its place.
+a second one of their own size takes its place; so it does where K passed for definite and has modes next to zero.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from torchmbd.reduction.forms import lane_name
 Factor = TypeVar("Factor")
 
 SAFE_PIVOT = 1e-12  # relative to the diagonal entry; rounding leaves about 1e-15 where the exact pivot is zero
+LOST = 1e6  # ratio of the largest mu to the smallest that is wanted
 FIRST_SHIFT = 1e-10  # relative to the largest K_ii / M_ii
 
 
@@ -50,8 +51,17 @@ def choose_shift(
     return shift, factor
 
 
-def comparable_shift(shift: Tensor, values: Tensor) -> Tensor:
-    """Replace negative shifts [lane] by ones as far below the lowest of `values` [lane, n] as the highest is above."""
+def too_near(shift: Tensor, mu: Tensor) -> Tensor:
+    """Which shifts [lane] are so near the spectrum that digits are lost: negative ones as they were found first, and zero
+    where mu [lane, n], 1 / (lambda - sigma), are of very different size.
+
+    With several modes next to zero each pivot is rounding divided by the one before, and looks sound.
+    """
+    return (shift < 0) | (mu[:, 0] > LOST * mu[:, -1])
+
+
+def comparable_shift(near: Tensor, shift: Tensor, values: Tensor) -> Tensor:
+    """Shifts [lane]; those `near` the spectrum become as far below the lowest of `values` [lane, n] as the highest is above."""
     span = torch.maximum(values[:, -1].abs(), values[:, 0].abs())
     below = values[:, 0].clamp_max(0.0) - torch.maximum(span, shift.abs())
-    return torch.where(shift < 0, below, shift)
+    return torch.where(near, below, shift)

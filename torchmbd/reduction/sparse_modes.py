@@ -27,7 +27,7 @@ from torchmbd.reduction.lanczos import Ritz, lanczos
 from torchmbd.reduction.mass import DiagonalRoot, mass_root
 from torchmbd.reduction.panels import panels
 from torchmbd.reduction.partition import partition
-from torchmbd.reduction.shift import choose_shift, comparable_shift
+from torchmbd.reduction.shift import choose_shift, comparable_shift, too_near
 
 TOLERANCE = 1e-12  # of the modes, relative to mu
 DERIVATIVE_TOLERANCE = 5e-12  # of their derivatives, relative to c
@@ -53,8 +53,8 @@ class SparseModes:
 
         self.shift, self.factor = choose_shift(K_form.diagonal(K), M_form.diagonal(M), factorize)
         ritz = self._iterate(len(K), 1e-3 if self.shift.any() else TOLERANCE)
-        if ritz is not None and self.shift.any():
-            self.shift = comparable_shift(self.shift, self.shift[:, None] + 1 / ritz.mu[:, : n + 1])
+        if ritz is not None and (near := too_near(self.shift, ritz.mu[:, : n + 1])).any():
+            self.shift = comparable_shift(near, self.shift, self.shift[:, None] + 1 / ritz.mu[:, : n + 1])
             self.factor, _ = factorize(self.shift)
             ritz = self._iterate(len(K), TOLERANCE)
         self.exhausted = ritz is None

@@ -25,11 +25,14 @@ from functools import cached_property
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.joints.joint import Attached
 from torchmbd.numerics.pair import Pair, cat, linear, value
+from torchmbd.numerics.placed import placed
 from torchmbd.system import equations
+from torchmbd.system.carrier import Carrier
 from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import Data
 from torchmbd.system.least_norm import LeastNorm
@@ -73,6 +76,11 @@ class Dynamics:
         """Number of design variables whose tangents the data carry."""
         slots = [x.shape[-2] - 1 for x in self.data.values() if isinstance(x, Pair)]
         return max(slots, default=0)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the data are."""
+        return value(self.data["mass"]).device
 
     @cached_property
     def alike(self) -> Any:
@@ -152,6 +160,18 @@ class Dynamics:
         """The same dynamics without design tangents."""
         data = {name: value(x) for name, x in self.data.items()}
         return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)
+
+    def to(self, device: torch.device) -> Dynamics:
+        """The same equations on a device, for steps from a state to the next.
+
+        What is prescribed over time stays where it is (Topology.schedule), and so do start and rank, which are known by then.
+        """
+        if device == self.device:
+            return self
+        T, saddle, data = placed((self.topology, self.saddle, self.data), device, (nn.Module, Attached, Carrier))
+        there = Dynamics(T, saddle, data, self.initial, self.stabilization, self.statistics)
+        there.start, there.rank = placed(self.start, device), self.rank
+        return there
 
     def condensed(self) -> Dynamics:
         """The same motion with fewer unknowns (condensation.py); itself if there is nothing to condense."""

@@ -97,10 +97,20 @@ class Factored:
 
 def factored(K: Tensor) -> Factored:
     """Factors of matrices [lanes, n, n]. A lane whose matrix is singular becomes nan, alone."""
+    if K.device.type != "cpu":
+        return _factored_there(K)
     LU, pivots, info = torch.linalg.lu_factor_ex(K)
-    if K.is_cuda or bool(info.any()):
+    if bool(info.any()):
         LU = torch.where((info == 0)[:, None, None], LU, torch.nan)
     return Factored(LU, pivots)
+
+
+def _factored_there(K: Tensor) -> Factored:
+    """The same on a device, which would have to stop to tell; its libraries do not say what pivots of nan are."""
+    sound = torch.isfinite(K).all(2).all(1)
+    whole = torch.where(sound[:, None, None], K, torch.eye(K.shape[-1], dtype=K.dtype, device=K.device))
+    LU, pivots, info = torch.linalg.lu_factor_ex(whole)
+    return Factored(torch.where((sound & (info == 0))[:, None, None], LU, torch.nan), pivots)
 
 
 def own_rates(T: Topology) -> list[list[int]]:

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.numerics.jet import Jet
-from torchmbd.numerics.pair import Pair, cat, value
+from torchmbd.numerics.pair import Pair, cat, slope_of, value
 from torchmbd.system import equations
 from torchmbd.system.equations import Data, Placement
 from torchmbd.system.rank import Rank
@@ -64,15 +64,21 @@ class LeastNorm:
         return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
 
     def __call__(self, data: Data, given: Prescribed, q: Any, lam: Any) -> Any:
-        """Multipliers [rows, ...] that act as `lam` does at the coordinates q [n_q, ...]."""
+        """Multipliers [rows, ...] that act as `lam` does at the coordinates q [n_q, ...].
+
+        Differentiable: pairs, and plain tensors in reverse mode, by the formula above (not through an SVD).
+        """
         at, acting = equations.placement(self.T, data, q, given), self.acting[:, None, None]
-        inverse, P = self._inverses(data, at)
-        if not isinstance(lam, Pair):
-            return _times(P, lam)
-        least = _times(P, lam.value)
-        moved = acting * _rates(self.T, data, at, _times(inverse, lam.value))
-        pulls = _forces(self.T, data, at, acting * (lam.value - least))
-        return Pair.of(least, _times(P, lam.tangent - moved) + moved + _times(inverse.mT, pulls))
+        with torch.no_grad():
+            inverse, P = self._inverses(data, at)
+            own = value(lam).detach()
+            least = _times(P, own)
+            mu, nu = _times(inverse, own), acting * (own - least)
+        if not isinstance(lam, Pair) and not torch.is_grad_enabled():
+            return least
+        moved, pulls = slope_of(acting * _rates(self.T, data, at, mu)), slope_of(_forces(self.T, data, at, nu))
+        slopes = _times(P, slope_of(lam) - moved) + moved + _times(inverse.mT, pulls)
+        return Pair.of(least, slopes) if isinstance(lam, Pair) else least + slopes
 
     def at_own_time(self, data: Data, t: Any, q: Any, lam: Any) -> Any:
         """The same for one lane at a time t [1, 1] that may depend on the design; derivatives are total."""
@@ -112,14 +118,14 @@ def _prescribed(T: Topology, data: Data, t: Any) -> Prescribed:
 
 
 def _rates(T: Topology, data: Data, at: Placement, mu: Tensor) -> Tensor:
-    """Design tangents [rows, n_b, lanes] of Phi_q mu, mu [n_v, 1, lanes] held fixed."""
+    """Phi_q mu [rows, ...], mu [n_v, 1, lanes] held fixed."""
     drives: list[tuple | None] = [drive and tuple(Jet(x, 0.0 * x, 0.0 * x) for x in drive) for drive in at.drives]
-    return equations.driven_jets(T, at, data, mu, torch.zeros_like(mu), drives).velocity.tangent
+    return equations.driven_jets(T, at, data, mu, torch.zeros_like(mu), drives).velocity
 
 
 def _forces(T: Topology, data: Data, at: Placement, nu: Tensor) -> Tensor:
-    """Design tangents [n_v, n_b, lanes] of Phi_q' nu, nu [rows, 1, lanes] held fixed."""
-    return cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, at, nu)]).tangent
+    """Phi_q' nu [n_v, ...], nu [rows, 1, lanes] held fixed."""
+    return cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, at, nu)])
 
 
 def _times(matrices: Tensor, x: Tensor) -> Tensor:

@@ -30,6 +30,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.numerics.pair import value
 from torchmbd.system import equations
+from torchmbd.system.side_by_side import side_by_side
 from torchmbd.system.topology import Topology
 
 RELATIVE = 1e-9  # what counts as zero
@@ -38,6 +39,7 @@ _WEAK = 0.01  # of the largest elastic part of a row of the same body
 _SHARE = 0.3  # of the largest entry of a left vector: rows that are named
 _WAY = 0.2  # [rad] largest rotation to a position elsewhere
 _STEPS, _CLOSED = 30, 1e-11  # of Newton's method there; [m] or [-]
+_TOGETHER = 64  # times whose Jacobians are made at once
 
 
 @dataclass(frozen=True)
@@ -197,11 +199,12 @@ def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
     """Phi_q with rows of length one [n, rows, n_v] at positions q [n, n_q] and times [n] of one design, the first."""
     T, saddle = dynamics.topology, dynamics.saddle
     data = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
-    parts = []
-    for given, state in zip(T.schedule(times, data), q, strict=True):
-        at = equations.placement(T, data, state[:, None, None], given.values())
-        parts.append(saddle.jacobian(data, at)[0])
-    J = torch.stack(parts)
+    schedule, parts = T.schedule(times, data), []
+    for start in range(0, len(q), _TOGETHER):
+        some = slice(start, start + _TOGETHER)
+        at = equations.placement(T, data, q[some].T[:, None], side_by_side(schedule[some]).values())
+        parts.append(saddle.jacobian(data, at))
+    J = torch.cat(parts)
     return J / J.norm(dim=2, keepdim=True).clamp_min(torch.finfo(J.dtype).tiny)
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.numerics.pair import Pair, cat, value
+from torchmbd.numerics.pair import Pair, cat, slope_of, value
 from torchmbd.system import equations
 from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import INERTIA, Data, Placement
@@ -52,14 +52,18 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
     given = side_by_side([T.prescribed(t, data) for t in times], lanes)
     gone = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
     at = equations.placement(T, wide, q, given)
-    pulls = unit_forces(T, wide, at, gone)[:2]
-    B = torch.cat([x[:, T.flexible :].flatten(0, 1) for x in pulls]).permute(2, 0, 1)
-    inverse = torch.linalg.pinv(torch.where(torch.isfinite(B), B, 0.0), rtol=1e-9)  # of a lane that failed: R is nan
     lam = _placed(left, c.rows, T.rows)
-    lam = lam + _placed(-_times(inverse, value(_residual(T, wide, at, v, a, lam))), gone, T.rows)
-    if isinstance(q, Pair):
-        slopes = -_times(inverse, _residual(T, wide, at, v, a, lam).tangent)
-        lam = lam + Pair.of(torch.zeros_like(value(lam)), _placed(slopes, gone, T.rows))
+    with torch.no_grad():
+        pulls = unit_forces(T, wide, at, gone)[:2]
+        B = torch.cat([x[:, T.flexible :].flatten(0, 1) for x in pulls]).permute(2, 0, 1)
+        inverse = torch.linalg.pinv(
+            torch.where(torch.isfinite(B), B, 0.0), rtol=1e-9
+        )  # of a lane that failed: R is nan
+        found = _placed(-_times(inverse, value(_residual(T, wide, at, v, a, lam))), gone, T.rows)
+    lam = lam + found
+    if isinstance(q, Pair) or torch.is_grad_enabled():
+        slopes = _placed(-_times(inverse, slope_of(_residual(T, wide, at, v, a, lam))), gone, T.rows)
+        lam = lam + (Pair.of(torch.zeros_like(found), slopes) if isinstance(q, Pair) else slopes)
     full = lam.full if isinstance(lam, Pair) else lam
     return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
 

@@ -1,0 +1,321 @@
+"""Gradients by going back through a motion: those of forward tangents and of differences, eager and compiled."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from experiments.slider_crank import build
+from tests.mechanisms import box, laminate, pendulum, plate, soft_slider_crank, sprung
+from tests.sensitivity.test_law_variables import arm, waves
+from tests.system.test_initial import four_bar
+from torchmbd.design.differentiate import differentiate
+from torchmbd.forces import Scaled, Spring
+from torchmbd.integrators import adjoint, compiled, compiled_adjoint, library
+from torchmbd.integrators.compiled_adjoint import CompiledSweep
+from torchmbd.system import Dynamics, System
+
+TIGHT = {"iterations": (6, 6)}
+
+
+def loose_chain() -> System:
+    """So many bodies that their blocks are eliminated first; a law of a force would couple them."""
+    bodies, ends = [], [mbd.Ground().at()]
+    for i in range(8):
+        one = box(f"b{i}", position=(0.3 * i + 0.1, 0.0, 0.0)) if i % 2 else plate(
+            f"b{i}", 2, made_of=laminate((20.0 + 5 * i, -40.0)), cells=(4, 2), position=(0.3 * i + 0.15, 0.0, 0.0)
+        )  # fmt: skip
+        bodies.append(one)
+    ends += [body.at(0.1, 0.0, 0.0) if i % 2 else body.at("right") for i, body in enumerate(bodies)]
+    joints = []
+    for i, body in enumerate(bodies):
+        before = ends[i]
+        start = body.at("left") if i % 2 == 0 else body.at()
+        own = body.at("left") if i % 2 == 0 else start
+        joints.append(mbd.Spherical(before, own))
+    return System(bodies, joints, gravity=(1.0, -9.0, 2.0))
+
+
+def strung() -> System:
+    """Forces of all kinds with design variables in their laws."""
+    body = box("bob", position=(0.2, 0.0, 0.1), angular_velocity=(1.0, 2.0, 0.5))
+    end = body.at(0.1, 0.05, 0.0)
+    forces = [
+        mbd.SpringDamper(mbd.Ground().at(), end, mbd.variable(40.0), mbd.variable(0.3), 0.1, name="cord"),
+        mbd.RotationalSpringDamper(mbd.Ground().at(), end, law=Scaled(mbd.variable(0.5), Spring(2.0)), name="coil"),
+        mbd.Force(end, (mbd.variable(0.3), 0.0, 0.1), name="push"),
+        mbd.Torque(end, Scaled(mbd.variable(0.02), waves), name="twist"),
+    ]
+    return System([body], [mbd.Spherical(mbd.Ground().at(0.2, 0.0, 0.1), body.at())], forces)
+
+
+def soft_contact() -> System:
+    """A law that pushes only from some distance on, and has a kink there."""
+
+    def law(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return torch.where(s > 0.02, -3.0 * (s - 0.02) * s, 0.0 * s) - 0.01 * rate
+
+    return sprung(law)
+
+
+def closed() -> System:
+    """A driven loop of rigid bars with redundant rows, and a soft plate that swings from one of them."""
+    system = four_bar()
+    left = system.bodies[0]
+    rod = plate("rod", 2, made_of=laminate((20.0, -50.0), 3e-3), position=(0.2, 0.2, 0.0), cells=(4, 2))
+    joints = [*system.joints, mbd.Spherical(left.at(0.206155281280883, 0.0, 0.0), rod.at("left"))]
+    return System([*system.bodies, rod], joints, gravity=(0.0, -9.81, 0.0))
+
+
+CASES: dict[str, tuple[Callable[[], System], float, int]] = {
+    "driven": (lambda: soft_slider_crank((30.0, -20.0), cells=(6, 2)), 0.01, 25),
+    "spatial": (pendulum, 0.04, 20),
+    "forces": (sprung, 0.02, 15),
+    "kink": (soft_contact, 0.02, 15),
+    "laws of forces": (strung, 0.1, 40),
+    "laws of drives": (lambda: arm("step"), 0.1, 20),
+    "redundant": (closed, 0.02, 15),
+    "many bodies": (loose_chain, 0.01, 5),
+}
+
+
+def designs_of(system: System, names: list[str]) -> dict[str, Tensor]:
+    """Two designs apart from each other."""
+    make = torch.Generator().manual_seed(2)
+    own = {name: system.get_parameter(name).detach() for name in names}
+    return {n: x + torch.rand(2, *x.shape, generator=make, dtype=x.dtype) * 0.1 * x.abs() for n, x in own.items()}
+
+
+def everything(motion: mbd.Trajectory) -> Tensor:
+    """Numbers of a motion that depend on all of it [lanes, 2]: on states between and at the ends, and on the model."""
+    parts = [motion.q, 0.1 * motion.v, 1e-3 * motion.a, 1e-3 * motion.lam]
+    weights = [torch.sin(torch.arange(x[0].numel(), dtype=x.dtype)).reshape(x.shape[1:]) for x in parts]
+    total = sum((w * x + w * w * x * x).flatten(1).sum(1) for w, x in zip(weights, parts, strict=True))
+    return torch.stack([total, motion.q[:, -1].square().sum(1)], 1)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("libraries")
+
+
+@pytest.fixture
+def at_once(kept: Path, monkeypatch: pytest.MonkeyPatch) -> list:
+    """Compiled code is built when somebody asks for it; the kinds that were asked for."""
+    if shutil.which("g++") is None:
+        pytest.skip("no C++ compiler")
+    monkeypatch.setenv("TORCHMBD_CACHE", str(kept))
+    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+    asked = []
+
+    def found(dynamics: Dynamics, kind: str = "step") -> object:
+        known = library.written_out(dynamics)
+        assert known is not None
+        if not library.path_of(known, kind).exists():
+            library.build(*library.order(known, kind))
+        asked.append(kind)
+        return library.library(dynamics, kind)
+
+    for module in (compiled, compiled_adjoint):
+        monkeypatch.setattr(module, "library", found)
+    monkeypatch.setattr(compiled_adjoint, "at_hand", lambda dynamics: True)
+    return asked
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_gradient_is_that_of_forward_tangents(name):
+    make, duration, steps = CASES[name]
+    system = make()
+    names = [name for name, x in system.named_parameters() if x.requires_grad]
+    options = {"steps": steps, "sensitivities": names, "designs": designs_of(system, names), **TIGHT}
+    forward = mbd.simulate(system, duration, **options).require_ok()
+    back = mbd.simulate(system, duration, adjoint=True, **options).require_ok()
+    wanted, found = (differentiate(everything, motion) for motion in (forward, back))
+    assert_close(found.value, wanted.value, rtol=1e-9, atol=0)
+    size = wanted.gradient.abs().amax((0, 1))
+    assert float(size.min()) > 0
+    assert float(((found.gradient - wanted.gradient).abs().amax((0, 1)) / size).max()) < 1e-8
+    assert float(back.adjoint.error.max()) < 1e-9
+
+
+@pytest.mark.parametrize("name", ["laws of forces", "laws of drives", "redundant", "many bodies"])
+def test_compiled_and_eager_agree(name, at_once):
+    make, duration, steps = CASES[name]
+    system = make()
+    names = [name for name, x in system.named_parameters() if x.requires_grad]
+    options = {"steps": steps, "sensitivities": names, "designs": designs_of(system, names), "iterations": (4, 2)}
+    motion = mbd.simulate(system, duration, adjoint=True, **options).require_ok()
+    fast = differentiate(everything, motion).gradient
+    assert "adjoint" in at_once
+    (sweep,) = motion.adjoint._sweeps
+    assert isinstance(sweep, CompiledSweep)
+    assert sweep.code is not None
+    motion.adjoint._sweeps = [adjoint.Sweep(sweep.grid)]
+    eager = differentiate(everything, motion).gradient
+    assert float(((fast - eager).abs().amax((0, 1)) / eager.abs().amax((0, 1))).max()) < 1e-8
+
+
+def test_against_differences_of_the_same_discrete_map(slider_crank):
+    """By another way altogether: simulations of neighbors."""
+    angles = slider_crank.get_parameter("rod.laminate.angles").detach()
+    step = 1e-5
+    shifts = step * torch.cat([torch.eye(3, dtype=angles.dtype), -torch.eye(3, dtype=angles.dtype)])
+    measure = mbd.Integral(mbd.StrainEnergy("rod"))
+    options = {"steps": 40, **TIGHT}
+    neighbors = mbd.simulate(slider_crank, 0.004, designs={"rod.laminate.angles": angles + shifts}, **options)
+    plus, minus = measure.value(neighbors).chunk(2)
+    motion = mbd.simulate(slider_crank, 0.004, sensitivities=True, adjoint=True, **options)
+    found = measure.value_and_gradient(motion)[1][0]
+    assert_close(found, (plus - minus) / (2 * step), rtol=0, atol=1e-6 * float(found.abs().max()))
+
+
+@pytest.mark.parametrize("lanes", [1, 11])
+def test_lanes_do_not_depend_on_their_company(lanes, at_once):
+    """More than a block of them, and less than one."""
+    system = build(3, cells=(6, 2), modes=3)
+    designs = mbd.deg([[30, -20, 50]]) + torch.linspace(0.0, 0.9, lanes, dtype=torch.float64)[:, None]
+
+    def gradient(some: Tensor) -> Tensor:
+        options = {"steps": 30, "sensitivities": True, "designs": {"rod.laminate.angles": some}}
+        motion = mbd.simulate(system, 0.002, adjoint=True, **options)
+        return mbd.Integral(mbd.StrainEnergy("rod")).value_and_gradient(motion)[1]
+
+    together = gradient(designs)
+    for i in (0, lanes - 1):
+        alone = gradient(designs[i : i + 1])[0]
+        assert_close(together[i], alone, rtol=0, atol=1e-8 * float(alone.abs().max()))
+
+
+def test_lanes_with_smaller_steps():
+    """Lanes that were tried again with half the step are gone back through with it."""
+    system = build(3, cells=(6, 2), modes=4)
+    designs = {"rod.laminate.angles": mbd.deg([[0, 0, 0], [90, 60, 90]])}
+    for steps, kind in ((3, "renewed"), (2, "halved")):
+        options = {"steps": steps, "sensitivities": True, "designs": designs, "halvings": int(kind == "halved")}
+        forward = mbd.simulate(system, 0.024, **options).require_ok()
+        back = mbd.simulate(system, 0.024, adjoint=True, **options).require_ok()
+        assert back.stats[kind] == forward.stats[kind] == [0, 1]
+        wanted, found = (differentiate(everything, motion).gradient for motion in (forward, back))
+        assert_close(found, wanted, rtol=0, atol=1e-4 * float(wanted.abs().max()))
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
+    if fast:
+        request.getfixturevalue("at_once")
+    system = build(3, cells=(6, 2), modes=3)
+    own = system.dynamics
+    options = {"steps": 40, "sensitivities": True, "adjoint": True}
+    options["designs"] = {"rod.laminate.angles": mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])}
+    wanted = differentiate(everything, mbd.simulate(system, 0.002, **options)).gradient
+
+    def spoilt(*arguments, **more) -> Dynamics:
+        dynamics = own(*arguments, **more)
+        dynamics.data["Kr"].full[0, 0, ..., 1] = torch.nan
+        return dynamics
+
+    monkeypatch.setattr(system, "dynamics", spoilt)
+    motion = mbd.simulate(system, 0.002, **options)
+    assert [x == "ok" for x in motion.status] == [True, False, True]
+    found = differentiate(everything, motion).gradient
+    assert_close(found[[0, 2]], wanted[[0, 2]], rtol=1e-9, atol=0)
+
+
+def test_many_responses_go_back_in_parts(monkeypatch):
+    monkeypatch.setattr("torchmbd.design.differentiate.ROWS", 2)
+    system = pendulum()
+    motion = mbd.simulate(system, 0.01, steps=5, sensitivities=True, adjoint=True)
+    forward = mbd.simulate(system, 0.01, steps=5, sensitivities=True, **TIGHT)
+    history = mbd.StrainEnergy("rod")
+    wanted, found = (history.series(x).gradient for x in (forward, motion))
+    assert found.shape == (1, 6, 2)
+    assert_close(found, wanted, rtol=0, atol=1e-6 * float(wanted.abs().max()))
+
+
+def test_gradients_that_did_not_converge_say_so(monkeypatch):
+    motion = mbd.simulate(sprung(), 0.02, steps=15, sensitivities=True, adjoint=True)
+    monkeypatch.setattr(adjoint, "MOST", 1)
+    monkeypatch.setattr(adjoint, "POOR", 1e-6)
+    with pytest.warns(UserWarning, match=r"lane 0: going back .* error of .*; more steps help, or adjoint=False"):
+        mbd.Integral(mbd.StrainEnergy("rod")).value_and_gradient(motion)
+
+
+def test_a_number_that_does_not_depend_on_the_motion():
+    motion = mbd.simulate(pendulum(), 0.01, steps=5, sensitivities=True, adjoint=True)
+    assert float(mbd.Frequency("rod").value_and_gradient(motion)[1].abs().max()) > 0
+    constant = differentiate(lambda m: torch.ones(1, dtype=torch.float64), motion)
+    assert constant.gradient.tolist() == [[0.0, 0.0]]
+
+
+def test_what_such_a_motion_does_not_have_is_refused():
+    motion = mbd.simulate(pendulum(), 0.01, steps=5, sensitivities=True, adjoint=True)
+    for ask in (lambda: motion.dq_db, lambda: motion.da_db, lambda: motion.moved(torch.zeros(2, dtype=torch.float64))):
+        with pytest.raises(mbd.InputError, match=r"adjoint=True.*adjoint=False"):
+            ask()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"method": "rk4"}, "method is 'rk4'"),
+        ({"phases": [mbd.Phase()]}, "phases are given"),
+        ({"sensitivities": False}, "names no parameter"),
+        ({"adjoint": 1}, "allowed: True, False or None"),
+    ],
+)
+def test_where_there_is_no_way_back_it_is_refused(options, words):
+    with pytest.raises(mbd.InputError, match=words):
+        mbd.simulate(pendulum(), 0.01, steps=5, **({"sensitivities": True, "adjoint": True} | options))
+
+
+def energies(count: int, **options) -> mbd.Problem:
+    """A problem of three angles and `count` numbers."""
+    energy = mbd.StrainEnergy("rod")
+    limits = [mbd.Max(energy) <= 1.0, mbd.Final(energy) <= 1.0][: count - 1]
+    return mbd.Problem(build(3, cells=(6, 2), modes=3), 0.002, mbd.Integral(energy), limits, steps=20, **options)
+
+
+def test_a_problem_goes_back_where_that_is_less_work_and_compiled(at_once):
+    start = energies(2).start[None]
+    assert energies(2).simulate(start, True).adjoint is not None
+    assert energies(3).simulate(start, True).adjoint is None  # as many numbers as variables
+    assert energies(2).simulate(start).adjoint is None
+    assert energies(2, adjoint=False).simulate(start, True).adjoint is None
+    assert energies(3, adjoint=True).simulate(start, True).adjoint is not None
+    [one], [other] = (energies(2, adjoint=x).evaluate(start, True) for x in (True, False))
+    np.testing.assert_allclose(one.objective_gradient, other.objective_gradient, rtol=1e-4)
+    np.testing.assert_allclose(one.constraint_gradients, other.constraint_gradients, rtol=1e-4)
+
+
+def test_a_problem_without_compiled_code_goes_forward():
+    assert energies(2).simulate(energies(2).start[None], True).adjoint is None
+
+
+def test_steps_are_compiled_first(kept, monkeypatch):
+    """What goes back through them is not asked for before."""
+    monkeypatch.setenv("TORCHMBD_CACHE", str(kept / "empty"))
+    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+    begun = []
+    monkeypatch.setattr(library, "build_in_background", lambda dynamics, kind: begun.append(kind))
+    monkeypatch.setattr(library, "_seen", {})
+    monkeypatch.setattr(library, "_loaded", {})
+    for _ in range(3):
+        energies(2).simulate(energies(2).start[None], True)
+    assert set(begun) == {"step"}
+    monkeypatch.setattr(compiled_adjoint, "at_hand", lambda dynamics: True)
+    for _ in range(2):
+        energies(2).simulate(energies(2).start[None], True)
+    assert "adjoint" in begun
+
+
+def test_a_problem_refuses_a_way_back_that_is_not_there():
+    with pytest.raises(mbd.InputError, match="method is 'rk4'"):
+        energies(2, adjoint=True, method="rk4")

@@ -1,0 +1,278 @@
+"""The adjoint of a simulation by generalized-alpha: gradients of few responses by many design variables.
+
+Tangents cost a share of a simulation for each *variable*; going back through the steps costs about half of one for each
+*response*, and as much once for all, however many variables there are. y the derivative of a response by the state
+x1 = F(z, x) after a step, z the unknowns of the step, R(z; x, b) = 0 (step.py):
+
+    R_z' mu = F_z' y
+    y  <-  F_x' y - R_x' mu  +  what the response takes from the state x itself
+    dJ/db  <-  dJ/db - R_b' mu
+
+and last y' dx/db of the state at the start. It is the exact derivative of the discrete map, as the tangents are: both
+agree within what their iterations leave. mu comes from the factors of the iteration matrix, transposed and at the solution
+itself, with corrections until they are small. The structure stage stays in forward mode: dJ/db is taken by the numbers of
+the reduced model, whose tangents are there.
+
+`Adjoint` is what a motion keeps for it; `Sweep` goes back through equal steps by operators of torch, compiled_adjoint.py
+by compiled code. Not for phases, nor for the methods of torchdiffeq.
+Checked in tests/sensitivity/test_adjoint.py.
+Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 15 (implicit functions).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators.generalized_alpha import SPECTRAL_RADIUS, Begun, begin
+from torchmbd.integrators.history import History
+from torchmbd.integrators.step import Coefficients, Model, State, Step, Weights, apply
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system.dynamics import Dynamics, regularized
+from torchmbd.system.elimination import Elimination, factored, pays
+from torchmbd.system.topology import Prescribed
+
+MOST = 12  # corrections of mu
+POOR = 1e-3  # estimated relative error of mu that is worth a warning
+ENOUGH = 1e-6  # estimated relative error of mu that gets no other; gradients have 20 times that at most, as measured
+
+
+# What responses take from q, v, a, lam, in this order [times, n, rows, lanes]; None: nothing.
+Bars = Sequence[Tensor | None]
+
+
+def rows_of(bars: Bars) -> int:
+    """Number of responses."""
+    return next((x.shape[2] for x in bars if x is not None), 0)
+
+
+@dataclass
+class Grid:
+    """Lanes that were integrated with the same equal steps.
+
+    lanes     their numbers in the batch;  history: their states, of what a condensation left
+    dynamics  their equations (of what was left), with design tangents;  start: their initial state, with tangents
+    times     of the states [n];  every: steps between two outputs
+    corrections   of mu, at least
+    """
+
+    lanes: list[int]
+    history: History
+    dynamics: Dynamics
+    start: State
+    weights: Weights
+    times: Tensor
+    every: int
+    corrections: int
+
+
+@dataclass(eq=False)
+class Adjoint:
+    """Goes back through a motion.
+
+    begun      the system with its start, with design tangents
+    history    what was integrated, by equal steps over the duration [s]
+    options    of generalized_alpha
+    sweep      makes a Sweep of a grid
+    """
+
+    begun: Begun
+    history: History
+    duration: float
+    options: Mapping[str, Any]
+    sweep: Callable[[Grid], Sweep]
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """Of the whole system."""
+        return self.begun.whole
+
+    @cached_property
+    def error(self) -> Tensor:
+        """Estimated relative error of the gradients asked for so far [lanes]."""
+        return torch.zeros(self.dynamics.lanes, dtype=torch.float64)
+
+    @torch.no_grad()
+    def __call__(self, bars: Bars) -> Tensor:
+        """Gradients [lanes, rows, n_b] of responses."""
+        result = torch.zeros(self.dynamics.lanes, rows_of(bars), self.dynamics.tangents, dtype=torch.float64)
+        for sweep in self._sweeps:
+            lanes = sweep.grid.lanes
+            own = bars if len(lanes) == len(result) else [x if x is None else x[..., lanes] for x in bars]
+            found, error = sweep([x if x is None else _spaced(x, sweep.grid.every) for x in own])
+            result[lanes] = found.permute(2, 0, 1)
+            self.error[lanes] = self.error[lanes].maximum(error)
+        for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
+            warnings.warn(
+                f"lane {lane}: going back through the motion leaves an error of {float(self.error[lane]):.1e} of its "
+                "gradients; more steps help, or adjoint=False",
+                stacklevel=2,
+            )
+        return result
+
+    @cached_property
+    def _sweeps(self) -> list[Sweep]:
+        """One for the lanes with the steps that were asked for, one for each lane that had to take smaller ones."""
+        finer = self.history.finer
+        some = [lane for lane in range(self.dynamics.lanes) if lane not in finer]
+        grids = [self._grid(some, self.history, some, 1)] if some else []
+        grids += [self._grid([lane], history, [own], every) for lane, (history, own, every) in finer.items()]
+        return [self.sweep(grid) for grid in grids]
+
+    def _grid(self, lanes: list[int], history: History, own: list[int], every: int) -> Grid:
+        """Of lanes of the batch, which are `own` in a history."""
+        whole = len(lanes) == self.dynamics.lanes
+        _, left, start = self.begun if whole else begin(self.dynamics.some(lanes))
+        parts = (history.q, history.v, history.vd, history.lam)
+        q, v, vd, lam = (x if x.shape[-1] == len(own) else x[..., own] for x in parts)
+        h = self.duration / (len(history.q) - 1)
+        times = h * torch.arange(len(history.q), dtype=torch.float64)
+        weights = Coefficients(self.options.get("spectral_radius", SPECTRAL_RADIUS)).weights(h)
+        return Grid(
+            lanes, History(q, v, vd, lam), left, start, weights, times, every, self.options.get("iterations", (0, 1))[1]
+        )
+
+
+def _spaced(x: Tensor, every: int) -> Tensor:
+    """Numbers [times, ...] of outputs among those of all steps, zero in between."""
+    if every == 1:
+        return x
+    result = x.new_zeros(every * (len(x) - 1) + 1, *x.shape[1:])
+    result[::every] = x
+    return result
+
+
+class Sweep:
+    """The way back through one grid by operators of torch."""
+
+    def __init__(self, grid: Grid):
+        self.grid, self.dynamics = grid, grid.dynamics
+        T = self.dynamics.topology
+        self.schedule = T.schedule(grid.times[1:], self.dynamics.data)
+        self.diagonal = self.dynamics.diagonal()
+        self.factor = Elimination(T) if pays(T) else factored
+
+    def __call__(self, bars: Bars) -> tuple[Tensor, Tensor]:
+        """Gradients [rows, n_b, lanes] and their estimated relative error [lanes]."""
+        lanes = len(self.grid.lanes)
+        data = {name: _leaf(value(x).expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
+        model = Model(self.dynamics.topology, self.dynamics.saddle, self.grid.weights, data)
+        states = self._states()
+        y = self._taken(bars, -1)
+        slopes, error = torch.zeros(()), torch.zeros(lanes, dtype=torch.float64)
+        for i in reversed(range(len(self.schedule))):
+            found = _StepBack(model, states[i], states[i + 1], self.schedule[i], self.grid.corrections)
+            y, by_data, by_laws, left = found(y, self._factors)
+            y = State(*(a + b for a, b in zip(y, self._taken(bars, i), strict=True)))
+            part = contracted(self.dynamics.data, by_data) + contracted(found.laws, by_laws)
+            slopes, error = slopes + part, error.maximum(left)
+        start = dict(zip(State._fields, self.grid.start, strict=True))
+        slopes = slopes + contracted(start, y._asdict())
+        return slopes, error
+
+    def _states(self) -> list[State]:
+        """States [n, 1, lanes] at all times; the algorithmic acceleration, which is not recorded, from the others."""
+        h, w = self.grid.history, self.grid.weights
+        a, found = value(self.grid.start.a).expand(*h.vd.shape[1:]), []
+        for i, (q, v, vd, lam) in enumerate(zip(h.q, h.v, h.vd, h.lam, strict=True)):
+            a = w.a_from_vd * h.vd[i - 1] + w.a_from_a * a + w.share * vd if i else a
+            found.append(State(q, v, vd, a, lam))
+        return found
+
+    def _taken(self, bars: Bars, i: int) -> State:
+        h, rows = self.grid.history, rows_of(bars)
+        both = zip(bars, (h.q, h.v, h.vd, h.lam), strict=True)
+        q, v, vd, lam = (y.new_zeros(y.shape[1], rows, y.shape[-1]) if x is None else x[i] for x, y in both)
+        return State(q, v, vd, torch.zeros_like(vd), lam)
+
+    def _factors(self, K: Tensor) -> Any:
+        return self.factor(regularized(K.mT, self.diagonal))
+
+
+class _StepBack:
+    """One step in reverse mode."""
+
+    def __init__(self, model: Model, before: State, after: State, given: Prescribed, corrections: int):
+        T, self.corrections = model.T, corrections
+        varied: dict[int, tuple] = {i: given.laws[i] or () for i in T.varied}
+        self.laws = {f"{i}.{k}": x for i, law in varied.items() for k, x in enumerate(law)}
+        self.x, self.z = before.map(_leaf), _leaf(torch.cat([after.vd, after.lam]))
+        lanes = self.z.shape[-1]
+        self.law_values = {name: _leaf(value(x).expand(*x.shape[:-2], 1, lanes)) for name, x in self.laws.items()}
+        laws: list = [
+            tuple(self.law_values[f"{i}.{k}"] for k in range(len(law or ()))) if i in varied else law
+            for i, law in enumerate(given.laws)
+        ]
+        self.data = model.data
+        with torch.enable_grad():
+            step = Step(model, self.x, Prescribed(laws, *given[1:]))
+            self.end, self.residual = step.finish(self.z), step.residual(self.z)
+        with torch.no_grad():
+            self.matrix = step.matrix(self.z)
+
+    def __call__(self, y: State, factors: Callable[[Tensor], Any]) -> tuple[State, dict, dict, Tensor]:
+        """y before the step, derivatives by data and laws [..., rows, lanes], and what the iteration leaves [lanes]."""
+        H, rows = factors(self.matrix), range(y.q.shape[1])
+        found = [self._row(H, y.map(lambda x, row=row: x[:, row : row + 1])) for row in rows]
+        states, data, laws, left = (list(x) for x in zip(*found, strict=True))
+        before = State(*(torch.cat(x, 1) for x in zip(*states, strict=True)))
+        by_data, by_laws = ({k: torch.cat([x[k] for x in some], -2) for k in some[0]} for some in (data, laws))
+        return before, by_data, by_laws, torch.stack(left).amax(0)
+
+    def _row(self, H: Any, y: State) -> tuple[State, dict, dict, Tensor]:
+        goal, *known = _pulled(self.end, y, [self.z, *self.x])
+        mu, left = self._solved(H, goal)
+        names, law_names = list(self.data), list(self.law_values)
+        leaves = [*self.x, *self.data.values(), *self.law_values.values()]
+        by = [-x for x in _pulled([self.residual], [mu], leaves)]
+        n = len(known)
+        state = State(*(a + b for a, b in zip(known, by[:n], strict=True)))
+        data = dict(zip(names, by[n : n + len(names)], strict=True))
+        return state, data, dict(zip(law_names, by[n + len(names) :], strict=True)), left
+
+    def _solved(self, H: Any, goal: Tensor) -> tuple[Tensor, Tensor]:
+        """mu [n, 1, lanes] with R_z' mu = goal, and its estimated relative error [lanes]."""
+        mu = apply(H, goal)
+        n_v = self.x.v.shape[0]
+        active = left = before = torch.ones_like(goal[0, 0])
+        for k in range(1, max(MOST, self.corrections) + 1):
+            (pulled,) = _pulled([self.residual], [mu], [self.z])
+            correction = apply(H, pulled - goal)
+            mu = mu - active * correction
+            size = mu[:n_v, 0].abs().amax(0).clamp_min(torch.finfo(mu.dtype).tiny)
+            change = correction[:n_v, 0].abs().amax(0) / size
+            # Each correction leaves the same share of what the one before left.
+            left = torch.where(active > 0.0, change * change / before, left)
+            before = change.clamp_min(torch.finfo(mu.dtype).tiny)
+            if k >= self.corrections:
+                active = active * (left > ENOUGH)  # what a lane gets depends on no other
+            if not bool(active.any()):
+                break
+        return mu, left
+
+
+def _leaf(x: Tensor) -> Tensor:
+    return x.detach().clone().requires_grad_()
+
+
+def _pulled(outputs: Sequence[Tensor], weights: Sequence[Tensor], by: Sequence[Tensor]) -> tuple[Tensor, ...]:
+    """Derivatives of sum(weights * outputs); zeros where there are none."""
+    of, by_weights = zip(*((x, w) for x, w in zip(outputs, weights, strict=True) if x.requires_grad), strict=True)
+    return torch.autograd.grad(of, by, by_weights, retain_graph=True, allow_unused=True, materialize_grads=True)
+
+
+def contracted(moving: Mapping[str, Any], by: Mapping[str, Tensor]) -> Tensor:
+    """Sum of derivatives [..., rows, lanes] times tangents [..., n_b, lanes] of the same numbers: [rows, n_b, lanes]."""
+    total = torch.zeros(())
+    for name, x in moving.items():
+        if isinstance(x, Pair):
+            slopes = by[name].flatten(0, -3)
+            tangents = x.tangent.flatten(0, -3).expand(-1, -1, slopes.shape[-1])
+            total = total + torch.einsum("krl,kbl->rbl", slopes, tangents)
+    return total

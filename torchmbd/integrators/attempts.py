@@ -1,0 +1,150 @@
+"""Attempts at a motion: a lane that fails does not take the others with it, and is tried again.
+
+Equal steps: first carefully, with a new matrix for every correction, then with half the step. Adaptive methods: the lanes
+one by one. What became of a lane is its status: "ok", or what is wrong.
+Checked in tests/integrators/test_simulate.py.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.integrators import generalized_alpha, ode
+from torchmbd.integrators.generalized_alpha import Begun
+from torchmbd.integrators.history import History
+from torchmbd.integrators.trajectory import OK
+from torchmbd.system import Dynamics
+
+# A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
+ITERATION_ERROR = 1e-2
+# With sensitivities more than this is tried again carefully: gradients are those of equations that are solved.
+IMPRECISE = 1e-3
+TURN = 1.0  # [rad] of a body in one step
+STEP_ERROR = 1.0  # as large as the vibrations themselves: worth a warning
+_LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
+
+
+def run(
+    dynamics: Dynamics, duration: float, steps: int, method: str, options: dict[str, Any]
+) -> tuple[History, dict[str, Any], list[str]]:
+    """Integrate; a lane that fails does not take the others with it.
+
+    Equal steps: the lanes that failed are tried again (`with_retries`). Adaptive methods: the lanes are run one by one.
+    """
+    if method == "generalized_alpha":
+        begun = generalized_alpha.begin(dynamics)
+        return with_retries(begun, duration, steps, precise=dynamics.tangents > 0, **options)
+    try:
+        history, stats = ode.integrate(dynamics, duration, steps, method, **options)
+        return history, stats, status_of(history, duration, steps, {})
+    except FloatingPointError as error:
+        if dynamics.lanes == 1:
+            return _empty(dynamics, steps), {}, [f"failed: {error}"]
+    parts = [run(dynamics.some([i]), duration, steps, method, options) for i in range(dynamics.lanes)]
+    q, v, vd, lam = (torch.cat([getattr(h, name) for h, _, _ in parts], -1) for name in ("q", "v", "vd", "lam"))
+    counts = {"evaluations": sum(s.get("evaluations", 0) for _, s, _ in parts)}
+    return History(q, v, vd, lam), counts, [status for _, _, statuses in parts for status in statuses]
+
+
+def with_retries(
+    begun: Begun, duration: float, steps: int, precise: bool, halvings: int = 1, **options: Any
+) -> tuple[History, dict[str, Any], list[str]]:
+    """generalized_alpha; lanes that fail, or whose gradients are imprecise, are tried again carefully, then with half the step.
+
+    precise: whether there are gradients;  halvings: how many times the step may be halved
+    """
+    if not isinstance(halvings, int) or halvings < 0:
+        raise InputError(f"halvings is {halvings!r}; allowed: a whole number, 0 or more")
+    history, stats = generalized_alpha.integrate(begun, duration, steps, **options)
+    status = status_of(history, duration, steps, stats)
+    quick = options.get("refresh", 1) > 0
+    poor = (stats["iteration_error"] > (IMPRECISE if quick and precise else torch.inf)).tolist()
+    failed = [lane for lane, reason in enumerate(status) if reason != OK or poor[lane]]
+    if not failed or not (quick or halvings):
+        return history, stats, status
+    often, left = (1, halvings) if quick else (2, halvings - 1)
+    options |= careful(options) if quick else {}
+    again = generalized_alpha.begin(begun.whole.some(failed))
+    better, counts, retried = with_retries(again, duration, often * steps, precise, left, **options)
+    cured = [(i, lane) for i, lane in enumerate(failed) if retried[i] == OK]
+    if not cured:
+        return history, stats, status
+    source, lanes = (list(x) for x in zip(*cured, strict=True))
+
+    def patch(x: Tensor, y: Tensor) -> Tensor:
+        old, new = (torch.tensor(i).to(x.device) for i in (lanes, source))
+        return x.index_copy(-1, old, y[::often].index_select(-1, new))
+
+    parts = {name: patch(getattr(history, name), getattr(better, name)) for name in ("q", "v", "vd", "lam")}
+    for name in (*_LOOKED_AT, "tangent_error"):
+        if name in stats:
+            stats[name][lanes] = counts[name][source]
+    for lane in lanes:
+        status[lane] = OK
+    halved = lanes if often == 2 else [failed[i] for i in counts.get("halved", [])]
+    stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved]}
+    return replace(history, **parts, finer=_finer(better, often, cured)), stats, status
+
+
+def _finer(better: History, often: int, cured: list[tuple[int, int]]) -> dict:
+    """Where the smaller steps of lanes are that were `cured` [(place among the failed, lane)]."""
+    result = {}
+    for i, lane in cured:
+        if i in better.finer:
+            history, own, every = better.finer[i]
+            result[lane] = history, own, every * often
+        elif often > 1:
+            result[lane] = better, i, often
+    return result
+
+
+def careful(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of generalized_alpha for lanes that failed: a new matrix for every correction, and more of these.
+
+    The matrix of the step before does not suit one near a singular position: there its inverse grows without bound.
+    """
+    values, tangents = options.get("iterations", (3, 1))
+    return {"iterations": (2 * values, tangents), "refresh": 0}
+
+
+def _empty(dynamics: Dynamics, steps: int) -> History:
+    start = generalized_alpha.initial(dynamics)
+    return History.of([start.map(lambda x: x * torch.nan)] * (steps + 1))
+
+
+def status_of(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:
+    """For each lane: the first time at which it is not finite, or what its steps leave to be desired."""
+    # A sum is finite where all its terms are, short of overflow: one pass over the numbers.
+    good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0).cpu()
+    result = []
+    for lane in range(good.shape[1]):
+        bad = torch.nonzero(~good[:, lane])
+        if len(bad):
+            result.append(f"failed: the motion is not finite from t = {duration * int(bad[0]) / steps:.6g} s on")
+        else:
+            result.append(_complaint({name: float(stats[name][lane]) for name in _LOOKED_AT if name in stats}))
+    return result
+
+
+def _complaint(found: dict[str, float]) -> str:
+    """What is wrong with the steps of a finite motion, or "ok"."""
+    if found.get("iteration_error", 0.0) > ITERATION_ERROR:
+        left = found["iteration_error"]
+        return f"failed: the iteration of a step did not converge (relative error {left:.1e}); more steps help"
+    if found.get("turn", 0.0) > TURN:
+        return f"failed: a body turns by {found['turn']:.2g} rad in one step; allowed: {TURN:g}"
+    if found.get("step_error", 0.0) > STEP_ERROR:
+        # Not a failure: of a stiff body only the gross motion may be wanted, which damped vibrations leave right.
+        warnings.warn(
+            f"the steps do not resolve the vibrations of a flexible body (estimated error {found['step_error']:.1e} of the "
+            f"largest): its energies mean little; {found['suggested_steps']:.0f} steps would resolve them",
+            stacklevel=6,
+        )
+    return OK

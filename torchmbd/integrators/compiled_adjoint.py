@@ -1,0 +1,120 @@
+"""The way back through equal steps by compiled code (adjoint.cpp): the same numbers as Sweep (adjoint.py).
+
+Checked in tests/sensitivity/test_adjoint.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators.adjoint import Bars, Grid, Sweep, contracted, rows_of
+from torchmbd.integrators.blocks import (
+    addresses,
+    blocks,
+    data_blocks,
+    in_all_lanes,
+    lanes_out,
+    moving_blocks,
+    shared,
+    uniform,
+)
+from torchmbd.integrators.library import at_hand, library
+from torchmbd.integrators.step import State
+from torchmbd.numerics.pair import value
+from torchmbd.system.dynamics import Dynamics
+
+_NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
+_ARRAYS = (
+    "given",
+    "q",
+    "v",
+    "vd",
+    "lam",
+    "q_bar",
+    "v_bar",
+    "vd_bar",
+    "lam_bar",
+    "start",
+    "values",
+    "moved",
+    "stay",
+    "lost",
+)
+_ARRAYS += ("slopes", "moved_slopes", "start_slopes", "error", "room")
+
+
+class _Job(ctypes.Structure):
+    """As in adjoint.cpp."""
+
+    _fields_ = [
+        *((n, ctypes.c_long) for n in _NUMBERS),
+        *((n, ctypes.c_void_p) for n in _ARRAYS),
+        ("moved_slots", ctypes.c_long),
+        ("corrections", ctypes.c_long),
+    ]
+
+
+def sweep(grid: Grid) -> Sweep:
+    """The way back through a grid: by compiled code if its library is there."""
+    code = library(grid.dynamics, "adjoint")
+    return Sweep(grid) if code is None else CompiledSweep(code, grid)
+
+
+def ready(dynamics: Dynamics) -> bool:
+    """Whether there is compiled code for going back; asked for again, it is built in the background, after that of steps."""
+    return at_hand(dynamics) and library(dynamics, "adjoint") is not None
+
+
+class CompiledSweep(Sweep):
+    """Sweep by a library. Where its factors cannot be relied on, it goes the eager way."""
+
+    def __init__(self, code: ctypes.CDLL, grid: Grid):
+        super().__init__(grid)
+        self.code: ctypes.CDLL | None = code
+        code.adjoint_room.restype = code.adjoint.restype = ctypes.c_long
+        code.adjoint_room.argtypes = [ctypes.c_long, ctypes.c_long]
+        T, lanes, slots = grid.dynamics.topology, len(grid.lanes), grid.dynamics.tangents
+        self.values, self.tangents = data_blocks(grid.dynamics)
+        self.moved = moving_blocks(T, self.schedule, lanes, slots)
+        self.table = uniform(torch.tensor(grid.weights, dtype=torch.float64), shared(T, self.schedule))
+        h = grid.history
+        self.states = [x.contiguous() for x in (h.q, h.v, h.vd, h.lam)]
+        self.start = blocks(in_all_lanes(value(grid.start.a), lanes))
+
+    def __call__(self, bars: Bars) -> tuple[Tensor, Tensor]:
+        if self.code is None:
+            return super().__call__(bars)
+        T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), rows_of(bars), len(self.table)
+        count, data, moving = len(self.values), self.values.shape[2], self.moved.shape[3]
+        n_x = T.n_q + 3 * T.n_v + T.rows
+        new = self.values.new_zeros
+        slopes, moved_slopes = new(count, rows, data, 8), new(steps, count, rows, moving, 8)
+        start_slopes, error = new(count, rows, n_x, 8), new(count, 8)
+        room = torch.empty(self.code.adjoint_room(rows, steps) // 8, dtype=torch.float64)
+        arrays = [self.table, *self.states, *(x if x is None else x.contiguous() for x in bars), self.start]
+        arrays += [
+            self.values,
+            self.moved,
+            *(self.diagonal or (None, None)),
+            slopes,
+            moved_slopes,
+            start_slopes,
+            error,
+            room,
+        ]
+        numbers = (lanes, rows, data, self.table.shape[1], steps, moving)
+        job = _Job(*numbers, *addresses(arrays), self.moved.shape[2], self.grid.corrections)
+        if self.code.adjoint(ctypes.byref(job)):
+            self.code = None
+            return super().__call__(bars)
+        total = torch.einsum("brnl,bsnl->brsl", slopes, self.tangents)
+        if moving:
+            total += torch.einsum("tbrnl,tbsnl->brsl", moved_slopes, self.moved[:, :, 1:])
+        found = total.permute(1, 2, 0, 3).flatten(2)[..., :lanes]
+        y = lanes_out(start_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
+        start = dict(zip(State._fields, self.grid.start, strict=True))
+        by = dict(zip(State._fields, y, strict=True))
+        return found + contracted(start, by), error.flatten()[:lanes]

@@ -1,0 +1,132 @@
+"""Reverse mode on a tape (scalars.py): the derivative of a weighted sum of numbers by all others, as numbers of the tape.
+
+    s = sum_k weight_k output_k      ->      ds/dx for each x that is asked for
+
+Each operation hands on what it is worth to its arguments, last operation first: as many operations as a few evaluations,
+however many x there are. The derivatives are operations of the tape again, written out and simplified like all others.
+Checked in tests/numerics/test_reverse.py.
+Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, section 3.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from torchmbd.numerics.scalars import Tape, Untraceable
+
+Rule = Callable[[Tape, int, int, tuple], tuple]
+
+
+def _mul(t: Tape, bar: int, _: int, args: tuple) -> tuple:
+    a, b = args
+    return t.call("mul", bar, b), t.call("mul", bar, a)
+
+
+def _div(t: Tape, bar: int, out: int, args: tuple) -> tuple:
+    first = t.call("div", bar, args[1])
+    return first, t.call("neg", t.call("mul", first, out))
+
+
+def _sqrt(t: Tape, bar: int, out: int, _: tuple) -> tuple:
+    return (t.call("div", t.call("mul", t.constant(0.5), bar), out),)
+
+
+def _abs(t: Tape, bar: int, _: int, args: tuple) -> tuple:
+    zero, a = t.zero, args[0]
+    return (t.call("mul", bar, t.call("sub", t.call("gt", a, zero), t.call("gt", zero, a))),)
+
+
+def _tanh(t: Tape, bar: int, out: int, _: tuple) -> tuple:
+    return (t.call("mul", bar, t.call("sub", t.one, t.call("mul", out, out))),)
+
+
+def _chosen(order: Callable[[int, int], tuple[int, int]]) -> Rule:
+    """Of the larger or the smaller of two; of equal ones each gets half, as torch has it."""
+
+    def rule(t: Tape, bar: int, _: int, args: tuple) -> tuple:
+        more, less = order(*args)
+        half = t.call("mul", t.constant(0.5), bar)
+        wins, draws = t.call("gt", more, less), t.call("ge", more, less)
+
+        def part(condition: int, other: int) -> int:
+            return t.call("where", condition, bar, other)
+
+        first = part(wins, t.call("where", draws, half, t.zero))
+        return first, t.call("sub", bar, first)
+
+    return rule
+
+
+def _atan2(t: Tape, bar: int, _: int, args: tuple) -> tuple:
+    y, x = args
+    square = t.call("add", t.call("mul", x, x), t.call("mul", y, y))
+    share = t.call("div", bar, square)
+    return t.call("mul", share, x), t.call("neg", t.call("mul", share, y))
+
+
+def _where(t: Tape, bar: int, _: int, args: tuple) -> tuple:
+    c = args[0]
+    return t.zero, t.call("where", c, bar, t.zero), t.call("where", c, t.zero, bar)
+
+
+# What an operation whose result is worth `bar` hands on to each argument: f(tape, bar, result, arguments).
+RULES: dict[str, Rule] = {
+    "add": lambda t, bar, out, args: (bar, bar),
+    "sub": lambda t, bar, out, args: (bar, t.call("neg", bar)),
+    "neg": lambda t, bar, out, args: (t.call("neg", bar),),
+    "mul": _mul,
+    "div": _div,
+    "sqrt": _sqrt,
+    "abs": _abs,
+    "tanh": _tanh,
+    "sin": lambda t, bar, out, args: (t.call("mul", bar, t.call("cos", args[0])),),
+    "cos": lambda t, bar, out, args: (t.call("neg", t.call("mul", bar, t.call("sin", args[0]))),),
+    "exp": lambda t, bar, out, args: (t.call("mul", bar, out),),
+    "log": lambda t, bar, out, args: (t.call("div", bar, args[0]),),
+    "max": _chosen(lambda a, b: (a, b)),
+    "min": _chosen(lambda a, b: (b, a)),
+    "gt": lambda t, bar, out, args: (t.zero, t.zero),
+    "ge": lambda t, bar, out, args: (t.zero, t.zero),
+    "atan2": _atan2,
+    "where": _where,
+}
+
+
+def pullback(tape: Tape, outputs: Sequence[int], weights: Sequence[int], by: Sequence[int]) -> list[int]:
+    """Derivatives of sum_k weights[k] outputs[k] by the numbers `by`, as numbers of the tape."""
+    found, worth = set(by), {}
+
+    def give(node: int, bar: int) -> None:
+        if bar != tape.zero:
+            worth[node] = tape.call("add", worth[node], bar) if node in worth else bar
+
+    for output, weight in zip(outputs, weights, strict=True):
+        give(output, weight)
+    moving = _between(tape, outputs, found)
+    for node in sorted(moving, reverse=True):  # results come after their arguments
+        if node not in worth or node in found:
+            continue
+        op, args = tape.op[node], tape.args[node]
+        if op not in RULES:
+            raise Untraceable(f"the operation {op!r} has no derivative in reverse mode")
+        for a, bar in zip(args, RULES[op](tape, worth[node], node, args), strict=True):
+            if a in moving:
+                give(a, bar)
+    return [worth.get(node, tape.zero) for node in by]
+
+
+def _between(tape: Tape, outputs: Sequence[int], by: set[int]) -> set[int]:
+    """Operations between the numbers `by` and the outputs, both included: all that derivatives pass through."""
+    needed, stack = set(), list(outputs)
+    while stack:
+        node = stack.pop()
+        if node not in needed:
+            needed.add(node)
+            if tape.op[node] not in ("input", "constant"):
+                stack += tape.args[node]
+    moving: set[int] = set()
+    for node in sorted(needed):
+        leaf = tape.op[node] in ("input", "constant")
+        if node in by or (not leaf and any(a in moving for a in tape.args[node])):
+            moving.add(node)
+    return moving
