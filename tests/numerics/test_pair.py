@@ -44,6 +44,21 @@ OPERATIONS = {
 }
 
 
+def test_reverse_mode_of_a_function_of_numbers_takes_its_slopes_from_forward_mode():
+    """A branch that is not taken, a root of a negative number, counts nothing; a number for all gets the sum of all."""
+
+    def f(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return torch.where(s > 0.0, s.sqrt() * rate, t * s)
+
+    s, rate, t = (torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in ([4.0, -2.0], [0.3, 0.5], 0.7))
+    found = elementwise.lifted(f, s, rate, t)
+    assert_close(found, torch.tensor([0.6, -1.4], dtype=torch.float64))
+    slopes = torch.autograd.grad(found.sum(), (s, rate, t))
+    wanted = ([0.075, 0.7], [2.0, 0.0], -2.0)
+    for one, other in zip(slopes, wanted, strict=True):
+        assert_close(one, torch.tensor(other, dtype=torch.float64))
+
+
 def number(shape: tuple[int, ...], lanes: int, make: torch.Generator) -> Pair:
     return Pair(torch.randn(*shape, 1 + TANGENTS, lanes, generator=make, dtype=torch.float64))
 

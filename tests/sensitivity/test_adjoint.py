@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -44,8 +45,14 @@ def loose_chain() -> System:
     return System(bodies, joints, gravity=(1.0, -9.0, 2.0))
 
 
+def contact(s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+    """Of two spheres: the root of what is apart is nan, and not taken."""
+    depth = 0.01 - s
+    return torch.where(depth > 0.0, 50.0 * depth * torch.sqrt(depth), 0.0 * s)
+
+
 def strung() -> System:
-    """Forces of all kinds with design variables in their laws."""
+    """Forces of all kinds with design variables in their laws, and a contact that is open."""
     body = box("bob", position=(0.2, 0.0, 0.1), angular_velocity=(1.0, 2.0, 0.5))
     end = body.at(0.1, 0.05, 0.0)
     forces = [
@@ -53,6 +60,7 @@ def strung() -> System:
         mbd.RotationalSpringDamper(mbd.Ground().at(), end, law=Scaled(mbd.variable(0.5), Spring(2.0)), name="coil"),
         mbd.Force(end, (mbd.variable(0.3), 0.0, 0.1), name="push"),
         mbd.Torque(end, Scaled(mbd.variable(0.02), waves), name="twist"),
+        mbd.SpringDamper(mbd.Ground().at(), end, law=contact, name="stop"),
     ]
     return System([body], [mbd.Spherical(mbd.Ground().at(0.2, 0.0, 0.1), body.at())], forces)
 
@@ -75,6 +83,13 @@ def closed() -> System:
     return System([*system.bodies, rod], joints, gravity=(0.0, -9.81, 0.0))
 
 
+def held() -> System:
+    """A drive leaves nothing free: the equations of motion have no part in a gradient but by rounding."""
+    crank, foot = box("crank"), mbd.Ground().at()
+    joints = [mbd.Revolute(foot, crank.at()), mbd.Drive(foot, crank.at(), speed=mbd.variable(3.0), name="motor")]
+    return System([crank], joints)
+
+
 CASES: dict[str, tuple[Callable[[], System], float, int]] = {
     "driven": (lambda: soft_slider_crank((30.0, -20.0), cells=(6, 2)), 0.01, 25),
     "spatial": (pendulum, 0.04, 20),
@@ -84,6 +99,7 @@ CASES: dict[str, tuple[Callable[[], System], float, int]] = {
     "laws of drives": (lambda: arm("step"), 0.1, 20),
     "redundant": (closed, 0.02, 15),
     "many bodies": (loose_chain, 0.01, 5),
+    "all held": (held, 0.1, 10),
 }
 
 
@@ -146,7 +162,7 @@ def test_the_gradient_is_that_of_forward_tangents(name):
     assert float(back.adjoint.error.max()) < 1e-9
 
 
-@pytest.mark.parametrize("name", ["laws of forces", "laws of drives", "redundant", "many bodies"])
+@pytest.mark.parametrize("name", ["laws of forces", "laws of drives", "redundant", "many bodies", "all held"])
 def test_compiled_and_eager_agree(name, at_once):
     make, duration, steps = CASES[name]
     system = make()
@@ -158,6 +174,9 @@ def test_compiled_and_eager_agree(name, at_once):
     (sweep,) = motion.adjoint._sweeps
     assert isinstance(sweep, CompiledSweep)
     assert sweep.code is not None
+    assert float(motion.adjoint.error.max()) < 1e-6
+    again = pickle.loads(pickle.dumps(motion))  # without the library
+    assert torch.equal(differentiate(everything, again).gradient, fast)
     motion.adjoint._sweeps = [adjoint.Sweep(sweep.grid)]
     eager = differentiate(everything, motion).gradient
     assert float(((fast - eager).abs().amax((0, 1)) / eager.abs().amax((0, 1))).max()) < 1e-8
@@ -226,6 +245,7 @@ def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
     motion = mbd.simulate(system, 0.002, **options)
     assert [x == "ok" for x in motion.status] == [True, False, True]
     found = differentiate(everything, motion).gradient
+    assert motion.adjoint.error.isnan().tolist() == [False, True, False]
     assert_close(found[[0, 2]], wanted[[0, 2]], rtol=1e-9, atol=0)
 
 
@@ -253,6 +273,13 @@ def test_a_number_that_does_not_depend_on_the_motion():
     assert float(mbd.Frequency("rod").value_and_gradient(motion)[1].abs().max()) > 0
     constant = differentiate(lambda m: torch.ones(1, dtype=torch.float64), motion)
     assert constant.gradient.tolist() == [[0.0, 0.0]]
+
+
+def test_a_variable_that_nothing_depends_on():
+    system = pendulum()
+    system.register_parameter("loose", torch.nn.Parameter(torch.zeros(2, dtype=torch.float64)))
+    motion = mbd.simulate(system, 0.01, steps=5, sensitivities=["loose"], adjoint=True)
+    assert differentiate(everything, motion).gradient.tolist() == [[[0.0, 0.0], [0.0, 0.0]]]
 
 
 def test_what_such_a_motion_does_not_have_is_refused():

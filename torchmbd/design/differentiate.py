@@ -69,10 +69,10 @@ def _some_backwards(sums: Tensor, by: list[Tensor], adjoint: Adjoint) -> Tensor:
         None if all(x is None for x in some) else [torch.zeros_like(like) if x is None else x for x in some]
         for some, like in zip(zip(*slopes, strict=True), by, strict=True)
     )
-    found = [] if direct is None else [torch.stack(direct, 1)]
-    if any(bars):
-        found.append(adjoint([None if x is None else torch.cat(x, 2) for x in bars]))
-    return sum(found[1:], found[0])
+    found = delta.new_zeros(lanes, len(sums), delta.shape[1]) if direct is None else torch.stack(direct, 1)
+    if any(bars) and adjoint.dynamics.tangents:  # else the motion depends on no variable
+        found = found + adjoint([None if x is None else torch.cat(x, 2) for x in bars])
+    return found
 
 
 def _sums(found: Tensor) -> Tensor:

@@ -10,7 +10,7 @@
 constexpr int N_X = N_Q + 3 * N_V + ROWS;  // a state: q, v, v', a, lam
 constexpr int MOST = 12;                   // corrections of mu, as in adjoint.py
 constexpr long CHECK = 25;                 // steps between two looks at the factors, as in march.py
-constexpr double ENOUGH = 1e-6;            // estimated relative error of mu that gets no other
+constexpr double ENOUGH = 1e-8;            // estimated relative error of mu that gets no other
 constexpr double TINY = 1e-300;
 enum { SHARE, A_FROM_VD, A_FROM_A };       // places among what all lanes share: the first weights of step.py
 
@@ -23,6 +23,7 @@ struct Job {
   double *values;                                  // [block][data][8]
   const double *moved;                             // [steps][block][1 + any][moving][8]
   const double *stay, *lost;                       // [N], or null
+  const double *nothing;                           // [block][8], see march.py
   double *slopes, *moved_slopes;                   // [block][rows][data][8], [steps][block][rows][moving][8], zeros
   double *start_slopes;                            // [block][rows][N_X][8], by the state at the start
   double *error;                                   // [block][8], estimated relative error of mu
@@ -84,6 +85,7 @@ extern "C" long adjoint(const Job* job) {
     const int valid = (int)(J.lanes - block * LANES < LANES ? J.lanes - block * LANES : LANES);
     V *values = (V*)J.values + block * J.data, *slopes = (V*)J.slopes + block * S * J.data;
     V worst = spread(0.0);
+    const V nothing = ((const V*)J.nothing)[block];
     std::memcpy((void*)as, (const V*)J.start + block * N_V, N_V * sizeof(V));
     for (long i = 0; i < J.steps; i++) {
       const double* u = J.given + i * J.uniform;
@@ -134,7 +136,8 @@ extern "C" long adjoint(const Job* job) {
           for (int e = 0; e < PULL_UNKNOWNS; e++) R[PULL_UNKNOWNS_AT[e]] += unknowns[e];
           solve_transposed(factors.K, factors.inverse, R);
           for (int n = 0; n < N; n++) mu[n] -= share * R[n];
-          const V size = largest(mu, N_V), change = largest(R, N_V) / (size > TINY ? size : spread(TINY));
+          const V rates = largest(mu, N_V), held = nothing * largest(mu + N_V, ROWS), size = rates > held ? rates : held;
+          const V change = largest(R, N_V) / (size > TINY ? size : spread(TINY));
           left = share > 0.0 ? change * change / before : left;  // each leaves the same share of what the one before left
           before = change > TINY ? change : spread(TINY);
           if (k >= J.corrections) share = left > ENOUGH ? share : spread(0.0);  // what a lane gets depends on no other
@@ -142,7 +145,7 @@ extern "C" long adjoint(const Job* job) {
           for (int l = 0; l < LANES; l++) done &= share[l] == 0.0;
           if (done) break;
         }
-        worst = left > worst ? left : worst;
+        worst = (left > worst) | (left != left) ? left : worst;  // a nan stays
         pull_known(in, w, known);
         for (int e = 0; e < PULL_KNOWN; e++) {
           const int to = PULL_KNOWN_AT[e];

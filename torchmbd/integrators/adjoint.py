@@ -32,6 +32,7 @@ from torch import Tensor
 
 from torchmbd.integrators.generalized_alpha import SPECTRAL_RADIUS, Begun, begin
 from torchmbd.integrators.history import History
+from torchmbd.integrators.march import nothing
 from torchmbd.integrators.step import Coefficients, Model, State, Step, Weights, apply
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics, regularized
@@ -39,8 +40,9 @@ from torchmbd.system.elimination import Elimination, factored, pays
 from torchmbd.system.topology import Prescribed
 
 MOST = 12  # corrections of mu
-POOR = 1e-3  # estimated relative error of mu that is worth a warning
-ENOUGH = 1e-6  # estimated relative error of mu that gets no other; gradients have 20 times that at most, as measured
+# Estimated relative errors of mu. The largest gradient of a response has 100 times that at most, as measured.
+POOR = 1e-5  # worth a warning
+ENOUGH = 1e-8  # gets no other correction; most steps have it after the first
 
 
 # What responses take from q, v, a, lam, in this order [times, n, rows, lanes]; None: nothing.
@@ -97,6 +99,10 @@ class Adjoint:
     def error(self) -> Tensor:
         """Estimated relative error of the gradients asked for so far [lanes]."""
         return torch.zeros(self.dynamics.lanes, dtype=torch.float64)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without sweeps: those by compiled code hold a library, and all can be made again."""
+        return {name: x for name, x in vars(self).items() if name != "_sweeps"}
 
     @torch.no_grad()
     def __call__(self, bars: Bars) -> Tensor:
@@ -155,7 +161,7 @@ class Sweep:
         self.grid, self.dynamics = grid, grid.dynamics
         T = self.dynamics.topology
         self.schedule = T.schedule(grid.times[1:], self.dynamics.data)
-        self.diagonal = self.dynamics.diagonal()
+        self.diagonal, self.nothing = self.dynamics.diagonal(), nothing(self.dynamics)
         self.factor = Elimination(T) if pays(T) else factored
 
     def __call__(self, bars: Bars) -> tuple[Tensor, Tensor]:
@@ -167,7 +173,7 @@ class Sweep:
         y = self._taken(bars, -1)
         slopes, error = torch.zeros(()), torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(self.schedule))):
-            found = _StepBack(model, states[i], states[i + 1], self.schedule[i], self.grid.corrections)
+            found = _StepBack(model, states[i], states[i + 1], self.schedule[i], self.grid.corrections, self.nothing)
             y, by_data, by_laws, left = found(y, self._factors)
             y = State(*(a + b for a, b in zip(y, self._taken(bars, i), strict=True)))
             part = contracted(self.dynamics.data, by_data) + contracted(found.laws, by_laws)
@@ -198,8 +204,8 @@ class Sweep:
 class _StepBack:
     """One step in reverse mode."""
 
-    def __init__(self, model: Model, before: State, after: State, given: Prescribed, corrections: int):
-        T, self.corrections = model.T, corrections
+    def __init__(self, model: Model, before: State, after: State, given: Prescribed, corrections: int, nothing: Tensor):
+        T, self.corrections, self.nothing = model.T, corrections, nothing
         varied: dict[int, tuple] = {i: given.laws[i] or () for i in T.varied}
         self.laws = {f"{i}.{k}": x for i, law in varied.items() for k, x in enumerate(law)}
         self.x, self.z = before.map(_leaf), _leaf(torch.cat([after.vd, after.lam]))
@@ -245,7 +251,7 @@ class _StepBack:
             (pulled,) = _pulled([self.residual], [mu], [self.z])
             correction = apply(H, pulled - goal)
             mu = mu - active * correction
-            size = mu[:n_v, 0].abs().amax(0).clamp_min(torch.finfo(mu.dtype).tiny)
+            size = self._size(mu[:, 0].abs()).clamp_min(torch.finfo(mu.dtype).tiny)
             change = correction[:n_v, 0].abs().amax(0) / size
             # Each correction leaves the same share of what the one before left.
             left = torch.where(active > 0.0, change * change / before, left)
@@ -255,6 +261,12 @@ class _StepBack:
             if not bool(active.any()):
                 break
         return mu, left
+
+    def _size(self, mu: Tensor) -> Tensor:
+        """Of mu [n, lanes] for accelerations; where that is rounding only, what mu for multipliers would make of it."""
+        n_v = self.x.v.shape[0]
+        size = mu[:n_v].amax(0)
+        return size.maximum(self.nothing * mu[n_v:].amax(0)) if len(mu) > n_v else size
 
 
 def _leaf(x: Tensor) -> Tensor:

@@ -212,9 +212,12 @@ class _Writer:
 
         with separate():
             (found,) = self.tape.trace(flat, *self.flat)
+        self._check_length()
+        return [int(i) for i in found.ravel()]
+
+    def _check_length(self) -> None:
         if len(self.tape.op) > MOST:
             raise MbdError(f"a step has more than {MOST} operations: it is not compiled")
-        return [int(i) for i in found.ravel()]
 
     def text(self, code: Code) -> str:
         """The whole C++ text."""
@@ -249,6 +252,7 @@ class _Writer:
         weights = self.tape.inputs(what.weights, len(outputs)).tolist()
         by = [node for array in what.by for node in self.arrays[array]]
         found = pullback(self.tape, outputs, weights, by)
+        self._check_length()
         return [(i, node) for i, node in enumerate(found) if node != self.tape.zero]
 
     def _boundary(self, emitter: Emitter, outputs: list[int]) -> list[int]:

@@ -42,6 +42,7 @@ _ARRAYS = (
     "moved",
     "stay",
     "lost",
+    "nothing",
 )
 _ARRAYS += ("slopes", "moved_slopes", "start_slopes", "error", "room")
 
@@ -82,6 +83,7 @@ class CompiledSweep(Sweep):
         self.table = uniform(torch.tensor(grid.weights, dtype=torch.float64), shared(T, self.schedule))
         h = grid.history
         self.states = [x.contiguous() for x in (h.q, h.v, h.vd, h.lam)]
+        self.least = blocks(in_all_lanes(self.nothing[None, None], lanes))
         self.start = blocks(in_all_lanes(value(grid.start.a), lanes))
 
     def __call__(self, bars: Bars) -> tuple[Tensor, Tensor]:
@@ -99,6 +101,7 @@ class CompiledSweep(Sweep):
             self.values,
             self.moved,
             *(self.diagonal or (None, None)),
+            self.least,
             slopes,
             moved_slopes,
             start_slopes,

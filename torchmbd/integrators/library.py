@@ -67,7 +67,7 @@ def found(dynamics: Dynamics, kind: str, load: Callable[[Path], Any], place: str
     if name + place not in _loaded:
         code = load(_path(name, kind))
         if code is None:
-            _warn_of_failure(name)
+            _warn_of_failure(name, kind)
             _seen[name] = _seen.get(name, 0) + 1
             if _seen[name] >= _BATCHES and name not in _building:
                 build_in_background(dynamics.to(torch.device("cpu")), kind)
@@ -84,13 +84,15 @@ def at_hand(dynamics: Dynamics, kind: str = "step") -> bool:
     return name in _loaded or _path(name, kind).exists()
 
 
-def _warn_of_failure(name: str) -> None:
+def _warn_of_failure(name: str, kind: str) -> None:
     """Say once that a build in the background has failed."""
     process = _building.get(name)
     if process is not None and process.poll():
         _building[name] = None
         log = Path(process.args[-1]).with_suffix(".log")  # pyright: ignore[reportArgumentType, reportIndexIssue]
-        warnings.warn(f"the build of compiled code failed, simulations run uncompiled; see {log}", stacklevel=4)
+        warnings.warn(
+            f"the build of compiled code failed ({kind}): simulations go on without it; see {log}", stacklevel=4
+        )
 
 
 def path_of(dynamics: Dynamics, kind: str = "step") -> Path:

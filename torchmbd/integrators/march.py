@@ -54,6 +54,11 @@ class Made(NamedTuple):
     seen: tuple[Tensor, ...]
 
 
+def nothing(dynamics: Dynamics) -> Tensor:
+    """What a multiplier of one could accelerate, and be no more than rounding [lanes] or [1]."""
+    return _NOTHING / value(dynamics.data["mass"]).amax((0, 1))
+
+
 class March:
     """Steps of one simulation; keeps the factors and what the iterations leave."""
 
@@ -65,7 +70,7 @@ class March:
         # Corrections of tangents: what a lane gets depends on no other.
         mass = value(dynamics.data["mass"])
         self.passes, self.most = mass.new_full((dynamics.lanes,), float(passes)), passes
-        self.nothing = _NOTHING / mass.amax((0, 1))
+        self.nothing = nothing(dynamics)
         self.diagonal = placed(dynamics.diagonal(everywhere=refresh == 0), mass.device)
         # Which lanes go the dense way by elimination would have to be asked for.
         here = mass.device.type == "cpu"

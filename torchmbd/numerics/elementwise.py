@@ -45,11 +45,11 @@ def slopes(f: Callable[..., Tensor], *xs: Tensor) -> list[Tensor]:
 
 
 def lifted(f: Callable[..., Tensor], *xs: Any) -> Any:
-    """Apply an elementwise function of several numbers; its derivatives come from forward mode."""
+    """Apply an elementwise function of several numbers; its derivatives come from forward mode, in reverse mode as well."""
     paired = [k for k, x in enumerate(xs) if isinstance(x, Pair)]
     values = [value(x) for x in xs]
     if not paired:
-        return f(*values)
+        return _InReverse.apply(f, *values) if any(x.requires_grad for x in values) else f(*values)
 
     def moving(*some: Tensor) -> Tensor:
         full = list(values)
@@ -60,6 +60,31 @@ def lifted(f: Callable[..., Tensor], *xs: Any) -> Any:
     found = slopes(moving, *(values[k] for k in paired))
     tangents = [slope * xs[k].tangent for k, slope in zip(paired, found, strict=True)]
     return Pair.of(f(*values), torch.stack(tangents).sum(0) if len(tangents) > 1 else tangents[0])
+
+
+class _InReverse(torch.autograd.Function):
+    """An elementwise function in reverse mode, by its slopes in forward mode.
+
+    A branch that is not taken (torch.where) may have no slope: forward mode passes it by, reverse mode would multiply it
+    by zero, to nan.
+    """
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(f: Callable[..., Tensor], *xs: Tensor) -> Tensor:
+        return f(*xs)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
+        ctx.f = inputs[0]
+        ctx.save_for_backward(*inputs[1:])
+
+    @staticmethod
+    def backward(ctx: Any, *bars: Tensor) -> tuple:
+        xs = ctx.saved_tensors
+        found = zip(xs, slopes(ctx.f, *xs), ctx.needs_input_grad[1:], strict=True)
+        return None, *((bars[0] * slope).sum_to_size(x.shape) if needed else None for x, slope, needed in found)
 
 
 def reciprocal(x: Any) -> Any:

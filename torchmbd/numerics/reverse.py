@@ -11,9 +11,12 @@ Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, sectio
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 
 from torchmbd.numerics.scalars import Tape, Untraceable
 
+Conditions = tuple[tuple[int, bool], ...]  # numbers, and whether they hold
+_PLAIN = ("add", "sub", "neg", "where")  # make nothing but zero of zero
 Rule = Callable[[Tape, int, int, tuple], tuple]
 
 
@@ -95,13 +98,15 @@ RULES: dict[str, Rule] = {
 def pullback(tape: Tape, outputs: Sequence[int], weights: Sequence[int], by: Sequence[int]) -> list[int]:
     """Derivatives of sum_k weights[k] outputs[k] by the numbers `by`, as numbers of the tape."""
     found, worth = set(by), {}
+    under: dict[int, Conditions] = {}  # under which alone a number is worth anything
 
-    def give(node: int, bar: int) -> None:
+    def give(node: int, bar: int, conditions: Conditions) -> None:
         if bar != tape.zero:
             worth[node] = tape.call("add", worth[node], bar) if node in worth else bar
+            under[node] = _shared(under.get(node, conditions), conditions)
 
     for output, weight in zip(outputs, weights, strict=True):
-        give(output, weight)
+        give(output, weight, ())
     moving = _between(tape, outputs, found)
     for node in sorted(moving, reverse=True):  # results come after their arguments
         if node not in worth or node in found:
@@ -109,10 +114,25 @@ def pullback(tape: Tape, outputs: Sequence[int], weights: Sequence[int], by: Seq
         op, args = tape.op[node], tape.args[node]
         if op not in RULES:
             raise Untraceable(f"the operation {op!r} has no derivative in reverse mode")
-        for a, bar in zip(args, RULES[op](tape, worth[node], node, args), strict=True):
+        own = [under[node]] * len(args)
+        if op == "where":
+            own = [under[node], (*under[node], (args[0], True)), (*under[node], (args[0], False))]
+        for a, bar, conditions in zip(args, RULES[op](tape, worth[node], node, args), own, strict=True):
             if a in moving:
-                give(a, bar)
+                give(a, bar if op in _PLAIN else _chosen_under(tape, under[node], bar), conditions)
     return [worth.get(node, tape.zero) for node in by]
+
+
+def _shared(a: Conditions, b: Conditions) -> Conditions:
+    """The conditions that both begin with."""
+    return tuple(x for x, _ in takewhile(lambda both: both[0] == both[1], zip(a, b, strict=False)))
+
+
+def _chosen_under(tape: Tape, conditions: Conditions, bar: int) -> int:
+    """Zero where not all conditions hold: what a branch that is not taken makes of zero may be nan."""
+    for c, holds in conditions:
+        bar = tape.call("where", c, bar, tape.zero) if holds else tape.call("where", c, tape.zero, bar)
+    return bar
 
 
 def _between(tape: Tape, outputs: Sequence[int], by: set[int]) -> set[int]:

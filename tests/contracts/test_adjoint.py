@@ -1,0 +1,49 @@
+"""The contract of joints and forces with the adjoint: gradients by going back through a motion are those of its tangents."""
+
+from __future__ import annotations
+
+import pytest
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.contracts import test_actions as actions
+from tests.contracts import test_joints as joints
+from torchmbd.design.differentiate import differentiate
+
+KINDS = {case.kind: case for case in joints.CASES}
+
+
+def compared(system: mbd.System, duration: float) -> None:
+    names = [name for name, _ in system.named_parameters()]
+    options = {"steps": 3, "sensitivities": names, "iterations": (5, 5)}
+    wanted, found = (
+        differentiate(looked_at, mbd.simulate(system, duration, adjoint=back, **options).require_ok()).gradient
+        for back in (False, True)
+    )
+    size = float(wanted.abs().max())
+    assert size > 0.0
+    assert_close(found, wanted, rtol=0, atol=1e-9 * size)
+
+
+def looked_at(motion: mbd.Trajectory) -> Tensor:
+    """A number of everything that was integrated, and of what follows from it."""
+    parts = (motion.q, 0.1 * motion.v, 1e-3 * motion.a, 1e-3 * motion.lam)
+    return sum((x * (1.0 + x)).flatten(1).sum(1) for x in parts)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("pair", ["rigid-flexible", "ground-rigid"])
+def test_joints(kind, pair):
+    """With a spring whose stiffness is a variable; of the second pair joints are condensed."""
+    base = joints.joined(KINDS[kind], pair).system
+    last = base.bodies[-1]
+    end = last.at("right") if isinstance(last, mbd.FlexibleBody) else last.at(0.2, 0.1, 0.0)
+    cord = mbd.SpringDamper(mbd.Ground().at(0.3, 1.1, 0.2), end, mbd.variable(40.0), mbd.variable(0.3), name="cord")
+    compared(mbd.System(base.bodies, base.joints, [cord], gravity=(1.0, -9.0, 2.0)), 0.01)
+
+
+@pytest.mark.parametrize("name", actions.ELEMENTS)
+def test_forces(name):
+    base = actions.system_of(name)
+    compared(mbd.System(base.bodies, forces=base.forces, gravity=(1.0, -9.0, 2.0)), 1e-3)
