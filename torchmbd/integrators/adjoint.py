@@ -15,7 +15,7 @@ the reduced model, whose tangents are there.
 
 `Adjoint` is what a motion keeps for it; `Sweep` goes back through equal steps by operators of torch, compiled_adjoint.py
 by compiled code. Not for phases, nor for the methods of torchdiffeq.
-Checked in tests/sensitivity/test_adjoint.py.
+Checked in tests/sensitivity/test_adjoint.py, tests/contracts/test_adjoint.py (all joints and forces).
 Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 15 (implicit functions).
 """
 

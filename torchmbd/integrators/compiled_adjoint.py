@@ -27,24 +27,8 @@ from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics
 
 _NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
-_ARRAYS = (
-    "given",
-    "q",
-    "v",
-    "vd",
-    "lam",
-    "q_bar",
-    "v_bar",
-    "vd_bar",
-    "lam_bar",
-    "start",
-    "values",
-    "moved",
-    "stay",
-    "lost",
-    "nothing",
-)
-_ARRAYS += ("slopes", "moved_slopes", "start_slopes", "error", "room")
+_ARRAYS = ("given", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
+_ARRAYS += ("stay", "lost", "nothing", "slopes", "moved_slopes", "start_slopes", "error", "room")
 
 
 class _Job(ctypes.Structure):
@@ -97,17 +81,8 @@ class CompiledSweep(Sweep):
         start_slopes, error = new(count, rows, n_x, 8), new(count, 8)
         room = torch.empty(self.code.adjoint_room(rows, steps) // 8, dtype=torch.float64)
         arrays = [self.table, *self.states, *(x if x is None else x.contiguous() for x in bars), self.start]
-        arrays += [
-            self.values,
-            self.moved,
-            *(self.diagonal or (None, None)),
-            self.least,
-            slopes,
-            moved_slopes,
-            start_slopes,
-            error,
-            room,
-        ]
+        arrays += [self.values, self.moved, *(self.diagonal or (None, None)), self.least]
+        arrays += [slopes, moved_slopes, start_slopes, error, room]
         numbers = (lanes, rows, data, self.table.shape[1], steps, moving)
         job = _Job(*numbers, *addresses(arrays), self.moved.shape[2], self.grid.corrections)
         if self.code.adjoint(ctypes.byref(job)):

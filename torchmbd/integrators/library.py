@@ -101,7 +101,8 @@ def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
 
 
 def _path(name: str, kind: str) -> Path:
-    return cache_folder() / f"{name}{nvrtc.SUFFIX if kind.startswith('kernel') else SUFFIX}"
+    suffix = nvrtc.SUFFIX if kind.startswith("kernel") else SUFFIX
+    return cache_folder() / f"{kind.replace(':', '-')}-{name}{suffix}"
 
 
 def written_out(dynamics: Dynamics) -> Dynamics | None:

@@ -129,7 +129,7 @@ class Native:
 
     def path(self) -> Path:
         """Where the library is, or would be."""
-        return cache_folder() / f"{surroundings([self.source])[:32]}{SUFFIX}"
+        return cache_folder() / f"{Path(self.source).stem}-{surroundings([self.source])[:32]}{SUFFIX}"
 
     def build(self) -> ctypes.CDLL | None:
         """The library, waited for."""

@@ -4,6 +4,7 @@
 
 Each operation hands on what it is worth to its arguments, last operation first: as many operations as a few evaluations,
 however many x there are. The derivatives are operations of the tape again, written out and simplified like all others.
+A branch that is not taken (`where`) is worth zero, and so is what it is made of, though that may be nan.
 Checked in tests/numerics/test_reverse.py.
 Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, section 3.2.
 """

@@ -56,9 +56,8 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
     with torch.no_grad():
         pulls = unit_forces(T, wide, at, gone)[:2]
         B = torch.cat([x[:, T.flexible :].flatten(0, 1) for x in pulls]).permute(2, 0, 1)
-        inverse = torch.linalg.pinv(
-            torch.where(torch.isfinite(B), B, 0.0), rtol=1e-9
-        )  # of a lane that failed: R is nan
+        finite = torch.where(torch.isfinite(B), B, 0.0)  # of a lane that failed: R is nan
+        inverse = torch.linalg.pinv(finite, rtol=1e-9)
         found = _placed(-_times(inverse, value(_residual(T, wide, at, v, a, lam))), gone, T.rows)
     lam = lam + found
     if isinstance(q, Pair) or torch.is_grad_enabled():
