@@ -83,7 +83,10 @@ def test_the_gradient_is_that_of_forward_tangents(name):
     assert float(back.adjoint.error.max()) < 1e-9
 
 
-@pytest.mark.parametrize("name", ["laws of forces", "laws of drives", "redundant", "many bodies", "all held"])
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("laws of forces", "many bodies")]  # long compilations
+
+
+@pytest.mark.parametrize("name", ["laws of drives", "redundant", "all held", *SLOW])
 def test_compiled_and_eager_agree(name, at_once):
     make, duration, steps = CASES[name]
     system = make()
