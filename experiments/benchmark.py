@@ -61,13 +61,16 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
 }
 FIGURES = (
     "gradient_3x32",
+    "tangents_3x32",
     "gradient_8x32",
+    "tangents_8x32",
     "gradient_3x1",
     "values_x32",
     "eager_3x128",
     "multistart",
     "structure_ms",
     "tenth_variable",
+    "tenth_variable_tangents",
     "mesh_ratio",
     "chain_ratio",
     "gradient_error",

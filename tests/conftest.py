@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import settings
 
 import torchmbd as mbd
 from experiments.slider_crank import build
+from tests.built_at_once import BuiltAtOnce
 from torchmbd.integrators import Trajectory
 from torchmbd.tracking.store import open_store
 
@@ -33,6 +35,21 @@ def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("empty") / "runs.db"
     open_store(f"sqlite:///{file}")
     return file
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache of compiled code, of all tests of a file."""
+    return tmp_path_factory.mktemp("libraries")
+
+
+@pytest.fixture
+def built(kept: Path, monkeypatch: pytest.MonkeyPatch) -> BuiltAtOnce:
+    """Compiled code that is there when somebody asks for it."""
+    if shutil.which("g++") is None:
+        pytest.skip("no C++ compiler")
+    monkeypatch.setenv("TORCHMBD_CACHE", str(kept))
+    return BuiltAtOnce()
 
 
 ANGLES = (30.0, -20.0, 50.0)

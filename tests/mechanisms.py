@@ -129,6 +129,18 @@ def soft_slider_crank(angles: Sequence[float] = (30.0, -20.0), modes: int = 2, *
         return slider_crank.build(len(angles), angles, **({"cells": (6, 2), "modes": modes, "damping": 1e-4} | given))
 
 
+def spoilt(system: mbd.System, monkeypatch: Any, lane: int = 1) -> None:
+    """From now on the reduced stiffness of one lane of a batch is nan."""
+    own = system.dynamics
+
+    def dynamics(*arguments: Any, **options: Any) -> Any:
+        found = own(*arguments, **options)
+        found.data["Kr"].full[0, 0, ..., lane] = torch.nan
+        return found
+
+    monkeypatch.setattr(system, "dynamics", dynamics)
+
+
 def sprung(law: Any = None) -> mbd.System:
     """A rigid arm and a flexible plate with springs, an actuator and a load between them."""
     ground, arm, rod = mbd.Ground(), box("arm"), plate("rod", modes=2, position=(0.3, 0.0, 0.0))

@@ -47,6 +47,8 @@ CASES = [
     ("steps: 60", "steps: 60, device: gpu", "simulate.device", "allowed: 'cpu'"),
     ("steps: 60", "steps: 60, device: 0", "simulate.device = 0", "string"),
     ("steps: 60", "steps: 60, device: cuda, method: rk4", "simulate.device", "device is 'cuda'"),
+    ("steps: 60", "steps: 60, adjoint: 2", "simulate.adjoint = 2", "boolean"),
+    ("steps: 60", "steps: 60, adjoint: true, method: rk4", "simulate.adjoint", "method is 'rk4'"),
     ("{integral: {strain_energy: rod}}", "{integral: {strain_energy: rodd}}", "minimize", "did you mean 'rod'"),
     ("{integral: {strain_energy: rod}}", "{integral: {energy: rod}}", "minimize.integral.energy", "strain_energy"),
     ("{integral: {strain_energy: rod}}", "{integral: rod}", "minimize.integral", "mapping"),

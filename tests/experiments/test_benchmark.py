@@ -128,7 +128,7 @@ def test_differences_of_the_peer_become_gradients(monkeypatch):
     pool = SimpleNamespace(starmap=lambda f, arguments: [benchmark_multistart._peer_measures(*a) for a in arguments])
     start = np.array([0.5, 0.0, 0.0])
     own = SimpleNamespace(start=start, lower=-start, upper=start, names=["a", "b", "c"], period=None, equalities=[])
-    problem = benchmark_multistart.PeerProblem(own, pool, steps=10)  # type: ignore[arg-type]
+    problem = benchmark_multistart.PeerProblem(own, pool, steps=10)
     x = np.array([[0.1, 0.2, 0.3], [0.0, 0.0, 1.0]])
     first, second = problem.evaluate(x, gradients=True)
     assert first.objective == pytest.approx(3.4)

@@ -4,58 +4,43 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
 import torchmbd as mbd
 from experiments.slider_crank import build
+from tests.built_at_once import BuiltAtOnce
 from tests.integrators.test_phases import pushed
-from tests.mechanisms import box, rigid_pendulum, sprung
-from tests.sensitivity.test_law_variables import arm, waves
+from tests.mechanisms import box, rigid_pendulum, spoilt, sprung
+from tests.sensitivity.adjoint_cases import strung
+from tests.sensitivity.test_law_variables import arm
 from tests.system.test_initial import four_bar
-from torchmbd.forces import Scaled, Spring
-from torchmbd.integrators import compiled, compiled_rates, library
-from torchmbd.system import Dynamics
+from torchmbd.integrators import compiled, compiled_rates
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 ANGLES = mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])
 NAME = "rod.laminate.angles"
 
 
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("libraries")
-
-
 Both = Callable[..., tuple[mbd.Trajectory, mbd.Trajectory]]
 
 
 @pytest.fixture
-def both(kept: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
+def both(built: BuiltAtOnce, monkeypatch: pytest.MonkeyPatch) -> Both:
     """The eager and the compiled motion of `simulate` with its arguments."""
-    monkeypatch.setenv("TORCHMBD_CACHE", str(kept))
-    used = []
 
-    def at_once(dynamics: Dynamics, kind: str = "step") -> object:
-        known = library.written_out(dynamics)
-        assert known is not None
-        if not library.path_of(known, kind).exists():
-            library.build(*library.order(known, kind))
-        used.append(library.library(dynamics, kind))
-        return used[-1]
-
-    def motions(*arguments: object, **options: object) -> tuple[mbd.Trajectory, mbd.Trajectory]:
+    def motions(*arguments: Any, **options: Any) -> tuple[mbd.Trajectory, mbd.Trajectory]:
         monkeypatch.setenv("TORCHMBD_COMPILE", "0")
-        eager = mbd.simulate(*arguments, **options)  # type: ignore[arg-type]
+        eager = mbd.simulate(*arguments, **options)
         monkeypatch.setenv("TORCHMBD_COMPILE", "1")
         with monkeypatch.context() as patched:
-            patched.setattr(compiled, "library", at_once)
-            patched.setattr(compiled_rates, "library", at_once)
-            fast = mbd.simulate(*arguments, **options)  # type: ignore[arg-type]
-        assert used
-        assert None not in used
+            patched.setattr(compiled, "library", built)
+            patched.setattr(compiled_rates, "library", built)
+            fast = mbd.simulate(*arguments, **options)
+        assert built.used
+        assert None not in built.used
         return eager, fast
 
     return motions
@@ -94,14 +79,7 @@ def test_values_alone_and_more_lanes_than_a_block(both: Both) -> None:
 def test_a_lane_that_fails_leaves_the_others_alone(both: Both, monkeypatch: pytest.MonkeyPatch) -> None:
     """A nan in the data of one lane."""
     system = build(3, cells=(6, 2), modes=3)
-    own = system.dynamics
-
-    def spoilt(*arguments: object, **options: object) -> Dynamics:
-        dynamics = own(*arguments, **options)  # type: ignore[arg-type]
-        dynamics.data["Kr"].full[0, 0, ..., 1] = torch.nan
-        return dynamics
-
-    monkeypatch.setattr(system, "dynamics", spoilt)
+    spoilt(system, monkeypatch)
     eager, fast = both(system, 0.003, steps=60, sensitivities=True, designs={NAME: ANGLES})
     assert [x == "ok" for x in fast.status] == [x == "ok" for x in eager.status] == [True, False, True]
     torch.testing.assert_close(fast.q[[0, 2]], eager.q[[0, 2]], rtol=0, atol=1e-10)
@@ -180,15 +158,7 @@ def test_drives_with_design_variables_are_compiled(both: Both, refresh: int) -> 
 
 
 def test_forces_with_design_variables_are_compiled(both: Both) -> None:
-    body = box("bob", position=(0.2, 0.0, 0.1), angular_velocity=(1.0, 2.0, 0.5))
-    end = body.at(0.1, 0.05, 0.0)
-    forces = [
-        mbd.SpringDamper(mbd.Ground().at(), end, mbd.variable(40.0), mbd.variable(0.3), 0.1, name="cord"),
-        mbd.RotationalSpringDamper(mbd.Ground().at(), end, law=Scaled(mbd.variable(0.5), Spring(2.0)), name="coil"),
-        mbd.Force(end, (mbd.variable(0.3), 0.0, 0.1), name="push"),
-        mbd.Torque(end, Scaled(mbd.variable(0.02), waves), name="twist"),
-    ]
-    system = mbd.System([body], [mbd.Spherical(mbd.Ground().at(0.2, 0.0, 0.1), body.at())], forces)
+    system = strung()
     names = ["cord.stiffness", "cord.damping", "coil.factor", "push.x", "twist.factor"]
     designs = {"cord.damping": torch.tensor([0.3, 0.1], dtype=torch.float64)}
     eager, fast = both(system, 0.2, steps=20, designs=designs, sensitivities=names)

@@ -14,7 +14,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from tests.mechanisms import box, pendulum, soft_slider_crank, sprung
+from tests.mechanisms import box, pendulum, soft_slider_crank, spoilt, sprung
 from tests.sensitivity.test_law_variables import arm
 from tests.stand_in import Elsewhere, StandIn, stand_in
 from tests.system.test_initial import four_bar
@@ -119,14 +119,7 @@ def test_the_numbers_of_the_cpu(name: str, device: str, there: Place) -> None:
 @pytest.mark.parametrize("device", ["meta", cuda])
 def test_a_lane_that_fails_leaves_the_others_alone(device: str, there: Place, monkeypatch: pytest.MonkeyPatch) -> None:
     system = pendulum()
-    own = system.dynamics
-
-    def spoilt(*arguments: Any, **options: Any) -> Any:
-        dynamics = own(*arguments, **options)
-        dynamics.data["Kr"].full[0, 0, ..., 1] = torch.nan
-        return dynamics
-
-    monkeypatch.setattr(system, "dynamics", spoilt)
+    spoilt(system, monkeypatch)
     expected = motion(system)
     with there(device):
         found = motion(system, device=device)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from tests.integrators.test_compiled import weightless
 from tests.integrators.test_device import CASES, CHECK, looks, motion, same  # noqa: F401
+from tests.mechanisms import spoilt
 from tests.stand_in import DEVICE, stand_in
 from torchmbd.errors import MbdError
 from torchmbd.integrators import compiled, kernel, library, repeated
@@ -128,14 +129,7 @@ def test_a_lane_that_fails_leaves_the_others_alone(
     by_kernel: Callable[[], Used], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     system = CASES["slider-crank, three angles"][0]()
-    own = system.dynamics
-
-    def spoilt(*arguments: Any, **options: Any) -> Any:
-        dynamics = own(*arguments, **options)
-        dynamics.data["Kr"].full[0, 0, ..., 1] = torch.nan
-        return dynamics
-
-    monkeypatch.setattr(system, "dynamics", spoilt)
+    spoilt(system, monkeypatch)
     expected = motion(system, duration=0.002)
     by_kernel()
     found = motion(system, duration=0.002)

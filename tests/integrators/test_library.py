@@ -73,7 +73,7 @@ def test_a_library_is_built_at_the_second_batch_only(cache: Path, monkeypatch: p
 
     def build(d: Dynamics, kind: str) -> None:
         built.append(d)
-        library._building[library.key(d)] = None  # type: ignore[assignment]
+        library._building[library.key(d)] = None
 
     monkeypatch.setattr(library, "build_in_background", build)
     counts = []

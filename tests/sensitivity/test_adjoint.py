@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,12 +12,13 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from tests.mechanisms import pendulum, sprung
+from tests.built_at_once import BuiltAtOnce
+from tests.mechanisms import pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
 from torchmbd.integrators import adjoint, compiled, compiled_adjoint, library
 from torchmbd.integrators.compiled_adjoint import CompiledSweep
-from torchmbd.system import Dynamics, System
+from torchmbd.system import System
 
 TIGHT = {"iterations": (6, 6)}
 
@@ -39,32 +38,14 @@ def everything(motion: mbd.Trajectory) -> Tensor:
     return torch.stack([total, motion.q[:, -1].square().sum(1)], 1)
 
 
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("libraries")
-
-
 @pytest.fixture
-def at_once(kept: Path, monkeypatch: pytest.MonkeyPatch) -> list:
-    """Compiled code is built when somebody asks for it; the kinds that were asked for."""
-    if shutil.which("g++") is None:
-        pytest.skip("no C++ compiler")
-    monkeypatch.setenv("TORCHMBD_CACHE", str(kept))
+def at_once(built: BuiltAtOnce, monkeypatch: pytest.MonkeyPatch) -> BuiltAtOnce:
+    """Compiled code is built when somebody asks for it."""
     monkeypatch.setenv("TORCHMBD_COMPILE", "1")
-    asked = []
-
-    def found(dynamics: Dynamics, kind: str = "step") -> object:
-        known = library.written_out(dynamics)
-        assert known is not None
-        if not library.path_of(known, kind).exists():
-            library.build(*library.order(known, kind))
-        asked.append(kind)
-        return library.library(dynamics, kind)
-
     for module in (compiled, compiled_adjoint):
-        monkeypatch.setattr(module, "library", found)
+        monkeypatch.setattr(module, "library", built)
     monkeypatch.setattr(compiled_adjoint, "at_hand", lambda dynamics: True)
-    return asked
+    return built
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -94,7 +75,7 @@ def test_compiled_and_eager_agree(name, at_once):
     options = {"steps": steps, "sensitivities": names, "designs": designs_of(system, names), "iterations": (4, 2)}
     motion = mbd.simulate(system, duration, adjoint=True, **options).require_ok()
     fast = differentiate(everything, motion).gradient
-    assert "adjoint" in at_once
+    assert "adjoint" in at_once.kinds
     (sweep,) = motion.adjoint._sweeps
     assert isinstance(sweep, CompiledSweep)
     assert sweep.code is not None
@@ -155,17 +136,11 @@ def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
     if fast:
         request.getfixturevalue("at_once")
     system = build(3, cells=(6, 2), modes=3)
-    own = system.dynamics
     options = {"steps": 40, "sensitivities": True, "adjoint": True}
     options["designs"] = {"rod.laminate.angles": mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])}
     wanted = differentiate(everything, mbd.simulate(system, 0.002, **options)).gradient
 
-    def spoilt(*arguments, **more) -> Dynamics:
-        dynamics = own(*arguments, **more)
-        dynamics.data["Kr"].full[0, 0, ..., 1] = torch.nan
-        return dynamics
-
-    monkeypatch.setattr(system, "dynamics", spoilt)
+    spoilt(system, monkeypatch)
     motion = mbd.simulate(system, 0.002, **options)
     assert [x == "ok" for x in motion.status] == [True, False, True]
     found = differentiate(everything, motion).gradient

@@ -12,7 +12,7 @@ from tests.mechanisms import GRAVITY, pendulum, tensor
 from torchmbd.integrators import Trajectory
 
 HEIGHT, RESTITUTION, DURATION = 1.0, 0.8, 1.5
-STEP, DIRECTION = 5e-5, tensor(1.0, 0.4)  # [rad] of differences
+STEP, DIRECTION = 1e-4, tensor(1.0, 0.4)  # [rad] of differences; with half of it rounding shows
 NAME = "rod.laminate.angles"
 
 
@@ -168,7 +168,7 @@ def test_integral_of_a_history_that_jumps_against_differences(window, motion):
     measures = [kind(speed, window) for kind in (mbd.Integral, mbd.RMS)]
     for measure in (*measures, mbd.Integral(mbd.StrainEnergy("rod"), window)):
         found = measure.value_and_gradient(motion)
-        agree(found.gradient[0], differences(found.value), 3e-6)  # rounding of differences: 1.1e-6 on some processors
+        agree(found.gradient[0], differences(found.value), 1e-6)
 
 
 def test_both_routes_agree_on_what_comes_after_a_switch(swing):

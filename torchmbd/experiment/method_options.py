@@ -17,7 +17,7 @@ from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, shown
 from torchmbd.experiment.schema import Optimizer, Simulation
 from torchmbd.integrators import generalized_alpha, ode
-from torchmbd.integrators.arguments import on_device
+from torchmbd.integrators.arguments import check_adjoint, on_device
 from torchmbd.optimizers import OPTIMIZERS, multistart
 
 
@@ -30,10 +30,18 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
         types = _types(integrate, lambda p: p.default is not p.empty and p.name != "device")
         own = ("duration", "method", "steps", "phases", "adjoint", "device")
         faults += _faults("simulate", simulation.method, simulation.model_extra or {}, types, own)
-        try:
-            on_device(simulation.options, simulation.method, simulation.phases is not None)
-        except InputError as error:
-            faults.append(Fault(("simulate", "device"), str(error)))
+        told = simulation.method, simulation.phases is not None
+        refusals: dict[str, Callable[[], Any]] = {
+            "device": lambda: on_device(simulation.options, *told),
+            "adjoint": lambda: check_adjoint(
+                simulation.adjoint, *told, list(sections.get("design", ())), simulation.device
+            ),
+        }
+        for name, refuse in refusals.items():
+            try:
+                refuse()
+            except InputError as error:
+                faults.append(Fault(("simulate", name), str(error)))
     optimizer: Optimizer | None = sections.get("optimizer")
     if optimizer is not None:
         types = {}

@@ -14,8 +14,9 @@ Checked in tests/integrators/test_compiled.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,7 +54,7 @@ class Code(NamedTuple):
     tangents: dict[str, Callable[..., Any]]
     matrix: Callable[..., Any]
     driver: str
-    pulled: dict[str, Pulled] = {}  # noqa: RUF012 (nobody writes into it)
+    pulled: Mapping[str, Pulled] = MappingProxyType({})
 
 
 class Pulled(NamedTuple):

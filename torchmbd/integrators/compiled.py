@@ -25,7 +25,7 @@ from torchmbd.integrators.blocks import (
     uniform,
 )
 from torchmbd.integrators.library import library
-from torchmbd.integrators.march import CHECK, March, Record
+from torchmbd.integrators.march import CHECK, March, Record, between_looks
 from torchmbd.integrators.step import State, Weights
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
@@ -87,15 +87,10 @@ class CompiledMarch(March):
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
         moved = moving_blocks(self.dynamics.topology, schedule, self.lanes, self.slots)
         table = uniform(self.weights, shared(self.dynamics.topology, schedule))
-        done = 0
-        while done < len(schedule):
-            since = (first + done) % CHECK
-            # A look may call for more corrections from the next step on: it is a call of its own.
-            count = 1 if self.slots and not since else min(CHECK - since, len(schedule) - done)
-            end = done + count
-            if not self._some(state, table[done:end], moved[done:end], record, first + done, place + done):
-                return super().run(self._state(state), schedule[done:], record, first + done, place + done)
-            done = end
+        for some in between_looks(len(schedule), first, self.slots):
+            at = some.start
+            if not self._some(state, table[some], moved[some], record, first + at, place + at):
+                return super().run(self._state(state), schedule[at:], record, first + at, place + at)
         return self._state(state)
 
     def _some(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, place: int) -> bool:

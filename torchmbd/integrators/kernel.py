@@ -19,7 +19,7 @@ from torchmbd.integrators.blocks import addresses, flat_data, in_all_lanes, movi
 from torchmbd.integrators.captured import CapturedMarch
 from torchmbd.integrators.history import Record
 from torchmbd.integrators.library import found
-from torchmbd.integrators.march import CHECK, March
+from torchmbd.integrators.march import CHECK, March, between_looks
 from torchmbd.integrators.step import State, Weights
 from torchmbd.numerics.native import wanted
 from torchmbd.numerics.nvrtc import Kernels
@@ -73,16 +73,12 @@ class KernelMarch(CapturedMarch):
         T = self.dynamics.topology
         parts = [in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]
         state, moved = torch.cat(parts), moving(T, schedule, self.lanes, self.slots)
-        table, done = uniform(self.weights, shared(T, schedule)), 0
-        while done < len(schedule):
-            since = (first + done) % CHECK
-            # A look may call for more corrections from the next step on: it is a launch of its own.
-            count = 1 if self.slots and not since else min(CHECK - since, len(schedule) - done)
-            some = slice(done, done + count)
-            if not self._some(state, table[some], moved[some], record, first + done, place + done):
+        table = uniform(self.weights, shared(T, schedule))
+        for some in between_looks(len(schedule), first, self.slots):
+            at = some.start
+            if not self._some(state, table[some], moved[some], record, first + at, place + at):
                 self.launch = None
-                return super()._marched(self._state(state), schedule[done:], record, first + done, place + done)
-            done += count
+                return super()._marched(self._state(state), schedule[at:], record, first + at, place + at)
         return self._state(state)
 
     def _some(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, place: int) -> bool:

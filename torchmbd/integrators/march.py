@@ -8,7 +8,7 @@ Checked in tests/integrators/.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -57,6 +57,19 @@ class Made(NamedTuple):
 def nothing(dynamics: Dynamics) -> Tensor:
     """What a multiplier of one could accelerate, and be no more than rounding [lanes] or [1]."""
     return _NOTHING / value(dynamics.data["mass"]).amax((0, 1))
+
+
+def between_looks(count: int, first: int, tangents: int) -> Iterator[slice]:
+    """Steps, the first of number `first`, in runs without a look in between: how long compiled code goes on by itself.
+
+    A look may call for more corrections from the next step on, so with tangents its step is a run of its own.
+    """
+    done = 0
+    while done < count:
+        since = (first + done) % CHECK
+        end = done + (1 if tangents and not since else min(CHECK - since, count - done))
+        yield slice(done, end)
+        done = end
 
 
 class March:

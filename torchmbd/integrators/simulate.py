@@ -55,7 +55,8 @@ def simulate(
     designs        parameter name -> values [lanes, ...]; others keep their own values
     phases         locks, releases and ends of the phases that follow each other (phases.py); default: one without either
     adjoint        True: no sensitivities of the motion itself; gradients of responses by going back through its steps, which
-                   costs about a simulation for each response, however many variables there are (adjoint.py).
+                   costs about a simulation for the first and half of one for each further response, however many
+                   variables there are (adjoint.py).
                    generalized_alpha on the CPU without phases only. None: where that is possible and compiled code is at hand
     options        generalized_alpha: spectral_radius, iterations, refresh; halvings and device (not with phases);
                    torchdiffeq: rtol, atol, options

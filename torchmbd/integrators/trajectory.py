@@ -225,7 +225,7 @@ class Trajectory:
         Raises InputError for a motion that was simulated with adjoint=True.
         """
         if self.adjoint is not None:
-            self.signals.tangents("q")
+            self.signals.tangents("q")  # which there are not: says so
         return self._neighbor(Moved(self.signals, delta), delta)
 
     def opened(self, delta: Tensor) -> tuple[Trajectory, list[Tensor]]:
