@@ -5,7 +5,6 @@ Parts (default: all):
     motion          gradients and values of batches of the slider-crank, three angles
     motion8         the same with four angles and four thicknesses
     pendulum        another mechanism: two laminated links, six angles
-    device          gradients of 4,096 designs on a CUDA device, where there is one
     multistart      a whole optimization from 32 starts
     structure       structure stage with tangents
     variables       cost of one more variable
@@ -38,7 +37,7 @@ from rich.console import Console
 
 import torchmbd as mbd
 from experiments import benchmark_costs as costs
-from experiments import benchmark_device, benchmark_motion, exudyn_peer
+from experiments import benchmark_motion, exudyn_peer
 from experiments.benchmark_integrators import work_precision
 from experiments.benchmark_multistart import multistart
 from experiments.benchmark_report import Result, Settings
@@ -47,7 +46,6 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "motion": benchmark_motion.slider_crank_part,
     "motion8": benchmark_motion.eight_part,
     "pendulum": benchmark_motion.pendulum_part,
-    "device": benchmark_device.device_part,
     "multistart": multistart,
     "structure": costs.structure,
     "variables": costs.variables,
@@ -79,7 +77,6 @@ FIGURES = (
     "compile_s",
     "pendulum_6x32",
     "pendulum_values_x32",
-    benchmark_device.FIGURE,
 )
 
 

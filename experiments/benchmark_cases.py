@@ -21,7 +21,6 @@ from torchmbd.integrators.history import History
 from torchmbd.integrators.trajectory import MovedData
 from torchmbd.numerics.native import enabled
 from torchmbd.numerics.pair import Pair, value
-from torchmbd.numerics.placed import placed
 from torchmbd.reduction import panels
 from torchmbd.system import Dynamics
 
@@ -94,9 +93,9 @@ def pendulum(links: int = 2, modes: int = 8, cells: tuple[int, int] = (16, 2), d
 def energy(dynamics: Dynamics, history: History) -> Tensor:
     """Strain energy of all flexible bodies and its design tangents [1 + n_b, lanes, times]."""
     T = dynamics.topology
-    w = history.rows_there(0, range(7 * T.bodies, T.n_q)).movedim(0, -1).unflatten(0, (T.modes, T.flexible))
+    w = history.rows(0, range(7 * T.bodies, T.n_q)).movedim(0, -1).unflatten(0, (T.modes, T.flexible))
     still = w[:, :, 0]  # [modes, bodies, lanes, times]
-    Kr = placed(dynamics.data["Kr"], w.device)  # [modes, modes, bodies, slots, lanes]
+    Kr = dynamics.data["Kr"]  # [modes, modes, bodies, slots, lanes]
     force = torch.einsum("abfl,bflt->aflt", value(Kr)[:, :, :, 0], still)
     U = (force.unsqueeze(2) * w).sum((0, 1))
     U[0] *= 0.5

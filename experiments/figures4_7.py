@@ -69,7 +69,7 @@ class Rod:
     def direct(self, updated: bool = True) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]:
         """Time [s]; by place of the node the deflection [m] and its sensitivity [m/rad], by direct differentiation."""
         system = build(1, [self.degrees], self.cells, updated=updated)
-        motion = mbd.simulate(system, DURATION, sensitivities=[ANGLES], **self.options).require_ok()
+        motion = mbd.simulate(system, DURATION, gradients="forward", variables=[ANGLES], **self.options).require_ok()
         motion.modes("rod")
         motion.prepare()
 

@@ -54,7 +54,7 @@ def relative(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def forward_and_reverse(layers: int, duration: float = 2e-4, steps: int = 20) -> float:
     """Largest relative difference of the gradient of the final strain energy between the two modes."""
     system = build(layers, np.degrees(DESIGNS[layers]).tolist(), cells=(8, 2), modes=4)
-    motion = mbd.simulate(system, duration, method="rk4", steps=steps, sensitivities=True)
+    motion = mbd.simulate(system, duration, method="rk4", steps=steps, gradients="forward")
     forward = ENERGY.series(motion).gradient
     dynamics = system()
     t = torch.linspace(0, duration, steps + 1, dtype=torch.float64)

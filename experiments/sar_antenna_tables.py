@@ -149,7 +149,7 @@ def gradient(steps: int, angles: Sequence[float] = (40.0, -30.0), step: float = 
     given: dict[str, Any] = {"steps": steps, "iterations": (5, 2)} | (
         {"phases": jumps()} if located else {"halvings": 0}
     )
-    motion = mbd.simulate(system, DURATION, sensitivities=[ANGLES], **given).require_ok()
+    motion = mbd.simulate(system, DURATION, gradients="forward", variables=[ANGLES], **given).require_ok()
     value, exact = OBJECTIVE.value_and_gradient(motion)
     assert exact is not None
     offsets = step * torch.cat([torch.eye(2), -torch.eye(2)]).to(exact)

@@ -64,4 +64,4 @@ def slider_crank() -> mbd.System:
 @pytest.fixture(scope="session")
 def slider_crank_motion(slider_crank: mbd.System) -> Trajectory:
     """A short motion of it with sensitivities, its discrete map solved to rounding."""
-    return mbd.simulate(slider_crank, 0.004, steps=80, sensitivities=True, iterations=(6, 6), refresh=1)
+    return mbd.simulate(slider_crank, 0.004, steps=80, gradients="forward", iterations=(6, 6), refresh=1)

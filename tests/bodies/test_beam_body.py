@@ -161,7 +161,7 @@ def test_gradient_of_the_energy_of_a_swinging_beam():
         )
         hinge = mbd.Revolute(mbd.Ground().at(0, 0, 0), body.at("start"), axis="y")
         system = mbd.System([body], [hinge], gravity=(0.0, 0.0, -9.81))
-        motion = mbd.simulate(system, duration=0.05, steps=60, sensitivities=True)
+        motion = mbd.simulate(system, duration=0.05, steps=60, gradients="forward")
         return mbd.Integral(mbd.StrainEnergy("arm")).value_and_gradient(motion)
 
     start = np.array([30.0, -20.0])

@@ -272,7 +272,7 @@ def test_a_mechanism_from_a_file_has_gradients(body):
     system = mbd.System(
         [rod], [mbd.Revolute(ground.at(*(rod.at("grid_2").point.tolist())), rod.at("grid_2"), axis="y")]
     )
-    motion = mbd.simulate(system, 2e-3, steps=20, sensitivities=True).require_ok()
+    motion = mbd.simulate(system, 2e-3, steps=20, gradients="forward").require_ok()
     assert motion.dq_db.shape[-1] == 3
     assert motion.parameters[0] == "plate.laminate.angles[0]"
 

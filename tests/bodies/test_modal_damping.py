@@ -68,7 +68,7 @@ def test_gradients_of_a_damped_motion():
         name: torch.stack([angles, *(angles + s * h * e for s in (1, -1) for e in torch.eye(2, dtype=torch.float64))])
     }
     options = {"steps": 60, "iterations": (5, 4)}
-    motion = mbd.simulate(system, 0.03, designs=designs, sensitivities=[name], **options).require_ok()
+    motion = mbd.simulate(system, 0.03, designs=designs, gradients="forward", variables=[name], **options).require_ok()
     value, gradient = energy.value_and_gradient(motion)
     assert_close(gradient[0], (value[1:3] - value[3:]) / (2 * h), rtol=1e-5, atol=0)
     books = motion.energies

@@ -16,7 +16,7 @@ KINDS = {case.kind: case for case in joints.CASES}
 
 def compared(system: mbd.System, duration: float) -> None:
     names = [name for name, _ in system.named_parameters()]
-    options = {"steps": 3, "sensitivities": names, "iterations": (5, 5)}
+    options = {"steps": 3, "gradients": "forward", "variables": names, "iterations": (5, 5)}
     wanted, found = (
         differentiate(looked_at, mbd.simulate(system, duration, adjoint=back, **options).require_ok()).gradient
         for back in (False, True)

@@ -39,8 +39,8 @@ def again(request):
 
 
 def test_systems_and_motions(system, again):
-    motion = mbd.simulate(system, 0.01, steps=5, sensitivities=True)
-    for found in (again(motion), mbd.simulate(again(system), 0.01, steps=5, sensitivities=True)):
+    motion = mbd.simulate(system, 0.01, steps=5, gradients="forward")
+    for found in (again(motion), mbd.simulate(again(system), 0.01, steps=5, gradients="forward")):
         assert torch.equal(found.q, motion.q)
         for one, other in zip(ENERGY.of(found), ENERGY.of(motion), strict=True):
             assert torch.equal(one, other)

@@ -135,12 +135,12 @@ def motions(request) -> tuple[Trajectory, Trajectory]:
     shifts = torch.cat([k * step * torch.eye(2, dtype=torch.float64) for k in WEIGHTS])
     neighbors = (designs[:, None] + shifts).flatten(0, 1)
     exact, shifted = (
-        mbd.simulate(system, DURATION, sensitivities=names, designs={name: x}, **options).require_ok()
+        mbd.simulate(system, DURATION, gradients="forward", variables=names, designs={name: x}, **options).require_ok()
         for names, x in (([name], designs), (False, neighbors))
     )
     shifted.stats["difference"] = step
     exact.stats["back"] = mbd.simulate(
-        system, DURATION, sensitivities=[name], designs={name: designs}, adjoint=True, **options
+        system, DURATION, gradients="forward", variables=[name], designs={name: designs}, adjoint=True, **options
     )
     return exact, shifted
 
@@ -223,7 +223,7 @@ def test_gradients_do_not_depend_on_what_torch_is_told_around(around, measure):
     system = pendulum()
 
     def run() -> mbd.Trajectory:
-        return mbd.simulate(system, 0.01, steps=10, sensitivities=True)
+        return mbd.simulate(system, 0.01, steps=10, gradients="forward")
 
     wanted = measure.value_and_gradient(run())[1]
     with around():

@@ -25,12 +25,12 @@ def system() -> mbd.System:
 
 @pytest.fixture(scope="module")
 def tight(system) -> Trajectory:
-    return mbd.simulate(system, DURATION, "dopri5", steps=2, sensitivities=True, rtol=1e-6, atol=1e-8).require_ok()
+    return mbd.simulate(system, DURATION, "dopri5", steps=2, gradients="forward", rtol=1e-6, atol=1e-8).require_ok()
 
 
 @pytest.fixture(scope="module")
 def stepped(system) -> list[Trajectory]:
-    return [mbd.simulate(system, DURATION, steps=n, sensitivities=True).require_ok() for n in (100, 200)]
+    return [mbd.simulate(system, DURATION, steps=n, gradients="forward").require_ok() for n in (100, 200)]
 
 
 @pytest.mark.parametrize(("name", "level"), [("q", 1e-6), ("v", 2e-3), ("dq_db", 1e-5), ("dv_db", 2e-2)])

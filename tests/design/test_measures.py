@@ -106,7 +106,7 @@ def test_a_response_of_one_s_own_must_have_the_shape_of_one(function, found):
 def test_few_numbers_in_reverse_and_many_in_forward_mode_have_the_same_gradients():
     """One time alone is differentiated backward, a hundred together forward."""
     system = pendulum()
-    motion = mbd.simulate(system, 0.02, steps=20, sensitivities=True)
+    motion = mbd.simulate(system, 0.02, steps=20, gradients="forward")
     times = torch.linspace(0.0, 0.02, 100, dtype=torch.float64).tolist()
     for own in (
         mbd.StrainEnergy("rod"),

@@ -15,7 +15,7 @@ REACH = mbd.Position("rod", "x", node="right")
 
 @pytest.fixture(scope="module")
 def motion() -> mbd.Trajectory:
-    return mbd.simulate(pendulum(), 0.02, steps=10, sensitivities=True)
+    return mbd.simulate(pendulum(), 0.02, steps=10, gradients="forward")
 
 
 def test_quotients(motion):

@@ -86,7 +86,7 @@ def test_gradient_by_the_plies_of_the_trusses():
     system = build((40.0, -30.0), modes=2, cells=COARSE, reduction="craig-bampton", trusses="tube", truss_angles=angles)
     assert [x for x, y in system.named_parameters() if y.requires_grad] == [ANGLES, name]
     given: dict[str, Any] = {"steps": 20, "halvings": 0} | INTEGRATOR["tube"] | {"iterations": (5, 2)}
-    motion = mbd.simulate(system, 0.1, sensitivities=[ANGLES, name], **given).require_ok()
+    motion = mbd.simulate(system, 0.1, gradients="forward", variables=[ANGLES, name], **given).require_ok()
     exact = OBJECTIVE.value_and_gradient(motion).gradient[0, 2:]
     step = 1e-4 * torch.cat([torch.eye(2), -torch.eye(2)]).double()
     f = OBJECTIVE.value(mbd.simulate(system, 0.1, designs={name: mbd.deg(angles) + step}, **given).require_ok())

@@ -50,7 +50,7 @@ def test_where_the_iteration_fails_it_is_taken_again_carefully(system):
 
 
 def test_gradients_by_the_drive(system):
-    motion = run(system, sensitivities=VARIABLES)
+    motion = run(system, gradients="forward", variables=VARIABLES)
     energy = mbd.Integral(mbd.StrainEnergy("upper"))
     _, exact = energy.value_and_gradient(motion)
     step = 1e-5

@@ -14,7 +14,7 @@ STEPS = 200
 
 @pytest.fixture(scope="module")
 def motion():
-    return mbd.simulate(pendulum(), 0.02, steps=STEPS, sensitivities=True, iterations=(6, 6), refresh=1).require_ok()
+    return mbd.simulate(pendulum(), 0.02, steps=STEPS, gradients="forward", iterations=(6, 6), refresh=1).require_ok()
 
 
 POINTS = {"origin": ("rod", None), "node": ("rod", 0), "rigid": ("arm", (0.1, -0.2, 0.05))}

@@ -65,7 +65,7 @@ def same(eager: mbd.Trajectory, fast: mbd.Trajectory, q: float = 1e-10, dq: floa
 @pytest.mark.parametrize("iterations", [(3, 1), (1, 1), (2, 2)])
 def test_compiled_and_eager_agree(both: Both, lanes: int, iterations: tuple[int, int]) -> None:
     system, designs = build(3, cells=(6, 2), modes=3), {NAME: ANGLES[:lanes]}
-    eager, fast = both(system, 0.003, steps=60, sensitivities=True, designs=designs, iterations=iterations)
+    eager, fast = both(system, 0.003, steps=60, gradients="forward", designs=designs, iterations=iterations)
     same(eager, fast)
     for name in ("iteration_error", "tangent_error"):
         torch.testing.assert_close(fast.stats[name], eager.stats[name], rtol=0.1, atol=1e-10)
@@ -80,7 +80,7 @@ def test_a_lane_that_fails_leaves_the_others_alone(both: Both, monkeypatch: pyte
     """A nan in the data of one lane."""
     system = build(3, cells=(6, 2), modes=3)
     spoilt(system, monkeypatch)
-    eager, fast = both(system, 0.003, steps=60, sensitivities=True, designs={NAME: ANGLES})
+    eager, fast = both(system, 0.003, steps=60, gradients="forward", designs={NAME: ANGLES})
     assert [x == "ok" for x in fast.status] == [x == "ok" for x in eager.status] == [True, False, True]
     torch.testing.assert_close(fast.q[[0, 2]], eager.q[[0, 2]], rtol=0, atol=1e-10)
 
@@ -94,7 +94,7 @@ def test_forces_are_compiled(both: Both) -> None:
     system = sprung()
     angles = system.body("rod").laminate.angles.detach()
     designs = {NAME: angles + torch.tensor([[0.0], [0.2]], dtype=torch.float64)}
-    same(*both(system, 0.01, steps=20, sensitivities=True, designs=designs))
+    same(*both(system, 0.01, steps=20, gradients="forward", designs=designs))
 
 
 def test_laws_of_the_user_are_compiled(both: Both) -> None:
@@ -106,7 +106,7 @@ def test_laws_of_the_user_are_compiled(both: Both) -> None:
 
     system = sprung(law)
     designs = {NAME: system.body("rod").laminate.angles.detach() + torch.tensor([[0.0], [0.2]], dtype=torch.float64)}
-    same(*both(system, 0.01, steps=20, sensitivities=True, designs=designs))
+    same(*both(system, 0.01, steps=20, gradients="forward", designs=designs))
 
 
 def test_redundant_rows_are_compiled(both: Both) -> None:
@@ -126,7 +126,7 @@ def test_the_right_hand_side_is_compiled(both: Both, gradients: bool) -> None:
     """Methods of torchdiffeq: more lanes than a block, forces, and drives with laws."""
     system = sprung()
     designs = {NAME: system.body("rod").laminate.angles.detach() + 0.02 * torch.arange(9, dtype=torch.float64)[:, None]}
-    options = {"sensitivities": gradients, "designs": designs}
+    options = {"gradients": "forward", "variables": gradients, "designs": designs}
     same(*both(system, 2e-4, "rk4", 20, **options))
 
 
@@ -152,7 +152,7 @@ def test_drives_with_design_variables_are_compiled(both: Both, refresh: int) -> 
     system = arm("step")
     designs = {"motor.size": torch.tensor([0.5, 0.3, -0.2], dtype=torch.float64)}
     variables = ["motor.size", "motor.duration", "rod.laminate.angles"]
-    options = {"steps": 40, "designs": designs, "sensitivities": variables, "refresh": refresh}
+    options = {"steps": 40, "designs": designs, "gradients": "forward", "variables": variables, "refresh": refresh}
     same(*both(system, 0.1, **options))
     same(*both(system, 0.1, steps=40, designs=designs, refresh=refresh))
 
@@ -161,7 +161,7 @@ def test_forces_with_design_variables_are_compiled(both: Both) -> None:
     system = strung()
     names = ["cord.stiffness", "cord.damping", "coil.factor", "push.x", "twist.factor"]
     designs = {"cord.damping": torch.tensor([0.3, 0.1], dtype=torch.float64)}
-    eager, fast = both(system, 0.2, steps=20, designs=designs, sensitivities=names)
+    eager, fast = both(system, 0.2, steps=20, designs=designs, gradients="forward", variables=names)
     same(eager, fast)
     assert eager.dq_db is not None
     assert float(eager.dq_db.abs().amax((0, 1, 2)).min()) > 1e-6

@@ -27,7 +27,7 @@ def door(free: str | None = None) -> mbd.System:
 
 
 def moved(system: mbd.System) -> mbd.Trajectory:
-    return mbd.simulate(system, 0.1, steps=25, sensitivities=[NAME], iterations=(4, 2)).require_ok()
+    return mbd.simulate(system, 0.1, steps=25, gradients="forward", variables=[NAME], iterations=(4, 2)).require_ok()
 
 
 def test_a_row_that_contradicts_another_is_left_out():

@@ -24,7 +24,7 @@ def arm() -> mbd.System:
 
 
 def test_tangents_that_are_nothing_but_rounding_call_for_no_corrections() -> None:
-    motion = mbd.simulate(arm(), 0.2, steps=100, sensitivities=[NAME]).require_ok()
+    motion = mbd.simulate(arm(), 0.2, steps=100, gradients="forward", variables=[NAME]).require_ok()
     assert motion.dv_db is not None
     assert float(motion.dv_db.abs().max()) < 1e-12
     assert float(motion.stats["tangent_error"].max()) < 1e-5

@@ -19,7 +19,7 @@ def motion():
     """The slider-crank: crank condensed to a carrier, slider guided; two designs with sensitivities."""
     designs = {ANGLES: torch.tensor([[0.3, -0.2], [0.5, 0.9]], dtype=torch.float64)}
     system = build(2, modes=3, cells=(6, 2))
-    return mbd.simulate(system, 0.2 * DURATION, steps=40, designs=designs, sensitivities=[ANGLES]).require_ok()
+    return mbd.simulate(system, 0.2 * DURATION, steps=40, designs=designs, gradients="forward", variables=[ANGLES]).require_ok()
 
 
 def test_the_system_is_a_condensed_one(motion):

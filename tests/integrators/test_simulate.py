@@ -30,13 +30,13 @@ def system() -> mbd.System:
         ({"duration": "1"}, ["duration", "'1'", "positive"]),
         ({"duration": True}, ["duration", "True", "positive"]),
         ({"sensitivities": "rod.laminate.angles"}, ["sensitivities", "'rod.laminate.angles'", "a list of names"]),
-        ({"sensitivities": 1}, ["sensitivities", "1", "True, False"]),
+        ({"gradients": "forward", "variables": 1}, ["sensitivities", "1", "True, False"]),
         ({"steps": 0}, ["steps", "0", "positive integer"]),
         ({"steps": 10.0}, ["steps", "10.0", "positive integer"]),
         ({"steps": True}, ["steps", "True", "positive integer"]),
         ({"method": "dopri6"}, ["method 'dopri6'", "did you mean 'dopri"]),
         ({"method": "scipy_solver"}, ["method 'scipy_solver'", "reverse mode"]),
-        ({"sensitivities": ["rod.laminate.angle"]}, ["'rod.laminate.angle'", "did you mean 'rod.laminate.angles'"]),
+        ({"gradients": "forward", "variables": ["rod.laminate.angle"]}, ["'rod.laminate.angle'", "did you mean 'rod.laminate.angles'"]),
         ({"designs": {"rod.angles": torch.zeros(1, 2)}}, ["'rod.angles'", "allowed"]),
         ({"designs": {"rod.laminate.angles": torch.zeros(1, 3)}}, ["'rod.laminate.angles'", "(1, 3)", "[lanes, 2]"]),
         (
@@ -112,8 +112,8 @@ def test_designs_of_different_numbers_of_lanes_are_refused():
 
 
 def test_sensitivities_of_a_system_without_parameters_are_refused():
-    with pytest.raises(InputError, match="sensitivities=True, but no parameter"):
-        mbd.simulate(rigid_pendulum(), 0.01, steps=1, sensitivities=True)
+    with pytest.raises(InputError, match="gradients="forward", but no parameter"):
+        mbd.simulate(rigid_pendulum(), 0.01, steps=1, gradients="forward")
 
 
 def test_steps_default_to_twenty_in_a_period_of_the_fastest_mode():
@@ -135,7 +135,7 @@ def test_default_steps_see_every_lane():
 
 def test_lanes_come_first_and_are_the_designs(system):
     angles = mbd.deg([[20.0, -50.0], [10.0, 70.0]])
-    motion = mbd.simulate(system, 0.01, steps=5, designs={"rod.laminate.angles": angles}, sensitivities=True)
+    motion = mbd.simulate(system, 0.01, steps=5, designs={"rod.laminate.angles": angles}, gradients="forward")
     T = system.topology
     assert motion.q.shape == (2, 6, T.n_q)
     assert motion.v.shape == motion.a.shape == (2, 6, T.n_v)

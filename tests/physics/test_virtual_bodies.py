@@ -48,7 +48,7 @@ def swinging(joint: str, explicit: bool, mass: float = 1e-7) -> mbd.System:
 )
 def test_an_explicit_massless_body_moves_the_same(joint, whole, elastic):
     """`whole`: of positions, relative to the way they went; `elastic`: of strain energy and modal coordinates."""
-    options = {"steps": 100, "iterations": (6, 6), "refresh": 1, "sensitivities": True}
+    options = {"steps": 100, "iterations": (6, 6), "refresh": 1, "gradients": "forward"}
     motions = [mbd.simulate(swinging(joint, explicit), 0.02, **options).require_ok() for explicit in (False, True)]
     frame, body = (motion.body("rod") for motion in motions)
     way = frame.nodes - frame.nodes[:, :1]

@@ -53,7 +53,7 @@ def test_the_gradient_is_that_of_forward_tangents(name):
     make, duration, steps = CASES[name]
     system = make()
     names = [name for name, x in system.named_parameters() if x.requires_grad]
-    options = {"steps": steps, "sensitivities": names, "designs": designs_of(system, names), **TIGHT}
+    options = {"steps": steps, "gradients": "forward", "variables": names, "designs": designs_of(system, names), **TIGHT}
     forward = mbd.simulate(system, duration, **options).require_ok()
     back = mbd.simulate(system, duration, adjoint=True, **options).require_ok()
     wanted, found = (differentiate(everything, motion) for motion in (forward, back))
@@ -72,7 +72,7 @@ def test_compiled_and_eager_agree(name, at_once):
     make, duration, steps = CASES[name]
     system = make()
     names = [name for name, x in system.named_parameters() if x.requires_grad]
-    options = {"steps": steps, "sensitivities": names, "designs": designs_of(system, names), "iterations": (4, 2)}
+    options = {"steps": steps, "gradients": "forward", "variables": names, "designs": designs_of(system, names), "iterations": (4, 2)}
     motion = mbd.simulate(system, duration, adjoint=True, **options).require_ok()
     fast = differentiate(everything, motion).gradient
     assert "adjoint" in at_once.kinds
@@ -96,7 +96,7 @@ def test_against_differences_of_the_same_discrete_map(slider_crank):
     options = {"steps": 40, **TIGHT}
     neighbors = mbd.simulate(slider_crank, 0.004, designs={"rod.laminate.angles": angles + shifts}, **options)
     plus, minus = measure.value(neighbors).chunk(2)
-    motion = mbd.simulate(slider_crank, 0.004, sensitivities=True, adjoint=True, **options)
+    motion = mbd.simulate(slider_crank, 0.004, gradients="reverse", **options)
     found = measure.value_and_gradient(motion)[1][0]
     assert_close(found, (plus - minus) / (2 * step), rtol=0, atol=1e-6 * float(found.abs().max()))
 
@@ -108,7 +108,7 @@ def test_lanes_do_not_depend_on_their_company(lanes, at_once):
     designs = mbd.deg([[30, -20, 50]]) + torch.linspace(0.0, 0.9, lanes, dtype=torch.float64)[:, None]
 
     def gradient(some: Tensor) -> Tensor:
-        options = {"steps": 30, "sensitivities": True, "designs": {"rod.laminate.angles": some}}
+        options = {"steps": 30, "gradients": "forward", "designs": {"rod.laminate.angles": some}}
         motion = mbd.simulate(system, 0.002, adjoint=True, **options)
         return mbd.Integral(mbd.StrainEnergy("rod")).value_and_gradient(motion)[1]
 
@@ -123,7 +123,7 @@ def test_lanes_with_smaller_steps():
     system = build(3, cells=(6, 2), modes=4)
     designs = {"rod.laminate.angles": mbd.deg([[0, 0, 0], [90, 60, 90]])}
     for steps, kind in ((3, "renewed"), (2, "halved")):
-        options = {"steps": steps, "sensitivities": True, "designs": designs, "halvings": int(kind == "halved")}
+        options = {"steps": steps, "gradients": "forward", "designs": designs, "halvings": int(kind == "halved")}
         forward = mbd.simulate(system, 0.024, **options).require_ok()
         back = mbd.simulate(system, 0.024, adjoint=True, **options).require_ok()
         assert back.stats[kind] == forward.stats[kind] == [0, 1]
@@ -136,7 +136,7 @@ def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
     if fast:
         request.getfixturevalue("at_once")
     system = build(3, cells=(6, 2), modes=3)
-    options = {"steps": 40, "sensitivities": True, "adjoint": True}
+    options = {"steps": 40, "gradients": "reverse"}
     options["designs"] = {"rod.laminate.angles": mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])}
     wanted = differentiate(everything, mbd.simulate(system, 0.002, **options)).gradient
 
@@ -151,8 +151,8 @@ def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
 def test_many_responses_go_back_in_parts(monkeypatch):
     monkeypatch.setattr("torchmbd.design.differentiate.ROWS", 2)
     system = pendulum()
-    motion = mbd.simulate(system, 0.01, steps=5, sensitivities=True, adjoint=True)
-    forward = mbd.simulate(system, 0.01, steps=5, sensitivities=True, **TIGHT)
+    motion = mbd.simulate(system, 0.01, steps=5, gradients="reverse")
+    forward = mbd.simulate(system, 0.01, steps=5, gradients="forward", **TIGHT)
     history = mbd.StrainEnergy("rod")
     wanted, found = (history.series(x).gradient for x in (forward, motion))
     assert found.shape == (1, 6, 2)
@@ -160,7 +160,7 @@ def test_many_responses_go_back_in_parts(monkeypatch):
 
 
 def test_gradients_that_did_not_converge_say_so(monkeypatch):
-    motion = mbd.simulate(sprung(), 0.02, steps=15, sensitivities=True, adjoint=True)
+    motion = mbd.simulate(sprung(), 0.02, steps=15, gradients="reverse")
     monkeypatch.setattr(adjoint, "MOST", 1)
     monkeypatch.setattr(adjoint, "POOR", 1e-6)
     with pytest.warns(UserWarning, match=r"lane 0: going back .* error of .*; more steps help, or adjoint=False"):
@@ -168,7 +168,7 @@ def test_gradients_that_did_not_converge_say_so(monkeypatch):
 
 
 def test_a_number_that_does_not_depend_on_the_motion():
-    motion = mbd.simulate(pendulum(), 0.01, steps=5, sensitivities=True, adjoint=True)
+    motion = mbd.simulate(pendulum(), 0.01, steps=5, gradients="reverse")
     assert float(mbd.Frequency("rod").value_and_gradient(motion)[1].abs().max()) > 0
     constant = differentiate(lambda m: torch.ones(1, dtype=torch.float64), motion)
     assert constant.gradient.tolist() == [[0.0, 0.0]]
@@ -177,12 +177,12 @@ def test_a_number_that_does_not_depend_on_the_motion():
 def test_a_variable_that_nothing_depends_on():
     system = pendulum()
     system.register_parameter("loose", torch.nn.Parameter(torch.zeros(2, dtype=torch.float64)))
-    motion = mbd.simulate(system, 0.01, steps=5, sensitivities=["loose"], adjoint=True)
+    motion = mbd.simulate(system, 0.01, steps=5, gradients="forward", variables=["loose"], adjoint=True)
     assert differentiate(everything, motion).gradient.tolist() == [[[0.0, 0.0], [0.0, 0.0]]]
 
 
 def test_what_such_a_motion_does_not_have_is_refused():
-    motion = mbd.simulate(pendulum(), 0.01, steps=5, sensitivities=True, adjoint=True)
+    motion = mbd.simulate(pendulum(), 0.01, steps=5, gradients="reverse")
     for ask in (lambda: motion.dq_db, lambda: motion.da_db, lambda: motion.moved(torch.zeros(2, dtype=torch.float64))):
         with pytest.raises(mbd.InputError, match=r"adjoint=True.*adjoint=False"):
             ask()
@@ -193,13 +193,13 @@ def test_what_such_a_motion_does_not_have_is_refused():
     [
         ({"method": "rk4"}, "method is 'rk4'"),
         ({"phases": [mbd.Phase()]}, "phases are given"),
-        ({"sensitivities": False}, "names no parameter"),
+        ({"gradients": "none"}, "names no parameter"),
         ({"adjoint": 1}, "allowed: True, False or None"),
     ],
 )
 def test_where_there_is_no_way_back_it_is_refused(options, words):
     with pytest.raises(mbd.InputError, match=words):
-        mbd.simulate(pendulum(), 0.01, steps=5, **({"sensitivities": True, "adjoint": True} | options))
+        mbd.simulate(pendulum(), 0.01, steps=5, **({"gradients": "reverse"} | options))
 
 
 def energies(count: int, **options) -> mbd.Problem:

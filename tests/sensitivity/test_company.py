@@ -19,7 +19,7 @@ def test_gradients_alone_and_in_a_batch(steps):
     designs = mbd.deg([[0.0, 0.0], [90.0, 80.0], [30.0, -20.0], [5.0, 85.0], [45.0, -45.0]])
 
     def tangents(some: torch.Tensor) -> torch.Tensor:
-        motion = mbd.simulate(system, 0.02, steps=steps, sensitivities=True, designs={ANGLES: some})
+        motion = mbd.simulate(system, 0.02, steps=steps, gradients="forward", designs={ANGLES: some})
         assert motion.dq_db is not None
         return motion.dq_db
 

@@ -60,7 +60,7 @@ def test_bouncing_mass_has_its_closed_form(method, impact):
     landing = mbd.Event(mbd.Position("mass", axis="z"), "falling")
     phases = [mbd.Phase(until=landing, impact=impact)] * 2 + [mbd.Phase()]
     motion = mbd.simulate(
-        Falling(), DURATION, method, 40, sensitivities=["g"], designs={"g": fields[:, None]}, phases=phases
+        Falling(), DURATION, method, 40, gradients="forward", variables=["g"], designs={"g": fields[:, None]}, phases=phases
     ).require_ok()
     assert motion.dq_db is not None
     assert motion.dv_db is not None
@@ -131,7 +131,7 @@ def motion(request, swing) -> Trajectory:
     b = dict(system.named_parameters())[NAME].detach()
     designs = {NAME: torch.stack([b, b + STEP * DIRECTION, b - STEP * DIRECTION])}
     return mbd.simulate(
-        system, 0.075, steps=42, sensitivities=True, designs=designs, phases=phases, iterations=(16, 6)
+        system, 0.075, steps=42, gradients="forward", designs=designs, phases=phases, iterations=(16, 6)
     ).require_ok()
 
 
@@ -173,7 +173,7 @@ def test_integral_of_a_history_that_jumps_against_differences(window, motion):
 
 def test_both_routes_agree_on_what_comes_after_a_switch(swing):
     """generalized_alpha is of second order in motion and sensitivities, through all switches."""
-    asked = {"sensitivities": True, "phases": [PHASES[0], mbd.Phase(lock=["universal_arm_rod"])]}
+    asked = {"gradients": "forward", "phases": [PHASES[0], mbd.Phase(lock=["universal_arm_rod"])]}
     exact = mbd.simulate(swing, 0.06, "dopri5", steps=6, rtol=1e-7, atol=1e-9, **asked).require_ok()
     coarse, fine = (mbd.simulate(swing, 0.06, steps=steps, **asked).require_ok() for steps in (30, 60))
     for name in ("q", "dq_db"):

@@ -43,7 +43,7 @@ def test_reverse_mode_through_plain_torchdiffeq_is_the_forward_sensitivity(name)
     functional = (weights(system.topology) * z).sum() + (z * z).sum()
     functional.backward()
 
-    motion = mbd.simulate(system, DURATION, "rk4", steps=STEPS, sensitivities=True)
+    motion = mbd.simulate(system, DURATION, "rk4", steps=STEPS, gradients="forward")
     y = torch.cat([motion.q, motion.v], -1)[0, [STEPS // 2, -1]]
     slopes = torch.cat([motion.dq_db, motion.dv_db], -2)[0, [STEPS // 2, -1]]
     assert_close(y, z.detach(), rtol=1e-11, atol=1e-11)
@@ -57,7 +57,7 @@ def test_a_batch_in_forward_mode_is_each_design_in_reverse_mode():
     system = pendulum()
     designs = mbd.deg([[20.0, -50.0], [75.0, 10.0]])
     motion = mbd.simulate(
-        system, DURATION, "rk4", steps=8, sensitivities=True, designs={"rod.laminate.angles": designs}
+        system, DURATION, "rk4", steps=8, gradients="forward", designs={"rod.laminate.angles": designs}
     )
     times = torch.linspace(0.0, DURATION, 9, dtype=torch.float64)
     U = mbd.StrainEnergy("rod").series(motion)
@@ -79,6 +79,6 @@ def test_adaptive_methods_run_in_reverse_mode_too():
         dynamics, dynamics.initial_state(), torch.tensor([0.0, 0.01]).double(), rtol=1e-9, atol=1e-11
     )[-1, 0]
     end[: system.topology.n_q].square().sum().backward()
-    motion = mbd.simulate(system, 0.01, "dopri5", steps=1, sensitivities=True, rtol=1e-9, atol=1e-11)
+    motion = mbd.simulate(system, 0.01, "dopri5", steps=1, gradients="forward", rtol=1e-9, atol=1e-11)
     forward = 2 * torch.einsum("i,ib->b", motion.q[0, -1], motion.dq_db[0, -1])
     assert_close(system.body("rod").laminate.angles.grad, forward, rtol=1e-5, atol=0)

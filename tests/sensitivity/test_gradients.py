@@ -45,7 +45,7 @@ def both(request) -> tuple[Trajectory, Trajectory]:
     system = build(len(angles), angles, cells=(6, 2), modes=4)
     options = {"steps": 120, "iterations": (4, 4), "refresh": 1}
     return (
-        mbd.simulate(system, 0.02, sensitivities=True, **options),
+        mbd.simulate(system, 0.02, gradients="forward", **options),
         mbd.simulate(system, 0.02, designs=around(system, 1e-5), **options),
     )
 
@@ -63,7 +63,7 @@ def test_generalized_alpha_against_differences_of_its_discrete_map(name, both):
 def test_default_iterations_leave_little(both):
     """Three corrections with an inverse kept for two steps: cheaper, and still exact enough to optimize with."""
     motion, _ = both
-    loose = mbd.simulate(motion.system, 0.02, steps=120, sensitivities=True)
+    loose = mbd.simulate(motion.system, 0.02, steps=120, gradients="forward")
     for measure in MEASURES.values():
         agree(measure.value_and_gradient(loose).gradient[0], measure.value_and_gradient(motion).gradient[0], 1e-3)
     assert float(loose.stats["iteration_error"].max()) < 1e-3
@@ -80,7 +80,7 @@ def test_torchdiffeq_against_differences_of_a_tight_run(name, soft):
 def soft() -> tuple[Trajectory, Trajectory]:
     """A softened slider-crank: dopri5 with sensitivities; dopri8 without, much tighter."""
     system = soft_slider_crank((33.0, -21.0))
-    motion = mbd.simulate(system, 0.006, "dopri5", steps=12, sensitivities=True, rtol=1e-7, atol=1e-9)
+    motion = mbd.simulate(system, 0.006, "dopri5", steps=12, gradients="forward", rtol=1e-7, atol=1e-9)
     neighbors = mbd.simulate(system, 0.006, "dopri8", steps=12, designs=around(system, 1e-4), rtol=1e-11, atol=1e-13)
     return motion.require_ok(), neighbors.require_ok()
 
@@ -91,7 +91,7 @@ def test_torchdiffeq_against_differences_of_a_tight_run_on_the_full_rod(layup):
     """The rod of the paper, undamped, 4 modes: tens of thousands of evaluations."""
     angles = GENERAL[layup]
     system = build(len(angles), angles, cells=(12, 2), modes=4)
-    motion = mbd.simulate(system, 0.01, "dopri5", steps=100, sensitivities=True, rtol=1e-8, atol=1e-10).require_ok()
+    motion = mbd.simulate(system, 0.01, "dopri5", steps=100, gradients="forward", rtol=1e-8, atol=1e-10).require_ok()
     designs = around(system, 1e-4)
     neighbors = mbd.simulate(system, 0.01, "dopri8", steps=100, designs=designs, rtol=1e-11, atol=1e-13).require_ok()
     for measure in MEASURES.values():
@@ -102,8 +102,8 @@ def test_coarse_steps_and_variables_of_any_size():
     """Ten steps of a sprung mechanism: a degree of an angle does 1e-7 of what a meter of thickness does, and as exactly."""
     system = sprung()
     names = ["rod.laminate.angles", "rod.laminate.thickness"]
-    tight = mbd.simulate(system, 0.05, steps=10, sensitivities=names, iterations=(8, 8), refresh=0).dq_db
-    found = mbd.simulate(system, 0.05, steps=10, sensitivities=names).dq_db
+    tight = mbd.simulate(system, 0.05, steps=10, gradients="forward", variables=names, iterations=(8, 8), refresh=0).dq_db
+    found = mbd.simulate(system, 0.05, steps=10, gradients="forward", variables=names).dq_db
     assert tight is not None
     assert found is not None
     sizes = tight.abs().amax((0, 1, 2))

@@ -79,7 +79,7 @@ def test_drives_by_the_structural_integrator(law):
     def run(designs: dict[str, Tensor] | None = None, **more) -> mbd.Trajectory:
         return mbd.simulate(system, 0.1, steps=40, designs=designs, **TIGHT, **more).require_ok()
 
-    motion = run(sensitivities=variables)
+    motion = run(gradients="forward", variables=variables)
     assert motion.dq_db is not None
     found = differences(system, variables, lambda designs: run(designs).q)
     assert_close(motion.dq_db[0], found, rtol=0, atol=1e-6 * float(found.abs().amax()))
@@ -95,7 +95,7 @@ def test_drives_by_torchdiffeq():
     def run(designs: dict[str, Tensor] | None = None, **more) -> mbd.Trajectory:
         return mbd.simulate(system, 0.03, method="rk4", steps=8, designs=designs, **more).require_ok()
 
-    motion = run(sensitivities=variables)
+    motion = run(gradients="forward", variables=variables)
     assert motion.dq_db is not None
     found = differences(system, variables, lambda designs: run(designs).q)
     assert_close(motion.dq_db[0], found, rtol=0, atol=1e-6 * float(found.abs().amax()))
@@ -142,7 +142,7 @@ def test_reactions_beside_a_body_that_is_guided():
         return mbd.simulate(system, 0.1, steps=40, designs=designs, **TIGHT, **more).require_ok()
 
     variables = names(system)
-    exact = pull.value_and_gradient(run(sensitivities=variables)).gradient[0]
+    exact = pull.value_and_gradient(run(gradients="forward", variables=variables)).gradient[0]
     found = differences(system, variables, lambda designs: pull.value(run(designs)))
     assert_close(exact, found, rtol=1e-6, atol=0.0)
 
@@ -160,7 +160,7 @@ def test_phases_with_a_drive_that_varies():
     def run(designs: dict[str, Tensor] | None = None, **more) -> mbd.Trajectory:
         return mbd.simulate(system, 0.1, steps=40, phases=phases, designs=designs, **TIGHT, **more).require_ok()
 
-    motion = run(sensitivities=variables)
+    motion = run(gradients="forward", variables=variables)
     (switch,) = motion.switches
     assert motion.dq_db is not None
     exact = torch.cat([switch.dt_db, motion.dq_db[0, -1]])
@@ -203,7 +203,7 @@ def test_forces(method, options):
     def run(designs: dict[str, Tensor] | None = None, **more) -> mbd.Trajectory:
         return mbd.simulate(system, 0.06, method=method, steps=15, designs=designs, **options, **more).require_ok()
 
-    motion = run(sensitivities=FORCES)
+    motion = run(gradients="forward", variables=FORCES)
     found = differences(system, FORCES, lambda designs: run(designs).q, 1e-4)
     assert motion.dq_db is not None
     sizes = found.abs().amax((0, 1))
@@ -262,7 +262,7 @@ def test_loads_and_bushings(method, options):
     def run(designs: dict[str, Tensor] | None = None, **more) -> mbd.Trajectory:
         return mbd.simulate(system, 0.06, method=method, steps=15, designs=designs, **options, **more).require_ok()
 
-    motion = run(sensitivities=LOADS)
+    motion = run(gradients="forward", variables=LOADS)
     found = differences(system, LOADS, lambda designs: run(designs).q, 1e-4)
     assert motion.dq_db is not None
     sizes = found.abs().amax((0, 1))

@@ -47,7 +47,7 @@ PIECES = [
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 def test_a_jump_located_has_its_closed_form(method):
     fields = tensor(1.0, 0.4, 2.3)
-    options = {"sensitivities": ["g"], "designs": {"g": fields[:, None]}, "phases": PIECES}
+    options = {"gradients": "forward", "variables": ["g"], "designs": {"g": fields[:, None]}, "phases": PIECES}
     motion = mbd.simulate(Pushed(OfTime(FIRST)), 1.0, method, 30, **options).require_ok()
     assert motion.dq_db is not None
     for lane, g in enumerate(fields):
@@ -92,7 +92,7 @@ def test_gradients_through_both_against_differences():
         system = swinging(law)
         b = dict(system.named_parameters())[NAME].detach()
         designs = {NAME: torch.stack([b, b + h * way, b - h * way])}
-        options = {"sensitivities": True, "designs": designs, "phases": phases, "iterations": (8, 6)}
+        options = {"gradients": "forward", "designs": designs, "phases": phases, "iterations": (8, 6)}
         motion = mbd.simulate(system, 0.06, steps=60, **options).require_ok()
         assert motion.dq_db is not None
         rigid = slice(14)

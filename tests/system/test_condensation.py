@@ -113,7 +113,7 @@ def test_the_slider_crank_with_all_its_sensitivities(monkeypatch):
     c = left(system)
     assert c.topology.names == ("rod", "slider")
     assert c.topology.n_v + c.topology.rows == 6 + 3 + 1 + 7
-    _, pairs = compared(system, 0.02, 160, monkeypatch, sensitivities=True)
+    _, pairs = compared(system, 0.02, 160, monkeypatch, gradients="forward")
     for x, expected in pairs:
         assert_close(x, expected, rtol=0, atol=1e-4 * float(expected.abs().max()))
 

@@ -78,7 +78,7 @@ def test_gradients_are_those_of_the_reactions(method):
     system = doors(mbd.Sine(mbd.variable(0.4), 5.0))
     options: dict[str, Any] = {"iterations": (5, 4)} if method == "generalized_alpha" else {}
     responses = [mbd.Integral(mbd.Reaction(name, (0.3, 0.5, -0.7))) for name in ("wall 1", "fold 0", "fold 1")]
-    motion = mbd.simulate(system, 0.1, method, 30, sensitivities=True, **options).require_ok()
+    motion = mbd.simulate(system, 0.1, method, 30, gradients="forward", **options).require_ok()
     sizes = {"motor.amplitude": 1e-4, "spring.stiffness": 1e-2}
     designs = {
         name: torch.stack([p.detach() + sign * sizes[name] * (name == moved) for moved in sizes for sign in (1, -1)])
@@ -122,7 +122,7 @@ def test_both_sides_of_a_switch_share_what_they_carry():
     def run(**given) -> mbd.Trajectory:
         return mbd.simulate(system, 0.05, steps=15, phases=phases, iterations=(6, 4), **given).require_ok()
 
-    motion = run(sensitivities=["motor.amplitude"])
+    motion = run(gradients="forward", variables=["motor.amplitude"])
     size = 1e-5
     near = run(designs={"motor.amplitude": tensor(0.4 + size, 0.4 - size)})
     (switch,), (other,) = motion.switches, near.switches

@@ -29,7 +29,7 @@ from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Phase, Trajectory, simulate
-from torchmbd.integrators.arguments import check, check_adjoint
+from torchmbd.integrators.arguments import check, check_gradients
 from torchmbd.integrators.phases import plan
 from torchmbd.integrators.trajectory import OK
 from torchmbd.numerics.owned import several
@@ -75,8 +75,8 @@ class Problem:
     start       initial design [n]; default: the system's own
     links       entries that follow others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
     bound       (start, upper) of the extra variable, where `minimize` has several rows
-    adjoint     gradients by going back through the motion; default: where there are more design variables than numbers of
-                objective and constraints, and compiled code for it is at hand, for then it is faster
+    gradients   "reverse" or "forward", as in `simulate`; "auto": reverse where there is an adjoint and where there are no more
+                numbers of objective and constraints than design variables. `problem.gradients` says which
     method, steps, phases, options   as in `simulate`
     """
 
@@ -94,7 +94,7 @@ class Problem:
         links: Any = None,
         bound: tuple[float, float] = (1.0, 1.0),
         phases: Sequence[Phase] | None = None,
-        adjoint: bool | None = None,
+        gradients: str = "auto",
         **options: Any,
     ):
         if not isinstance(system, System):
@@ -120,10 +120,15 @@ class Problem:
         # Rows of the extra variable come first among the constraints.
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound
+        check_gradients(gradients, method, phases is not None)
+        self.gradients = self._way() if gradients in ("auto", "none") else gradients
+
+    def _way(self) -> str:
+        """The cheaper way to gradients, by counting."""
         names = self.space.variables
-        check_adjoint(adjoint, method, phases is not None, names, options.get("device"))
-        count = sum(system.get_parameter(name).numel() for name in names)
-        self.adjoint = False if adjoint is None and count <= self._count else adjoint
+        count = sum(self.system.get_parameter(name).numel() for name in names)
+        there = self.simulation["method"] == "generalized_alpha" and self.simulation["phases"] is None
+        return "reverse" if there and self._count <= count else "forward"
 
     @property
     def _count(self) -> int:
@@ -171,12 +176,19 @@ class Problem:
         return X
 
     def simulate(self, X: np.ndarray, gradients: bool = False) -> Trajectory:
-        """Motions of designs [lanes, n], with sensitivities by all parameters if `gradients`."""
-        names = self.space.variables if gradients else False
+        """Motions of designs [lanes, n], differentiable by all design variables if `gradients`."""
         n = len(self.space.names)  # the extra variable may be there: it moves nothing
         designs = self.space.designs(self._checked(X, n, len(self.names))[:, :n])
-        own = {"adjoint": self.adjoint} if gradients else {}
-        return simulate(self.system, self.duration, sensitivities=names, designs=designs, **own, **self.simulation)
+        way = self.gradients if gradients else "none"
+        with torch.set_grad_enabled(gradients):
+            return simulate(
+                self.system,
+                self.duration,
+                designs=designs,
+                gradients=way,
+                variables=self.space.variables,
+                **self.simulation,
+            )
 
     def motion(self, x: np.ndarray) -> Trajectory:
         """Motion of one design [n]."""
@@ -246,8 +258,8 @@ class Problem:
         reference = self.reference
         lanes, first = len(X), self.peaks or 1
 
-        def rows(moved: Trajectory) -> Tensor:
-            return torch.cat([measure.value(moved).reshape(lanes, -1) for measure in reference.measures], 1)
+        def rows(motion: Trajectory) -> Tensor:
+            return torch.cat([measure.value(motion).reshape(lanes, -1) for measure in reference.measures], 1)
 
         found = differentiate(rows, motion)
         values, slopes = found.value.numpy(), None

@@ -4,9 +4,9 @@
               rates(motion) [lanes, times] twice        y', y'' where they are known exactly: peaks lie between the samples
     Measure   value(motion)  [lanes] or [lanes, rows]   integral, maximum, frequency, ... ; rows: one limit holds for all
 
-Nothing else is written for a response: its gradient is the Jacobian of the same function along the first-order neighbors
-of the motion (Trajectory.moved), which is the chain rule of eq. (27) with every dependence of the design in it: the
-motion, its rates, the multipliers, the reduced stiffness, the mode shapes. A response of your own:
+A response is called with a motion, `Integral(StrainEnergy("rod"))(motion)`, and is a differentiable tensor as the motion
+is: torch applies the chain rule of eq. (27) with every dependence of the design in it: the motion, its rates, the
+multipliers, the reduced stiffness, the mode shapes. A response of your own:
 
     @mbd.history
     def reach(motion):
@@ -45,11 +45,15 @@ class History:
         """First and second derivative by time [lanes, times] where they are known exactly; None: by differences."""
         return None
 
+    def __call__(self, motion: Trajectory) -> Tensor:
+        """Value [lanes, times]."""
+        return self.values(motion)
+
     def check(self, system: System) -> None:
         """Raise InputError where the history asks for what the system does not have."""
 
     def series(self, motion: Trajectory) -> Valued:
-        """Value [lanes, times] and gradient [lanes, times, n_b], None without sensitivities."""
+        """Value [lanes, times] and gradient [lanes, times, n_b], None for a motion without gradients."""
         return differentiate(self.values, motion)
 
     def __add__(self, other: Any) -> History:
@@ -120,6 +124,10 @@ class Measure:
         """Value [lanes], or [lanes, rows]: a differentiable function of the motion."""
         raise NotImplementedError(type(self).__name__)
 
+    def __call__(self, motion: Trajectory) -> Tensor:
+        """Value [lanes], or [lanes, rows]."""
+        return self.value(motion)
+
     def check(self, system: System) -> None:
         """Raise InputError where the measure asks for what the system does not have."""
 
@@ -157,14 +165,14 @@ class Measure:
         return Total((self, Scaled(other, -1.0)))
 
     def of(self, motion: Trajectory) -> Valued:
-        """Value [lanes, ...] and gradient [lanes, ..., n_b], None without sensitivities."""
+        """Value [lanes, ...] and gradient [lanes, ..., n_b], None for a motion without gradients."""
         return differentiate(self.value, motion)
 
     def value_and_gradient(self, motion: Trajectory) -> Valued:
-        """Value and gradient. Raises InputError for a motion without sensitivities."""
+        """Value and gradient. Raises InputError for a motion without gradients."""
         result = self.of(motion)
         if result.gradient is None:
-            raise InputError("motion has no sensitivities; allowed: simulate(..., sensitivities=True)")
+            raise InputError("the motion has no gradient; allowed: simulate in grad mode, by a parameter that requires a gradient")
         return result
 
     def __le__(self, limit: float | str) -> Constraint:

@@ -35,7 +35,7 @@ def problem_of(plan: Plan) -> Problem:
         method=study.simulate.method,
         steps=study.simulate.steps,
         phases=plan.phases,
-        adjoint=study.simulate.adjoint,
+        gradients=study.simulate.gradients,
         **study.simulate.options,
     )
 

@@ -17,6 +17,7 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from rich.console import Console
 
 from torchmbd.design import Problem
@@ -94,7 +95,8 @@ def _short(plan: Plan, problem: Problem, X: np.ndarray, gradients: bool, share: 
             share * told.duration,
             method=told.method,
             steps=None if told.steps is None else round(share * told.steps),
-            sensitivities=problem.space.variables if gradients else False,
+            gradients="forward" if gradients else "none",
+            variables=problem.space.variables,
             designs=problem.space.designs(X),
             phases=plan.phases,
             **told.options,
@@ -103,7 +105,8 @@ def _short(plan: Plan, problem: Problem, X: np.ndarray, gradients: bool, share: 
 
 def _bytes(motion: Trajectory) -> float:
     """Bytes of the coordinates, rates and accelerations of a motion with their sensitivities."""
-    arrays = (motion.q, motion.v, motion.a, motion.dq_db, motion.dv_db, motion.da_db)
+    with torch.no_grad():
+        arrays = (motion.q, motion.v, motion.a, motion.dq_db, motion.dv_db, motion.da_db)
     return float(sum(x.numel() * x.element_size() for x in arrays if x is not None))
 
 

@@ -17,7 +17,7 @@ from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, shown
 from torchmbd.experiment.schema import Optimizer, Simulation
 from torchmbd.integrators import generalized_alpha, ode
-from torchmbd.integrators.arguments import check_adjoint, on_device
+from torchmbd.integrators.arguments import check_gradients
 from torchmbd.optimizers import OPTIMIZERS, multistart
 
 
@@ -27,15 +27,12 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     simulation: Simulation | None = sections.get("simulate")
     if simulation is not None:
         integrate = generalized_alpha.integrate if simulation.method == "generalized_alpha" else ode.integrate
-        types = _types(integrate, lambda p: p.default is not p.empty and p.name != "device")
-        own = ("duration", "method", "steps", "phases", "adjoint", "device")
+        types = _types(integrate, lambda p: p.default is not p.empty)
+        own = ("duration", "method", "steps", "phases", "gradients")
         faults += _faults("simulate", simulation.method, simulation.model_extra or {}, types, own)
         told = simulation.method, simulation.phases is not None
         refusals: dict[str, Callable[[], Any]] = {
-            "device": lambda: on_device(simulation.options, *told),
-            "adjoint": lambda: check_adjoint(
-                simulation.adjoint, *told, list(sections.get("design", ())), simulation.device
-            ),
+            "gradients": lambda: check_gradients(simulation.gradients, *told),
         }
         for name, refuse in refusals.items():
             try:

@@ -1,7 +1,7 @@
 """The experiment file as data: sections, types, ranges, and names that are known without the model.
 
     model      module:function or file.py:function that returns a System      options   its arguments
-    design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, device, ...
+    design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, ...
     minimize   {integral: {strain_energy: rod}}, see design/spec.py          subject_to  [{max: ..., at_most: initial}]
     optimizer  name, max_iterations, the method's own options                starts    sampler, count, seed, ...
     sweep      one design variable from .. to ..: evaluated as one batch, instead of optimizer and starts
@@ -38,6 +38,7 @@ from pydantic_core import PydanticCustomError
 from torchmbd.design.spec import SpecError, measure_of
 from torchmbd.errors import nearest
 from torchmbd.integrators import METHODS
+from torchmbd.integrators.arguments import GRADIENTS
 from torchmbd.optimizers import OPTIMIZERS
 from torchmbd.tracking.store import uri_fault
 
@@ -112,8 +113,7 @@ class Simulation(Section):
     method: Annotated[str, _one_of(METHODS)] = "generalized_alpha"
     steps: PositiveInt | None = None
     phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
-    adjoint: bool | None = None  # gradients by going back through the motion; default: where that is less work
-    device: str | None = None  # where motions are made, such as cuda; default: the CPU
+    gradients: Annotated[str, _one_of(GRADIENTS[:-1])] = "auto"  # by the adjoint (reverse) or tangents (forward)
 
     @model_validator(mode="after")
     def _steps_that_numbers_hold(self) -> Self:
@@ -125,7 +125,7 @@ class Simulation(Section):
 
     @property
     def options(self) -> dict[str, Any]:
-        return dict(self.model_extra or {}) | ({} if self.device is None else {"device": self.device})
+        return dict(self.model_extra or {})
 
 
 class Constraint(Section):

@@ -23,18 +23,19 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.generalized_alpha import SPECTRAL_RADIUS, Begun, begin
+from torchmbd.integrators.blocks import moving
+from torchmbd.integrators.generalized_alpha import SPECTRAL_RADIUS, begin
 from torchmbd.integrators.history import History
 from torchmbd.integrators.march import nothing
 from torchmbd.integrators.step import Coefficients, Model, State, Step, Weights, apply
-from torchmbd.numerics.pair import Pair, value
+from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics, regularized
 from torchmbd.system.elimination import Elimination, factored, pays
 from torchmbd.system.topology import Prescribed
@@ -59,13 +60,16 @@ class Grid:
     """Lanes that were integrated with the same equal steps.
 
     lanes     their numbers in the batch;  history: their states, of what a condensation left
-    dynamics  their equations (of what was left), with design tangents;  start: their initial state, with tangents
+    leaves    data of the whole system by which gradients are wanted [component..., 1, lanes]
+    dynamics  the equations of what a condensation left, and
+    start     the initial state: both functions of the leaves in reverse mode
     times     of the states [n];  every: steps between two outputs
     corrections   of mu, at least
     """
 
     lanes: list[int]
     history: History
+    leaves: dict[str, Tensor]
     dynamics: Dynamics
     start: State
     weights: Weights
@@ -73,27 +77,59 @@ class Grid:
     every: int
     corrections: int
 
+    def cotangents(self, by: Cotangents) -> dict[str, Tensor]:
+        """By the leaves [component..., rows, lanes]: through the start, the laws of drives and the condensation."""
+        outputs, bars = [*self.start], [*by.start]
+        for name, x in by.data.items():
+            outputs.append(self.dynamics.data[name])
+            bars.append(x)
+        if by.laws is not None:
+            with torch.enable_grad():
+                T = self.dynamics.topology
+                outputs.append(moving(T, T.schedule(self.times[1:], self.dynamics.data), len(self.lanes), 0))
+            bars.append(by.laws)
+        used = [(y, x) for y, x in zip(outputs, bars, strict=True) if y.requires_grad]
+        rows = range(bars[0].shape[-2])
+        found = [self._row([(y, x[..., row : row + 1, :]) for y, x in used]) for row in rows]
+        return {name: torch.cat(x, -2) for name, x in zip(self.leaves, zip(*found, strict=True), strict=True)}
+
+    def _row(self, pairs: list[tuple[Tensor, Tensor]]) -> list[Tensor]:
+        leaves = list(self.leaves.values())
+        if not pairs:
+            return [torch.zeros_like(x) for x in leaves]
+        outputs = [y for y, _ in pairs]
+        bars = [x if x.shape == y.shape else x.sum(-1, keepdim=True) for y, x in pairs]
+        found = torch.autograd.grad(outputs, leaves, bars, retain_graph=True, allow_unused=True, materialize_grads=True)
+        return list(found)
+
+
+class Cotangents(NamedTuple):
+    """Of the steps: by the data [component..., rows, lanes], by what laws with design variables prescribe
+    [steps, n, rows, lanes] (None: there are none), and by the initial state [n, rows, lanes]."""
+
+    data: dict[str, Tensor]
+    laws: Tensor | None
+    start: State
+
 
 @dataclass(eq=False)
 class Adjoint:
-    """Goes back through a motion.
+    """The adjoint of one motion.
 
-    begun      the system with its start, with design tangents
+    dynamics   of the whole system, values only
     history    what was integrated, by equal steps over the duration [s]
     options    of generalized_alpha
+    failed     lanes whose cotangents are zero
     sweep      makes a Sweep of a grid
     """
 
-    begun: Begun
+    dynamics: Dynamics
     history: History
     duration: float
     options: Mapping[str, Any]
+    failed: Sequence[int]
     sweep: Callable[[Grid], Sweep]
-
-    @property
-    def dynamics(self) -> Dynamics:
-        """Of the whole system."""
-        return self.begun.whole
+    _sweeps: dict[tuple[str, ...], list[Sweep]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def error(self) -> Tensor:
@@ -102,47 +138,54 @@ class Adjoint:
 
     def __getstate__(self) -> dict[str, Any]:
         """Without sweeps: those by compiled code hold a library, and all can be made again."""
-        return {name: x for name, x in vars(self).items() if name != "_sweeps"}
+        return vars(self) | {"_sweeps": {}}
 
     @torch.no_grad()
-    def __call__(self, bars: Bars) -> Tensor:
-        """Gradients [lanes, rows, n_b] of responses."""
-        result = torch.zeros(self.dynamics.lanes, rows_of(bars), self.dynamics.tangents, dtype=torch.float64)
-        for sweep in self._sweeps:
-            lanes = sweep.grid.lanes
-            own = bars if len(lanes) == len(result) else [x if x is None else x[..., lanes] for x in bars]
+    def __call__(self, bars: Bars, names: Sequence[str]) -> dict[str, Tensor]:
+        """Cotangents of the data of these names [component..., rows, lanes]."""
+        lanes, rows = self.dynamics.lanes, rows_of(bars)
+        shapes = {name: self.dynamics.data[name].shape[:-2] for name in names}
+        result = {name: torch.zeros(*shape, rows, lanes, dtype=torch.float64) for name, shape in shapes.items()}
+        for sweep in self._swept(tuple(names)):
+            some = sweep.grid.lanes
+            own = bars if len(some) == lanes else [x if x is None else x[..., some] for x in bars]
             found, error = sweep([x if x is None else _spaced(x, sweep.grid.every) for x in own])
-            result[lanes] = found.permute(2, 0, 1)
-            self.error[lanes] = self.error[lanes].maximum(error)
+            for name, x in sweep.grid.cotangents(found).items():
+                result[name][..., some] = x
+            self.error[some] = self.error[some].maximum(error)
         for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
             warnings.warn(
-                f"lane {lane}: going back through the motion leaves an error of {float(self.error[lane]):.1e} of its "
-                "gradients; more steps help, or adjoint=False",
+                f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
+                "or gradients='forward'",
                 stacklevel=2,
             )
         return result
 
-    @cached_property
-    def _sweeps(self) -> list[Sweep]:
+    def _swept(self, names: tuple[str, ...]) -> list[Sweep]:
         """One for the lanes with the steps that were asked for, one for each lane that had to take smaller ones."""
-        finer = self.history.finer
-        some = [lane for lane in range(self.dynamics.lanes) if lane not in finer]
-        grids = [self._grid(some, self.history, some, 1)] if some else []
-        grids += [self._grid([lane], history, [own], every) for lane, (history, own, every) in finer.items()]
-        return [self.sweep(grid) for grid in grids]
+        if names not in self._sweeps:
+            finer = self.history.finer
+            some = [lane for lane in range(self.dynamics.lanes) if lane not in finer and lane not in self.failed]
+            grids = [self._grid(names, some, self.history, some, 1)] if some else []
+            for lane, (history, own, every) in finer.items():
+                if lane not in self.failed:
+                    grids.append(self._grid(names, [lane], history, [own], every))
+            self._sweeps[names] = [self.sweep(grid) for grid in grids]
+        return self._sweeps[names]
 
-    def _grid(self, lanes: list[int], history: History, own: list[int], every: int) -> Grid:
+    def _grid(self, names: tuple[str, ...], lanes: list[int], history: History, own: list[int], every: int) -> Grid:
         """Of lanes of the batch, which are `own` in a history."""
-        whole = len(lanes) == self.dynamics.lanes
-        _, left, start = self.begun if whole else begin(self.dynamics.some(lanes))
+        some = self.dynamics if len(lanes) == self.dynamics.lanes else self.dynamics.some(lanes)
+        leaves = {name: _leaf(some.data[name].expand(*some.data[name].shape[:-1], len(lanes))) for name in names}
+        with torch.enable_grad():
+            _, left, start = begin(replace(some, data={**some.data, **leaves}))
         parts = (history.q, history.v, history.vd, history.lam)
         q, v, vd, lam = (x if x.shape[-1] == len(own) else x[..., own] for x in parts)
         h = self.duration / (len(history.q) - 1)
         times = h * torch.arange(len(history.q), dtype=torch.float64)
         weights = Coefficients(self.options.get("spectral_radius", SPECTRAL_RADIUS)).weights(h)
-        return Grid(
-            lanes, History(q, v, vd, lam), left, start, weights, times, every, self.options.get("iterations", (0, 1))[1]
-        )
+        corrections = self.options.get("iterations", (0, 1))[1]
+        return Grid(lanes, History(q, v, vd, lam), leaves, left, start, weights, times, every, corrections)
 
 
 def _spaced(x: Tensor, every: int) -> Tensor:
@@ -164,23 +207,23 @@ class Sweep:
         self.diagonal, self.nothing = self.dynamics.diagonal(), nothing(self.dynamics)
         self.factor = Elimination(T) if pays(T) else factored
 
-    def __call__(self, bars: Bars) -> tuple[Tensor, Tensor]:
-        """Gradients [rows, n_b, lanes] and their estimated relative error [lanes]."""
+    def __call__(self, bars: Bars) -> tuple[Cotangents, Tensor]:
+        """Cotangents of the steps, and their estimated relative error [lanes]."""
         lanes = len(self.grid.lanes)
-        data = {name: _leaf(value(x).expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
+        data = {name: _leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
         model = Model(self.dynamics.topology, self.dynamics.saddle, self.grid.weights, data)
         states = self._states()
         y = self._taken(bars, -1)
-        slopes, error = torch.zeros(()), torch.zeros(lanes, dtype=torch.float64)
+        by: dict[str, Any] = dict.fromkeys(data, 0.0)
+        laws, error = [], torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(self.schedule))):
             found = _StepBack(model, states[i], states[i + 1], self.schedule[i], self.grid.corrections, self.nothing)
             y, by_data, by_laws, left = found(y, self._factors)
             y = State(*(a + b for a, b in zip(y, self._taken(bars, i), strict=True)))
-            part = contracted(self.dynamics.data, by_data) + contracted(found.laws, by_laws)
-            slopes, error = slopes + part, error.maximum(left)
-        start = dict(zip(State._fields, self.grid.start, strict=True))
-        slopes = slopes + contracted(start, y._asdict())
-        return slopes, error
+            by = {name: x + by_data[name] for name, x in by.items()}
+            laws.append(torch.cat(list(by_laws.values())) if by_laws else None)
+            error = error.maximum(left)
+        return Cotangents(by, torch.stack(laws[::-1]) if self.dynamics.topology.varied else None, y), error
 
     def _states(self) -> list[State]:
         """States [n, 1, lanes] at all times; the algorithmic acceleration, which is not recorded, from the others."""
@@ -277,14 +320,3 @@ def _pulled(outputs: Sequence[Tensor], weights: Sequence[Tensor], by: Sequence[T
     """Derivatives of sum(weights * outputs); zeros where there are none."""
     of, by_weights = zip(*((x, w) for x, w in zip(outputs, weights, strict=True) if x.requires_grad), strict=True)
     return torch.autograd.grad(of, by, by_weights, retain_graph=True, allow_unused=True, materialize_grads=True)
-
-
-def contracted(moving: Mapping[str, Any], by: Mapping[str, Tensor]) -> Tensor:
-    """Sum of derivatives [..., rows, lanes] times tangents [..., n_b, lanes] of the same numbers: [rows, n_b, lanes]."""
-    total = torch.zeros(())
-    for name, x in moving.items():
-        if isinstance(x, Pair):
-            slopes = by[name].flatten(0, -3)
-            tangents = x.tangent.flatten(0, -3).expand(-1, -1, slopes.shape[-1])
-            total = total + torch.einsum("krl,kbl->rbl", slopes, tangents)
-    return total

@@ -7,6 +7,7 @@ Checked in tests/integrators/test_simulate.py.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -79,7 +80,7 @@ def with_retries(
     source, lanes = (list(x) for x in zip(*cured, strict=True))
 
     def patch(x: Tensor, y: Tensor) -> Tensor:
-        old, new = (torch.tensor(i).to(x.device) for i in (lanes, source))
+        old, new = (torch.tensor(i) for i in (lanes, source))
         return x.index_copy(-1, old, y[::often].index_select(-1, new))
 
     parts = {name: patch(getattr(history, name), getattr(better, name)) for name in ("q", "v", "vd", "lam")}
@@ -114,6 +115,13 @@ def careful(options: Mapping[str, Any]) -> dict[str, Any]:
     return {"iterations": (2 * values, tangents), "refresh": 0}
 
 
+def default_steps(dynamics: Dynamics, duration: float) -> int:
+    """Twenty steps per period of the fastest retained mode, at least 200 in all."""
+    if "Kr" not in dynamics.data:
+        return 1000
+    return max(200, math.ceil(20.0 * duration * ode.fastest_vibration(dynamics) / (2.0 * math.pi)))
+
+
 def _empty(dynamics: Dynamics, steps: int) -> History:
     start = generalized_alpha.initial(dynamics)
     return History.of([start.map(lambda x: x * torch.nan)] * (steps + 1))
@@ -122,7 +130,7 @@ def _empty(dynamics: Dynamics, steps: int) -> History:
 def status_of(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:
     """For each lane: the first time at which it is not finite, or what its steps leave to be desired."""
     # A sum is finite where all its terms are, short of overflow: one pass over the numbers.
-    good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0).cpu()
+    good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0)
     result = []
     for lane in range(good.shape[1]):
         bad = torch.nonzero(~good[:, lane])

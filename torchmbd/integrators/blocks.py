@@ -69,6 +69,20 @@ def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
     return values, torch.cat([tangents(x) for x in parts])
 
 
+def unflattened(dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
+    """Cotangents of the data [component..., rows, lanes] out of those of the distinct numbers [n, rows, lanes]."""
+    found, start = {}, 0
+    for name in sorted(dynamics.data):
+        shape = tuple(dynamics.data[name].shape[:-2])
+        taken, index, _ = distinct(name, shape)
+        own = by[start : start + len(taken)]
+        start += len(taken)
+        full = by.new_zeros(len(index), *by.shape[1:])
+        full[torch.from_numpy(taken)] = own  # what stands for two numbers: they move together
+        found[name] = full.reshape(*shape, *by.shape[1:])
+    return found
+
+
 def _distinct(name: str, x: Any) -> Any:
     """The numbers of a datum that are taken [n, slots, lanes]."""
     taken, index, _ = distinct(name, tuple(x.shape[:-2]))

@@ -3,7 +3,6 @@
     step      a step of generalized-alpha (step.py), driven by march.cpp
     adjoint   the derivative of the same step in reverse mode, driven by adjoint.cpp
     rates     the index-1 right-hand side (equations.py), driven by rates.cpp
-    kernel    a step for one lane, driven by march.cu on a device
 
 Tangents are written out for one design variable, pullbacks for one response, so that the code does not depend on how many
 there are; all data may depend on the design. What they need of the values is kept from the values ("boundary"). Beside the
@@ -26,7 +25,7 @@ from torch import Tensor
 from torchmbd.errors import MbdError
 from torchmbd.integrators.layout import Layout, distinct, moving
 from torchmbd.integrators.step import Model, State, Weights
-from torchmbd.numerics.emit import CUDA_PRELUDE, PRELUDE, Emitter
+from torchmbd.numerics.emit import PRELUDE, Emitter
 from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair, separate, value
 from torchmbd.numerics.reverse import pullback
@@ -37,7 +36,6 @@ from torchmbd.system.topology import Prescribed, Topology
 
 MOST = 400_000  # operations, beyond which a compiler takes too long
 _IN = "struct In { const V *x, *d, *z, *dx, *dd, *dz, *y, *mu, *b; const double* u; };\n"
-_IN_KERNEL = "struct In { Room x, d, z, dx, dd, dz, b; const double* u; };\n"
 _MOVING = ("dx", "dd", "dz", "y", "mu")  # what differs from one variable, or from one response, to the next
 
 
@@ -107,12 +105,6 @@ def adjoint(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple
     return code._replace(tangents={}, driver="adjoint.cpp", pulled=pulled), state, uniform
 
 
-def kernel(T: Topology, given: Prescribed) -> tuple[Code, list[int], list[tuple[int, ...]]]:
-    """Code of a step for a device; otherwise as `step`."""
-    code, state, uniform = step(T, given)
-    return code._replace(driver="march.cu"), state, uniform
-
-
 def rates(T: Topology, drives: list[tuple | None]) -> tuple[Code, list[int], list[tuple[int, ...]]]:
     """Code of the right-hand side; `drives`: laws with their slopes (Topology.law_jets), which show their shapes."""
     saddle = Saddle(T)
@@ -157,13 +149,12 @@ KINDS: dict[str, Callable[..., tuple[Code, list[int], list[tuple[int, ...]]]]] =
     "step": step,
     "adjoint": adjoint,
     "rates": rates,
-    "kernel": kernel,
 }
 
 
 def source(T: Topology, layout: Layout, kind: str, sample: Any) -> str:
-    """C++ of a topology; `sample` is the second argument of the kind, behind whose colon a machine may be named."""
-    code, state, uniform = KINDS[kind.partition(":")[0]](T, sample)
+    """C++ of a topology; `sample` is the second argument of the kind."""
+    code, state, uniform = KINDS[kind](T, sample)
     return _Writer(T, layout, state, uniform).text(code)
 
 
@@ -242,11 +233,8 @@ class _Writer:
         constants = "".join(f"constexpr int {k} = {v};\n" for k, v in sizes.items())
         tables = _table("PLACES", [i for i, _ in entries]) + factorization(pattern, self.T.n_v)
         tables += "".join(_table(f"{name.upper()}_AT", [i for i, _ in found]) for name, found in pulled.items())
-        cuda = code.driver.endswith(".cu")
-        drivers = [code.driver] if cuda else ["factors.cpp", code.driver]
-        texts = [(Path(__file__).parent / name).read_text() for name in drivers]
-        head = [CUDA_PRELUDE, _IN_KERNEL] if cuda else [PRELUDE, _IN]
-        return "\n".join([*head, constants, tables, *functions, *texts])
+        texts = [(Path(__file__).parent / name).read_text() for name in ("factors.cpp", code.driver)]
+        return "\n".join([PRELUDE, _IN, constants, tables, *functions, *texts])
 
     def _pulled(self, outputs: list[int], what: Pulled) -> list[tuple[int, int]]:
         """Place and number of each derivative that is not zero."""

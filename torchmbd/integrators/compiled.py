@@ -13,7 +13,6 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchmbd.integrators import kernel, repeated
 from torchmbd.integrators.blocks import (
     addresses,
     blocks,
@@ -26,7 +25,7 @@ from torchmbd.integrators.blocks import (
 )
 from torchmbd.integrators.library import library
 from torchmbd.integrators.march import CHECK, March, Record, between_looks
-from torchmbd.integrators.step import State, Weights
+from torchmbd.integrators.step import Model, State, Weights
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
@@ -44,12 +43,10 @@ class _Job(ctypes.Structure):
 
 
 def march(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: int) -> March:
-    """The march of a system: by compiled code if its library is there; on a device, by graphs or a kernel."""
-    if dynamics.device.type != "cpu":
-        return kernel.march(dynamics, w, iterations, refresh)
+    """The march of a system: by compiled code where its backend is native."""
     code = library(dynamics)
     if code is None:
-        return March(dynamics, repeated.model(dynamics, w), iterations, refresh)
+        return March(dynamics, Model.of(dynamics, w), iterations, refresh)
     return CompiledMarch(code, dynamics, w, iterations, refresh)
 
 
@@ -64,7 +61,7 @@ class CompiledMarch(March):
         iterations: tuple[int, int],
         refresh: int,
     ):
-        super().__init__(dynamics, repeated.model(dynamics, w), iterations, refresh)
+        super().__init__(dynamics, Model.of(dynamics, w), iterations, refresh)
         self.code: ctypes.CDLL | None = code
         self.lanes, self.slots, self.fresh = dynamics.lanes, dynamics.tangents, 1
         code.march_room.restype = code.march_factors.restype = code.march.restype = ctypes.c_long

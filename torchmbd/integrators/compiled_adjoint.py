@@ -10,7 +10,7 @@ import ctypes
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.adjoint import Bars, Grid, Sweep, contracted, rows_of
+from torchmbd.integrators.adjoint import Bars, Cotangents, Grid, Sweep, rows_of
 from torchmbd.integrators.blocks import (
     addresses,
     blocks,
@@ -19,6 +19,7 @@ from torchmbd.integrators.blocks import (
     lanes_out,
     moving_blocks,
     shared,
+    unflattened,
     uniform,
 )
 from torchmbd.integrators.library import at_hand, library
@@ -61,16 +62,17 @@ class CompiledSweep(Sweep):
         self.code: ctypes.CDLL | None = code
         code.adjoint_room.restype = code.adjoint.restype = ctypes.c_long
         code.adjoint_room.argtypes = [ctypes.c_long, ctypes.c_long]
-        T, lanes, slots = grid.dynamics.topology, len(grid.lanes), grid.dynamics.tangents
-        self.values, self.tangents = data_blocks(grid.dynamics)
-        self.moved = moving_blocks(T, self.schedule, lanes, slots)
+        T, lanes = grid.dynamics.topology, len(grid.lanes)
+        plain = grid.dynamics.values()
+        self.values, _ = data_blocks(plain)
+        self.moved = moving_blocks(T, self.schedule, lanes, 0)
         self.table = uniform(torch.tensor(grid.weights, dtype=torch.float64), shared(T, self.schedule))
         h = grid.history
         self.states = [x.contiguous() for x in (h.q, h.v, h.vd, h.lam)]
         self.least = blocks(in_all_lanes(self.nothing[None, None], lanes))
         self.start = blocks(in_all_lanes(value(grid.start.a), lanes))
 
-    def __call__(self, bars: Bars) -> tuple[Tensor, Tensor]:
+    def __call__(self, bars: Bars) -> tuple[Cotangents, Tensor]:
         if self.code is None:
             return super().__call__(bars)
         T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), rows_of(bars), len(self.table)
@@ -88,11 +90,7 @@ class CompiledSweep(Sweep):
         if self.code.adjoint(ctypes.byref(job)):
             self.code = None
             return super().__call__(bars)
-        total = torch.einsum("brnl,bsnl->brsl", slopes, self.tangents)
-        if moving:
-            total += torch.einsum("tbrnl,tbsnl->brsl", moved_slopes, self.moved[:, :, 1:])
-        found = total.permute(1, 2, 0, 3).flatten(2)[..., :lanes]
         y = lanes_out(start_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
-        start = dict(zip(State._fields, self.grid.start, strict=True))
-        by = dict(zip(State._fields, y, strict=True))
-        return found + contracted(start, by), error.flatten()[:lanes]
+        laws = torch.stack([lanes_out(x, lanes) for x in moved_slopes]) if moving else None
+        by = unflattened(self.dynamics, lanes_out(slopes, lanes))
+        return Cotangents(by, laws, State(*y)), error.flatten()[:lanes]

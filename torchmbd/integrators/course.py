@@ -82,14 +82,17 @@ class Course:
         """The motion on the grid."""
         return History(self.q, self.v, self.vd, self.lam)
 
-    def multipliers(self, history: History) -> Tensor:
-        """Multipliers of all rows [times, rows, slots, lanes]; of redundant ones those of least norm."""
+    def multipliers(self, history: History, data: equations.Data | None = None) -> Tensor:
+        """Multipliers of all rows [times, rows, slots, lanes]; of redundant ones those of least norm.
+
+        data   instead of those of the whole
+        """
         lam = history.lam
         for number, least in enumerate(self.least_norm):
             here = self.number == number
             some = here.any(1)
             if least is not None and bool(some.any()):
-                found = least.at_times(self.whole.data, self.times[some], history.q[some], lam[some])
+                found = least.at_times(data or self.whole.data, self.times[some], history.q[some], lam[some])
                 lam = lam.index_put((some,), torch.where(here[some][:, None, None], found, lam[some]))
         return lam
 

@@ -32,11 +32,10 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrators import captured, compiled
+from torchmbd.integrators import compiled
 from torchmbd.integrators.history import History, Record
 from torchmbd.integrators.step import Coefficients, State
 from torchmbd.numerics.pair import Pair
-from torchmbd.numerics.placed import placed
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.equations import split_v
 from torchmbd.system.expansion import Expansion
@@ -88,13 +87,11 @@ def integrate(
     spectral_radius: float = SPECTRAL_RADIUS,
     iterations: tuple[int, int] = (3, 1),
     refresh: int = 1,
-    device: str = "cpu",
 ) -> tuple[History, dict[str, Any]]:
     """Integrate all lanes with `steps` equal steps, from what `begin` makes of their dynamics.
 
     iterations  corrections of values, and the least number of corrections of tangents, in every step
     refresh     steps between two inverses of the iteration matrix; 0: a new one before every correction
-    device      where steps are made, and where their numbers stay until somebody asks; "cpu", or "cuda" (captured.py)
 
     Returns the states at steps + 1 times, and statistics: for each lane the estimated relative error of the iteration in
     the accelerations ("iteration_error") and in their design tangents ("tangent_error"), the estimated error of a step
@@ -108,9 +105,7 @@ def integrate(
     times = h * torch.arange(steps + 1, dtype=torch.float64)
     same = left.topology is whole.topology
     expansion = None if same else Expansion.of(left.initial.condensation, whole.data, times)
-    place = torch.device(device)
-    schedule = left.topology.schedule(times[1:], left.data, place)
-    left, x = captured.placed_on(left, place), placed(x, place)
+    schedule = left.topology.schedule(times[1:], left.data)
     march = compiled.march(left, w, iterations, refresh)
     record = Record(x, steps + 1)
     record.put(0, x)
@@ -118,9 +113,8 @@ def integrate(
     history = record.history(expansion)
     error = step_error(left, history, spectral_radius, h)
     suggested = (steps * (error / GOOD_STEP).sqrt()).ceil()
-    statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": largest_turn(left, history, h).cpu()}
-    found = {"step_error": error, "suggested_steps": suggested} | march.errors(history, duration)
-    return history, statistics | {name: y.cpu() for name, y in found.items()}
+    statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": largest_turn(left, history, h)}
+    return history, statistics | {"step_error": error, "suggested_steps": suggested} | march.errors(history, duration)
 
 
 def step_error(dynamics: Dynamics, history: History, spectral_radius: float, h: float) -> Tensor:

@@ -1,7 +1,6 @@
 """A motion as an integrator leaves it: numbers [times, component, 1 + n_b, lanes], values, then design tangents.
 
-Of a condensed system only what was left of it is kept; rows of the whole are made when somebody asks (signals.py). On a
-device it stays there, and what somebody asks for comes from there: most of a motion is never looked at.
+Of a condensed system only what was left of it is kept; rows of the whole are made on demand (signals.py): most of a motion is never looked at.
 Checked in tests/integrators/test_signals.py.
 """
 
@@ -31,11 +30,7 @@ class History:
     finer: dict[int, tuple[History, int, int]] = field(default_factory=dict)
 
     def rows(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
-        """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes], on the CPU."""
-        return self.rows_there(order, rows, slots).cpu()
-
-    def rows_there(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
-        """The same where they are; on the CPU where something had to be added that was not integrated."""
+        """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes]."""
         x = (self.q, self.v, self.vd)[order][:, :, slots]
         if self.expansion is not None:
             return self.expansion.rows(order, x, rows, known=not slots.start)
@@ -45,8 +40,8 @@ class History:
     def multipliers(self) -> Tensor:
         """Of all constraints [times, rows, slots, lanes]."""
         if self.expansion is None:
-            return self.lam.cpu()
-        return self.expansion.multipliers(*(x.cpu() for x in (self.q, self.v, self.vd, self.lam)))
+            return self.lam
+        return self.expansion.multipliers(self.q, self.v, self.vd, self.lam)
 
     @classmethod
     def of(cls, states: list[State]) -> History:

@@ -29,7 +29,6 @@ from torchmbd.errors import MbdError
 from torchmbd.forces.written import writable
 from torchmbd.integrators.code import source
 from torchmbd.integrators.layout import Layout
-from torchmbd.numerics import nvrtc
 from torchmbd.numerics.native import OPTIONS, SUFFIX, cache_folder, compiler, enabled, load, surroundings
 from torchmbd.numerics.scalars import Untraceable
 from torchmbd.system.dynamics import Dynamics
@@ -44,7 +43,7 @@ _SOURCES = (
     "integrators/code.py",
     "integrators/layout.py",
 )
-_DRIVERS = ("factors.cpp", "march.cpp", "adjoint.cpp", "rates.cpp", "march.cu")
+_DRIVERS = ("factors.cpp", "march.cpp", "adjoint.cpp", "rates.cpp")
 _SOURCES += tuple(f"integrators/{name}" for name in _DRIVERS)
 _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
@@ -70,7 +69,7 @@ def found(dynamics: Dynamics, kind: str, load: Callable[[Path], Any], place: str
             _warn_of_failure(name, kind)
             _seen[name] = _seen.get(name, 0) + 1
             if _seen[name] >= _BATCHES and name not in _building:
-                build_in_background(dynamics.to(torch.device("cpu")), kind)
+                build_in_background(dynamics, kind)
             return None
         _loaded[name + place] = code
     return _loaded[name + place]
@@ -101,8 +100,7 @@ def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
 
 
 def _path(name: str, kind: str) -> Path:
-    suffix = nvrtc.SUFFIX if kind.startswith("kernel") else SUFFIX
-    return cache_folder() / f"{kind.replace(':', '-')}-{name}{suffix}"
+    return cache_folder() / f"{kind}-{name}{SUFFIX}"
 
 
 def written_out(dynamics: Dynamics) -> Dynamics | None:
@@ -138,7 +136,7 @@ def key(dynamics: Dynamics, kind: str = "step") -> str:
 def _facts(x: Any) -> Any:
     """Everything that an object is made of, as numbers, names and lists."""
     if isinstance(x, torch.Tensor):
-        return x.cpu().tolist()
+        return x.tolist()
     if isinstance(x, dict):
         return [(k, _facts(y)) for k, y in sorted(x.items())]
     if isinstance(x, (list, tuple)):
@@ -170,9 +168,6 @@ def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Pat
     with tempfile.TemporaryDirectory(dir=cache_folder()) as work:
         text, made = Path(work) / "code.cpp", Path(work) / "code.so"
         text.write_text(source(T, layout, kind, sample))
-        if kind.startswith("kernel"):
-            nvrtc.compile_kernel(text.read_text(), kind.partition(":")[2], made)
-            return made.replace(_path(name, kind))
         done = subprocess.run(
             [compiler(), "-O1", "-fexpensive-optimizations", *OPTIONS, "-o", str(made), str(text)],
             capture_output=True,

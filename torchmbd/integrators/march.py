@@ -1,7 +1,6 @@
 """The march of an integrator: steps one after another, factors of the iteration matrix, and what iterations leave.
 
-`March` is the eager one: operators of torch on all lanes, any device, which is never asked for a number but at a look.
-compiled.py has the same by compiled code, captured.py as graphs of a device.
+`March` is the eager one: operators of torch on all lanes. compiled.py has the same by compiled code.
 Checked in tests/integrators/.
 """
 
@@ -17,7 +16,6 @@ from torch import Tensor
 from torchmbd.integrators.history import History, Record
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import Pair, value
-from torchmbd.numerics.placed import placed
 from torchmbd.system.dynamics import Dynamics, regularized
 from torchmbd.system.elimination import Eliminated, Elimination, Factored, factored, pays
 from torchmbd.system.topology import Prescribed
@@ -84,10 +82,8 @@ class March:
         mass = value(dynamics.data["mass"])
         self.passes, self.most = mass.new_full((dynamics.lanes,), float(passes)), passes
         self.nothing = nothing(dynamics)
-        self.diagonal = placed(dynamics.diagonal(everywhere=refresh == 0), mass.device)
-        # Which lanes go the dense way by elimination would have to be asked for.
-        here = mass.device.type == "cpu"
-        self.factor = Elimination(dynamics.topology) if here and pays(dynamics.topology) else factored
+        self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
+        self.factor = Elimination(dynamics.topology) if pays(dynamics.topology) else factored
         self.H: Any = None
         self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each look

@@ -21,14 +21,15 @@ class Shapes:
     """What was asked for once is kept."""
 
     def __init__(self) -> None:
-        self._kept: dict[str, Tensor] = {}
+        self._kept: dict[tuple[str, bool], Tensor] = {}
         self._slopes: dict[str, Tensor | None] = {}
 
     def values(self, name: str) -> Tensor:
         """Of one body."""
-        if name not in self._kept:
-            self._kept[name] = self._values(name)
-        return self._kept[name]
+        key = name, torch.is_grad_enabled()
+        if key not in self._kept:
+            self._kept[key] = self._values(name)
+        return self._kept[key]
 
     def tangents(self, name: str) -> Tensor | None:
         """Their derivatives."""
@@ -36,10 +37,9 @@ class Shapes:
             self._slopes[name] = self._tangents(name)
         return self._slopes[name]
 
-    def prepare(self) -> None:
-        """Make the tangents of what has been asked for."""
-        for name in list(self._kept):
-            self.tangents(name)
+    def detach(self) -> Shapes:
+        """The same numbers without a graph of torch."""
+        raise NotImplementedError(type(self).__name__)
 
     def _values(self, name: str) -> Tensor:
         raise NotImplementedError(type(self).__name__)
@@ -57,9 +57,13 @@ class DesignShapes(Shapes):
         # All parameters as they are now: they may be others when somebody looks.
         self.designs = {name: x.detach().clone() for name, x in system.named_parameters()} | designs
 
+    def detach(self) -> DesignShapes:
+        """As of Shapes."""
+        designs = {name: x.detach() for name, x in self.designs.items()}
+        return DesignShapes(self.system, designs, self.parameters, self.lanes)
+
     def _values(self, name: str) -> Tensor:
-        with torch.no_grad():
-            return self._of(name, self.designs)
+        return self._of(name, self.designs)
 
     def _tangents(self, name: str) -> Tensor | None:
         if not self.parameters:
@@ -108,6 +112,10 @@ class OneLane(Shapes):
 
     def _values(self, name: str) -> Tensor:
         return self.base.values(name)[self.lane]
+
+    def detach(self) -> OneLane:
+        """As of Shapes."""
+        return OneLane(self.base.detach(), self.lane.start, self.n)
 
     def _tangents(self, name: str) -> Tensor | None:
         slopes = self.base.tangents(name) if self.n else None

@@ -10,16 +10,16 @@ Checked in tests/integrators/test_signals.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
 from torchmbd.integrators.history import History
+from torchmbd.numerics.pair import Pair
 
-Settled = Callable[..., Tensor]  # of a history
 ORDERS = ("q", "v", "a")
 Rows = Sequence[int] | None
 
@@ -43,16 +43,15 @@ class Signals:
         """[lanes, times, k, n_b]."""
         return self._once("tangents", name, rows)
 
-    def prepare(self) -> None:
-        """Make the tangents of what has been asked for."""
-        for _, name, rows in [key for key in self._kept if key[0] == "values"]:
-            self.tangents(name, rows)
-
     def _once(self, kind: str, name: str, rows: Rows) -> Tensor | None:
-        key = (kind, name, None if rows is None else tuple(rows))
+        key = (kind, name, None if rows is None else tuple(rows), torch.is_grad_enabled())
         if key not in self._kept:
             self._kept[key] = getattr(self, f"_{kind}")(name, rows)
         return self._kept[key]
+
+    def detach(self) -> Signals:
+        """The same numbers without a graph of torch."""
+        raise NotImplementedError(type(self).__name__)
 
     def _values(self, name: str, rows: Rows) -> Tensor:
         raise NotImplementedError(type(self).__name__)
@@ -69,6 +68,10 @@ class Given(Signals):
         self._all, self._slopes = dict(values), dict(tangents or {})
         self.lanes, self.times = values["q"].shape[:2]
 
+    def detach(self) -> Given:
+        """As of Signals."""
+        return Given({name: x.detach() for name, x in self._all.items()})
+
     def _values(self, name: str, rows: Rows) -> Tensor:
         return self._all[name] if rows is None else self._all[name][..., list(rows)]
 
@@ -77,20 +80,30 @@ class Given(Signals):
         return slopes if slopes is None or rows is None else slopes[..., list(rows), :]
 
 
-class Recorded(Signals):
-    """What an integrator left; chosen rows lie side by side in memory, all of them are views.
+class Multipliers(Protocol):
+    """Makes the multipliers [times, rows, slots, lanes] that are shown of those that were integrated."""
 
-    settled   makes the multipliers [times, rows, slots, lanes] that are shown of those that were integrated; None: they are
-              the same
+    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor: ...
+
+
+class Recorded(Signals):
+    """What an integrator left, as functions of its tensors; chosen rows lie side by side in memory, all of them are views.
+
+    settle   makes the multipliers that are shown, of the data; None: they are those that were integrated
     """
 
-    differentiable = False
-
-    def __init__(self, history: History, settled: Settled | None = None):
+    def __init__(self, history: History, settle: Multipliers | None = None, data: dict[str, Any] | None = None):
         super().__init__()
-        self.history, self.settled = history, settled
+        self.history, self.settle, self.data = history, settle, data or {}
         self.times, _, slots, self.lanes = history.q.shape
         self.moving = slots > 1
+        self._settled: dict[bool, Tensor] = {}
+
+    def detach(self) -> Recorded:
+        """As of Signals."""
+        h, data = self.history, {name: detached(x) for name, x in self.data.items()}
+        expansion = None if h.expansion is None else replace(h.expansion, data=data)
+        return Recorded(History(*(x.detach() for x in (h.q, h.v, h.vd, h.lam)), expansion), self.settle, data)
 
     def _values(self, name: str, rows: Rows) -> Tensor:
         x = self._of(name, rows, slice(1))[:, :, 0].permute(2, 0, 1)
@@ -102,32 +115,19 @@ class Recorded(Signals):
         x = self._of(name, rows, slice(1, None)).permute(3, 0, 1, 2)
         return x if rows is None else x.contiguous()
 
-    @cached_property
     def _multipliers(self) -> Tensor:
-        return self.history.multipliers if self.settled is None else self.settled(self.history)
+        """Kept for each grad mode."""
+        mode = torch.is_grad_enabled()
+        if mode not in self._settled:
+            h = self.history
+            self._settled[mode] = h.multipliers if self.settle is None else self.settle.multipliers(h, self.data)
+        return self._settled[mode]
 
     def _of(self, name: str, rows: Rows, slots: slice) -> Tensor:
-        with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
-            if name == "lam":
-                x = self._multipliers[:, :, slots]
-                return x if rows is None else x[:, list(rows)]
-            return self.history.rows(ORDERS.index(name), rows, slots)
-
-
-class Untangled(Recorded):
-    """What an integrator left without design tangents, of a motion with design variables (adjoint.py)."""
-
-    def _tangents(self, name: str, rows: Rows) -> Tensor | None:
-        raise InputError(
-            "the motion was simulated with adjoint=True: it has gradients of responses, but no sensitivities of its "
-            "coordinates; allowed: simulate(..., sensitivities=..., adjoint=False)"
-        )
-
-
-class Differentiable(Recorded):
-    """What an integrator left, as functions of the tensors of its history."""
-
-    differentiable = True
+        if name == "lam":
+            x = self._multipliers()[:, :, slots]
+            return x if rows is None else x[:, list(rows)]
+        return self.history.rows(ORDERS.index(name), rows, slots)
 
 
 class Moved(Signals):
@@ -140,6 +140,11 @@ class Moved(Signals):
 
     def _values(self, name: str, rows: Rows) -> Tensor:
         return moved(self.base.values(name, rows), self.base.tangents(name, rows), self.delta)
+
+
+def detached(x: Any) -> Any:
+    """A number without a graph of torch."""
+    return Pair(x.full.detach()) if isinstance(x, Pair) else x.detach()
 
 
 def moved(x: Tensor, dx: Tensor | None, delta: Tensor) -> Tensor:

@@ -1,4 +1,6 @@
-"""One door to all integrators: `simulate(system, duration, method=...)`.
+"""One function for all integrators: `simulate(system, duration, method=...)`, a differentiable operation of PyTorch.
+
+    parameters --structure stage--> data --Motion--> q, v, a, lam --torch--> responses
 
 "generalized_alpha" (default) integrates the index-3 equations with equal steps; every method of torchdiffeq goes by its
 own name on the index-1 form. Both return the same Trajectory and agree within their tolerances
@@ -7,29 +9,26 @@ own name on the index-1 form. Both return the same Trajectory and agree within t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrators import compiled_adjoint, generalized_alpha, ode, staged_alpha, staged_ode
-from torchmbd.integrators.adjoint import Adjoint
-from torchmbd.integrators.arguments import check, check_adjoint, check_designs, check_sensitivities
-from torchmbd.integrators.attempts import careful, run, status_of, with_retries
-from torchmbd.integrators.course import Course
-from torchmbd.integrators.events import Views
+from torchmbd.integrators.arguments import GRADIENTS, check, check_designs, check_gradients, check_variables
+from torchmbd.integrators.forward_integration import ForwardIntegration
 from torchmbd.integrators.history import History
-from torchmbd.integrators.phases import Phase, plan
+from torchmbd.integrators.motion import Motion
+from torchmbd.integrators.phases import Phase
+from torchmbd.integrators.reverse_integration import ReverseIntegration
 from torchmbd.integrators.shapes import DesignShapes
-from torchmbd.integrators.signals import Recorded, Untangled
+from torchmbd.integrators.signals import Recorded
 from torchmbd.integrators.singular import explained
 from torchmbd.integrators.spin import warn_of_spin
-from torchmbd.integrators.trajectory import OK, Trajectory
+from torchmbd.integrators.trajectory import Trajectory
+from torchmbd.numerics.owned import differentiated
 from torchmbd.system import Dynamics, System
 
 
@@ -38,107 +37,160 @@ def simulate(
     duration: float,
     method: str = "generalized_alpha",
     steps: int | None = None,
-    sensitivities: bool | Sequence[str] = False,
     designs: Mapping[str, Tensor] | None = None,
     phases: Sequence[Phase] | None = None,
-    adjoint: bool | None = False,
+    gradients: str = "auto",
+    variables: Sequence[str] | None = None,
     **options: Any,
 ) -> Trajectory:
-    """Simulate one design, or a batch of designs side by side (lanes).
+    """Simulate one design, or a batch of designs that do not see each other (lanes).
 
-    system         the model; its own parameters are the design where `designs` says nothing
-    duration       simulated time [s], positive
-    method         "generalized_alpha" or a method of torchdiffeq, such as "dopri5" or "rk4"
-    steps          equal time steps, and output intervals; default: 20 per period of the fastest retained mode, at least 200.
-                   Adaptive methods choose their own steps between the outputs
-    sensitivities  True: by every parameter that requires a gradient; or the names of parameters
-    designs        parameter name -> values [lanes, ...]; others keep their own values
-    phases         locks, releases and ends of the phases that follow each other (phases.py); default: one without either
-    adjoint        True: no sensitivities of the motion itself; gradients of responses by going back through its steps, which
-                   costs about a simulation for the first and half of one for each further response, however many
-                   variables there are (adjoint.py).
-                   generalized_alpha on the CPU without phases only. None: where that is possible and compiled code is at hand
-    options        generalized_alpha: spectral_radius, iterations, refresh; halvings and device (not with phases);
-                   torchdiffeq: rtol, atol, options
-    device         "cuda" or "cuda:1": the motion is made there, in float64; its structure, and responses, on the CPU
+    The motion is a differentiable function of the parameters, as any operation of torch: of `designs` and of parameters of
+    the system that require a gradient, in grad mode and under torch.func. Second derivatives are refused.
 
-    A lane that fails is reported in `status`. Raises InputError for bad arguments.
+    system      the model; its own parameters are the design where `designs` says nothing
+    duration    simulated time [s], positive
+    method      "generalized_alpha" or a method of torchdiffeq, such as "dopri5" or "rk4"
+    steps       equal time steps, and output intervals; default: 20 per period of the fastest retained mode, at least 200.
+                Adaptive methods choose their own steps between the outputs
+    designs     parameter name -> values [lanes, ...], or [...] for one lane; others keep their own values
+    phases      locks, releases and ends of the phases that follow each other (phases.py); default: one without either
+    gradients   "reverse": by the adjoint of the steps, about one simulation for the first response and half of one for each
+                further one, however many variables there are; generalized_alpha without phases.
+                "forward": by tangents of all variables, integrated with the motion: about a quarter of a simulation for each;
+                then the motion has `dq_db` as well. "auto": reverse where there is an adjoint, else forward, by what
+                requires a gradient or is under torch.func. "none": values only
+    variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
+                a gradient
+    options     generalized_alpha: spectral_radius, iterations, refresh; halvings (not with phases);
+                torchdiffeq: rtol, atol, options
+
+    A lane that fails is reported in `status`; its numbers are nan and it adds nothing to a gradient. `stats["gradients"]`
+    says which way they come. Raises InputError for bad arguments.
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
-    options = check(duration, method, steps, options, phases is not None)
-    duration = float(duration)
-    check_designs(system, designs)
-    names = check_sensitivities(system, sensitivities)
-    check_adjoint(adjoint, method, phases is not None, names, options.get("device"))
-    possible = bool(names) and method == "generalized_alpha" and "device" not in options
+    check(duration, method, steps, options, phases is not None)
+    given = check_designs(system, designs)
+    check_gradients(gradients, method, phases is not None)
     with torch.inference_mode(False):  # wherever the caller is: inference tensors have no gradients, not even later
-        batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
-        if phases is not None:
-            system, stages = plan(system, phases, duration)
-        dynamics = system.dynamics(batch, tangents=names)
-        steps = int(steps or default_steps(dynamics, duration))
-        design = {"designs": batch, "parameters": labels(system, names)}
+        names = _variables(system, given, gradients, variables)
+        batch = _same_lanes({name: _own(system, name)[None] for name in names if name not in given} | given)
+        if gradients in ("forward", "reverse") and torch.is_grad_enabled():
+            batch = {k: _leaf(x) if k in names and not differentiated(x) else x for k, x in batch.items()}
+        adjoint = method == "generalized_alpha" and phases is None
+        if gradients == "forward" or not adjoint:
+            labels = labels_of(system, names)
+            integration = ForwardIntegration(
+                system, tuple(batch), tuple(names), labels, float(duration), steps, method, options, phases
+            )
+            motion = _forward(integration, batch)
+        else:
+            motion = _reverse(system, batch, names, float(duration), steps, options)
+        motion.stats["gradients"] = _route(motion) if names else GRADIENTS[-1]
         with torch.no_grad():
+            plain = _plain(motion)
             if phases is None:
-                if possible and _back(adjoint, dynamics):
-                    motion = _with_way_back(system, dynamics, duration, steps, options, design)
-                else:
-                    history, stats, status = run(dynamics, duration, steps, method, options)
-                    signals = Recorded(history, partial(_multipliers, dynamics, duration))
-                    motion = _present(system, dynamics, signals, stats, status, duration, **design)
-                motion = explained(motion)
-                warn_of_spin(motion)
-                return motion
-            views = Views.of(system, dynamics, **design)
-            course = Course(dynamics, stages, views, duration, steps)
-            stats, status = _through(course, method, options)
-            if method == "generalized_alpha" and options.get("refresh", 1) and any(x != OK for x in status):
-                again = Course(dynamics, stages, views, duration, steps)
-                counts, better = _through(again, method, options | careful(options))
-                if better.count(OK) > status.count(OK):
-                    course, stats, status = again, counts | {"renewed": list(range(len(status)))}, better
-        signals = Recorded(course.history, course.multipliers)
-        motion = _present(system, course.whole, signals, stats, status, duration, **design)
-        warn_of_spin(motion)
-        return replace(motion, switches=course.switches, actions=tuple(stage.topology.actions for stage in stages))
+                explained(plain)
+            warn_of_spin(plain)
+        return motion
 
 
-def _back(adjoint: bool | None, dynamics: Dynamics) -> bool:
-    """Whether gradients come by going back through the steps."""
-    return compiled_adjoint.ready(dynamics.condensed()) if adjoint is None else adjoint
+def _route(motion: Trajectory) -> str:
+    return "reverse" if isinstance(motion.integration, ReverseIntegration) else "forward"
 
 
-def _with_way_back(
-    system: System, dynamics: Dynamics, duration: float, steps: int, options: dict[str, Any], design: dict[str, Any]
+def _plain(motion: Trajectory) -> Trajectory:
+    """The motion on plain tensors, wherever the caller is; status and statistics are shared."""
+    made = motion.integration
+    dynamics, h = made.dynamics.values(), made.history
+    q, v, vd, lam = (x[:, :, :1] for x in (h.q, h.v, h.vd, h.lam))
+    signals = Recorded(History(q, v, vd, lam, made.expansion(dynamics.data)), made, dynamics.data)
+    return replace(motion, signals=signals, dynamics=dynamics, designs={}, variables={}, integration=None)
+
+
+def _variables(
+    system: System, given: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None
+) -> list[str]:
+    """Names of the parameters by which the motion is differentiated."""
+    if gradients == "none":
+        return []
+    own = dict(system.named_parameters())
+    if variables is not None:
+        return check_variables(system, variables)
+    if gradients == "auto":
+        return [name for name, x in own.items() if differentiated(given.get(name, x))]
+    names = [name for name, x in own.items() if x.requires_grad or differentiated(given.get(name, x))]
+    if not names:
+        raise InputError(f"gradients is {gradients!r}, but no parameter of the system requires a gradient")
+    return names
+
+
+def _reverse(
+    system: System, batch: dict[str, Tensor], names: list[str], duration: float, steps: int | None, options: dict
 ) -> Trajectory:
-    """A motion without tangents, and its adjoint."""
-    begun = generalized_alpha.begin(dynamics)
-    values = begun.values()
-    history, stats, status = with_retries(values, duration, steps, precise=True, **options)
-    signals = Untangled(history, partial(_multipliers, values.whole, duration))
-    motion = _present(system, dynamics, signals, stats, status, duration, **design)
-    return replace(motion, adjoint=Adjoint(begun, history, duration, options, compiled_adjoint.sweep))
+    """A motion whose structure stage is differentiated by torch, and whose steps by their adjoint."""
+    dynamics = system.reduced(batch)
+    data = dynamics.data
+    integration = ReverseIntegration(replace(dynamics, data={}), tuple(data), duration, steps, options, bool(names))
+    outputs: Any = Motion.apply(integration, *data.values())
+    return _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names)
 
 
-def _through(course: Course, method: str, options: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """Integrate through all phases; statistics and status."""
-    if method == "generalized_alpha":
-        stats = staged_alpha.integrate(course, **options)
-    else:
-        stats = staged_ode.integrate(course, method, **options)
-    found = status_of(course.history, course.duration, course.steps, stats)
-    return stats, [own if own != OK else other for own, other in zip(course.status, found, strict=True)]
+def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Trajectory:
+    """A motion with tangents."""
+    outputs: Any = Motion.apply(integration, *(x.movedim(0, -1).unsqueeze(-2) for x in batch.values()))
+    end = 4 + len(integration.moving)
+    data = dict(integration.dynamics.data) | dict(zip(integration.moving, outputs[4:end], strict=True))
+    names, labels = list(integration.variables), integration.labels
+    motion = _presented(integration.system, integration, outputs[:4], data, batch, labels, names)
+    motion.switches = integration.switches_of(outputs[end:])
+    motion.actions = integration.actions
+    return motion
 
 
-def labels(system: System, names: Sequence[str]) -> tuple[str, ...]:
+def _presented(
+    system: System,
+    integration: ReverseIntegration | ForwardIntegration,
+    outputs: Sequence[Tensor],
+    data: dict[str, Tensor],
+    designs: dict[str, Tensor],
+    labels: tuple[str, ...],
+    names: list[str],
+) -> Trajectory:
+    """What was integrated, with all that belongs to it, as functions of the outputs, the data and the designs."""
+    q, v, vd, lam = outputs
+    whole = integration.dynamics
+    dynamics = Dynamics(whole.topology, whole.saddle, data, whole.initial, whole.stabilization, whole.statistics)
+    history = History(q, v, vd, lam, integration.expansion(data))
+    signals = Recorded(history, integration, data)
+    return Trajectory(
+        t=torch.linspace(0.0, integration.duration, len(q), dtype=torch.float64),
+        signals=signals,
+        status=integration.status,
+        stats=integration.stats,
+        system=system,
+        dynamics=dynamics,
+        shapes=DesignShapes(system, designs, labels, signals.lanes),
+        designs=designs,
+        parameters=labels,
+        variables={name: designs[name] for name in names},
+        integration=integration,
+    )
+
+
+def labels_of(system: System, names: Sequence[str]) -> tuple[str, ...]:
     """One label for each entry of the named parameters: `rod.laminate.angles[0]`."""
     own = dict(system.named_parameters())
     return tuple(f"{name}[{i}]" for name in names for i in range(own[name].numel()))
 
 
 def _own(system: System, name: str) -> Tensor:
-    return dict(system.named_parameters())[name].detach()[None]
+    return dict(system.named_parameters())[name]
+
+
+def _leaf(x: Tensor) -> Tensor:
+    return x.detach().clone().requires_grad_()
 
 
 def _same_lanes(batch: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -146,47 +198,4 @@ def _same_lanes(batch: dict[str, Tensor]) -> dict[str, Tensor]:
     lanes = max(counts.values(), default=1)
     if not {1, lanes}.issuperset(counts.values()):
         raise InputError(f"designs have lanes {counts}; allowed: the same number for all, or one")
-    return {name: x.detach().clone().expand(lanes, *x.shape[1:]) for name, x in batch.items()}
-
-
-def default_steps(dynamics: Dynamics, duration: float) -> int:
-    """Twenty steps per period of the fastest retained mode, at least 200 in all."""
-    if "Kr" not in dynamics.data:
-        return 1000
-    return max(200, math.ceil(20.0 * duration * ode.fastest_vibration(dynamics) / (2.0 * math.pi)))
-
-
-def _multipliers(dynamics: Dynamics, duration: float, history: History, data: Any = None) -> Tensor:
-    """All multipliers [times, rows, slots, lanes] of a motion; of redundant rows those of least norm.
-
-    data   instead of those of the dynamics
-    """
-    least = dynamics.least_norm
-    if least is None:
-        return history.multipliers
-    times = torch.linspace(0.0, duration, len(history.q), dtype=torch.float64)
-    return least.at_times(dynamics.data if data is None else data, times, history.rows(0), history.multipliers)
-
-
-def _present(
-    system: System,
-    dynamics: Dynamics,
-    signals: Recorded,
-    stats: dict[str, Any],
-    status: list[str],
-    duration: float,
-    designs: dict[str, Tensor],
-    parameters: tuple[str, ...],
-) -> Trajectory:
-    """What was integrated, with all that belongs to it."""
-    return Trajectory(
-        t=torch.linspace(0.0, duration, signals.times, dtype=torch.float64),
-        signals=signals,
-        status=status,
-        stats=stats,
-        system=system,
-        dynamics=dynamics,
-        shapes=DesignShapes(system, designs, parameters, dynamics.lanes),
-        designs=designs,
-        parameters=parameters,
-    )
+    return {name: x.clone().expand(lanes, *x.shape[1:]) for name, x in batch.items()}

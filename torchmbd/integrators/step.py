@@ -25,6 +25,7 @@ from torchmbd.errors import InputError
 from torchmbd.numerics.elementwise import reciprocal
 from torchmbd.numerics.pair import Pair, cat, combine, value
 from torchmbd.system import equations
+from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.elimination import Eliminated, Factored
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Prescribed, Topology
@@ -197,6 +198,11 @@ class Model:
         self.T, self.saddle, self.w, self.data = T, saddle, w, data
         self.plain = w.values()
         self.values = {name: value(y) for name, y in data.items()}
+
+    @classmethod
+    def of(cls, dynamics: Dynamics, w: Weights) -> Model:
+        """The model of a simulation."""
+        return cls(dynamics.topology, dynamics.saddle, w, dynamics.data)
 
     def step(self, x: State, given: Prescribed) -> Step:
         """The step from x."""

@@ -18,20 +18,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any
 
 from torch import Tensor
 
 from torchmbd.errors import SimulationFailure, unknown
 from torchmbd.forces.action import Action
-from torchmbd.integrators.adjoint import Adjoint
 from torchmbd.integrators.body_motion import BodyMotion
 from torchmbd.integrators.energies import Energies, energies
-from torchmbd.integrators.history import History
 from torchmbd.integrators.reaction import JointReaction, reaction
 from torchmbd.integrators.shapes import MovedShapes, OneLane, Shapes, moved_designs
-from torchmbd.integrators.signals import Differentiable, Given, Moved, Recorded, Signals, moved
+from torchmbd.integrators.signals import Given, Moved, Recorded, Signals, detached, moved
 from torchmbd.integrators.singular import SingularPosition, singular_positions
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
@@ -52,6 +50,10 @@ class Moment:
     da_db: Tensor | None = None
     dlam_db: Tensor | None = None
 
+    def detach(self) -> Moment:
+        """The same numbers without a graph of torch."""
+        return replace(self, **{name: getattr(self, name).detach() for name in ("q", "v", "a", "lam")})
+
     def moved(self, delta: Tensor) -> Moment:
         """Of all designs moved by delta [n_b] or [lanes, n_b], to first order."""
         names = ("q", "v", "a", "lam")
@@ -70,6 +72,10 @@ class Switch:
     before: Moment
     after: Moment
     dt_db: Tensor | None = None
+
+    def detach(self) -> Switch:
+        """The same numbers without a graph of torch."""
+        return replace(self, t=self.t.detach(), before=self.before.detach(), after=self.after.detach())
 
     def moved(self, delta: Tensor) -> Switch:
         """Of all designs moved by delta [n_b] or [lanes, n_b], to first order."""
@@ -116,7 +122,8 @@ class Trajectory:
     parameters  names of the design variables of the sensitivities, one for each slot
     switches    passages into the second phase and all later ones
     actions     applied forces of each phase; none: of all the same
-    adjoint     the way back, of a motion that has gradients of responses and no sensitivities of its own
+    variables   designs by which the motion is differentiable, by name [lanes, ...]: inputs of torch.autograd.grad
+    integration how it was integrated, with its tangents if it has any (forward_integration.py, reverse_integration.py)
     """
 
     t: Tensor
@@ -131,7 +138,8 @@ class Trajectory:
     switches: list[Switch] = field(default_factory=list)
     actions: tuple[tuple[Action, ...], ...] = ()
     known: dict[Any, Any] | None = field(default=None, repr=False)  # what measures evaluated together share
-    adjoint: Adjoint | None = field(default=None, repr=False)
+    variables: dict[str, Tensor] = field(default_factory=dict, repr=False)
+    integration: Any = field(default=None, repr=False)
 
     @property
     def lanes(self) -> int:
@@ -161,22 +169,56 @@ class Trajectory:
     @property
     def dq_db(self) -> Tensor | None:
         """Sensitivities of the coordinates [lanes, times, n_q, n_b]."""
-        return self.signals.tangents("q")
+        return self._tangents("q")
 
     @property
     def dv_db(self) -> Tensor | None:
         """Sensitivities of the rates [lanes, times, n_v, n_b]."""
-        return self.signals.tangents("v")
+        return self._tangents("v")
 
     @property
     def da_db(self) -> Tensor | None:
         """Sensitivities of the accelerations [lanes, times, n_v, n_b]."""
-        return self.signals.tangents("a")
+        return self._tangents("a")
 
     @property
     def dlam_db(self) -> Tensor | None:
         """Sensitivities of the multipliers [lanes, times, rows, n_b]."""
-        return self.signals.tangents("lam")
+        return self._tangents("lam")
+
+    def _tangents(self, name: str) -> Tensor | None:
+        """Sensitivities of all rows; InputError where gradients come by the adjoint."""
+        from_adjoint = self.integration is not None and self.stats.get("gradients") == "reverse"
+        if from_adjoint:
+            raise InputError(
+                f"d{name}_db: the gradients of this motion come by the adjoint, which has no sensitivities of coordinates; "
+                "allowed: simulate(..., gradients='forward')"
+            )
+        return self._sensitivities.tangents(name)
+
+    @cached_property
+    def _sensitivities(self) -> Signals:
+        made = self.integration
+        if made is None or not made.variables:
+            return self.signals
+        return Recorded(made.history, made, made.dynamics.data)
+
+    def detach(self) -> Trajectory:
+        """The same numbers without a graph of torch."""
+        return replace(
+            self,
+            signals=self.signals.detach(),
+            dynamics=replace(self.dynamics, data={k: detached(x) for k, x in self.dynamics.data.items()}),
+            shapes=self.shapes.detach(),
+            designs={name: x.detach() for name, x in self.designs.items()},
+            variables={},
+            switches=[switch.detach() for switch in self.switches],
+            known=None,
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Numbers only: a graph of torch is not kept."""
+        return vars(self.detach())
 
     @property
     def ok(self) -> bool:
@@ -213,33 +255,9 @@ class Trajectory:
         """Mode shapes [lanes, nodes, 6, modes] of a flexible body: the structure stage of the designs, once more."""
         return self.shapes.values(name)
 
-    def prepare(self) -> None:
-        """Make the sensitivities of what has been looked at, so that functions of `moved` find them."""
-        self.signals.prepare()
-        self.shapes.prepare()
-
     def moved(self, delta: Tensor) -> Trajectory:
-        """The motion of all designs moved by delta [n_b], or [lanes, n_b] for each lane its own, to first order.
-
-        delta may carry derivatives, forward or reverse; second ones are those of the first-order neighbor, not of the motion.
-        Raises InputError for a motion that was simulated with adjoint=True.
-        """
-        if self.adjoint is not None:
-            self.signals.tangents("q")  # which there are not: says so
+        """The motion of all designs moved by delta [n_b], to first order, for functions that events and impacts look at."""
         return self._neighbor(Moved(self.signals, delta), delta)
-
-    def opened(self, delta: Tensor) -> tuple[Trajectory, list[Tensor]]:
-        """The motion as a function of what `adjoint` takes: q, v, a, lam [times, n, 1, lanes] as they were integrated.
-
-        What does not go by them, the reduced model, the mode shapes and the designs, is moved by delta [lanes, n_b].
-        """
-        signals = self.signals
-        assert isinstance(signals, Recorded)
-        base, data = signals.history, MovedData(self.dynamics.data, delta)
-        q, v, vd, lam = leaves = [x.detach().requires_grad_() for x in (base.q, base.v, base.vd, base.lam)]
-        expansion = None if base.expansion is None else replace(base.expansion, data=data)
-        settled = None if signals.settled is None else partial(signals.settled, data=data)
-        return self._neighbor(Differentiable(History(q, v, vd, lam, expansion), settled), delta), leaves
 
     def _neighbor(self, signals: Signals, delta: Tensor) -> Trajectory:
         return replace(
@@ -251,7 +269,7 @@ class Trajectory:
             parameters=(),
             switches=[switch.moved(delta) for switch in self.switches],
             known=None if self.known is None else {},
-            adjoint=None,
+            integration=None,
         )
 
     def at_moment(self, lane: int, t: Tensor, moment: Moment) -> Trajectory:
@@ -269,5 +287,6 @@ class Trajectory:
             parameters=(),
             switches=[],
             known=None,
-            adjoint=None,
+            variables={},
+            integration=None,
         )

@@ -2,7 +2,6 @@
 
     void name(const In& in, Room w, Room out)     numbers V: eight doubles; w: room for what lives longer than one part
 
-The same text is CUDA (`CUDA_PRELUDE`), one lane for each thread: V is a double, and a Room has gaps of all other lanes.
 
 Long functions are written in parts of some hundred statements, for compilers need more than linear time in their length.
 Operations come in the order in which the results need them, so that few numbers live at once.
@@ -49,41 +48,6 @@ EACH(abs, std::fabs(a)) EACH(log, std::log(a)) EACH(tanh, std::tanh(a))
 BOTH(max, a > b ? a : (a == a ? b : a)) BOTH(min, a < b ? a : (a == a ? b : a))
 BOTH(gt, a > b ? 1.0 : 0.0) BOTH(ge, a >= b ? 1.0 : 0.0) BOTH(atan2, std::atan2(a, b))"""
 PRELUDE = PRELUDE.replace("FUNCTIONS", _FUNCTIONS)
-
-# A compiler of C++ takes it as well, `lane` says of which thread: so it is tested without a device.
-CUDA_PRELUDE = """#ifdef __CUDACC_RTC__
-#define MEMBER __device__
-#define DEVICE static __device__
-#define PART static __device__ __noinline__ void
-#define TABLE static __device__ const int
-#define KERNEL extern "C" __global__ void
-#define NAN __longlong_as_double(0x7ff8000000000000LL)
-#define HUGE_VAL __longlong_as_double(0x7ff0000000000000LL)
-#else
-#include <cmath>
-struct Index { unsigned x; };
-static Index blockIdx, blockDim = {1}, threadIdx;
-extern "C" void lane(unsigned l) { blockIdx.x = l; }
-#define MEMBER
-#define DEVICE static
-#define PART static __attribute__((noinline)) void
-#define TABLE static const int
-#define KERNEL extern "C" void
-#endif
-#define WHOLE DEVICE void
-typedef double V;
-struct Room {
-  double* at;
-  long gap;
-  MEMBER double& operator[](long i) const { return at[i * gap]; }
-};
-DEVICE Room operator+(Room a, long i) { return {a.at + i * a.gap, a.gap}; }
-DEVICE double spread(double x) { return x; }
-#define EACH(name, expression) DEVICE double f_##name(double a) { return expression; }
-#define BOTH(name, expression) DEVICE double f_##name(double a, double b) { return expression; }
-FUNCTIONS
-DEVICE double f_where(double c, double a, double b) { return c > 0.0 ? a : b; }
-""".replace("FUNCTIONS", _FUNCTIONS.replace("std::", ""))
 
 
 class Emitter:

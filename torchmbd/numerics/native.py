@@ -24,7 +24,6 @@ from pathlib import Path
 
 import torch
 
-from torchmbd.numerics import nvrtc
 from torchmbd.process import cache_folder
 
 SUFFIX = ".so"
@@ -39,7 +38,7 @@ def entries() -> list[tuple[Path, int, bool]]:
     found = []
     for path in sorted(path for path in cache_folder().iterdir() if path.suffix != ".lock"):
         files = [f for f in path.rglob("*") if f.is_file()] if path.is_dir() else [path]
-        found.append((path, sum(f.stat().st_size for f in files), path.suffix in (SUFFIX, nvrtc.SUFFIX)))
+        found.append((path, sum(f.stat().st_size for f in files), path.suffix == SUFFIX))
     return found
 
 

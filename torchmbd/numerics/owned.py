@@ -15,7 +15,7 @@ import torch
 import torch.autograd.forward_ad as forward_ad
 from numpy.typing import ArrayLike
 from torch import Tensor
-from torch._C._functorch import is_functorch_wrapped_tensor
+from torch._C._functorch import get_unwrapped, is_functorch_wrapped_tensor
 
 from torchmbd.errors import InputError
 
@@ -42,11 +42,22 @@ def whole(given: Any) -> bool:
     return isinstance(given, numbers.Integral) and not isinstance(given, bool)
 
 
+def differentiated(x: Tensor) -> bool:
+    """Whether torch differentiates by x here: autograd, dual numbers, or a transform of torch.func."""
+    watched = x.requires_grad and torch.is_grad_enabled()
+    return watched or is_functorch_wrapped_tensor(x) or forward_ad.unpack_dual(x).tangent is not None
+
+
+def all_true(x: Tensor) -> bool:
+    """Whether all are true, also of a batch of torch.func.vmap."""
+    while is_functorch_wrapped_tensor(x):
+        x = get_unwrapped(x)
+    return bool(x.all())
+
+
 def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
     """InputError where x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
-    watched = x.requires_grad and torch.is_grad_enabled()
-    wrapped = is_functorch_wrapped_tensor(x)
-    if watched or wrapped or forward_ad.unpack_dual(x).tangent is not None:
+    if differentiated(x):
         raise InputError(
             f"{name} is being differentiated, which would be lost here; allowed: x.detach(), and {instead}"
         )

@@ -25,14 +25,11 @@ from functools import cached_property
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.joints.joint import Attached
 from torchmbd.numerics.pair import Pair, cat, linear, value
-from torchmbd.numerics.placed import placed
 from torchmbd.system import equations
-from torchmbd.system.carrier import Carrier
 from torchmbd.system.condensation import Condensation
 from torchmbd.system.equations import Data
 from torchmbd.system.least_norm import LeastNorm
@@ -77,11 +74,6 @@ class Dynamics:
         slots = [x.shape[-2] - 1 for x in self.data.values() if isinstance(x, Pair)]
         return max(slots, default=0)
 
-    @property
-    def device(self) -> torch.device:
-        """Where the data are."""
-        return value(self.data["mass"]).device
-
     @cached_property
     def alike(self) -> Any:
         """What this and other designs share that start alike (initial.py); None if the start depends on the design."""
@@ -104,7 +96,7 @@ class Dynamics:
         q, one = value(self.start[0]).detach(), self.some([lane]) if lane else self
         q = q[:, 0, min(lane, q.shape[-1] - 1)]
         with torch.no_grad():
-            J = jacobians(one, q[None], q.new_zeros(1))[0].cpu().numpy()
+            J = jacobians(one, q[None], q.new_zeros(1))[0].numpy()
             found = confirmed(one, q, rank_of(self.topology, J))
         if self.alike is not None and without_modes(self.topology, J):
             ranks[self.topology] = found
@@ -154,24 +146,12 @@ class Dynamics:
         if not self.rank.left_out:
             return lam
         gone = torch.tensor(self.rank.left_out)
-        return linear(lambda x: x.index_fill(0, gone.to(x.device), 0.0), lam)
+        return linear(lambda x: x.index_fill(0, gone, 0.0), lam)
 
     def values(self) -> Dynamics:
         """The same dynamics without design tangents."""
         data = {name: value(x) for name, x in self.data.items()}
         return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)
-
-    def to(self, device: torch.device) -> Dynamics:
-        """The same equations on a device, for steps from a state to the next.
-
-        What is prescribed over time stays where it is (Topology.schedule), and so do start and rank, which are known by then.
-        """
-        if device == self.device:
-            return self
-        T, saddle, data = placed((self.topology, self.saddle, self.data), device, (nn.Module, Attached, Carrier))
-        there = Dynamics(T, saddle, data, self.initial, self.stabilization, self.statistics)
-        there.start, there.rank = placed(self.start, device), self.rank
-        return there
 
     def condensed(self) -> Dynamics:
         """The same motion with fewer unknowns (condensation.py); itself if there is nothing to condense."""
@@ -185,7 +165,7 @@ class Dynamics:
         index = torch.tensor(list(lanes))
 
         def pick(x: Tensor) -> Tensor:
-            return x.index_select(-1, index.to(x.device)) if x.shape[-1] > 1 else x
+            return x.index_select(-1, index) if x.shape[-1] > 1 else x
 
         data = {name: Pair(pick(x.full)) if isinstance(x, Pair) else pick(x) for name, x in self.data.items()}
         return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)
@@ -258,7 +238,7 @@ def regularized(K: Tensor, diagonal: tuple[Tensor, Tensor] | None) -> Tensor:
     """Matrices K [lanes, n, n] with the changes of Dynamics.diagonal."""
     if diagonal is None:
         return K
-    stay, lost = (x.to(K.device) for x in diagonal)
+    stay, lost = diagonal
     return K * (stay[:, None] * stay) - torch.diag(lost)
 
 

@@ -53,7 +53,6 @@ class Expansion:
         y = _picked(c.topology.spread if order else None, x, found)
         if len(found) == len(wanted):
             return y
-        y = y.cpu()
         result = y.new_zeros(len(x), len(wanted), *x.shape[2:])
         result[:, [i for i, row in enumerate(wanted) if row in place]] = y
         for number, motion in self.known if known else ():
@@ -72,11 +71,11 @@ class Expansion:
 def _picked(spread, x: Tensor, rows: list[int]) -> Tensor:
     """Rows of x [times, k, slots, lanes], or of what a map makes of it."""
     if spread is not None:
-        y = spread.some(rows)(x.cpu().transpose(0, 1).flatten(1, 2))
+        y = spread.some(rows)(x.transpose(0, 1).flatten(1, 2))
         return y.unflatten(1, (x.shape[0], x.shape[2])).transpose(0, 1)
     return chosen(x, rows)
 
 
 def chosen(x: Tensor, rows: Sequence[int]) -> Tensor:
     """Rows of x [times, k, slots, lanes]."""
-    return x.index_select(1, torch.tensor(rows, dtype=torch.long).to(x.device))
+    return x.index_select(1, torch.tensor(rows, dtype=torch.long))

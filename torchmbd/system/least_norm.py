@@ -86,7 +86,7 @@ class LeastNorm:
 
     def _inverses(self, data: Data, at: Placement) -> tuple[Tensor, Tensor]:
         """J+ [lanes, n_v, rows] and P [lanes, rows, rows]."""
-        parts = unit_forces(self.T, data, at, torch.arange(self.T.rows))
+        parts = [x.detach() for x in unit_forces(self.T, data, at, torch.arange(self.T.rows))]
         J = torch.cat([x.flatten(0, 1) for x in parts]).permute(2, 1, 0) * self.acting[:, None]
         failed = ~torch.isfinite(J).all(1).all(1)[:, None, None]  # lanes: what they get is nan
         U, s, Vh = torch.linalg.svd(torch.where(failed, 0.0, J), full_matrices=False)

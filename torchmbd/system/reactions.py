@@ -54,11 +54,11 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
     at = equations.placement(T, wide, q, given)
     lam = _placed(left, c.rows, T.rows)
     with torch.no_grad():
-        pulls = unit_forces(T, wide, at, gone)[:2]
+        pulls = [x.detach() for x in unit_forces(T, wide, at, gone)[:2]]
         B = torch.cat([x[:, T.flexible :].flatten(0, 1) for x in pulls]).permute(2, 0, 1)
         finite = torch.where(torch.isfinite(B), B, 0.0)  # of a lane that failed: R is nan
         inverse = torch.linalg.pinv(finite, rtol=1e-9)
-        found = _placed(-_times(inverse, value(_residual(T, wide, at, v, a, lam))), gone, T.rows)
+        found = _placed(-_times(inverse, value(_residual(T, wide, at, v, a, lam)).detach()), gone, T.rows)
     lam = lam + found
     if isinstance(q, Pair) or torch.is_grad_enabled():
         slopes = _placed(-_times(inverse, slope_of(_residual(T, wide, at, v, a, lam))), gone, T.rows)

@@ -128,6 +128,12 @@ class System(nn.Module):
             return Dynamics(self.topology, self._saddle, self._data(), self._initial, self.stabilization)
         return self._data() if part == "data" else self.body(part).structure()
 
+    def reduced(self, parameters: Mapping[str, Tensor]) -> Dynamics:
+        """Structure stage of a batch of designs, name -> values [lanes, ...], differentiable by torch in every mode."""
+        return Dynamics(
+            self.topology, self._saddle, called(self, parameters, "data"), self._initial, self.stabilization
+        )
+
     def dynamics(self, parameters: Mapping[str, Tensor] | None = None, tangents: Sequence[str] = ()) -> Dynamics:
         """Structure stage of a batch of designs.
 

@@ -1,0 +1,197 @@
+"""A motion with the tangents of its design variables, integrated together; see motion.py.
+
+    inputs    designs by name [component..., 1, lanes]
+    outputs   q, v, v', lam [times, n, 1, lanes], the data of the reduced model that move with the design, and of every
+              switch between phases its time and the states on both sides
+
+The structure stage is inside. Every method and phases; forward and reverse mode multiply with the tangents at hand.
+Checked in tests/integrators/test_motion.py, tests/sensitivity/.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.forces.action import Action
+from torchmbd.integrators import staged_alpha, staged_ode
+from torchmbd.integrators.attempts import careful, default_steps, run, status_of
+from torchmbd.integrators.course import Course
+from torchmbd.integrators.events import Views
+from torchmbd.integrators.history import History
+from torchmbd.integrators.motion import Tensors
+from torchmbd.integrators.phases import Phase, plan
+from torchmbd.integrators.trajectory import OK, Moment, Switch
+from torchmbd.numerics.pair import Pair, value
+from torchmbd.system import Dynamics, System
+from torchmbd.system.expansion import Expansion
+
+_SIDES = ("q", "v", "a", "lam")
+
+
+@dataclass(eq=False)
+class ForwardIntegration:
+    """Any method over a duration [s].
+
+    names      of the inputs;  variables: those among them whose tangents are carried
+    labels     one for each entry of the variables
+    steps      their number; None: chosen from the data
+
+    system     with the locks of its phases
+    dynamics, history   with tangents;  status, stats, switches, actions: what came of it
+    """
+
+    system: System
+    names: tuple[str, ...]
+    variables: tuple[str, ...]
+    labels: tuple[str, ...]
+    duration: float
+    steps: int | None
+    method: str
+    options: dict[str, Any]
+    phases: Sequence[Phase] | None
+    dynamics: Dynamics = field(init=False)
+    history: History = field(init=False)
+    status: list[str] = field(init=False)
+    stats: dict[str, Any] = field(init=False)
+    switches: list[Switch] = field(default_factory=list, init=False)
+    actions: tuple[tuple[Action, ...], ...] = field(default=(), init=False)
+    moving: tuple[str, ...] = field(default=(), init=False)
+    _course: Course | None = field(default=None, init=False)
+    _tangents: list[Tensor] = field(default_factory=list, init=False)
+
+    def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """As of `Integration`."""
+        given = zip(self.names, inputs, strict=True)
+        designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in given}
+        lanes = max((len(x) for x in designs.values()), default=1)
+        designs = {name: x.expand(lanes, *x.shape[1:]).contiguous() for name, x in designs.items()}
+        if self.phases is None:
+            self._plainly(designs)
+        else:
+            self._through_phases(designs, self.phases)
+        data = self.dynamics.data
+        self.moving = tuple(name for name, x in data.items() if isinstance(x, Pair))
+        h = self.history
+        numbers = [Pair(x) for x in (h.q, h.v, h.vd, h.lam)] + [data[name] for name in self.moving]
+        for switch in self.switches:
+            numbers += _numbers_of(switch)
+        self._tangents = [x.tangent for x in numbers] if self.variables else []
+        return tuple(x.value.clone() for x in numbers)
+
+    def _plainly(self, designs: dict[str, Tensor]) -> None:
+        self.dynamics = self.system.dynamics(designs, tangents=self.variables)
+        self.steps = self.steps or default_steps(self.dynamics, self.duration)
+        self.history, self.stats, self.status = run(
+            self.dynamics, self.duration, self.steps, self.method, self.options
+        )
+
+    def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
+        self.system, stages = plan(self.system, phases, self.duration)
+        dynamics = self.system.dynamics(designs, tangents=self.variables)
+        self.steps = steps = self.steps or default_steps(dynamics, self.duration)
+        views = Views.of(self.system, dynamics, designs, self.labels)
+
+        def attempt(options: dict[str, Any]) -> tuple[Course, dict[str, Any], list[str]]:
+            course = Course(dynamics, stages, views, self.duration, steps)
+            return course, *_through(course, self.method, options)
+
+        course, stats, status = attempt(self.options)
+        if self.method == "generalized_alpha" and self.options.get("refresh", 1) and any(x != OK for x in status):
+            again, counts, better = attempt(self.options | careful(self.options))
+            if better.count(OK) > status.count(OK):
+                course, stats, status = again, counts | {"renewed": list(range(len(status)))}, better
+        self._course, self.dynamics, self.history = course, course.whole, course.history
+        self.stats, self.status, self.switches = stats, status, course.switches
+        self.actions = tuple(stage.topology.actions for stage in stages)
+
+    def tangents(self, directions: Tensors) -> list[Tensor]:
+        """As of `Integration`."""
+        found = [None if d is None or name not in self.variables else d for name, d in self._by_name(directions)]
+        count = next((x.shape[-2] for x in found if x is not None), 1)
+        flat = []
+        for (name, _), d in zip(self._by_name(directions), found, strict=True):
+            if name in self.variables:
+                size = self._size(name)
+                flat.append(self._no_tangents(size, count) if d is None else d.reshape(size, count, d.shape[-1]))
+        lanes = max(x.shape[-1] for x in flat)
+        step = torch.cat([x.expand(*x.shape[:-1], lanes) for x in flat])
+        return [torch.einsum("...bl,bsl->...sl", dx.expand(*dx.shape[:-1], lanes), step) for dx in self._tangents]
+
+    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+        """As of `Integration`."""
+        parts = [
+            torch.einsum("krl,kbl->brl", bar.flatten(0, -3), dx.flatten(0, -3).expand(-1, -1, bar.shape[-1]))
+            for bar, dx in zip(outputs, self._tangents, strict=True)
+            if bar is not None
+        ]
+        lanes = len(self.status)
+        total = torch.stack([x.expand(*x.shape[:-1], lanes) for x in parts]).sum(0)
+        total[..., [lane for lane, status in enumerate(self.status) if status != OK]] = 0.0
+        ends = iter(total.split([self._size(name) for name in self.variables]))
+        by = {name: next(ends) for name in self.variables}
+        own = dict(self.system.named_parameters())
+        return [by[n].reshape(*own[n].shape, *total.shape[1:]) if n in by else None for n in self.names]
+
+    def expansion(self, data: dict[str, Any]) -> Expansion | None:
+        """As of ReverseIntegration."""
+        known = self.history.expansion
+        return None if known is None else replace(known, data=data)
+
+    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
+        """As of ReverseIntegration, with as many slots as the history has."""
+        if self._course is not None:
+            return self._course.multipliers(history, data)
+        least = self.dynamics.least_norm
+        if least is None:
+            return history.multipliers
+        times = torch.linspace(0.0, self.duration, len(history.q), dtype=torch.float64)
+        return least.at_times(data, times, history.rows(0), history.multipliers)
+
+    def switches_of(self, numbers: Sequence[Tensor]) -> list[Switch]:
+        """The switches with their numbers as differentiable outputs."""
+        found, rest = [], iter(numbers)
+        for switch in self.switches:
+            t = next(rest)[0, 0]
+            before, after = (
+                replace(side, **{name: next(rest)[:, 0].T for name in _SIDES}) for side in (switch.before, switch.after)
+            )
+            found.append(replace(switch, t=t, before=before, after=after))
+        return found
+
+    def _by_name(self, x: Tensors) -> list[tuple[str, Tensor | None]]:
+        return list(zip(self.names, x, strict=True))
+
+    def _size(self, name: str) -> int:
+        return self.system.get_parameter(name).numel()
+
+    def _no_tangents(self, size: int, count: int) -> Tensor:
+        return torch.zeros(size, count, 1, dtype=torch.float64)
+
+
+def _numbers_of(switch: Switch) -> list[Any]:
+    """Time and states of a switch as numbers [n, 1 + n_b, lanes]."""
+
+    def number(x: Tensor, dx: Tensor | None) -> Any:
+        y = x.T[:, None]
+        return Pair(y if dx is None else torch.cat([y, dx.permute(1, 2, 0)], 1))
+
+    t, dt = switch.t[:, None], switch.dt_db
+    found = [number(t, None if dt is None else dt[:, None])]
+    for side in (switch.before, switch.after):
+        found += [number(getattr(side, name), getattr(side, f"d{name}_db")) for name in _SIDES]
+    return found
+
+
+def _through(course: Course, method: str, options: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+    """Integrate through all phases; statistics and status."""
+    if method == "generalized_alpha":
+        stats = staged_alpha.integrate(course, **options)
+    else:
+        stats = staged_ode.integrate(course, method, **options)
+    found = status_of(course.history, course.duration, course.steps, stats)
+    return stats, [own if own != OK else other for own, other in zip(course.status, found, strict=True)]

@@ -1,0 +1,100 @@
+"""A motion by generalized-alpha whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
+
+    inputs    the data of the reduced model, in the order of `names`
+    outputs   q, v, v', lam [times, n, 1, lanes] of what a condensation left
+
+Tangents are integrated when they are asked for, together with the values once more.
+Checked in tests/integrators/test_motion.py, tests/sensitivity/test_adjoint.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrators import compiled_adjoint, generalized_alpha
+from torchmbd.integrators.adjoint import Adjoint
+from torchmbd.integrators.attempts import default_steps, with_retries
+from torchmbd.integrators.history import History
+from torchmbd.integrators.motion import Tensors
+from torchmbd.integrators.trajectory import OK
+from torchmbd.numerics.pair import Pair
+from torchmbd.system import Dynamics
+from torchmbd.system.expansion import Expansion
+
+
+@dataclass(eq=False)
+class ReverseIntegration:
+    """Equal steps over a duration [s].
+
+    model     topology and options of the equations; its data are not used
+    names     of the inputs
+    steps     their number; None: chosen from the data
+    options   of generalized_alpha and of its retries
+    precise   whether derivatives will be taken
+
+    dynamics, history, status, stats   what came of it
+    """
+
+    model: Dynamics
+    names: tuple[str, ...]
+    duration: float
+    steps: int | None
+    options: dict[str, Any]
+    precise: bool
+    dynamics: Dynamics = field(init=False)
+    history: History = field(init=False)
+    status: list[str] = field(init=False)
+    stats: dict[str, Any] = field(init=False)
+    _adjoint: Adjoint | None = field(default=None, init=False)
+
+    def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """As of `Integration`."""
+        self.dynamics = self._with(inputs)
+        self.steps = self.steps or default_steps(self.dynamics, self.duration)
+        begun = generalized_alpha.begin(self.dynamics)
+        self.history, self.stats, self.status = with_retries(
+            begun, self.duration, self.steps, precise=self.precise, **self.options
+        )
+        h = self.history
+        return h.q, h.v, h.vd, h.lam
+
+    def tangents(self, directions: Tensors) -> list[Tensor]:
+        """As of `Integration`."""
+        given = zip(self.names, directions, strict=True)
+        data = self.dynamics.data
+        moving = {name: Pair.of(data[name], dx) for name, dx in given if dx is not None}
+        begun = generalized_alpha.begin(self._with({**data, **moving}.values()))
+        h, stats, _ = with_retries(begun, self.duration, self.steps or 0, precise=True, **self.options)
+        self.stats["tangent_error"] = stats.get("tangent_error")
+        return [x[:, :, 1:] for x in (h.q, h.v, h.vd, h.lam)]
+
+    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+        """As of `Integration`."""
+        if self._adjoint is None:
+            failed = [lane for lane, status in enumerate(self.status) if status != OK]
+            self._adjoint = Adjoint(
+                self.dynamics, self.history, self.duration, self.options, failed, compiled_adjoint.sweep
+            )
+        found = self._adjoint(outputs, [name for name, one in zip(self.names, wanted, strict=True) if one])
+        return [found.get(name) for name in self.names]
+
+    def expansion(self, data: dict[str, Any]) -> Expansion | None:
+        """Leads from what was integrated to the whole system, as a function of the data; None: it is the whole."""
+        known = self.history.expansion
+        return None if known is None else replace(known, data=data)
+
+    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
+        """All multipliers [times, rows, 1, lanes]; of redundant rows those of least norm."""
+        least = self.dynamics.least_norm
+        if least is None:
+            return history.multipliers
+        times = torch.linspace(0.0, self.duration, len(history.q), dtype=torch.float64)
+        return least.at_times(data, times, history.rows(0), history.multipliers)
+
+    def _with(self, inputs: Any) -> Dynamics:
+        return replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
