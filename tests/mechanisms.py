@@ -16,6 +16,7 @@ from torch import Tensor
 
 import torchmbd as mbd
 from experiments import slider_crank
+from torchmbd.numerics.pair import linear, value
 
 CARBON = {"E1": 128e9, "E2": 10.1e9, "G12": 5.36e9, "G13": 5.36e9, "G23": 5.36e9, "nu12": 0.23, "density": 1586.0}
 SOFT = {name: x * (1.0 if name in ("nu12", "density") else 1e-3) for name, x in CARBON.items()}
@@ -131,14 +132,20 @@ def soft_slider_crank(angles: Sequence[float] = (30.0, -20.0), modes: int = 2, *
 
 def spoilt(system: mbd.System, monkeypatch: Any, lane: int = 1) -> None:
     """From now on the reduced stiffness of one lane of a batch is nan."""
-    own = system.dynamics
 
-    def dynamics(*arguments: Any, **options: Any) -> Any:
-        found = own(*arguments, **options)
-        found.data["Kr"].full[0, 0, ..., lane] = torch.nan
-        return found
+    def spoils(own: Any) -> Any:
+        def made(*arguments: Any, **options: Any) -> Any:
+            found = own(*arguments, **options)
+            Kr = found.data["Kr"]
+            first = torch.zeros(value(Kr).shape, dtype=torch.bool)
+            first[0, 0, ..., lane] = True
+            found.data["Kr"] = linear(lambda x: torch.where(first, torch.nan, x), Kr)
+            return found
 
-    monkeypatch.setattr(system, "dynamics", dynamics)
+        return made
+
+    for name in ("dynamics", "reduced"):
+        monkeypatch.setattr(system, name, spoils(getattr(system, name)))
 
 
 def sprung(law: Any = None) -> mbd.System:

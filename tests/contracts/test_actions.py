@@ -179,7 +179,9 @@ def test_gradients_are_those_of_the_discrete_map(element):
 
     def final(x: Tensor) -> mbd.Trajectory:
         designs = {names[0]: x}
-        return mbd.simulate(system, 0.02, steps=80, gradients="forward", variables=names, designs=designs, iterations=(4, 3))
+        return mbd.simulate(
+            system, 0.02, steps=80, gradients="forward", variables=names, designs=designs, iterations=(4, 3)
+        )
 
     h = 1e-5
     step = h * torch.eye(len(angles), dtype=torch.float64)

@@ -126,7 +126,7 @@ def cases(table: dict) -> list:
 
 @pytest.fixture(scope="module", params=["angles", "thickness"])
 def motions(request) -> tuple[Trajectory, Trajectory]:
-    """Two designs with sensitivities, and their neighbors as lanes; by angles, or by thicknesses (which change the mass)."""
+    """Two designs with gradients, and their neighbors as lanes; by angles, or by thicknesses (which change the mass)."""
     name = f"rod.laminate.{request.param}"
     system, options = strong_pendulum(), {"steps": STEPS, "iterations": (6, 6), "refresh": 1}
     designs, step = torch.deg2rad(torch.tensor([[20.0, -50.0], [70.0, 15.0]], dtype=torch.float64)), 2e-2
@@ -135,12 +135,12 @@ def motions(request) -> tuple[Trajectory, Trajectory]:
     shifts = torch.cat([k * step * torch.eye(2, dtype=torch.float64) for k in WEIGHTS])
     neighbors = (designs[:, None] + shifts).flatten(0, 1)
     exact, shifted = (
-        mbd.simulate(system, DURATION, gradients="forward", variables=names, designs={name: x}, **options).require_ok()
-        for names, x in (([name], designs), (False, neighbors))
+        mbd.simulate(system, DURATION, gradients=way, variables=[name], designs={name: x}, **options).require_ok()
+        for way, x in (("forward", designs), ("none", neighbors))
     )
     shifted.stats["difference"] = step
-    exact.stats["back"] = mbd.simulate(
-        system, DURATION, gradients="forward", variables=[name], designs={name: designs}, adjoint=True, **options
+    exact.stats["reverse"] = mbd.simulate(
+        system, DURATION, gradients="reverse", variables=[name], designs={name: designs}, **options
     )
     return exact, shifted
 
@@ -185,15 +185,15 @@ def test_gradient_of_a_measure_against_differences(response, motions):
     rounding = 1e-13 * float(value.abs().max()) / motions[1].stats["difference"]
     assert_close(gradient, expected, rtol=0, atol=1e-5 * float(expected.abs().max()) + rounding)
     assert response.of(motions[1]).gradient is None
-    with pytest.raises(mbd.InputError, match="motion has no sensitivities"):
+    with pytest.raises(mbd.InputError, match="the motion has no gradient"):
         response.value_and_gradient(motions[1])
 
 
 @pytest.mark.parametrize("response", [*cases(MEASURES), *OTHERS, *cases(HISTORIES)])
-def test_going_back_through_the_motion_gives_the_same_gradient(response, motions):
-    """adjoint=True: of every response, whatever it looks at."""
+def test_the_adjoint_gives_the_same_gradient(response, motions):
+    """By the adjoint: of every response, whatever it looks at."""
     measure = AtTime(response, 0.0123) if isinstance(response, History) else response
-    wanted, found = (measure.of(x) for x in (motions[0], motions[0].stats["back"]))
+    wanted, found = (measure.of(x) for x in (motions[0], motions[0].stats["reverse"]))
     assert_close(found.value, wanted.value, rtol=1e-9, atol=1e-9 * float(wanted.value.abs().max()))
     assert_close(found.gradient, wanted.gradient, rtol=0, atol=1e-8 * float(wanted.gradient.abs().max()))
 

@@ -44,12 +44,12 @@ def test_the_resolved_file_is_a_file_again(write):
     assert again.resolved() == resolved
 
 
-@pytest.mark.parametrize("adjoint", [True, False])
-def test_which_way_gradients_come_can_be_told(write, adjoint):
+@pytest.mark.parametrize("way", ["forward", "reverse"])
+def test_which_way_gradients_come_can_be_told(write, way):
     simulate = {"duration": 0.002, "steps": 20}
-    told = problem_of(load(write(simulate=simulate | {"adjoint": adjoint})))
-    assert (told.simulate(told.start[None], gradients=True).adjoint is not None) == adjoint
-    assert "adjoint" not in load(write(simulate=simulate)).study.resolved()["simulate"]
+    told = problem_of(load(write(simulate=simulate | {"gradients": way})))
+    assert told.simulate(told.start[None], gradients=True).stats["gradients"] == way
+    assert "gradients" not in load(write(simulate=simulate)).study.resolved()["simulate"]
 
 
 def test_phases_come_from_a_function(write):

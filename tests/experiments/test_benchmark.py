@@ -75,7 +75,9 @@ def test_responses_are_those_of_the_measures_and_their_gradients():
     case, lanes, steps = small(), 2, 60
     values, gradients = motion(case.dynamics(lanes, True), case.duration, steps)
     names = list(case.variables)
-    told = mbd.simulate(case.system, case.duration, steps=steps, designs=case.designs(lanes), gradients="forward", variables=names)
+    told = mbd.simulate(
+        case.system, case.duration, steps=steps, designs=case.designs(lanes), gradients="forward", variables=names
+    )
     total = mbd.StrainEnergy("link0") + mbd.StrainEnergy("link1")
     for row, measure in enumerate((mbd.Max(total), mbd.Integral(total))):
         value, gradient = measure.value_and_gradient(told)

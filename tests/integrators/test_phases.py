@@ -158,7 +158,12 @@ def test_tangents_before_a_lane_arrives_are_not_looked_at():
         tip = motion.body("hub").at((0.2, 0.05, 0.0)).position
         return (tip - TIP).norm(dim=-1) - 0.045
 
-    options = {"steps": 200, "phases": [mbd.Phase(until=mbd.Event(way)), mbd.Phase()], "gradients": "forward", "variables": ["motor.size"]}
+    options = {
+        "steps": 200,
+        "phases": [mbd.Phase(until=mbd.Event(way)), mbd.Phase()],
+        "gradients": "forward",
+        "variables": ["motor.size"],
+    }
     together = mbd.simulate(system, 0.2, designs=designs, **options).require_ok()
     assert float(together.switches[0].t.diff()) > 0.03
     for lane in range(2):

@@ -50,7 +50,9 @@ def motions() -> tuple[Trajectory, Trajectory]:
     steps = STEP * torch.eye(2, dtype=torch.float64)
     near = torch.cat([angles[:, None] + steps, angles[:, None] - steps], 1).flatten(0, 1)
     return tuple(
-        mbd.simulate(made, 0.04, gradients="forward", variables=s, designs={"arm.section.angles": x}, **options).require_ok()
+        mbd.simulate(
+            made, 0.04, gradients="forward", variables=s, designs={"arm.section.angles": x}, **options
+        ).require_ok()
         for s, x in ((True, angles), (False, near))
     )
 

@@ -19,22 +19,24 @@ def motion():
     """The slider-crank: crank condensed to a carrier, slider guided; two designs with sensitivities."""
     designs = {ANGLES: torch.tensor([[0.3, -0.2], [0.5, 0.9]], dtype=torch.float64)}
     system = build(2, modes=3, cells=(6, 2))
-    return mbd.simulate(system, 0.2 * DURATION, steps=40, designs=designs, gradients="forward", variables=[ANGLES]).require_ok()
+    return mbd.simulate(
+        system, 0.2 * DURATION, steps=40, designs=designs, gradients="forward", variables=[ANGLES]
+    ).require_ok()
 
 
 def test_the_system_is_a_condensed_one(motion):
-    history = motion.signals.history
+    history = motion.sensitivities.history
     assert history.q.shape[1] < motion.q.shape[2] == motion.dynamics.topology.n_q
     assert motion.v.shape[2] == motion.dynamics.topology.n_v > history.v.shape[1]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_rows_are_rows_of_the_whole(motion, name):
-    whole, slopes = motion.signals.values(name), motion.signals.tangents(name)
+    whole, slopes = motion.sensitivities.values(name), motion.sensitivities.tangents(name)
     assert slopes.shape == (*whole.shape, 2)
     n = whole.shape[2]
     for rows in ([0], list(range(n)), [n - 1, 0, n // 2], list(range(n - 3, n))):
-        found = Recorded(motion.signals.history)
+        found = Recorded(motion.sensitivities.history)
         assert_close(found.values(name, rows), whole[..., rows], rtol=0, atol=0)
         assert_close(found.tangents(name, rows), slopes[..., rows, :], rtol=0, atol=0)
         assert found.values(name, rows).is_contiguous()
@@ -43,19 +45,21 @@ def test_rows_are_rows_of_the_whole(motion, name):
 def test_a_carrier_moves_as_its_drive_says(motion):
     """The crank turns with a constant speed about its bearing: the parts that were never integrated."""
     crank = motion.body("crank")
-    assert motion.dynamics.topology.names.index("crank") not in motion.signals.history.expansion.condensation.bodies
+    assert (
+        motion.dynamics.topology.names.index("crank") not in motion.sensitivities.history.expansion.condensation.bodies
+    )
     speed = crank.omega[0, 0].norm()
     assert float(speed) > 1.0
     assert_close(crank.omega.norm(dim=-1), speed.expand(2, 41), rtol=1e-12, atol=0)
     rows = motion.dynamics.topology.p_slice(motion.dynamics.topology.names.index("crank"))
-    assert float(motion.signals.tangents("q", rows).abs().max()) == 0.0
+    assert float(motion.sensitivities.tangents("q", rows).abs().max()) == 0.0
 
 
 @pytest.mark.parametrize("name", [*NAMES, "lam"])
 def test_a_moved_motion_has_moved_rows(motion, name):
     delta = torch.tensor([1e-3, -2e-3], dtype=torch.float64)
-    moved = Moved(motion.signals, delta)
-    expected = motion.signals.values(name) + motion.signals.tangents(name) @ delta
+    moved = Moved(motion.sensitivities, delta)
+    expected = motion.sensitivities.values(name) + motion.sensitivities.tangents(name) @ delta
     assert_close(moved.values(name), expected)
     assert_close(moved.values(name, [2, 0]), expected[..., [2, 0]])
     assert moved.tangents(name) is None
@@ -72,16 +76,8 @@ def test_given_rows():
 
 
 def test_a_motion_without_sensitivities_has_no_tangents():
-    motion = mbd.simulate(build(2, modes=3, cells=(6, 2)), 0.02 * DURATION, steps=4)
+    motion = mbd.simulate(build(2, modes=3, cells=(6, 2)), 0.02 * DURATION, steps=4, gradients="none")
     assert motion.dq_db is motion.dv_db is motion.da_db is motion.dlam_db is None
-
-
-def test_tangents_are_made_before_they_are_needed(motion):
-    """`prepare` makes the tangents of what has been looked at, and of nothing else."""
-    signals = Recorded(motion.signals.history)
-    signals.values("v", [1, 2])
-    signals.prepare()
-    assert {key[:2] for key in signals._kept} == {("values", "v"), ("tangents", "v")}
 
 
 def test_a_motion_stays_what_it_was(motion):

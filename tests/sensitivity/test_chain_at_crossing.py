@@ -78,7 +78,9 @@ def test_gradients_through_the_motion_where_two_retained_frequencies_are_equal(n
         (torch.ones_like(angles),),
     )[1]
     assert abs(float(slopes[first + 1] - slopes[first])) > 1e-2 * float(values[first]), "touching, not crossing"
-    motion = mbd.simulate(system, DURATION, gradients="forward", variables=[ANGLES], designs={ANGLES: angles[None]}, **TIGHT)
+    motion = mbd.simulate(
+        system, DURATION, gradients="forward", variables=[ANGLES], designs={ANGLES: angles[None]}, **TIGHT
+    )
     for measure in (mbd.Integral(ENERGY), mbd.Max(ENERGY)):
         found = measure.value_and_gradient(motion.require_ok()).gradient[0].numpy()
         expected = gradient_by_differences(system, angles, measure, 1e-4)

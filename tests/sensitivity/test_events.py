@@ -60,7 +60,14 @@ def test_bouncing_mass_has_its_closed_form(method, impact):
     landing = mbd.Event(mbd.Position("mass", axis="z"), "falling")
     phases = [mbd.Phase(until=landing, impact=impact)] * 2 + [mbd.Phase()]
     motion = mbd.simulate(
-        Falling(), DURATION, method, 40, gradients="forward", variables=["g"], designs={"g": fields[:, None]}, phases=phases
+        Falling(),
+        DURATION,
+        method,
+        40,
+        gradients="forward",
+        variables=["g"],
+        designs={"g": fields[:, None]},
+        phases=phases,
     ).require_ok()
     assert motion.dq_db is not None
     assert motion.dv_db is not None

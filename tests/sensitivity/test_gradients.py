@@ -102,7 +102,9 @@ def test_coarse_steps_and_variables_of_any_size():
     """Ten steps of a sprung mechanism: a degree of an angle does 1e-7 of what a meter of thickness does, and as exactly."""
     system = sprung()
     names = ["rod.laminate.angles", "rod.laminate.thickness"]
-    tight = mbd.simulate(system, 0.05, steps=10, gradients="forward", variables=names, iterations=(8, 8), refresh=0).dq_db
+    tight = mbd.simulate(
+        system, 0.05, steps=10, gradients="forward", variables=names, iterations=(8, 8), refresh=0
+    ).dq_db
     found = mbd.simulate(system, 0.05, steps=10, gradients="forward", variables=names).dq_db
     assert tight is not None
     assert found is not None

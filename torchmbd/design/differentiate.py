@@ -43,8 +43,13 @@ def _gradients(rows: Tensor, inputs: Sequence[Tensor]) -> Tensor:
     """Gradients [lanes, rows, n_b] of numbers [rows] by inputs [lanes, ...]."""
     if not rows.requires_grad:  # of nothing that depends on the design
         return torch.zeros(len(inputs[0]), len(rows), sum(x[0].numel() for x in inputs), dtype=torch.float64)
-    several = len(rows) > 1
-    weights = torch.eye(len(rows), dtype=rows.dtype) if several else rows.new_ones(1)
     options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-    found = torch.autograd.grad(rows, inputs, weights, is_grads_batched=several, **options)
+
+    def pulled(weights: Tensor) -> tuple[Tensor, ...]:
+        return torch.autograd.grad(rows, inputs, weights, **options)
+
+    if len(rows) == 1:
+        found = pulled(rows.new_ones(1))
+    else:  # all rows in one pass, as `Motion` does them
+        found = torch.vmap(pulled)(torch.eye(len(rows), dtype=rows.dtype))
     return torch.cat([x.reshape(len(rows), len(y), -1) for x, y in zip(found, inputs, strict=True)], -1).transpose(0, 1)

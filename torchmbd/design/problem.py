@@ -180,15 +180,10 @@ class Problem:
         n = len(self.space.names)  # the extra variable may be there: it moves nothing
         designs = self.space.designs(self._checked(X, n, len(self.names))[:, :n])
         way = self.gradients if gradients else "none"
-        with torch.set_grad_enabled(gradients):
-            return simulate(
-                self.system,
-                self.duration,
-                designs=designs,
-                gradients=way,
-                variables=self.space.variables,
-                **self.simulation,
-            )
+        names = self.space.variables
+        return simulate(
+            self.system, self.duration, designs=designs, gradients=way, variables=names, **self.simulation
+        )
 
     def motion(self, x: np.ndarray) -> Trajectory:
         """Motion of one design [n]."""

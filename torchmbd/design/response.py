@@ -172,7 +172,9 @@ class Measure:
         """Value and gradient. Raises InputError for a motion without gradients."""
         result = self.of(motion)
         if result.gradient is None:
-            raise InputError("the motion has no gradient; allowed: simulate in grad mode, by a parameter that requires a gradient")
+            raise InputError(
+                "the motion has no gradient; allowed: simulate in grad mode, by a parameter that requires a gradient"
+            )
         return result
 
     def __le__(self, limit: float | str) -> Constraint:

@@ -63,6 +63,8 @@ def check_designs(system: System, designs: Any) -> dict[str, Tensor]:
     if not isinstance(designs, (Mapping, type(None))):
         raise InputError(f"designs is {designs!r}; allowed: parameter name -> tensor [lanes, ...]")
     for name, x in own.items():
+        if x.dtype != torch.float64:
+            raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
         if name not in (designs or {}) and not all_true(torch.isfinite(x)):
             raise InputError(f"parameter {name!r} is {x.tolist()}; allowed: finite numbers")
     found = {}

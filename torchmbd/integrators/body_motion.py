@@ -5,7 +5,7 @@
     acceleration     r'' + A (om' x rho + om x (om x rho) + 2 om x Psi_t w' + Psi_t w'')
 
 om is the angular velocity in body axes; r, velocities and accelerations of points are in ground axes.
-Differentiable by the design: views of `Trajectory.moved` are first-order neighbors of those of the motion.
+Differentiable as the motion is.
 Checked in tests/integrators/test_body_motion.py.
 """
 
@@ -83,7 +83,7 @@ class BodyMotion:
     @property
     def dw_db(self) -> Tensor | None:
         """Sensitivities of the modal coordinates [lanes, times, modes, n_b]."""
-        return self.motion.signals.tangents("q", self._T.w_slice(self._flexible()))
+        return self.motion.tangents("q", self._T.w_slice(self._flexible()))
 
     def _modal_rows(self) -> list[int]:
         return [row - self._T.bodies for row in self._T.w_slice(self._flexible())]

@@ -22,10 +22,9 @@ from torchmbd.integrators.blocks import (
     unflattened,
     uniform,
 )
-from torchmbd.integrators.library import at_hand, library
+from torchmbd.integrators.library import library
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import value
-from torchmbd.system.dynamics import Dynamics
 
 _NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
 _ARRAYS = ("given", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
@@ -47,11 +46,6 @@ def sweep(grid: Grid) -> Sweep:
     """The way back through a grid: by compiled code if its library is there."""
     code = library(grid.dynamics, "adjoint")
     return Sweep(grid) if code is None else CompiledSweep(code, grid)
-
-
-def ready(dynamics: Dynamics) -> bool:
-    """Whether there is compiled code for going back; asked for again, it is built in the background, after that of steps."""
-    return at_hand(dynamics) and library(dynamics, "adjoint") is not None
 
 
 class CompiledSweep(Sweep):

@@ -25,8 +25,8 @@ from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
 from torchmbd.integrators.motion import Tensors
 from torchmbd.integrators.phases import Phase, plan
-from torchmbd.integrators.trajectory import OK, Moment, Switch
-from torchmbd.numerics.pair import Pair, value
+from torchmbd.integrators.trajectory import OK, Switch
+from torchmbd.numerics.pair import Pair
 from torchmbd.system import Dynamics, System
 from torchmbd.system.expansion import Expansion
 
@@ -81,14 +81,12 @@ class ForwardIntegration:
         for switch in self.switches:
             numbers += _numbers_of(switch)
         self._tangents = [x.tangent for x in numbers] if self.variables else []
-        return tuple(x.value.clone() for x in numbers)
+        return tuple(value(x) for x in numbers)
 
     def _plainly(self, designs: dict[str, Tensor]) -> None:
         self.dynamics = self.system.dynamics(designs, tangents=self.variables)
         self.steps = self.steps or default_steps(self.dynamics, self.duration)
-        self.history, self.stats, self.status = run(
-            self.dynamics, self.duration, self.steps, self.method, self.options
-        )
+        self.history, self.stats, self.status = run(self.dynamics, self.duration, self.steps, self.method, self.options)
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
         self.system, stages = plan(self.system, phases, self.duration)
@@ -167,7 +165,7 @@ class ForwardIntegration:
         return list(zip(self.names, x, strict=True))
 
     def _size(self, name: str) -> int:
-        return self.system.get_parameter(name).numel()
+        return dict(self.system.named_parameters())[name].numel()
 
     def _no_tangents(self, size: int, count: int) -> Tensor:
         return torch.zeros(size, count, 1, dtype=torch.float64)

@@ -1,6 +1,7 @@
 """A motion as an integrator leaves it: numbers [times, component, 1 + n_b, lanes], values, then design tangents.
 
-Of a condensed system only what was left of it is kept; rows of the whole are made on demand (signals.py): most of a motion is never looked at.
+Of a condensed system only what was left of it is kept; rows of the whole are made on demand (signals.py):
+most of a motion is never looked at.
 Checked in tests/integrators/test_signals.py.
 """
 

@@ -47,7 +47,8 @@ class Motion(torch.autograd.Function):
 
     @staticmethod
     def forward(integration: Integration, *inputs: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return integration.values(inputs)
+        found = integration.values([x.detach() for x in inputs])
+        return tuple(x.detach() for x in found)  # what torch hangs its graph on is not what the integration keeps
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: tuple[Tensor, ...]) -> None:
@@ -127,9 +128,7 @@ class _Backward(_Derivative):
         folded = [x if x is None else _fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
         found = [_unfold(x, batch) for x in _Backward.apply(integration, wanted, *folded)]  # pyright: ignore[reportOptionalIterable]
         single = [
-            x is not None and _extent(x, d) == 1
-            for x, d, one in zip(tensors[:n], dims[:n], wanted, strict=True)
-            if one
+            x is not None and _extent(x, d) == 1 for x, d, one in zip(tensors[:n], dims[:n], wanted, strict=True) if one
         ]
         found = [x.sum(-1, keepdim=True) if one else x for x, one in zip(found, single, strict=True)]
         return tuple(found), (0,) * len(found)

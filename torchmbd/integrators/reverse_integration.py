@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -50,7 +51,7 @@ class ReverseIntegration:
     history: History = field(init=False)
     status: list[str] = field(init=False)
     stats: dict[str, Any] = field(init=False)
-    _adjoint: Adjoint | None = field(default=None, init=False)
+    variables: tuple[str, ...] = ()  # none carries tangents along
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
@@ -75,13 +76,14 @@ class ReverseIntegration:
 
     def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
-        if self._adjoint is None:
-            failed = [lane for lane, status in enumerate(self.status) if status != OK]
-            self._adjoint = Adjoint(
-                self.dynamics, self.history, self.duration, self.options, failed, compiled_adjoint.sweep
-            )
-        found = self._adjoint(outputs, [name for name, one in zip(self.names, wanted, strict=True) if one])
+        found = self.adjoint(outputs, [name for name, one in zip(self.names, wanted, strict=True) if one])
         return [found.get(name) for name in self.names]
+
+    @cached_property
+    def adjoint(self) -> Adjoint:
+        """Of the motion."""
+        failed = [lane for lane, status in enumerate(self.status) if status != OK]
+        return Adjoint(self.dynamics, self.history, self.duration, self.options, failed, compiled_adjoint.sweep)
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """Leads from what was integrated to the whole system, as a function of the data; None: it is the whole."""

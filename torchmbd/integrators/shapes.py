@@ -8,6 +8,7 @@ Checked in tests/integrators/test_body_motion.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -49,18 +50,28 @@ class Shapes:
 
 
 class DesignShapes(Shapes):
-    """Of all lanes; designs by name [lanes, ...], parameters: names of the design variables, one for each slot."""
+    """Of all lanes; designs by name [lanes, ...], parameters: names of the design variables, one for each slot.
 
-    def __init__(self, system: Any, designs: dict[str, Tensor], parameters: tuple[str, ...], lanes: int):
+    status   of the lanes: shapes of those that failed have no gradient
+    """
+
+    def __init__(
+        self,
+        system: Any,
+        designs: dict[str, Tensor],
+        parameters: tuple[str, ...],
+        lanes: int,
+        status: Sequence[str] = (),
+    ):
         super().__init__()
-        self.system, self.parameters, self.lanes = system, parameters, lanes
+        self.system, self.parameters, self.lanes, self.status = system, parameters, lanes, status
         # All parameters as they are now: they may be others when somebody looks.
         self.designs = {name: x.detach().clone() for name, x in system.named_parameters()} | designs
 
     def detach(self) -> DesignShapes:
         """As of Shapes."""
         designs = {name: x.detach() for name, x in self.designs.items()}
-        return DesignShapes(self.system, designs, self.parameters, self.lanes)
+        return DesignShapes(self.system, designs, self.parameters, self.lanes, self.status)
 
     def _values(self, name: str) -> Tensor:
         return self._of(name, self.designs)
@@ -78,7 +89,25 @@ class DesignShapes(Shapes):
 
     def _of(self, name: str, designs: dict[str, Tensor]) -> Tensor:
         psi = called(self.system, designs, name)["psi"]
-        return psi if psi.dim() == 4 else psi[None].expand(self.lanes, *psi.shape)
+        wide = psi if psi.dim() == 4 else psi[None].expand(self.lanes, *psi.shape)
+        good = sound_lanes(self.status, self.lanes)
+        return wide if good is None else torch.where(good[:, None, None, None], wide, wide.detach())
+
+
+def sound_lanes(status: Sequence[str], lanes: int) -> Tensor | None:
+    """Which lanes have not failed [lanes]; None: none has. Of a batch of torch.func.vmap all lanes count as sound."""
+    good = [not reason.startswith("failed") for reason in status]
+    return None if all(good) or len(good) != lanes else torch.tensor(good)
+
+
+def without_failed(data: dict[str, Any], status: Sequence[str]) -> dict[str, Any]:
+    """Data [component..., 1, lanes] that have no gradient in lanes that failed: that of their motion would be nan."""
+    good = sound_lanes(status, len(status))
+    if good is None:
+        return data
+
+    moving = {name: x for name, x in data.items() if isinstance(x, Tensor) and x.requires_grad}
+    return data | {name: torch.where(good, x, x.detach()) for name, x in moving.items()}
 
 
 def moved_designs(designs: dict[str, Tensor], parameters: tuple[str, ...], delta: Tensor) -> dict[str, Tensor]:

@@ -23,7 +23,7 @@ from torchmbd.integrators.history import History
 from torchmbd.integrators.motion import Motion
 from torchmbd.integrators.phases import Phase
 from torchmbd.integrators.reverse_integration import ReverseIntegration
-from torchmbd.integrators.shapes import DesignShapes
+from torchmbd.integrators.shapes import DesignShapes, without_failed
 from torchmbd.integrators.signals import Recorded
 from torchmbd.integrators.singular import explained
 from torchmbd.integrators.spin import warn_of_spin
@@ -71,12 +71,15 @@ def simulate(
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
     check(duration, method, steps, options, phases is not None)
+    steps = None if steps is None else int(steps)
     given = check_designs(system, designs)
     check_gradients(gradients, method, phases is not None)
-    with torch.inference_mode(False):  # wherever the caller is: inference tensors have no gradients, not even later
+    grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
+    # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
+    with torch.inference_mode(False), torch.set_grad_enabled(grad):
         names = _variables(system, given, gradients, variables)
         batch = _same_lanes({name: _own(system, name)[None] for name in names if name not in given} | given)
-        if gradients in ("forward", "reverse") and torch.is_grad_enabled():
+        if gradients in ("forward", "reverse"):
             batch = {k: _leaf(x) if k in names and not differentiated(x) else x for k, x in batch.items()}
         adjoint = method == "generalized_alpha" and phases is None
         if gradients == "forward" or not adjoint:
@@ -161,6 +164,7 @@ def _presented(
     """What was integrated, with all that belongs to it, as functions of the outputs, the data and the designs."""
     q, v, vd, lam = outputs
     whole = integration.dynamics
+    data = without_failed(data, integration.status)
     dynamics = Dynamics(whole.topology, whole.saddle, data, whole.initial, whole.stabilization, whole.statistics)
     history = History(q, v, vd, lam, integration.expansion(data))
     signals = Recorded(history, integration, data)
@@ -171,7 +175,7 @@ def _presented(
         stats=integration.stats,
         system=system,
         dynamics=dynamics,
-        shapes=DesignShapes(system, designs, labels, signals.lanes),
+        shapes=DesignShapes(system, designs, labels, signals.lanes, integration.status),
         designs=designs,
         parameters=labels,
         variables={name: designs[name] for name in names},

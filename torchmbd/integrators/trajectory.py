@@ -23,13 +23,13 @@ from typing import Any
 
 from torch import Tensor
 
-from torchmbd.errors import SimulationFailure, unknown
+from torchmbd.errors import InputError, SimulationFailure, unknown
 from torchmbd.forces.action import Action
 from torchmbd.integrators.body_motion import BodyMotion
 from torchmbd.integrators.energies import Energies, energies
 from torchmbd.integrators.reaction import JointReaction, reaction
 from torchmbd.integrators.shapes import MovedShapes, OneLane, Shapes, moved_designs
-from torchmbd.integrators.signals import Given, Moved, Recorded, Signals, detached, moved
+from torchmbd.integrators.signals import Given, Moved, Recorded, Rows, Signals, detached, moved
 from torchmbd.integrators.singular import SingularPosition, singular_positions
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
@@ -169,35 +169,36 @@ class Trajectory:
     @property
     def dq_db(self) -> Tensor | None:
         """Sensitivities of the coordinates [lanes, times, n_q, n_b]."""
-        return self._tangents("q")
+        return self.tangents("q")
 
     @property
     def dv_db(self) -> Tensor | None:
         """Sensitivities of the rates [lanes, times, n_v, n_b]."""
-        return self._tangents("v")
+        return self.tangents("v")
 
     @property
     def da_db(self) -> Tensor | None:
         """Sensitivities of the accelerations [lanes, times, n_v, n_b]."""
-        return self._tangents("a")
+        return self.tangents("a")
 
     @property
     def dlam_db(self) -> Tensor | None:
         """Sensitivities of the multipliers [lanes, times, rows, n_b]."""
-        return self._tangents("lam")
+        return self.tangents("lam")
 
-    def _tangents(self, name: str) -> Tensor | None:
-        """Sensitivities of all rows; InputError where gradients come by the adjoint."""
+    def tangents(self, name: str, rows: Rows = None) -> Tensor | None:
+        """Sensitivities of rows [lanes, times, k, n_b]; InputError where gradients come by the adjoint."""
         from_adjoint = self.integration is not None and self.stats.get("gradients") == "reverse"
         if from_adjoint:
             raise InputError(
                 f"d{name}_db: the gradients of this motion come by the adjoint, which has no sensitivities of coordinates; "
                 "allowed: simulate(..., gradients='forward')"
             )
-        return self._sensitivities.tangents(name)
+        return self.sensitivities.tangents(name, rows)
 
     @cached_property
-    def _sensitivities(self) -> Signals:
+    def sensitivities(self) -> Signals:
+        """The same rows, values and tangents, as plain numbers."""
         made = self.integration
         if made is None or not made.variables:
             return self.signals

@@ -18,11 +18,12 @@ from torch import Tensor, nn
 def called(module: nn.Module, values: Mapping[str, Tensor], *args: Any) -> Any:
     """module(*args) with the named parameters at other values; differentiable by these."""
     places: dict[tuple[int, str], str] = {}
-    for name, _ in module.named_parameters(remove_duplicate=False):
-        owner, _, own = name.rpartition(".")
-        places.setdefault((id(module.get_submodule(owner)), own), name)
+    own: dict[str, Tensor] = {}
+    for name, x in module.named_parameters(remove_duplicate=False):
+        owner, _, last = name.rpartition(".")
+        own[places.setdefault((id(module.get_submodule(owner)), last), name)] = x
     names: dict[int, list[str]] = {}
     for name in places.values():
-        names.setdefault(id(module.get_parameter(name)), []).append(name)
-    given = {place: x for name, x in values.items() for place in names[id(module.get_parameter(name))]}
+        names.setdefault(id(own[name]), []).append(name)
+    given = {place: x for name, x in values.items() for place in names[id(own[name])]}
     return torch.func.functional_call(module, given, args, tie_weights=False)

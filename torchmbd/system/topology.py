@@ -33,14 +33,13 @@ from torchmbd.forces.force import Applied, ForceElement
 from torchmbd.joints.joint import Attached, Equation, Joint, Scribe
 from torchmbd.joints.primitive import KINDS, Primitive
 from torchmbd.numerics.pair import cat, linear, value
-from torchmbd.numerics.placed import placed
 from torchmbd.system.carrier import Carrier
 
 
 class Fold:
     """Sum columns of a number into groups: [k, n, ...] -> [k, groups, ...]."""
 
-    def __init__(self, group: Sequence[int], groups: int, device: torch.device | None = None):
+    def __init__(self, group: Sequence[int], groups: int):
         members: list[list[int]] = [[] for _ in range(groups)]
         for column, g in enumerate(group):
             if g >= 0:
@@ -176,18 +175,14 @@ class Topology:
         """What is known at time t; data as of `law_jets`."""
         return self.schedule(t[None], data)[0]
 
-    def schedule(
-        self, times: Tensor, data: Mapping[str, Any] | None = None, device: torch.device | None = None
-    ) -> list[Prescribed]:
-        """What is known at times [n], for each of them; data as of `law_jets`. On another device where one is named."""
+    def schedule(self, times: Tensor, data: Mapping[str, Any] | None = None) -> list[Prescribed]:
+        """What is known at times [n], for each of them; data as of `law_jets`."""
         n = len(times)
         laws = [p.prescribed(times, data) if p.driven else None for p in self.primitives]
         poses = [carrier.poses(times) for carrier in self.carriers]
         eye = torch.eye(3, dtype=times.dtype, device=times.device)
         poses.append((eye[..., None].expand(3, 3, n), times.new_zeros(3, n)))
         A, r = (torch.stack(x, -2)[..., None, None].movedim(-3, 0).contiguous() for x in zip(*poses, strict=True))
-        if device is not None:
-            laws, A, r, times = placed((laws, A, r, times), device)
         at = [[None if law is None else tuple(x[i] for x in law) for law in laws] for i in range(n)]
         return [Prescribed(*x) for x in zip(at, A, r, times, strict=True)]
 
