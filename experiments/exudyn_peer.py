@@ -60,7 +60,10 @@ class _Masses(nn.Module):
         self.body = body
 
     def forward(self) -> tuple[Tensor, Tensor]:
-        return self.body.assembly.masses()[1:3]
+        _, mass, rotary, arm = self.body.assembly.masses()
+        if arm is not None:
+            raise mbd.InputError(f"masses of {self.body.name!r} lie off its nodes; allowed: masses at nodes")
+        return mass, rotary
 
 
 def reduced(system: mbd.System, name: str, designs: Mapping[str, Tensor]) -> list[ReducedBody]:

@@ -5,7 +5,8 @@
 The structure stage of a body, once for each design: parts (elements/assembly.py) -> K and M -> Psi and Kr = Psi' K Psi
 -> inertia invariants. What leaves it knows nothing of the mesh (reduction/invariants.py).
 
-Mass points, by default lumped as in eq. (2): nodal mass m_k and isotropic nodal rotary inertia mu_k.
+Mass points, by default lumped as in eq. (2): nodal mass m_k and isotropic nodal rotary inertia mu_k; on arms along the
+normal where the center of a laminate's mass lies off its middle surface (elements/plates.py).
 Differentiable, forward and reverse, in every parameter of the parts (reduction/transport.py).
 Assumed: small elastic displacements about the undeformed body.
 """
@@ -272,7 +273,7 @@ class FlexibleBody(nn.Module):
         except CutCluster as error:
             raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
         psi = self.assembly.freedoms.expand(basis.vectors)
-        _, mass, rotary, _ = self.assembly.masses()
-        x = self.assembly.places(self.mesh.nodes - self.origin)
-        result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi))
+        _, mass, rotary, arm = self.assembly.masses()
+        x = self.assembly.places(self.mesh.nodes - self.origin, arm)
+        result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi, arm))
         return result | {"Kr": basis.stiffness, "psi": psi}

@@ -7,8 +7,9 @@ Plies are listed from the bottom face z = -h/2 to the top face z = +h/2.
     Q = As gamma               shear forces        [N/m]
 
     (A, B, D) = sum_k Qbar_k (z_k+1 - z_k,  (z_k+1^2 - z_k^2) / 2,  (z_k+1^3 - z_k^3) / 3)
-    As        = shear_correction * sum_k Gbar_k (z_k+1 - z_k), or from the energy of the shear stresses in equilibrium
-                (shear_correction = "energy", transverse_shear.py: what sandwich-like stacks need)
+    As        from the energy of the shear stresses in equilibrium (transverse_shear.py), or, with a number given,
+                shear_correction * sum_k Gbar_k (z_k+1 - z_k), which is wrong for sandwiches: 5/6 is 30 % too stiff for
+                the plate of NAFEMS R0031/3
 
 eps     eps_xx, eps_yy, gamma_xy of the mid-surface
 kappa   curvatures: the strain at height z is eps + z kappa  [1/m]
@@ -78,8 +79,8 @@ class Laminate(nn.Module):
     angles            [layers] rad, from bottom to top
     thickness         of every layer, or one per given layer [m]; its parameter does not require a gradient by default
     symmetric         the given layers are the lower half, mirrored about the mid-plane
-    shear_correction  multiplies the transverse shear stiffness (5/6: homogeneous section), or "energy": the stiffness
-                      of equal energy, a full matrix that follows the stack
+    shear_correction  "energy": the transverse shear stiffness of equal energy, a full matrix that follows the stack
+                      (5/6 of G h if it is homogeneous); or a number that multiplies the sum of the plies' G t
     """
 
     positive: ClassVar[tuple[str, ...]] = ("thickness",)  # parameters that are, whatever the design
@@ -95,7 +96,7 @@ class Laminate(nn.Module):
         angles: Sequence[float] | Tensor,
         thickness: float | Sequence[float] | Tensor,
         symmetric: bool = False,
-        shear_correction: float | str = 5.0 / 6.0,
+        shear_correction: float | str = "energy",
     ) -> None:
         super().__init__()
         angles_ = _checked_angles(angles)
@@ -167,6 +168,16 @@ class Laminate(nn.Module):
     def mass_per_area(self) -> Float[Tensor, "*lanes"]:
         """Mass per area of the mid-surface, sum of density times thickness [kg/m2]."""
         return (self._stack(self._density) * self._moments()[0]).sum(-1)
+
+    @property
+    def first_moment_per_area(self) -> Float[Tensor, "*lanes"]:
+        """First moment of the density about the mid-surface, along its normal [kg/m]."""
+        return (self._stack(self._density) * self._moments()[1]).sum(-1)
+
+    @property
+    def centered(self) -> bool:
+        """Whether the first moment is zero whatever the thicknesses: a symmetric stack, or one density."""
+        return self.symmetric or bool((self._density == self._density[0]).all())
 
     @property
     def rotary_inertia_per_area(self) -> Float[Tensor, "*lanes"]:
