@@ -21,6 +21,7 @@ from torchmbd.design import (
     DesignSpace,
     Displacement,
     Final,
+    Frequencies,
     Frequency,
     Integral,
     Mass,
@@ -87,7 +88,7 @@ from torchmbd.optimizers import (
     pareto_front,
     sobol,
 )
-from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis
+from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.system import Dynamics, System, equilibrium
 
 if TYPE_CHECKING:
@@ -146,6 +147,7 @@ __all__ = [
     "FlexibleBody",
     "Force",
     "Frame",
+    "Frequencies",
     "Frequency",
     "GivenSection",
     "Ground",
@@ -214,6 +216,7 @@ __all__ = [
     "sections",
     "simulate",
     "sobol",
+    "spectral_function",
     "variable",
     "viz",
 ]
