@@ -25,7 +25,7 @@ from torchmbd.errors import InputError
 from torchmbd.experiment.assemble import problem_of
 from torchmbd.experiment.faults import Fault, StudyError, located
 from torchmbd.experiment.load import Plan, plan_of
-from torchmbd.experiment.place import model_source
+from torchmbd.experiment.place import problem_key
 from torchmbd.experiment.yaml_file import read_yaml
 from torchmbd.integrators import Trajectory
 from torchmbd.system import System
@@ -82,9 +82,13 @@ def load_run(run: str, uri: str | None = None, folder: str | Path = ".") -> Load
     plan = plan_of(config, Path(folder) / f"{entry.name}.yaml", ())
     if not isinstance(plan, Plan):
         raise InputError(f"run {entry.run_id[:8]} is one of figures; allowed: a study")
-    said = entry.tags.get("model_source")
-    if said and said != model_source(plan):
-        warnings.warn(f"the source of {plan.study.model} has changed since run {entry.run_id[:8]}", stacklevel=3)
+    said = entry.tags.get("problem_key")
+    if said and said != problem_key(plan):
+        warnings.warn(
+            f"{plan.study.model} or what it reads, torchmbd or torch has changed since run {entry.run_id[:8]}: "
+            "its numbers may be others now",
+            stacklevel=3,
+        )
     x = _insert(plan, design.data, design.source, design.lines)
     return LoadedStudy(entry, plan, x, entry.metrics.get("objective", float("nan")))
 

@@ -13,7 +13,7 @@ from torchmbd.tracking.catalog import Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 
 _OUTCOME = ("best_objective", "reduction_percent", "violation", "starts", "converged_starts", "evaluations")
-_QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "model_source")
+_QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key")
 
 
 def print_best(run: str | None, uri: str | None, count: int, console: Console) -> None:

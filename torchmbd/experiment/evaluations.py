@@ -1,7 +1,7 @@
 """Every evaluation of every study, on disk as soon as it is there: nothing that was simulated is simulated again.
 
-    problem    hash of all that the numbers depend on: model and its source, options, start design, simulation,
-               objective, constraints, and the source of torchmbd below the optimizers
+    problem    hash of all that the numbers depend on: the system as it is built (digest.py), start design, simulation,
+               objective, constraints, the source of torchmbd below the optimizers, torch's version (place.py)
     design     design vector, bit for bit [n] float64                      gradients  whether they were asked for
     numbers    objective, constraints [m], gradients [n], [m, n] as float64; status "ok", or the reason of the failure
 
@@ -9,7 +9,7 @@ Optimizers are deterministic, so a study that was killed asks for the same desig
 batch that was in flight, and the study goes on from there as if nothing had happened.
 SQLite, one transaction for a batch, on the disk before anybody hears of it. What cannot be written (a full disk) is
 kept in memory, told once, and written with the next batch that can be.
-Assumed: what the model imports from other files of the user's does not change.
+Assumed: a law that reads a file, or imports a module, while it runs, finds there what it found before.
 Checked in tests/experiment/test_evaluations.py.
 """
 

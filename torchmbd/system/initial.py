@@ -67,6 +67,9 @@ class InitialConditions:
     v: Tensor
     _last: list[Alike] = field(default_factory=list, init=False, repr=False)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_last": []}  # what was found for some designs is no part of the model
+
     @classmethod
     def of(cls, topology: Topology, bodies: list[Any]) -> InitialConditions:
         """Collect what the bodies were given; `bodies` in the order of the topology."""
