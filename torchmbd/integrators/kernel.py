@@ -21,6 +21,7 @@ from torchmbd.integrators.history import Record
 from torchmbd.integrators.library import found
 from torchmbd.integrators.march import CHECK, March, between_looks
 from torchmbd.integrators.step import State, Weights
+from torchmbd.numerics import build_cache
 from torchmbd.numerics.native import wanted
 from torchmbd.numerics.nvrtc import Kernels
 from torchmbd.numerics.pair import Pair
@@ -44,7 +45,8 @@ def kernels(dynamics: Dynamics) -> Launch | None:
     major, minor = torch.cuda.get_device_capability(dynamics.device)
 
     def load(path: Path) -> Kernels | None:
-        return Kernels(path.read_bytes(), ["march", "doubts", "room"]) if path.exists() else None
+        code = build_cache.read(path)
+        return None if code is None else Kernels(code, ["march", "doubts", "room"])
 
     with torch.cuda.device(dynamics.device):
         return found(dynamics, f"kernel:sm_{major}{minor}", load, str(dynamics.device))
