@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from torchmbd.bodies.beam_parts import beam_parts
 from torchmbd.bodies.bulk_body import read_bdf
-from torchmbd.bodies.frame import Frame, identifier, place, rotation, vector
+from torchmbd.bodies.frame import Frame, identifier, move, place, rotation, vector
 from torchmbd.bodies.modal_damping import ModalDamping
 from torchmbd.bodies.mount import Mount, node_indices, rigid_links
 from torchmbd.bodies.plausibility import warn_units
@@ -248,13 +248,12 @@ class FlexibleBody(nn.Module):
 
     def moving(
         self,
-        velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
-        angular_velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        velocity: Sequence[float] | Tensor | None = None,
+        angular_velocity: Sequence[float] | Tensor | None = None,
     ) -> Self:
-        """Give the body an approximate initial velocity of its origin, in ground axes [m/s], and angular velocity,
-        in body axes [rad/s]; the modes start at rest. Returns the body."""
-        self.velocity = vector(f"velocity of {self.name!r}", velocity)
-        self.angular_velocity = vector(f"angular_velocity of {self.name!r}", angular_velocity)
+        """Give the body an initial velocity of its origin, in ground axes [m/s], and an angular velocity, in body axes
+        [rad/s], kept as far as the joints allow; None: as they ask. The modes start at rest. Returns the body."""
+        move(self, velocity, angular_velocity)
         return self
 
     def damped(self, ratio: float | Sequence[float]) -> Self:

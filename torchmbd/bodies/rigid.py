@@ -39,8 +39,8 @@ class RigidBody(nn.Module):
     inertia           about the center of mass: (Jxx, Jyy, Jzz) or a symmetric 3 x 3 matrix [kg m2]
     center            center of mass in body axes [m]
     position, axes    approximate initial origin in ground axes [m] and rotation (columns: body axes); joints close the rest
-    velocity          approximate initial velocity of the origin in ground axes [m/s]
-    angular_velocity  approximate initial angular velocity in body axes [rad/s]
+    velocity          initial velocity of the origin in ground axes [m/s], kept as far as the joints allow; None: as they ask
+    angular_velocity  initial angular velocity in body axes [rad/s], likewise
     """
 
     mass: Tensor
@@ -59,8 +59,8 @@ class RigidBody(nn.Module):
         center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         axes: Sequence | Tensor | None = None,
-        velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
-        angular_velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        velocity: Sequence[float] | Tensor | None = None,
+        angular_velocity: Sequence[float] | Tensor | None = None,
     ):
         super().__init__()
         self.name = identifier("rigid body", name)

@@ -24,6 +24,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.numerics.gradients import constants
 from torchmbd.numerics.owned import indices, reals
 
 
@@ -59,6 +60,7 @@ class BeamLine:
                     raise InputError(f"BeamLine: node_sets[{name!r}] has node {k}; allowed: 0 to {len(self.nodes) - 1}")
 
     @classmethod
+    @constants
     def straight(cls, length: float, elements: int = 16, direction: Sequence[float] = (1.0, 0.0, 0.0)) -> BeamLine:
         """From the origin along `direction`, equal elements. Nodes "start", "end", and "center" where there is one."""
         if not 0.0 < length < float("inf"):
@@ -73,6 +75,7 @@ class BeamLine:
         return cls(nodes, node_sets=sets)
 
     @classmethod
+    @constants
     def arc(cls, radius: float, angle: float, elements: int = 16) -> BeamLine:
         """Arc of a circle in the x-y plane, from the origin along +x, bending to +y. Nodes "start", "end", "center".
 

@@ -26,6 +26,7 @@ from torchmbd.elements.plate import PlateMatrices
 from torchmbd.errors import unknown
 from torchmbd.materials import Laminate
 from torchmbd.mesh import Mesh
+from torchmbd.numerics.gradients import constants
 from torchmbd.numerics.sparse import Pattern
 
 MASSES = ("lumped", "consistent")
@@ -77,6 +78,7 @@ class Plates:
 class PointMasses:
     """Masses [kg] with isotropic rotary inertias [kg m2] at nodes; no stiffness."""
 
+    @constants
     def __init__(self, mesh: Mesh, nodes: Sequence[int], mass: Sequence[float], rotary: Sequence[float]) -> None:
         none = torch.empty(0, dtype=torch.long)
         self.pattern = Pattern(none, none, 6 * len(mesh.nodes))

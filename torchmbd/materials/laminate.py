@@ -37,7 +37,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.materials.ply import Ply
 from torchmbd.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
-from torchmbd.numerics.owned import reals
+from torchmbd.numerics.owned import parameter
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _UPPER2 = ((0, 0), (0, 1), (1, 1))
@@ -75,9 +75,11 @@ class LaminateStiffness(NamedTuple):
 class Laminate(nn.Module):
     """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
 
+    A torch.nn.Parameter that is given is itself registered, not copied; computed tensors that require gradients are refused.
+
     ply               one Ply, or one per given layer
     angles            [layers] rad, from bottom to top
-    thickness         of every layer, or one per given layer [m]; its parameter does not require a gradient by default
+    thickness         of every layer, or one per given layer [m]; numbers become a parameter that requires no gradient
     symmetric         the given layers are the lower half, mirrored about the mid-plane
     shear_correction  "energy": the transverse shear stiffness of equal energy, a full matrix that follows the stack
                       (5/6 of G h if it is homogeneous); or a number that multiplies the sum of the plies' G t
@@ -99,14 +101,13 @@ class Laminate(nn.Module):
         shear_correction: float | str = "energy",
     ) -> None:
         super().__init__()
-        angles_ = _checked_angles(angles)
-        layers = angles_.numel()
+        self.angles = _checked_angles(angles)
+        layers = self.angles.numel()
         plies = _checked_plies(ply, layers)
         self.symmetric = bool(symmetric)
         self.plies = tuple(plies)
         self.shear_correction = _checked_correction(shear_correction)
-        self.angles = nn.Parameter(angles_)
-        self.thickness = nn.Parameter(_checked_thickness(thickness, layers), requires_grad=False)
+        self.thickness = _checked_thickness(thickness, layers)
         self.register_buffer("_Q", torch.stack([p.plane_stiffness() for p in plies]), persistent=False)
         self.register_buffer("_G", torch.stack([p.shear_stiffness() for p in plies]), persistent=False)
         density = torch.tensor([p.density for p in plies], dtype=torch.float64)
@@ -217,8 +218,8 @@ def turning(
     return T, R
 
 
-def _checked_angles(angles: Sequence[float] | Tensor) -> Tensor:
-    theta = reals("angles of a Laminate", angles)
+def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
+    theta = parameter("angles of a Laminate", angles)
     if theta.ndim != 1 or theta.numel() == 0:
         raise InputError(f"Laminate: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
     for k, value in enumerate(theta.tolist()):
@@ -238,10 +239,10 @@ def _checked_plies(ply: Ply | Sequence[Ply], layers: int) -> list[Ply]:
     return plies
 
 
-def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> Tensor:
-    t = reals("thickness of a Laminate", thickness)
-    if t.ndim == 0:
-        t = t.repeat(layers)
+def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> nn.Parameter:
+    t = parameter("thickness of a Laminate", thickness)
+    if t is not thickness:  # numbers
+        t = nn.Parameter(t.detach().repeat(layers) if t.ndim == 0 else t.detach(), requires_grad=False)
     if t.shape != (layers,):
         raise InputError(
             f"Laminate: {t.numel()} thicknesses for {layers} angles; allowed: one number, or one per angle [m]"

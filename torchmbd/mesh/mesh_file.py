@@ -23,6 +23,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.mesh.mesh import Mesh
+from torchmbd.numerics.gradients import constants
 
 _CELLS = {"triangle": 3, "quad": 4}  # corners
 _POINTS_AND_CURVES = ("vertex", "line")  # gmsh writes them for named points and curves
@@ -35,6 +36,7 @@ class MeshFile(NamedTuple):
     zones: dict[str, Int[Tensor, " part"]]
 
 
+@constants
 def read_mesh(path: str | Path, scale: float = 1.0) -> MeshFile:
     """Read a mesh; scale: meters per unit of the file. InputError tells what cannot be read."""
     try:
@@ -54,6 +56,7 @@ def read_mesh(path: str | Path, scale: float = 1.0) -> MeshFile:
     return mesh_of(found, scale)
 
 
+@constants
 def mesh_of(found: Any, scale: float = 1.0) -> MeshFile:
     """Convert a meshio.Mesh."""
     points = torch.from_numpy(np.asarray(found.points, dtype=np.float64)) * scale

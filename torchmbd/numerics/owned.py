@@ -12,12 +12,14 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.autograd.forward_ad as forward_ad
 from numpy.typing import ArrayLike
-from torch import Tensor
+from torch import Tensor, nn
 from torch._C._functorch import is_functorch_wrapped_tensor
 
 from torchmbd.errors import InputError
+from torchmbd.numerics.gradients import differentiated, refuse_gradients
+
+_COMPUTED = "p = x.detach() and then x.backward(p.grad) with the gradient of the parameter p that is made of it"
 
 
 def reals(name: str, given: ArrayLike | Tensor) -> Tensor:
@@ -27,9 +29,9 @@ def reals(name: str, given: ArrayLike | Tensor) -> Tensor:
 
 def scalar(name: str, given: Any, allowed: str = "a finite number", unit: str = "") -> float:
     """Read one finite number; InputError names the argument. A gradient would be lost here, so none is taken."""
+    refuse_gradients(name, given, allowed)
     try:
-        bare = isinstance(given, (str, bytes, bool)) or (isinstance(given, Tensor) and given.requires_grad)
-        x = math.nan if bare else float(given)
+        x = math.nan if isinstance(given, (str, bytes, bool)) else float(given)
     except (TypeError, ValueError):
         x = math.nan
     if not math.isfinite(x):
@@ -44,9 +46,7 @@ def whole(given: Any) -> bool:
 
 def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
     """InputError where x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
-    watched = x.requires_grad and torch.is_grad_enabled()
-    wrapped = is_functorch_wrapped_tensor(x)
-    if watched or wrapped or forward_ad.unpack_dual(x).tangent is not None:
+    if is_functorch_wrapped_tensor(x) or (differentiated(x) and (torch.is_grad_enabled() or not x.requires_grad)):
         raise InputError(
             f"{name} is being differentiated, which would be lost here; allowed: x.detach(), and {instead}"
         )
@@ -80,7 +80,20 @@ def several(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str)
     return list(given)
 
 
+def parameter(name: str, given: ArrayLike | Tensor) -> nn.Parameter:
+    """A parameter as it is, or numbers of any shape as one of their own; InputError for anything that is computed."""
+    if not isinstance(given, nn.Parameter):
+        refuse_gradients(
+            name, given, "numbers; a torch.nn.Parameter, registered as it is; of a computed x, " + _COMPUTED
+        )
+        return nn.Parameter(reals(name, given))
+    if given.dtype != torch.float64:
+        raise InputError(f"{name} is a Parameter of {given.dtype}; allowed: torch.float64")
+    return given
+
+
 def _read(name: str, given: ArrayLike | Tensor, allowed: str) -> Tensor:
+    refuse_gradients(name, given, allowed)
     try:
         x = (given.detach() if isinstance(given, Tensor) else torch.from_numpy(np.array(given))).clone()
     except (TypeError, ValueError) as error:

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Ply
+from torchmbd.numerics.gradients import constants
 from torchmbd.numerics.owned import positive
 from torchmbd.sections.blocks import Patch, between, graded, grid, joined, line
 from torchmbd.sections.orthotropic import Orthotropic
@@ -32,6 +33,7 @@ Angles = Sequence[float] | Tensor
 WALLS = ("top", "right", "bottom", "left")
 
 
+@constants
 def strip(
     width: float,
     ply: Plies,
@@ -46,6 +48,7 @@ def strip(
     return _stack(graded(-width / 2, width / 2, cells[0], order), ply, angles, thickness, cells[1], order)
 
 
+@constants
 def rectangle(
     width: float,
     height: float,
@@ -61,6 +64,7 @@ def rectangle(
     return _stack(line(-width / 2, width / 2, cells[0], order), ply, angles, height / _layers(angles), each, order)
 
 
+@constants
 def box(
     width: float,
     height: float,
@@ -102,6 +106,7 @@ def box(
     )
 
 
+@constants
 def tube(
     radius: float,
     ply: Plies,
@@ -126,6 +131,7 @@ def tube(
     return Section(joined(patches, order), ply, angles)
 
 
+@constants
 def circle(
     radius: float, ply: Ply | Orthotropic, angle: float = 0.0, cells: tuple[int, int] = (6, 4), order: int = 2
 ) -> Section:
@@ -146,6 +152,7 @@ def circle(
     return Section(joined(patches, order, plane_angle=0.0), ply, (angle,))
 
 
+@constants
 def i_section(
     width: float,
     height: float,

@@ -33,6 +33,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.materials import Ply
 from torchmbd.numerics.inverse import balanced_inverse
+from torchmbd.numerics.owned import parameter
 from torchmbd.sections.geometry import SectionGeometry
 from torchmbd.sections.mesh import SectionMesh
 from torchmbd.sections.orthotropic import Orthotropic, strain_rotation, turned
@@ -83,7 +84,7 @@ class Section(nn.Module):
         self.mesh, self.plies = mesh, solids
         self.geometry = SectionGeometry(mesh)
         self.problem = WarpingProblem(self.geometry, mesh.nodes)
-        self.angles = nn.Parameter(theta)
+        self.angles = theta
         self.register_buffer("_C", torch.stack([p.stiffness() for p in solids]), persistent=False)
         density = torch.tensor([p.density for p in solids], dtype=torch.float64)
         self.register_buffer("_density", density, persistent=False)
@@ -156,8 +157,8 @@ class Section(nn.Module):
         return strain_rotation(-self.angles).mT
 
 
-def _checked_angles(angles: Sequence[float] | Tensor) -> Tensor:
-    theta = torch.as_tensor(angles, dtype=torch.float64).detach().clone()
+def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
+    theta = parameter("angles of a Section", angles)
     if theta.ndim != 1 or theta.numel() == 0:
         raise InputError(f"Section: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
     for k, value in enumerate(theta.tolist()):
