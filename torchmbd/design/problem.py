@@ -30,7 +30,9 @@ from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Phase, Trajectory, simulate
 from torchmbd.integrators.arguments import check, check_adjoint
+from torchmbd.integrators.memory import lanes_at_once, require_room
 from torchmbd.integrators.phases import plan
+from torchmbd.integrators.simulate import FEWEST, default_steps
 from torchmbd.integrators.trajectory import OK
 from torchmbd.numerics.owned import several
 from torchmbd.optimizers import Evaluation
@@ -124,6 +126,8 @@ class Problem:
         check_adjoint(adjoint, method, phases is not None, names, options.get("device"))
         count = sum(system.get_parameter(name).numel() for name in names)
         self.adjoint = False if adjoint is None and count <= self._count else adjoint
+        self._tangents = count
+        require_room(system, 1, steps or FEWEST, count, adjoint is not False)
 
     @property
     def _count(self) -> int:
@@ -209,11 +213,26 @@ class Problem:
         """Limit of every row of the constraints [m]."""
         return self.reference.limits
 
+    def _lanes_at_once(self, gradients: bool) -> int:
+        return lanes_at_once(self.system, self._steps, self._tangents if gradients else 0, bool(self.adjoint))
+
+    @cached_property
+    def _steps(self) -> int:
+        """Of a motion: those that are asked for, else as many as that of the initial design has."""
+        if self.simulation["steps"]:
+            return self.simulation["steps"]
+        start = self.system.dynamics(self.space.designs(self.space.start[None]))
+        return default_steps(start, self.duration)
+
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
-        """Evaluate designs [lanes, n] as one batch."""
+        """Evaluate designs [lanes, n] as one batch, or as several where it would fill a large part of the memory."""
         X = self._checked(X, len(self.names))
         rows = self._count - (0 if self.peaks else 1)
         try:
+            most = self._lanes_at_once(gradients) if len(X) > 1 else 1
+            if len(X) > most:
+                parts = [X[first : first + most] for first in range(0, len(X), most)]
+                return [evaluation for part in parts for evaluation in self.evaluate(part, gradients)]
             motion = self.simulate(X, gradients)
         except CutCluster as error:  # the others of the batch go on together
             failed = {lane: Evaluation.failure(f"failed: {error}", rows) for lane in error.lanes}

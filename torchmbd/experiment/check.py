@@ -25,6 +25,7 @@ from torchmbd.experiment.model import (
     require_returns,
 )
 from torchmbd.experiment.schema import UNITS, Range, Simulation, Starts, Variable
+from torchmbd.integrators.memory import require_room
 from torchmbd.integrators.phases import plan
 from torchmbd.system import System
 
@@ -50,7 +51,7 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
     if "design" in sections:
         faults += _design_faults(sections["design"], system)
         if not faults:
-            faults += _start_faults(sections, system)
+            faults += _start_faults(sections, system) + _memory_faults(sections, system)
     return system, faults
 
 
@@ -188,6 +189,19 @@ def _start_faults(sections: Sections, system: System) -> list[Fault]:
             text = f"from {span.first:g} to {span.last:g}: must lie between {lower[index]:g} and {upper[index]:g}"
             faults.append(Fault(("sweep", name), text))
     return faults
+
+
+def _memory_faults(sections: Sections, system: System) -> list[Fault]:
+    """A motion of one design that does not fit into memory."""
+    simulation: Simulation | None = sections.get("simulate")
+    if simulation is None or simulation.steps is None:
+        return []
+    tangents = len(labels(sections["design"], system))
+    try:
+        require_room(system, 1, simulation.steps, tangents, simulation.adjoint is not False)
+    except InputError as error:
+        return [Fault(("simulate", "steps"), f": {error}")]
+    return []
 
 
 def swept_index(name: str, names: Sequence[str]) -> int | None:

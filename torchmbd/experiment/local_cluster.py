@@ -38,5 +38,5 @@ def start_local_cluster(workers: int) -> SpecCluster:
         scheduler={"cls": _Scheduler, "options": {**options, "port": 0, "dashboard": False}},
         workers={i: {"cls": Nanny, "options": options | own} for i in range(workers)},
         security=security,
-        silence_logs=logging.CRITICAL,
+        silence_logs=logging.CRITICAL,  # pyright: ignore[reportArgumentType]
     )

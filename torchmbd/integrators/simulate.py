@@ -24,6 +24,7 @@ from torchmbd.integrators.attempts import careful, run, status_of, with_retries
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
+from torchmbd.integrators.memory import require_room
 from torchmbd.integrators.phases import Phase, plan
 from torchmbd.integrators.shapes import DesignShapes
 from torchmbd.integrators.signals import Recorded, Untangled
@@ -31,6 +32,8 @@ from torchmbd.integrators.singular import explained
 from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.system import Dynamics, System
+
+FEWEST = 200  # steps, where the number is left to us
 
 
 def simulate(
@@ -76,9 +79,15 @@ def simulate(
         batch = _same_lanes({name: _own(system, name) for name in names} | dict(designs or {}))
         if phases is not None:
             system, stages = plan(system, phases, duration)
+        parameters = labels(system, names)
+        size = {"tangents": len(parameters), "adjoint": adjoint is not False}
+        lanes = max((len(x) for x in batch.values()), default=1)
+        require_room(system, lanes, int(steps or FEWEST), **size)
         dynamics = system.dynamics(batch, tangents=names)
+        if steps is None:
+            require_room(system, lanes, default_steps(dynamics, duration), **size)
         steps = int(steps or default_steps(dynamics, duration))
-        design = {"designs": batch, "parameters": labels(system, names)}
+        design = {"designs": batch, "parameters": parameters}
         with torch.no_grad():
             if phases is None:
                 if possible and _back(adjoint, dynamics):
@@ -153,7 +162,7 @@ def default_steps(dynamics: Dynamics, duration: float) -> int:
     """Twenty steps per period of the fastest retained mode, at least 200 in all."""
     if "Kr" not in dynamics.data:
         return 1000
-    return max(200, math.ceil(20.0 * duration * ode.fastest_vibration(dynamics) / (2.0 * math.pi)))
+    return max(FEWEST, math.ceil(20.0 * duration * ode.fastest_vibration(dynamics) / (2.0 * math.pi)))
 
 
 def _multipliers(dynamics: Dynamics, duration: float, history: History, data: Any = None) -> Tensor:
