@@ -5,6 +5,7 @@ Checked in tests/test_public.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,16 +96,17 @@ if TYPE_CHECKING:
     from torchmbd.experiment.archive import LoadedStudy
 
 
-def load(run: str, uri: str | None = None, folder: str | Path = ".") -> LoadedStudy:
+def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Path] = ()) -> LoadedStudy:
     """Load a study of the tracking store: system, best design, motion; see torchmbd.experiment.archive.
 
-    run     run id, its beginning, or the name of a study (its latest run)
-    uri     the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
-    folder  where the model's file lies, if the model is a file
+    run    run id, its beginning, or the name of a study (its latest run)
+    uri    the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
+    model  the Python file, or module, of the model. It is executed, and nothing else that the store may name:
+           "studies/arm.py", "package.module"; several where the phases come from another
     """
     from torchmbd.experiment.archive import load_run  # the experiment floor is imported when a study is wanted
 
-    return load_run(run, uri, folder)
+    return load_run(run, uri, model)
 
 
 def problem_of(file: str | Path, *assignments: str) -> Problem:
