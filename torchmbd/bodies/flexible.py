@@ -24,7 +24,7 @@ from torchmbd.bodies.bulk_body import read_bdf
 from torchmbd.bodies.frame import Frame, identifier, move, place, rotation, vector
 from torchmbd.bodies.modal_damping import ModalDamping
 from torchmbd.bodies.mount import Mount, node_indices, rigid_links
-from torchmbd.bodies.plausibility import warn_units
+from torchmbd.bodies.plausibility import warn_slender, warn_units
 from torchmbd.bodies.reduced import matrices, reduced
 from torchmbd.bodies.reference import reference_nodes
 from torchmbd.bodies.zones import zone_parts
@@ -155,7 +155,9 @@ class FlexibleBody(nn.Module):
         """
         parts = {"plate": Plates(mesh, laminate, mass=mass)}
         options = (position, axes, reference, damping, reduction, interface, updated, (), rigid)
-        return cls(name, mesh, parts, modes, *options)
+        body = cls(name, mesh, parts, modes, *options)
+        warn_slender(body)
+        return body
 
     @classmethod
     def beam(

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torchmbd.bodies.frame import Frame, identifier, numbers, place, rotation, vector
 from torchmbd.errors import InputError
 from torchmbd.numerics.owned import positive
+from torchmbd.numerics.plausible import GYRATION, doubt
 
 
 class Ground:
@@ -67,6 +68,8 @@ class RigidBody(nn.Module):
         m = positive(f"mass of {name!r}", mass, "kg")
         place(self, position, axes, velocity, angular_velocity)
         J = _inertia(name, inertia)
+        radius = float(torch.linalg.eigvalsh(J)[-1] / m) ** 0.5
+        doubt(f"inertia: radius of gyration of {name!r}", radius, "m", GYRATION)
         self.register_buffer("mass", torch.tensor(m, dtype=torch.float64))
         self.register_buffer("center", vector(f"center of {name!r}", center))
         self.register_buffer("second_moment", J.trace() / 2 * torch.eye(3, dtype=torch.float64) - J)

@@ -26,6 +26,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, unknown
 from torchmbd.numerics.gradients import constants
 from torchmbd.numerics.owned import indices, reals
+from torchmbd.numerics.plausible import EXTENT, doubt
 
 
 class BeamLine:
@@ -113,6 +114,7 @@ def _check_nodes(nodes: Tensor) -> None:
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
         raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
+    doubt("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT, stacklevel=4)
     twin = _repeated(nodes.numpy())
     if twin:
         raise InputError(

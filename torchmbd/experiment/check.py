@@ -11,6 +11,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
+import torch
 
 from torchmbd.design.spec import leaf, measure_of, terms
 from torchmbd.errors import InputError, nearest
@@ -27,6 +28,7 @@ from torchmbd.experiment.model import (
 from torchmbd.experiment.schema import UNITS, Range, Simulation, Starts, Variable
 from torchmbd.integrators.memory import require_room
 from torchmbd.integrators.phases import plan
+from torchmbd.numerics.plausible import check_parameter
 from torchmbd.system import System
 
 Sections = Mapping[str, Any]
@@ -151,7 +153,20 @@ def _design_faults(design: Mapping[str, Variable], system: System) -> list[Fault
             if x is None:
                 given = getattr(variable, key)
                 faults.append(Fault((*path, key), f"has {len(given)} values; allowed: {size}, or one number for all"))
-        faults += _bound_faults(path, sized)
+        faults += _bound_faults(path, sized) + _unit_faults(path, name, variable.unit, sized)
+    return faults
+
+
+def _unit_faults(path: Path, name: str, unit: str, sized: Mapping[str, np.ndarray | None]) -> list[Fault]:
+    """Numbers that are most likely in another unit than they are said to be."""
+    faults = []
+    for key, x in sized.items():
+        if x is None:
+            continue
+        try:
+            check_parameter(key, name, torch.from_numpy(UNITS[unit] * x))
+        except InputError as error:
+            faults.append(Fault((*path, key), f"= {x.tolist()} with unit: {unit}: {error}"))
     return faults
 
 

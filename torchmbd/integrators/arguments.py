@@ -16,6 +16,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import ode
 from torchmbd.numerics.owned import refuse_derivatives, whole
+from torchmbd.numerics.plausible import check_parameter
 from torchmbd.system import System
 
 METHODS = ("generalized_alpha", *ode.METHODS)
@@ -89,8 +90,11 @@ def check_designs(system: System, designs: Any) -> None:
     if not isinstance(designs, (Mapping, type(None))):
         raise InputError(f"designs is {designs!r}; allowed: parameter name -> tensor [lanes, ...]")
     for name, x in own.items():
-        if name not in (designs or {}) and not bool(torch.isfinite(x).all()):
+        if name in (designs or {}):
+            continue
+        if not bool(torch.isfinite(x).all()):
             raise InputError(f"parameter {name!r} is {x.tolist()}; allowed: finite numbers")
+        check_parameter("parameter", name, x)
     for name, x in (designs or {}).items():
         if name not in own:
             raise unknown("parameter", name, own)
@@ -101,6 +105,8 @@ def check_designs(system: System, designs: Any) -> None:
         refuse_derivatives(f"design {name!r}", x, f"sensitivities=[{name!r}]")
         for lane in torch.nonzero(~torch.isfinite(x.reshape(len(x), -1)).all(1)).flatten().tolist():
             raise InputError(f"design {name!r} of lane {lane} is {x[lane].tolist()}; allowed: finite numbers")
+        lane = int(x.detach().reshape(len(x), -1).abs().amax(1).argmax())
+        check_parameter(f"design of lane {lane}:", name, x[lane])
         owner, _, own_name = name.rpartition(".")
         if own_name in getattr(system.get_submodule(owner), "positive", ()) and not bool((x > 0.0).all()):
             lane = int(torch.nonzero(~(x.reshape(len(x), -1) > 0.0).all(1))[0])

@@ -38,6 +38,7 @@ from torchmbd.errors import InputError
 from torchmbd.materials.ply import Ply
 from torchmbd.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
 from torchmbd.numerics.owned import parameter
+from torchmbd.numerics.plausible import THICKNESS, check_angles, doubt
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _UPPER2 = ((0, 0), (0, 1), (1, 1))
@@ -222,10 +223,7 @@ def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
     theta = parameter("angles of a Laminate", angles)
     if theta.ndim != 1 or theta.numel() == 0:
         raise InputError(f"Laminate: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
-    for k, value in enumerate(theta.tolist()):
-        if not abs(value) <= 2.0 * torch.pi:  # also catches nan
-            hint = " (degrees? use mbd.deg)" if abs(value) > 2.0 * torch.pi else ""
-            raise InputError(f"Laminate: angles[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
+    check_angles("angles", theta.tolist(), "Laminate: ")
     return theta
 
 
@@ -250,6 +248,7 @@ def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int)
     for k, value in enumerate(t.tolist()):
         if not 0.0 < value < float("inf"):
             raise InputError(f"Laminate: thickness[{k}] = {value!r} m; allowed: a finite number > 0")
+    doubt("Laminate: thickness", float(t.detach().max()), "m", THICKNESS, stacklevel=4)
     return t
 
 

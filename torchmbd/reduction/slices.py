@@ -12,7 +12,7 @@ from itertools import count
 import torch
 from torch import Tensor
 
-Function = Callable[[Tensor, Tensor | None, Tensor | None, Tensor | None], tuple[Tensor, Tensor]]
+Function = Callable[..., tuple[Tensor, Tensor]]
 _functions: dict[int, Function] = {}
 _numbers = count()
 

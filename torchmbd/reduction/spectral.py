@@ -74,7 +74,7 @@ def _divided_differences(g: Callable[[Tensor], Tensor], values: Tensor) -> Tenso
     gap = values[..., :, None] - values[..., None, :]
     found = _applied(g, values)
     points = torch.stack([values[..., None, :] + t * gap for t in NODES])
-    slope, back = torch.func.vjp(g, points)
+    slope, back, *_ = torch.func.vjp(g, points)
     a, b, c, d, e = back(torch.ones_like(slope))[0].unbind()
     three, two = (5 * a + 8 * b + 5 * c) / 18, (d + e) / 2
     quotient = (found[..., :, None] - found[..., None, :]) / torch.where(gap == 0, 1.0, gap)

@@ -24,6 +24,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Ply
 from torchmbd.numerics.gradients import constants
 from torchmbd.numerics.owned import positive
+from torchmbd.numerics.plausible import DIMENSION, THICKNESS, doubt
 from torchmbd.sections.blocks import Patch, between, graded, grid, joined, line
 from torchmbd.sections.orthotropic import Orthotropic
 from torchmbd.sections.section import Section
@@ -242,12 +243,13 @@ def _thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np
         raise InputError(f"{t.size} thicknesses for {layers} plies; allowed: one number, or one per ply [m]")
     if not (np.isfinite(t) & (t > 0)).all():
         raise InputError(f"thickness = {thickness!r}; allowed: finite numbers > 0 [m]")
+    doubt("thickness", float(t.max()), "m", THICKNESS, stacklevel=4)
     return t
 
 
 def _positive(**lengths: float) -> None:
     for name, value in lengths.items():
-        positive(name, value, "m")
+        doubt(name, positive(name, value, "m"), "m", DIMENSION, stacklevel=4)
 
 
 def _check_cells(cells: Sequence[int], count: int, order: int) -> None:

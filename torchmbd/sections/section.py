@@ -34,6 +34,7 @@ from torchmbd.errors import InputError
 from torchmbd.materials import Ply
 from torchmbd.numerics.inverse import balanced_inverse
 from torchmbd.numerics.owned import parameter
+from torchmbd.numerics.plausible import check_angles
 from torchmbd.sections.geometry import SectionGeometry
 from torchmbd.sections.mesh import SectionMesh
 from torchmbd.sections.orthotropic import Orthotropic, strain_rotation, turned
@@ -161,8 +162,5 @@ def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
     theta = parameter("angles of a Section", angles)
     if theta.ndim != 1 or theta.numel() == 0:
         raise InputError(f"Section: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
-    for k, value in enumerate(theta.tolist()):
-        if not abs(value) <= 2.0 * torch.pi:  # also catches nan
-            hint = " (degrees? use mbd.deg)" if abs(value) > 2.0 * torch.pi else ""
-            raise InputError(f"Section: angles[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
+    check_angles("angles", theta.tolist(), "Section: ")
     return theta
