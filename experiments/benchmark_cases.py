@@ -61,13 +61,13 @@ class Case:
 
 def crank3(modes: int = 8, cells: tuple[int, int] = (24, 4)) -> Case:
     """The slider-crank of the paper, three layers, three angles."""
-    system = slider_crank.build(3, modes=modes, cells=cells)
+    system = slider_crank.build(3, modes=modes, cells=cells, joint="spherical")
     return Case("slider-crank, 3 angles", system, slider_crank.DURATION, {"rod.laminate.angles": 0.1}, "slider_crank")
 
 
 def crank8(modes: int = 8, cells: tuple[int, int] = (24, 4)) -> Case:
     """Four layers, their angles and thicknesses."""
-    system = slider_crank.build(4, modes=modes, cells=cells)
+    system = slider_crank.build(4, modes=modes, cells=cells, joint="spherical")
     variables = {"rod.laminate.angles": 0.1, "rod.laminate.thickness": 0.1 * slider_crank.THICKNESS / 4}
     title = "slider-crank, 4 angles, 4 thicknesses"
     return Case(title, system, slider_crank.DURATION, variables, "slider_crank")

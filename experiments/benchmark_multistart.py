@@ -35,7 +35,9 @@ def own_problem(steps: int) -> mbd.Problem:
     """Table 3, L3."""
     U = mbd.StrainEnergy("rod")
     limits = [mbd.Max(U) <= "initial"]
-    return mbd.Problem(build(3), DURATION, mbd.Integral(U), limits, bounds=mbd.deg([-90, 90]), steps=steps)
+    return mbd.Problem(
+        build(3, joint="spherical"), DURATION, mbd.Integral(U), limits, bounds=mbd.deg([-90, 90]), steps=steps
+    )
 
 
 _worker: dict[str, Any] = {}
@@ -44,7 +46,7 @@ _worker: dict[str, Any] = {}
 def _begin(peer: bool) -> None:
     sys.stdout = sys.stderr  # standard output belongs to the JSON object
     settle()
-    _worker["system"] = build(3)
+    _worker["system"] = build(3, joint="spherical")
     if peer:
         import experiments.exudyn_peer  # noqa: F401  before the clock starts
 

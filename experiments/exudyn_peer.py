@@ -60,7 +60,10 @@ class _Masses(nn.Module):
         self.body = body
 
     def forward(self) -> tuple[Tensor, Tensor]:
-        return self.body.assembly.masses()[1:3]
+        _, mass, rotary, arm = self.body.assembly.masses()
+        if arm is not None:
+            raise mbd.InputError(f"masses of {self.body.name!r} lie off its nodes; allowed: masses at nodes")
+        return mass, rotary
 
 
 def reduced(system: mbd.System, name: str, designs: Mapping[str, Tensor]) -> list[ReducedBody]:
@@ -237,9 +240,12 @@ class Model:
 def slider_crank(system: mbd.System, designs: Mapping[str, Tensor]) -> list[Callable[[float, int], Run]]:
     """Simulations (duration, steps) -> Run of a batch of designs of experiments/slider_crank.py.
 
-    The rod's second end is spherical as well: its spin about its own axis, which the universal joint of the original
-    holds, is free; the motion stays in the plane.
+    The rod's second end is spherical as well, and its spin about its own axis free. Raises InputError where the system
+    has another joint there.
     """
+    for joint in system.joints:
+        if isinstance(joint, mbd.Universal):
+            raise mbd.InputError(f"joint {joint.name!r} is universal; allowed: build(..., joint='spherical'), as here")
     rod: Any = system.body("rod")
     left, right = rod.mesh.node("left"), rod.mesh.node("right")
 

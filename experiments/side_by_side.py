@@ -43,7 +43,7 @@ def compare(system: mbd.System, peer: str, name: str, node: str, duration: float
 
 def both(crank_steps: int = 1200, panel_steps: int = 1500, modes: int = 8) -> dict[str, Comparison]:
     """Both mechanisms in both codes."""
-    crank = slider_crank.build(modes=modes)
+    crank = slider_crank.build(modes=modes, joint="spherical")
     return {
         "slider-crank": compare(crank, "slider_crank", "rod", "right", slider_crank.DURATION, crank_steps),
         "panel": compare(panel.build(modes=modes), "panel", "panel", panel.FREE, panel.DURATION, panel_steps),

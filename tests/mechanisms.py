@@ -56,8 +56,8 @@ def plate(
     modes: int = 3,
     cells: tuple[int, int] = (4, 2),
     made_of: mbd.Laminate | None = None,
-    velocity: Sequence[float] = (0.0, 0.0, 0.0),
-    angular_velocity: Sequence[float] = (0.0, 0.0, 0.0),
+    velocity: Sequence[float] | None = None,
+    angular_velocity: Sequence[float] | None = None,
     **given: Any,
 ) -> mbd.FlexibleBody:
     """A laminated plate of 0.3 m x 0.1 m with an initial velocity."""

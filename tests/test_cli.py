@@ -118,7 +118,7 @@ def test_several_values_of_a_key_are_several_studies(folder, capsys, empty_store
     assert output.count("1 starts") == 2
     assert cli.main([*arguments, "starts.sampler=sobel"]) == 2  # all are checked before the first runs
     assert cli.main(["best"]) == 0
-    assert "torchmbd.load(" in capsys.readouterr().out
+    assert ', model="rod_model.py")' in capsys.readouterr().out
     assert cli.main(["compare", "study", "nothing"]) == 2
     assert "run 'nothing' is not in" in capsys.readouterr().err
     assert cli.main(["report", "study", "--output", "study.html"]) == 0

@@ -75,5 +75,5 @@ def test_commands(folder, capsys):
     for command in commands[:-1]:  # the last one serves until Ctrl-C: tests/experiment/test_browser.py
         assert cli.main(command + (COARSE if command[0] in ("check", "run") else [])) == 0
     assert (folder / "overshoot.html").exists()
-    study = mbd.load("overshoot")
+    study = mbd.load("overshoot", model="arm.py")
     assert np.isclose(study.problem.evaluate(study.x[None], False)[0].objective, study.value, rtol=1e-6)

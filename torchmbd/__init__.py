@@ -4,7 +4,7 @@ system = mbd.System(bodies, joints)      structure and topology
 motion = mbd.simulate(system, ...)       transient motion, with sensitivities
 problem = mbd.Problem(system, ...)       what to minimize, subject to what
 result = mbd.optimize(problem)           exact gradients inside
-study = mbd.load(run)                    a tracked study as objects again
+study = mbd.load(run, model="arm.py")    a tracked study as objects again
 
 The names are those of torchmbd.public, which is imported when the first of them is asked for: torch takes seconds, and
 `torchmbd --help`, `torchmbd best` and the processes beside a study do without.

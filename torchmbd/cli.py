@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import sys
 import threading
@@ -201,15 +200,16 @@ def cache(*, clear: bool = False) -> int:
     Parameters
     ----------
     clear
-        Remove them all.
+        Remove them all; other files of the folder stay.
     """
-    from torchmbd.numerics.native import cache_folder, entries
+    from torchmbd.numerics import build_cache
+    from torchmbd.process import cache_folder
 
     console = Console()
-    for path, size, ready in entries():
+    for path, size, ready in build_cache.entries():
         console.print(f"{path.name}  {size / 2**20:6.1f} MiB  {'ready' if ready else 'left over'}")
-        if clear:
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
+    if clear:
+        build_cache.clear()
     console.print(f"{'cleared' if clear else 'in'} {cache_folder()}")
     return 0
 

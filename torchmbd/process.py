@@ -28,6 +28,7 @@ import os
 import re
 import signal
 import sys
+import tempfile
 import threading
 import warnings
 from collections.abc import Iterator
@@ -46,7 +47,19 @@ _AUTOGROUP = Path("/proc/self/autogroup")
 
 def cache_folder() -> Path:
     """Where a user's processes keep what serves them all: compiled libraries, the lock of new stores."""
-    return Path(os.environ.get("TORCHMBD_CACHE") or Path.home() / ".cache" / "torchmbd")
+    if given := os.environ.get("TORCHMBD_CACHE"):
+        return Path(given)
+    try:
+        return Path.home() / ".cache" / "torchmbd"
+    except RuntimeError:  # neither HOME nor an entry of the user's in the system, as in a container
+        return Path(tempfile.gettempdir()) / f"torchmbd-{os.geteuid()}"
+
+
+def require_cache_folder() -> Path:
+    """Return this folder, made for the user alone where it is not there."""
+    folder = cache_folder()
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    return folder
 
 
 def settle() -> None:
@@ -78,8 +91,9 @@ def _leave_dynamo_out() -> None:
 def breed(*modules: str) -> None:
     """Start the process that multiprocessing's "forkserver" forks from, with the modules imported; once is enough."""
     multiprocessing.set_forkserver_preload(list(modules))
-    before = {name: os.environ.get(name) for name in ONE_THREAD | MEMORY}
-    os.environ.update(ONE_THREAD | MEMORY)
+    own = ONE_THREAD | MEMORY | {"PYTHONSAFEPATH": "1"}  # no module of the current folder hides one of Python's
+    before = {name: os.environ.get(name) for name in own}
+    os.environ.update(own)
     try:
         with _children_deaf_to_interrupts():
             forkserver.ensure_running()

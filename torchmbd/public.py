@@ -5,6 +5,7 @@ Checked in tests/test_public.py.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,7 @@ from torchmbd.design import (
     DesignSpace,
     Displacement,
     Final,
+    Frequencies,
     Frequency,
     Integral,
     Mass,
@@ -87,23 +89,24 @@ from torchmbd.optimizers import (
     pareto_front,
     sobol,
 )
-from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis
+from torchmbd.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.system import Dynamics, System, equilibrium
 
 if TYPE_CHECKING:
     from torchmbd.experiment.archive import LoadedStudy
 
 
-def load(run: str, uri: str | None = None, folder: str | Path = ".") -> LoadedStudy:
+def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Path] = ()) -> LoadedStudy:
     """Load a study of the tracking store: system, best design, motion; see torchmbd.experiment.archive.
 
-    run     run id, its beginning, or the name of a study (its latest run)
-    uri     the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
-    folder  where the model's file lies, if the model is a file
+    run    run id, its beginning, or the name of a study (its latest run)
+    uri    the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
+    model  the Python file, or module, of the model. It is executed, and nothing else that the store may name:
+           "studies/arm.py", "package.module"; several where the phases come from another
     """
     from torchmbd.experiment.archive import load_run  # the experiment floor is imported when a study is wanted
 
-    return load_run(run, uri, folder)
+    return load_run(run, uri, model)
 
 
 def problem_of(file: str | Path, *assignments: str) -> Problem:
@@ -146,6 +149,7 @@ __all__ = [
     "FlexibleBody",
     "Force",
     "Frame",
+    "Frequencies",
     "Frequency",
     "GivenSection",
     "Ground",
@@ -214,6 +218,7 @@ __all__ = [
     "sections",
     "simulate",
     "sobol",
+    "spectral_function",
     "variable",
     "viz",
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from importlib.util import find_spec
 
 import numpy as np
@@ -21,7 +22,7 @@ VARIANTS = {
     "mmfd-first-order": ("mmfd", {"second_order": False}),
 }
 GRADIENT_FREE = ["differential_evolution"]  # slow and inexact: tests/optimizers/test_evolution.py
-PACKAGES = {"mma": "nlopt", "ccsaq": "nlopt", "ipopt": "cyipopt"}
+PACKAGES = {"ipopt": "cyipopt"}  # has no wheel; every other package is installed for the tests (tests/test_packages.py)
 
 
 def case(name: str):
@@ -78,6 +79,20 @@ def test_known_optimum(method, name):
     assert result.status == "converged"
     assert error(problem, result.value) <= 1e-4
     assert result.violation <= 1e-6
+
+
+@pytest.mark.parametrize(
+    ("method", "package", "remedy"),
+    [
+        ("mma", "nlopt", r"pip install 'torchmbd\[nlopt\]'"),
+        ("ccsaq", "nlopt", r"pip install 'torchmbd\[nlopt\]'"),
+        ("ipopt", "cyipopt", "conda install"),
+    ],
+)
+def test_a_missing_package_is_named(monkeypatch, method, package, remedy):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(InputError, match=f"method = '{method}' needs the package {package}.*{remedy}"):
+        optimize(quadratic(), method)
 
 
 @pytest.mark.parametrize("method", CURVED)

@@ -23,7 +23,19 @@ from torchmbd.design.histories import (
     StrainEnergy,
     Velocity,
 )
-from torchmbd.design.measures import RMS, AtTime, Final, Frequency, Integral, Mass, Max, Mean, Min, SmoothMax
+from torchmbd.design.measures import (
+    RMS,
+    AtTime,
+    Final,
+    Frequencies,
+    Frequency,
+    Integral,
+    Mass,
+    Max,
+    Mean,
+    Min,
+    SmoothMax,
+)
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.rows import AtPeaks, AtTimes
@@ -102,6 +114,7 @@ MEASURES: dict[str, list[Measure]] = {
     "at_times": [AtTimes(ENERGY, count=7), AtTimes(LAG, times=(0.0101, 0.02, 0.04))],
     "at_peaks": [AtPeaks(ENERGY, count=3), AtPeaks(LAG, window=(0.0051, 0.0303), count=2)],
     "frequency": [Frequency("rod"), Frequency("rod", 2)],
+    "frequencies": [Frequencies("rod", (1, 2)), Frequencies("rod", (2,), power=-3.0)],
     "mass": [Mass("rod"), Mass()],
 }
 OTHERS = [

@@ -8,6 +8,7 @@ import torchmbd as mbd
 from torchmbd.design import (
     AtPeaks,
     AtTime,
+    Frequencies,
     Frequency,
     Mass,
     RelativeDisplacement,
@@ -37,6 +38,7 @@ TWIST_SPEC = {"relative_displacement": {"body": "rod", "a": "left", "b": "right"
             mbd.Max(Velocity("rod", [0, 1, 1], node="right", seen_from="rod")),
         ),
         ({"frequency": {"body": "rod", "number": 2}}, Frequency("rod", 2)),
+        ({"frequencies": {"body": "rod", "cluster": [2, 3], "power": -4}}, Frequencies("rod", (2, 3), -4)),
         ({"mass": "rod"}, Mass("rod")),
         (
             {"weighted_sum": [{"weight": 0.6, "max": {"strain_energy": "rod"}}, {"weight": 2, "mass": "rod"}]},

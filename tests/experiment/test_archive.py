@@ -16,7 +16,7 @@ from torchmbd.tracking.catalog import find
 
 
 def test_system_and_motion_are_rebuilt(finished):
-    study = mbd.load(finished.runs[0][:10], finished.uri, finished.folder)
+    study = mbd.load(finished.runs[0][:10], finished.uri, finished.folder / "rod_model.py")
     metrics = find(finished.uri, finished.runs[0]).metrics
     assert study.value == metrics["objective"]
     shown = [metrics[f"angle_{k}_deg"] for k in (1, 2)]
@@ -31,7 +31,7 @@ def test_system_and_motion_are_rebuilt(finished):
 
 
 def test_a_name_is_its_latest_run(finished):
-    assert mbd.load("short", finished.uri, finished.folder).entry.run_id == finished.runs[1]
+    assert mbd.load("short", finished.uri, finished.folder / "rod_model.py").entry.run_id == finished.runs[1]
 
 
 def test_an_unknown_run_names_what_there_is(finished):
@@ -41,14 +41,54 @@ def test_an_unknown_run_names_what_there_is(finished):
 
 def test_a_model_that_is_not_here_is_named(finished, tmp_path):
     with pytest.raises(mbd.InputError, match=r"rod_model\.py does not exist"):
-        mbd.load("short", finished.uri, tmp_path)
+        mbd.load("short", finished.uri, tmp_path / "rod_model.py")
+
+
+@pytest.mark.parametrize(
+    ("named", "executed"),
+    [((), "rod_model.py"), ("evil.py", "rod_model.py"), (".", "rod_model.py"), ("rod_model", "rod_model.py")],
+)
+def test_a_model_that_the_caller_does_not_name_is_not_executed(finished, monkeypatch, named, executed):
+    monkeypatch.chdir(finished.folder)
+    with pytest.raises(
+        mbd.InputError, match=rf"config.yaml of run \w+ executes '{executed}'; allowed: the path of that"
+    ):
+        mbd.load("short", finished.uri, named)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "executed"),
+    [
+        ("model: rod_model.py:build", "model: evil.py:build", "evil.py"),
+        ("model: rod_model.py:build", "model: evil:build", "evil"),
+        ("model: rod_model.py:build", "model: ../rod_model.py:build", "../rod_model.py"),
+        ("duration: 0.002", "duration: 0.002\n  phases: evil.py:phases", "evil.py"),
+    ],
+)
+def test_a_store_that_was_changed_cannot_name_what_is_executed(finished, monkeypatch, old, new, executed):
+    monkeypatch.chdir(finished.folder)
+    monkeypatch.syspath_prepend(finished.folder)
+    proof = finished.folder / "proof"
+    (finished.folder / "evil.py").write_text(f"open({str(proof)!r}, 'w')\n")
+    file = Path(finished.client.get_run(finished.runs[0]).info.artifact_uri) / "config.yaml"
+    good = file.read_text()
+    assert old in good
+    try:
+        file.write_text(good.replace(old, new))
+        with pytest.raises(mbd.InputError, match=f"executes '{executed}'"):
+            mbd.load(finished.runs[0], finished.uri, "rod_model.py")
+    finally:
+        file.write_text(good)
+    assert not proof.exists()
 
 
 def test_a_model_that_has_changed_is_told(finished, tmp_path):
     model = shutil.copy(finished.folder / "rod_model.py", tmp_path)
-    Path(model).write_text(Path(model).read_text() + "\n# changed\n")
-    with pytest.warns(UserWarning, match=r"source of rod_model.py:build has changed"):
-        mbd.load("short", finished.uri, tmp_path)
+    Path(model).write_text(Path(model).read_text().replace("modes=4", "modes=3"))
+    with pytest.warns(
+        UserWarning, match=r"rod_model.py:build or what it reads, torchmbd or torch has changed since run"
+    ):
+        mbd.load("short", finished.uri, model)
 
 
 class Touch:
@@ -78,7 +118,7 @@ def test_a_bad_artifact_is_refused_and_not_executed(finished, tmp_path, design, 
     try:
         file.write_bytes(pickle.dumps(Touch(proof)) if design == "pickle" else design.format(proof=proof).encode())
         with pytest.raises(mbd.InputError, match=message):
-            mbd.load(finished.runs[0], finished.uri, finished.folder)
+            mbd.load(finished.runs[0], finished.uri, finished.folder / "rod_model.py")
     finally:
         file.write_bytes(good)
     assert not proof.exists()

@@ -53,7 +53,6 @@ def test_the_shipped_files_are_valid(file):
 
 
 def test_what_is_submitted(slurm, monkeypatch):
-    pytest.importorskip("dask_jobqueue")
     monkeypatch.setenv("PATH", "/usr/bin:/bin")  # no sbatch: nothing can be submitted here
     told = load_cluster(
         write(slurm, partition="cpu", account="me", setup=["module load gcc"], directives=["--constraint=avx512"])
@@ -79,7 +78,6 @@ def test_what_is_submitted(slurm, monkeypatch):
 
 
 def test_a_gpu_for_every_worker(slurm, monkeypatch):
-    pytest.importorskip("dask_jobqueue")
     monkeypatch.setattr("dask_jobqueue.core.JobQueueCluster.scale", lambda self, jobs: None)
     cluster = load_cluster(write(slurm, workers_per_job=1, gpus_per_worker=1)).start(2)
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -55,6 +56,62 @@ def test_a_failed_evaluation_is_known_with_its_reason(tmp_path):
     assert found.status == "failed: not finite"
     assert np.isnan(found.constraints).tolist() == [True, True]
     assert not found.differentiated
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("numbers", lambda numbers: np.array([3.0]).tobytes() + numbers[8:]),
+        ("numbers", lambda numbers: numbers[:-8]),
+        ("numbers", lambda numbers: b""),
+        ("numbers", lambda numbers: "text"),
+        ("status", lambda status: "failed: by hand"),
+        ("m", lambda m: 0),
+        ("design", lambda design: X[2].tobytes()),
+        ("problem", lambda problem: "q"),
+    ],
+)
+def test_an_altered_row_is_reported_and_evaluated_again(tmp_path, column, value):
+    store = Evaluations(tmp_path / "e.db", "p")
+    store.keep(X[:2], True, computed(X[:2], True))
+    (old,) = store._base.execute(f"select {column} from evaluations where design = ?", (X[1].tobytes(),)).fetchone()
+    with store._base:
+        change = f"update evaluations set {column} = ? where design = ?"
+        store._base.execute(change, (value(old), X[1].tobytes()))
+    again = Evaluations(tmp_path / "e.db", "q" if column == "problem" else "p")
+    asked = X[2:] if column == "design" else X[1:2]
+    with pytest.warns(UserWarning, match=r"e\.db was altered after it was written: it is not used, and made again"):
+        assert again.find(asked, True) == [None]
+    again.keep(asked, True, computed(asked, True))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (found,) = again.find(asked, True)
+    assert found is not None
+    assert found.objective == computed(asked, True)[0].objective
+
+
+def test_an_altered_row_is_in_no_picture(tmp_path):
+    store = Evaluations(tmp_path / "e.db", "p")
+    store.keep(X, True, computed(X, True))
+    designs, values = store.visited(2)
+    assert {tuple(x): y for x, y in zip(designs, values, strict=True)} == {tuple(x): x @ x / 3 for x in X}
+    with store._base:
+        store._base.execute("update evaluations set status = 'failed' where design = ?", (X[0].tobytes(),))
+    with pytest.warns(UserWarning, match="was altered"):
+        assert len(store.visited(2)[0]) == 2
+
+
+def test_a_store_that_is_damaged_is_named(tmp_path):
+    """Pages overwritten, as by a failing disk."""
+    store = Evaluations(tmp_path / "e.db", "p")
+    many = np.random.default_rng(1).normal(size=(500, 2))
+    store.keep(many, True, computed(many, True))
+    store.close()
+    data = bytearray((tmp_path / "e.db").read_bytes())
+    data[4096:] = b"\xff" * (len(data) - 4096)
+    (tmp_path / "e.db").write_bytes(data)
+    with pytest.raises(MbdError, match=r"e\.db cannot be read"):
+        Evaluations(tmp_path / "e.db", "p").find(many, True)
 
 
 def test_only_the_unknown_is_computed(tmp_path):

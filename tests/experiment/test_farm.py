@@ -6,6 +6,7 @@ import os
 import re
 import signal
 import socket
+import ssl
 import subprocess
 import sys
 from contextlib import contextmanager
@@ -44,7 +45,7 @@ def test_another_model_file_on_a_worker_is_refused(write, folder):
     plan = load_study(write(simulate=SHORT))
     farm = Farm(plan, problem_key(plan), 1, 2)
     model = folder / "rod_model.py"
-    model.write_text(model.read_text() + "\n# changed\n")
+    model.write_text(model.read_text().replace("modes=4", "modes=3"))
     with pytest.raises(MbdError, match="another model file"):
         evaluate_piece(*farm._order, X[:2], True)
 
@@ -54,11 +55,54 @@ def test_bad_numbers_of_workers_are_named(write):
         Farm(load_study(write(simulate=SHORT)), "", 1, -1)
 
 
+def test_only_the_study_reaches_its_workers(write):
+    """Dask runs what it is sent: without the key that this study made for itself there is no answer on any port."""
+    from distributed import Client, Security
+
+    plan = load_study(write(simulate=SHORT))
+    with Farm(plan, problem_key(plan), 1, 2) as farm:
+        info = farm._client.scheduler_info(n_workers=-1)
+        own = {info["address"], *info["workers"], *(worker["nanny"] for worker in info["workers"].values())}
+        assert {f"tls://{ip}:{port}" for ip, port in listening()} == own  # and no port for a dashboard
+        assert len(own) == 5
+        for address in listening():
+            with socket.create_connection(address, timeout=20) as plain:
+                plain.sendall(bytes(64))
+                assert not answer(plain)
+            anonymous = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+            anonymous.check_hostname, anonymous.verify_mode = False, ssl.CERT_NONE
+            with (
+                socket.create_connection(address, timeout=20) as plain,
+                anonymous.wrap_socket(plain) as encrypted,
+                pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"),
+            ):
+                encrypted.recv(1)
+        port = info["address"].rpartition(":")[2]
+        for address, security in ((f"tcp://127.0.0.1:{port}", None), (info["address"], Security.temporary())):
+            with pytest.raises(OSError, match=r"(?i)timed out|connect|certificate does not match"):
+                Client(address, security=security, timeout=2)
+        same(farm.evaluate(X[:1], True), problem_of(plan).evaluate(X[:1], True))
+
+
+def answer(connection):
+    try:
+        return connection.recv(1)
+    except ConnectionResetError:
+        return b""
+
+
+def test_without_cryptography_there_are_no_workers(write, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cryptography", None)
+    monkeypatch.delitem(sys.modules, "torchmbd.experiment.local_cluster", raising=False)
+    plan = load_study(write(simulate=SHORT))
+    with pytest.raises(InputError, match=r"'cryptography': pip install 'torchmbd\[cluster\]'"), Farm(plan, "", 1, 2):
+        pass
+
+
 @pytest.mark.slow
 def test_a_worker_that_is_killed_costs_nothing(write):
     plan = load_study(write(simulate={"duration": 0.01, "steps": 100}))
     with Farm(plan, problem_key(plan), 1, 2) as farm:
-        assert listening() == {"127.0.0.1"}
         expected = problem_of(plan).evaluate(X, True)
         same(farm.evaluate(X, True), expected)
         victim = next(iter(farm._client.run(os.getpid).values()))
@@ -79,10 +123,10 @@ def test_a_scheduler_of_the_users(write):
 
 
 def listening():
-    """Addresses on which this process and those below it can be reached."""
+    """Host and port of the sockets on which this process and those below it can be reached."""
     own = psutil.Process()
     family = [own, *own.children(recursive=True)]
-    return {c.laddr.ip for p in family for c in p.net_connections("tcp") if c.status == psutil.CONN_LISTEN}
+    return {tuple(c.laddr) for p in family for c in p.net_connections("tcp") if c.status == psutil.CONN_LISTEN}
 
 
 @contextmanager

@@ -189,6 +189,20 @@ def test_sizes_and_ranges_of_the_design(write, variable, path, message):
     assert message in fault.text
 
 
+@pytest.mark.parametrize("unit", ["rad", "none"])
+def test_degrees_that_are_said_to_be_radians_are_named(write, unit):
+    found = faults(write(design={"rod.laminate.angles": {"start": [45, 1], "lower": -90, "upper": 90, "unit": unit}}))
+    assert {fault.path[-1] for fault in found} == {"start", "lower", "upper"}
+    for fault in found:
+        assert f"with unit: {unit}" in fault.text
+        assert "rad (degrees? use mbd.deg); allowed: -2 pi to 2 pi" in fault.text
+
+
+def test_millimeters_that_are_said_to_be_meters_are_doubted(write):
+    with pytest.warns(UserWarning, match=r"units of upper rod.laminate.thickness\? It is 3 m"):
+        load(write(design={"rod.laminate.thickness": {"lower": 1e-3, "upper": 3, "unit": "m"}}))
+
+
 def test_a_parameter_that_does_not_exist_has_a_nearest(write):
     design = {"rod.laminate.angle": {"lower": -90, "upper": 90, "unit": "deg"}}
     (fault,) = faults(write(design=design))

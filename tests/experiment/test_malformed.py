@@ -42,6 +42,7 @@ CASES = [
     ("duration: 0.01", "duration: 0", "simulate.duration = 0", "greater than 0"),
     ("duration: 0.01", "duration: 10 ms", "simulate.duration = '10 ms'", "number"),
     ("steps: 60", "steps: 6.5", "simulate.steps = 6.5", "integer"),
+    ("steps: 60", "steps: 1000000000", "line 6: simulate.steps: steps is 1000000000", "of memory"),
     ("steps: 60", "step: 60", "simulate.step", "did you mean 'steps'"),
     ("steps: 60", "steps: 60, method: euler_backward", "simulate.method", "allowed: "),
     ("steps: 60", "steps: 60, gradients: 2", "simulate.gradients = 2", "string"),
@@ -95,6 +96,29 @@ def test_every_fault_is_named_with_path_and_what_is_allowed(folder, capsys, old,
     assert message in error
     assert re.match(r".*study\.yaml: \d+ errors?\n", error)
     assert refused(capsys, "run", str(file)) == error
+
+
+@pytest.mark.parametrize(
+    "where", ["{keys}", "simulate: {{duration: 0.01, {keys}}}", "design: {{{keys}}}", "tracking: {{{keys}}}"]
+)
+def test_a_flood_of_faults_is_cut(folder, capsys, where):
+    keys = (", " if "{{" in where else "\n").join(f"k{i}: 1" for i in range(10_000))
+    file = folder / "study.yaml"
+    file.write_text(where.format(keys=keys))
+    error = refused(capsys, "check", str(file))
+    assert re.search(r"\n  \.\.\. and \d+ more\n$", error)
+    assert error.count("\n") == 22
+    assert len(error) < 10_000
+
+
+def test_a_long_fault_is_cut(folder, capsys):
+    file = folder / "study.yaml"
+    file.write_text(
+        TEXT.replace("{integral: {strain_energy: rod}}", "{integral: {strain_energy: " + "r" * 500_000 + "}}")
+    )
+    error = refused(capsys, "check", str(file))
+    assert len(error) < 5_000
+    assert "allowed: crank, rod, slider" in error
 
 
 scraps = st.recursive(

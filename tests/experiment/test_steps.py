@@ -44,7 +44,7 @@ def test_the_best_design_on_the_steps(write, folder, empty_store):
     assert problem.evaluate(np.radians(angles)[None], False)[0].objective == pytest.approx(least, rel=1e-9)
     assert "on the steps: " in output.getvalue()
     assert "no better design among" in output.getvalue()
-    kept = mbd.load(tracker.runs["study"], f"sqlite:///{store}", folder)
+    kept = mbd.load(tracker.runs["study"], f"sqlite:///{store}", folder / "rod_model.py")
     np.testing.assert_allclose(np.degrees(kept.x), angles, atol=1e-9)
 
 

@@ -35,17 +35,7 @@ def small() -> Case:
 
 def spherical_crank(angles) -> Case:
     """The slider-crank with the joint that the peer has at the slider."""
-    system = slider_crank.build(len(angles), angles, cells=(8, 2), modes=4)
-    crank, rod, slider = system.bodies
-    ground, r = mbd.Ground(), slider_crank.CRANK
-    joints = [
-        mbd.Revolute(ground.at(0, 0, 0), crank.at(0, 0, 0), axis="z"),
-        mbd.Drive(ground, crank, axis="z", speed=slider_crank.SPEED),
-        mbd.Spherical(crank.at(r, 0, 0), rod.at("left")),
-        mbd.Spherical(rod.at("right"), slider.at(0, 0, 0)),
-        mbd.Prismatic(ground.at(0, 0, 0), slider.at(0, 0, 0), axis="x"),
-    ]
-    system = mbd.System([crank, rod, slider], joints)
+    system = slider_crank.build(len(angles), angles, cells=(8, 2), modes=4, joint="spherical")
     return Case("", system, 0.01, {"rod.laminate.angles": 0.3}, "slider_crank")
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from experiments import panel, slider_crank
+import torchmbd as mbd
+from experiments import exudyn_peer, panel, slider_crank
 from experiments.side_by_side import Comparison, compare
 
 
@@ -25,4 +26,24 @@ def test_a_panel_on_three_joints():
 @pytest.mark.slow
 def test_the_slider_crank():
     pytest.importorskip("exudyn")
-    agree(compare(slider_crank.build(), "slider_crank", "rod", "right", slider_crank.DURATION, 1200))
+    crank = slider_crank.build(joint="spherical")
+    agree(compare(crank, "slider_crank", "rod", "right", slider_crank.DURATION, 1200))
+
+
+def test_a_rod_that_twists_as_it_bends():
+    """One layer at 17 degrees: the same joint at the slider in both codes; with the universal one the peak is 9 % higher."""
+    pytest.importorskip("exudyn")
+    like = compare(
+        slider_crank.build(1, [17.0], kind="quad", joint="spherical"),
+        "slider_crank",
+        "rod",
+        "right",
+        slider_crank.DURATION,
+        1200,
+    )
+    agree(like)
+    unlike = slider_crank.build(1, [17.0], kind="quad")
+    peak = mbd.Max(mbd.StrainEnergy("rod")).value(mbd.simulate(unlike, slider_crank.DURATION, steps=1200))
+    assert float(peak) / like.peaks[1] == pytest.approx(1.09, abs=0.01)
+    with pytest.raises(mbd.InputError, match=r"universal; allowed: build\(..., joint='spherical'\), as here"):
+        exudyn_peer.slider_crank(unlike, {})

@@ -57,15 +57,28 @@ def test_a_corrupt_library_is_removed_and_the_eager_route_serves(cache: Path) ->
     assert list(cache.iterdir()) == []
 
 
-def test_the_command_lists_and_clears(cache: Path, capsys: pytest.CaptureFixture) -> None:
-    (cache / "abc.so").write_bytes(b"x")
-    (cache / "broken.job").write_bytes(b"x")
+def test_the_command_lists_and_clears_what_is_its_own(cache: Path, capsys: pytest.CaptureFixture) -> None:
+    name = f"step-{'0' * 32}"
+    own = [cache / f"{name}{end}" for end in (".so", ".log", ".123.part")]
+    others = [
+        cache / "thesis" / "chapter.tex",
+        cache / "notes.so",
+        cache / "stores.lock",
+        cache / "build-abcdefgh" / "x",
+    ]
+    begun = cache / "build-0123abc_" / "code.cpp"
+    for file in (*own, *others, begun):
+        file.parent.mkdir(exist_ok=True)
+        file.write_bytes(b"x")
     assert main(["cache"]) == 0
     text = capsys.readouterr().out
-    assert "abc" in text
+    assert f"{name}.so" in text
     assert "left over" in text
+    assert "thesis" not in text
     assert main(["cache", "--clear"]) == 0
-    assert list(cache.iterdir()) == []
+    assert not begun.parent.exists()
+    assert [file for file in own if file.exists()] == []
+    assert [file for file in others if not file.exists()] == []
 
 
 def test_a_library_is_built_at_the_second_batch_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,7 +117,7 @@ def test_a_build_that_fails_in_the_background_is_told_once(cache: Path, monkeypa
     assert process.wait() == 1
     with pytest.warns(UserWarning, match="the build of compiled code failed"):
         assert library.library(d) is None
-    (log,) = cache.iterdir()
+    (log,) = cache.iterdir()  # and no job, which another could have changed
     assert "false failed on the step of rod" in log.read_text()
     assert library.library(d) is None  # neither said nor tried again
     assert list(cache.iterdir()) == [log]
@@ -114,7 +127,7 @@ def test_a_full_disk_is_a_warning(cache: Path, monkeypatch: pytest.MonkeyPatch) 
     def full(**_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tempfile.mkstemp", full)
+    monkeypatch.setattr("tempfile.TemporaryFile", full)
     with pytest.warns(UserWarning, match="nothing can be compiled"):
         assert library.build_in_background(dynamics(modes=1)) is None
 

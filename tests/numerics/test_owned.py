@@ -38,7 +38,10 @@ def test_what_is_none_is_named():
 
 
 def test_numbers_that_are_none_are_named():
-    for given in (None, "1", True, [1.0], 1j, float("nan"), torch.ones(2), torch.ones((), requires_grad=True)):
+    for given in (None, "1", True, [1.0], 1j, float("nan"), torch.ones(2)):
         with pytest.raises(InputError, match=r"mass of 'rod' is .* kg; allowed: a positive and finite number"):
             positive("mass of 'rod'", given, "kg")
+    for read in (lambda x: positive("mass", x, "kg"), lambda x: reals("mass", [0.0, x]), lambda x: indices("mass", x)):
+        with pytest.raises(InputError, match="mass carries a gradient"):
+            read(torch.ones((), requires_grad=True))
     assert (positive("x", torch.tensor(2.0), "m"), scalar("x", -3)) == (2.0, -3.0)

@@ -128,6 +128,21 @@ def test_without_boxes_the_descent_over_neighbors_remains():
     assert result.boxes == 0
     assert result.certificate.holds
     assert result.best.value < result.rounded.value
+    assert result.status == "max_boxes"
+
+
+@pytest.mark.parametrize("limit", [1, 2, 5, 10, 20, 1000])
+def test_a_search_cut_off_by_its_limit_of_boxes_says_so(limit):
+    """And never "converged" while a box is left that may hold something better; with room enough the result is exact."""
+    problem = angles()
+    starts = sobol(16, seed=3, include_initial=True)
+    whole = optimize_discrete(problem, 15.0, starts=starts)
+    cut = optimize_discrete(problem, 15.0, starts=starts, max_boxes=limit, max_lanes=1)
+    assert whole.status == "converged"
+    assert cut.boxes <= limit
+    assert cut.status == ("converged" if cut.boxes < limit or limit == 1000 else "max_boxes")
+    assert ("boxes were left" in cut.message) == (cut.status == "max_boxes")
+    assert cut.best.value >= whole.best.value * (1.0 - 1e-9)
 
 
 def test_continuous_variables_stay_continuous():

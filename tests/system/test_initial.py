@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import warnings
+from typing import Any
+
 import pytest
 import torch
 from torch import Tensor
@@ -76,12 +80,85 @@ def test_velocities_of_the_slider_crank_are_those_of_the_rigid_mechanism():
 
 
 def test_given_velocities_are_kept_where_the_joints_allow_them():
-    """The least change: what is along the free motion stays, the rest goes."""
+    """The least change: what is along the free motion stays, the rest goes, with a warning that has the numbers."""
     a = box("a", center=(0, 0, 0), angular_velocity=(3.0, -2.0, 5.0), velocity=(1.0, 1.0, 1.0))
     system = mbd.System([a], [mbd.Revolute(mbd.Ground().at(), a.at(), axis="z")])
-    _, v, _, velocity = closed(system)
+    with pytest.warns(UserWarning, match="do not allow") as warned:
+        _, v, _, velocity = closed(system)
     assert velocity < 1e-14
     assert_close(v, tensor(0, 0, 0, 0, 0, 5.0), rtol=0, atol=1e-14)
+    (found,) = warned
+    assert "; velocity of 'a' given (1, 1, 1), starts with (0, 0, 0) m/s" in str(found.message).replace("-0", "0")
+    assert ": angular velocity of 'a' given (3, -2, 5), starts with (0, 0, 5) rad/s" in str(found.message).replace(
+        "-0", "0"
+    )
+
+
+def hexapod(given: dict[str, Any], struts: dict[str, Any] | None = None) -> mbd.System:
+    """A platform on six struts, each of two bodies that slide in each other, between a universal and a spherical joint."""
+    ground, top = mbd.Ground(), box("platform", position=(0.0, 0.0, 1.0), center=(0.0, 0.0, 0.0), **given)
+    bodies, joints = [top], []
+    for k in range(6):
+        turn, lean = (2.0 * torch.pi * k / 6 + side * 0.35 for side in (1.0 if k % 2 else -1.0, 0.0))
+        foot = tensor(0.8 * math.cos(turn), 0.8 * math.sin(turn), 0.0)
+        head = tensor(0.4 * math.cos(lean), 0.4 * math.sin(lean), 0.0)
+        e = head + tensor(0.0, 0.0, 1.0) - foot
+        length = float(e.norm())
+        e = e / e.norm()
+        x = torch.linalg.cross(tensor(0.0, 1.0, 0.0), e)
+        x = x / x.norm()
+        axes = torch.stack([x, torch.linalg.cross(e, x), e], 1)
+        low = box(f"low_{k}", position=foot, axes=axes, **(struts or {}))
+        high = box(f"high_{k}", position=foot + length * e, axes=axes, **(struts or {}))
+        bodies += [low, high]
+        joints += [
+            mbd.Universal(ground.at(*foot.tolist(), axes=axes), low.at(), axes="xy"),
+            mbd.Prismatic(low.at(), high.at(), axis="z"),
+            mbd.Spherical(top.at(*head.tolist()), high.at()),
+        ]
+    return mbd.System(bodies, joints)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"velocity": (0.0, 0.0, 0.2)},
+        {"velocity": (0.1, -0.2, 0.05), "angular_velocity": (0.3, -0.1, 0.4)},
+        {"angular_velocity": (0.0, 0.0, 0.5)},
+    ],
+)
+def test_a_platform_keeps_its_velocity_and_its_struts_follow(given):
+    """Where the struts were given none: with the velocities of the joints all compatible, and nothing to warn of."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        system = hexapod(given)
+        _, v, position, velocity = closed(system)
+    T = system.topology
+    assert position < 1e-11
+    assert velocity < 1e-12
+    i = T.names.index("platform")
+    for k, name in enumerate(("velocity", "angular_velocity")):
+        if name in given:
+            found = v[3 * k * T.bodies : 3 * (k + 1) * T.bodies].reshape(3, -1)[:, i]
+            assert_close(found, tensor(*given[name]), rtol=1e-13, atol=1e-14)
+    assert float(v.norm()) > 1.5 * float(torch.cat([tensor(*x) for x in given.values()]).norm())
+
+
+def test_velocities_that_contradict_each_other_are_told():
+    """Struts that are given to rest and a platform that is given to move: the least change of all, told by name."""
+    system = hexapod({"velocity": (0.0, 0.0, 0.2)}, {"velocity": (0.0,) * 3, "angular_velocity": (0.0,) * 3})
+    with pytest.warns(UserWarning, match=r": velocity of 'platform' given \(0, 0, 0\.2\), starts with.*and .* more"):
+        _, _, _, velocity = closed(system)
+    assert velocity < 1e-12
+
+
+def test_a_pendulum_turns_as_its_velocity_asks():
+    """v = omega x r: the angular velocity follows where it is not given, and the velocity where that is not."""
+    foot, arm = mbd.Ground().at(), {"position": (0.5, 0.0, 0.0), "center": (0.0, 0.0, 0.0)}
+    for given in ({"velocity": (0.0, 1.0, 0.0)}, {"angular_velocity": (0.0, 0.0, 2.0)}):
+        bob = box("bob", **arm, **given)
+        _, v, _, _ = closed(mbd.System([bob], [mbd.Revolute(foot, bob.at(-0.5, 0.0, 0.0))]))
+        assert_close(v, tensor(0.0, 1.0, 0.0, 0.0, 0.0, 2.0), rtol=1e-13, atol=1e-14)
 
 
 def test_redundant_equations_close():
@@ -227,12 +304,27 @@ class _Ramp(torch.nn.Module):
         return self.p[0] + self.p[1] * t
 
 
-def test_derivatives_where_joints_leave_freedoms_and_the_start_depends_on_the_design():
-    """A driven arm, moved by its law at the start, with a free bob that has a velocity of its own."""
+@pytest.mark.filterwarnings("ignore:the joints do not allow")
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"angular_velocity": (1.0, -2.0, 0.5), "velocity": (0.3, 0.2, -1.0)},
+        {"angular_velocity": (1.0, -2.0, 0.5)},
+        {"velocity": (0.3, 0.2, -1.0)},
+        {},
+    ],
+)
+@pytest.mark.parametrize("hub_spins", [False, True])
+def test_derivatives_where_joints_leave_freedoms_and_the_start_depends_on_the_design(given, hub_spins):
+    """A driven arm, moved by its law at the start, with a free bob that has a velocity of its own.
+
+    A given velocity of the hub contradicts the drive; all but that are kept where the others can follow.
+    """
     ground, tip, swing = mbd.Ground(), tensor(0.2, 0.05, 0.0), turned(-0.5, 0.2, 0.9)
-    hub = box("hub", position=(0.1, 0.0, 0.2), axes=turned(0.2, 0.1, -0.4))
+    spin = {"angular_velocity": (0.5, 0.2, -1.5)} if hub_spins else {}
+    hub = box("hub", position=(0.1, 0.0, 0.2), axes=turned(0.2, 0.1, -0.4), **spin)
     origin = hub.position + hub.axes @ tip - swing @ tensor(-0.15, 0.01, 0.0)
-    bob = box("bob", position=origin, axes=swing, angular_velocity=(1.0, -2.0, 0.5), velocity=(0.3, 0.2, -1.0))
+    bob = box("bob", position=origin, axes=swing, **given)
     foot = ground.at(0.1, 0.0, 0.2, axes=turned(0.3, -0.2, 0.5))
     drive = mbd.Drive(foot, hub, name="motor", angle=_Ramp())
     joints = [mbd.Revolute(foot, hub.at()), drive, mbd.Spherical(hub.at(0.2, 0.05, 0.0), bob.at(-0.15, 0.01, 0.0))]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from torchmbd.numerics.native import entries
+from torchmbd.numerics.build_cache import entries
 from torchmbd.tracking import ProcessTracker, TrackingError
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store, store_uri

@@ -5,7 +5,8 @@ Two families, whose stiffness couples no other terms (checked here):
     antisymmetric angle-ply   SS-2: on x = const w = u = beta_y = 0, on y = const w = v = beta_x = 0
 Term (m, n), alpha = m pi / a, beta = n pi / b, w = W sin(alpha x) sin(beta y), beta_x = X cos sin, beta_y = Y sin cos;
 SS-1: u = U cos sin, v = V sin cos;  SS-2: u = U sin cos, v = V cos sin. Its strains are amplitudes times one product of
-sines and cosines each, so the equations of one term are S' C S with the 8 x 8 law C.
+sines and cosines each, so the equations of one term are S' C S with the 8 x 8 law C. The first moment of the density
+couples U with X and V with Y.
 Source: J. N. Reddy, Mechanics of Laminated Composite Plates and Shells, 2nd ed., sections 6.2-6.4 and 7.2-7.4.
 """
 
@@ -28,11 +29,15 @@ class Navier:
         self.a, self.b = a, b
         m, mu = float(laminate.mass_per_area), float(laminate.rotary_inertia_per_area)
         self.M = np.diag([m, m, m, mu, mu])
+        first = float(laminate.first_moment_per_area)
+        self.M[[0, 1, 3, 4], [3, 4, 0, 1]] = first
+        self.spin = mu - first**2 / m  # about the normal
         straight = max(abs(A[:2, 2]).max() / A[0, 0], abs(D[:2, 2]).max() / D[0, 0], abs(As[0, 1]) / As[0, 0])
         assert straight < 1e-9, "the laminate is neither cross-ply nor antisymmetric angle-ply"
         skew, even = abs(B[:2, 2]).max(), max(abs(B[:2, :2]).max(), abs(B[2, 2]))
         assert min(skew, even) < 1e-9 * max(A[0, 0] * math.sqrt(D[0, 0] / A[0, 0]), 1e-300)
         self.support = "SS-2" if skew > even else "SS-1"
+        assert self.support == "SS-1" or abs(first) < 1e-12 * m, "the first moment couples other terms than SS-2's"
 
     def term(self, m: int, n: int) -> np.ndarray:
         """Stiffness of the amplitudes U, V, W, X, Y per quarter area."""
@@ -71,7 +76,7 @@ class Navier:
         """Mass of the amplitudes; eq. (2) of the paper gives the rotation (v,x - u,y) / 2 an inertia, too."""
         spin = np.zeros(5)
         spin[0], spin[1] = -n * math.pi / (2 * self.b), m * math.pi / (2 * self.a)
-        return self.M + self.M[3, 3] * np.outer(spin, spin)
+        return self.M + self.spin * np.outer(spin, spin)
 
     def _vanishes(self, amplitude: int, m: int, n: int) -> bool:
         """Whether the term of U, V, W, X or Y has a sine of zero."""

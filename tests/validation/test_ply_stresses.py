@@ -24,7 +24,7 @@ PRINTED = [(4, 0.4059, 0.5765, 0.0308), (10, 0.4989, 0.3615, 0.0241), (20, 0.527
 
 
 def stack(slenderness: float) -> Laminate:
-    return Laminate(PAGANO, deg([0, 90]), 0.25 / slenderness, symmetric=True)
+    return Laminate(PAGANO, deg([0, 90]), 0.25 / slenderness, symmetric=True, shear_correction=5 / 6)
 
 
 def series_amplitudes(laminate: Laminate) -> np.ndarray:

@@ -6,6 +6,7 @@ import base64
 import dataclasses
 import xml.etree.ElementTree as ET
 
+import meshio
 import numpy as np
 import pytest
 import torch
@@ -107,7 +108,6 @@ def test_the_motion(tmp_path, motion):
 
 
 def test_meshio_reads_it(tmp_path, motion):
-    meshio = pytest.importorskip("meshio")
     file = save_motion(motion, tmp_path / "swing.pvd", max_frames=2)
     first = next(x for x in ET.parse(file).iter("DataSet") if x.get("name") == "rod")
     found = meshio.read(tmp_path / first.get("file"))

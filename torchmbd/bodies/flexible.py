@@ -5,7 +5,8 @@
 The structure stage of a body, once for each design: parts (elements/assembly.py) -> K and M -> Psi and Kr = Psi' K Psi
 -> inertia invariants. What leaves it knows nothing of the mesh (reduction/invariants.py).
 
-Mass points, by default lumped as in eq. (2): nodal mass m_k and isotropic nodal rotary inertia mu_k.
+Mass points, by default lumped as in eq. (2): nodal mass m_k and isotropic nodal rotary inertia mu_k; on arms along the
+normal where the center of a laminate's mass lies off its middle surface (elements/plates.py).
 Differentiable, forward and reverse, in every parameter of the parts (reduction/transport.py).
 Assumed: small elastic displacements about the undeformed body.
 """
@@ -20,10 +21,10 @@ from torch import Tensor, nn
 
 from torchmbd.bodies.beam_parts import beam_parts
 from torchmbd.bodies.bulk_body import read_bdf
-from torchmbd.bodies.frame import Frame, identifier, place, rotation, vector
+from torchmbd.bodies.frame import Frame, identifier, move, place, rotation, vector
 from torchmbd.bodies.modal_damping import ModalDamping
 from torchmbd.bodies.mount import Mount, node_indices, rigid_links
-from torchmbd.bodies.plausibility import warn_units
+from torchmbd.bodies.plausibility import warn_slender, warn_units
 from torchmbd.bodies.reduced import matrices, reduced
 from torchmbd.bodies.reference import reference_nodes
 from torchmbd.bodies.zones import zone_parts
@@ -154,7 +155,9 @@ class FlexibleBody(nn.Module):
         """
         parts = {"plate": Plates(mesh, laminate, mass=mass)}
         options = (position, axes, reference, damping, reduction, interface, updated, (), rigid)
-        return cls(name, mesh, parts, modes, *options)
+        body = cls(name, mesh, parts, modes, *options)
+        warn_slender(body)
+        return body
 
     @classmethod
     def beam(
@@ -247,13 +250,12 @@ class FlexibleBody(nn.Module):
 
     def moving(
         self,
-        velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
-        angular_velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        velocity: Sequence[float] | Tensor | None = None,
+        angular_velocity: Sequence[float] | Tensor | None = None,
     ) -> Self:
-        """Give the body an approximate initial velocity of its origin, in ground axes [m/s], and angular velocity,
-        in body axes [rad/s]; the modes start at rest. Returns the body."""
-        self.velocity = vector(f"velocity of {self.name!r}", velocity)
-        self.angular_velocity = vector(f"angular_velocity of {self.name!r}", angular_velocity)
+        """Give the body an initial velocity of its origin, in ground axes [m/s], and an angular velocity, in body axes
+        [rad/s], kept as far as the joints allow; None: as they ask. The modes start at rest. Returns the body."""
+        move(self, velocity, angular_velocity)
         return self
 
     def damped(self, ratio: float | Sequence[float]) -> Self:
@@ -272,7 +274,7 @@ class FlexibleBody(nn.Module):
         except CutCluster as error:
             raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
         psi = self.assembly.freedoms.expand(basis.vectors)
-        _, mass, rotary, _ = self.assembly.masses()
-        x = self.assembly.places(self.mesh.nodes - self.origin)
-        result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi))
+        _, mass, rotary, arm = self.assembly.masses()
+        x = self.assembly.places(self.mesh.nodes - self.origin, arm)
+        result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi, arm))
         return result | {"Kr": basis.stiffness, "psi": psi}

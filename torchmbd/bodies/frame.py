@@ -24,6 +24,7 @@ from torch import Tensor, nn
 
 from torchmbd.bodies.mount import Mount
 from torchmbd.errors import InputError
+from torchmbd.numerics.gradients import refuse_gradients
 
 
 class Body(Protocol):
@@ -48,6 +49,9 @@ class Frame:
     axes: Tensor = field(default_factory=lambda: torch.eye(3, dtype=torch.float64))
     mount: Mount | None = None
 
+    def __post_init__(self) -> None:
+        refuse_gradients(f"a frame on {self.body.name!r}", (self.point, self.axes))
+
     def axis(self, name: str) -> Tensor:
         """Unit vector "x", "y" or "z" of the frame, in body axes [3]."""
         return self.axes[:, axis_index(name)]
@@ -69,8 +73,7 @@ def axis_index(name: str) -> int:
 
 def numbers(name: str, x: Any, allowed: str) -> Tensor:
     """Read numbers of any shape as a tensor of their own; InputError names the argument."""
-    if isinstance(x, Tensor) and x.requires_grad:
-        raise InputError(f"{name} carries a gradient, which would be lost here; allowed: {allowed}, such as x.detach()")
+    refuse_gradients(name, x, allowed)
     try:
         return torch.as_tensor(x, dtype=torch.float64).detach().clone()
     except (TypeError, ValueError, RuntimeError) as error:
@@ -114,11 +117,28 @@ def place(
     body: nn.Module,
     position: Sequence[float] | Tensor,
     axes: Sequence | Tensor | None,
-    velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
-    angular_velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+    velocity: Sequence[float] | Tensor | None = None,
+    angular_velocity: Sequence[float] | Tensor | None = None,
 ) -> None:
     """Give a body its approximate initial position and velocity, as buffers: they move with the module and are saved."""
-    given = {"position": position, "velocity": velocity, "angular_velocity": angular_velocity}
-    for key, x in given.items():
-        body.register_buffer(key, vector(f"{key} of {body.name!r}", x))
+    body.register_buffer("position", vector(f"position of {body.name!r}", position))
     body.register_buffer("axes", rotation(f"axes of {body.name!r}", axes))
+    move(body, velocity, angular_velocity)
+
+
+VELOCITIES = ("velocity", "angular_velocity")
+
+
+def move(
+    body: Any, velocity: Sequence[float] | Tensor | None, angular_velocity: Sequence[float] | Tensor | None
+) -> None:
+    """Give a body its initial velocities; what is None is zero, and follows from what the joints and other bodies ask."""
+    for key, x in zip(VELOCITIES, (velocity, angular_velocity), strict=True):
+        body.register_buffer(key, vector(f"{key} of {body.name!r}", (0.0, 0.0, 0.0) if x is None else x))
+    body.moves = tuple(x is not None for x in (velocity, angular_velocity))
+
+
+def moves(body: Any) -> list[bool]:
+    """Whether a body was given a velocity, and an angular velocity."""
+    own = (getattr(body, key) for key in VELOCITIES)
+    return [given or bool(x.any()) for given, x in zip(body.moves, own, strict=True)]

@@ -1,9 +1,10 @@
 """A warning where the units of a body look wrong by a factor of a thousand.
 
-Size 2 mm to 200 m, mean density 10 to 25,000 kg/m3 of what is there, speed of sound 100 to 30,000 m/s: a body outside
-of these was most likely given in other units than meters, kilograms and seconds. The message names its size, its mass and
+A file: size 2 mm to 200 m, density 10 to 25,000 kg/m3, speed of sound 20 to 30,000 m/s: a body outside of these was most
+likely given in other units than meters, kilograms and seconds. The message names its size, its mass and
 its first frequency, by which an analyst sees at once what happened.
-Checked in tests/bodies/test_plausibility.py.
+A plate: thickness 2e-5 to 0.5 of its size (numerics/plausible.py).
+Checked in tests/bodies/test_plausibility.py, tests/numerics/test_plausible.py.
 """
 
 from __future__ import annotations
@@ -14,12 +15,12 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from torchmbd.numerics.plausible import DENSITY, SLENDER, SOUND, doubt
+
 if TYPE_CHECKING:
     from torchmbd.bodies.flexible import FlexibleBody
 
 SIZE = (2e-3, 200.0)  # m
-DENSITY = (10.0, 25e3)  # kg/m3
-SOUND = (100.0, 30e3)  # m/s
 
 
 def warn_units(body: FlexibleBody) -> None:
@@ -42,3 +43,11 @@ def warn_units(body: FlexibleBody) -> None:
             f"its first frequency is {first:.3g} Hz. Allowed: m, kg, s, N, Pa (readers: units='mm' for mm, t, s, N, MPa)",
             stacklevel=3,
         )
+
+
+def warn_slender(body: FlexibleBody) -> None:
+    """Warn if the thickness of a plate does not fit its size."""
+    size = float((body.mesh.nodes.amax(0) - body.mesh.nodes.amin(0)).norm())
+    for part in body.plates.values():
+        thickness = float(part.laminate.total_thickness.detach().max())
+        doubt(f"mesh and laminate: thickness of {body.name!r} by its size", thickness / size, "", SLENDER, stacklevel=4)

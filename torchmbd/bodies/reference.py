@@ -21,7 +21,7 @@ def reference_nodes(
     """Indices of the given nodes; None: the node nearest to the center of mass that is free to be held."""
     if reference is None:
         points = [part.masses() for part in parts.values()]
-        x = torch.cat([mesh.nodes[p.ends].mean(1) for p in points])
+        x = torch.cat([mesh.nodes[p.ends].mean(1) + (0.0 if p.arm is None else p.arm.detach()) for p in points])
         m = torch.cat([p.mass for p in points]).detach()
         center = (m[:, None] * x).sum(0) / m.sum()
         distance = ((mesh.nodes - center) ** 2).sum(1)

@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from torchmbd.bodies.frame import Frame, identifier, numbers, place, rotation, vector
 from torchmbd.errors import InputError
 from torchmbd.numerics.owned import positive
+from torchmbd.numerics.plausible import GYRATION, doubt
 
 
 class Ground:
@@ -39,8 +40,8 @@ class RigidBody(nn.Module):
     inertia           about the center of mass: (Jxx, Jyy, Jzz) or a symmetric 3 x 3 matrix [kg m2]
     center            center of mass in body axes [m]
     position, axes    approximate initial origin in ground axes [m] and rotation (columns: body axes); joints close the rest
-    velocity          approximate initial velocity of the origin in ground axes [m/s]
-    angular_velocity  approximate initial angular velocity in body axes [rad/s]
+    velocity          initial velocity of the origin in ground axes [m/s], kept as far as the joints allow; None: as they ask
+    angular_velocity  initial angular velocity in body axes [rad/s], likewise
     """
 
     mass: Tensor
@@ -59,14 +60,16 @@ class RigidBody(nn.Module):
         center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
         axes: Sequence | Tensor | None = None,
-        velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
-        angular_velocity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        velocity: Sequence[float] | Tensor | None = None,
+        angular_velocity: Sequence[float] | Tensor | None = None,
     ):
         super().__init__()
         self.name = identifier("rigid body", name)
         m = positive(f"mass of {name!r}", mass, "kg")
         place(self, position, axes, velocity, angular_velocity)
         J = _inertia(name, inertia)
+        radius = float(torch.linalg.eigvalsh(J)[-1] / m) ** 0.5
+        doubt(f"inertia: radius of gyration of {name!r}", radius, "m", GYRATION)
         self.register_buffer("mass", torch.tensor(m, dtype=torch.float64))
         self.register_buffer("center", vector(f"center of {name!r}", center))
         self.register_buffer("second_moment", J.trace() / 2 * torch.eye(3, dtype=torch.float64) - J)

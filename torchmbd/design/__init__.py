@@ -11,7 +11,19 @@ from torchmbd.design.histories import (
     StrainEnergy,
     Velocity,
 )
-from torchmbd.design.measures import RMS, AtTime, Final, Frequency, Integral, Mass, Max, Mean, Min, SmoothMax
+from torchmbd.design.measures import (
+    RMS,
+    AtTime,
+    Final,
+    Frequencies,
+    Frequency,
+    Integral,
+    Mass,
+    Max,
+    Mean,
+    Min,
+    SmoothMax,
+)
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.problem import Problem
@@ -24,7 +36,7 @@ from torchmbd.design.weighted import WeightedSum
 
 __all__ = [
     "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "Constraint",
-    "DesignSpace", "Displacement", "Final", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min",
-    "PlyFailure", "PlyStress", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy",
+    "DesignSpace", "Displacement", "Final", "Frequencies", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure",
+    "Min", "PlyFailure", "PlyStress", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy",
     "Tradeoff", "Velocity", "WeightedSum", "history", "measure",
 ]  # fmt: skip

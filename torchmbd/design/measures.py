@@ -8,11 +8,12 @@
     SmoothMax  c/rho ln sum exp(rho y_k / c)      c: scale in the unit of y, rho: sharpness
                from the largest sample to that plus c ln(samples)/rho; smooth where peaks swap
     Frequency  of a mode of a body fixed at its reference nodes [Hz]
+    Frequencies  power mean of several, which is smooth where they cross [Hz]
     Mass       of a body, or of all bodies [kg]
 
 `window` (t0, t1) [s] looks at a part of the motion; its ends are interpolated.
 Source of SmoothMax: Kreisselmeier and Steinhauser, IFAC Symp. Computer Aided Design of Control Systems (1979) 113-117.
-Checked in tests/contracts/test_responses.py, tests/design/test_measures.py.
+Checked in tests/contracts/test_responses.py, tests/design/test_measures.py, tests/design/test_frequencies.py.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from torchmbd.design.response import History, Measure
 from torchmbd.design.spline import Jump, Spline, Window, checked
 from torchmbd.errors import InputError
 from torchmbd.integrators import Moment, Switch, Trajectory
+from torchmbd.reduction import eigenvalues
 from torchmbd.system import System
 
 
@@ -197,7 +199,8 @@ class Frequency(Measure):
 
     body    its name
     number  1 is the lowest; up to the number of retained modes
-    Where frequencies coincide, the gradient is that of one of them.
+    Where frequencies coincide (their squares to 1e-6), each has a corner. The gradient is then the mean of their slopes, a
+    subgradient in the sense of Clarke; `eigenpair_branches` has the one-sided slopes, and Frequencies a gradient.
     """
 
     body: str
@@ -210,9 +213,43 @@ class Frequency(Measure):
 
     def value(self, motion: Trajectory) -> Tensor:
         self.check(motion.system)
-        Kr = motion.body(self.body).stiffness[0]
-        square = torch.linalg.eigvalsh(Kr)[..., self.number - 1]
+        square = eigenvalues(motion.body(self.body).stiffness[0])[..., self.number - 1]
         return torch.sqrt(square) / (2.0 * math.pi)
+
+
+@dataclass(frozen=True)
+class Frequencies(Measure):
+    """Power mean of natural frequencies [lanes] [Hz]: (mean of f^(2 power))^(1 / (2 power)).
+
+    body     its name
+    cluster  numbers of the modes, as (2, 3); 1 is the lowest, up to the number of retained modes
+    power    1: root of the mean square; the further below zero, the nearer to the lowest; above, to the highest [-]
+    Of a body fixed at its reference nodes. Differentiable where frequencies of the cluster cross or coincide; where one of
+    them coincides with a mode that is left out, the gradient is a subgradient, as of Frequency.
+    """
+
+    body: str
+    cluster: tuple[int, ...]
+    power: float = 1.0
+
+    def __post_init__(self) -> None:
+        numbers = self.cluster
+        if isinstance(numbers, (list, tuple)):
+            object.__setattr__(self, "cluster", tuple(numbers))
+        if not isinstance(numbers, (list, tuple)) or not numbers or len(set(numbers)) < len(numbers):
+            raise InputError(f"cluster is {numbers!r}; allowed: numbers of modes, each once, such as (2, 3)")
+        if isinstance(self.power, (str, bool)) or not 0.0 < abs(float(self.power)) < math.inf:
+            raise InputError(f"power is {self.power!r}; allowed: a finite number but 0")
+
+    def check(self, system: System) -> None:
+        for number in self.cluster:
+            Frequency(self.body, number).check(system)
+
+    def value(self, motion: Trajectory) -> Tensor:
+        self.check(motion.system)
+        squares = eigenvalues(motion.body(self.body).stiffness[0])[..., [number - 1 for number in self.cluster]]
+        powers = torch.logsumexp(self.power * squares.log(), -1) - math.log(len(self.cluster))
+        return torch.exp(powers / (2.0 * self.power)) / (2.0 * math.pi)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Phase, Trajectory, simulate
 from torchmbd.integrators.arguments import check, check_gradients
+from torchmbd.integrators.attempts import FEWEST, default_steps
+from torchmbd.integrators.memory import lanes_at_once, require_room
 from torchmbd.integrators.phases import plan
 from torchmbd.integrators.trajectory import OK
 from torchmbd.numerics.owned import several
@@ -122,11 +124,12 @@ class Problem:
         self._bound = bound
         check_gradients(gradients, method, phases is not None)
         self.gradients = self._way() if gradients in ("auto", "none") else gradients
+        self._tangents = sum(system.get_parameter(name).numel() for name in self.space.variables)
+        require_room(system, 1, steps or FEWEST, self._tangents, self.gradients == "reverse")
 
     def _way(self) -> str:
         """The cheaper way to gradients, by counting."""
-        names = self.space.variables
-        count = sum(self.system.get_parameter(name).numel() for name in names)
+        count = sum(self.system.get_parameter(name).numel() for name in self.space.variables)
         there = self.simulation["method"] == "generalized_alpha" and self.simulation["phases"] is None
         return "reverse" if there and self._count <= count else "forward"
 
@@ -181,9 +184,7 @@ class Problem:
         designs = self.space.designs(self._checked(X, n, len(self.names))[:, :n])
         way = self.gradients if gradients else "none"
         names = self.space.variables
-        return simulate(
-            self.system, self.duration, designs=designs, gradients=way, variables=names, **self.simulation
-        )
+        return simulate(self.system, self.duration, designs=designs, gradients=way, variables=names, **self.simulation)
 
     def motion(self, x: np.ndarray) -> Trajectory:
         """Motion of one design [n]."""
@@ -216,11 +217,26 @@ class Problem:
         """Limit of every row of the constraints [m]."""
         return self.reference.limits
 
+    def _lanes_at_once(self, gradients: bool) -> int:
+        return lanes_at_once(self.system, self._steps, self._tangents if gradients else 0, self.gradients == "reverse")
+
+    @cached_property
+    def _steps(self) -> int:
+        """Of a motion: those that are asked for, else as many as that of the initial design has."""
+        if self.simulation["steps"]:
+            return self.simulation["steps"]
+        start = self.system.dynamics(self.space.designs(self.space.start[None]))
+        return default_steps(start, self.duration)
+
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
-        """Evaluate designs [lanes, n] as one batch."""
+        """Evaluate designs [lanes, n] as one batch, or as several where it would fill a large part of the memory."""
         X = self._checked(X, len(self.names))
         rows = self._count - (0 if self.peaks else 1)
         try:
+            most = self._lanes_at_once(gradients) if len(X) > 1 else 1
+            if len(X) > most:
+                parts = [X[first : first + most] for first in range(0, len(X), most)]
+                return [evaluation for part in parts for evaluation in self.evaluate(part, gradients)]
             motion = self.simulate(X, gradients)
         except CutCluster as error:  # the others of the batch go on together
             failed = {lane: Evaluation.failure(f"failed: {error}", rows) for lane in error.lanes}

@@ -22,8 +22,8 @@ Checked in tests/contracts/test_responses.py.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, Self
 
 import torch
 from torch import Tensor
@@ -31,10 +31,21 @@ from torch import Tensor
 from torchmbd.design.differentiate import Valued, differentiate
 from torchmbd.errors import InputError
 from torchmbd.integrators import Trajectory
+from torchmbd.numerics.gradients import refuse_lost
 from torchmbd.system import System
 
 
-class History:
+class _Constant:
+    """What is made of constants: no argument is or holds a tensor that requires a gradient; InputError names it."""
+
+    def __new__(cls, *args: Any, **kwargs: Any) -> Self:
+        names = [f.name for f in fields(cls)] if is_dataclass(cls) else []
+        for name, x in (*zip(names, args, strict=False), *kwargs.items()):
+            refuse_lost(f"{name} of {cls.__name__}", x, "constants")
+        return super().__new__(cls)
+
+
+class History(_Constant):
     """A number at every time of a motion."""
 
     def values(self, motion: Trajectory) -> Tensor:
@@ -115,7 +126,7 @@ class Combined(History):
                 part.check(system)
 
 
-class Measure:
+class Measure(_Constant):
     """Numbers of a motion: one, or `rows` of one kind to which one limit applies."""
 
     rows: int = 1
@@ -257,7 +268,7 @@ KINDS = ("at_most", "at_least", "equal")
 
 
 @dataclass(frozen=True)
-class Constraint:
+class Constraint(_Constant):
     """measure <= limit (37), >= or = limit; written Max(...) <= 0.5, Min(...) >= "initial", Final(...).equals(0.0).
 
     measure  g, one number or several rows of a kind

@@ -19,7 +19,19 @@ from torchmbd.design.histories import (
     StrainEnergy,
     Velocity,
 )
-from torchmbd.design.measures import RMS, AtTime, Final, Frequency, Integral, Mass, Max, Mean, Min, SmoothMax
+from torchmbd.design.measures import (
+    RMS,
+    AtTime,
+    Final,
+    Frequencies,
+    Frequency,
+    Integral,
+    Mass,
+    Max,
+    Mean,
+    Min,
+    SmoothMax,
+)
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.response import History, Measure
@@ -49,4 +61,4 @@ COMBINATORS: dict[str, type[Measure]] = {
     "at_times": AtTimes,
     "at_peaks": AtPeaks,
 }
-OF_DESIGN: dict[str, type[Measure]] = {"frequency": Frequency, "mass": Mass}
+OF_DESIGN: dict[str, type[Measure]] = {"frequency": Frequency, "frequencies": Frequencies, "mass": Mass}

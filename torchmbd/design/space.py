@@ -22,6 +22,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.numerics.plausible import check_parameter
 from torchmbd.system import System
 
 CONSTANT = "constant"  # key of a link's offset
@@ -62,6 +63,8 @@ class DesignSpace:
         given = torch.cat([own[name].detach().flatten() for name in self.variables]).numpy()[free]
         self.start = self._vector("start", given if start is None else start)
         self.lower, self.upper = self._bounds(bounds)
+        for what, x in (("start", self.start), ("lower bound", self.lower), ("upper bound", self.upper)):
+            self._check_units(what, x)
         for name, low, x, high in zip(self.names, self.lower, self.start, self.upper, strict=True):
             if not low <= high:
                 given = f"{float(low)} and {float(high)}"
@@ -70,6 +73,11 @@ class DesignSpace:
                 raise InputError(
                     f"start of {name} is {float(x)}; allowed: within its bounds, {float(low)} to {float(high)}"
                 )
+
+    def _check_units(self, what: str, x: np.ndarray) -> None:
+        for name in self.variables:
+            mine = [i for i, label in enumerate(self.names) if _parameter(label) == name]
+            check_parameter(f"{what} of", name, torch.from_numpy(x[mine]))
 
     @property
     def period(self) -> np.ndarray:

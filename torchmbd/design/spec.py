@@ -5,6 +5,7 @@
     {rms: {velocity: {body: rod, node: right, axis: y}}}                   with arguments of the history
     {integral: {squared: {relative_displacement: {body: rod, a: left, b: right, axis: z}}}}
     {frequency: {body: rod, number: 2}}, {mass: rod}                       measures of the design
+    {frequencies: {body: rod, cluster: [2, 3], power: -4}}
     {weighted_sum: [{weight: 0.6, integral: ...}, {weight: 0.4, rms: ...}], normalize: initial}
 
 A single word stands for the first argument. Checked in tests/design/test_spec.py.
@@ -36,6 +37,7 @@ UNITS = {
     "ply_failure": "",
     "ply_stress": "Pa",
     "frequency": "Hz",
+    "frequencies": "Hz",
     "mass": "kg",
 }
 Path = tuple[str | int, ...]

@@ -8,7 +8,8 @@ design. A new kind of element is one class that keeps this contract (`Part`).
 
 Mass points: mass m and isotropic rotary inertia mu at a node, eq. (2), or at the middle of two nodes, which moves with
 their mean; or at the end of a rigid arm on them. With three such points at the middles of its sides a triangle has its
-consistent mass, exact for linear shape functions; with four on arms in its plane a beam's section has any inertia.
+consistent mass, exact for linear shape functions; with four on arms in its plane a beam's section has any inertia; an
+arm along its normal takes a laminate's mass off its middle surface, by the first moment of its density.
 Differentiable, forward and reverse, in the parameters of the parts, with lanes.
 Checked in tests/elements/test_assembly.py, tests/elements/test_beams.py.
 """
@@ -29,13 +30,13 @@ from torchmbd.numerics.sparse import Pattern, SparseMatrix
 class MassPoints(NamedTuple):
     """Point masses [kg] and rotary inertias [kg m2] at the middles of node pairs; a pair (k, k) is node k.
 
-    arm: from there to the point [m], rigid, in mesh axes; None: no arms
+    arm: from there to the point [m], rigid, in mesh axes; it may depend on the design. None: no arms, in any design
     """
 
     ends: Int[Tensor, "points 2"]
     mass: Float[Tensor, "*lanes points"]
     rotary: Float[Tensor, "*lanes points"]
-    arm: Float[Tensor, "points 3"] | None = None
+    arm: Float[Tensor, "*lanes points 3"] | None = None
 
 
 class Meshed(Protocol):
@@ -83,12 +84,11 @@ class Assembly:
         self.freedoms = Freedoms(mesh.nodes, held, links)
         points = [part.masses() for part in self.parts.values()]
         self._ends = torch.cat([p.ends for p in points])
-        self._arm = torch.cat([mesh.nodes.new_zeros(len(p.ends), 3) if p.arm is None else p.arm for p in points])
         self._lumped = bool((self._ends[:, 0] == self._ends[:, 1]).all())
         self._prepare_stiffness()
-        self.diagonal = self._lumped and self.freedoms.plain and not self._arm.any()
-        self._entries = 7 * torch.arange(6) if not self._arm.any() else torch.arange(36)  # of a point's 6 x 6 inertia
-        self._unit_mass, self._unit_rotary = (x.flatten(1)[:, self._entries] for x in _unit_inertia(self._arm))
+        arms = any(p.arm is not None for p in points)
+        self.diagonal = self._lumped and self.freedoms.plain and not arms
+        self._entries = torch.arange(36) if arms else 7 * torch.arange(6)  # of a point's 6 x 6 inertia
         if not self.diagonal:
             self._prepare_mass()
 
@@ -135,12 +135,16 @@ class Assembly:
         mass, rotary = (
             torch.cat([getattr(p, name).expand(*lanes, -1) for p in points], dim=-1) for name in ("mass", "rotary")
         )
-        return MassPoints(self._ends, mass, rotary, self._arm)
+        if all(p.arm is None for p in points):
+            return MassPoints(self._ends, mass, rotary)
+        none = self.mesh.nodes.new_zeros(1, 3)
+        arms = [(none if p.arm is None else p.arm).expand(*lanes, len(p.ends), 3) for p in points]
+        return MassPoints(self._ends, mass, rotary, torch.cat(arms, dim=-2))
 
     def mass(self) -> Float[Tensor, "*lanes N"] | SparseMatrix:
         """M of the free freedoms: its diagonal where all masses are lumped at free nodes, else a sparse matrix."""
-        _, mass, rotary, _ = self.masses()
-        inertia = mass[..., None] * self._unit_mass + rotary[..., None] * self._unit_rotary  # [..., points, entries]
+        _, mass, rotary, arm = self.masses()
+        inertia = _inertia(mass, rotary, arm)  # [..., points, entries]
         if self.diagonal:
             full = mass.new_zeros(*mass.shape[:-1], len(self.mesh.nodes), 6)
             return full.index_add(-2, self._ends[:, 0], inertia).flatten(-2)[..., self.freedoms.free]
@@ -150,30 +154,32 @@ class Assembly:
         small = small.index_add(-1, self._mass_slot, values[..., self._mass_source] * self._mass_factor)
         return SparseMatrix(self.mass_pattern, small)
 
-    def places(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, "points 3"]:
-        """Positions of the mass points, from those of the nodes."""
-        return self._middles(x, -2) + self._arm
+    def places(self, x: Float[Tensor, "n 3"], arm: Tensor | None) -> Float[Tensor, "*lanes points 3"]:
+        """Positions of the mass points on these arms, from those of the nodes."""
+        middles = self._middles(x, -2)
+        return middles if arm is None else middles + arm
 
-    def motion(self, psi: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes points 6 k"]:
-        """Displacements and rotations of the mass points, from those of the nodes."""
+    def motion(self, psi: Float[Tensor, "*lanes n 6 k"], arm: Tensor | None) -> Float[Tensor, "*lanes points 6 k"]:
+        """Displacements and rotations of the mass points on these arms, from those of the nodes."""
         at = self._middles(psi, -3)
-        if not self._arm.any():
+        if arm is None:
             return at
-        turned = torch.linalg.cross(at[..., 3:, :], self._arm[:, :, None].expand_as(at[..., 3:, :]), dim=-2)
-        return torch.cat([at[..., :3, :] + turned, at[..., 3:, :]], dim=-2)
+        moved, turned = at.split(3, dim=-2)
+        return torch.cat([moved + torch.linalg.cross(turned, arm[..., None].expand_as(turned), dim=-2), turned], dim=-2)
 
     def _middles(self, field: Tensor, axis: int) -> Tensor:
         one = field.index_select(axis, self._ends[:, 0])
         return one if self._lumped else 0.5 * (one + field.index_select(axis, self._ends[:, 1]))
 
 
-def _unit_inertia(arm: Float[Tensor, "points 3"]) -> tuple[Float[Tensor, "points 6 6"], Float[Tensor, "points 6 6"]]:
-    """6 x 6 inertia about the node of a unit mass, and of a unit rotary inertia, at the end of an arm."""
-    x, y, z = arm.unbind(1)
+def _inertia(mass: Tensor, rotary: Tensor, arm: Tensor | None) -> Float[Tensor, "*lanes points entries"]:
+    """Inertia of mass points about their nodes: the diagonals of 6 x 6 matrices, or with arms the whole of them."""
+    if arm is None:
+        return torch.stack([mass] * 3 + [rotary] * 3, dim=-1)
+    x, y, z = arm.unbind(-1)
     o = torch.zeros_like(x)
-    lever = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=1).unflatten(1, (3, 3))  # lever @ phi = arm x phi
+    lever = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).unflatten(-1, (3, 3))  # lever @ phi = arm x phi
     eye = torch.eye(3, dtype=arm.dtype).expand_as(lever)
-    motion = torch.cat([eye, -lever], dim=-1)
-    mass, rotary = motion.mT @ motion, arm.new_zeros(len(arm), 6, 6)
-    rotary[:, 3:, 3:] = eye
-    return mass, rotary
+    at_node = torch.cat([torch.cat([eye, -lever], dim=-1), torch.cat([lever, lever.mT @ lever], dim=-1)], dim=-2)
+    turning = torch.diag(arm.new_tensor([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]))
+    return (mass[..., None, None] * at_node + rotary[..., None, None] * turning).flatten(-2)

@@ -24,7 +24,9 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.numerics.gradients import constants
 from torchmbd.numerics.owned import indices, reals
+from torchmbd.numerics.plausible import EXTENT, doubt
 
 
 class BeamLine:
@@ -59,6 +61,7 @@ class BeamLine:
                     raise InputError(f"BeamLine: node_sets[{name!r}] has node {k}; allowed: 0 to {len(self.nodes) - 1}")
 
     @classmethod
+    @constants
     def straight(cls, length: float, elements: int = 16, direction: Sequence[float] = (1.0, 0.0, 0.0)) -> BeamLine:
         """From the origin along `direction`, equal elements. Nodes "start", "end", and "center" where there is one."""
         if not 0.0 < length < float("inf"):
@@ -73,6 +76,7 @@ class BeamLine:
         return cls(nodes, node_sets=sets)
 
     @classmethod
+    @constants
     def arc(cls, radius: float, angle: float, elements: int = 16) -> BeamLine:
         """Arc of a circle in the x-y plane, from the origin along +x, bending to +y. Nodes "start", "end", "center".
 
@@ -110,6 +114,7 @@ def _check_nodes(nodes: Tensor) -> None:
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
         raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
+    doubt("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT, stacklevel=4)
     twin = _repeated(nodes.numpy())
     if twin:
         raise InputError(

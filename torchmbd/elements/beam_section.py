@@ -21,6 +21,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.numerics.gradients import constants, refuse_gradients
 
 
 @runtime_checkable
@@ -48,6 +49,7 @@ class GivenSection(nn.Module):
         self.register_buffer("inertia", checked("mass", mass), persistent=False)
 
     @classmethod
+    @constants
     def isotropic(
         cls,
         E: float,
@@ -103,6 +105,7 @@ def _matrix(rows: Sequence[Sequence[Tensor]]) -> Tensor:
 
 def checked(name: str, matrix: Sequence | Tensor) -> Tensor:
     """Read a symmetric positive definite 6 x 6 matrix; InputError names the entry or the eigenvalue."""
+    refuse_gradients(f"{name} of a section", matrix, "a 6 x 6 matrix")
     try:
         A = torch.as_tensor(matrix, dtype=torch.float64).detach().clone()
     except (TypeError, ValueError, RuntimeError) as error:

@@ -139,12 +139,12 @@ class PlateMatrices:
         return torch.cat([own.facets.axes for own in self.kinds.values()])
 
     @property
-    def pieces(self) -> tuple[Int[Tensor, "pieces 3"], Float[Tensor, " pieces"]]:
-        """Triangles that cover the cells (mesh.py), and the area that each counts with [m2]."""
+    def pieces(self) -> tuple[Int[Tensor, "pieces 3"], Float[Tensor, " pieces"], Float[Tensor, "pieces 3"]]:
+        """Triangles that cover the cells (mesh.py), the area that each counts with [m2], and its cell's normal."""
         nodes, share, cell = self.mesh.pieces
         chosen = torch.isin(cell, self.members)
         nodes, share = nodes[chosen], share[chosen]
-        return nodes, share * directed_area(self.mesh.nodes[nodes]).norm(dim=1)
+        return nodes, share * directed_area(self.mesh.nodes[nodes]).norm(dim=1), self.mesh.normals[cell[chosen]]
 
     def stiffness(self, entries: Float[Tensor, "*lanes 21"]) -> SparseMatrix:
         """Return K of one laminate or of a batch."""
@@ -185,12 +185,15 @@ class PlateMatrices:
     def lumped_mass(
         self, mass_per_area: Float[Tensor, "*lanes"], rotary_inertia_per_area: Float[Tensor, "*lanes"]
     ) -> Float[Tensor, "*lanes freedoms"]:
-        """Diagonal of the mass matrix: m, m, m, mu, mu, mu of each node [kg, kg m2], eqs. (2) and (13)."""
+        """Diagonal of the mass matrix: m, m, m, mu, mu, mu of each node [kg, kg m2], eqs. (2) and (13).
+
+        Of laminates whose mass lies about the middle surface (`laminate.centered`); others: `Plates`.
+        """
         per_area = torch.stack([mass_per_area] * 3 + [rotary_inertia_per_area] * 3, dim=-1)
         return (self.area[:, None] * per_area[..., None, :]).flatten(-2)
 
     def _tributary(self) -> Float[Tensor, " n"]:
-        nodes, area = self.pieces
+        nodes, area, _ = self.pieces
         thirds = (area / 3.0)[:, None].expand(-1, 3).reshape(-1)
         return area.new_zeros(len(self.mesh.nodes)).index_add(0, nodes.flatten(), thirds)
 

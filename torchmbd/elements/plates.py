@@ -3,7 +3,14 @@
 mass of a plate     "lumped": a third of each triangle at its corners, eqs. (2) and (13);
                     "consistent": at the middles of its sides, that is with linear shape functions, for comparison
                     (quadrilaterals: the mean of both ways to cut them)
-Checked in tests/elements/test_assembly.py.
+
+    m = rho_0 area     at the height z_s = rho_1 / rho_0 along the normal n     mu = (rho_2 - rho_0 z_s^2 n.n) area
+
+rho_0, rho_1, rho_2   moments of the laminate's density through its thickness [kg/m2, kg/m, kg]
+n                     mean of the normals of the cells around the point, weighted with their areas (flat plate: n.n = 1)
+
+So translations are coupled with rotations by rho_1, and rotations have the inertia rho_2 about the middle surface.
+Checked in tests/elements/test_assembly.py, tests/bodies/test_mass_off_middle.py.
 """
 
 from __future__ import annotations
@@ -19,6 +26,7 @@ from torchmbd.elements.plate import PlateMatrices
 from torchmbd.errors import unknown
 from torchmbd.materials import Laminate
 from torchmbd.mesh import Mesh
+from torchmbd.numerics.gradients import constants
 from torchmbd.numerics.sparse import Pattern
 
 MASSES = ("lumped", "consistent")
@@ -45,7 +53,7 @@ class Plates:
         self.laminate = laminate
         self.matrices = PlateMatrices(mesh, laminate, direction, cells)
         self.pattern = self.matrices.pattern
-        self._ends, self._area = _points(self.matrices, mass == "consistent")
+        self._ends, self._area, self._normal = _points(self.matrices, mass == "consistent")
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design, or only some entries of it."""
@@ -57,13 +65,20 @@ class Plates:
 
     def masses(self) -> MassPoints:
         """Mass points of the present design."""
-        mass, rotary = self.laminate.mass_per_area, self.laminate.rotary_inertia_per_area
-        return MassPoints(self._ends, mass[..., None] * self._area, rotary[..., None] * self._area)
+        mass, rotary = (
+            x[..., None] * self._area for x in (self.laminate.mass_per_area, self.laminate.rotary_inertia_per_area)
+        )
+        if self.laminate.centered:
+            return MassPoints(self._ends, mass, rotary)
+        height = self.laminate.first_moment_per_area / self.laminate.mass_per_area
+        arm = height[..., None, None] * self._normal
+        return MassPoints(self._ends, mass, rotary - mass * (arm * arm).sum(-1), arm)
 
 
 class PointMasses:
     """Masses [kg] with isotropic rotary inertias [kg m2] at nodes; no stiffness."""
 
+    @constants
     def __init__(self, mesh: Mesh, nodes: Sequence[int], mass: Sequence[float], rotary: Sequence[float]) -> None:
         none = torch.empty(0, dtype=torch.long)
         self.pattern = Pattern(none, none, 6 * len(mesh.nodes))
@@ -83,13 +98,15 @@ class PointMasses:
         return MassPoints(self._nodes[:, None].expand(-1, 2), self._mass, self._rotary)
 
 
-def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor]:
-    """Node pairs of the mass points and the area of each."""
-    corners, area = matrices.pieces
-    if not consistent:
-        nodes = torch.unique(corners)
-        return nodes[:, None].expand(-1, 2), matrices.area[nodes]
-    sides = torch.stack([corners, corners.roll(-1, dims=1)], dim=-1).flatten(0, 1)
-    pairs, place = torch.unique(sides.sort(dim=1).values, dim=0, return_inverse=True)
+def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor, Tensor]:
+    """Node pairs of the mass points, the area of each, and the mean normal there."""
+    corners, area, normals = matrices.pieces
+    other = corners.roll(-1, dims=1) if consistent else corners
+    pairs, place = torch.unique(
+        torch.stack([corners, other], dim=-1).flatten(0, 1).sort(dim=1).values, dim=0, return_inverse=True
+    )
     thirds = (area / 3.0).repeat_interleave(3)
-    return pairs, thirds.new_zeros(len(pairs)).index_add(0, place, thirds)
+    whole = thirds.new_zeros(len(pairs)).index_add(0, place, thirds)
+    normal = torch.zeros(len(pairs), 3, dtype=area.dtype)
+    normal.index_add_(0, place, thirds[:, None] * normals.repeat_interleave(3, dim=0))
+    return pairs, whole, normal / whole[:, None]

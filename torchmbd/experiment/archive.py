@@ -1,11 +1,11 @@
 """A run of the store as Python objects again: the system with its best design, the problem, the motion.
 
-    study = mbd.load("3f2a9c")          a run id or the beginning of one, or the name of a study (its latest run)
+    study = mbd.load("3f2a9c", model="arm.py")    a run id or the beginning of one, or the name of a study (its latest)
     study.system, study.x, study.value, study.motion
 
 What is read are YAML files only (config.yaml, design.yaml), by the strict reader of experiment files: no artifact is
-ever executed or unpickled. The model comes from where it comes from when a study is run: an importable module, or a
-Python file below `folder` on this machine. A store cannot make it another function (see model.py).
+ever executed or unpickled. The model is code, and to load a study executes it: a store that others can write could name any
+file, so the files and modules that may be executed are those that the caller names, and no others.
 Checked in tests/experiment/test_archive.py.
 """
 
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,8 +26,8 @@ from torchmbd.errors import InputError
 from torchmbd.experiment.assemble import problem_of
 from torchmbd.experiment.faults import Fault, StudyError, located
 from torchmbd.experiment.load import Plan, plan_of
-from torchmbd.experiment.place import model_source
-from torchmbd.experiment.yaml_file import read_yaml
+from torchmbd.experiment.place import problem_key
+from torchmbd.experiment.yaml_file import Document, read_yaml
 from torchmbd.integrators import Trajectory
 from torchmbd.system import System
 from torchmbd.tracking.catalog import Entry, fetch, find
@@ -61,12 +62,15 @@ class LoadedStudy:
         return self.problem.motion(self.x)
 
 
-def load_run(run: str, uri: str | None = None, folder: str | Path = ".") -> LoadedStudy:
+Models = str | Path | Sequence[str | Path]
+
+
+def load_run(run: str, uri: str | None = None, model: Models = ()) -> LoadedStudy:
     """Load the best design of a study.
 
-    run     run id, its beginning, or the name of a study
-    uri     the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
-    folder  where the model's file lies, if it is a file
+    run    run id, its beginning, or the name of a study
+    uri    the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
+    model  the Python file, or module, of the model, which is executed; several where the phases come from another
     """
     store = store_uri(uri)
     entry = find(store, run)
@@ -79,14 +83,42 @@ def load_run(run: str, uri: str | None = None, folder: str | Path = ".") -> Load
                 )
         config, design = (read_yaml(file) for file in files.values() if file is not None)
     config.source = f"config.yaml of run {entry.run_id[:8]}"
-    plan = plan_of(config, Path(folder) / f"{entry.name}.yaml", ())
+    folder = _trusted(config, [model] if isinstance(model, (str, Path)) else list(model))
+    plan = plan_of(config, folder / f"{entry.name}.yaml", ())
     if not isinstance(plan, Plan):
         raise InputError(f"run {entry.run_id[:8]} is one of figures; allowed: a study")
-    said = entry.tags.get("model_source")
-    if said and said != model_source(plan):
-        warnings.warn(f"the source of {plan.study.model} has changed since run {entry.run_id[:8]}", stacklevel=3)
+    said = entry.tags.get("problem_key")
+    if said and said != problem_key(plan):
+        warnings.warn(
+            f"{plan.study.model} or what it reads, torchmbd or torch has changed since run {entry.run_id[:8]}: "
+            "its numbers may be others now",
+            stacklevel=3,
+        )
     x = _insert(plan, design.data, design.source, design.lines)
     return LoadedStudy(entry, plan, x, entry.metrics.get("objective", float("nan")))
+
+
+def _trusted(config: Document, named: list[str | Path]) -> Path:
+    """Return the folder of the files that a study executes; InputError unless the caller has named each of them."""
+    data = config.data if isinstance(config.data, dict) else {}
+    simulate = data.get("simulate")
+    given = [data.get("model"), simulate.get("phases") if isinstance(simulate, dict) else None]
+    folders = set()
+    for code in {spec.rpartition(":")[0] for spec in given if isinstance(spec, str)}:
+        parts = Path(code).parts
+        paths = [Path(name).absolute() for name in named]
+        if not code.endswith(".py") and code in named:
+            continue
+        found = [path for path in paths if code.endswith(".py") and path.parts[-len(parts) :] == parts]
+        if not found:
+            raise InputError(
+                f"model is {[str(name) for name in named]}, and {config.source} executes {code!r}; allowed: the path of that "
+                "Python file, or the name of that module, if you trust it"
+            )
+        folders.add(found[0].parents[len(parts) - 1])
+    if len(folders) > 1:
+        raise InputError(f"model is {[str(name) for name in named]}; allowed: files below one folder, as in the study")
+    return folders.pop() if folders else Path()
 
 
 def _insert(plan: Plan, data: object, source: str, lines: dict) -> np.ndarray:

@@ -11,6 +11,7 @@ from pathlib import Path as FilePath
 from typing import Any
 
 import numpy as np
+import torch
 
 from torchmbd.design.spec import leaf, measure_of, terms
 from torchmbd.errors import InputError, nearest
@@ -25,7 +26,9 @@ from torchmbd.experiment.model import (
     require_returns,
 )
 from torchmbd.experiment.schema import UNITS, Range, Simulation, Starts, Variable
+from torchmbd.integrators.memory import require_room
 from torchmbd.integrators.phases import plan
+from torchmbd.numerics.plausible import check_parameter
 from torchmbd.system import System
 
 Sections = Mapping[str, Any]
@@ -50,7 +53,7 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
     if "design" in sections:
         faults += _design_faults(sections["design"], system)
         if not faults:
-            faults += _start_faults(sections, system)
+            faults += _start_faults(sections, system) + _memory_faults(sections, system)
     return system, faults
 
 
@@ -150,7 +153,20 @@ def _design_faults(design: Mapping[str, Variable], system: System) -> list[Fault
             if x is None:
                 given = getattr(variable, key)
                 faults.append(Fault((*path, key), f"has {len(given)} values; allowed: {size}, or one number for all"))
-        faults += _bound_faults(path, sized)
+        faults += _bound_faults(path, sized) + _unit_faults(path, name, variable.unit, sized)
+    return faults
+
+
+def _unit_faults(path: Path, name: str, unit: str, sized: Mapping[str, np.ndarray | None]) -> list[Fault]:
+    """Numbers that are most likely in another unit than they are said to be."""
+    faults = []
+    for key, x in sized.items():
+        if x is None:
+            continue
+        try:
+            check_parameter(key, name, torch.from_numpy(UNITS[unit] * x))
+        except InputError as error:
+            faults.append(Fault((*path, key), f"= {x.tolist()} with unit: {unit}: {error}"))
     return faults
 
 
@@ -188,6 +204,19 @@ def _start_faults(sections: Sections, system: System) -> list[Fault]:
             text = f"from {span.first:g} to {span.last:g}: must lie between {lower[index]:g} and {upper[index]:g}"
             faults.append(Fault(("sweep", name), text))
     return faults
+
+
+def _memory_faults(sections: Sections, system: System) -> list[Fault]:
+    """A motion of one design that does not fit into memory."""
+    simulation: Simulation | None = sections.get("simulate")
+    if simulation is None or simulation.steps is None:
+        return []
+    tangents = len(labels(sections["design"], system))
+    try:
+        require_room(system, 1, simulation.steps, tangents, simulation.adjoint is not False)
+    except InputError as error:
+        return [Fault(("simulate", "steps"), f": {error}")]
+    return []
 
 
 def swept_index(name: str, names: Sequence[str]) -> int | None:

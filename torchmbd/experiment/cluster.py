@@ -59,6 +59,7 @@ class Slurm(Section):
     def start(self, workers: int) -> Any:
         """Submit jobs for so many workers and return the cluster that they join."""
         try:
+            import cryptography  # noqa: F401  pyright: ignore[reportMissingImports]  what `security=True` needs
             from dask.utils import format_bytes, parse_bytes  # pyright: ignore[reportMissingImports]
             from dask_jobqueue.slurm import SLURMCluster  # pyright: ignore[reportMissingImports]
         except ModuleNotFoundError as error:

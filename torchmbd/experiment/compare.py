@@ -13,7 +13,7 @@ from torchmbd.tracking.catalog import Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 
 _OUTCOME = ("best_objective", "reduction_percent", "violation", "starts", "converged_starts", "evaluations")
-_QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "model_source")
+_QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key")
 
 
 def print_best(run: str | None, uri: str | None, count: int, console: Console) -> None:
@@ -36,7 +36,8 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
         cells += [f"{child.metrics[name]:z.3f}" if name in child.metrics else "-" for name in names]
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
     print_table(table, console)
-    console.print(f'in Python: torchmbd.load("{entry.run_id[:8]}")', highlight=False, markup=False)
+    model = entry.params.get("model", "").rpartition(":")[0]
+    console.print(f'in Python: torchmbd.load("{entry.run_id[:8]}", model="{model}")', highlight=False, markup=False)
 
 
 def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:

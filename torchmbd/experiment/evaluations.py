@@ -1,21 +1,24 @@
 """Every evaluation of every study, on disk as soon as it is there: nothing that was simulated is simulated again.
 
-    problem    hash of all that the numbers depend on: model and its source, options, start design, simulation,
-               objective, constraints, and the source of torchmbd below the optimizers
+    problem    hash of all that the numbers depend on: the system as it is built (digest.py), start design, simulation,
+               objective, constraints, the source of torchmbd below the optimizers, torch's version (place.py)
     design     design vector, bit for bit [n] float64                      gradients  whether they were asked for
-    numbers    objective, constraints [m], gradients [n], [m, n] as float64; status "ok", or the reason of the failure
+    numbers    objective, constraints [m], gradients [n], [m, n] as float64; status "ok", or the reason of the failure;
+               behind them the checksum of the row: one that was altered is reported, and evaluated again
 
 Optimizers are deterministic, so a study that was killed asks for the same designs again: the store answers up to the
 batch that was in flight, and the study goes on from there as if nothing had happened.
 SQLite, one transaction for a batch, on the disk before anybody hears of it. What cannot be written (a full disk) is
 kept in memory, told once, and written with the next batch that can be.
-Assumed: what the model imports from other files of the user's does not change.
+Assumed: a law that reads a file, or imports a module, while it runs, finds there what it found before.
 Checked in tests/experiment/test_evaluations.py.
 """
 
 from __future__ import annotations
 
+import hashlib
 import sqlite3
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +37,7 @@ create table if not exists evaluations (
     primary key (problem, design, gradients)
 ) without rowid
 """
+_CHECKSUM = 16  # bytes
 _SECONDS = 60  # to wait for another study that is writing
 
 
@@ -41,7 +45,7 @@ class Evaluations:
     """The evaluations of one problem in a file that many studies share."""
 
     def __init__(self, file: Path, problem: str) -> None:
-        self.problem = problem
+        self.file, self.problem = file, problem
         self.trouble: str | None = None  # why evaluations are kept in memory
         self._waiting: dict[tuple[bytes, bool], tuple[int, str, bytes]] = {}
         try:
@@ -59,20 +63,48 @@ class Evaluations:
 
     def _row(self, x: np.ndarray, gradients: bool) -> Evaluation | None:
         key = x.tobytes(), gradients
-        row = self._waiting.get(key)
-        if row is None:
-            query = "select m, status, numbers from evaluations where problem = ? and design = ? and gradients = ?"
-            row = self._base.execute(query, (self.problem, *key)).fetchone()
-        if row is None:
-            return None
-        m, status, numbers = row
-        return _evaluation(m, status, numbers, len(x), gradients)
+        if key in self._waiting:
+            return _evaluation(*self._waiting[key], len(x), gradients)
+        query = "select m, status, numbers from evaluations where problem = ? and design = ? and gradients = ?"
+        for m, status, sealed in self._select(query, (self.problem, *key)):
+            numbers = self._checked((*key, m, status), sealed)
+            return None if numbers is None else _evaluation(m, status, numbers, len(x), gradients)
+        return None
+
+    def _select(self, query: str, values: Sequence[Any]) -> list[Any]:
+        try:
+            return self._base.execute(query, values).fetchall()
+        except sqlite3.Error as error:
+            raise MbdError(
+                f"the store of evaluations {self.file} cannot be read: {error}; without the file all begins anew"
+            ) from error
+
+    def _checksum(self, row: tuple[Any, ...], numbers: bytes) -> bytes:
+        """Of all that is known of an evaluation; `row` is its design, gradients, m and status."""
+        digest = hashlib.sha256(repr((self.problem, *row)).encode())
+        digest.update(numbers)
+        return digest.digest()[:_CHECKSUM]
+
+    def _checked(self, row: tuple[bytes, Any, Any, Any], sealed: Any) -> bytes | None:
+        """The numbers of a row without their checksum; None, and a warning, where it is another's."""
+        numbers = bytes(sealed[:-_CHECKSUM]) if isinstance(sealed, bytes) else b""
+        design, gradients, m, status = row
+        if numbers and sealed == numbers + self._checksum((design, bool(gradients), m, status), numbers):
+            return numbers
+        warnings.warn(
+            f"an evaluation in {self.file} was altered after it was written: it is not used, and made again",
+            stacklevel=5,
+        )
+        return None
 
     def keep(self, X: np.ndarray, gradients: bool, evaluations: Sequence[Evaluation]) -> None:
         """Write a batch, and what could not be written before."""
         for x, evaluation in zip(X, evaluations, strict=True):
             self._waiting[np.ascontiguousarray(x, dtype=np.float64).tobytes(), gradients] = _numbers(evaluation)
-        rows = [(self.problem, *key, *row) for key, row in self._waiting.items()]
+        rows = [
+            (self.problem, *key, m, status, numbers + self._checksum((*key, m, status), numbers))
+            for key, (m, status, numbers) in self._waiting.items()
+        ]
         try:
             with self._base:
                 self._base.executemany("insert or replace into evaluations values (?, ?, ?, ?, ?, ?)", rows)
@@ -90,14 +122,18 @@ class Evaluations:
     def count(self) -> int:
         """Evaluations of this problem on disk."""
         query = "select count(*) from evaluations where problem = ?"
-        return int(self._base.execute(query, (self.problem,)).fetchone()[0])
+        return int(self._select(query, (self.problem,))[0][0])
 
     def visited(self, n: int) -> tuple[np.ndarray, np.ndarray]:
         """Return every design [m, n] of this problem on disk with its objective [m], nan where it failed."""
-        query = "select design, numbers from evaluations where problem = ?"
-        rows = self._base.execute(query, (self.problem,)).fetchall()
-        designs = np.array([np.frombuffer(design) for design, _ in rows]).reshape(-1, n)
-        return designs, np.array([np.frombuffer(numbers)[0] for _, numbers in rows])
+        query = "select design, gradients, m, status, numbers from evaluations where problem = ?"
+        found = {
+            row[0]: numbers
+            for *row, sealed in self._select(query, (self.problem,))
+            if (numbers := self._checked((row[0], row[1], row[2], row[3]), sealed)) is not None
+        }
+        designs = np.array([np.frombuffer(design) for design in found]).reshape(-1, n)
+        return designs, np.array([np.frombuffer(numbers)[0] for numbers in found.values()])
 
     def close(self) -> None:
         self._base.close()

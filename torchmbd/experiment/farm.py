@@ -12,7 +12,8 @@ The optimizers, the store of evaluations and the tracker stay with the parent, s
 
 Assumed: workers see the model's file at the same path, and run the same torchmbd (a hash of both is compared).
 One thread each: a worker must be started with OMP_NUM_THREADS=1 (the local cluster and SLURM's jobs do).
-Dask, its messages are pickled: connect to schedulers that you trust only. The local cluster listens on loopback.
+Dask, its messages are pickled: connect to schedulers that you trust only. The local cluster answers to the study alone
+(local_cluster.py).
 Checked in tests/experiment/test_farm.py, tests/experiment/test_cluster.py.
 """
 
@@ -41,10 +42,9 @@ from torchmbd.experiment.model import build_model, find_model
 from torchmbd.experiment.place import problem_key
 from torchmbd.experiment.schema import Study
 from torchmbd.optimizers import Evaluation
-from torchmbd.process import BROOD, MEMORY, ONE_THREAD, breed, brief_warnings, exempt, settle
+from torchmbd.process import MEMORY, ONE_THREAD, brief_warnings, exempt, settle
 
 LANES = 64  # designs in one batch of one process: more gain little, and cost memory
-HERE = "127.0.0.1"
 _DEATHS = 3  # of workers under the same piece, until its designs count as failed
 _SETTINGS: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": _DEATHS,
@@ -86,6 +86,8 @@ class Farm:
         try:
             from dask import config  # pyright: ignore[reportMissingImports]
             from distributed import Client  # pyright: ignore[reportMissingImports]
+
+            from torchmbd.experiment.local_cluster import start_local_cluster
         except ModuleNotFoundError as error:
             raise InputError(
                 f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: --workers 1"
@@ -94,7 +96,11 @@ class Farm:
         for name in _LOUD:  # with tracebacks; what matters of it is told by an MbdError
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self._client: Any = None
-        self._cluster = self._slurm.start(self._workers) if self._slurm else self._local_cluster()
+        self._cluster: Any = None
+        if self._slurm:
+            self._cluster = self._slurm.start(self._workers)
+        elif self.scheduler is None:
+            self._cluster = start_local_cluster(self._workers)
         try:
             self._client = Client(self._cluster or self.scheduler, timeout=_START)
             first = 1 if self.scheduler else self._workers
@@ -106,19 +112,6 @@ class Farm:
             where = self.scheduler or "this machine"
             raise MbdError(f"no worker answers on {where} after {_START} s: {error}") from error
         return self
-
-    def _local_cluster(self) -> Any:
-        from distributed import LocalCluster  # pyright: ignore[reportMissingImports]
-
-        if self.scheduler is not None:
-            return None
-        options: dict[str, Any] = {
-            "memory_limit": 0,
-            "silence_logs": logging.CRITICAL,
-            "dashboard_address": f"{HERE}:0",
-        }
-        breed(*BROOD)
-        return LocalCluster(n_workers=self._workers, threads_per_worker=1, host=HERE, **options)
 
     def __exit__(self, *_: object) -> None:
         if self._client is not None:

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 
 from torchmbd.errors import InputError
 
+_MOST = 20  # faults that a message shows
+_LONGEST = 2000  # characters of one of them
 Path = tuple[str | int, ...]
 Lines = Mapping[Path, int | str]  # where a path was written: a line of the file, or an override's own text
 
@@ -38,7 +40,15 @@ class StudyError(InputError):
         self.source = source
         self.faults = sorted(faults, key=lambda fault: (not isinstance(fault.where, int), str(fault.where).zfill(9)))
         count = f"{len(self.faults)} error{'s' if len(self.faults) != 1 else ''}"
-        super().__init__("\n  ".join([f"{source}: {count}", *map(str, self.faults)]))
+        lines = [_short(str(fault)) for fault in self.faults[:_MOST]]
+        more = [f"... and {len(self.faults) - _MOST} more"] if len(self.faults) > _MOST else []
+        super().__init__("\n  ".join([f"{source}: {count}", *lines, *more]))
+
+
+def _short(line: str) -> str:
+    """Leave the middle out of a line too long to read."""
+    half = _LONGEST // 2
+    return line if len(line) <= _LONGEST else f"{line[:half]} ... {line[-half:]}"
 
 
 def dotted(path: Path) -> str:

@@ -18,7 +18,7 @@ import yaml
 
 from torchmbd.design.problem import BOUND
 from torchmbd.experiment.load import Plan
-from torchmbd.experiment.place import model_source
+from torchmbd.experiment.place import problem_key
 from torchmbd.optimizers.optimizer import Evaluation, Iterate, OptimizationResult
 from torchmbd.tracking import Status, Tracker
 from torchmbd.tracking.provenance import provenance
@@ -43,7 +43,7 @@ class Journal:
         study = self.plan.study
         resolved = study.resolved()
         tags = {"kind": kind, "mlflow.source.name": str(self.plan.file), **provenance(self.plan.file.parent)}
-        tags["model_source"] = model_source(self.plan)
+        tags["problem_key"] = problem_key(self.plan)
         if self.plan.overrides:
             tags["overrides"] = " ".join(self.plan.overrides)
         if study.starts is not None:

@@ -4,7 +4,9 @@ package.module:function      as Python finds it
 path/to/file.py:function     in the folder of the experiment file or below it
 
 An experiment file names what is called with which arguments, so not everything may be called: only a Python function
-that says what it returns, `-> mbd.System` for a model. Checked in tests/experiment/test_load.py, test_malicious.py.
+that says what it returns, `-> mbd.System` for a model. To name a file is to execute it: its code runs with all that the
+user may do. Modules beside the file can be imported by it; they hide no module of Python's or of a package.
+Checked in tests/experiment/test_load.py, test_malicious.py.
 """
 
 from __future__ import annotations
@@ -14,7 +16,8 @@ import importlib.util
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
@@ -25,6 +28,7 @@ from torchmbd.integrators import Phase
 from torchmbd.system import System
 
 Builder = Callable[..., System]
+_beside: set[str] = set()  # names of modules that the last model imported from its own folder
 
 
 def find_model(spec: str, folder: Path) -> Builder:
@@ -129,7 +133,31 @@ def _from_file(file: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses and pickle look their module up
     try:
-        spec.loader.exec_module(module)
+        with _modules_beside(file.parent):
+            spec.loader.exec_module(module)
     except Exception as error:
         raise InputError(f"file {file} cannot be imported: {type(error).__name__}: {error}") from error
     return module
+
+
+@contextmanager
+def _modules_beside(folder: Path) -> Iterator[None]:
+    """Let a model import the modules of its folder, as they are now: not those that another model, or an earlier text, had.
+
+    The folder comes last: a file named as a module of Python's takes the place of none. No bytecode is written, for
+    Python takes a file that was changed within the same second for unchanged.
+    """
+    for name in _beside:
+        sys.modules.pop(name, None)
+    _beside.clear()
+    before, writes = set(sys.modules), sys.dont_write_bytecode
+    sys.path.append(str(folder))
+    sys.dont_write_bytecode = True
+    importlib.invalidate_caches()
+    try:
+        yield
+    finally:
+        sys.dont_write_bytecode = writes
+        sys.path.remove(str(folder))
+        files = {name: getattr(sys.modules[name], "__file__", None) for name in set(sys.modules) - before}
+        _beside.update(name for name, file in files.items() if file and Path(file).is_relative_to(folder))

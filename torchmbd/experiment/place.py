@@ -10,7 +10,6 @@ command goes on with it. Checked in tests/experiment/test_place.py.
 from __future__ import annotations
 
 import hashlib
-import inspect
 import json
 import os
 from functools import cache
@@ -19,11 +18,14 @@ from typing import Any
 
 import torch
 
+from torchmbd.experiment.check import vector
+from torchmbd.experiment.digest import digest, sources
 from torchmbd.experiment.load import FiguresPlan, Plan
-from torchmbd.experiment.model import find_function, find_model
 
-_NUMBERS = ("model", "options", "design", "simulate", "minimize", "subject_to")
+_NUMBERS = ("model", "options", "simulate", "minimize", "subject_to")
+_PACKAGE = Path(__file__).parents[1]
 _UNCONCERNED = ("cli.py", "process.py", "bare.py", "experiment", "tracking", "viz", "optimizers")  # for an evaluation
+_FROM_FILE = ("experiment/assemble.py", "experiment/check.py", "experiment/columns.py", "experiment/schema.py")
 
 
 def place() -> Path:
@@ -37,20 +39,23 @@ def evaluations_file() -> Path:
 
 
 def problem_key(plan: Plan) -> str:
-    """Return the hash of what the numbers of an evaluation depend on."""
-    resolved = plan.study.resolved()
-    depends: dict[str, Any] = {key: resolved[key] for key in _NUMBERS if key in resolved}
-    design = resolved["design"].items()  # bounds move the search, not the numbers
-    depends["design"] = {
-        name: {k: v for k, v in variable.items() if k in ("start", "unit")} for name, variable in design
-    }
-    depends["source"] = model_source(plan)
-    return _hash([depends, _code(), torch.__version__])
+    """Return the hash of what the numbers of an evaluation depend on.
+
+    These are the system as it is built, with all that its tensors and laws hold, wherever the model has it from; the
+    settings; the code that computes; and torch's version. Bounds and the values of design variables move the search only.
+    """
+    study, system = plan.study, plan.system
+    settings = {name: value for name, value in study.resolved().items() if name in _NUMBERS}
+    start = vector(study.design, system, "start")
+    start = start * plan.columns.factors[: start.size]  # without the extra variable
+    varied = [system.get_parameter(name) for name in study.design]
+    built = digest(system, plan.phases, start, settings, list(study.design), aside=varied)
+    return _hash([built, _code(_PACKAGE), torch.__version__])
 
 
 def study_key(plan: Plan, uri: str) -> str:
     """Return the hash of what the course of a study depends on."""
-    return _hash([plan.study.resolved(), model_source(plan), _code(), plan.name, uri])
+    return _hash([plan.study.resolved(), problem_key(plan), plan.name, uri])
 
 
 def figures_key(plan: FiguresPlan, uri: str) -> str:
@@ -58,23 +63,11 @@ def figures_key(plan: FiguresPlan, uri: str) -> str:
     return _hash([plan.study.resolved(), plan.name, uri])
 
 
-def model_source(plan: Plan) -> str:
-    """Return the hash of the files that the model and its phases come from."""
-    folder, phases = plan.file.absolute().parent, plan.study.simulate.phases
-    made_by = [find_model(plan.study.model, folder)] + ([find_function(phases, folder)] if phases else [])
-    files = [inspect.getsourcefile(function) for function in made_by]
-    return _hash([hashlib.sha256(Path(file).read_bytes()).hexdigest() for file in files if file is not None])
-
-
 @cache
-def _code() -> str:
-    """Return the hash of torchmbd's own source: a store must not answer for other code."""
-    package = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for file in sorted(package.rglob("*.py")):
-        if file.relative_to(package).parts[0] not in _UNCONCERNED:
-            digest.update(file.read_bytes())
-    return digest.hexdigest()
+def _code(package: Path) -> str:
+    """Return the digest of torchmbd's own source: a store must not answer for other code."""
+    parts = sorted(path.name for path in package.iterdir() if path.is_dir() or path.suffix == ".py")
+    return sources(package, [*(part for part in parts if part not in _UNCONCERNED), *_FROM_FILE])
 
 
 def _hash(data: Any) -> str:

@@ -4,7 +4,7 @@
     design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, ...
     minimize   {integral: {strain_energy: rod}}, see design/spec.py          subject_to  [{max: ..., at_most: initial}]
     optimizer  name, max_iterations, the method's own options                starts    sampler, count, seed, ...
-    sweep      one design variable from .. to ..: evaluated as one batch, instead of optimizer and starts
+    sweep      one design variable from .. to ..: evaluated together, instead of optimizer and starts
     tracking   experiment, uri
 
 or, for pictures that are no optimization,

@@ -1,4 +1,4 @@
-"""A sweep: the criteria along one design variable, evaluated as one batch (Fig. 8).
+"""A sweep: the criteria along one design variable, evaluated together (Fig. 8).
 
 The start design is evaluated with it and normalizes the criteria; other variables stay at their start.
 """
@@ -24,6 +24,8 @@ from torchmbd.optimizers import Evaluation
 from torchmbd.tracking import Status
 from torchmbd.viz.studio import STUDIO
 
+_BETWEEN = 512  # designs at most, until what is found is on disk
+
 
 def run_sweep(
     plan: Plan,
@@ -43,9 +45,10 @@ def run_sweep(
     X[:, index] = values * plan.columns.factors[index]
     journal.begin("sweep")
     STUDIO.open()
-    with console.status(f"{escape(plan.name)}: {span.count} designs in one batch"):
+    with console.status(f"{escape(plan.name)}: {span.count} designs"):
         designs = np.vstack([problem.start, X])
-        first, *evaluations = evaluate(designs, False)
+        parts = np.array_split(designs, math.ceil(len(designs) / _BETWEEN))
+        first, *evaluations = [evaluation for part in parts for evaluation in evaluate(part, False)]
     if first.status != "ok":
         console.print(f"The start design cannot be evaluated: {escape(first.status)}", style="red")
         return "FAILED"

@@ -22,10 +22,11 @@ from itertools import pairwise
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.joints.laws import finite
+from torchmbd.numerics.gradients import refuse_gradients, refuse_lost
 from torchmbd.numerics.owned import reals, scalar
 
 Slopes = tuple[Tensor, Tensor]
@@ -211,6 +212,11 @@ class Gap:
         return depth, u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / self.smooth
 
 
+# How a law of a force may vary with the design.
+VARIABLES = (
+    "numbers of a Spring and the factor of Scaled, given to a force element as mbd.variable(...); constant tensors"
+)
+
 LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap)
 
 
@@ -229,27 +235,14 @@ def checked(name: str, law: object) -> object:
 
 def tried(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
     """What a law of the user gives; InputError where it raises, or has variables that would not be differentiated."""
-    if _varies(law):
-        raise InputError(
-            f"law of {name!r} has design variables, which would not be differentiated; allowed: numbers of a Spring and the "
-            "factor of Scaled, given to a force element"
-        )
+    refuse_lost(f"law of {name!r}", law, VARIABLES)
     try:
-        return law(*at)
+        with torch.enable_grad():
+            found = law(*at)
     except Exception as error:  # it may do anything
         raise InputError(f"law of {name!r} raises {error!r}; allowed: a torch function of {len(at)} tensors") from error
-
-
-def _varies(law: Any) -> bool:
-    """Whether a law is made of parameters: of its module, as attributes, arguments, or enclosed by a function."""
-    if isinstance(law, nn.Module):
-        return any(x.requires_grad for x in law.parameters())
-    own = [cell.cell_contents for cell in getattr(law, "__closure__", None) or ()]
-    own += [*getattr(law, "__dict__", {}).values(), *getattr(law, "args", ())]
-    inner = [getattr(law, name, None) for name in ("law", "func", "__self__")]
-    return any(isinstance(x, nn.Parameter) and x.requires_grad for x in own) or any(
-        map(_varies, filter(callable, inner))
-    )
+    refuse_gradients(f"what the law of {name!r} returns", found, VARIABLES)
+    return found
 
 
 def numbers(name: str, x: Any, count: int) -> list[Any]:

@@ -15,7 +15,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import ode
-from torchmbd.numerics.owned import all_true, whole
+from torchmbd.numerics.owned import all_true, plain, whole
+from torchmbd.numerics.plausible import check_parameter
 from torchmbd.system import System
 
 METHODS = ("generalized_alpha", *ode.METHODS)
@@ -65,8 +66,11 @@ def check_designs(system: System, designs: Any) -> dict[str, Tensor]:
     for name, x in own.items():
         if x.dtype != torch.float64:
             raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
-        if name not in (designs or {}) and not all_true(torch.isfinite(x)):
+        if name in (designs or {}):
+            continue
+        if not all_true(torch.isfinite(x)):
             raise InputError(f"parameter {name!r} is {x.tolist()}; allowed: finite numbers")
+        check_parameter("parameter", name, plain(x))
     found = {}
     for name, given in (designs or {}).items():
         if name not in own:
@@ -77,6 +81,9 @@ def check_designs(system: System, designs: Any) -> dict[str, Tensor]:
             shape = ", ".join(["lanes", *map(str, own[name].shape)])
             raise InputError(f"design {name!r} {seen}; allowed: a float64 tensor [{shape}]")
         _check_lanes(name, x, torch.isfinite(x), "finite numbers")
+        numbers_of = plain(x).reshape(-1, *own[name].shape)
+        lane = int(numbers_of.reshape(len(numbers_of), -1).abs().amax(1).argmax())
+        check_parameter(f"design of lane {lane}:", name, numbers_of[lane])
         owner, _, own_name = name.rpartition(".")
         if own_name in getattr(system.get_submodule(owner), "positive", ()):
             _check_lanes(name, x, x > 0.0, "positive numbers")

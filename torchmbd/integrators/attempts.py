@@ -20,14 +20,16 @@ from torchmbd.errors import InputError
 from torchmbd.integrators import generalized_alpha, ode
 from torchmbd.integrators.generalized_alpha import Begun
 from torchmbd.integrators.history import History
+from torchmbd.integrators.memory import require_room
 from torchmbd.integrators.trajectory import OK
-from torchmbd.system import Dynamics
+from torchmbd.system import Dynamics, System
 
 # A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
 ITERATION_ERROR = 1e-2
 # With sensitivities more than this is tried again carefully: gradients are those of equations that are solved.
 IMPRECISE = 1e-3
 TURN = 1.0  # [rad] of a body in one step
+FEWEST = 200  # steps, where their number is not given
 STEP_ERROR = 1.0  # as large as the vibrations themselves: worth a warning
 _LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
 
@@ -119,7 +121,14 @@ def default_steps(dynamics: Dynamics, duration: float) -> int:
     """Twenty steps per period of the fastest retained mode, at least 200 in all."""
     if "Kr" not in dynamics.data:
         return 1000
-    return max(200, math.ceil(20.0 * duration * ode.fastest_vibration(dynamics) / (2.0 * math.pi)))
+    return max(FEWEST, math.ceil(20.0 * duration * ode.fastest_vibration(dynamics) / (2.0 * math.pi)))
+
+
+def steps_that_fit(system: System, dynamics: Dynamics, duration: float, tangents: int) -> int:
+    """The default number of steps; InputError where such a motion does not fit into memory."""
+    steps = default_steps(dynamics, duration)
+    require_room(system, dynamics.lanes, steps, tangents)
+    return steps
 
 
 def _empty(dynamics: Dynamics, steps: int) -> History:

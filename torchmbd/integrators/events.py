@@ -23,6 +23,7 @@ from torchmbd.integrators.signals import Given, Rows, Signals
 from torchmbd.integrators.sized import determined
 from torchmbd.integrators.step import State
 from torchmbd.integrators.trajectory import OK, Trajectory
+from torchmbd.numerics.gradients import refuse_lost
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics
@@ -46,6 +47,7 @@ class Event:
             raise InputError(
                 f"function of an event is {self.function!r}; allowed: a function motion -> [lanes, times] or a history"
             )
+        refuse_lost("function of an event", self.function, "constant tensors")
         if self.direction not in DIRECTIONS:
             raise InputError(f"direction of an event is {self.direction!r}; allowed: {', '.join(DIRECTIONS)}")
 

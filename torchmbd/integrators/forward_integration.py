@@ -19,14 +19,14 @@ from torch import Tensor
 
 from torchmbd.forces.action import Action
 from torchmbd.integrators import staged_alpha, staged_ode
-from torchmbd.integrators.attempts import careful, default_steps, run, status_of
+from torchmbd.integrators.attempts import careful, run, status_of, steps_that_fit
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
 from torchmbd.integrators.motion import Tensors
 from torchmbd.integrators.phases import Phase, plan
 from torchmbd.integrators.trajectory import OK, Switch
-from torchmbd.numerics.pair import Pair
+from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import Dynamics, System
 from torchmbd.system.expansion import Expansion
 
@@ -85,13 +85,13 @@ class ForwardIntegration:
 
     def _plainly(self, designs: dict[str, Tensor]) -> None:
         self.dynamics = self.system.dynamics(designs, tangents=self.variables)
-        self.steps = self.steps or default_steps(self.dynamics, self.duration)
+        self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, len(self.labels))
         self.history, self.stats, self.status = run(self.dynamics, self.duration, self.steps, self.method, self.options)
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
         self.system, stages = plan(self.system, phases, self.duration)
         dynamics = self.system.dynamics(designs, tangents=self.variables)
-        self.steps = steps = self.steps or default_steps(dynamics, self.duration)
+        self.steps = steps = self.steps or steps_that_fit(self.system, dynamics, self.duration, len(self.labels))
         views = Views.of(self.system, dynamics, designs, self.labels)
 
         def attempt(options: dict[str, Any]) -> tuple[Course, dict[str, Any], list[str]]:

@@ -29,8 +29,10 @@ from torchmbd.errors import MbdError
 from torchmbd.forces.written import writable
 from torchmbd.integrators.code import source
 from torchmbd.integrators.layout import Layout
-from torchmbd.numerics.native import OPTIONS, SUFFIX, cache_folder, compiler, enabled, load, surroundings
+from torchmbd.numerics import build_cache
+from torchmbd.numerics.native import OPTIONS, PACKAGE, SUFFIX, compiler, enabled, load, surroundings
 from torchmbd.numerics.scalars import Untraceable
+from torchmbd.process import cache_folder, require_cache_folder
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Topology
 
@@ -47,6 +49,8 @@ _DRIVERS = ("factors.cpp", "march.cpp", "adjoint.cpp", "rates.cpp")
 _SOURCES += tuple(f"integrators/{name}" for name in _DRIVERS)
 _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
 _BATCHES = 2  # the batch that starts a build: a single simulation is over before
+# No module of the current folder is imported: -P, and torchmbd's own folder comes last.
+_BOOT = "import sys; sys.path.append(sys.argv[1]); from torchmbd.integrators.library import main; main(sys.argv[2])"
 _loaded: dict[str, Any] = {}
 _seen: dict[str, int] = {}  # batches without a library
 _told: set[str] = set()  # why laws cannot be compiled
@@ -88,7 +92,7 @@ def _warn_of_failure(name: str, kind: str) -> None:
     process = _building.get(name)
     if process is not None and process.poll():
         _building[name] = None
-        log = Path(process.args[-1]).with_suffix(".log")  # pyright: ignore[reportArgumentType, reportIndexIssue]
+        log = process.args[-1]  # pyright: ignore[reportArgumentType, reportIndexIssue]
         warnings.warn(
             f"the build of compiled code failed ({kind}): simulations go on without it; see {log}", stacklevel=4
         )
@@ -164,8 +168,7 @@ def order(dynamics: Dynamics, kind: str = "step") -> Order:
 
 def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Path:
     """Write and compile the code of a topology; the library appears complete or not at all."""
-    cache_folder().mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=cache_folder()) as work:
+    with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
         text, made = Path(work) / "code.cpp", Path(work) / "code.so"
         text.write_text(source(T, layout, kind, sample))
         done = subprocess.run(
@@ -175,21 +178,23 @@ def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Pat
         )
         if done.returncode:
             raise MbdError(f"{compiler()} failed on the {kind} of {', '.join(T.names)}: {done.stderr[-2000:]}")
-        return made.replace(_path(name, kind))
+        return build_cache.keep(made, _path(name, kind))
 
 
 def build_in_background(dynamics: Dynamics, kind: str = "step") -> subprocess.Popen | None:
     """Compile the code of a topology in a process of its own, at low priority; returns it, or None if it cannot begin."""
     ordered = order(dynamics, kind)
+    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
     try:
-        cache_folder().mkdir(parents=True, exist_ok=True)
-        handle, path = tempfile.mkstemp(suffix=".job", dir=cache_folder())
-        with os.fdopen(handle, "wb") as file:
-            pickle.dump(ordered, file)
-        command = [sys.executable, "-m", "torchmbd.integrators.library", path]
-        environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
-        with open(Path(path).with_suffix(".log"), "wb") as log:
-            process = subprocess.Popen(command, env=environment, stdout=log, stderr=log, start_new_session=True)
+        log = _path(ordered[-1], kind).with_suffix(".log")
+        require_cache_folder()
+        command = [sys.executable, "-P", "-c", _BOOT, str(PACKAGE.parent), str(log)]
+        with tempfile.TemporaryFile() as job, log.open("wb") as output:  # without a name: no other can write it
+            pickle.dump(ordered, job)
+            job.seek(0)
+            process = subprocess.Popen(
+                command, env=environment, stdin=job, stdout=output, stderr=output, start_new_session=True
+            )
     except OSError as error:
         warnings.warn(f"nothing can be compiled: {error}; simulations run uncompiled", stacklevel=2)
         return None
@@ -197,16 +202,9 @@ def build_in_background(dynamics: Dynamics, kind: str = "step") -> subprocess.Po
     return process
 
 
-def main(path: str) -> None:
-    """Run a job file of `build_in_background`; a log stays only where the build fails."""
+def main(log: str) -> None:
+    """Build what `build_in_background` has written to the standard input; a log stays only where that fails."""
     os.nice(10)
     torch.set_num_threads(1)
-    job = Path(path)
-    ordered = pickle.loads(job.read_bytes())
-    job.unlink()
-    build(*ordered)
-    job.with_suffix(".log").unlink()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1])
+    build(*pickle.load(sys.stdin.buffer))
+    Path(log).unlink(missing_ok=True)  # another process may build the same

@@ -31,6 +31,7 @@ from torchmbd.integrators.events import Event
 from torchmbd.joints import Drive, Joint
 from torchmbd.joints.joint import Scribe
 from torchmbd.joints.lock import Lock
+from torchmbd.numerics.gradients import refuse_lost
 from torchmbd.system import System
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.selection import selected
@@ -73,6 +74,7 @@ class Phase:
                 raise InputError(f"{key} of a phase is {x!r}; allowed: a list of joints or of their names")
         if self.impact is not None and not isinstance(self.until, Event):
             raise InputError(f"impact of a phase is given, but until={self.until!r}; allowed: an Event, its gap")
+        refuse_lost("impact of a phase", self.impact, "constant tensors")
         if isinstance(self.impact, bool) or not (callable(self.impact) or 0.0 <= (self.impact or 0.0) <= 1.0):
             raise InputError(f"impact of a phase is {self.impact!r}; allowed: from 0 to 1, or a map of the velocities")
 

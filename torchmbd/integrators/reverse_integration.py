@@ -19,12 +19,12 @@ from torch import Tensor
 
 from torchmbd.integrators import compiled_adjoint, generalized_alpha
 from torchmbd.integrators.adjoint import Adjoint
-from torchmbd.integrators.attempts import default_steps, with_retries
+from torchmbd.integrators.attempts import steps_that_fit, with_retries
 from torchmbd.integrators.history import History
 from torchmbd.integrators.motion import Tensors
 from torchmbd.integrators.trajectory import OK
 from torchmbd.numerics.pair import Pair
-from torchmbd.system import Dynamics
+from torchmbd.system import Dynamics, System
 from torchmbd.system.expansion import Expansion
 
 
@@ -32,7 +32,7 @@ from torchmbd.system.expansion import Expansion
 class ReverseIntegration:
     """Equal steps over a duration [s].
 
-    model     topology and options of the equations; its data are not used
+    system    the model;  model: topology and options of the equations; its data are not used
     names     of the inputs
     steps     their number; None: chosen from the data
     options   of generalized_alpha and of its retries
@@ -41,6 +41,7 @@ class ReverseIntegration:
     dynamics, history, status, stats   what came of it
     """
 
+    system: System
     model: Dynamics
     names: tuple[str, ...]
     duration: float
@@ -56,7 +57,7 @@ class ReverseIntegration:
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
         self.dynamics = self._with(inputs)
-        self.steps = self.steps or default_steps(self.dynamics, self.duration)
+        self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, 0)
         begun = generalized_alpha.begin(self.dynamics)
         self.history, self.stats, self.status = with_retries(
             begun, self.duration, self.steps, precise=self.precise, **self.options

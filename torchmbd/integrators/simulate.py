@@ -18,8 +18,10 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrators.arguments import GRADIENTS, check, check_designs, check_gradients, check_variables
+from torchmbd.integrators.attempts import FEWEST
 from torchmbd.integrators.forward_integration import ForwardIntegration
 from torchmbd.integrators.history import History
+from torchmbd.integrators.memory import require_room
 from torchmbd.integrators.motion import Motion
 from torchmbd.integrators.phases import Phase
 from torchmbd.integrators.reverse_integration import ReverseIntegration
@@ -28,7 +30,7 @@ from torchmbd.integrators.signals import Recorded
 from torchmbd.integrators.singular import explained
 from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import Trajectory
-from torchmbd.numerics.owned import differentiated
+from torchmbd.numerics.owned import watched
 from torchmbd.system import Dynamics, System
 
 
@@ -80,7 +82,10 @@ def simulate(
         names = _variables(system, given, gradients, variables)
         batch = _same_lanes({name: _own(system, name)[None] for name in names if name not in given} | given)
         if gradients in ("forward", "reverse"):
-            batch = {k: _leaf(x) if k in names and not differentiated(x) else x for k, x in batch.items()}
+            batch = {k: _leaf(x) if k in names and not watched(x) else x for k, x in batch.items()}
+        count = sum(x[0].numel() for name, x in batch.items() if name in names)
+        lanes = max((len(x) for x in batch.values()), default=1)
+        require_room(system, lanes, steps or FEWEST, count, gradients != "forward")
         adjoint = method == "generalized_alpha" and phases is None
         if gradients == "forward" or not adjoint:
             labels = labels_of(system, names)
@@ -122,8 +127,8 @@ def _variables(
     if variables is not None:
         return check_variables(system, variables)
     if gradients == "auto":
-        return [name for name, x in own.items() if differentiated(given.get(name, x))]
-    names = [name for name, x in own.items() if x.requires_grad or differentiated(given.get(name, x))]
+        return [name for name, x in own.items() if watched(given.get(name, x))]
+    names = [name for name, x in own.items() if x.requires_grad or watched(given.get(name, x))]
     if not names:
         raise InputError(f"gradients is {gradients!r}, but no parameter of the system requires a gradient")
     return names
@@ -135,7 +140,9 @@ def _reverse(
     """A motion whose structure stage is differentiated by torch, and whose steps by their adjoint."""
     dynamics = system.reduced(batch)
     data = dynamics.data
-    integration = ReverseIntegration(replace(dynamics, data={}), tuple(data), duration, steps, options, bool(names))
+    integration = ReverseIntegration(
+        system, replace(dynamics, data={}), tuple(data), duration, steps, options, bool(names)
+    )
     outputs: Any = Motion.apply(integration, *data.values())
     return _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names)
 

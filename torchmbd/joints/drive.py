@@ -9,14 +9,18 @@ from collections.abc import Iterator
 from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.joints.joint import Equation, Joint, Scribe, as_frame, others
 from torchmbd.joints.laws import ConstantSpeed, Finite, finite
 from torchmbd.joints.primitive import Angle, Law, Travel
 from torchmbd.joints.varied import Varied
+from torchmbd.numerics.gradients import refuse_gradients, refuse_lost
 from torchmbd.numerics.variable import Variables
+
+# How a law may vary with the design.
+VARIABLES = "a torch module of time as the law itself, whose parameters are design variables; constant tensors"
 
 
 class Drive(Joint):
@@ -73,7 +77,8 @@ class Drive(Joint):
 
 def _checked(name: str, key: str, law: Any) -> Finite:
     try:
-        start = law(torch.zeros((), dtype=torch.float64)) if callable(law) else law
+        with torch.enable_grad():
+            start = law(torch.zeros((), dtype=torch.float64)) if callable(law) else law
     except Exception as error:  # it may do anything
         start = error
     number = (
@@ -87,4 +92,7 @@ def _checked(name: str, key: str, law: Any) -> Finite:
         )
     prescribed: Any = law
     variables = Variables.of(law)
+    refuse_lost(f"{key} of {name!r}", law, VARIABLES, law if isinstance(law, nn.Module) else None)
+    if variables is None:
+        refuse_gradients(f"what {key} of {name!r} returns", start, VARIABLES)
     return Finite(name, prescribed) if variables is None else Varied(name, variables)

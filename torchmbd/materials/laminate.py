@@ -7,8 +7,9 @@ Plies are listed from the bottom face z = -h/2 to the top face z = +h/2.
     Q = As gamma               shear forces        [N/m]
 
     (A, B, D) = sum_k Qbar_k (z_k+1 - z_k,  (z_k+1^2 - z_k^2) / 2,  (z_k+1^3 - z_k^3) / 3)
-    As        = shear_correction * sum_k Gbar_k (z_k+1 - z_k), or from the energy of the shear stresses in equilibrium
-                (shear_correction = "energy", transverse_shear.py: what sandwich-like stacks need)
+    As        from the energy of the shear stresses in equilibrium (transverse_shear.py), or, with a number given,
+                shear_correction * sum_k Gbar_k (z_k+1 - z_k), which is wrong for sandwiches: 5/6 is 30 % too stiff for
+                the plate of NAFEMS R0031/3
 
 eps     eps_xx, eps_yy, gamma_xy of the mid-surface
 kappa   curvatures: the strain at height z is eps + z kappa  [1/m]
@@ -36,7 +37,8 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.materials.ply import Ply
 from torchmbd.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
-from torchmbd.numerics.owned import reals
+from torchmbd.numerics.owned import parameter
+from torchmbd.numerics.plausible import THICKNESS, check_angles, doubt
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _UPPER2 = ((0, 0), (0, 1), (1, 1))
@@ -74,12 +76,14 @@ class LaminateStiffness(NamedTuple):
 class Laminate(nn.Module):
     """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
 
+    A torch.nn.Parameter that is given is itself registered, not copied; computed tensors that require gradients are refused.
+
     ply               one Ply, or one per given layer
     angles            [layers] rad, from bottom to top
-    thickness         of every layer, or one per given layer [m]; its parameter does not require a gradient by default
+    thickness         of every layer, or one per given layer [m]; numbers become a parameter that requires no gradient
     symmetric         the given layers are the lower half, mirrored about the mid-plane
-    shear_correction  multiplies the transverse shear stiffness (5/6: homogeneous section), or "energy": the stiffness
-                      of equal energy, a full matrix that follows the stack
+    shear_correction  "energy": the transverse shear stiffness of equal energy, a full matrix that follows the stack
+                      (5/6 of G h if it is homogeneous); or a number that multiplies the sum of the plies' G t
     """
 
     positive: ClassVar[tuple[str, ...]] = ("thickness",)  # parameters that are, whatever the design
@@ -95,17 +99,16 @@ class Laminate(nn.Module):
         angles: Sequence[float] | Tensor,
         thickness: float | Sequence[float] | Tensor,
         symmetric: bool = False,
-        shear_correction: float | str = 5.0 / 6.0,
+        shear_correction: float | str = "energy",
     ) -> None:
         super().__init__()
-        angles_ = _checked_angles(angles)
-        layers = angles_.numel()
+        self.angles = _checked_angles(angles)
+        layers = self.angles.numel()
         plies = _checked_plies(ply, layers)
         self.symmetric = bool(symmetric)
         self.plies = tuple(plies)
         self.shear_correction = _checked_correction(shear_correction)
-        self.angles = nn.Parameter(angles_)
-        self.thickness = nn.Parameter(_checked_thickness(thickness, layers), requires_grad=False)
+        self.thickness = _checked_thickness(thickness, layers)
         self.register_buffer("_Q", torch.stack([p.plane_stiffness() for p in plies]), persistent=False)
         self.register_buffer("_G", torch.stack([p.shear_stiffness() for p in plies]), persistent=False)
         density = torch.tensor([p.density for p in plies], dtype=torch.float64)
@@ -169,6 +172,16 @@ class Laminate(nn.Module):
         return (self._stack(self._density) * self._moments()[0]).sum(-1)
 
     @property
+    def first_moment_per_area(self) -> Float[Tensor, "*lanes"]:
+        """First moment of the density about the mid-surface, along its normal [kg/m]."""
+        return (self._stack(self._density) * self._moments()[1]).sum(-1)
+
+    @property
+    def centered(self) -> bool:
+        """Whether the first moment is zero whatever the thicknesses: a symmetric stack, or one density."""
+        return self.symmetric or bool((self._density == self._density[0]).all())
+
+    @property
     def rotary_inertia_per_area(self) -> Float[Tensor, "*lanes"]:
         """Second moment of the density about the mid-surface [kg]."""
         return (self._stack(self._density) * self._moments()[2]).sum(-1)
@@ -206,14 +219,11 @@ def turning(
     return T, R
 
 
-def _checked_angles(angles: Sequence[float] | Tensor) -> Tensor:
-    theta = reals("angles of a Laminate", angles)
+def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
+    theta = parameter("angles of a Laminate", angles)
     if theta.ndim != 1 or theta.numel() == 0:
         raise InputError(f"Laminate: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
-    for k, value in enumerate(theta.tolist()):
-        if not abs(value) <= 2.0 * torch.pi:  # also catches nan
-            hint = " (degrees? use mbd.deg)" if abs(value) > 2.0 * torch.pi else ""
-            raise InputError(f"Laminate: angles[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
+    check_angles("angles", theta.tolist(), "Laminate: ")
     return theta
 
 
@@ -227,10 +237,10 @@ def _checked_plies(ply: Ply | Sequence[Ply], layers: int) -> list[Ply]:
     return plies
 
 
-def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> Tensor:
-    t = reals("thickness of a Laminate", thickness)
-    if t.ndim == 0:
-        t = t.repeat(layers)
+def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> nn.Parameter:
+    t = parameter("thickness of a Laminate", thickness)
+    if t is not thickness:  # numbers
+        t = nn.Parameter(t.detach().repeat(layers) if t.ndim == 0 else t.detach(), requires_grad=False)
     if t.shape != (layers,):
         raise InputError(
             f"Laminate: {t.numel()} thicknesses for {layers} angles; allowed: one number, or one per angle [m]"
@@ -238,6 +248,7 @@ def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int)
     for k, value in enumerate(t.tolist()):
         if not 0.0 < value < float("inf"):
             raise InputError(f"Laminate: thickness[{k}] = {value!r} m; allowed: a finite number > 0")
+    doubt("Laminate: thickness", float(t.detach().max()), "m", THICKNESS, stacklevel=4)
     return t
 
 

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.materials.strength import Strength
+from torchmbd.numerics.plausible import doubt_material
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,8 @@ class Ply:
             )
         if not (self.strength is None or isinstance(self.strength, Strength)):
             raise InputError(f"Ply: strength = {self.strength!r}; allowed: a Strength, or None")
+        moduli = {name: getattr(self, name) for name in ("E1", "E2", "G12", "G13", "G23")}
+        doubt_material("Ply", moduli, self.density, self.strength.Xt if self.strength else None)
 
     @classmethod
     def isotropic(cls, E: float, nu: float, density: float, strength: Strength | None = None) -> Ply:

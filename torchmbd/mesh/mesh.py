@@ -30,6 +30,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.mesh.mesh_checks import check, directed_area
+from torchmbd.numerics.gradients import constants
 from torchmbd.numerics.owned import indices, reals
 
 
@@ -85,6 +86,7 @@ class Mesh:
             raise unknown("node", name, shown)
         return tuple(self.node_sets[name])
 
+    @constants
     def within(self, radius: float, point: str | Sequence[float] = "center") -> tuple[int, ...]:
         """Return the nodes at most `radius` [m] from a named node or a place [m]: a patch of one size on every mesh."""
         place = self.nodes[self.node(point)] if isinstance(point, str) else self.nodes.new_tensor(point)

@@ -23,6 +23,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.mesh.mesh import Mesh
+from torchmbd.numerics.gradients import constants
 
 _CELLS = {"triangle": 3, "quad": 4}  # corners
 _POINTS_AND_CURVES = ("vertex", "line")  # gmsh writes them for named points and curves
@@ -35,12 +36,13 @@ class MeshFile(NamedTuple):
     zones: dict[str, Int[Tensor, " part"]]
 
 
+@constants
 def read_mesh(path: str | Path, scale: float = 1.0) -> MeshFile:
     """Read a mesh; scale: meters per unit of the file. InputError tells what cannot be read."""
     try:
         import meshio  # pyright: ignore[reportMissingImports] (optional)
     except ImportError as error:
-        raise InputError("reading mesh files needs the package meshio: pip install meshio") from error
+        raise InputError("reading mesh files needs the package meshio: pip install 'torchmbd[mesh]'") from error
     if not Path(path).is_file():
         raise InputError(f"path is {str(path)!r}; allowed: a mesh file that exists")
     if not 0.0 < scale < float("inf"):
@@ -54,6 +56,7 @@ def read_mesh(path: str | Path, scale: float = 1.0) -> MeshFile:
     return mesh_of(found, scale)
 
 
+@constants
 def mesh_of(found: Any, scale: float = 1.0) -> MeshFile:
     """Convert a meshio.Mesh."""
     points = torch.from_numpy(np.asarray(found.points, dtype=np.float64)) * scale

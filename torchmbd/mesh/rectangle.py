@@ -17,6 +17,7 @@ import torch
 from torchmbd.errors import InputError, unknown
 from torchmbd.mesh.mesh import Mesh
 from torchmbd.numerics.owned import positive
+from torchmbd.numerics.plausible import EXTENT, doubt
 
 #: Kinds of cells that it can make.
 KINDS = ("triangle", "quad")
@@ -32,7 +33,7 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
     the edges) and "center".
     """
     for name, value in (("length", length), ("width", width)):
-        positive(f"rectangle: {name}", value, "m")
+        doubt(f"rectangle: {name}", positive(f"rectangle: {name}", value, "m"), "m", EXTENT)
     if (
         not isinstance(cells, Sequence)
         or len(cells) != 2

@@ -1,10 +1,11 @@
 """C++ on this machine: the compiler, the folder of shared libraries, and libraries of a fixed text.
 
 A library is valid for one key: its source and all that it is made of, the versions of torch and Python, the compiler and
-the processor. So a stale one is never found. One that cannot be loaded is removed with a message; without a C++ compiler
-torch serves, said once.
+the processor. So a stale one is never found. What may be loaded says build_cache.py; without a C++ compiler torch serves,
+said once.
 
-Cache: TORCHMBD_CACHE or ~/.cache/torchmbd. TORCHMBD_COMPILE=0 switches compilation off; CXX names the compiler.
+Cache: TORCHMBD_CACHE or ~/.cache/torchmbd, which the user alone may write. TORCHMBD_COMPILE=0 switches compilation off;
+CXX names the compiler.
 Checked in tests/numerics/test_native.py.
 """
 
@@ -24,22 +25,13 @@ from pathlib import Path
 
 import torch
 
-from torchmbd.process import cache_folder
+from torchmbd.bare import command
+from torchmbd.numerics import build_cache
+from torchmbd.process import cache_folder, require_cache_folder
 
 SUFFIX = ".so"
 OPTIONS = ("-std=c++17", "-march=native", "-fno-math-errno", "-ffp-contract=fast", "-shared", "-fPIC")
 PACKAGE = Path(__file__).parent.parent
-
-
-def entries() -> list[tuple[Path, int, bool]]:
-    """What lies in the cache: path, bytes, and whether it is a library."""
-    if not cache_folder().is_dir():
-        return []
-    found = []
-    for path in sorted(path for path in cache_folder().iterdir() if path.suffix != ".lock"):
-        files = [f for f in path.rglob("*") if f.is_file()] if path.is_dir() else [path]
-        found.append((path, sum(f.stat().st_size for f in files), path.suffix == SUFFIX))
-    return found
 
 
 def compiler() -> str:
@@ -58,9 +50,12 @@ def enabled() -> bool:
         return False
     if shutil.which(compiler()) is None:
         warnings.warn("no C++ compiler: simulations run uncompiled, about ten times slower in batches", stacklevel=2)
-        os.environ["TORCHMBD_COMPILE"] = "0"
-        return False
-    return True
+    elif why := build_cache.refusal(cache_folder()):
+        warnings.warn(f"compiled code is not used, simulations run about ten times slower: {why}", stacklevel=2)
+    else:
+        return True
+    os.environ["TORCHMBD_COMPILE"] = "0"
+    return False
 
 
 def surroundings(sources: Iterable[str]) -> str:
@@ -90,13 +85,12 @@ def _processor() -> str:
 
 def load(path: Path) -> ctypes.CDLL | None:
     """A library; None if it is not there, or removed because it cannot be loaded."""
-    if not path.exists():
+    if build_cache.read(path) is None:
         return None
     try:
         return ctypes.CDLL(str(path))
     except OSError as error:
-        warnings.warn(f"compiled library {path} cannot be loaded and is removed: {error}", stacklevel=3)
-        path.unlink(missing_ok=True)
+        build_cache.remove(path, f"fails: {error}")
         return None
 
 
@@ -123,7 +117,7 @@ class Native:
             self._build.wait()  # it has nothing left to do
             self._build = None
         elif self._build.poll():
-            self._fail(f"{' '.join(map(str, self._build.args))} failed")  # pyright: ignore[reportArgumentType]
+            self._fail(f"{compiler()} fails")
         return self._loaded
 
     def path(self) -> Path:
@@ -138,13 +132,13 @@ class Native:
 
     def _begin(self) -> None:
         part = self.path().with_suffix(f".{os.getpid()}.part")
-        command = [compiler(), "-O3", *OPTIONS, "-o", str(part), str(PACKAGE / self.source)]
+        compile = [compiler(), "-O3", *OPTIONS, "-o", str(part), str(PACKAGE / self.source)]
         # It appears complete or not at all, also where this process has ended meanwhile.
-        shell = ["nice", "-n", "10", "sh", "-c", '"$@" && mv "$0" "${0%.*.part}.so"', str(part), *command]
+        own = command("torchmbd.numerics.build_cache", str(part), str(self.path()), *compile)
         try:
-            cache_folder().mkdir(parents=True, exist_ok=True)
+            require_cache_folder()
             self._build = subprocess.Popen(
-                shell, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+                own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
             )
         except OSError as error:
             self._fail(str(error))

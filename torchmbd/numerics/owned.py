@@ -12,12 +12,14 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.autograd.forward_ad as forward_ad
 from numpy.typing import ArrayLike
-from torch import Tensor
+from torch import Tensor, nn
 from torch._C._functorch import get_unwrapped, is_functorch_wrapped_tensor
 
 from torchmbd.errors import InputError
+from torchmbd.numerics.gradients import differentiated, refuse_gradients
+
+_COMPUTED = "p = x.detach() and then x.backward(p.grad) with the gradient of the parameter p that is made of it"
 
 
 def reals(name: str, given: ArrayLike | Tensor) -> Tensor:
@@ -27,9 +29,9 @@ def reals(name: str, given: ArrayLike | Tensor) -> Tensor:
 
 def scalar(name: str, given: Any, allowed: str = "a finite number", unit: str = "") -> float:
     """Read one finite number; InputError names the argument. A gradient would be lost here, so none is taken."""
+    refuse_gradients(name, given, allowed)
     try:
-        bare = isinstance(given, (str, bytes, bool)) or (isinstance(given, Tensor) and given.requires_grad)
-        x = math.nan if bare else float(given)
+        x = math.nan if isinstance(given, (str, bytes, bool)) else float(given)
     except (TypeError, ValueError):
         x = math.nan
     if not math.isfinite(x):
@@ -42,22 +44,26 @@ def whole(given: Any) -> bool:
     return isinstance(given, numbers.Integral) and not isinstance(given, bool)
 
 
-def differentiated(x: Tensor) -> bool:
-    """Whether torch differentiates by x here: autograd, dual numbers, or a transform of torch.func."""
-    watched = x.requires_grad and torch.is_grad_enabled()
-    return watched or is_functorch_wrapped_tensor(x) or forward_ad.unpack_dual(x).tangent is not None
+def watched(x: Tensor) -> bool:
+    """Whether torch differentiates by x here: autograd in grad mode, dual numbers, or a transform of torch.func."""
+    return is_functorch_wrapped_tensor(x) or (differentiated(x) and (torch.is_grad_enabled() or not x.requires_grad))
+
+
+def plain(x: Tensor) -> Tensor:
+    """The numbers of x without transforms of torch.func; a batch of these has an axis more."""
+    while is_functorch_wrapped_tensor(x):
+        x = get_unwrapped(x)
+    return x.detach()
 
 
 def all_true(x: Tensor) -> bool:
     """Whether all are true, also of a batch of torch.func.vmap."""
-    while is_functorch_wrapped_tensor(x):
-        x = get_unwrapped(x)
-    return bool(x.all())
+    return bool(plain(x).all())
 
 
 def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:
     """InputError where x is being differentiated (autograd, dual numbers, torch.func) and that would be lost."""
-    if differentiated(x):
+    if watched(x):
         raise InputError(
             f"{name} is being differentiated, which would be lost here; allowed: x.detach(), and {instead}"
         )
@@ -91,7 +97,20 @@ def several(name: str, given: Any, kinds: type | tuple[type, ...], allowed: str)
     return list(given)
 
 
+def parameter(name: str, given: ArrayLike | Tensor) -> nn.Parameter:
+    """A parameter as it is, or numbers of any shape as one of their own; InputError for anything that is computed."""
+    if not isinstance(given, nn.Parameter):
+        refuse_gradients(
+            name, given, "numbers; a torch.nn.Parameter, registered as it is; of a computed x, " + _COMPUTED
+        )
+        return nn.Parameter(reals(name, given))
+    if given.dtype != torch.float64:
+        raise InputError(f"{name} is a Parameter of {given.dtype}; allowed: torch.float64")
+    return given
+
+
 def _read(name: str, given: ArrayLike | Tensor, allowed: str) -> Tensor:
+    refuse_gradients(name, given, allowed)
     try:
         x = (given.detach() if isinstance(given, Tensor) else torch.from_numpy(np.array(given))).clone()
     except (TypeError, ValueError) as error:

@@ -58,7 +58,7 @@ class Branching:
         self.upper = np.array([high if v is None else v[-1] for high, v in zip(upper, grid.values, strict=True)])
         self.equalities = getattr(archive, "equalities", None)
         self.feasibility, self.max_lanes = feasibility, max_lanes
-        self.boxes = 0
+        self.boxes, self.queue = 0, list[Branch]()  # searched, and left
         self.best: Candidate | None = None
         self.rounded: Candidate | None = None  # plain rounding of the best relaxed minimum
 
@@ -84,6 +84,7 @@ class Branching:
             self.confirm(np.array([end.x for _, end in found]).reshape(-1, self.lower.size))
             for branch, end in found:
                 queue += self.split(branch.lower, branch.upper, end.x, end.value)
+        self.queue = queue
         return False
 
     def root(self, x: np.ndarray, value: float) -> list[Branch]:
@@ -161,6 +162,11 @@ class Branching:
         if self.best is None or self.best.violation > self.feasibility:
             return np.inf
         return self.best.value - WORTH * abs(self.best.value)
+
+    @property
+    def open(self) -> int:
+        """Boxes left that may hold something better."""
+        return sum(branch.bound < self.limit for branch in self.queue)
 
     def candidates(self) -> list[Candidate]:
         """Return all evaluated designs on the values, the best first."""

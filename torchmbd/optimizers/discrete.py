@@ -45,7 +45,7 @@ class Certificate:
 @dataclass(frozen=True)
 class DiscreteResult:
     best: Candidate | None
-    status: str  # as of OptimizationResult; "converged": feasible, and the certificate holds
+    status: str  # as of OptimizationResult; "converged": feasible, all boxes searched, and the certificate holds
     message: str
     certificate: Certificate | None
     rounded: Candidate | None  # what plain rounding of the best relaxed minimum gives
@@ -77,7 +77,7 @@ def optimize_discrete(
     problem        as in `optimize`
     allowed        one entry per variable, an increment in its unit, a list of values, or None (continuous); one increment
                    serves all [rad for angles: mbd.deg(5)]
-    max_boxes      boxes searched at most
+    max_boxes      boxes searched at most; where others are left that may hold a better design, the status is "max_boxes"
     max_neighbors  where more lie within two increments per variable, the certificate takes two increments in all
     admits         rules that a design [n] on the values must keep, such as those of a laminate; rounding then takes the
                    nearest admitted design within two increments (a rule that ties variables, such as symmetry, is better
@@ -116,7 +116,7 @@ def optimize_discrete(
         interrupted = True
     candidates = branching.candidates()
     best = candidates[0] if candidates else None
-    status, message = _ended(best, certificate, interrupted, feasibility)
+    status, message = _ended(best, certificate, interrupted, feasibility, branching)
     return DiscreteResult(
         best,
         status,
@@ -148,7 +148,11 @@ def _certify(branching: Branching, max_neighbors: int) -> Certificate | None:
 
 
 def _ended(
-    best: Candidate | None, certificate: Certificate | None, interrupted: bool, feasibility: float
+    best: Candidate | None,
+    certificate: Certificate | None,
+    interrupted: bool,
+    feasibility: float,
+    branching: Branching,
 ) -> tuple[str, str]:
     """Return status and sentence."""
     if interrupted:
@@ -156,6 +160,9 @@ def _ended(
     if best is None or certificate is None:
         return "failed", "no design on the allowed values could be evaluated"
     around = f"{certificate.neighbors} neighbors, {certificate.which}"
+    if branching.open:
+        found = f"no better design among {around}" if best.violation <= feasibility else "no feasible design was found"
+        return "max_boxes", f"{branching.open} boxes were left after {branching.boxes}; {found}"
     if best.violation > feasibility:
         return "infeasible", f"no feasible design on the allowed values was found; x violates least among its {around}"
     if not certificate.holds:

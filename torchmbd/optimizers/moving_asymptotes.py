@@ -40,7 +40,7 @@ def _run_nlopt(
         nlopt = import_module("nlopt")
     except ImportError as error:
         raise InputError(
-            f"method = {method!r} needs the package nlopt, which is not installed: pip install nlopt"
+            f"method = {method!r} needs the package nlopt, which is not installed: pip install 'torchmbd[nlopt]'"
         ) from error
     for name, value in {"ftol": ftol, "xtol": xtol, "kkt": kkt}.items():
         require_range(name, value, 1e-16, 1.0)

@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 STATUSES = {
     "converged": "the method's own criteria hold, the constraints are satisfied",
     "max_iterations": "stopped by the limit of iterations or of analyses",
+    "max_boxes": "stopped by the limit of boxes of a discrete search, with boxes left that may hold a better design",
     "stalled": "no step improves the design any more, though it is not a Kuhn-Tucker point; the message says why",
     "infeasible": "the constraints could not be satisfied; x is the least infeasible design seen",
     "failed": "the start could not be evaluated, or a gradient where the values could",

@@ -8,6 +8,7 @@ from torchmbd.reduction.craig_bampton import craig_bampton
 from torchmbd.reduction.eigenpairs import Eigenpairs, eigenpairs
 from torchmbd.reduction.family import REDUCTIONS, CraigBampton, Reduction, VibrationModes, uncut
 from torchmbd.reduction.invariants import inertia_invariants
+from torchmbd.reduction.spectral import eigenvalues, spectral_function
 
 __all__ = [
     "REDUCTIONS",
@@ -25,8 +26,10 @@ __all__ = [
     "craig_bampton",
     "eigenpair_branches",
     "eigenpairs",
+    "eigenvalues",
     "inertia_invariants",
     "modal_basis",
     "span",
+    "spectral_function",
     "uncut",
 ]

@@ -30,6 +30,7 @@ from torchmbd.errors import InputError
 from torchmbd.numerics.sparse import SparseMatrix
 from torchmbd.reduction.dense import DenseModes
 from torchmbd.reduction.forms import check, check_positive_diagonal, lane_name, recognize
+from torchmbd.reduction.signs import signs
 from torchmbd.reduction.sparse_modes import SparseModes
 from torchmbd.reduction.transport import Cotangent, Pencil, Tangent
 
@@ -52,7 +53,7 @@ class CutCluster(InputError):
 
 
 class ModalBasis(NamedTuple):
-    """M-orthonormal modes [..., N, n] and the reduced stiffness [..., n, n]; see the module header."""
+    """M-orthonormal modes [..., N, n], of the signs of signs.py, and the reduced stiffness [..., n, n]; see the header."""
 
     vectors: Float[Tensor, "*lanes freedoms modes"]
     stiffness: Float[Tensor, "*lanes modes modes"]
@@ -110,14 +111,14 @@ def open_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, t
 
 
 def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
-    """Check the numbers, solve, and refuse to cut a cluster: eigenvalues [lane, n], vectors [lane, N, n]."""
+    """Check the numbers, solve, refuse to cut a cluster: eigenvalues [lane, n], vectors [lane, N, n] with their signs."""
     check("K", pencil.K_form, K)
     check("M", pencil.M_form, M)
     check_positive_diagonal("M", pencil.M_form, M)
     pencil.modes = modes = _modes(pencil, n, K, M)
     values, vectors = modes.lowest()
     _check_gap(values, n, cluster, rounding(pencil, K, M).maximum(ROUNDING * modes.shift.abs()))
-    return values[:, :n], vectors
+    return values[:, :n], vectors * signs(vectors)
 
 
 def rounding(pencil: Pencil, K: Tensor, M: Tensor) -> Tensor:

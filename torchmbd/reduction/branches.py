@@ -39,6 +39,7 @@ from torchmbd.reduction.eigenpairs import clusters
 from torchmbd.reduction.forms import Dense, Diagonal
 from torchmbd.reduction.series import retained_series
 from torchmbd.reduction.sharpen import Sharpen
+from torchmbd.reduction.signs import signs
 from torchmbd.reduction.transport import Pencil
 
 Matrix = Tensor | SparseMatrix
@@ -90,11 +91,12 @@ def eigenpair_branches(
     Psi, Kr = retained_series(pencil, values, psi, [K for K, _ in series], [M for _, M in series])
     found = sorted(_split(Kr, cluster, values.abs().max().item(), 0), key=lambda branch: branch.order)
     gamma = [torch.stack([branch.vector[m] for branch in found], dim=1) for m in (0, 1)]
+    sign = signs(Psi[0] @ gamma[0])
     return Branches(
         values=torch.stack([branch.value[0] for branch in found]),
-        vectors=Psi[0] @ gamma[0],
+        vectors=Psi[0] @ gamma[0] * sign,
         value_slopes=torch.stack([branch.value[1] for branch in found]),
-        vector_slopes=Psi[1] @ gamma[0] + Psi[0] @ gamma[1],
+        vector_slopes=(Psi[1] @ gamma[0] + Psi[0] @ gamma[1]) * sign,
         split=torch.tensor([branch.split for branch in found]),
     )
 

@@ -23,7 +23,7 @@ Checked in tests/reduction/test_craig_bampton.py and tests/sensitivity/test_eige
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import torch
@@ -36,6 +36,7 @@ from torchmbd.reduction.blocks import BlockFactor, storage
 from torchmbd.reduction.forms import Dense, Diagonal, Form, Sparse, check, check_positive_diagonal, lane_name
 from torchmbd.reduction.partition import partition
 from torchmbd.reduction.shift import SAFE_PIVOT
+from torchmbd.reduction.slices import by_slices
 from torchmbd.reduction.transport import SECOND, Pencil, batched
 
 
@@ -176,8 +177,7 @@ class _Tangent(torch.autograd.Function):
 
     @staticmethod
     def forward(split: Split, T: Tensor, dK: Tensor) -> tuple[Tensor, Tensor]:
-        F = split.pencil.K_form.multiply(dK, T[:, None])
-        return -split.solve(F), T.mT[:, None] @ F
+        return by_slices(partial(_tangent, split), T, dK)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
@@ -201,8 +201,7 @@ class _Cotangent(torch.autograd.Function):
 
     @staticmethod
     def forward(split: Split, T: Tensor, G: Tensor, H: Tensor) -> Tensor:
-        columns = T[:, None]
-        return split.pencil.K_form.pair(columns @ H - split.solve(G), columns)
+        return by_slices(partial(_cotangent, split), T, G, H)[0]
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
@@ -220,3 +219,13 @@ class _Cotangent(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *_: Any) -> Any:
         raise NotImplementedError(SECOND)
+
+
+def _tangent(split: Split, T: Tensor, dK: Tensor, *_: None) -> tuple[Tensor, Tensor]:
+    F = split.pencil.K_form.multiply(dK, T[:, None])
+    return -split.solve(F), T.mT[:, None] @ F
+
+
+def _cotangent(split: Split, T: Tensor, G: Tensor, H: Tensor, _: None) -> tuple[Tensor, Tensor]:
+    columns = T[:, None]
+    return split.pencil.K_form.pair(columns @ H - split.solve(G), columns), T.new_zeros(0)

@@ -1,6 +1,7 @@
 """Inertia invariants: the sums over all nodes that the motion needs, made once per design.
 
-Node k sits at x_k in the body frame and moves by the modes: displacement t_k w, small rotation r_k w.
+Node k sits at x_k in the body frame and moves by the modes: displacement t_k w, small rotation r_k w. Where masses lie
+off the nodes of the mesh, at middles of sides or on rigid arms, "node" means such a mass point (elements/assembly.py).
 Its lumped mass is m_k, its rotary inertia mu_k times the 3 x 3 identity (eq. 2). All nodal sums in the
 mass matrix and the inertia forces (eqs. 1-3) are polynomials of degree two in w and in the orientation;
 their coefficients are
@@ -30,7 +31,7 @@ from torchmbd.errors import InputError
 
 
 def inertia_invariants(
-    x: Float[Tensor, "nodes 3"],
+    x: Float[Tensor, "*lanes nodes 3"],
     mass: Float[Tensor, "*lanes nodes"],
     rotary: Float[Tensor, "*lanes nodes"],
     psi: Float[Tensor, "*lanes nodes 6 modes"],
@@ -40,7 +41,7 @@ def inertia_invariants(
     if mass.shape[-1] != nodes or rotary.shape[-1] != nodes or psi.shape[-3:-1] != (nodes, 6):
         shapes = ", ".join(str(tuple(a.shape)) for a in (x, mass, rotary, psi))
         raise InputError(
-            f"x, mass, rotary, psi have shapes {shapes}; [n, 3], [..., n], [..., n], [..., n, 6, m] needed"
+            f"x, mass, rotary, psi have shapes {shapes}; [..., n, 3], [..., n], [..., n], [..., n, 6, m] needed"
         )
     t, r = psi[..., :3, :], psi[..., 3:, :]
     weighted = mass[..., None] * x

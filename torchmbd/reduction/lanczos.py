@@ -17,6 +17,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
@@ -65,8 +66,8 @@ def lanczos(
 
 def _random(lanes: int, size: int, columns: int, device: torch.device | None) -> Tensor:
     """The same orthonormal columns in every lane, and in every run."""
-    start = torch.randn(size, columns, generator=torch.Generator().manual_seed(columns), dtype=torch.float64)
-    return torch.linalg.qr(start)[0].repeat(lanes, 1, 1).to(device)
+    start = np.random.default_rng(columns).standard_normal((size, columns))  # torch's may not be drawn under vmap
+    return torch.linalg.qr(torch.from_numpy(start))[0].repeat(lanes, 1, 1).to(device)
 
 
 def _iterate(apply: Callable[[Tensor], Tensor], X: Tensor, n: int, tolerance: float) -> Ritz | None:

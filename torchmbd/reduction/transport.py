@@ -47,12 +47,14 @@ are derived here. Checked in tests/sensitivity/test_eigen_subspace.py.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from torchmbd.reduction.forms import Form
+from torchmbd.reduction.slices import by_slices
 
 
 class Modes(Protocol):
@@ -83,20 +85,7 @@ class Tangent(torch.autograd.Function):
     def forward(
         pencil: Pencil, values: Tensor, psi: Tensor, dK: Tensor | None, dM: Tensor | None
     ) -> tuple[Tensor, Tensor]:
-        columns = psi[:, None]
-        F = torch.zeros_like(columns)
-        dKr = S = torch.zeros_like(psi[:, None, :0, :0])
-        if dK is not None:
-            F = pencil.K_form.multiply(dK, columns)
-            dKr = columns.mT @ F
-        if dM is not None:
-            moved = pencil.M_form.multiply(dM, columns)
-            F = F - moved * values[:, None, None, :]
-            S = -(columns.mT @ moved) / 2
-            shifted = S * (values[:, None, :, None] + values[:, None, None, :])
-            dKr = shifted if dK is None else dKr + shifted
-        dPsi = -pencil.modes.deflated_solve(F.movedim(1, 2)).movedim(2, 1)
-        return (dPsi if dM is None else dPsi + columns @ S), dKr
+        return by_slices(partial(_tangent, pencil), values, psi, dK, dM)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
@@ -120,12 +109,7 @@ class Cotangent(torch.autograd.Function):
 
     @staticmethod
     def forward(pencil: Pencil, values: Tensor, psi: Tensor, G: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
-        columns, lam = psi[:, None], values[:, None, None, :]
-        Y = pencil.modes.deflated_solve(G.movedim(1, 2)).movedim(2, 1)
-        W = columns.mT @ G + (values[:, None, :, None] + lam) * H
-        K_bar = pencil.K_form.pair(columns @ H - Y, columns)
-        M_bar = pencil.M_form.pair(Y * lam - columns @ W.mT / 2, columns)
-        return K_bar, M_bar
+        return by_slices(partial(_cotangent, pencil), values, psi, G, H)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
@@ -142,6 +126,34 @@ class Cotangent(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *_: Any) -> Any:
         raise NotImplementedError(SECOND)
+
+
+def _tangent(
+    pencil: Pencil, values: Tensor, psi: Tensor, dK: Tensor | None, dM: Tensor | None
+) -> tuple[Tensor, Tensor]:
+    columns = psi[:, None]
+    F = torch.zeros_like(columns)
+    dKr = S = torch.zeros_like(psi[:, None, :0, :0])
+    if dK is not None:
+        F = pencil.K_form.multiply(dK, columns)
+        dKr = columns.mT @ F
+    if dM is not None:
+        moved = pencil.M_form.multiply(dM, columns)
+        F = F - moved * values[:, None, None, :]
+        S = -(columns.mT @ moved) / 2
+        shifted = S * (values[:, None, :, None] + values[:, None, None, :])
+        dKr = shifted if dK is None else dKr + shifted
+    dPsi = -pencil.modes.deflated_solve(F.movedim(1, 2)).movedim(2, 1)
+    return (dPsi if dM is None else dPsi + columns @ S), dKr
+
+
+def _cotangent(pencil: Pencil, values: Tensor, psi: Tensor, G: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
+    columns, lam = psi[:, None], values[:, None, None, :]
+    Y = pencil.modes.deflated_solve(G.movedim(1, 2)).movedim(2, 1)
+    W = columns.mT @ G + (values[:, None, :, None] + lam) * H
+    K_bar = pencil.K_form.pair(columns @ H - Y, columns)
+    M_bar = pencil.M_form.pair(Y * lam - columns @ W.mT / 2, columns)
+    return K_bar, M_bar
 
 
 SECOND = "second derivatives of modes are not provided; use finite differences of gradients"

@@ -22,7 +22,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Ply
+from torchmbd.numerics.gradients import constants
 from torchmbd.numerics.owned import positive
+from torchmbd.numerics.plausible import DIMENSION, THICKNESS, doubt
 from torchmbd.sections.blocks import Patch, between, graded, grid, joined, line
 from torchmbd.sections.orthotropic import Orthotropic
 from torchmbd.sections.section import Section
@@ -32,6 +34,7 @@ Angles = Sequence[float] | Tensor
 WALLS = ("top", "right", "bottom", "left")
 
 
+@constants
 def strip(
     width: float,
     ply: Plies,
@@ -46,6 +49,7 @@ def strip(
     return _stack(graded(-width / 2, width / 2, cells[0], order), ply, angles, thickness, cells[1], order)
 
 
+@constants
 def rectangle(
     width: float,
     height: float,
@@ -61,6 +65,7 @@ def rectangle(
     return _stack(line(-width / 2, width / 2, cells[0], order), ply, angles, height / _layers(angles), each, order)
 
 
+@constants
 def box(
     width: float,
     height: float,
@@ -102,6 +107,7 @@ def box(
     )
 
 
+@constants
 def tube(
     radius: float,
     ply: Plies,
@@ -126,6 +132,7 @@ def tube(
     return Section(joined(patches, order), ply, angles)
 
 
+@constants
 def circle(
     radius: float, ply: Ply | Orthotropic, angle: float = 0.0, cells: tuple[int, int] = (6, 4), order: int = 2
 ) -> Section:
@@ -146,6 +153,7 @@ def circle(
     return Section(joined(patches, order, plane_angle=0.0), ply, (angle,))
 
 
+@constants
 def i_section(
     width: float,
     height: float,
@@ -235,12 +243,13 @@ def _thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np
         raise InputError(f"{t.size} thicknesses for {layers} plies; allowed: one number, or one per ply [m]")
     if not (np.isfinite(t) & (t > 0)).all():
         raise InputError(f"thickness = {thickness!r}; allowed: finite numbers > 0 [m]")
+    doubt("thickness", float(t.max()), "m", THICKNESS, stacklevel=4)
     return t
 
 
 def _positive(**lengths: float) -> None:
     for name, value in lengths.items():
-        positive(name, value, "m")
+        doubt(name, positive(name, value, "m"), "m", DIMENSION, stacklevel=4)
 
 
 def _check_cells(cells: Sequence[int], count: int, order: int) -> None:

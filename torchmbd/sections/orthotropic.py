@@ -26,6 +26,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.materials import Ply, Strength
+from torchmbd.numerics.plausible import doubt_material
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,8 @@ class Orthotropic:
                 "not positive definite; allowed: |nu_ij| < sqrt(E_i / E_j), "
                 "and the determinant of the three normal strains positive"
             )
+        moduli = {name: getattr(self, name) for name in ("E1", "E2", "E3", "G12", "G13", "G23")}
+        doubt_material("Orthotropic", moduli, self.density, self.strength.Xt if self.strength else None)
 
     @classmethod
     def isotropic(cls, E: float, nu: float, density: float) -> Orthotropic:

@@ -33,6 +33,8 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.materials import Ply
 from torchmbd.numerics.inverse import balanced_inverse
+from torchmbd.numerics.owned import parameter
+from torchmbd.numerics.plausible import check_angles
 from torchmbd.sections.geometry import SectionGeometry
 from torchmbd.sections.mesh import SectionMesh
 from torchmbd.sections.orthotropic import Orthotropic, strain_rotation, turned
@@ -83,7 +85,7 @@ class Section(nn.Module):
         self.mesh, self.plies = mesh, solids
         self.geometry = SectionGeometry(mesh)
         self.problem = WarpingProblem(self.geometry, mesh.nodes)
-        self.angles = nn.Parameter(theta)
+        self.angles = theta
         self.register_buffer("_C", torch.stack([p.stiffness() for p in solids]), persistent=False)
         density = torch.tensor([p.density for p in solids], dtype=torch.float64)
         self.register_buffer("_density", density, persistent=False)
@@ -156,12 +158,9 @@ class Section(nn.Module):
         return strain_rotation(-self.angles).mT
 
 
-def _checked_angles(angles: Sequence[float] | Tensor) -> Tensor:
-    theta = torch.as_tensor(angles, dtype=torch.float64).detach().clone()
+def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
+    theta = parameter("angles of a Section", angles)
     if theta.ndim != 1 or theta.numel() == 0:
         raise InputError(f"Section: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
-    for k, value in enumerate(theta.tolist()):
-        if not abs(value) <= 2.0 * torch.pi:  # also catches nan
-            hint = " (degrees? use mbd.deg)" if abs(value) > 2.0 * torch.pi else ""
-            raise InputError(f"Section: angles[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
+    check_angles("angles", theta.tolist(), "Section: ")
     return theta

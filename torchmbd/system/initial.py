@@ -1,18 +1,21 @@
 """Consistent initial conditions: joints closed by Newton's method, then compatible velocities.
 
 Modal coordinates start at zero, undeformed and at rest in their body frames; the rigid coordinates move as little as
-possible (minimum norm) from the given approximate positions and velocities:
+possible (minimum norm) from the given approximate positions and velocities. Velocities g that were given change only where
+those f that were not cannot make up for it; these are as small as possible:
 
-    q <- q o s,  s = -J+ Phi(q, t0)          repeated until closed
-    v = v0 + s,  s = -J+ (J v0 + Phi_t)
+    q <- q o s,  s = -K Phi(q, t0)           repeated until closed; all coordinates are given
+    v = v0 + s,  s = -K (J v0 + Phi_t)       v0 = 0 where no velocity was given
 
-J      Jacobian Phi_q of the rigid coordinates at the place of the step, J+ its pseudo-inverse: redundant and
-       underdetermined mechanisms alike
-y      multipliers of the correction, s = J' y
+    J = G + F     Jacobian Phi_q of the rigid coordinates at the place of the step: columns of g, columns of f
+    B = Q G       Q = 1 - F F+: what f cannot make up for;  + is the pseudo-inverse: redundant and underdetermined
+    K = C + F+ (1 - G C),  C = B+ Q                         mechanisms alike. K = J+ where all, or none, are given
 
-The derivatives by the design are those of these steps: with P = 1 - J+ J the projector on what the joints leave free,
+The derivatives by the design are those of these steps. With the multipliers y = C' s of g, z = F+' s of f,
 
-    ds = P dJ' y - J+ (dPhi + dJ s)          of a velocity with d(J v0 + Phi_t) for dPhi
+    ds = u - C G u + w - F+ (G (u - C G u) + F w) - K (dPhi + dJ s)     u = dG' y - G' F+' dF' y,  w = dF' z
+
+and d(J v0 + Phi_t) of a velocity for dPhi. A given velocity that is not kept is told with a warning.
 
 On pairs, or on tensors that require gradients, every step carries them; a last one the position's at the closed joints.
 What cannot close is named with its residual.
@@ -24,6 +27,7 @@ Checked in tests/system/test_initial.py.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -31,6 +35,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.bodies.frame import moves
 from torchmbd.errors import InputError
 from torchmbd.numerics.pair import Pair, cat, linear, value
 from torchmbd.numerics.rotation import euler_parameters
@@ -41,6 +46,9 @@ from torchmbd.system.topology import Topology
 
 _CLOSED = 1e-11  # [m] or [-]: largest violation of a closed joint
 _STEPS = 50
+_RANK = 1e-10  # share of the largest singular value of J that counts as zero
+_KEPT = 1e-6  # share of the largest given velocity by which one may change without a word
+_TOLD = 4  # velocities that are not kept, the worst first
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +68,16 @@ class Alike:
 
 @dataclass(frozen=True, eq=False)
 class InitialConditions:
-    """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies, modes at rest."""
+    """Approximate initial positions q [n_q] and velocities v [n_v] of all bodies, modes at rest; given: those that were."""
 
     topology: Topology
     q: Tensor
     v: Tensor
+    given: Tensor
     _last: list[Alike] = field(default_factory=list, init=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_last": []}  # what was found for some designs is no part of the model
 
     @classmethod
     def of(cls, topology: Topology, bodies: list[Any]) -> InitialConditions:
@@ -81,7 +93,8 @@ class InitialConditions:
             torch.stack([b.angular_velocity for b in bodies], 1).flatten(),
             modal,
         ]
-        return cls(topology, torch.cat(q), torch.cat(v))
+        given = torch.tensor([moves(b) for b in bodies]).T[:, None].expand(2, 3, -1).flatten()
+        return cls(topology, torch.cat(q), torch.cat(v), torch.cat([given, modal > 0.0]))
 
     @cached_property
     def condensed(self) -> Condensation | None:
@@ -130,9 +143,28 @@ class InitialConditions:
         else:
             self._refuse(value(phi).detach())
         q = equations.advance(T, q, -tied.least(phi))
-        tied = _Tied.of(dynamics, q, t)
+        tied = _Tied.of(dynamics, q, t, self.given.to(device))
         s = -tied.least(value(tied.rates(v)).detach())
+        self._tell(v[:, 0], s[:, 0])
         return q, v + s + tied.turned(s) - tied.least(tied.rates(v + s))
+
+    def _tell(self, v: Tensor, s: Tensor) -> None:
+        """Warn of velocities that were given and are not kept [n_v, lanes]."""
+        n, lost = self.topology.bodies, []
+        for k, (kind, unit) in enumerate((("velocity", "m/s"), ("angular velocity", "rad/s"))):
+            for i, name in enumerate(self.topology.names):
+                rows = [3 * n * k + n * j + i for j in range(3)]
+                change, lane = s[rows].norm(dim=0).max(0)
+                if self.given[rows[0]] and float(change) > _KEPT * float(v[:, lane].abs().max()):
+                    own, found = (", ".join(f"{x:.4g}" for x in y[rows, lane].tolist()) for y in (v, v + s))
+                    lost.append((-float(change), f"{kind} of {name!r} given ({own}), starts with ({found}) {unit}"))
+        if lost:
+            told, more = [text for _, text in sorted(lost)[:_TOLD]], len(lost) - _TOLD
+            warnings.warn(
+                f"the joints do not allow the initial velocities that the bodies were given: {'; '.join(told)}"
+                + (f"; and {more} more" if more > 0 else ""),
+                stacklevel=2,
+            )
 
     def _refuse(self, phi: Tensor) -> None:
         T, phi = self.topology, phi.abs().amax((1, 2))
@@ -151,17 +183,31 @@ class _Tied:
     dynamics: Any
     at: equations.Placement
     t: Tensor
-    J: Tensor  # [lanes, rows, 6 bodies], without derivatives
-    inverse: Tensor  # [lanes, 6 bodies, rows]
+    G: Tensor  # [lanes, rows, 6 bodies], without derivatives, as all that follow: zero but for what is given
+    F: Tensor  # zero for what is given
+    inverse: Tensor  # C [lanes, 6 bodies, rows]
+    inverse_free: Tensor  # F+
+    given: Tensor  # [6 bodies, 1, 1]
 
     @classmethod
-    def of(cls, dynamics: Any, q, t: Tensor) -> _Tied:
+    def of(cls, dynamics: Any, q, t: Tensor, given: Tensor | None = None) -> _Tied:
+        """given: which of the rigid velocities are; None: all."""
         T, data = dynamics.topology, dynamics.data
         values = {name: value(x).detach() for name, x in data.items()}
         plain = equations.placement(T, values, value(q).detach(), T.prescribed(t, values))
         J = dynamics.saddle.jacobian(values, plain)[:, :, : 6 * T.bodies]
         at = equations.placement(T, data, q, T.prescribed(t, data))
-        return cls(dynamics, at, t, J, torch.linalg.pinv(J, rtol=1e-10))
+        rows, rigid = J.shape[1:]
+        own = torch.ones(rigid, dtype=torch.bool, device=J.device) if given is None else given[:rigid]
+        G, F, small = J * own, J * ~own, _RANK * torch.linalg.matrix_norm(J, 2)
+        free = (
+            torch.zeros_like(J).mT
+            if bool(own.all())
+            else torch.linalg.pinv(F, atol=small, rtol=torch.zeros_like(small))
+        )
+        Q = torch.eye(rows, dtype=J.dtype, device=J.device) - F @ free
+        C = torch.linalg.pinv(Q @ G, atol=small, rtol=torch.zeros_like(small)) @ Q
+        return cls(dynamics, at, t, G, F, C, free, own[:, None, None])
 
     def violation(self):
         """Phi [rows, ...]."""
@@ -173,15 +219,37 @@ class _Tied:
         return equations.constraint_jets(T, self.at, data, v, torch.zeros_like(v), self.t).velocity
 
     def least(self, x):
-        """J+ x [n_v, ...] of x [rows, ...]; modal rows zero."""
-        return linear(lambda y: self._whole(_times(self.inverse, y)), x)
+        """K x [n_v, ...] of x [rows, ...]; modal rows zero."""
+
+        def solved(y: Tensor) -> Tensor:
+            own = _times(self.inverse, y)
+            return self._whole(own + _times(self.inverse_free, y - _times(self.G, own)))
+
+        return linear(solved, x)
 
     def turned(self, s: Tensor):
-        """P J' y [n_v, ...] of a correction s = J' y, with the derivatives of J: they are all that is not zero."""
-        T, data, rigid = self.dynamics.topology, self.dynamics.data, self.J.shape[2]
-        y = _times(self.inverse.mT, s[:rigid])
-        force = cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])[:rigid]
-        return linear(lambda f: self._whole(f - _times(self.inverse, _times(self.J, f))), force)
+        """What the derivatives of J make of a correction s where its constraints are kept [n_v, ...]: no -K (dPhi + dJ s)."""
+        rigid = self.G.shape[2]
+        moved = linear(lambda f: self._of_given(f), self._pulled(_times(self.inverse.mT, s[:rigid])))
+        if bool(self.F.any()):
+            free = self._pulled(_times(self.inverse_free.mT, s[:rigid]))
+            moved = moved + linear(lambda f: self._of_free(f), free)
+        return moved
+
+    def _pulled(self, y: Tensor):
+        """J' y [6 bodies, ...] with the derivatives of J."""
+        T, data = self.dynamics.topology, self.dynamics.data
+        return cat([x.flatten(0, 1) for x in equations.constraint_forces(T, data, self.at, y)])[: self.G.shape[2]]
+
+    def _of_given(self, f: Tensor) -> Tensor:
+        own = f * self.given
+        u = own - _times(self.G.mT, _times(self.inverse_free.mT, f - own))
+        u = u - _times(self.inverse, _times(self.G, u))
+        return self._whole(u - _times(self.inverse_free, _times(self.G, u)))
+
+    def _of_free(self, f: Tensor) -> Tensor:
+        w = f * ~self.given
+        return self._whole(w - _times(self.inverse_free, _times(self.F, w)))
 
     def _whole(self, rigid: Tensor) -> Tensor:
         return torch.cat([rigid, rigid.new_zeros(self.dynamics.topology.n_v - len(rigid), *rigid.shape[1:])])

@@ -16,11 +16,14 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.bodies import FlexibleBody, RigidBody
-from torchmbd.bodies.frame import vector
+from torchmbd.bodies.frame import VELOCITIES, vector
 from torchmbd.errors import InputError, unknown
 from torchmbd.forces.force import ForceElement
+from torchmbd.forces.laws import VARIABLES
+from torchmbd.joints.drive import VARIABLES as OF_DRIVES
 from torchmbd.joints.joint import Joint
 from torchmbd.numerics.called import called
+from torchmbd.numerics.gradients import refuse_lost
 from torchmbd.numerics.owned import positive, refuse_derivatives, several
 from torchmbd.numerics.pair import Pair
 from torchmbd.numerics.variable import key
@@ -30,6 +33,9 @@ from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.equations import INERTIA
 from torchmbd.system.initial import InitialConditions
 from torchmbd.system.saddle import Saddle
+
+# Numbers of a system and of its bodies by which nothing is differentiated.
+_CONSTANTS = ("gravity", "mass", "center", "second_moment", "position", "axes", *VELOCITIES)
 
 
 class System(nn.Module):
@@ -140,6 +146,7 @@ class System(nn.Module):
         parameters  name -> values [lanes, ...]; others keep their own
         tangents    names among them: carry the derivatives by every entry of these, in this order, flattened
         """
+        self._refuse_lost()
         own = dict(self.named_parameters())
         given = dict(parameters or {})
         for name, x in own.items():
@@ -170,6 +177,23 @@ class System(nn.Module):
             else:
                 data = stage(given)
         return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
+
+    def _refuse_lost(self) -> None:
+        """InputError for numbers that would be differentiated, but are constants of the system, its bodies and laws."""
+        for owner in (self, *self.bodies):
+            for name in _CONSTANTS:
+                x = owner._parameters.get(name, owner._buffers.get(name))
+                if x is not None and (name in owner._parameters or x.requires_grad):
+                    label = name if owner is self else f"{owner.name}.{name}"
+                    raise InputError(
+                        f"{label!r} is a constant: it has no gradient; allowed: a tensor that requires none"
+                    )
+        for kind in self.topology.actions:
+            for law in kind.laws:
+                refuse_lost("law of a force", law, VARIABLES)
+        for joint in self.joints:
+            registered = joint.variables.module if joint.variables else None
+            refuse_lost(f"law of {joint.name!r}", getattr(joint, "law", None), OF_DRIVES, registered)
 
     def _data(self) -> dict[str, Tensor]:
         T = self.topology

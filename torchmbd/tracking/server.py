@@ -21,6 +21,7 @@ QUIET = {
     "MLFLOW_SERVER_ENABLE_JOB_EXECUTION": "false",
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "GIT_PYTHON_REFRESH": "quiet",
+    "PYTHONSAFEPATH": "1",  # a random.py of the current folder is none of the server's modules
 }
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from torchmbd.errors import InputError
-from torchmbd.process import cache_folder
+from torchmbd.process import require_cache_folder
 from torchmbd.tracking.tracker import TrackingError
 
 if TYPE_CHECKING:
@@ -115,8 +115,7 @@ def _alone(uri: str) -> Iterator[None]:
     if sqlite_file(uri) is None:
         yield
         return
-    cache_folder().mkdir(parents=True, exist_ok=True)
-    with (cache_folder() / "stores.lock").open("w") as lock:
+    with (require_cache_folder() / "stores.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         yield
 

@@ -1,0 +1,42 @@
+"""Workers on this machine that only the study itself reaches, as Dask runs what it is sent.
+
+The scheduler, the workers and the processes that watch over them (nannies) listen on loopback, where any user of the machine
+may connect. So all of them speak TLS, and ask for a certificate that is made for this study and exists in its processes alone.
+Dask's own LocalCluster opens a port of plain HTTP for the scheduler and for every worker: here there is none.
+Checked in tests/experiment/test_farm.py.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import cryptography  # noqa: F401  what Security.temporary needs: the error names the package
+from distributed import Nanny, Scheduler, Security, SpecCluster, Worker  # pyright: ignore[reportMissingImports]
+
+from torchmbd.process import BROOD, breed
+
+HOST = "127.0.0.1"
+
+
+class _Scheduler(Scheduler):
+    def start_http_server(self, *_: object, **__: object) -> None:
+        """Open no port."""
+
+
+class _Worker(Worker):
+    def start_http_server(self, *_: object, **__: object) -> None:
+        """Open no port."""
+
+
+def start_local_cluster(workers: int) -> SpecCluster:
+    """Start so many processes of one thread each."""
+    breed(*BROOD)
+    security = Security.temporary()
+    options = {"host": HOST, "protocol": "tls://", "security": security}
+    own = {"worker_class": _Worker, "nthreads": 1, "memory_limit": 0, "silence_logs": logging.CRITICAL}
+    return SpecCluster(
+        scheduler={"cls": _Scheduler, "options": {**options, "port": 0, "dashboard": False}},
+        workers={i: {"cls": Nanny, "options": options | own} for i in range(workers)},
+        security=security,
+        silence_logs=logging.CRITICAL,  # pyright: ignore[reportArgumentType]
+    )

@@ -1,0 +1,34 @@
+"""Python functions of plain tensors as one operator of torch.
+
+The batched gradients of torch.autograd (is_grads_batched, gradcheck) know nothing of the vmap rules of Functions and
+cannot look into loops and NumPy. An operator they call slice by slice. Checked in tests/sensitivity/test_spectral.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import count
+
+import torch
+from torch import Tensor
+
+Function = Callable[..., tuple[Tensor, Tensor]]
+_functions: dict[int, Function] = {}
+_numbers = count()
+
+
+def by_slices(
+    function: Function, a: Tensor, b: Tensor | None = None, c: Tensor | None = None, d: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """function(a, b, c, d): two new tensors, without derivatives."""
+    number = next(_numbers)
+    _functions[number] = function
+    try:
+        return _call(number, a, b, c, d)
+    finally:
+        del _functions[number]
+
+
+@torch.library.custom_op("torchmbd::by_slices", mutates_args=())
+def _call(number: int, a: Tensor, b: Tensor | None, c: Tensor | None, d: Tensor | None) -> tuple[Tensor, Tensor]:
+    return _functions[number](a, b, c, d)
