@@ -15,13 +15,12 @@ from torch import Tensor
 import torchmbd as mbd
 from experiments import slider_crank
 from torchmbd.design.spline import Spline
-from torchmbd.integrators import compiled_adjoint, generalized_alpha, library
-from torchmbd.integrators.adjoint import Adjoint
+from torchmbd.integrators import generalized_alpha, library
 from torchmbd.integrators.history import History
-from torchmbd.integrators.trajectory import MovedData
-from torchmbd.numerics.native import enabled
+from torchmbd.integrators.motion import Motion
+from torchmbd.integrators.reverse_integration import ReverseIntegration
+from torchmbd.numerics.native import unavailable
 from torchmbd.numerics.pair import Pair, value
-from torchmbd.reduction import panels
 from torchmbd.system import Dynamics
 
 LINK, WIDTH = 0.3, 0.03  # of a link of the pendulum chain [m]
@@ -125,23 +124,28 @@ def responses_of(duration: float, U: Tensor) -> Tensor:
 def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> tuple[Tensor, Tensor]:
     """The motion stage of a batch: from frozen dynamics to `responses`."""
     with torch.no_grad():
-        history, _ = generalized_alpha.integrate(generalized_alpha.begin(dynamics), duration, steps, **options)
+        begun = generalized_alpha.begin(library.resolved(dynamics, "auto"))
+        history, _ = generalized_alpha.integrate(begun, duration, steps, **options)
         U = energy(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
 
 
 def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[Tensor, Tensor]:
-    """The same, with the gradients of both responses by going back through the steps."""
-    with torch.no_grad():
-        begun = generalized_alpha.begin(dynamics)
-        history, _ = generalized_alpha.integrate(begun.values(), duration, steps)
-    q, delta = history.q.requires_grad_(), torch.zeros(dynamics.lanes, dynamics.tangents, dtype=torch.float64)
-    moved = replace(dynamics.values(), data=dict(MovedData(dynamics.data, delta.requires_grad_())))
-    found = responses_of(duration, energy(moved, replace(history, q=q))[0])
-    slopes = [torch.autograd.grad(row.sum(), (delta, q), retain_graph=True) for row in found]
-    back = Adjoint(begun, history, duration, {}, compiled_adjoint.sweep)
-    by_motion = back([torch.cat([x for _, x in slopes], 2), None, None, None])
-    return found.detach(), torch.stack([x for x, _ in slopes], 1).add(by_motion).movedim(1, 0)
+    """The same, with the gradients of both responses by the adjoint of the steps."""
+    moving = {name: x for name, x in dynamics.data.items() if isinstance(x, Pair)}
+    data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
+    made = ReverseIntegration(None, replace(dynamics, data={}), tuple(data), duration, steps, {}, True)
+    outputs: Any = Motion.apply(made, *data.values())
+    found = responses_of(duration, energy(replace(dynamics, data=data), History(*outputs, made.expansion(data)))[0])
+    rows, leaves = found.sum(-1), [data[name] for name in moving]
+    slopes = torch.vmap(lambda weights: torch.autograd.grad(rows, leaves, weights, retain_graph=True))(
+        torch.eye(2).double()
+    )
+    parts = [
+        torch.einsum("rkl,kbl->rlb", by.flatten(1, -3)[:, :, 0], x.tangent.flatten(0, -3))
+        for by, x in zip(slopes, moving.values(), strict=True)
+    ]
+    return found.detach(), torch.stack(parts).sum(0)
 
 
 @contextlib.contextmanager
@@ -159,19 +163,17 @@ def compilation(wanted: bool) -> Iterator[None]:
 
 
 def compiled_ready(dynamics: Dynamics, build: bool = True) -> bool:
-    """Whether compiled code serves these dynamics; a missing one is built now if `build`. False: it cannot be."""
+    """Whether native code serves these dynamics; a missing one is built now if `build`. False: it cannot be."""
     with compilation(True):
-        if not enabled() or (build and not panels.build()):
+        if unavailable() is not None:
             return False
-        left = library.written_out(dynamics.condensed())
-        if left is None:
+        if not build and not all(library.path_of(dynamics.condensed(), kind).exists() for kind in ("step", "adjoint")):
             return False
-        for kind in ("step", "adjoint"):
-            if not library.path_of(left, kind).exists():
-                if not build:
-                    return False
-                library.build(*library.order(left, kind))
-        return True
+        try:
+            native = library.resolved(dynamics, "native").condensed()
+        except mbd.InputError:
+            return False
+        return library.library(native, "adjoint") is not None
 
 
 def interleaved(functions: Mapping[str, Callable[[], object]], repeat: int) -> dict[str, float]:

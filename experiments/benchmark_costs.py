@@ -33,8 +33,8 @@ from experiments.benchmark_cases import (
 )
 from experiments.benchmark_modes import rod
 from experiments.benchmark_report import Cell, Grid, Result, Settings
+from torchmbd.numerics.native import unavailable
 from torchmbd.numerics.pair import Pair
-from torchmbd.reduction import panels
 from torchmbd.system import Dynamics
 
 STEPS, LANES = 500, 32
@@ -47,7 +47,7 @@ def structure(settings: Settings) -> Result:
     rows, figure = [], None
     for layers, designs in ((3, 4),) if settings.quick else ((3, 1), (3, 32), (4, 32), (10, 32)):
         with compilation(True):
-            found = rod(designs=designs, layers=layers) if panels.build() else None
+            found = rod(designs=designs, layers=layers) if unavailable() is None else None
         with compilation(False):
             eager = rod(designs=designs, layers=layers)
         found = found or eager
@@ -200,10 +200,7 @@ def compile_time(settings: Settings) -> Result:
 
 
 def _compiler() -> bool:
-    from torchmbd.numerics.native import enabled
-
-    with compilation(True):
-        return enabled()
+    return unavailable() is None
 
 
 def _resident_mb() -> float:

@@ -83,8 +83,8 @@ def both_accuracies(case: Case, settings: Settings) -> tuple[Accuracy, Accuracy 
 class Row:
     """One batch: lanes, with gradients or not, compiled or not; `figure` is its name in the JSON object.
 
-    back   gradients by going back through the steps, as a problem has them by itself where there are more variables than
-           responses and compiled code; else by tangents of the whole motion
+    back   gradients by the adjoint, as a problem has them by itself where there are at least as many variables as responses;
+           else by tangents of the whole motion
     """
 
     figure: str

@@ -12,7 +12,6 @@ from hypothesis import settings
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from tests.built_at_once import BuiltAtOnce
 from torchmbd.integrators import Trajectory
 from torchmbd.tracking.store import open_store
 
@@ -44,12 +43,11 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def built(kept: Path, monkeypatch: pytest.MonkeyPatch) -> BuiltAtOnce:
-    """Compiled code that is there when somebody asks for it."""
+def native(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Native code is built here, in a cache of its own."""
     if shutil.which("g++") is None:
         pytest.skip("no C++ compiler")
     monkeypatch.setenv("TORCHMBD_CACHE", str(kept))
-    return BuiltAtOnce()
 
 
 ANGLES = (30.0, -20.0, 50.0)

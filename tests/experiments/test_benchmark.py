@@ -12,9 +12,7 @@ import torch
 import torchmbd as mbd
 from experiments import (
     benchmark,
-    benchmark_cases,
     benchmark_costs,
-    benchmark_device,
     benchmark_motion,
     benchmark_multistart,
     exudyn_peer,
@@ -152,7 +150,7 @@ def test_compilation_is_switched_within_a_block_only(monkeypatch):
 
 
 def test_json_is_one_object_with_every_figure(capsys):
-    benchmark.main(["--json", "--quick", "device", "structure", "multistart"])
+    benchmark.main(["--json", "--quick", "structure", "multistart"])
     out, err = capsys.readouterr()
     [line] = out.splitlines()
     report = json.loads(line)
@@ -160,7 +158,6 @@ def test_json_is_one_object_with_every_figure(capsys):
     assert all(report[name] is None for name in benchmark.FIGURES)  # too small to be the figures they are named after
     assert report["versions"]["torch"] == torch.__version__
     assert "freedoms" in err
-    assert torch.cuda.is_available() or "no CUDA device" in " ".join(err.split())
 
 
 def test_an_unknown_part_is_refused_with_the_names_of_all(capsys):
@@ -169,19 +166,3 @@ def test_an_unknown_part_is_refused_with_the_names_of_all(capsys):
     message = capsys.readouterr().err
     assert "gradiants" in message
     assert "work-precision" in message
-
-
-def test_a_batch_in_parts_is_the_batch(monkeypatch):
-    case = crank3(modes=2, cells=(4, 2))
-    monkeypatch.setattr(benchmark_device, "CHUNK", 2)
-    parts, whole = benchmark_device.batch(case, 5), case.dynamics(5, True)
-    both = (benchmark_cases.motion(d, 0.002, 10) for d in (parts, whole))
-    for mine, other in zip(*both, strict=True):
-        torch.testing.assert_close(mine, other, rtol=1e-9, atol=0)
-
-
-def test_the_part_of_a_device(monkeypatch):
-    """On the CPU, which is one."""
-    found = benchmark_device.measured("cpu", crank3(modes=2, cells=(4, 2)), 3, Settings(quick=True))
-    assert found.figures == {benchmark_device.FIGURE: None}
-    assert found.tables[0].rows[0][:3] == ["gradient", 3, 60]

@@ -1,7 +1,8 @@
-"""Compiled code on disk: keys, faults of the cache, when it is built."""
+"""Compiled code on disk: keys, faults of the cache, which backend is chosen."""
 
 from __future__ import annotations
 
+import shutil
 import warnings
 from pathlib import Path
 
@@ -12,20 +13,22 @@ import torchmbd as mbd
 from experiments.slider_crank import build
 from tests.mechanisms import sprung
 from torchmbd.cli import main
-from torchmbd.errors import MbdError
+from torchmbd.errors import InputError, MbdError
 from torchmbd.integrators import library
 from torchmbd.system import Dynamics
 
 ANGLES = mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])
 NAME = "rod.laminate.angles"
+needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 
 
 @pytest.fixture
 def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("TORCHMBD_CACHE", str(tmp_path))
     monkeypatch.setenv("TORCHMBD_COMPILE", "1")
-    for name in ("_loaded", "_seen", "_building"):
+    for name in ("_loaded", "_failed"):
         monkeypatch.setattr(library, name, {})
+    monkeypatch.setattr(library, "_said", set())
     return tmp_path
 
 
@@ -49,22 +52,25 @@ def test_a_key_covers_source_and_compiler(monkeypatch: pytest.MonkeyPatch) -> No
     assert library.key(dynamics()) != before
 
 
-def test_a_corrupt_library_is_removed_and_the_eager_route_serves(cache: Path) -> None:
-    d = dynamics()
-    library.path_of(d).write_bytes(b"no library")
+@needs_compiler
+def test_a_corrupt_library_is_removed_and_built_again(cache: Path) -> None:
+    d = library.resolved(dynamics(modes=1), "eager")
+    path = library.path_of(d)
+    path.write_bytes(b"no library")
     with pytest.warns(UserWarning, match="cannot be loaded and is removed"):
-        assert library.library(d) is None
-    assert list(cache.iterdir()) == []
+        assert library.resolved(d, "auto").backend == "native"
+    assert path.stat().st_size > 1000
 
 
 def test_the_command_lists_and_clears_what_is_its_own(cache: Path, capsys: pytest.CaptureFixture) -> None:
     name = f"step-{'0' * 32}"
-    own = [cache / f"{name}{end}" for end in (".so", ".log", ".123.part")]
+    own = [cache / f"{name}.so"]
     others = [
         cache / "thesis" / "chapter.tex",
         cache / "notes.so",
         cache / "stores.lock",
         cache / "build-abcdefgh" / "x",
+        cache / f"{name}.log",
     ]
     begun = cache / "build-0123abc_" / "code.cpp"
     for file in (*own, *others, begun):
@@ -81,25 +87,66 @@ def test_the_command_lists_and_clears_what_is_its_own(cache: Path, capsys: pytes
     assert [file for file in others if not file.exists()] == []
 
 
-def test_a_library_is_built_at_the_second_batch_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    built: list[Dynamics] = []
+@needs_compiler
+def test_the_first_call_gives_the_numbers_of_the_tenth(cache: Path) -> None:
+    """With an empty cache, a full one, and a library that is loaded: the same bits."""
+    system = build(3, cells=(6, 2), modes=1)
+    options = {"steps": 30, "designs": {NAME: ANGLES}, "gradients": "reverse"}
 
-    def build(d: Dynamics, kind: str) -> None:
-        built.append(d)
-        library._building[library.key(d)] = None
+    def numbers() -> list[torch.Tensor]:
+        motion = mbd.simulate(system, 0.001, **options)
+        assert motion.stats["backend"] == "native"
+        (slope,) = torch.autograd.grad(motion.q.square().sum(), motion.variables[NAME])
+        return [motion.q.detach(), motion.lam.detach(), slope]
 
-    monkeypatch.setattr(library, "build_in_background", build)
-    counts = []
-    for _ in range(4):
-        assert library.library(dynamics()) is None
-        counts.append(len(built))
-    assert counts == [0, 1, 1, 1]
+    first, second = numbers(), numbers()
+    library._loaded.clear()
+    assert library.cache_folder() == cache
+    for x, y, z in zip(first, second, numbers(), strict=True):
+        assert torch.equal(x, y)
+        assert torch.equal(x, z)
 
 
-def test_without_a_compiler_the_eager_route_works_and_says_so(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_eager_and_switched_off(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert library.resolved(dynamics(), "eager").backend == "eager"
+    monkeypatch.setenv("TORCHMBD_COMPILE", "0")
+    assert library.resolved(dynamics(), "auto").backend == "eager"
+    assert list(cache.iterdir()) == []
+
+
+def test_a_backend_that_does_not_exist() -> None:
+    with pytest.raises(InputError, match=r"backend 'cuda' does not exist; allowed: auto, eager, native"):
+        mbd.simulate(sprung(), 0.01, steps=2, backend="cuda")
+
+
+def refused(d: Dynamics, words: str) -> None:
+    """By `auto` said once, by `native` an error."""
+    with pytest.warns(UserWarning, match=words):
+        assert library.resolved(d, "auto").backend == "eager"
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert library.resolved(d, "auto").backend == "eager"
+    with pytest.raises(InputError, match=words):
+        library.resolved(d, "native")
+
+
+def test_without_a_compiler(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "no-such-compiler")
-    with pytest.warns(UserWarning, match=r"no C\+\+ compiler"):
-        assert library.library(dynamics()) is None
+    refused(dynamics(), r"no C\+\+ compiler")
+
+
+@needs_compiler
+def test_a_folder_that_others_can_write(cache: Path) -> None:
+    cache.chmod(0o777)
+    refused(dynamics(), "can be written by others")
+
+
+@needs_compiler
+def test_a_large_mechanism_is_compiled_on_demand_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "MOST_UNKNOWNS", 5)
+    with pytest.warns(UserWarning, match="unknowns, whose code takes minutes to compile"):
+        assert library.resolved(dynamics(modes=1), "auto").backend == "eager"
+    assert library.resolved(dynamics(modes=1), "native").backend == "native"
 
 
 def test_a_compiler_that_fails_is_told(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,27 +156,18 @@ def test_a_compiler_that_fails_is_told(cache: Path, monkeypatch: pytest.MonkeyPa
     assert list(cache.iterdir()) == []
 
 
-def test_a_build_that_fails_in_the_background_is_told_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_build_that_fails_is_said_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "false")
-    d = dynamics(modes=1)
-    process = library.build_in_background(d)
-    assert process is not None
-    assert process.wait() == 1
-    with pytest.warns(UserWarning, match="the build of compiled code failed"):
-        assert library.library(d) is None
-    (log,) = cache.iterdir()  # and no job, which another could have changed
-    assert "false failed on the step of rod" in log.read_text()
-    assert library.library(d) is None  # neither said nor tried again
-    assert list(cache.iterdir()) == [log]
+    refused(dynamics(modes=1), "false failed on the step of rod")
+    assert list(cache.iterdir()) == []
 
 
 def test_a_full_disk_is_a_warning(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(**_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tempfile.TemporaryFile", full)
-    with pytest.warns(UserWarning, match="nothing can be compiled"):
-        assert library.build_in_background(dynamics(modes=1)) is None
+    monkeypatch.setattr("tempfile.TemporaryDirectory", full)
+    refused(dynamics(modes=1), "No space left on device")
 
 
 def test_a_law_of_the_user_is_in_the_key(cache: Path) -> None:
@@ -143,18 +181,13 @@ def test_a_law_of_the_user_is_in_the_key(cache: Path) -> None:
     for stiffness in (3.0, 4.0, 3.0):
         held["stiffness"] = stiffness
         found = library.written_out(system().condensed())
-        assert found is not None
         keys.append(library.key(found))
     assert keys[0] == keys[2] != keys[1]
 
 
+@needs_compiler
 def test_a_law_with_branches_in_python_stays_uncompiled(cache: Path) -> None:
     def law(s: torch.Tensor, rate: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
         return -s if float(s.sum()) > 0.0 else -2.0 * s
 
-    library._told.clear()
-    with pytest.warns(UserWarning, match="a law of a force cannot be compiled, simulations run uncompiled: .*tracing"):
-        assert library.written_out(sprung(law)().condensed()) is None
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # said once
-        assert library.library(sprung(law)().condensed()) is None
+    refused(sprung(law)(), "a law of a force cannot be compiled: .*tracing")

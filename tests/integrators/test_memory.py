@@ -28,7 +28,8 @@ peak = lambda: 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 def motion(system, lanes, steps):
     angles = torch.linspace(0.1, 1.5, 2 * lanes, dtype=torch.float64).reshape(lanes, 2)
-    found = mbd.simulate(system, 1e-5 * steps, steps=steps, gradients="forward" if slopes else "none", designs={"rod.laminate.angles": angles})
+    designs, way = {"rod.laminate.angles": angles}, "forward" if slopes else "none"
+    found = mbd.simulate(system, 1e-5 * steps, steps=steps, gradients=way, designs=designs)
     return found.q, found.v, found.lam
 
 motion(build(cells=cells), 8, 60)

@@ -83,7 +83,7 @@ def test_a_library_from_elsewhere_is_not_loaded(folder: Path) -> None:
 def test_what_others_can_write_is_refused_once(folder: Path, target: str, mode: int) -> None:
     made = folder / "made"
     made.write_bytes(b"code")
-    file = build_cache.keep(made, folder / f"step-{'0' * 32}.cubin")
+    file = build_cache.keep(made, folder / f"step-{'0' * 32}.so")
     assert build_cache.read(file) == b"code"
     (folder if target == "folder" else file).chmod(mode)
     with pytest.warns(UserWarning, match="can be written by others; allowed: by you alone"):
@@ -97,7 +97,7 @@ def test_what_others_can_write_is_refused_once(folder: Path, target: str, mode: 
 def test_what_another_user_owns_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     made = folder / "made"
     made.write_bytes(b"code")
-    file = build_cache.keep(made, folder / f"step-{'0' * 32}.cubin")
+    file = build_cache.keep(made, folder / f"step-{'0' * 32}.so")
     own = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: own + 1)
     with pytest.warns(UserWarning, match="belongs to another user; allowed: your own"):

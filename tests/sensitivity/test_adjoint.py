@@ -10,11 +10,10 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from tests.built_at_once import BuiltAtOnce
 from tests.mechanisms import pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
-from torchmbd.integrators import adjoint, compiled, compiled_adjoint
+from torchmbd.integrators import adjoint
 from torchmbd.integrators.compiled_adjoint import CompiledSweep
 from torchmbd.system import System
 
@@ -37,15 +36,6 @@ def everything(motion: mbd.Trajectory) -> Tensor:
     return torch.stack([total, motion.q[:, -1].square().sum(1)], 1)
 
 
-@pytest.fixture
-def at_once(built: BuiltAtOnce, monkeypatch: pytest.MonkeyPatch) -> BuiltAtOnce:
-    """Compiled code is built when somebody asks for it."""
-    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
-    for module in (compiled, compiled_adjoint):
-        monkeypatch.setattr(module, "library", built)
-    return built
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_the_gradient_is_that_of_forward_tangents(name):
     make, duration, steps = CASES[name]
@@ -65,14 +55,13 @@ SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("laws of forces"
 
 
 @pytest.mark.parametrize("name", ["laws of drives", "redundant", "all held", *SLOW])
-def test_compiled_and_eager_agree(name, at_once):
+def test_compiled_and_eager_agree(name, native):
     make, duration, steps = CASES[name]
     system = make()
     names = [name for name, x in system.named_parameters() if x.requires_grad]
     options = {"steps": steps, "variables": names, "designs": designs_of(system, names), "iterations": (4, 2)}
-    motion = mbd.simulate(system, duration, gradients="reverse", **options).require_ok()
+    motion = mbd.simulate(system, duration, gradients="reverse", backend="native", **options).require_ok()
     fast = differentiate(everything, motion).gradient
-    assert "adjoint" in at_once.kinds
     own = motion.integration.adjoint
     ((inputs, [sweep]),) = own._sweeps.items()
     assert isinstance(sweep, CompiledSweep)
@@ -98,13 +87,13 @@ def test_against_differences_of_the_same_discrete_map(slider_crank):
 
 
 @pytest.mark.parametrize("lanes", [1, 11])
-def test_lanes_do_not_depend_on_their_company(lanes, at_once):
+def test_lanes_do_not_depend_on_each_other(lanes, native):
     """More than a block of them, and less than one."""
     system = build(3, cells=(6, 2), modes=3)
     designs = mbd.deg([[30, -20, 50]]) + torch.linspace(0.0, 0.9, lanes, dtype=torch.float64)[:, None]
 
     def gradient(some: Tensor) -> Tensor:
-        options = {"steps": 30, "gradients": "reverse", "designs": {"rod.laminate.angles": some}}
+        options = {"steps": 30, "gradients": "reverse", "backend": "native", "designs": {"rod.laminate.angles": some}}
         motion = mbd.simulate(system, 0.002, **options)
         return mbd.Integral(mbd.StrainEnergy("rod")).value_and_gradient(motion)[1]
 
@@ -129,9 +118,9 @@ def test_lanes_with_smaller_steps():
 @pytest.mark.parametrize("fast", [False, True])
 def test_a_lane_that_fails_leaves_the_others_alone(fast, monkeypatch, request):
     if fast:
-        request.getfixturevalue("at_once")
+        request.getfixturevalue("native")
     system = build(3, cells=(6, 2), modes=3)
-    options = {"steps": 40, "gradients": "reverse"}
+    options = {"steps": 40, "gradients": "reverse", "backend": "native" if fast else "eager"}
     options["designs"] = {"rod.laminate.angles": mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])}
     wanted = differentiate(everything, mbd.simulate(system, 0.002, **options)).gradient
 

@@ -48,8 +48,5 @@ def _gradients(rows: Tensor, inputs: Sequence[Tensor]) -> Tensor:
     def pulled(weights: Tensor) -> tuple[Tensor, ...]:
         return torch.autograd.grad(rows, inputs, weights, **options)
 
-    if len(rows) == 1:
-        found = pulled(rows.new_ones(1))
-    else:  # all rows in one pass, as `Motion` does them
-        found = torch.vmap(pulled)(torch.eye(len(rows), dtype=rows.dtype))
+    found = torch.vmap(pulled)(torch.eye(len(rows), dtype=rows.dtype))  # all rows in one pass, as `Motion` does them
     return torch.cat([x.reshape(len(rows), len(y), -1) for x, y in zip(found, inputs, strict=True)], -1).transpose(0, 1)

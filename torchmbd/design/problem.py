@@ -29,7 +29,7 @@ from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Phase, Trajectory, simulate
-from torchmbd.integrators.arguments import check, check_gradients
+from torchmbd.integrators.arguments import check, check_backend, check_gradients
 from torchmbd.integrators.attempts import FEWEST, default_steps
 from torchmbd.integrators.memory import lanes_at_once, require_room
 from torchmbd.integrators.phases import plan
@@ -79,7 +79,7 @@ class Problem:
     bound       (start, upper) of the extra variable, where `minimize` has several rows
     gradients   "reverse" or "forward", as in `simulate`; "auto": reverse where there is an adjoint and where there are no more
                 numbers of objective and constraints than design variables. `problem.gradients` says which
-    method, steps, phases, options   as in `simulate`
+    method, steps, phases, backend, options   as in `simulate`
     """
 
     def __init__(
@@ -97,6 +97,7 @@ class Problem:
         bound: tuple[float, float] = (1.0, 1.0),
         phases: Sequence[Phase] | None = None,
         gradients: str = "auto",
+        backend: str = "auto",
         **options: Any,
     ):
         if not isinstance(system, System):
@@ -118,11 +119,12 @@ class Problem:
         self.system, self.duration, self.objective = system, float(duration), minimize
         self.constraints = subject_to
         self.space = DesignSpace(system, variables, bounds, start, links)
-        self.simulation = {"method": method, "steps": steps, "phases": phases, **options}
+        self.simulation = {"method": method, "steps": steps, "phases": phases, "backend": backend, **options}
         # Rows of the extra variable come first among the constraints.
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound
         check_gradients(gradients, method, phases is not None)
+        check_backend(backend)
         self.gradients = self._way() if gradients in ("auto", "none") else gradients
         self._tangents = sum(system.get_parameter(name).numel() for name in self.space.variables)
         require_room(system, 1, steps or FEWEST, self._tangents, self.gradients == "reverse")

@@ -36,6 +36,7 @@ def problem_of(plan: Plan) -> Problem:
         steps=study.simulate.steps,
         phases=plan.phases,
         gradients=study.simulate.gradients,
+        backend=study.simulate.backend,
         **study.simulate.options,
     )
 

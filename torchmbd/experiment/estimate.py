@@ -97,6 +97,7 @@ def _short(plan: Plan, problem: Problem, X: np.ndarray, gradients: bool, share: 
             steps=None if told.steps is None else round(share * told.steps),
             gradients="forward" if gradients else "none",
             variables=problem.space.variables,
+            backend=told.backend,
             designs=problem.space.designs(X),
             phases=plan.phases,
             **told.options,

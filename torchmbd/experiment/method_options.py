@@ -28,7 +28,7 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     if simulation is not None:
         integrate = generalized_alpha.integrate if simulation.method == "generalized_alpha" else ode.integrate
         types = _types(integrate, lambda p: p.default is not p.empty)
-        own = ("duration", "method", "steps", "phases", "gradients")
+        own = ("duration", "method", "steps", "phases", "gradients", "backend")
         faults += _faults("simulate", simulation.method, simulation.model_extra or {}, types, own)
         told = simulation.method, simulation.phases is not None
         refusals: dict[str, Callable[[], Any]] = {

@@ -38,7 +38,7 @@ from pydantic_core import PydanticCustomError
 from torchmbd.design.spec import SpecError, measure_of
 from torchmbd.errors import nearest
 from torchmbd.integrators import METHODS
-from torchmbd.integrators.arguments import GRADIENTS
+from torchmbd.integrators.arguments import BACKENDS, GRADIENTS
 from torchmbd.optimizers import OPTIMIZERS
 from torchmbd.tracking.store import uri_fault
 
@@ -113,6 +113,7 @@ class Simulation(Section):
     method: Annotated[str, _one_of(METHODS)] = "generalized_alpha"
     steps: PositiveInt | None = None
     phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
+    backend: Annotated[str, _one_of(BACKENDS)] = "auto"  # of the steps
     gradients: Annotated[str, _one_of(GRADIENTS[:-1])] = "auto"  # by the adjoint (reverse) or tangents (forward)
 
     @model_validator(mode="after")

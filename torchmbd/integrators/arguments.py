@@ -15,6 +15,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import ode
+from torchmbd.integrators.library import BACKENDS
 from torchmbd.numerics.owned import all_true, plain, whole
 from torchmbd.numerics.plausible import check_parameter
 from torchmbd.system import System
@@ -56,6 +57,12 @@ def check_gradients(gradients: Any, method: str, phases: bool) -> None:
         raise InputError(
             f"gradients is 'reverse', but {found}; allowed: method 'generalized_alpha' without phases, or 'forward'"
         )
+
+
+def check_backend(backend: Any) -> None:
+    """InputError for a backend that does not exist."""
+    if backend not in BACKENDS:
+        raise unknown("backend", str(backend), BACKENDS)
 
 
 def check_designs(system: System, designs: Any) -> dict[str, Tensor]:

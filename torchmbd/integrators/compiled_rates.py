@@ -1,7 +1,6 @@
 """The index-1 right-hand side by compiled code (library.py): the same numbers as Dynamics.rates.
 
-torchdiffeq asks for the right-hand side thousands of times; every `PATIENCE` evaluations it is looked whether the library
-has been built meanwhile. Systems with redundant constraints, with drives that have design variables, or with a body
+Systems with redundant constraints, with drives that have design variables, or with a body
 without inertia about an axis go the eager way.
 Checked in tests/integrators/test_compiled.py.
 """
@@ -19,7 +18,7 @@ from torchmbd.integrators.library import library
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
-PATIENCE = 100  # evaluations
+LOOK = 100  # evaluations between two looks at the factors
 _NUMBERS = ("lanes", "slots", "data", "data_tangents", "check")
 _ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "room")
 
@@ -53,7 +52,7 @@ class CompiledRates:
             y.shape[1] - 1,
             self.values.shape[2],
             self.tangents.shape[2],
-            int(self.count % PATIENCE == 0),
+            int(self.count % LOOK == 0),
         )
         self.count += 1
         arrays = (uniform, self.values, self.tangents, y, dy, lam, self.room)
@@ -63,13 +62,13 @@ class CompiledRates:
 
 
 class RightHandSide:
-    """dy/dt of augmented states, and accelerations: eager, or by compiled code as soon as there is some."""
+    """dy/dt of augmented states, and accelerations: eager, or by compiled code where the backend is native."""
 
     def __init__(self, dynamics: Dynamics):
         self.dynamics = dynamics
-        self.eager = bool(dynamics.redundant or dynamics.topology.varied)
-        self.fast: CompiledRates | None = None
-        self.count = 0
+        served = not (dynamics.redundant or dynamics.topology.varied)
+        code = library(dynamics, "rates") if served else None
+        self.fast = None if code is None else CompiledRates(code, dynamics)
 
     def __call__(self, t: Tensor, y: Tensor) -> Tensor:
         """dy/dt [n_z, 1 + n_b, lanes] at time t."""
@@ -89,14 +88,9 @@ class RightHandSide:
         return augment(a, self.dynamics), augment(lam, self.dynamics)
 
     def _compiled(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
-        if self.eager:
-            return None
-        if self.fast is None and self.count % PATIENCE == 0:
-            code = library(self.dynamics, "rates")
-            self.fast = None if code is None else CompiledRates(code, self.dynamics)
-        self.count += 1
         found = None if self.fast is None else self.fast(t, y)
-        self.eager = self.fast is not None and found is None
+        if found is None:  # its factors cannot be relied on: from now on eager
+            self.fast = None
         return found
 
 

@@ -23,6 +23,7 @@ from torchmbd.integrators.attempts import careful, run, status_of, steps_that_fi
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
+from torchmbd.integrators.library import resolved
 from torchmbd.integrators.motion import Tensors
 from torchmbd.integrators.phases import Phase, plan
 from torchmbd.integrators.trajectory import OK, Switch
@@ -54,6 +55,7 @@ class ForwardIntegration:
     method: str
     options: dict[str, Any]
     phases: Sequence[Phase] | None
+    backend: str
     dynamics: Dynamics = field(init=False)
     history: History = field(init=False)
     status: list[str] = field(init=False)
@@ -84,13 +86,14 @@ class ForwardIntegration:
         return tuple(value(x) for x in numbers)
 
     def _plainly(self, designs: dict[str, Tensor]) -> None:
-        self.dynamics = self.system.dynamics(designs, tangents=self.variables)
+        kind = "step" if self.method == "generalized_alpha" else "rates"
+        self.dynamics = resolved(self.system.dynamics(designs, tangents=self.variables), self.backend, kind)
         self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, len(self.labels))
         self.history, self.stats, self.status = run(self.dynamics, self.duration, self.steps, self.method, self.options)
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
         self.system, stages = plan(self.system, phases, self.duration)
-        dynamics = self.system.dynamics(designs, tangents=self.variables)
+        dynamics = resolved(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
         self.steps = steps = self.steps or steps_that_fit(self.system, dynamics, self.duration, len(self.labels))
         views = Views.of(self.system, dynamics, designs, self.labels)
 

@@ -5,6 +5,8 @@ everything that the code is made of, and what every library depends on (numerics
 lanes and design variables are inputs. Laws of drives stay outside: any torch function; laws of forces that are a user's
 own are written out as scalar operations (forces/written.py), which are in the key; where that cannot be done the system
 stays uncompiled.
+`resolved` chooses between eager and native steps before the first of them; a library that is missing is built then, once for
+a machine. So the same call gives the same numbers every time.
 Checked in tests/integrators/test_library.py.
 """
 
@@ -12,25 +14,21 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import os
-import pickle
 import subprocess
-import sys
 import tempfile
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from torchmbd.errors import MbdError
+from torchmbd.errors import InputError, MbdError
 from torchmbd.forces.written import writable
 from torchmbd.integrators.code import source
 from torchmbd.integrators.layout import Layout
 from torchmbd.numerics import build_cache
-from torchmbd.numerics.native import OPTIONS, PACKAGE, SUFFIX, compiler, enabled, load, surroundings
+from torchmbd.numerics.native import OPTIONS, SUFFIX, compilation_wanted, compiler, load, surroundings, unavailable
 from torchmbd.numerics.scalars import Untraceable
 from torchmbd.process import cache_folder, require_cache_folder
 from torchmbd.system.dynamics import Dynamics
@@ -48,54 +46,87 @@ _SOURCES = (
 _DRIVERS = ("factors.cpp", "march.cpp", "adjoint.cpp", "rates.cpp")
 _SOURCES += tuple(f"integrators/{name}" for name in _DRIVERS)
 _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
-_BATCHES = 2  # the batch that starts a build: a single simulation is over before
-# No module of the current folder is imported: -P, and torchmbd's own folder comes last.
-_BOOT = "import sys; sys.path.append(sys.argv[1]); from torchmbd.integrators.library import main; main(sys.argv[2])"
-_loaded: dict[str, Any] = {}
-_seen: dict[str, int] = {}  # batches without a library
-_told: set[str] = set()  # why laws cannot be compiled
-_building: dict[str, subprocess.Popen | None] = {}  # None: a build that failed, which was said
+BACKENDS = ("auto", "eager", "native")
+MOST_UNKNOWNS = 150  # of a system whose code "auto" writes out: more take minutes to compile
+_loaded: dict[str, ctypes.CDLL] = {}
+_failed: dict[str, str] = {}  # builds that failed, and why
+_said: set[str] = set()
+
+
+def resolved(dynamics: Dynamics, backend: str, kind: str | None = "step") -> Dynamics:
+    """The dynamics with the backend of its steps, "eager" or "native".
+
+    kind   of code that is needed first, which is built here; None: what is needed is not known yet (phases)
+
+    "auto": native where there is a compiler and the code of the system can be written and compiled in reasonable time; what
+    speaks against it is said once. "native": InputError where it cannot be. Kinds other than steps are built when needed.
+    """
+    left = dynamics.condensed() if kind == "step" else dynamics
+    why = None if backend == "eager" else _obstacle(left, backend, kind)
+    if backend == "native" and why is not None:
+        raise InputError(f"backend is 'native', but {why}; allowed: 'eager' or 'auto'")
+    if why is not None and why not in _said:
+        _said.add(why)
+        warnings.warn(f"steps are made by operators of torch (backend 'eager'): {why}", stacklevel=2)
+    native = backend != "eager" and wanted(backend) and why is None
+    return replace(dynamics, backend="native" if native else "eager")
+
+
+def _obstacle(dynamics: Dynamics, backend: str, kind: str | None) -> str | None:
+    """Why there is no native code for a system; None: there is, or it is not wanted."""
+    if not wanted(backend):
+        return None
+    if (why := unavailable()) is not None:
+        return why
+    T = dynamics.topology
+    if backend == "auto" and T.n_v + T.rows > MOST_UNKNOWNS:
+        return f"a step has {T.n_v + T.rows} unknowns, whose code takes minutes to compile (backend 'native' does it)"
+    try:
+        known = written_out(dynamics)
+    except Untraceable as error:
+        return f"a law of a force cannot be compiled: {error}"
+    if kind is None:
+        return None
+    name = key(known, kind)
+    if name not in _loaded and name not in _failed:
+        _load(known, kind, name)
+    return _failed.get(name)
+
+
+def wanted(backend: str) -> bool:
+    """Whether native code is wanted: `auto` leaves it to the environment."""
+    return backend == "native" or compilation_wanted()
 
 
 def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
-    """The library of a system if it is there; asked for again, it is built in the background."""
-    if not enabled() or (known := written_out(dynamics)) is None:
+    """The library of a system whose backend is native, built if it is missing; None: by operators of torch."""
+    if dynamics.backend != "native":
         return None
-    return found(known, kind, load)
-
-
-def found(dynamics: Dynamics, kind: str, load: Callable[[Path], Any], place: str = "") -> Any:
-    """What was built for a system, loaded for a place, if it is there; asked for again, it is built in the background."""
-    name = key(dynamics, kind)
-    if name + place not in _loaded:
-        code = load(_path(name, kind))
-        if code is None:
-            _warn_of_failure(name, kind)
-            _seen[name] = _seen.get(name, 0) + 1
-            if _seen[name] >= _BATCHES and name not in _building:
-                build_in_background(dynamics, kind)
-            return None
-        _loaded[name + place] = code
-    return _loaded[name + place]
-
-
-def at_hand(dynamics: Dynamics, kind: str = "step") -> bool:
-    """Whether there is a library of a system; asking does not build one."""
-    if not enabled() or (known := written_out(dynamics)) is None:
-        return False
+    known = written_out(dynamics)
     name = key(known, kind)
-    return name in _loaded or _path(name, kind).exists()
+    if name not in _loaded and name not in _failed:
+        _load(known, kind, name)
+        if name in _failed:
+            warnings.warn(
+                f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}", stacklevel=3
+            )
+    return _loaded.get(name)
 
 
-def _warn_of_failure(name: str, kind: str) -> None:
-    """Say once that a build in the background has failed."""
-    process = _building.get(name)
-    if process is not None and process.poll():
-        _building[name] = None
-        log = process.args[-1]  # pyright: ignore[reportArgumentType, reportIndexIssue]
-        warnings.warn(
-            f"the build of compiled code failed ({kind}): simulations go on without it; see {log}", stacklevel=4
-        )
+def _load(dynamics: Dynamics, kind: str, name: str) -> None:
+    """Load a library, and build it first if it is missing."""
+    code = load(_path(name, kind))
+    if code is None:
+        try:
+            build(*order(dynamics, kind))
+        except (MbdError, OSError) as error:
+            _failed[name] = str(error)
+            return
+        code = load(_path(name, kind))
+    if code is None:
+        _failed[name] = f"{_path(name, kind)} cannot be loaded"
+    else:
+        _loaded[name] = code
 
 
 def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
@@ -107,16 +138,10 @@ def _path(name: str, kind: str) -> Path:
     return cache_folder() / f"{kind}-{name}{SUFFIX}"
 
 
-def written_out(dynamics: Dynamics) -> Dynamics | None:
-    """The same dynamics with laws of forces of a known form; None if there is one that cannot be, which is said once."""
+def written_out(dynamics: Dynamics) -> Dynamics:
+    """The same dynamics with laws of forces of a known form; raises Untraceable where there is one that cannot be."""
     old = dynamics.topology.actions
-    try:
-        new = tuple(replace(action, laws=tuple(writable(law) for law in action.laws)) for action in old)
-    except Untraceable as error:
-        if str(error) not in _told:
-            _told.add(str(error))
-            warnings.warn(f"a law of a force cannot be compiled, simulations run uncompiled: {error}", stacklevel=2)
-        return None
+    new = tuple(replace(action, laws=tuple(writable(law) for law in action.laws)) for action in old)
     if all(one.laws == other.laws for one, other in zip(new, old, strict=True)):
         return dynamics
     return replace(dynamics, topology=replace(dynamics.topology, actions=new))
@@ -156,11 +181,8 @@ def bare(T: Topology) -> Topology:
     return replace(T, attached=attached, primitives=primitives, carriers=carriers)
 
 
-Order = tuple[Topology, Layout, str, Any, str]
-
-
-def order(dynamics: Dynamics, kind: str = "step") -> Order:
-    """What `build` needs; can be pickled."""
+def order(dynamics: Dynamics, kind: str = "step") -> tuple[Topology, Layout, str, Any, str]:
+    """What `build` needs."""
     T, zero = dynamics.topology, torch.zeros((), dtype=torch.float64)
     sample = T.prescribed(zero).shared(T.varied) if kind != "rates" else T.law_jets(zero)
     return bare(T), Layout.of(dynamics.data, T), kind, sample, key(dynamics, kind)
@@ -179,32 +201,3 @@ def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Pat
         if done.returncode:
             raise MbdError(f"{compiler()} failed on the {kind} of {', '.join(T.names)}: {done.stderr[-2000:]}")
         return build_cache.keep(made, _path(name, kind))
-
-
-def build_in_background(dynamics: Dynamics, kind: str = "step") -> subprocess.Popen | None:
-    """Compile the code of a topology in a process of its own, at low priority; returns it, or None if it cannot begin."""
-    ordered = order(dynamics, kind)
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "PYTHONWARNINGS": "ignore"}
-    try:
-        log = _path(ordered[-1], kind).with_suffix(".log")
-        require_cache_folder()
-        command = [sys.executable, "-P", "-c", _BOOT, str(PACKAGE.parent), str(log)]
-        with tempfile.TemporaryFile() as job, log.open("wb") as output:  # without a name: no other can write it
-            pickle.dump(ordered, job)
-            job.seek(0)
-            process = subprocess.Popen(
-                command, env=environment, stdin=job, stdout=output, stderr=output, start_new_session=True
-            )
-    except OSError as error:
-        warnings.warn(f"nothing can be compiled: {error}; simulations run uncompiled", stacklevel=2)
-        return None
-    _building[ordered[-1]] = process
-    return process
-
-
-def main(log: str) -> None:
-    """Build what `build_in_background` has written to the standard input; a log stays only where that fails."""
-    os.nice(10)
-    torch.set_num_threads(1)
-    build(*pickle.load(sys.stdin.buffer))
-    Path(log).unlink(missing_ok=True)  # another process may build the same

@@ -21,6 +21,7 @@ from torchmbd.integrators import compiled_adjoint, generalized_alpha
 from torchmbd.integrators.adjoint import Adjoint
 from torchmbd.integrators.attempts import steps_that_fit, with_retries
 from torchmbd.integrators.history import History
+from torchmbd.integrators.library import resolved
 from torchmbd.integrators.motion import Tensors
 from torchmbd.integrators.trajectory import OK
 from torchmbd.numerics.pair import Pair
@@ -32,22 +33,24 @@ from torchmbd.system.expansion import Expansion
 class ReverseIntegration:
     """Equal steps over a duration [s].
 
-    system    the model;  model: topology and options of the equations; its data are not used
+    system    the model, where steps are to be chosen;  model: topology and options of the equations; its data are not used
     names     of the inputs
     steps     their number; None: chosen from the data
     options   of generalized_alpha and of its retries
     precise   whether derivatives will be taken
+    backend   of the steps, as of `simulate`
 
     dynamics, history, status, stats   what came of it
     """
 
-    system: System
+    system: System | None
     model: Dynamics
     names: tuple[str, ...]
     duration: float
     steps: int | None
     options: dict[str, Any]
     precise: bool
+    backend: str = "auto"
     dynamics: Dynamics = field(init=False)
     history: History = field(init=False)
     status: list[str] = field(init=False)
@@ -56,7 +59,7 @@ class ReverseIntegration:
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
-        self.dynamics = self._with(inputs)
+        self.dynamics = resolved(self._with(inputs), self.backend)
         self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, 0)
         begun = generalized_alpha.begin(self.dynamics)
         self.history, self.stats, self.status = with_retries(
@@ -70,7 +73,8 @@ class ReverseIntegration:
         given = zip(self.names, directions, strict=True)
         data = self.dynamics.data
         moving = {name: Pair.of(data[name], dx) for name, dx in given if dx is not None}
-        begun = generalized_alpha.begin(self._with({**data, **moving}.values()))
+        moved = replace(self._with({**data, **moving}.values()), backend=self.dynamics.backend)
+        begun = generalized_alpha.begin(moved)
         h, stats, _ = with_retries(begun, self.duration, self.steps or 0, precise=True, **self.options)
         self.stats["tangent_error"] = stats.get("tangent_error")
         return [x[:, :, 1:] for x in (h.q, h.v, h.vd, h.lam)]

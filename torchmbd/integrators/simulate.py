@@ -17,7 +17,14 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrators.arguments import GRADIENTS, check, check_designs, check_gradients, check_variables
+from torchmbd.integrators.arguments import (
+    GRADIENTS,
+    check,
+    check_backend,
+    check_designs,
+    check_gradients,
+    check_variables,
+)
 from torchmbd.integrators.attempts import FEWEST
 from torchmbd.integrators.forward_integration import ForwardIntegration
 from torchmbd.integrators.history import History
@@ -43,6 +50,7 @@ def simulate(
     phases: Sequence[Phase] | None = None,
     gradients: str = "auto",
     variables: Sequence[str] | None = None,
+    backend: str = "auto",
     **options: Any,
 ) -> Trajectory:
     """Simulate one design, or a batch of designs that do not see each other (lanes).
@@ -62,13 +70,15 @@ def simulate(
                 "forward": by tangents of all variables, integrated with the motion: about a quarter of a simulation for each;
                 then the motion has `dq_db` as well. "auto": reverse where there is an adjoint, else forward, by what
                 requires a gradient or is under torch.func. "none": values only
+    backend     what makes the steps: "native" (C++, compiled once for a mechanism), "eager" (operators of torch, the reference)
+                or "auto": native where that is compiled in reasonable time. The same call gives the same numbers every time
     variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
     options     generalized_alpha: spectral_radius, iterations, refresh; halvings (not with phases);
                 torchdiffeq: rtol, atol, options
 
-    A lane that fails is reported in `status`; its numbers are nan and it adds nothing to a gradient. `stats["gradients"]`
-    says which way they come. Raises InputError for bad arguments.
+    A lane that fails is reported in `status`; its numbers are nan and it adds nothing to a gradient. `stats` says which way
+    gradients come and which backend made the steps. Raises InputError for bad arguments.
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
@@ -76,6 +86,7 @@ def simulate(
     steps = None if steps is None else int(steps)
     given = check_designs(system, designs)
     check_gradients(gradients, method, phases is not None)
+    check_backend(backend)
     grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
     with torch.inference_mode(False), torch.set_grad_enabled(grad):
@@ -90,11 +101,12 @@ def simulate(
         if gradients == "forward" or not adjoint:
             labels = labels_of(system, names)
             integration = ForwardIntegration(
-                system, tuple(batch), tuple(names), labels, float(duration), steps, method, options, phases
+                system, tuple(batch), tuple(names), labels, float(duration), steps, method, options, phases, backend
             )
             motion = _forward(integration, batch)
         else:
-            motion = _reverse(system, batch, names, float(duration), steps, options)
+            motion = _reverse(system, batch, names, float(duration), steps, options, backend)
+        motion.stats["backend"] = motion.integration.dynamics.backend
         motion.stats["gradients"] = _route(motion) if names else GRADIENTS[-1]
         with torch.no_grad():
             plain = _plain(motion)
@@ -135,13 +147,19 @@ def _variables(
 
 
 def _reverse(
-    system: System, batch: dict[str, Tensor], names: list[str], duration: float, steps: int | None, options: dict
+    system: System,
+    batch: dict[str, Tensor],
+    names: list[str],
+    duration: float,
+    steps: int | None,
+    options: dict[str, Any],
+    backend: str,
 ) -> Trajectory:
     """A motion whose structure stage is differentiated by torch, and whose steps by their adjoint."""
     dynamics = system.reduced(batch)
     data = dynamics.data
     integration = ReverseIntegration(
-        system, replace(dynamics, data={}), tuple(data), duration, steps, options, bool(names)
+        system, replace(dynamics, data={}), tuple(data), duration, steps, options, bool(names), backend
     )
     outputs: Any = Motion.apply(integration, *data.values())
     return _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names)
@@ -172,7 +190,7 @@ def _presented(
     q, v, vd, lam = outputs
     whole = integration.dynamics
     data = without_failed(data, integration.status)
-    dynamics = Dynamics(whole.topology, whole.saddle, data, whole.initial, whole.stabilization, whole.statistics)
+    dynamics = Dynamics(whole.topology, whole.saddle, data, whole.initial, whole.stabilization, whole.backend)
     history = History(q, v, vd, lam, integration.expansion(data))
     signals = Recorded(history, integration, data)
     return Trajectory(

@@ -5,7 +5,7 @@
 To load a library that was cut short ends the process by SIGBUS, and to load another's runs his code. So nothing is loaded
 whose seal is wrong, or that anybody but the user can write. A file gets its name when it is on the disk as a whole.
 The seal finds accidents, not forgery: against that stand the owner and the mode of the folder and of the file.
-Used without torch as well (torchmbd.bare). Checked in tests/numerics/test_build_cache.py.
+Checked in tests/numerics/test_build_cache.py.
 """
 
 from __future__ import annotations
@@ -15,16 +15,15 @@ import os
 import re
 import shutil
 import stat
-import subprocess
 import warnings
 from pathlib import Path
 
 from torchmbd.process import cache_folder
 
 SEAL = b"torchmbd"
-READY = (".so", ".cubin")
+READY = (".so",)
 WORK = "build-"  # what the folders of a build that is under way begin with
-_OWN = re.compile(r"[a-z][a-z0-9_-]*-[0-9a-f]{32}(\.so|\.cubin|\.log|\.\d+\.part)")
+_OWN = re.compile(r"[a-z][a-z0-9_-]*-[0-9a-f]{32}\.so")
 _OWN_FOLDER = re.compile(WORK + r"[a-z0-9_]{8}")
 _PARTS = {"code.cpp", "code.so"}  # of such a folder
 _said: set[str] = set()  # why something is not loaded
@@ -100,14 +99,3 @@ def clear() -> None:
     """Remove what `entries` lists, and nothing else."""
     for path, _, _ in entries():
         shutil.rmtree(path, ignore_errors=True) if path.is_dir() else path.unlink(missing_ok=True)
-
-
-def main(part: str, to: str, *command: str) -> int:
-    """Run a compiler that writes `part`, and keep it; in a process of its own, which others go before."""
-    os.nice(10)
-    done = subprocess.run(command, check=False)
-    if done.returncode:
-        Path(part).unlink(missing_ok=True)
-        return 1
-    keep(Path(part), Path(to))
-    return 0

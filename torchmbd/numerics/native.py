@@ -18,6 +18,7 @@ import platform
 import shutil
 import subprocess
 import sys
+import tempfile
 import warnings
 from collections.abc import Iterable
 from functools import cache
@@ -25,7 +26,6 @@ from pathlib import Path
 
 import torch
 
-from torchmbd.bare import command
 from torchmbd.numerics import build_cache
 from torchmbd.process import cache_folder, require_cache_folder
 
@@ -39,23 +39,16 @@ def compiler() -> str:
     return os.environ.get("CXX", "g++")
 
 
-def wanted() -> bool:
+def compilation_wanted() -> bool:
     """Whether compilation is not switched off."""
     return os.environ.get("TORCHMBD_COMPILE") != "0"
 
 
-def enabled() -> bool:
-    """Whether compilation is wanted and a C++ compiler is there."""
-    if not wanted():
-        return False
+def unavailable() -> str | None:
+    """Why nothing can be compiled or loaded here; None: it can."""
     if shutil.which(compiler()) is None:
-        warnings.warn("no C++ compiler: simulations run uncompiled, about ten times slower in batches", stacklevel=2)
-    elif why := build_cache.refusal(cache_folder()):
-        warnings.warn(f"compiled code is not used, simulations run about ten times slower: {why}", stacklevel=2)
-    else:
-        return True
-    os.environ["TORCHMBD_COMPILE"] = "0"
-    return False
+        return f"there is no C++ compiler ({compiler()!r}, which CXX names); eager steps are about ten times slower in batches"
+    return build_cache.refusal(cache_folder())
 
 
 def surroundings(sources: Iterable[str]) -> str:
@@ -95,53 +88,44 @@ def load(path: Path) -> ctypes.CDLL | None:
 
 
 class Native:
-    """The library of one file of the package, `source` relative to it; built in the background when first asked for."""
+    """The library of one file of the package, `source` relative to it; built when first asked for, once for a machine."""
 
     def __init__(self, source: str) -> None:
         self.source = source
         self._loaded: ctypes.CDLL | None = None
-        self._build: subprocess.Popen | None = None
         self._failed = False
 
     def __call__(self) -> ctypes.CDLL | None:
-        """The library if it is there and wanted."""
-        if self._loaded is not None:  # asked for in every product: no look at the disk
-            return self._loaded if wanted() else None
-        if self._failed or not enabled():
+        """The library; None where it is not wanted, or cannot be made, which is said once."""
+        if not compilation_wanted() or self._failed:
             return None
-        self._loaded = load(self.path())
-        if self._build is None:
-            if self._loaded is None:
-                self._begin()
-        elif self._loaded is not None:
-            self._build.wait()  # it has nothing left to do
-            self._build = None
-        elif self._build.poll():
-            self._fail(f"{compiler()} fails")
+        if self._loaded is None:  # asked for in every product: no look at the disk
+            self._loaded = self._made()
         return self._loaded
 
     def path(self) -> Path:
         """Where the library is, or would be."""
         return cache_folder() / f"{Path(self.source).stem}-{surroundings([self.source])[:32]}{SUFFIX}"
 
-    def build(self) -> ctypes.CDLL | None:
-        """The library, waited for."""
-        if self() is None and self._build is not None:
-            self._build.wait()
-        return self()
+    def _made(self) -> ctypes.CDLL | None:
+        if (why := unavailable()) is not None:
+            return self._fail(why)
+        found = load(self.path())
+        if found is None:
+            try:
+                self._build()
+            except (OSError, subprocess.CalledProcessError) as error:
+                return self._fail(str(error))
+            found = load(self.path())
+        return found
 
-    def _begin(self) -> None:
-        part = self.path().with_suffix(f".{os.getpid()}.part")
-        compile = [compiler(), "-O3", *OPTIONS, "-o", str(part), str(PACKAGE / self.source)]
-        # It appears complete or not at all, also where this process has ended meanwhile.
-        own = command("torchmbd.numerics.build_cache", str(part), str(self.path()), *compile)
-        try:
-            require_cache_folder()
-            self._build = subprocess.Popen(
-                own, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
-            )
-        except OSError as error:
-            self._fail(str(error))
+    def _build(self) -> None:
+        """It appears complete or not at all."""
+        with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
+            made = Path(work) / "code.so"
+            command = [compiler(), "-O3", *OPTIONS, "-o", str(made), str(PACKAGE / self.source)]
+            subprocess.run(command, check=True, capture_output=True)
+            build_cache.keep(made, self.path())
 
     def _fail(self, why: str) -> None:
         self._failed = True

@@ -39,14 +39,9 @@ class _Factor(ctypes.Structure):
 
 
 def panels(like: Tensor) -> Panels | None:
-    """The compiled products, if they are there and serve such tensors."""
+    """The compiled products, if there is a compiler and they serve such tensors."""
     code = _native() if like.device.type == "cpu" else None
     return None if code is None else Panels(code)
-
-
-def build() -> bool:
-    """Wait until compiled products are there; False: they cannot be."""
-    return _native.build() is not None
 
 
 class Factor:

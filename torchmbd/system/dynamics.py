@@ -54,6 +54,7 @@ class Dynamics:
     statistics     how often it was evaluated
     data           name -> tensor or pair [component..., 1, lanes]; a lane axis of one holds for all
     stabilization  time constant of the constraint stabilization [s]
+    backend        what makes steps: "eager" or "native" (integrators/library.py)
     """
 
     topology: Topology
@@ -61,6 +62,7 @@ class Dynamics:
     data: Data
     initial: Any  # InitialConditions
     stabilization: float = 5e-3
+    backend: str = "eager"
     statistics: dict[str, int] = field(default_factory=lambda: {"evaluations": 0})
 
     @property
@@ -151,14 +153,16 @@ class Dynamics:
     def values(self) -> Dynamics:
         """The same dynamics without design tangents."""
         data = {name: value(x) for name, x in self.data.items()}
-        return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)
+        return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization, self.backend)
 
     def condensed(self) -> Dynamics:
         """The same motion with fewer unknowns (condensation.py); itself if there is nothing to condense."""
         c = self.initial.condensed
         if c is None:
             return self
-        return Dynamics(c.topology, c.saddle, c.data(self.data), CondensedStart(self, c), self.stabilization)
+        return Dynamics(
+            c.topology, c.saddle, c.data(self.data), CondensedStart(self, c), self.stabilization, self.backend
+        )
 
     def some(self, lanes: Sequence[int]) -> Dynamics:
         """The dynamics of some designs of the batch."""
@@ -168,7 +172,7 @@ class Dynamics:
             return x.index_select(-1, index) if x.shape[-1] > 1 else x
 
         data = {name: Pair(pick(x.full)) if isinstance(x, Pair) else pick(x) for name, x in self.data.items()}
-        return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization)
+        return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization, self.backend)
 
     def initial_state(self) -> Tensor:
         """Consistent initial state z [lanes, n_q + n_v]: joints closed, velocities compatible."""
@@ -223,6 +227,7 @@ class CondensedStart:
 
     whole: Dynamics
     condensation: Condensation
+    condensed: None = None  # nothing more
 
     def alike(self, dynamics: Dynamics) -> Any:
         """As of the whole system."""
