@@ -109,12 +109,19 @@ def test_a_compiler_that_fails_is_told(cache: Path, monkeypatch: pytest.MonkeyPa
     assert list(cache.iterdir()) == []
 
 
-def test_a_build_that_fails_in_the_background_is_told_once(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_build_that_fails_in_the_background_is_told_once(
+    cache: Path, monkeypatch: pytest.MonkeyPatch, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """In a folder with a random.py, which is the user's affair and not executed."""
+    folder = tmp_path_factory.mktemp("current")
+    (folder / "random.py").write_text("open('proof', 'w')")
+    monkeypatch.chdir(folder)
     monkeypatch.setenv("CXX", "false")
     d = dynamics(modes=1)
     process = library.build_in_background(d)
     assert process is not None
     assert process.wait() == 1
+    assert not (folder / "proof").exists()
     with pytest.warns(UserWarning, match="the build of compiled code failed"):
         assert library.library(d) is None
     (log,) = cache.iterdir()  # and no job, which another could have changed
