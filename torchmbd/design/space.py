@@ -46,6 +46,8 @@ class DesignSpace:
         start: Any = None,
         links: Mapping[str, Mapping[str, float]] | None = None,
     ):
+        if not isinstance(system, System):
+            raise InputError(f"system is {system!r}; allowed: a System")
         own = dict(system.named_parameters())
         for name in variables or ():
             if name not in own:

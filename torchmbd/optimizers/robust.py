@@ -44,7 +44,7 @@ class RobustProblem:
     """
 
     def __init__(self, problem: Problem, tolerance: Any, kind: str = "expected") -> None:
-        if kind not in KINDS:
+        if not isinstance(kind, str) or kind not in KINDS:
             raise unknown("kind", kind, KINDS)
         if len(getattr(problem, "equalities", ())):
             raise InputError("problem has equalities, which no design within tolerances keeps; allowed: inequalities")

@@ -111,7 +111,7 @@ class System(nn.Module):
     def with_joints(self, joints: Sequence[Joint]) -> Self:
         """The same bodies, forces and parameters under other joints; bodies and parameters are shared."""
         other = copy.copy(self)
-        other._join(joints)
+        other._join(several("joints", joints, Joint, "joints, such as mbd.Revolute(...)"))
         return other
 
     def describe(self) -> Description:
