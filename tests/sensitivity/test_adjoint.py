@@ -13,7 +13,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from experiments.slider_crank import build
 from tests.built_at_once import BuiltAtOnce
-from tests.mechanisms import pendulum, spoilt, sprung
+from tests.mechanisms import finished, pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
 from torchmbd.integrators import adjoint, compiled, compiled_adjoint, library
@@ -54,8 +54,8 @@ def test_the_gradient_is_that_of_forward_tangents(name):
     system = make()
     names = [name for name, x in system.named_parameters() if x.requires_grad]
     options = {"steps": steps, "sensitivities": names, "designs": designs_of(system, names), **TIGHT}
-    forward = mbd.simulate(system, duration, **options).require_ok()
-    back = mbd.simulate(system, duration, adjoint=True, **options).require_ok()
+    forward = finished(mbd.simulate(system, duration, **options))
+    back = finished(mbd.simulate(system, duration, adjoint=True, **options))
     wanted, found = (differentiate(everything, motion) for motion in (forward, back))
     assert_close(found.value, wanted.value, rtol=1e-9, atol=0)
     size = wanted.gradient.abs().amax((0, 1))
@@ -73,7 +73,7 @@ def test_compiled_and_eager_agree(name, at_once):
     system = make()
     names = [name for name, x in system.named_parameters() if x.requires_grad]
     options = {"steps": steps, "sensitivities": names, "designs": designs_of(system, names), "iterations": (4, 2)}
-    motion = mbd.simulate(system, duration, adjoint=True, **options).require_ok()
+    motion = finished(mbd.simulate(system, duration, adjoint=True, **options))
     fast = differentiate(everything, motion).gradient
     assert "adjoint" in at_once.kinds
     (sweep,) = motion.adjoint._sweeps
@@ -141,8 +141,8 @@ def test_lanes_with_smaller_steps():
     designs = {"rod.laminate.angles": mbd.deg([[0, 0, 0], [90, 60, 90]])}
     for steps, kind in ((3, "renewed"), (2, "halved")):
         options = {"steps": steps, "sensitivities": True, "designs": designs, "halvings": int(kind == "halved")}
-        forward = mbd.simulate(system, 0.024, **options).require_ok()
-        back = mbd.simulate(system, 0.024, adjoint=True, **options).require_ok()
+        forward = finished(mbd.simulate(system, 0.024, **options))
+        back = finished(mbd.simulate(system, 0.024, adjoint=True, **options))
         assert back.stats[kind] == forward.stats[kind] == [0, 1]
         wanted, found = (differentiate(everything, motion).gradient for motion in (forward, back))
         assert_close(found, wanted, rtol=0, atol=1e-4 * float(wanted.abs().max()))

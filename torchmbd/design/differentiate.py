@@ -16,6 +16,7 @@ from torch import Tensor
 
 from torchmbd.integrators import Trajectory
 from torchmbd.integrators.adjoint import Adjoint
+from torchmbd.numerics.called import exclusive
 
 ROWS = 16  # that go back together: their derivatives by a whole motion are all in memory
 
@@ -27,6 +28,7 @@ class Valued(NamedTuple):
     gradient: Tensor | None
 
 
+@exclusive
 def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
     """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b].
 

@@ -34,6 +34,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrators import captured, compiled
 from torchmbd.integrators.history import History, Record
+from torchmbd.integrators.march import TURN, first
 from torchmbd.integrators.step import Coefficients, State
 from torchmbd.numerics.pair import Pair
 from torchmbd.numerics.placed import placed
@@ -118,8 +119,10 @@ def integrate(
     history = record.history(expansion)
     error = step_error(left, history, spectral_radius, h)
     suggested = (steps * (error / GOOD_STEP).sqrt()).ceil()
-    statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": largest_turn(left, history, h).cpu()}
+    turn = turns(left, history, h).cpu()
+    statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": turn.amax(0)}
     found = {"step_error": error, "suggested_steps": suggested} | march.errors(history, duration)
+    found["until"] = found["until"].cpu().minimum(first(turn > TURN).clamp_min(1))
     return history, statistics | {name: y.cpu() for name, y in found.items()}
 
 
@@ -141,10 +144,10 @@ def step_error(dynamics: Dynamics, history: History, spectral_radius: float, h: 
     return error / largest.clamp_min(_STILL)
 
 
-def largest_turn(dynamics: Dynamics, history: History, h: float) -> Tensor:
-    """Largest rotation in one step [lanes] [rad]."""
+def turns(dynamics: Dynamics, history: History, h: float) -> Tensor:
+    """Largest rotation of a body in a step from each time [times, lanes] [rad]."""
     omega = split_v(dynamics.topology, history.v[:, :, 0].transpose(0, 1))[1]
-    return h * omega.square().sum(0).sqrt().amax((0, 1))
+    return h * omega.square().sum(0).sqrt().amax(0)
 
 
 def checked(iterations: tuple[int, int], refresh: int) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -82,15 +83,20 @@ class Recorded(Signals):
 
     settled   makes the multipliers [times, rows, slots, lanes] that are shown of those that were integrated; None: they are
               the same
+    until     how many times of each lane have numbers [lanes]: what comes after a failure is nan; None: all
     """
 
     differentiable = False
 
-    def __init__(self, history: History, settled: Settled | None = None):
+    def __init__(self, history: History, settled: Settled | None = None, until: Tensor | None = None):
         super().__init__()
-        self.history, self.settled = history, settled
+        self.history, self.settled, self.until = history, settled, until
         self.times, _, slots, self.lanes = history.q.shape
         self.moving = slots > 1
+
+    def ended(self, until: Tensor) -> Self:
+        """The same up to a number of times of each lane [lanes]."""
+        return type(self)(self.history, self.settled, until)
 
     def _values(self, name: str, rows: Rows) -> Tensor:
         x = self._of(name, rows, slice(1))[:, :, 0].permute(2, 0, 1)
@@ -107,6 +113,13 @@ class Recorded(Signals):
         return self.history.multipliers if self.settled is None else self.settled(self.history)
 
     def _of(self, name: str, rows: Rows, slots: slice) -> Tensor:
+        x = self._whole(name, rows, slots)
+        if self.until is None or bool((self.until >= self.times).all()):
+            return x
+        lost = torch.arange(self.times)[:, None] >= self.until
+        return x.masked_fill(lost[:, None, None], torch.nan)
+
+    def _whole(self, name: str, rows: Rows, slots: slice) -> Tensor:
         with torch.set_grad_enabled(self.differentiable and torch.is_grad_enabled()):
             if name == "lam":
                 x = self._multipliers[:, :, slots]

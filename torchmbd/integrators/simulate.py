@@ -20,7 +20,7 @@ from torchmbd.errors import InputError
 from torchmbd.integrators import compiled_adjoint, generalized_alpha, ode, staged_alpha, staged_ode
 from torchmbd.integrators.adjoint import Adjoint
 from torchmbd.integrators.arguments import check, check_adjoint, check_designs, check_sensitivities
-from torchmbd.integrators.attempts import careful, run, status_of, with_retries
+from torchmbd.integrators.attempts import careful, numbers_until, run, status_of, with_retries
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
@@ -31,11 +31,13 @@ from torchmbd.integrators.signals import Recorded, Untangled
 from torchmbd.integrators.singular import explained
 from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import OK, Trajectory
+from torchmbd.numerics.called import exclusive
 from torchmbd.system import Dynamics, System
 
 FEWEST = 200  # steps, where the number is left to us
 
 
+@exclusive
 def simulate(
     system: System,
     duration: float,
@@ -65,7 +67,8 @@ def simulate(
                    torchdiffeq: rtol, atol, options
     device         "cuda" or "cuda:1": the motion is made there, in float64; its structure, and responses, on the CPU
 
-    A lane that fails is reported in `status`. Raises InputError for bad arguments.
+    A lane that fails is reported in `status`, and nan from there on; so is one whose steps do not resolve its vibrations, with
+    all numbers. Threads that simulate wait for each other: use processes, or lanes. Raises InputError for bad arguments.
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
@@ -96,7 +99,7 @@ def simulate(
                     history, stats, status = run(dynamics, duration, steps, method, options)
                     signals = Recorded(history, partial(_multipliers, dynamics, duration))
                     motion = _present(system, dynamics, signals, stats, status, duration, **design)
-                motion = explained(motion)
+                motion = _ended(explained(motion))
                 warn_of_spin(motion)
                 return motion
             views = Views.of(system, dynamics, **design)
@@ -109,8 +112,18 @@ def simulate(
                     course, stats, status = again, counts | {"renewed": list(range(len(status)))}, better
         signals = Recorded(course.history, course.multipliers)
         motion = _present(system, course.whole, signals, stats, status, duration, **design)
+        motion = _ended(motion)
         warn_of_spin(motion)
         return replace(motion, switches=course.switches, actions=tuple(stage.topology.actions for stage in stages))
+
+
+def _ended(motion: Trajectory) -> Trajectory:
+    """The motion with nan for what comes after the failure of a lane."""
+    signals = motion.signals
+    assert isinstance(signals, Recorded)
+    until = numbers_until(signals.history, motion.status, motion.stats)
+    motion.stats.pop("until", None)
+    return replace(motion, signals=signals.ended(until))
 
 
 def _back(adjoint: bool | None, dynamics: Dynamics) -> bool:

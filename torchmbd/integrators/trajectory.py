@@ -110,7 +110,8 @@ class Trajectory:
     known       what measures evaluated together share
     signals     coordinates, rates, accelerations and multipliers by rows
     shapes      mode shapes of the designs
-    status      for each lane "ok" or the reason of the failure
+    status      for each lane "ok"; "failed: ..." with the reason, its numbers nan from there on; or "unresolved: ...", all
+                numbers there, where the vibrations that they show are no more than errors of the steps
     stats       what the integrator counted
     designs     parameters of the lanes by name, [lanes, ...]
     parameters  names of the design variables of the sensitivities, one for each slot
@@ -239,7 +240,7 @@ class Trajectory:
         q, v, vd, lam = leaves = [x.detach().requires_grad_() for x in (base.q, base.v, base.vd, base.lam)]
         expansion = None if base.expansion is None else replace(base.expansion, data=data)
         settled = None if signals.settled is None else partial(signals.settled, data=data)
-        return self._neighbor(Differentiable(History(q, v, vd, lam, expansion), settled), delta), leaves
+        return self._neighbor(Differentiable(History(q, v, vd, lam, expansion), settled, signals.until), delta), leaves
 
     def _neighbor(self, signals: Signals, delta: Tensor) -> Trajectory:
         return replace(
