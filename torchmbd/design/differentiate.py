@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.integrators import Trajectory
 from torchmbd.integrators.adjoint import Adjoint
 from torchmbd.numerics.called import exclusive
@@ -35,6 +36,8 @@ def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
     In reverse mode where f has no more numbers than there are design variables, else in forward mode. Lanes know nothing of
     each other: the gradient of a sum over lanes by the neighbor of each lane is that of each.
     """
+    if not hasattr(motion, "known"):
+        raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
     shared = replace(motion, known={})  # what measures share lives as long as this
     n = len(motion.parameters)
     if not n:

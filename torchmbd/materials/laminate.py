@@ -228,6 +228,8 @@ def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
 
 
 def _checked_plies(ply: Ply | Sequence[Ply], layers: int) -> list[Ply]:
+    if not isinstance(ply, (Ply, Sequence)) or isinstance(ply, str):
+        raise InputError(f"Laminate: ply = {ply!r}; allowed: a Ply, or one Ply per layer")
     plies = [ply] * layers if isinstance(ply, Ply) else list(ply)
     for k, p in enumerate(plies):
         if not isinstance(p, Ply):
