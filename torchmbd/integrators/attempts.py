@@ -160,6 +160,6 @@ def _complaint(found: dict[str, float]) -> str:
             f"the steps do not resolve the vibrations of a flexible body (estimated error {100 * found['step_error']:.0f} % of "
             f"the largest): its energies mean little; {found['suggested_steps']:.0f} steps would resolve them"
         )
-        warnings.warn(told, stacklevel=6)
+        warnings.warn(told, stacklevel=7)
         return f"unresolved: {told}"
     return OK
