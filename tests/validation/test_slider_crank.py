@@ -112,5 +112,5 @@ def test_the_universal_joint_is_another_model_where_bending_and_twist_are_couple
     for angle, least, most in ((0.0, 0.0, 1e-3), (17.0, 0.05, 0.15), (45.0, 0.0, 2e-3)):
         one, other = (figures(mbd.simulate(build(1, [angle], joint=joint), DURATION, steps=600))[0] for joint in joints)
         assert least <= abs(one / other - 1.0) < most
-    with pytest.raises(mbd.InputError, match="joint 'sperical' does not exist.*did you mean 'spherical'"):
+    with pytest.raises(mbd.InputError, match=r"joint 'sperical' does not exist.*did you mean 'spherical'"):
         build(1, joint="sperical")
