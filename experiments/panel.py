@@ -27,7 +27,7 @@ def build(
     """The panel at rest, the force in ground axes.
 
     angles   ply angles [deg], bottom to top, of equal layers
-    cells    of the mesh along length and width, each two triangles
+    cells    of the mesh along length and width
     modes    retained modes
     """
     laminate = mbd.Laminate(mbd.Ply(**CARBON), angles=mbd.deg(list(angles)), thickness=THICKNESS / len(angles))

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -25,15 +26,13 @@ from torchmbd.optimizers import Front
 INCREMENT, LANES = 5.0, 512  # of the designs behind the front [deg], and of a batch
 
 
-def tradeoff(layers: int, cells: tuple[int, int], modes: int, steps: int) -> mbd.Tradeoff:
-    """Both criteria of the rod [mJ s], [Hz], the frequency with a minus."""
+def tradeoff(layers: int, steps: int, **options: Any) -> mbd.Tradeoff:
+    """Both criteria of the rod [mJ s], [Hz], the frequency with a minus; `options` of the model."""
     criteria = {
         "energy": 1e3 * mbd.Integral(mbd.StrainEnergy("rod")),
         "torsion": -1.0 * mbd.Frequency("rod", TORSION),
     }
-    return mbd.Tradeoff(
-        build(layers, cells=cells, modes=modes), DURATION, criteria, bounds=mbd.deg([-90, 90]), steps=steps
-    )
+    return mbd.Tradeoff(build(layers, **options), DURATION, criteria, bounds=mbd.deg([-90, 90]), steps=steps)
 
 
 def drawn(front: Front, others: np.ndarray) -> Figure:

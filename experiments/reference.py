@@ -30,7 +30,7 @@ def energies(
     cells: tuple[int, int],
     modes: int = 8,
     steps: int = 1200,
-    kind: str = "triangle",
+    kind: str = "quad",
     joint: str = "spherical",
 ) -> tuple[float, float]:
     """Max U [J] and integral of U [J s] of one lay-up [deg]."""
@@ -43,7 +43,7 @@ def energies(
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--cells", default="12x2,24x4,48x8", help="meshes, such as 12x2,24x4")
-    parser.add_argument("--kind", default="triangle", choices=["triangle", "quad"], help="of the cells")
+    parser.add_argument("--kind", default="quad", choices=["quad", "triangle"], help="of the cells")
     parser.add_argument("--joint", default="spherical", choices=JOINTS, help="of rod and slider")
     arguments = parser.parse_args()
     torch.set_num_threads(1)

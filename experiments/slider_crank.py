@@ -51,7 +51,7 @@ def build(
     reduction: str = "vibration",
     interface: Sequence[str | int] = (),
     updated: bool = True,
-    kind: str = "triangle",
+    kind: str = "quad",
     joint: str = "universal",
 ) -> mbd.System:
     """Slider-crank with a rod of equal layers.
@@ -59,7 +59,7 @@ def build(
     layers   number of layers of equal thickness, 7.5 mm in all
     angles   ply angles [deg], bottom to top; default: the start design of Table 2, alternating 45 and -45
     cells    cells of the rod's mesh along its length and depth
-    kind     "triangle", two in each cell, or "quad"
+    kind     "quad", or "triangle", two in each cell
     modes    retained modes of the rod
     damping  stiffness-proportional damping of the rod [s]
     reduction, interface, updated   of the rod, as in FlexibleBody.plate

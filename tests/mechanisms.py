@@ -24,6 +24,12 @@ GRAVITY = (1.5, -9.0, 3.5)
 INERTIA = torch.tensor([[3.0e-3, 4e-4, -3e-4], [4e-4, 2.2e-3, 5e-4], [-3e-4, 5e-4, 1.9e-3]], dtype=torch.float64)
 
 
+def finished(motion: mbd.Trajectory) -> mbd.Trajectory:
+    """The motion, none of whose lanes failed; its steps may be too large for the vibrations."""
+    assert not [status for status in motion.status if status.startswith("failed")]
+    return motion
+
+
 def tensor(*x: float) -> Tensor:
     return torch.tensor(x, dtype=torch.float64)
 

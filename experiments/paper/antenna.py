@@ -24,7 +24,7 @@ from experiments.sar_antenna_data import ANGLES
 from experiments.sar_antenna_optimum import MODEL, START
 from experiments.sar_antenna_tables import ENERGY, LAYUPS, PAPER, REFERENCE_TIMES, reaches_zero, shares
 from experiments.sar_antenna_whole import unlocked
-from torchmbd.viz.figures import CYCLE, figure_of
+from torchmbd.viz.figures import CYCLE, figure_of, over_time
 
 OPTIMUM = (1.06, -47.0)  # Table 8 [deg]
 
@@ -33,7 +33,7 @@ def curves(t: Any, lines: Mapping[str, Any], ylabel: str, path: Path) -> None:
     """Draw histories over time."""
     figure, (axes,) = figure_of(3.4)
     for (label, y), color in zip(lines.items(), CYCLE, strict=False):
-        axes.plot(t, y, color=color, lw=1.3, label=label)
+        over_time(axes, t, y, label, color)
     axes.set_xlabel("time [s]")
     axes.set_ylabel(ylabel)
     axes.legend(frameon=False)

@@ -14,7 +14,7 @@ from tests.elements.plate_cases import CARBON, GENERAL
 from torchmbd.errors import InputError
 from torchmbd.mesh import MeshFile
 
-PLATE = mbd.mesh.rectangle(0.3, 0.1, (6, 2))
+PLATE = mbd.mesh.rectangle(0.3, 0.1, (6, 2), "triangle")
 
 
 def values(body):

@@ -13,7 +13,7 @@ STEEL = mbd.Ply.isotropic(210e9, 0.3, 7850.0)
 
 
 def made(ply, scale=1.0):
-    mesh = mbd.Mesh(PLATE.nodes * scale, PLATE.triangles, PLATE.node_sets)
+    mesh = mbd.Mesh(PLATE.nodes * scale, node_sets=PLATE.node_sets, quads=PLATE.quads)
     return mbd.FlexibleBody.from_mesh("plate", mesh, mbd.Laminate(ply, mbd.deg([0, 90]), 2e-3 * scale), 2)
 
 

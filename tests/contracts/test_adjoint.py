@@ -9,6 +9,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.contracts import test_actions as actions
 from tests.contracts import test_joints as joints
+from tests.mechanisms import finished
 from torchmbd.design.differentiate import differentiate
 
 KINDS = {case.kind: case for case in joints.CASES}
@@ -18,7 +19,7 @@ def compared(system: mbd.System, duration: float) -> None:
     names = [name for name, _ in system.named_parameters()]
     options = {"steps": 3, "variables": names, "iterations": (5, 5)}
     wanted, found = (
-        differentiate(looked_at, mbd.simulate(system, duration, gradients=way, **options).require_ok()).gradient
+        differentiate(looked_at, finished(mbd.simulate(system, duration, gradients=way, **options))).gradient
         for way in ("forward", "reverse")
     )
     size = float(wanted.abs().max())

@@ -20,7 +20,7 @@ DURATION = 0.01
 
 @pytest.fixture(scope="module")
 def system() -> mbd.System:
-    return soft_slider_crank()
+    return soft_slider_crank(kind="triangle")  # levels below are of its frequencies
 
 
 @pytest.fixture(scope="module")

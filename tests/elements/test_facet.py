@@ -31,7 +31,7 @@ def test_corners_keep_lengths_and_area():
 
 
 def test_one_direction_for_each_cell():
-    mesh = rectangle(1.0, 1.0, (1, 1))
+    mesh = rectangle(1.0, 1.0, (1, 1), "triangle")
     plane = facets(mesh, torch.tensor([[1.0, 0, 0], [0, 2.0, 5.0]]))
     assert_close(plane.axes[1, 0], torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64))
 
@@ -45,7 +45,7 @@ def test_direction_without_projection_is_refused(direction):
 
 def test_shape_of_the_direction():
     with pytest.raises(InputError, match=r"shape \(2, 3\)"):
-        facets(rectangle(1.0, 1.0, (2, 2)), torch.ones(2, 3))
+        facets(rectangle(1.0, 1.0, (2, 2), "triangle"), torch.ones(2, 3))
 
 
 def test_cells_are_what_lies_at_a_side():

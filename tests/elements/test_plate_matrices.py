@@ -73,7 +73,7 @@ def test_mass_is_shared_by_area_and_stays_whole():
     mesh = rectangle(3.0, 2.0, (3, 2))
     plate = PlateMatrices(mesh, GENERAL)
     assert plate.area.sum().item() == pytest.approx(6.0, rel=1e-14)
-    assert plate.area[mesh.node("corner_left_bottom")].item() == pytest.approx(1 / 3)  # two triangles of 1/2 m2
+    assert plate.area[mesh.node("corner_left_bottom")].item() == pytest.approx(1 / 4)  # a square of 1 m2
     mass = plate.lumped_mass(torch.tensor([7.0, 8.0]).double(), torch.tensor([0.1, 0.2]).double())
     assert mass.shape == (2, 72)
     by_freedom = mass.reshape(2, 12, 6).sum(1)

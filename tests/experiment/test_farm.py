@@ -18,9 +18,10 @@ import pytest
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.experiment.assemble import problem_of
-from torchmbd.experiment.farm import Farm, evaluate_piece
+from torchmbd.experiment.farm import Farm, Pieces, evaluate_piece
 from torchmbd.experiment.load import load_study
 from torchmbd.experiment.place import problem_key
+from torchmbd.optimizers import Evaluation
 from torchmbd.tracking.store import open_store
 
 SHORT = {"duration": 0.002, "steps": 8}
@@ -89,6 +90,27 @@ def answer(connection):
         return connection.recv(1)
     except ConnectionResetError:
         return b""
+
+
+def test_a_piece_that_kills_its_workers_fails_design_by_design(write):
+    """Each of its designs is a failure, so that those of the next piece stay those of the next piece."""
+    from distributed import KilledWorker
+
+    class Piece(list):
+        def result(self):
+            if not self:
+                raise KilledWorker("piece", None, 3)
+            return list(self)
+
+        def release(self):
+            pass
+
+    farm = Farm(load_study(write(simulate=SHORT)), "", 2, 2)
+    good = [Evaluation(float(k), np.zeros(2)) for k in range(4)]
+    found = Pieces(farm, [2, 3, 2], [Piece(good[:2]), Piece(), Piece(good[2:])]).evaluations()
+    assert [e.objective for e in found if e.ok] == [0.0, 1.0, 2.0, 3.0]
+    assert [e.status for e in found] == ["ok"] * 2 + ["failed: 3 workers died of it"] * 3 + ["ok"] * 2
+    assert [e.constraints.shape for e in found] == [(2,)] * 7
 
 
 def test_without_cryptography_there_are_no_workers(write, monkeypatch):

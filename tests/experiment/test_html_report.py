@@ -54,9 +54,19 @@ def test_the_report_needs_no_network(finished, tmp_path):
 
 def test_text_of_the_store_is_no_markup(finished, tmp_path):
     finished.client.set_tag(finished.runs[1], "mlflow.note.content", "<script>alert(1)</script>")
-    read = Tags(write_report(finished.runs[1], tmp_path / "r.html", finished.uri).read_text())
-    assert "script" not in [tag for tag, _ in read.tags]
-    assert "<script>alert(1)</script>" in read.text
+    entry = find(finished.uri, finished.runs[1])
+    start, mark = children(finished.uri, entry)[0], "<b>from the store</b>"
+    old = start.tags["status"]
+    finished.client.set_tag(start.run_id, "status", mark)
+    finished.client.update_run(start.run_id, name="<i>a start</i>")
+    try:
+        read = Tags(write_report(finished.runs[1], tmp_path / "r.html", finished.uri).read_text())
+    finally:
+        finished.client.set_tag(start.run_id, "status", old)
+        finished.client.update_run(start.run_id, name=start.name)
+    assert not {"script", "b", "i"} & {tag for tag, _ in read.tags}
+    for text in ("<script>alert(1)</script>", mark, "<i>a start</i>"):
+        assert text in read.text
 
 
 def test_a_bad_name_is_refused(finished, tmp_path):

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,7 +13,9 @@ import pytest
 from torchmbd import cli
 from torchmbd.experiment.faults import StudyError
 from torchmbd.experiment.load import load
+from torchmbd.experiment.model import find_function
 from torchmbd.experiment.yaml_file import parse_yaml
+from torchmbd.tracking.server import QUIET
 
 
 @pytest.mark.parametrize(
@@ -50,6 +56,53 @@ def test_nothing_of_it_is_carried_out(folder, tmp_path_factory, old, new, messag
         load(file)
     assert message in str(caught.value)
     assert not proof.exists()
+
+
+def test_a_file_beside_the_model_hides_no_module_of_pythons(folder):
+    """The folder comes last where modules are looked for, and only while the model is imported."""
+    proof = folder / "proof"
+    (folder / "colorsys.py").write_text(f"open({str(proof)!r}, 'w')\n")
+    (folder / "ply_table.py").write_text("layers = 2\n")
+    model = folder / "rod_model.py"
+    model.write_text(model.read_text() + "\nimport colorsys, ply_table\nassert colorsys.rgb_to_hsv\n")
+    before = list(sys.path)
+    sys.modules.pop("colorsys", None)
+    load(folder_study(folder))
+    assert sys.path == before
+    assert not proof.exists()
+    with pytest.raises(ModuleNotFoundError):
+        importlib.import_module("rod_model")
+    (folder / "ply_table.py").write_text("layers = 3\n")
+    load(folder_study(folder))
+    assert sys.modules["ply_table"].layers == 3  # as it is now, within the same second too
+
+
+def test_models_of_two_folders_have_their_own_modules(tmp_path):
+    found = []
+    for name in ("one", "two"):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / "ply_table.py").write_text(f"word = {name!r}\n")
+        (folder / "m.py").write_text("import ply_table\ndef words() -> list:\n    return [ply_table.word]\n")
+        found.append(find_function("m.py:words", folder)())
+    assert found == [["one"], ["two"]]
+
+
+def test_modules_in_the_current_folder_are_not_executed_by_the_server_of_ui(tmp_path):
+    """With the environment that `ui` gives it, its workers too; for builds in the background see test_library.py."""
+    proof = tmp_path / "proof"
+    for name in ("random.py", "signal.py", "pickle.py"):
+        (tmp_path / name).write_text(f"open({str(proof)!r}, 'w')\nraise RuntimeError('mine')\n")
+    served = [sys.executable, "-m", "mlflow", "--version"]
+    server = subprocess.run(served, cwd=tmp_path, env={**os.environ, **QUIET}, capture_output=True, text=True)
+    assert server.returncode == 0, server.stderr
+    assert not proof.exists()
+
+
+def folder_study(folder: Path) -> Path:
+    file = folder / "study.yaml"
+    file.write_text(Path(__file__).with_name("study.yaml").read_text())
+    return file
 
 
 def test_a_file_that_multiplies_itself_is_refused():

@@ -21,10 +21,14 @@ import pytest
 from rich.console import Console
 
 from torchmbd.design import Problem
+from torchmbd.errors import MbdError
+from torchmbd.experiment.evaluations import Evaluations
 from torchmbd.experiment.load import load_study
+from torchmbd.experiment.place import evaluations_file, place, problem_key, study_key
 from torchmbd.experiment.run import run_plan
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
-from torchmbd.tracking.store import open_store
+from torchmbd.tracking.spool import locked
+from torchmbd.tracking.store import open_store, store_uri
 
 
 @pytest.fixture
@@ -84,6 +88,17 @@ def test_a_killed_study_repeats_no_evaluation(study, monkeypatch):
     assert table(output) == table(undisturbed)
     assert table(output)
     assert re.findall(r"(\d+) of (\d+) evaluations known", output) == [("4", str(total))]
+
+
+def test_fresh_forgets_nothing_of_a_study_that_is_running(study, folder):
+    run(study, Silent())
+    plan = load_study(study)
+    count = Evaluations(evaluations_file(), problem_key(plan)).count()
+    assert count > 0
+    running = place() / study_key(plan, store_uri(plan.study.tracking.uri))
+    with locked(running, "study.lock"), pytest.raises(MbdError, match="the same study is running in another process"):
+        run_plan(plan, Console(file=io.StringIO()), fresh=True)
+    assert Evaluations(evaluations_file(), problem_key(plan)).count() == count
 
 
 def test_a_study_that_was_interrupted_goes_on_in_its_runs(study, folder):

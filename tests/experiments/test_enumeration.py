@@ -12,7 +12,7 @@ from experiments.discrete import Within, problem_of
 from experiments.enumeration import Enumeration, enumerate_all, grid
 from experiments.minima import STORED
 
-TINY = {"cells": (4, 2), "modes": 3, "steps": 16}
+TINY = {"cells": (4, 2), "modes": 3, "steps": 16, "kind": "triangle"}  # the limit of 3f is one for triangles
 
 
 @pytest.mark.parametrize(("layers", "increment"), [(1, 45.0), (2, 30.0), (3, 45.0)])
@@ -56,7 +56,7 @@ def test_enumeration_says_what_the_problem_says_of_the_mirror_images():
 def test_constraints_of_one_problem_are_not_those_of_another():
     together = enumerate_all({table: problem_of(table, 2, **TINY) for table in ("3f", "4")}, 30.0)
     alone = enumerate_all({"4": problem_of("4", 2, **TINY)}, 30.0)["4"]
-    np.testing.assert_allclose(together["4"].value, alone.value, rtol=1e-12)
+    np.testing.assert_allclose(together["4"].value, alone.value, rtol=1e-10)  # rounding of another batch
     assert np.isinf(together["3f"].value).any()
 
 

@@ -41,7 +41,7 @@ def test_diagonals_of_squares_alternate_whatever_the_numbering():
 
 
 def test_the_cut_is_that_of_the_generator():
-    mesh = rectangle(4.0, 4.0, (4, 4))
+    mesh = rectangle(4.0, 4.0, (4, 4), "triangle")
     nodes, quads = grid(4, 4)
     ours = diagonals(nodes, cut_quads(nodes, quads))
     theirs = diagonals(mesh.nodes + torch.tensor([2.0, 2.0, 0.0]), mesh.triangles)

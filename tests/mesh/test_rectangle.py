@@ -45,7 +45,7 @@ def test_no_name_without_a_node():
 @pytest.mark.parametrize("cells", [(4, 2), (6, 4), (24, 4)])
 @pytest.mark.parametrize("axis", [0, 1])
 def test_even_meshes_are_their_own_mirror_image(cells, axis):
-    mesh = rectangle(3.0, 0.5, cells)
+    mesh = rectangle(3.0, 0.5, cells, "triangle")
     sign = torch.ones(3, dtype=torch.float64)
     sign[axis] = -1.0
     middles = {tuple(m) for m in mesh.nodes[mesh.triangles].mean(1).round(decimals=9).add(0.0).tolist()}
@@ -55,13 +55,13 @@ def test_even_meshes_are_their_own_mirror_image(cells, axis):
 
 @pytest.mark.parametrize("cells", [(4, 2), (6, 4), (24, 4), (2, 2), (2, 8)])
 def test_the_center_meets_eight_triangles(cells):
-    mesh = rectangle(3.0, 0.5, cells)
+    mesh = rectangle(3.0, 0.5, cells, "triangle")
     assert (mesh.triangles == mesh.node("center")).sum() == 8
 
 
 @pytest.mark.parametrize("cells", [(20, 3), (3, 20)])
 def test_bandwidth_is_that_of_the_short_direction(cells):
-    triangles = rectangle(1.0, 1.0, cells).triangles
+    triangles = rectangle(1.0, 1.0, cells, "triangle").triangles
     assert (triangles.amax(1) - triangles.amin(1)).max() == 5
 
 
@@ -81,7 +81,8 @@ def test_bad_input_is_named(arguments, message):
 
 
 def test_quadrilaterals_on_the_same_nodes():
-    mesh, other = rectangle(3.0, 2.0, (3, 4), "quad"), rectangle(3.0, 2.0, (3, 4))
+    """Of which it is made by default."""
+    mesh, other = rectangle(3.0, 2.0, (3, 4)), rectangle(3.0, 2.0, (3, 4), "triangle")
     assert torch.equal(mesh.nodes, other.nodes)
     assert mesh.node_sets == other.node_sets
     assert mesh.quads.shape == (12, 4)

@@ -40,6 +40,7 @@ REFUSED = {
     "bounds": lambda: problem(bounds=(-90.0, 90.0)),
     "one bound": lambda: problem(bounds=([-1.5, -1.5], [1.5, 90.0])),
     "bounds by name": lambda: problem(bounds={ANGLES: (-1.5, 90.0)}),
+    "bound beside none": lambda: problem(bounds=(-1.5, [math.inf, 90.0])),
     "start": lambda: problem(start=[45.0, -45.0]),
     "a design of the problem": lambda: problem().simulate(np.array([[45.0, -45.0]])),
     "laminate": lambda: mbd.Laminate(mbd.Ply(**CARBON), angles=[45.0], thickness=1e-3),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import pytest
 from tests.optimizers.analytic import Analytic
 from torchmbd.errors import InputError
 from torchmbd.optimizers import Evaluation, given, latin_hypercube, multistart, optimize, sobol
+from torchmbd.optimizers.minima import distinct_minima
 
 METHODS = ["mmfd", "slsqp"]
 
@@ -246,6 +248,29 @@ def test_angles_are_compared_on_the_circle():
     problem.period = [np.pi]
     ends = multistart(problem, "mmfd", starts)
     assert len(ends.minima) == 2  # 1.5 and the bound are 0.07 apart
+
+
+@pytest.mark.parametrize(
+    ("degrees", "count"),
+    [
+        ((89.9, -89.9), 1),
+        ((-89.9, 89.9), 1),
+        ((10.0, 190.0), 1),
+        ((80.0, -80.0), 2),
+        ((0.0, 90.0), 2),
+        ((45.0, -45.0), 2),
+    ],
+)
+def test_ply_angles_repeat_after_half_a_turn(degrees, count):
+    """The second variable, a length, does not repeat itself."""
+    problem = Analytic("flat", [0.0, 1.0], lambda x: 1.0 + 0.0 * x[0])
+    ends = multistart(problem, "mmfd", [[angle, 1.0] for angle in np.radians(degrees)], scaling=False).results
+    assert [tuple(np.degrees(end.x[:1])) for end in ends] == [pytest.approx((angle,)) for angle in degrees]
+    span, period = np.array([np.pi, 2.0]), np.array([np.pi, 0.0])
+    assert len(distinct_minima(ends, span, period=period)) == count
+    assert len(distinct_minima(ends, span)) == 2
+    apart = [ends[0], replace(ends[1], x=ends[1].x + np.array([0.0, np.pi]))]
+    assert len(distinct_minima(apart, span, period=period)) == 2
 
 
 def test_no_further_start_once_all_minima_are_known():

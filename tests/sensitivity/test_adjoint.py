@@ -10,7 +10,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from tests.mechanisms import pendulum, spoilt, sprung
+from tests.mechanisms import finished, pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
 from torchmbd.integrators import adjoint
@@ -42,7 +42,7 @@ def test_the_gradient_is_that_of_forward_tangents(name):
     system = make()
     names = [name for name, x in system.named_parameters() if x.requires_grad]
     options = {"steps": steps, "variables": names, "designs": designs_of(system, names), **TIGHT}
-    forward, back = (mbd.simulate(system, duration, gradients=way, **options).require_ok() for way in WAYS)
+    forward, back = (finished(mbd.simulate(system, duration, gradients=way, **options)) for way in WAYS)
     wanted, found = (differentiate(everything, motion) for motion in (forward, back))
     assert_close(found.value, wanted.value, rtol=1e-9, atol=0)
     size = wanted.gradient.abs().amax((0, 1))
@@ -60,7 +60,7 @@ def test_compiled_and_eager_agree(name, native):
     system = make()
     names = [name for name, x in system.named_parameters() if x.requires_grad]
     options = {"steps": steps, "variables": names, "designs": designs_of(system, names), "iterations": (4, 2)}
-    motion = mbd.simulate(system, duration, gradients="reverse", backend="native", **options).require_ok()
+    motion = finished(mbd.simulate(system, duration, gradients="reverse", backend="native", **options))
     fast = differentiate(everything, motion).gradient
     own = motion.integration.adjoint
     ((inputs, [sweep]),) = own._sweeps.items()
@@ -70,6 +70,24 @@ def test_compiled_and_eager_agree(name, native):
     own._sweeps[inputs] = [adjoint.Sweep(sweep.grid)]
     eager = differentiate(everything, motion).gradient
     assert float(((fast - eager).abs().amax((0, 1)) / eager.abs().amax((0, 1))).max()) < 1e-8
+
+
+def test_the_compiled_error_is_the_largest_of_all_steps(native):
+    """What one correction leaves differs by thousands from step to step; the adjoint comes to the first step last."""
+    make, duration, steps = CASES["redundant"]
+    system = make()
+    names = [name for name, x in system.named_parameters() if x.requires_grad]
+    options = {"steps": steps, "variables": names, "designs": designs_of(system, names), "iterations": (4, 1)}
+    motion = finished(mbd.simulate(system, duration, gradients="reverse", backend="native", **options))
+    differentiate(everything, motion)
+    own = motion.integration.adjoint
+    ((inputs, [sweep]),) = own._sweeps.items()
+    assert isinstance(sweep, CompiledSweep)
+    compiled_error = own.error.clone()
+    own.error.zero_()
+    own._sweeps[inputs] = [adjoint.Sweep(sweep.grid)]
+    differentiate(everything, motion)
+    assert_close(compiled_error, own.error, rtol=0.1, atol=0)
 
 
 def test_against_differences_of_the_same_discrete_map(slider_crank):
@@ -109,7 +127,7 @@ def test_lanes_with_smaller_steps():
     designs = {"rod.laminate.angles": mbd.deg([[0, 0, 0], [90, 60, 90]])}
     for steps, kind in ((3, "renewed"), (2, "halved")):
         options = {"steps": steps, "designs": designs, "halvings": int(kind == "halved")}
-        forward, back = (mbd.simulate(system, 0.024, gradients=way, **options).require_ok() for way in WAYS)
+        forward, back = (finished(mbd.simulate(system, 0.024, gradients=way, **options)) for way in WAYS)
         assert back.stats[kind] == forward.stats[kind] == [0, 1]
         wanted, found = (differentiate(everything, motion).gradient for motion in (forward, back))
         assert_close(found, wanted, rtol=0, atol=1e-4 * float(wanted.abs().max()))

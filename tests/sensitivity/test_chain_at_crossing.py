@@ -68,7 +68,9 @@ def gradient_by_differences(
 @pytest.mark.parametrize("name", DESIGNS)
 def test_gradients_through_the_motion_where_two_retained_frequencies_are_equal(name):
     others, bracket, first, options = DESIGNS[name]
-    system = build(1 + len(others), [0.0] * (1 + len(others)), (6, 2), **({"modes": MODES} | options))
+    system = build(
+        1 + len(others), [0.0] * (1 + len(others)), (6, 2), **({"modes": MODES, "kind": "triangle"} | options)
+    )
     angles = crossing(system, others, bracket, first)
     values, _, _ = frequencies_and_modes(system, angles)
     assert abs(float(values[first + 1] / values[first]) - 1) < 1e-10, "no crossing"

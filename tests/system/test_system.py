@@ -11,6 +11,8 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import box, laminate, pendulum, plate, random_state, tensor
 from torchmbd.errors import InputError
+from torchmbd.forces.force import Applied, ForceElement
+from torchmbd.joints.joint import Equation, Joint
 from torchmbd.numerics.pair import Pair
 
 
@@ -262,3 +264,26 @@ def test_designs_that_are_none():
     ):
         with pytest.raises(InputError, match=f"{words}.*; allowed: "):
             mbd.simulate(system, 0.01, steps=1, designs=designs)  # pyright: ignore
+
+
+class _Nameless:
+    """A kind of equation or action that is in no tuple."""
+
+
+def test_a_kind_that_is_in_no_tuple_is_refused_by_its_name():
+    """It would be left out: a joint without its equation, a force that does not act."""
+    body = box("arm")
+
+    class Odd(Joint):
+        def equations(self, scribe):
+            yield Equation(_Nameless, (scribe.point(self.a), scribe.point(self.b)))
+
+    class Pull(ForceElement):
+        def actions(self, scribe):
+            yield Applied(_Nameless, (scribe.point(self.frames[0]),), None)
+
+    ground = mbd.Ground().at()
+    with pytest.raises(mbd.InputError, match=r"'odd' has the kind '_Nameless'.*allowed: Coincide"):
+        mbd.System([body], [Odd(ground, body.at(), name="odd")])
+    with pytest.raises(mbd.InputError, match=r"'pull' has the kind '_Nameless'.*allowed: Length"):
+        mbd.System([body], forces=[Pull((body.at(),), name="pull")], free=["arm"])

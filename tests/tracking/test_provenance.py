@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import getpass
+import os
 import subprocess
 from urllib.parse import parse_qs, urlsplit
 
@@ -33,6 +35,17 @@ def test_the_commit_of_the_folder_is_named_and_whether_files_differ_from_it(repo
     assert provenance(folder)["git_commit"] == commit
     (folder / "study.yaml").write_text("a: 2\n")
     assert provenance(folder)["git_commit"] == f"{commit}+changes"
+
+
+@pytest.mark.parametrize("error", [KeyError("getpwuid(): uid not found: 12345"), OSError("No username set")])
+def test_a_user_without_a_name_has_a_number(tmp_path, monkeypatch, error):
+    """Python says it by KeyError up to 3.12, by OSError since."""
+
+    def nameless():
+        raise error
+
+    monkeypatch.setattr(getpass, "getuser", nameless)
+    assert provenance(tmp_path)["mlflow.user"] == str(os.getuid())
 
 
 def test_without_a_repository_there_is_no_commit(tmp_path, monkeypatch):

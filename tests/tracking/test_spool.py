@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from torchmbd.tracking import ProcessTracker, TrackingError, mlflow_tracker
-from torchmbd.tracking.spool import Journal, Sent, clear, load_sent, locked, read_lines, save_sent
+from torchmbd.tracking.spool import Journal, Sent, clear, last_session, load_sent, locked, read_lines, save_sent
 from torchmbd.tracking.store import open_store
 from torchmbd.tracking.writer import Writer, deliver
 
@@ -144,6 +144,52 @@ def test_a_study_that_goes_on_goes_on_in_its_runs(tmp_path):
     assert {run.info.status for run in written(tmp_path)} == {"FINISHED"}
     history = open_store(reply["uri"]).get_metric_history(reply["runs"]["start_0"], "objective")
     assert sorted((point.step, point.value) for point in history) == [(k, 1.0 / (k + 1)) for k in range(5)]
+
+
+def points(tmp_path: Path, run: str, key: str = "objective") -> list[tuple[int, float]]:
+    client = open_store(f"sqlite:///{tmp_path}/store/runs.db")
+    (id,) = [r.info.run_id for r in written(tmp_path) if r.info.run_name == run]
+    return sorted((p.step, p.value) for p in client.get_metric_history(id, key))
+
+
+@pytest.mark.parametrize("left", ["journal", "sent"])
+def test_a_clock_that_was_set_back_loses_nothing(tmp_path, monkeypatch, left):
+    """The first life was killed with a clock that was a year ahead; the second knows what is later all the same."""
+    folder, clock, year = tmp_path / "k", time.time_ns, 365 * 86400 * 10**9
+    monkeypatch.setattr(time, "time_ns", lambda: clock() + year)
+    first = told(folder, tmp_path, 3)
+    if left == "sent":  # what it told is in the store, and the journal is gone
+        deliver(folder)
+        assert not first.exists()
+    monkeypatch.setattr(time, "time_ns", clock)
+    second = told(folder, tmp_path, 9, "FINISHED")
+    assert int(second.stem) > int(first.stem)
+    assert last_session(folder) == second
+    assert deliver(folder) is None
+    assert not first.exists()
+    assert {run.info.run_name: run.info.status for run in written(tmp_path)} == {"s": "FINISHED", "start 0": "FINISHED"}
+    assert points(tmp_path, "start 0") == [(k, 1.0 / (k + 1)) for k in range(9)]
+
+
+@pytest.mark.parametrize("lived", [1, 2])
+def test_a_result_at_the_step_of_the_last_iterate_is_written_when_a_study_goes_on(tmp_path, lived):
+    """The first life is killed behind its last iterate, or behind its result; each is there once in the end."""
+    folder, lines = (
+        tmp_path / "k",
+        [({"objective": 2.0, "violation": 0.1}, 5), ({"objective": 1.5, "violation": 0.0}, 5)],
+    )
+    for told_lines, end in ((lines[:lived], False), (lines, True)):
+        journal = Journal(folder, ["session", "spooled", f"sqlite:///{tmp_path}/store/runs.db", "k"])
+        journal.append(["begin", "study", "s", None, {}, {}])
+        for values, step in told_lines:
+            journal.append(["metrics", "study", values, step])
+        if end:
+            journal.append(["end", "study", "FINISHED"])
+        journal.close()
+        assert deliver(folder) is None
+    assert points(tmp_path, "s") == [(5, 1.5), (5, 2.0)]
+    (run,) = written(tmp_path)
+    assert (run.data.metrics["objective"], run.data.metrics["violation"]) == (1.5, 0.0)
 
 
 def test_a_study_that_has_not_told_its_end_is_ended_and_then_another_begins(tmp_path):

@@ -157,6 +157,32 @@ def test_a_run_that_is_refused_is_named(tmp_path, empty_store):
     assert not word["finished"]
 
 
+def test_what_is_refused_of_a_run_is_refused_once_and_dropped(tmp_path, empty_store):
+    """Kept, it would be refused again with all that is told of the run later."""
+    folder, uri = tmp_path / "study", f"sqlite:///{shutil.copy(empty_store, tmp_path)}"
+    journal = Journal(folder, ["session", "own", uri, "k"])
+    journal.append(["begin", "study", "s", None, {}, {}])
+    journal.append(["begin", "start_0", "s0", "study", {}, {}])
+    told = [
+        [["metrics", "start_0", {"objective": 1.0}, 2**63]],
+        [["metrics", "start_0", {"objective": 2.0}, 1], ["end", "start_0", "FINISHED"], ["end", "study", "FINISHED"]],
+        [],
+    ]
+    asked = iter(range(99))
+
+    def over():  # asked before every look at the journal
+        when = next(asked)
+        for line in told[when - 1] if 0 < when <= len(told) else []:
+            journal.append(line)
+        return when >= len(told)
+
+    word = Writer(folder, journal.file, over, lambda: True).run()
+    assert [text.partition(":")[0] for text in word["refused"]] == ["what was told of start_0"]
+    runs = {name: open_store(uri).get_run(run) for name, run in word["runs"].items()}
+    assert {run.info.status for run in runs.values()} == {"FINISHED"}
+    assert runs["start_0"].data.metrics == {"objective": 2.0}
+
+
 def test_bytes_that_are_no_characters_cost_nothing(tmp_path, empty_store):
     uri = f"sqlite:///{shutil.copy(empty_store, tmp_path)}"
     word = Writer(tmp_path / "study", told(tmp_path / "study", uri, 0, "a\udcff.yaml"), lambda: True).run()

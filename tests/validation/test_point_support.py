@@ -14,7 +14,7 @@ from tests.elements.plate_cases import CARBON
 
 def first_in_plane(cells, radius):
     """Lowest frequency [Hz] of motion in the plane, and the lowest one out of it."""
-    mesh = mbd.mesh.rectangle(length=0.304, width=0.04, cells=cells)
+    mesh = mbd.mesh.rectangle(length=0.304, width=0.04, cells=cells, kind="triangle")
     laminate = mbd.Laminate(CARBON, angles=mbd.deg([45, -45, 45]), thickness=2.5e-3 / 3)
     reference = mesh.within(radius) if radius else "center"
     made = mbd.FlexibleBody.plate("rod", mesh, laminate, modes=10, reference=reference).structure()

@@ -25,9 +25,9 @@ from torchmbd.numerics.angles import deg
 LENGTH, WIDTH, HEIGHT = 0.304, 0.04, 0.0075
 
 
-def rod(degrees, cells, held, count):
+def rod(degrees, cells, held, count, kind="quad"):
     laminate = Laminate(CARBON, deg(degrees), HEIGHT / len(degrees))
-    mesh = rectangle(LENGTH, WIDTH, cells)
+    mesh = rectangle(LENGTH, WIDTH, cells, kind)
     return frequencies(PlateMatrices(mesh, laminate), laminate, freedoms(mesh.node_set(held)), count)
 
 
@@ -48,27 +48,36 @@ def test_cantilever_is_the_beam_of_the_free_strip(degrees):
     ],
 )
 def test_cantilever_agrees_with_an_independent_triangle(degrees, reference):
-    """None: the reference's in-plane modes (constant-strain triangles) are 3 % from their own limit."""
-    found = rod([degrees], (48, 8), "left_edge", 6)[0]
+    """None: the reference's in-plane modes (constant-strain triangles) are 3 % from their own limit. On its own mesh."""
+    found = rod([degrees], (96, 16), "left_edge", 6)[0]
     for f, other in zip(found, reference, strict=True):
         assert other is None or f == pytest.approx(other, rel=0.007)
 
 
+@pytest.mark.parametrize(("kind", "most"), [("triangle", 0.03), ("quad", 0.045)])
 @pytest.mark.parametrize("degrees", [[0], [45], [30], [45, -45, 45]])
-def test_cantilever_frequencies_on_the_mesh_in_use(degrees):
-    """24 x 4 against 48 x 8 cells: six modes within 3 % (in-plane ones are last), the first within 1 %."""
-    coarse, fine = (rod(degrees, cells, "left_edge", 6)[0] for cells in ((24, 4), (48, 8)))
-    np.testing.assert_allclose(coarse, fine, rtol=0.03)
+def test_cantilever_frequencies_on_the_mesh_in_use(degrees, kind, most):
+    """24 x 4 against 48 x 8 cells: six modes, the first within 1 %.
+
+    n lumped masses across overrate the inertia of torsion by 1 + 2 / n^2, its frequency by -4.3 % from 4 to 8; triangles
+    hide that behind their stiffness.
+    """
+    coarse, fine = (rod(degrees, cells, "left_edge", 6, kind)[0] for cells in ((24, 4), (48, 8)))
+    np.testing.assert_allclose(coarse, fine, rtol=most)
     assert coarse[0] == pytest.approx(fine[0], rel=0.01)
 
 
-def test_center_clamp_has_no_spurious_soft_mode():
-    """A penalty drilling spring would leave an in-plane spin at 15 Hz; here bending comes first, as it must."""
+@pytest.mark.parametrize(("kind", "times"), [("triangle", 3), ("quad", 2)])
+def test_center_clamp_has_no_spurious_soft_mode(kind, times):
+    """A penalty drilling spring would leave an in-plane spin at 15 Hz; here bending comes first, as it must.
+
+    The spin about a point is that of a disk of the size of the cells around it: eight triangles or four quadrilaterals.
+    """
     for degrees in ([45], [45, -45], [45, -45, 45]):
-        f, modes = rod(degrees, (24, 4), "center", 8)
+        f, modes = rod(degrees, (24, 4), "center", 8, kind)
         in_plane = (modes.reshape(-1, 6, 8)[:, :2] ** 2).sum((0, 1)) / (modes.reshape(-1, 6, 8)[:, :3] ** 2).sum((0, 1))
         assert in_plane[0] < 0.1
-        assert f[in_plane > 0.5].min() > 3 * f[0]
+        assert f[in_plane > 0.5].min() > times * f[0]
 
 
 def test_point_clamp_spin_falls_with_the_element_size():
@@ -90,7 +99,7 @@ def test_modes_with_a_center_at_rest_converge():
 
 @pytest.mark.parametrize("held", ["left_edge", "center"])
 def test_derivatives_of_frequencies_by_every_angle(held):
-    """Squared frequencies of an unsymmetric rod: psi' dK psi with the tangent of the entries, against differences."""
+    """Squared frequencies of an unsymmetric rod: psi' dK psi with the tangent of K, against differences."""
     degrees = [40, -30, 65]
     laminate = Laminate(CARBON, deg(degrees), HEIGHT / 3)
     plate = PlateMatrices(rectangle(LENGTH, WIDTH, (12, 2)), laminate)
@@ -98,11 +107,11 @@ def test_derivatives_of_frequencies_by_every_angle(held):
     _, modes = frequencies(plate, laminate, fixed, 6)
     theta = laminate.angles.detach()
 
-    def entries(angles):
-        return functional_call(laminate, {"angles": angles}, ())
+    def stiffness(angles):
+        return plate.values(functional_call(laminate, {"angles": angles}, ()))
 
     for k, e in enumerate(torch.eye(3, dtype=torch.float64)):
-        dK = plate.pattern.to_scipy(jvp(entries, (theta,), (e,))[1] @ plate.basis)
+        dK = plate.pattern.to_scipy(jvp(stiffness, (theta,), (e,))[1])
         exact = np.einsum("in,in->n", modes, dK @ modes)
         ends = [frequencies(plate, Laminate(CARBON, theta + s * e, HEIGHT / 3), fixed, 6)[0] for s in (1e-4, -1e-4)]
         difference = (2 * math.pi) ** 2 * (ends[0] ** 2 - ends[1] ** 2) / 2e-4

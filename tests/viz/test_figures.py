@@ -50,3 +50,11 @@ def test_bad_arguments_are_named(tmp_path):
         convergence({}, {})
     with pytest.raises(InputError, match="allowed endings"):
         save(energy_over_time([0, 1], {"a": [0, 1]}), tmp_path / "f.gif")
+
+
+def test_a_history_that_ends_in_a_failure_stops_there_and_says_so():
+    t, nan = [0.0, 0.1, 0.2, 0.3], float("nan")
+    (axes,) = energy_over_time(t, {"whole": [0.0, 1.0, 2.0, 1.0], "initial": [0.0, 3.0, nan, nan]}).axes
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["whole", "initial (fails at t = 0.1 s)"]
+    crosses = [line for line in axes.lines if line.get_marker() == "x"]
+    assert [(line.get_xdata()[0], line.get_ydata()[0]) for line in crosses] == [(0.1, 3.0)]

@@ -46,11 +46,11 @@ def test_the_mesh(tmp_path):
     body = plate("rod")
     found = arrays(save_mesh(body, tmp_path / "rod.vtu"))
     assert_array_equal(found["points"], body.mesh.nodes.numpy())
-    assert_array_equal(found["connectivity"].reshape(-1, 3), body.mesh.triangles.numpy())
-    assert_array_equal(found["offsets"], 3 * np.arange(1, len(body.mesh.triangles) + 1))
-    assert_array_equal(found["types"], 5)
+    assert_array_equal(found["connectivity"].reshape(-1, 4), body.mesh.quads.numpy())
+    assert_array_equal(found["offsets"], 4 * np.arange(1, len(body.mesh.quads) + 1))
+    assert_array_equal(found["types"], 9)
     assert_array_equal(found["laminate"], 0)
-    assert_allclose(found["laminate_x"], np.tile([1.0, 0.0, 0.0], (len(body.mesh.triangles), 1)), atol=1e-15)
+    assert_allclose(found["laminate_x"], np.tile([1.0, 0.0, 0.0], (body.mesh.cell_count, 1)), atol=1e-15)
 
 
 def test_a_mesh_of_both_kinds(tmp_path):
@@ -101,7 +101,7 @@ def test_the_motion(tmp_path, motion):
         u = view.displacements[0, index].detach() @ view.A[0, index].detach().T
         assert_allclose(found["displacement"], u.numpy(), rtol=1e-9, atol=1e-15)
         indices = CRITERIA["tsai_wu"](plies.stress()[0, index], plies.strength).detach()
-        worst = [float(indices[plies.points[:, 0] == k].max()) for k in range(len(view.mesh.triangles))]
+        worst = [float(indices[plies.points[:, 0] == k].max()) for k in range(view.mesh.cell_count)]
         assert_allclose(found["tsai_wu"], np.maximum(worst, 0.0), rtol=1e-9, atol=1e-15)
     arm = next(x for x in sets if x.get("name") == "arm")
     assert_allclose(arrays(tmp_path / arm.get("file"))["points"][0], motion.body("arm").r[0, 0].numpy(), rtol=1e-12)
@@ -112,7 +112,7 @@ def test_meshio_reads_it(tmp_path, motion):
     first = next(x for x in ET.parse(file).iter("DataSet") if x.get("name") == "rod")
     found = meshio.read(tmp_path / first.get("file"))
     assert_allclose(found.points, motion.body("rod").nodes[0, 0].detach().numpy())
-    assert_array_equal(found.cells_dict["triangle"], motion.body("rod").mesh.triangles.numpy())
+    assert_array_equal(found.cells_dict["quad"], motion.body("rod").mesh.quads.numpy())
     assert found.point_data["displacement"].shape == (15, 3)
 
 

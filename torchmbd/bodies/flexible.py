@@ -22,6 +22,7 @@ from torch import Tensor, nn
 from torchmbd.bodies.beam_parts import beam_parts
 from torchmbd.bodies.bulk_body import read_bdf
 from torchmbd.bodies.frame import Frame, identifier, move, place, rotation, vector
+from torchmbd.bodies.mesh_quality import warn_mesh
 from torchmbd.bodies.modal_damping import ModalDamping
 from torchmbd.bodies.mount import Mount, node_indices, rigid_links
 from torchmbd.bodies.plausibility import warn_slender, warn_units
@@ -92,6 +93,7 @@ class FlexibleBody(nn.Module):
         self.reduction = reduced(name, self.assembly, reduction, modes, held, self.reference, updated)
         self.modes = self.reduction.size
         self.damping = ModalDamping(name, damping)
+        warn_mesh(self)
 
     def _register(self, parts: Mapping[str, Part]) -> None:
         owners = [key for key, part in parts.items() if part.modules()]

@@ -23,6 +23,8 @@ def zone_parts(
     mesh, zones = found
     if isinstance(laminate, Laminate):
         return {"plate": Plates(mesh, laminate, direction, mass=mass)}
+    if not isinstance(laminate, Mapping):
+        raise InputError(f"laminate is {laminate!r}; allowed: a Laminate, or one for each zone by its name")
     count = torch.zeros(mesh.cell_count, dtype=torch.long)
     parts: dict[str, Part] = {}
     for name, own in laminate.items():

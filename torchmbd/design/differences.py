@@ -19,6 +19,7 @@ import numpy as np
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.optimizers import Evaluation
+from torchmbd.optimizers.optimizer import as_numbers
 
 SCHEMES = ("central", "forward")
 
@@ -55,7 +56,7 @@ def differences(
 
 
 def _steps(step: Any, n: int, lanes: int | None = None) -> np.ndarray:
-    h = np.asarray(step, dtype=float)
+    h = as_numbers("step", step)
     if h.shape not in ((), (n,), (lanes, n)):
         raise InputError(f"step has shape {h.shape}; allowed: a number, or {n} numbers")
     if not ((h > 0) & np.isfinite(h)).all():
@@ -74,6 +75,8 @@ class Differences:
     def __init__(self, problem: Any, step: float | Sequence[float] = 1e-4, scheme: str = "central"):
         if scheme not in SCHEMES:
             raise unknown("scheme", scheme, SCHEMES)
+        if not (hasattr(problem, "names") and hasattr(problem, "evaluate")):
+            raise InputError(f"problem is {problem!r}; allowed: a problem, such as mbd.Problem(...)")
         self._problem, self.step, self.scheme = problem, _steps(step, len(problem.names)), scheme
 
     def __getattr__(self, name: str) -> Any:

@@ -13,7 +13,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.integrators import Trajectory
+from torchmbd.numerics.called import exclusive
 
 ROWS = 16  # whose cotangents of a whole motion are in memory at a time
 
@@ -25,8 +27,11 @@ class Valued(NamedTuple):
     gradient: Tensor | None
 
 
+@exclusive
 def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
     """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b] by `motion.variables`."""
+    if not hasattr(motion, "known"):
+        raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
     shared = replace(motion, known={})  # what measures share lives as long as this
     inputs = list(motion.variables.values())
     if not any(x.requires_grad for x in inputs):

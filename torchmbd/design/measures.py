@@ -29,6 +29,7 @@ from torchmbd.design.response import History, Measure
 from torchmbd.design.spline import Jump, Spline, Window, checked
 from torchmbd.errors import InputError
 from torchmbd.integrators import Moment, Switch, Trajectory
+from torchmbd.numerics.owned import scalar
 from torchmbd.reduction import eigenvalues
 from torchmbd.system import System
 
@@ -68,6 +69,8 @@ class OfHistory(Measure):
 
 def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
     """A history as a curve; measures that are evaluated together share it."""
+    if not hasattr(motion, "known"):
+        raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
     known = motion.known
     try:
         found = None if known is None else known.get((history, window))
@@ -155,7 +158,7 @@ class AtTime(Measure):
     time: float
 
     def __post_init__(self) -> None:
-        if isinstance(self.time, (str, bool)) or not 0.0 <= float(self.time) < math.inf:
+        if scalar("time", self.time, "zero or positive [s]") < 0.0:
             raise InputError(f"time is {self.time!r}; allowed: zero or positive [s]")
 
     def check(self, system: System) -> None:
@@ -185,7 +188,7 @@ class SmoothMax(OfHistory):
     def __post_init__(self) -> None:
         super().__post_init__()
         for name, x in (("sharpness", self.sharpness), ("scale", self.scale)):
-            if isinstance(x, (str, bool)) or not 0.0 < float(x) < math.inf:
+            if scalar(name, x, "a positive number") <= 0.0:
                 raise InputError(f"{name} is {x!r}; allowed: a positive number")
 
     def reduce(self, curve: Spline) -> Tensor:
@@ -238,7 +241,7 @@ class Frequencies(Measure):
             object.__setattr__(self, "cluster", tuple(numbers))
         if not isinstance(numbers, (list, tuple)) or not numbers or len(set(numbers)) < len(numbers):
             raise InputError(f"cluster is {numbers!r}; allowed: numbers of modes, each once, such as (2, 3)")
-        if isinstance(self.power, (str, bool)) or not 0.0 < abs(float(self.power)) < math.inf:
+        if scalar("power", self.power, "a finite number but 0") == 0.0:
             raise InputError(f"power is {self.power!r}; allowed: a finite number but 0")
 
     def check(self, system: System) -> None:

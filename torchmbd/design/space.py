@@ -46,6 +46,8 @@ class DesignSpace:
         start: Any = None,
         links: Mapping[str, Mapping[str, float]] | None = None,
     ):
+        if not isinstance(system, System):
+            raise InputError(f"system is {system!r}; allowed: a System")
         own = dict(system.named_parameters())
         for name in variables or ():
             if name not in own:
@@ -117,6 +119,8 @@ class DesignSpace:
 
 def _linked(entries: list[str], links: Mapping[str, Mapping[str, float]]) -> tuple[np.ndarray, np.ndarray]:
     """The map [entries, n] from the free entries to all, and the offset [entries]."""
+    if not isinstance(links, Mapping):
+        raise InputError(f"links is {links!r}; allowed: entry -> {{entry: factor, ...}}")
     free = [entry for entry in entries if entry not in links]
     for follower, leaders in links.items():
         if follower not in entries:

@@ -61,12 +61,12 @@ def run_plan(
     with ExitStack() as stack:
         store = Evaluations(evaluations_file(), problem_key(plan))
         stack.callback(store.close)
-        if fresh:
-            store.forget()
         if tracker is None:
             study = study_key(plan, store_uri(tracking.uri))
             folder = place() / study
             tracker = ProcessTracker(tracking.experiment, tracking.uri, folder, None if fresh else study)
+        if fresh:  # a study that is running has been refused by then
+            store.forget()
         source, lanes = problem, LANES
         if farm is not None:
             with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):

@@ -23,6 +23,7 @@ from typing import Any
 
 import yaml
 
+from torchmbd.errors import InputError
 from torchmbd.experiment.faults import Fault, Path, StudyError
 
 _MAX_BYTES = 1_000_000
@@ -44,6 +45,8 @@ class Document:
 
 def read_yaml(path: str | FilePath) -> Document:
     """Read a file; StudyError with every fault and its line."""
+    if not isinstance(path, (str, FilePath)):
+        raise InputError(f"file is {path!r}; allowed: the path of a file")
     file = FilePath(path)
     try:
         content = file.read_bytes()

@@ -1,7 +1,7 @@
 """Attempts at a motion: a lane that fails does not take the others with it, and is tried again.
 
 Equal steps: first carefully, with a new matrix for every correction, then with half the step. Adaptive methods: the lanes
-one by one. What became of a lane is its status: "ok", or what is wrong.
+one by one. What became of a lane is its status: "ok", or what is wrong: "failed: ..." or "unresolved: ...".
 Checked in tests/integrators/test_simulate.py.
 """
 
@@ -20,17 +20,17 @@ from torchmbd.errors import InputError
 from torchmbd.integrators import generalized_alpha, ode
 from torchmbd.integrators.generalized_alpha import Begun
 from torchmbd.integrators.history import History
+from torchmbd.integrators.march import ITERATION_ERROR, TURN
 from torchmbd.integrators.memory import require_room
 from torchmbd.integrators.trajectory import OK
 from torchmbd.system import Dynamics, System
 
-# A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
-ITERATION_ERROR = 1e-2
 # With sensitivities more than this is tried again carefully: gradients are those of equations that are solved.
 IMPRECISE = 1e-3
-TURN = 1.0  # [rad] of a body in one step
 FEWEST = 200  # steps, where their number is not given
-STEP_ERROR = 1.0  # as large as the vibrations themselves: worth a warning
+# Errors of a step as large as the largest vibration of the motion: nothing of the vibrations is right, not even their
+# size. Below, 1 to 100 %, they are damped or delayed, and those of larger steps would be worse.
+STEP_ERROR = 1.0
 _LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
 
 
@@ -69,14 +69,14 @@ def with_retries(
     status = status_of(history, duration, steps, stats)
     quick = options.get("refresh", 1) > 0
     poor = (stats["iteration_error"] > (IMPRECISE if quick and precise else torch.inf)).tolist()
-    failed = [lane for lane, reason in enumerate(status) if reason != OK or poor[lane]]
+    failed = [lane for lane, reason in enumerate(status) if has_failed(reason) or poor[lane]]
     if not failed or not (quick or halvings):
         return history, stats, status
     often, left = (1, halvings) if quick else (2, halvings - 1)
     options |= careful(options) if quick else {}
     again = generalized_alpha.begin(begun.whole.some(failed))
     better, counts, retried = with_retries(again, duration, often * steps, precise, left, **options)
-    cured = [(i, lane) for i, lane in enumerate(failed) if retried[i] == OK]
+    cured = [(i, lane) for i, lane in enumerate(failed) if not has_failed(retried[i])]
     if not cured:
         return history, stats, status
     source, lanes = (list(x) for x in zip(*cured, strict=True))
@@ -89,8 +89,8 @@ def with_retries(
     for name in (*_LOOKED_AT, "tangent_error"):
         if name in stats:
             stats[name][lanes] = counts[name][source]
-    for lane in lanes:
-        status[lane] = OK
+    for i, lane in cured:
+        status[lane] = retried[i]
     halved = lanes if often == 2 else [failed[i] for i in counts.get("halved", [])]
     stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved]}
     return replace(history, **parts, finer=_finer(better, often, cured)), stats, status
@@ -151,6 +151,20 @@ def status_of(history: History, duration: float, steps: int, stats: dict[str, An
     return result
 
 
+def has_failed(status: str) -> bool:
+    """Whether a lane has no motion, or one that ends early; one that is not resolved has all its numbers."""
+    return status.startswith("failed")
+
+
+def numbers_until(history: History, status: list[str], stats: dict[str, Any]) -> Tensor:
+    """How many times of each lane have numbers that count [lanes]: all, or those before its failure."""
+    times, lanes = len(history.q), len(status)
+    good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0)
+    until = good.int().cumprod(0).sum(0)
+    until = until.minimum(stats.get("until", until)).clamp_min(0)
+    return torch.where(torch.tensor([has_failed(x) for x in status]), until, torch.full((lanes,), times))
+
+
 def _complaint(found: dict[str, float]) -> str:
     """What is wrong with the steps of a finite motion, or "ok"."""
     if found.get("iteration_error", 0.0) > ITERATION_ERROR:
@@ -159,10 +173,11 @@ def _complaint(found: dict[str, float]) -> str:
     if found.get("turn", 0.0) > TURN:
         return f"failed: a body turns by {found['turn']:.2g} rad in one step; allowed: {TURN:g}"
     if found.get("step_error", 0.0) > STEP_ERROR:
-        # Not a failure: of a stiff body only the gross motion may be wanted, which damped vibrations leave right.
-        warnings.warn(
-            f"the steps do not resolve the vibrations of a flexible body (estimated error {found['step_error']:.1e} of the "
-            f"largest): its energies mean little; {found['suggested_steps']:.0f} steps would resolve them",
-            stacklevel=6,
+        # Of a stiff body only the gross motion may be wanted, which damped vibrations leave right: the numbers stay.
+        told = (
+            f"the steps do not resolve the vibrations of a flexible body (estimated error {100 * found['step_error']:.0f} % of "
+            f"the largest): its energies mean little; {found['suggested_steps']:.0f} steps would resolve them"
         )
+        warnings.warn(told, stacklevel=7)
+        return f"unresolved: {told}"
     return OK

@@ -109,7 +109,10 @@ def _lane(motion: Trajectory, lane: int) -> list[Tensor]:
     drop = -energy[0][0].diff(prepend=energy[0][0, :1])
     lost = torch.where(samples.begins, drop, 0.0).cumsum(0)
     works = [torch.nn.functional.pad(torch.cumulative_trapezoid(x[0], t), (1, 0)) for x in powers]
-    return [x[samples.output] for x in (*(e[0] for e in energy), *works, lost)]
+    known = torch.where(
+        torch.isfinite(q).all(0)[0], 0.0, torch.nan
+    )  # none after a failure, not even of what is constant
+    return [(x + known)[samples.output] for x in (*(e[0] for e in energy), *works, lost)]
 
 
 def _of(x: Tensor, lane: int) -> Tensor:

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torchmbd.forces.action import Action
 from torchmbd.integrators import staged_alpha, staged_ode
-from torchmbd.integrators.attempts import careful, run, status_of, steps_that_fit
+from torchmbd.integrators.attempts import careful, has_failed, run, status_of, steps_that_fit
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
@@ -132,7 +132,7 @@ class ForwardIntegration:
         ]
         lanes = len(self.status)
         total = torch.stack([x.expand(*x.shape[:-1], lanes) for x in parts]).sum(0)
-        total[..., [lane for lane, status in enumerate(self.status) if status != OK]] = 0.0
+        total[..., [lane for lane, status in enumerate(self.status) if has_failed(status)]] = 0.0
         ends = iter(total.split([self._size(name) for name in self.variables]))
         by = {name: next(ends) for name in self.variables}
         own = dict(self.system.named_parameters())

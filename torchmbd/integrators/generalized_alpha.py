@@ -34,6 +34,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.integrators import compiled
 from torchmbd.integrators.history import History, Record
+from torchmbd.integrators.march import TURN, first
 from torchmbd.integrators.step import Coefficients, State
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
@@ -113,8 +114,11 @@ def integrate(
     history = record.history(expansion)
     error = step_error(left, history, spectral_radius, h)
     suggested = (steps * (error / GOOD_STEP).sqrt()).ceil()
-    statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": largest_turn(left, history, h)}
-    return history, statistics | {"step_error": error, "suggested_steps": suggested} | march.errors(history, duration)
+    turn = turns(left, history, h)
+    statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": turn.amax(0)}
+    statistics |= {"step_error": error, "suggested_steps": suggested} | march.errors(history, duration)
+    statistics["until"] = statistics["until"].minimum(first(turn > TURN).clamp_min(1))
+    return history, statistics
 
 
 def step_error(dynamics: Dynamics, history: History, spectral_radius: float, h: float) -> Tensor:
@@ -135,10 +139,10 @@ def step_error(dynamics: Dynamics, history: History, spectral_radius: float, h: 
     return error / largest.clamp_min(_STILL)
 
 
-def largest_turn(dynamics: Dynamics, history: History, h: float) -> Tensor:
-    """Largest rotation in one step [lanes] [rad]."""
+def turns(dynamics: Dynamics, history: History, h: float) -> Tensor:
+    """Largest rotation of a body in a step from each time [times, lanes] [rad]."""
     omega = split_v(dynamics.topology, history.v[:, :, 0].transpose(0, 1))[1]
-    return h * omega.square().sum(0).sqrt().amax((0, 1))
+    return h * omega.square().sum(0).sqrt().amax(0)
 
 
 def checked(iterations: tuple[int, int], refresh: int) -> None:

@@ -27,6 +27,9 @@ TANGENT_ERROR = (
 MOST = 4  # corrections of tangents
 _NOTHING = 1e-9  # of the accelerations that tangents of multipliers could cause: no tangents at all
 _EVEN = 1e-9  # of a correction: rounding
+# A motion is accepted when the iteration of every step left less than this share of the largest acceleration.
+ITERATION_ERROR = 1e-2
+TURN = 1.0  # [rad] of a body in one step
 _ROUNDING = 1e-10  # of coordinates, with room for what equations and factors make of it
 
 
@@ -68,6 +71,11 @@ def between_looks(count: int, first: int, tangents: int) -> Iterator[slice]:
         end = done + (1 if tangents and not since else min(CHECK - since, count - done))
         yield slice(done, end)
         done = end
+
+
+def first(bad: Tensor) -> Tensor:
+    """The first time at which something is bad [times, lanes]; their number where it never is [lanes]."""
+    return torch.where(bad.any(0), bad.int().argmax(0), len(bad))
 
 
 class March:
@@ -170,8 +178,10 @@ class March:
         self.passes = self.passes.maximum((self.passes / share - _EVEN).ceil().clamp_max(MOST))
         self.most = int(self.passes.max())
 
-    def errors(self, history: History, duration: float) -> dict[str, Tensor]:
-        """Estimated relative errors of the iteration [lanes].
+    def errors(self, history: History, duration: float, numbers: list[int] | None = None) -> dict[str, Tensor]:
+        """Estimated relative errors of the iteration [lanes], and the first time of which it did not converge ("until").
+
+        numbers: times to which the steps led; None: 1, 2, 3, ...
 
         The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the
         motion, or to the largest rate over the duration: a uniform motion has accelerations of rounding size. Or to what
@@ -183,5 +193,11 @@ class March:
         h = duration / (len(history.q) - 1)
         rounding = _ROUNDING * history.q[0, :, 0].abs().amax(0) / (h * h)
         largest = largest.maximum(uniform / duration).maximum(rounding)
-        found = {"iteration_error": left.amax(-1) / largest}
+        # Up to every time: what comes after a failure is no measure of it.
+        reached, speed = (x[:, :, 0].abs().amax(1).cummax(0).values for x in (history.vd, history.v))
+        scale = reached.maximum(speed / duration).maximum(rounding)
+        bad = torch.zeros_like(scale, dtype=torch.bool)
+        steps = torch.arange(1, left.shape[-1] + 1) if numbers is None else torch.tensor(numbers)
+        bad[steps] = ~(ITERATION_ERROR * scale[steps] >= left.T)
+        found = {"iteration_error": left.amax(-1) / largest, "until": first(bad)}
         return found | ({"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {})

@@ -45,6 +45,8 @@ class PlyHistory:
     strength: Float[Tensor, "points 8"] | None
 
     def __init__(self, motion: Trajectory, name: str):
+        if not hasattr(motion, "body"):
+            raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
         view = motion.body(name)
         self.name, self.w = name, view.w
         body = motion.system.body(name)

@@ -19,11 +19,10 @@ from torch import Tensor
 
 from torchmbd.integrators import compiled_adjoint, generalized_alpha
 from torchmbd.integrators.adjoint import Adjoint
-from torchmbd.integrators.attempts import steps_that_fit, with_retries
+from torchmbd.integrators.attempts import has_failed, steps_that_fit, with_retries
 from torchmbd.integrators.history import History
 from torchmbd.integrators.library import resolved
 from torchmbd.integrators.motion import Tensors
-from torchmbd.integrators.trajectory import OK
 from torchmbd.numerics.pair import Pair
 from torchmbd.system import Dynamics, System
 from torchmbd.system.expansion import Expansion
@@ -87,7 +86,7 @@ class ReverseIntegration:
     @cached_property
     def adjoint(self) -> Adjoint:
         """Of the motion."""
-        failed = [lane for lane, status in enumerate(self.status) if status != OK]
+        failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
         return Adjoint(self.dynamics, self.history, self.duration, self.options, failed, compiled_adjoint.sweep)
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:

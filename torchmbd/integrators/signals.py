@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, Protocol, Self
 
 import torch
 from torch import Tensor
@@ -90,11 +90,18 @@ class Recorded(Signals):
     """What an integrator left, as functions of its tensors; chosen rows lie side by side in memory, all of them are views.
 
     settle   makes the multipliers that are shown, of the data; None: they are those that were integrated
+    until    how many times of each lane have numbers [lanes]: what comes after a failure is nan; None: all
     """
 
-    def __init__(self, history: History, settle: Multipliers | None = None, data: dict[str, Any] | None = None):
+    def __init__(
+        self,
+        history: History,
+        settle: Multipliers | None = None,
+        data: dict[str, Any] | None = None,
+        until: Tensor | None = None,
+    ):
         super().__init__()
-        self.history, self.settle, self.data = history, settle, data or {}
+        self.history, self.settle, self.data, self.until = history, settle, data or {}, until
         self.times, _, slots, self.lanes = history.q.shape
         self.moving = slots > 1
         self._settled: dict[bool, Tensor] = {}
@@ -103,7 +110,12 @@ class Recorded(Signals):
         """As of Signals."""
         h, data = self.history, {name: detached(x) for name, x in self.data.items()}
         expansion = None if h.expansion is None else replace(h.expansion, data=data)
-        return Recorded(History(*(x.detach() for x in (h.q, h.v, h.vd, h.lam)), expansion), self.settle, data)
+        plain = History(*(x.detach() for x in (h.q, h.v, h.vd, h.lam)), expansion)
+        return Recorded(plain, self.settle, data, self.until)
+
+    def ended(self, until: Tensor) -> Self:
+        """The same up to a number of times of each lane [lanes]."""
+        return type(self)(self.history, self.settle, self.data, until)
 
     def _values(self, name: str, rows: Rows) -> Tensor:
         x = self._of(name, rows, slice(1))[:, :, 0].permute(2, 0, 1)
@@ -124,6 +136,13 @@ class Recorded(Signals):
         return self._settled[mode]
 
     def _of(self, name: str, rows: Rows, slots: slice) -> Tensor:
+        x = self._whole(name, rows, slots)
+        if self.until is None or bool((self.until >= self.times).all()):
+            return x
+        lost = torch.arange(self.times)[:, None] >= self.until
+        return x.masked_fill(lost[:, None, None], torch.nan)
+
+    def _whole(self, name: str, rows: Rows, slots: slice) -> Tensor:
         if name == "lam":
             x = self._multipliers()[:, :, slots]
             return x if rows is None else x[:, list(rows)]

@@ -25,7 +25,7 @@ from torchmbd.integrators.arguments import (
     check_gradients,
     check_variables,
 )
-from torchmbd.integrators.attempts import FEWEST
+from torchmbd.integrators.attempts import FEWEST, numbers_until
 from torchmbd.integrators.forward_integration import ForwardIntegration
 from torchmbd.integrators.history import History
 from torchmbd.integrators.memory import require_room
@@ -37,10 +37,12 @@ from torchmbd.integrators.signals import Recorded
 from torchmbd.integrators.singular import explained
 from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import Trajectory
+from torchmbd.numerics.called import exclusive
 from torchmbd.numerics.owned import watched
 from torchmbd.system import Dynamics, System
 
 
+@exclusive
 def simulate(
     system: System,
     duration: float,
@@ -77,8 +79,9 @@ def simulate(
     options     generalized_alpha: spectral_radius, iterations, refresh; halvings (not with phases);
                 torchdiffeq: rtol, atol, options
 
-    A lane that fails is reported in `status`; its numbers are nan and it adds nothing to a gradient. `stats` says which way
-    gradients come and which backend made the steps. Raises InputError for bad arguments.
+    A lane that fails is reported in `status`; it is nan from there on and adds nothing to a gradient. So is one whose steps do
+    not resolve its vibrations, with all numbers. `stats` says which way gradients come and which backend made the steps.
+    Threads that simulate wait for each other: use processes, or lanes. Raises InputError for bad arguments.
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
@@ -112,8 +115,12 @@ def simulate(
             plain = _plain(motion)
             if phases is None:
                 explained(plain)
-            warn_of_spin(plain)
-        return motion
+            until = numbers_until(motion.integration.history, motion.status, motion.stats)
+            motion.stats.pop("until", None)
+            warn_of_spin(replace(plain, signals=plain.signals.ended(until)))
+        if len(until) != motion.lanes:  # one of a batch of torch.func.vmap
+            return motion
+        return replace(motion, signals=motion.signals.ended(until))
 
 
 def _route(motion: Trajectory) -> str:

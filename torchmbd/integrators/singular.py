@@ -88,5 +88,5 @@ def explained(motion: Trajectory) -> Trajectory:
             motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
         elif lane in tried_again:
             for near in of_lane(motion, lane):
-                warnings.warn(f"{near}; from there the motion may go on in several ways", stacklevel=3)
+                warnings.warn(f"{near}; from there the motion may go on in several ways", stacklevel=4)
     return motion

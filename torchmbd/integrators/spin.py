@@ -46,5 +46,5 @@ def warn_of_spin(motion: Trajectory) -> None:
             warnings.warn(
                 f"body {name!r} turns at {ratio:.1g} of its first frequency: centrifugal stiffening, which linear elastic "
                 f"displacements leave out, is of the size {min(ratio**2, 1.0):.0%} of its deflections",
-                stacklevel=3,
+                stacklevel=4,
             )

@@ -116,7 +116,8 @@ class Trajectory:
     known       what measures evaluated together share
     signals     coordinates, rates, accelerations and multipliers by rows
     shapes      mode shapes of the designs
-    status      for each lane "ok" or the reason of the failure
+    status      for each lane "ok"; "failed: ..." with the reason, its numbers nan from there on; or "unresolved: ...", all
+                numbers there, where the vibrations that they show are no more than errors of the steps
     stats       what the integrator counted
     designs     parameters of the lanes by name, [lanes, ...]
     parameters  names of the design variables of the sensitivities, one for each slot
@@ -202,7 +203,8 @@ class Trajectory:
         made = self.integration
         if made is None or not made.variables:
             return self.signals
-        return Recorded(made.history, made, made.dynamics.data)
+        until = self.signals.until if isinstance(self.signals, Recorded) else None
+        return Recorded(made.history, made, made.dynamics.data, until)
 
     def detach(self) -> Trajectory:
         """The same numbers without a graph of torch."""

@@ -37,7 +37,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.materials.ply import Ply
 from torchmbd.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
-from torchmbd.numerics.owned import parameter
+from torchmbd.numerics.owned import parameter, real
 from torchmbd.numerics.plausible import THICKNESS, check_angles, doubt
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -228,6 +228,8 @@ def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
 
 
 def _checked_plies(ply: Ply | Sequence[Ply], layers: int) -> list[Ply]:
+    if not isinstance(ply, (Ply, Sequence)) or isinstance(ply, str):
+        raise InputError(f"Laminate: ply = {ply!r}; allowed: a Ply, or one Ply per layer")
     plies = [ply] * layers if isinstance(ply, Ply) else list(ply)
     for k, p in enumerate(plies):
         if not isinstance(p, Ply):
@@ -255,7 +257,7 @@ def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int)
 def _checked_correction(value: float | str) -> float | str:
     if value == "energy":
         return "energy"
-    if isinstance(value, (str, bool)) or not 0.0 < value <= 1.0:
+    if isinstance(value, str) or not real(value) or not 0.0 < value <= 1.0:
         raise InputError(
             f"Laminate: shear_correction = {value!r}; allowed: 0 < shear_correction <= 1, or the word 'energy'"
         )

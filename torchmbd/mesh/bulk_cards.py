@@ -80,8 +80,7 @@ class Card:
 
 def read_cards(path: str | Path) -> list[Card]:
     """Read the cards of a file. InputError names the line where the format is broken."""
-    file = Path(path)
-    if not file.is_file():
+    if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
         raise InputError(f"path is {str(path)!r}; allowed: a Nastran bulk data file that exists")
     return parse_cards(_bulk(list(_lines(file, ()))))
 

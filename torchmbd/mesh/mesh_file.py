@@ -43,7 +43,7 @@ def read_mesh(path: str | Path, scale: float = 1.0) -> MeshFile:
         import meshio  # pyright: ignore[reportMissingImports] (optional)
     except ImportError as error:
         raise InputError("reading mesh files needs the package meshio: pip install 'torchmbd[mesh]'") from error
-    if not Path(path).is_file():
+    if not isinstance(path, (str, Path)) or not Path(path).is_file():
         raise InputError(f"path is {str(path)!r}; allowed: a mesh file that exists")
     if not 0.0 < scale < float("inf"):
         raise InputError(f"scale is {scale!r}; allowed: meters per unit of the file, > 0")

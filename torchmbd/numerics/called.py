@@ -3,18 +3,39 @@
 torch.func.functional_call restores a parameter once for each of its names: where one module has two, as a laminate that two
 bodies share, it leaves the new value behind (torch 2.13). Here every parameter of every module is replaced once, also
 where several modules hold the same one.
+
+The parameters are replaced in place, and torch.func keeps what it differentiates in globals of the process: what does either is
+`exclusive`, one thread at a time.
 Checked in tests/numerics/test_called.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import functools
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any, ParamSpec, TypeVar
 
 import torch
 from torch import Tensor, nn
 
+P = ParamSpec("P")
+R = TypeVar("R")
+_LOCK = threading.RLock()
 
+
+def exclusive(f: Callable[P, R]) -> Callable[P, R]:
+    """A function that one thread runs at a time; others wait."""
+
+    @functools.wraps(f)
+    def alone(*args: P.args, **kwargs: P.kwargs) -> R:
+        with _LOCK:
+            return f(*args, **kwargs)
+
+    return alone
+
+
+@exclusive
 def called(module: nn.Module, values: Mapping[str, Tensor], *args: Any) -> Any:
     """module(*args) with the named parameters at other values; differentiable by these."""
     places: dict[tuple[int, str], str] = {}

@@ -1,7 +1,7 @@
 """Gradients that would be lost, found before they are: each is refused by the name of its argument.
 
     refuse_gradients("mass of 'rod'", mass)      numbers that are read as constants
-    @constants                                   the same for all arguments of a function
+    @constants                                   the same for all arguments of a function, of which floats are numbers
     refuse_lost("law of 'spring'", law, allowed) tensors that a law of the user's own holds, by which nothing differentiates it
 
 `refuse_lost` looks at closures, default arguments, globals, bound objects, attributes, functools.partial and containers, and at
@@ -52,17 +52,35 @@ def refuse_gradients(name: str, given: Any, allowed: str = "numbers") -> None:
 
 
 def constants(f: Callable[P, R]) -> Callable[P, R]:
-    """A function none of whose arguments has a gradient; InputError names the argument."""
+    """A function none of whose arguments has a gradient, and whose floats are numbers; InputError names the argument."""
     signature = inspect.signature(f)
+    floats = {name for name, p in signature.parameters.items() if p.annotation in (float, "float")}
 
     @functools.wraps(f)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
         if any(map(_may_vary, (*args, *kwargs.values()))):
             for name, x in signature.bind(*args, **kwargs).arguments.items():
                 refuse_gradients(f"{name} of {f.__qualname__.removesuffix('.__init__')}", x)
+        given = signature.bind_partial(*args, **kwargs).arguments
+        for name in floats.intersection(given):
+            if not _number(given[name]):
+                raise InputError(
+                    f"{name} of {f.__qualname__.removesuffix('.__init__')} is {given[name]!r}; allowed: a number"
+                )
         return f(*args, **kwargs)
 
     return checked
+
+
+def _number(x: Any) -> bool:
+    """Whether it is one real number, also of NumPy or torch."""
+    if isinstance(x, (str, bytes, bool)):
+        return False
+    try:
+        float(x)
+    except (TypeError, ValueError, RuntimeError):
+        return False
+    return True
 
 
 def _may_vary(x: Any) -> bool:

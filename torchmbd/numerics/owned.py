@@ -32,7 +32,7 @@ def scalar(name: str, given: Any, allowed: str = "a finite number", unit: str = 
     refuse_gradients(name, given, allowed)
     try:
         x = math.nan if isinstance(given, (str, bytes, bool)) else float(given)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, RuntimeError):  # RuntimeError: a tensor of several numbers
         x = math.nan
     if not math.isfinite(x):
         raise InputError(f"{name} is {given!r}{unit}; allowed: {allowed}")
@@ -59,6 +59,11 @@ def plain(x: Tensor) -> Tensor:
 def all_true(x: Tensor) -> bool:
     """Whether all are true, also of a batch of torch.func.vmap."""
     return bool(plain(x).all())
+
+
+def real(given: Any) -> bool:
+    """Whether it is one real number, of Python or NumPy; True and False are none."""
+    return isinstance(given, numbers.Real) and not isinstance(given, bool)
 
 
 def refuse_derivatives(name: str, x: Tensor, instead: str) -> None:

@@ -22,6 +22,7 @@ import math
 import warnings
 from collections.abc import Iterable, Mapping
 
+import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
@@ -48,11 +49,11 @@ def check_angles(name: str, values: Iterable[float], outer: str = "") -> None:
 
 def check_parameter(what: str, name: str, values: Tensor) -> None:
     """Check values that a parameter is given; its last name tells what they are. Infinite ones are bounds that are none."""
-    kind, finite = name.rpartition(".")[2], values.detach().flatten()
-    finite = finite[finite.isfinite()]
-    if kind == "angles" and len(finite) and float(finite.abs().max()) > WHOLE_TURN:
-        check_angles(name, values.detach().flatten().clamp(-1e300, 1e300).tolist(), f"{what} ")
-    elif kind == "thickness" and len(finite):
+    kind, x = name.rpartition(".")[2], values.detach().flatten()
+    finite = torch.where(x.isfinite(), x, 0.0)
+    if kind == "angles":
+        check_angles(name, finite.tolist(), f"{what} ")
+    elif kind == "thickness" and bool(finite.any()):
         doubt(f"{what} {name}", float(finite.max()), "m", THICKNESS, stacklevel=5)
 
 

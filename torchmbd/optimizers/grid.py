@@ -12,6 +12,7 @@ from torchmbd.errors import InputError
 from torchmbd.optimizers.optimizer import Box
 
 ON = 1e-6  # of the spacing: so near is on a value
+MOST = 1_000_000  # values of one variable
 Allowed = float | Sequence[float] | np.ndarray | None
 
 
@@ -128,6 +129,11 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
         if not (increment > 0.0 and np.isfinite(high - low)):
             raise InputError(
                 f"allowed of {name} = {entry!r} with bounds [{low:g}, {high:g}]: must be positive, its bounds finite"
+            )
+        if (high - low) / increment > MOST:
+            raise InputError(
+                f"allowed of {name} = {entry!r} with bounds [{low:g}, {high:g}]: "
+                f"{(high - low) / increment:.3g} values, {8 * (high - low) / increment:.3g} bytes; allowed: up to {MOST} values"
             )
         slack = ON * increment
         values = increment * np.arange(np.ceil((low - slack) / increment), np.floor((high + slack) / increment) + 1)

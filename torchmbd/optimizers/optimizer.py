@@ -195,7 +195,7 @@ def register(name: str) -> Callable[[Method], Method]:
 
 def find_method(name: str, options: dict[str, Any]) -> Method:
     """Return the method `name`; InputError for an unknown name or an option that it does not have."""
-    if name not in OPTIMIZERS:
+    if not isinstance(name, str) or name not in OPTIMIZERS:
         raise unknown("method", name, OPTIMIZERS)
     method = OPTIMIZERS[name]
     allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
@@ -241,8 +241,10 @@ def refuse_equalities(method: str, search: Search) -> None:
 def as_numbers(name: str, given: Any) -> np.ndarray:
     """Return numbers as an array of one's own; InputError if they are none."""
     try:
+        if np.array(given).dtype.kind in "US":  # NumPy would read the text
+            raise TypeError
         return np.array(given, dtype=float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RuntimeError) as error:  # RuntimeError: a tensor that requires a gradient
         raise InputError(f"{name} is {given!r}; allowed: numbers") from error
 
 

@@ -27,7 +27,7 @@ import numpy as np
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.optimizers.door import checked_box
-from torchmbd.optimizers.optimizer import Evaluation, Problem
+from torchmbd.optimizers.optimizer import Evaluation, Problem, as_numbers
 
 KINDS = ("expected", "worst")
 NODE, OUTER = np.sqrt(0.6), 5.0 / 18.0  # of the Gauss rule of three points on [-1, 1], weights of sum one
@@ -44,13 +44,13 @@ class RobustProblem:
     """
 
     def __init__(self, problem: Problem, tolerance: Any, kind: str = "expected") -> None:
-        if kind not in KINDS:
+        if not isinstance(kind, str) or kind not in KINDS:
             raise unknown("kind", kind, KINDS)
         if len(getattr(problem, "equalities", ())):
             raise InputError("problem has equalities, which no design within tolerances keeps; allowed: inequalities")
         start, lower, upper = checked_box(problem)
         self.period = np.asarray(getattr(problem, "period", np.zeros(start.size)), dtype=float)
-        d = np.asarray(tolerance, dtype=float)
+        d = as_numbers("tolerance", tolerance)
         if d.shape not in ((), start.shape) or not (np.isfinite(d).all() and (d >= 0.0).all() and d.any()):
             raise InputError(
                 f"tolerance is {tolerance!r}; allowed: a number or {start.size} of them, not negative, not all zero"

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.numerics.called import exclusive
 from torchmbd.system import equations
 from torchmbd.system.linearized import AtRest, Vibrations
 
@@ -45,6 +46,7 @@ class Equilibrium:
         return not bool(self.frequencies.isnan().any())
 
 
+@exclusive
 def equilibrium(model: Any) -> Equilibrium:
     """Static equilibrium near the initial position, drives held at t = 0.
 

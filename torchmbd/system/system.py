@@ -22,7 +22,7 @@ from torchmbd.forces.force import ForceElement
 from torchmbd.forces.laws import VARIABLES
 from torchmbd.joints.drive import VARIABLES as OF_DRIVES
 from torchmbd.joints.joint import Joint
-from torchmbd.numerics.called import called
+from torchmbd.numerics.called import called, exclusive
 from torchmbd.numerics.gradients import refuse_lost
 from torchmbd.numerics.owned import positive, refuse_derivatives, several
 from torchmbd.numerics.pair import Pair
@@ -111,9 +111,10 @@ class System(nn.Module):
     def with_joints(self, joints: Sequence[Joint]) -> Self:
         """The same bodies, forces and parameters under other joints; bodies and parameters are shared."""
         other = copy.copy(self)
-        other._join(joints)
+        other._join(several("joints", joints, Joint, "joints, such as mbd.Revolute(...)"))
         return other
 
+    @exclusive
     def describe(self) -> Description:
         """Bodies, joints, rank, freedoms, mass and first frequencies: print it, or use its numbers."""
         return describe(self)
@@ -125,6 +126,7 @@ class System(nn.Module):
                 return body
         raise unknown("body", name, [body.name for body in self.bodies])
 
+    @exclusive
     def forward(self, part: str | None = None) -> Any:
         """Structure stage of the module's own parameters: one design, differentiable in reverse mode.
 
@@ -134,12 +136,13 @@ class System(nn.Module):
             return Dynamics(self.topology, self._saddle, self._data(), self._initial, self.stabilization)
         return self._data() if part == "data" else self.body(part).structure()
 
+    @exclusive
     def reduced(self, parameters: Mapping[str, Tensor]) -> Dynamics:
         """Structure stage of a batch of designs, name -> values [lanes, ...], differentiable by torch in every mode."""
-        return Dynamics(
-            self.topology, self._saddle, called(self, parameters, "data"), self._initial, self.stabilization
-        )
+        data = called(self, parameters, "data")
+        return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
 
+    @exclusive
     def dynamics(self, parameters: Mapping[str, Tensor] | None = None, tangents: Sequence[str] = ()) -> Dynamics:
         """Structure stage of a batch of designs.
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
@@ -290,7 +290,7 @@ def _checked(joint: Joint, scribe: Scribe, number: dict[int, int]) -> list[Equat
             raise InputError(
                 f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
             )
-    return list(joint.equations(scribe))
+    return _known(joint, list(joint.equations(scribe)), KINDS)
 
 
 def _acting(force: ForceElement, scribe: Scribe, number: dict[int, int]) -> list[Applied]:
@@ -299,7 +299,20 @@ def _acting(force: ForceElement, scribe: Scribe, number: dict[int, int]) -> list
             raise InputError(
                 f"force {force.name!r} acts on body {frame.body.name!r}, which is not among the bodies of the system"
             )
-    return list(force.actions(scribe))
+    return _known(force, list(force.actions(scribe)), ACTIONS)
+
+
+Named = TypeVar("Named", Equation, Applied)
+
+
+def _known(owner: Joint | ForceElement, given: list[Named], kinds: tuple[type, ...]) -> list[Named]:
+    """The equations or actions of an element; InputError for a kind that is not in its tuple and would be left out."""
+    for x in given:
+        if x.kind not in kinds:
+            names = ", ".join(kind.__name__ for kind in kinds)
+            found = getattr(x.kind, "__name__", repr(x.kind))
+            raise InputError(f"{owner.name!r} has the kind {found!r}, which is in no tuple KINDS; allowed: {names}")
+    return given
 
 
 def _group_actions(applied: list[Applied], position: dict[int, int]) -> tuple[Action, ...]:

@@ -5,16 +5,18 @@ What is told is collected, a Draft for each run (torchmbd.tracking.runs), and wr
 
 A study that died is gone on with: its root run (tags study_key and run_key; any status but FINISHED, or the very run that
 the study's folder knows) and the children of it are opened again under their keys, and what they hold of metrics
-(`steps`) is not written twice.
+(`steps`: the last step of each, and its values there, an iterate's and a result's) is not written twice.
 """
 
 from __future__ import annotations
 
+import copy
 import json
 import time
 import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from torchmbd.tracking.links import VIEW_TAG
 from torchmbd.tracking.runs import Draft, Point, open_runs
@@ -33,7 +35,7 @@ class MlflowTracker:
         uri: str | None = None,
         study: str | None = None,
         runs: Mapping[str, str] | None = None,
-        steps: Mapping[str, Mapping[str, int]] | None = None,
+        steps: Mapping[str, Mapping[str, list[Any]]] | None = None,
         earlier: str = "",
         life: str = "",
     ) -> None:
@@ -49,7 +51,7 @@ class MlflowTracker:
         self.when: int | None = None  # what is told now has happened [ms since 1970]; None: now
         self.runs: dict[str, str] = dict(runs or {})
         self.steps = {run: dict(last) for run, last in (steps or {}).items()}
-        self._written = {run: dict(last) for run, last in self.steps.items()}
+        self._written = copy.deepcopy(self.steps)
         self._open = [run for run, id in self.runs.items() if self.store.status(id) == "RUNNING"]
         self._root = earlier
         self._earlier: dict[str, str] | None = None  # run ids of an earlier life of the study
@@ -98,9 +100,16 @@ class MlflowTracker:
         draft, now = self._draft(run), self._now()
         written, last = self._written.get(run, {}), self.steps.setdefault(run, {})
         for key, value in values.items():
-            if step > written.get(key, -1):
-                draft.metrics.append(Point(key, float(value), now, step))
-                last[key] = max(step, last.get(key, -1))
+            known, there = written.get(key, (-1, ()))
+            if step < known or (step == known and float(value) in there):
+                continue
+            latest = last.get(key, [-1, []])
+            latest = latest if step == latest[0] else [step, []]
+            # The later of two at one step is the last one, also where both were told within a millisecond.
+            draft.metrics.append(Point(key, float(value), now + len(latest[1]), step))
+            latest[1].append(float(value))
+            if step >= last.get(key, [-1])[0]:
+                last[key] = latest
 
     def tags(self, run: str, values: Mapping[str, str]) -> None:
         self._draft(run).tags.update({key: str(value) for key, value in values.items()})

@@ -18,13 +18,21 @@ def provenance(folder: str | Path = ".") -> dict[str, str]:
     tags["version.python"] = platform.python_version()
     tags["version.torchmbd"] = _version("torchmbd") or "source"
     tags["machine"] = f"{platform.node()} ({platform.machine()}, {os.cpu_count()} cores)"
-    tags["mlflow.user"] = getpass.getuser()
+    tags["mlflow.user"] = _user()
     commit = _git(folder, "rev-parse", "HEAD")
     if commit:
         changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
         tags["git_commit"] = f"{commit}+changes" if changed else commit
         tags["mlflow.source.git.commit"] = commit  # the column "Version" of the UI
     return tags
+
+
+def _user() -> str:
+    """Return the user's name, or number where the system has no name for it, as in a container."""
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):
+        return str(os.getuid())
 
 
 def _version(package: str) -> str | None:

@@ -47,7 +47,8 @@ class Sent:
     session: str = ""
     offset: int = 0  # bytes of the session's journal
     runs: dict[str, str] = field(default_factory=dict)  # run id of every key, of this session
-    steps: dict[str, dict[str, int]] = field(default_factory=dict)  # last step of every metric of every run
+    # Of every metric of every run the last step, and the values that were told there: [step, [value, ...]].
+    steps: dict[str, dict[str, list[Any]]] = field(default_factory=dict)
     earlier: str = ""  # run id of the root in an earlier session, which this one goes on with
     refused: list[str] = field(default_factory=list)  # what the store would not take, though it answers
     closed: bool = False  # everything of the session is there, no run is open
@@ -58,7 +59,9 @@ class Journal:
 
     def __init__(self, folder: Path, head: Line) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.session = f"{time.time_ns()}"
+        # Later than every session before it, also where the clock has been set back since.
+        earlier = [load_sent(folder).session or "0", *(file.stem for file in folder.glob("*.jsonl"))]
+        self.session = str(max(time.time_ns(), *(int(session) + 1 for session in earlier)))
         self.file = folder / f"{self.session}.jsonl"
         self._good = 0
         self._held: list[str] = []

@@ -55,7 +55,7 @@ def animate(
         raise InputError(f"lane = {lane}: allowed: 0 to {len(motion.status) - 1}, the lanes of the motion")
     if max_frames < 2:
         raise InputError(f"max_frames = {max_frames}: allowed: 2 or more")
-    if motion.status[lane] != "ok":
+    if motion.status[lane].startswith("failed"):
         raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
     scene = scene_of(motion, lane, max_frames)
     scene["title"] = title or " - ".join(body["name"] for body in scene["bodies"])

@@ -57,13 +57,25 @@ def energy_over_time(t: Numbers, energies: Mapping[str, Numbers], body: str = ""
     """Deformation energy of a body in several designs of one motion (Fig. 9). t [s], energies [J] by the design's name."""
     figure, (axes,) = figure_of(3.4)
     for (label, energy), color in zip(energies.items(), CYCLE * len(energies), strict=False):
-        axes.plot(t, energy, color=color, lw=1.3, label=label)
+        over_time(axes, t, energy, label, color)
     axes.set_xlabel("time [s]")
     axes.set_ylabel(f"strain energy of {body} [J]" if body else "strain energy [J]")
     axes.set_xlim(float(t[0]), float(t[-1]))
     axes.set_ylim(bottom=0.0)
     axes.legend(frameon=False)
     return figure
+
+
+def over_time(axes: Axes, t: Numbers, y: Numbers, label: str, color: str) -> None:
+    """Draw a history [times]; one that is nan from a time on, as of a failed lane, ends there with a cross, and says so."""
+    t, y = np.asarray(t, dtype=float), np.asarray(y, dtype=float)
+    good = np.flatnonzero(np.isfinite(y))
+    last = int(good[-1]) if len(good) else 0
+    fails = last < len(y) - 1
+    label = f"{label} (fails at t = {t[last]:.4g} s)" if fails else label
+    axes.plot(t, y, color=color, lw=1.3, label=label)
+    if fails and len(good):
+        axes.plot(t[last], y[last], "x", color=color, ms=7)
 
 
 def criterion(

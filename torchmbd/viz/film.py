@@ -42,7 +42,7 @@ def film(
         raise InputError(f"path = {str(path)!r}: allowed: a name that ends in {' or '.join(_WRITERS)}")
     if not writers.is_available(_WRITERS[path.suffix]):
         raise InputError(f"path = {str(path)!r}: needs {_WRITERS[path.suffix]}, which is not installed; allowed: .gif")
-    if not 0 <= lane < len(motion.status) or motion.status[lane] != "ok":
+    if not 0 <= lane < len(motion.status) or motion.status[lane].startswith("failed"):
         raise InputError(f"lane = {lane}: allowed: the lanes with a motion, of {motion.status}")
     count = round(seconds * frames_per_second)
     if count < 2 or frames_per_second < 1:

@@ -72,7 +72,7 @@ def save_motion(
         raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .pvd")
     if not 0 <= lane < len(motion.status):
         raise InputError(f"lane = {lane}: allowed: 0 to {len(motion.status) - 1}, the lanes of the motion")
-    if motion.status[lane] != "ok":
+    if motion.status[lane].startswith("failed"):
         raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
     if max_frames < 2:
         raise InputError(f"max_frames = {max_frames}: allowed: 2 or more")
