@@ -64,10 +64,11 @@ def plate(
     made_of: mbd.Laminate | None = None,
     velocity: Sequence[float] | None = None,
     angular_velocity: Sequence[float] | None = None,
+    kind: str = "quad",
     **given: Any,
 ) -> mbd.FlexibleBody:
     """A laminated plate of 0.3 m x 0.1 m with an initial velocity."""
-    mesh = mbd.mesh.rectangle(length=0.3, width=0.1, cells=cells)
+    mesh = mbd.mesh.rectangle(length=0.3, width=0.1, cells=cells, kind=kind)
     body = mbd.FlexibleBody.plate(name, mesh, made_of or laminate(), modes=modes, **given)
     return body.moving(velocity, angular_velocity)
 
@@ -154,9 +155,9 @@ def spoilt(system: mbd.System, monkeypatch: Any, lane: int = 1) -> None:
         monkeypatch.setattr(system, name, spoils(getattr(system, name)))
 
 
-def sprung(law: Any = None) -> mbd.System:
+def sprung(law: Any = None, kind: str = "quad") -> mbd.System:
     """A rigid arm and a flexible plate with springs, an actuator and a load between them."""
-    ground, arm, rod = mbd.Ground(), box("arm"), plate("rod", modes=2, position=(0.3, 0.0, 0.0))
+    ground, arm, rod = mbd.Ground(), box("arm"), plate("rod", modes=2, position=(0.3, 0.0, 0.0), kind=kind)
     table = mbd.forces.Table(((-2.0, 1.0), (0.0, 0.2), (1.0, -1.0)), damping=0.02)
     forces = [
         mbd.SpringDamper(arm.at(0.1, 0.0, 0.0), rod.at("right"), stiffness=300.0, damping=1.0, rest=0.1),

@@ -21,7 +21,7 @@ TIGHT = {"steps": STEPS, "iterations": (4, 4), "refresh": 1}
 ENERGY = mbd.StrainEnergy("rod")
 # other angles [deg], bracket of the first one, the pair of modes (from zero), options of the rod
 DESIGNS = {
-    "two layers, modes 1 and 2": ((20.0,), (-51.0, -47.0), 0, {}),
+    "two layers, modes 1 and 2": ((22.0,), (-41.0, -37.0), 0, {}),
     "one layer, modes 4 and 5": ((), (27.5, 30.5), 3, {}),
     "craig-bampton": ((), (26.5, 28.4), 4, {"modes": 2, "reduction": "craig-bampton", "interface": ("left", "right")}),
 }

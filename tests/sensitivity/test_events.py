@@ -160,7 +160,7 @@ def test_motion_through_phases_against_differences(kind, tolerance, motion):
 def test_switches_against_differences(motion):
     assert [switch.phase for switch in motion.switches] == ["2", "3", "4"]
     for switch in motion.switches:
-        assert float(switch.dt_db[0].abs().min()) > 1e-4
+        assert float(switch.dt_db[0].abs().min()) > 1e-5
         pairs = [(switch.t, switch.dt_db)]
         for side in (switch.before, switch.after):
             pairs += [(side.q, side.dq_db), (side.v, side.dv_db)]
