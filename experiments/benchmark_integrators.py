@@ -25,7 +25,7 @@ def energy(
 ) -> tuple[Tensor | None, float, int | None]:
     """Strain energy [OUTPUTS + 1] or None where the method failed, seconds, and evaluations of the right-hand side."""
     start = time.perf_counter()
-    motion = mbd.simulate(case.system, duration, method=method, steps=steps, **options)
+    motion = mbd.simulate(case.system, duration, method=method, steps=steps, gradients="none", **options)
     seconds = time.perf_counter() - start
     U = motion.body("rod").strain_energy[0, :: steps // OUTPUTS]
     return U if motion.ok else None, seconds, motion.stats.get("evaluations")

@@ -34,6 +34,7 @@ from matplotlib.figure import Figure
 import torchmbd as mbd
 from experiments.slider_crank import DEPTH, DURATION, build
 from torchmbd.design.differences import differences
+from torchmbd.design.differentiate import differentiate
 
 LAYUPS = {1: 0.0, 2: 15.0, 6: 75.0, 7: 90.0}  # Table 1 [deg]
 FIGURES = {1: "figure4", 7: "figure5", 2: "figure6", 6: "figure7"}
@@ -70,16 +71,9 @@ class Rod:
         """Time [s]; by place of the node the deflection [m] and its sensitivity [m/rad], by direct differentiation."""
         system = build(1, [self.degrees], self.cells, updated=updated)
         motion = mbd.simulate(system, DURATION, gradients="forward", variables=[ANGLES], **self.options).require_ok()
-        motion.modes("rod")
-        motion.prepare()
-
-        def moved(delta: torch.Tensor) -> dict[str, torch.Tensor]:
-            return {place: deflection(motion.moved(delta), place)[0] for place in PLACES}
-
-        zero = torch.zeros(1, dtype=torch.float64)
-        slopes = torch.func.jacfwd(moved)(zero)
-        values = {place: d.numpy() for place, d in moved(zero).items()}
-        return motion.t.numpy(), values, {place: slope[:, 0].numpy() for place, slope in slopes.items()}
+        found = {place: differentiate(lambda m, place=place: deflection(m, place), motion) for place in PLACES}
+        values = {place: x.value[0].numpy() for place, x in found.items()}
+        return motion.t.numpy(), values, {place: x.gradient[0, :, 0].numpy() for place, x in found.items()}
 
     def forward_differences(self, place: str) -> dict[float, np.ndarray]:
         """Sensitivity [m/rad] by forward differences of every step [rad], all of them in one batch."""
@@ -87,7 +81,8 @@ class Rod:
         steps = np.array(STEPS)[:, None]
 
         def values(designs: np.ndarray) -> np.ndarray:
-            motion = mbd.simulate(system, DURATION, designs={ANGLES: torch.from_numpy(designs)}, **self.options)
+            given = {ANGLES: torch.from_numpy(designs)}
+            motion = mbd.simulate(system, DURATION, designs=given, gradients="none", **self.options)
             return deflection(motion.require_ok(), place).numpy()
 
         at = np.full_like(steps, np.radians(self.degrees))

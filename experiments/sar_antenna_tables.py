@@ -77,7 +77,7 @@ def times(steps: int) -> None:
     """Print when theta reaches 0."""
     print("design     theta = 0 (s)  reference  difference")
     for name, angles in LAYUPS.items():
-        motion = mbd.simulate(build(angles), 8.4, steps=round(8.4 * steps), halvings=0)
+        motion = mbd.simulate(build(angles), 8.4, steps=round(8.4 * steps), halvings=0, gradients="none")
         found = reaches_zero(motion)
         print(
             f"{name:9s}  {found:13.2f}  {REFERENCE_TIMES[name]:9.2f}  {found - REFERENCE_TIMES[name]:+10.2f}",
@@ -103,7 +103,7 @@ def integrals(steps: int, study: bool, law: str, trusses: str) -> None:
             system = build(LAYUPS[name], modes=modes, cells=cells, law=law, trusses=trusses, reduction=reduction)
             # More than 16 modes of vibration need finer steps: corners of the panels swing fast.
             often = steps * (2 if modes > 16 else 1)
-            motion = mbd.simulate(system, DURATION, steps=round(DURATION * often), halvings=0, **INTEGRATOR[trusses])
+            motion = mbd.simulate(system, DURATION, steps=round(DURATION * often), halvings=0, gradients="none", **INTEGRATOR[trusses])
             total, own = shares(motion)
             totals.setdefault(name, total)
             print(
@@ -128,14 +128,14 @@ def failures(steps: int) -> None:
         "initial, twice the torque": {"strength": 2.0},
     }
     for name, options in cases.items():
-        motion = mbd.simulate(build(**options), DURATION, steps=round(DURATION * steps), halvings=0)
+        motion = mbd.simulate(build(**options), DURATION, steps=round(DURATION * steps), halvings=0, gradients="none")
         print(f"{name:26s} theta {theta(motion)[0, -1]:.2f}, panel 3 {phi3(motion)[0, -1]:.2f}: {verdict(motion)}")
 
 
 def clearance(steps: int, duration: float) -> None:
     """Print the smallest gap of every pair over the motion, and when."""
     for name in ("initial", "optimum"):
-        motion = mbd.simulate(build(LAYUPS[name]), duration, steps=round(duration * steps), halvings=0)
+        motion = mbd.simulate(build(LAYUPS[name]), duration, steps=round(duration * steps), halvings=0, gradients="none")
         for pair, gap in gaps(motion).items():
             least, when = gap[0].min(0)
             told = "interference" if least < 0 else "clear"
@@ -154,7 +154,7 @@ def gradient(steps: int, angles: Sequence[float] = (40.0, -30.0), step: float = 
     assert exact is not None
     offsets = step * torch.cat([torch.eye(2), -torch.eye(2)]).to(exact)
     designs = {ANGLES: mbd.deg(list(angles)) + offsets}
-    f = OBJECTIVE.value(mbd.simulate(system, DURATION, designs=designs, **given).require_ok())
+    f = OBJECTIVE.value(mbd.simulate(system, DURATION, designs=designs, gradients="none", **given).require_ok())
     differences = (f[:2] - f[2:]) / (2 * step)
     error = float((exact[0] - differences).abs().max() / differences.abs().max())
     print(f"J {float(value):.6g} J s, gradient {exact[0].tolist()}, differences {differences.tolist()}: {error:.1e}")
@@ -163,7 +163,7 @@ def gradient(steps: int, angles: Sequence[float] = (40.0, -30.0), step: float = 
 
 def animate(path: str, name: str, duration: float, steps: int) -> None:
     """Write the first phase as an HTML file."""
-    motion = mbd.simulate(build(LAYUPS[name]), duration, steps=round(duration * steps), halvings=0)
+    motion = mbd.simulate(build(LAYUPS[name]), duration, steps=round(duration * steps), halvings=0, gradients="none")
     print(mbd.viz.animate(motion, path, title=f"SAR antenna, phase 1, {name}"))
 
 

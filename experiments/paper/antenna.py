@@ -54,14 +54,14 @@ def layups(folder: Path, rate: int, modes: int) -> list[Row]:
     draw_modes(build(LAYUPS["lay-up 2"], modes=modes), folder / "figure16.png")
     lines = {}
     for name in ("lay-up 1", "lay-up 2"):
-        motion = mbd.simulate(build(LAYUPS[name], modes=modes), 9.0, steps=9 * rate, halvings=0)
+        motion = mbd.simulate(build(LAYUPS[name], modes=modes), 9.0, steps=9 * rate, halvings=0, gradients="none")
         lines[name] = theta(motion)[0]
         when = reaches_zero(motion)
         rows.append(
             Row(f"Fig. 18: theta = 0, {name} (s)", "7 to 8", when, "chosen", f"reference {REFERENCE_TIMES[name]} s")
         )
     curves(motion.t, lines, "angle of the actuator [rad]", folder / "figure18.png")
-    fair, arms = (mbd.simulate(build((0.0, 0.0), modes=modes, arm=arm), 3.0, steps=3 * rate) for arm in (0.0, 0.05))
+    fair, arms = (mbd.simulate(build((0.0, 0.0), modes=modes, arm=arm), 3.0, steps=3 * rate, gradients="none") for arm in (0.0, 0.05))
     both = {"trusses": theta(arms)[0], "panel 3": phi3(arms)[0], "panel 3, joints in the mid-surface": phi3(fair)[0]}
     curves(arms.t, both, "angle from panel 2 [rad]", folder / "figure17.png")
     note = "joints 50 mm off the mid-surfaces"
@@ -82,7 +82,7 @@ def draw_modes(system: mbd.System, path: Path) -> None:
     from matplotlib.figure import Figure
 
     body: Any = system.body("panel2")
-    motion = mbd.simulate(system, 1e-4, steps=1)
+    motion = mbd.simulate(system, 1e-4, steps=1, gradients="none")
     x, y = body.mesh.nodes[:, 0].numpy(), body.mesh.nodes[:, 1].numpy()
     figure = Figure(figsize=(6.0, 4.0), layout="constrained")
     frequencies = torch.linalg.eigvalsh(motion.body("panel2").stiffness[0][0]).sqrt() / (2.0 * np.pi)
@@ -146,7 +146,7 @@ def vibration(folder: Path, rate: int) -> list[Row]:
             ("Craig-Bampton, 64x32 cells", MODEL | {"cells": (64, 32)}),
         )
         for told, options in cases:
-            motion = mbd.simulate(build(LAYUPS[name], **options), 3.0, steps=3 * rate, halvings=0)
+            motion = mbd.simulate(build(LAYUPS[name], **options), 3.0, steps=3 * rate, halvings=0, gradients="none")
             rows.append(Row(f"eq. (40), {name}, {told} (J s)", printed, shares(motion)[0], "chosen"))
     return rows
 
@@ -155,7 +155,7 @@ def deployment(folder: Path, rate: int, **model: Any) -> list[Row]:
     """Figs. 19, 24-26: interference, deflections and the angle of the actuator in phase 1, initial design and optimum."""
     names: tuple[str, ...] = ("initial", "optimum")
     designs = {ANGLES: torch.stack([mbd.deg(list(x)) for x in (START, OPTIMUM)])}
-    motion = mbd.simulate(build(START, **model), 9.0, steps=9 * rate, designs=designs, halvings=0)
+    motion = mbd.simulate(build(START, **model), 9.0, steps=9 * rate, designs=designs, halvings=0, gradients="none")
     rows, found = [], gaps(motion)
     for lane, name in enumerate(names):
         when = reaches_zero(motion, lane)

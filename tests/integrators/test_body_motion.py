@@ -45,31 +45,6 @@ def test_an_attached_point_keeps_to_its_joint(motion):
     assert_close(a.velocity, b.velocity, rtol=0, atol=1e-4 * float(b.velocity.abs().max()))
 
 
-def test_a_moved_motion_is_the_neighbor_to_first_order(motion):
-    """Whatever is looked at, mode shapes included: the error falls with the square of the step."""
-    _ = motion.body("rod").psi
-    start = motion.designs["rod.laminate.angles"]
-    errors = []
-    for size in (2e-2, 1e-2):
-        delta = size * torch.tensor([0.8, -0.6], dtype=torch.float64)
-        other = mbd.simulate(
-            pendulum(),
-            0.02,
-            steps=STEPS,
-            designs={"rod.laminate.angles": start + delta},
-            iterations=(6, 6),
-            refresh=1,
-        )
-        moved = motion.moved(delta)
-        corners = [x.body("rod").at(0) for x in (moved, other)]
-        kinds = ("displacement", "position", "velocity", "acceleration")
-        pairs = [tuple(getattr(corner, kind) for corner in corners) for kind in kinds]
-        pairs += [(moved.body("rod").strain_energy, other.body("rod").strain_energy), (moved.lam, other.lam)]
-        errors.append([float((x - y).abs().max() / y.abs().max()) for x, y in pairs])
-    for coarse, fine in zip(*errors, strict=True):
-        assert 3.0 < coarse / fine < 5.0
-
-
 def test_points_that_do_not_exist(motion):
     with pytest.raises(mbd.InputError, match=r"point of the rigid body 'arm' is 'left'; allowed: three numbers"):
         motion.body("arm").at("left")

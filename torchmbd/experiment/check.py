@@ -213,7 +213,7 @@ def _memory_faults(sections: Sections, system: System) -> list[Fault]:
         return []
     tangents = len(labels(sections["design"], system))
     try:
-        require_room(system, 1, simulation.steps, tangents, simulation.adjoint is not False)
+        require_room(system, 1, simulation.steps, tangents, simulation.gradients != "forward")
     except InputError as error:
         return [Fault(("simulate", "steps"), f": {error}")]
     return []

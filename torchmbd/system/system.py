@@ -139,6 +139,7 @@ class System(nn.Module):
     @exclusive
     def reduced(self, parameters: Mapping[str, Tensor]) -> Dynamics:
         """Structure stage of a batch of designs, name -> values [lanes, ...], differentiable by torch in every mode."""
+        self._refuse_lost()
         data = called(self, parameters, "data")
         return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
 

@@ -68,7 +68,7 @@ def energy_over_time(t: Numbers, energies: Mapping[str, Numbers], body: str = ""
 
 def over_time(axes: Axes, t: Numbers, y: Numbers, label: str, color: str) -> None:
     """Draw a history [times]; one that is nan from a time on, as of a failed lane, ends there with a cross, and says so."""
-    t, y = np.asarray(t, dtype=float), np.asarray(y, dtype=float)
+    t, y = (np.asarray(x.detach() if hasattr(x, "detach") else x, dtype=float) for x in (t, y))
     good = np.flatnonzero(np.isfinite(y))
     last = int(good[-1]) if len(good) else 0
     fails = last < len(y) - 1

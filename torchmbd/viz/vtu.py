@@ -70,6 +70,7 @@ def save_motion(
     path = Path(path)
     if path.suffix != ".pvd":
         raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .pvd")
+    motion = motion.detach()
     if not 0 <= lane < len(motion.status):
         raise InputError(f"lane = {lane}: allowed: 0 to {len(motion.status) - 1}, the lanes of the motion")
     if motion.status[lane].startswith("failed"):
