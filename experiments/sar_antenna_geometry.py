@@ -45,7 +45,9 @@ def integrals(steps: int, duration: float, **options: Any) -> tuple[float, float
     designs = {ANGLES: torch.stack([mbd.deg(list(x)) for x in (START, OPTIMUM)])}
     system = build(START, **(MODEL | options))
     given: dict[str, Any] = {"steps": steps, "halvings": 0} | INTEGRATOR[options.get("trusses", "rigid")]
-    first, last = OBJECTIVE.value(mbd.simulate(system, duration, designs=designs, gradients="none", **given).require_ok()).tolist()
+    first, last = OBJECTIVE.value(
+        mbd.simulate(system, duration, designs=designs, gradients="none", **given).require_ok()
+    ).tolist()
     return first, last
 
 

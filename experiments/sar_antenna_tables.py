@@ -103,7 +103,9 @@ def integrals(steps: int, study: bool, law: str, trusses: str) -> None:
             system = build(LAYUPS[name], modes=modes, cells=cells, law=law, trusses=trusses, reduction=reduction)
             # More than 16 modes of vibration need finer steps: corners of the panels swing fast.
             often = steps * (2 if modes > 16 else 1)
-            motion = mbd.simulate(system, DURATION, steps=round(DURATION * often), halvings=0, gradients="none", **INTEGRATOR[trusses])
+            motion = mbd.simulate(
+                system, DURATION, steps=round(DURATION * often), halvings=0, gradients="none", **INTEGRATOR[trusses]
+            )
             total, own = shares(motion)
             totals.setdefault(name, total)
             print(
@@ -135,7 +137,9 @@ def failures(steps: int) -> None:
 def clearance(steps: int, duration: float) -> None:
     """Print the smallest gap of every pair over the motion, and when."""
     for name in ("initial", "optimum"):
-        motion = mbd.simulate(build(LAYUPS[name]), duration, steps=round(duration * steps), halvings=0, gradients="none")
+        motion = mbd.simulate(
+            build(LAYUPS[name]), duration, steps=round(duration * steps), halvings=0, gradients="none"
+        )
         for pair, gap in gaps(motion).items():
             least, when = gap[0].min(0)
             told = "interference" if least < 0 else "clear"

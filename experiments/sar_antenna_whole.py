@@ -110,11 +110,15 @@ def deployed(designs: Sequence[Sequence[float]] | None = None, steps: int = 4000
     options   of experiments.sar_antenna.build
     """
     if designs is None:
-        return mbd.simulate(whole(**options), DURATION, steps=steps, phases=phases(), iterations=(5, 1), gradients="none")
+        return mbd.simulate(
+            whole(**options), DURATION, steps=steps, phases=phases(), iterations=(5, 1), gradients="none"
+        )
     angles = torch.stack([mbd.deg(list(design)) for design in designs])
     system = whole(designs[0], **options)
     given: dict[str, Any] = FLEXIBLE | INTEGRATOR[options.get("trusses", "rigid")]
-    return mbd.simulate(system, DURATION, steps=steps, phases=phases(), designs={ANGLES: angles}, gradients="none", **given)
+    return mbd.simulate(
+        system, DURATION, steps=steps, phases=phases(), designs={ANGLES: angles}, gradients="none", **given
+    )
 
 
 def hinges(motion: mbd.Trajectory) -> dict[str, Tensor]:

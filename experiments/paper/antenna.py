@@ -61,7 +61,10 @@ def layups(folder: Path, rate: int, modes: int) -> list[Row]:
             Row(f"Fig. 18: theta = 0, {name} (s)", "7 to 8", when, "chosen", f"reference {REFERENCE_TIMES[name]} s")
         )
     curves(motion.t, lines, "angle of the actuator [rad]", folder / "figure18.png")
-    fair, arms = (mbd.simulate(build((0.0, 0.0), modes=modes, arm=arm), 3.0, steps=3 * rate, gradients="none") for arm in (0.0, 0.05))
+    fair, arms = (
+        mbd.simulate(build((0.0, 0.0), modes=modes, arm=arm), 3.0, steps=3 * rate, gradients="none")
+        for arm in (0.0, 0.05)
+    )
     both = {"trusses": theta(arms)[0], "panel 3": phi3(arms)[0], "panel 3, joints in the mid-surface": phi3(fair)[0]}
     curves(arms.t, both, "angle from panel 2 [rad]", folder / "figure17.png")
     note = "joints 50 mm off the mid-surfaces"

@@ -35,7 +35,7 @@ def adaptive(rtol: float, q: float, v: float) -> Accuracy:
 
 
 ACCURACY = {
-    "generalized_alpha": Accuracy(1e-6, 1e-4),
+    "generalized_alpha": Accuracy(1e-6, 1e-4, steps=50),
     "euler": Accuracy(2e-4, 2e-2),
     "midpoint": Accuracy(2e-6, 2e-4),
     "heun2": Accuracy(2e-6, 2e-4),

@@ -42,8 +42,8 @@ def test_systems_and_motions(system, again):
     motion = mbd.simulate(system, 0.01, steps=5, gradients="forward")
     for found in (again(motion), mbd.simulate(again(system), 0.01, steps=5, gradients="forward")):
         assert torch.equal(found.q, motion.q)
-        for one, other in zip(ENERGY.of(found), ENERGY.of(motion), strict=True):
-            assert torch.equal(one, other)
+        assert torch.equal(found.dq_db, motion.dq_db)
+        assert torch.equal(ENERGY(found).detach(), ENERGY(motion).detach())
 
 
 def test_a_copied_system_has_numbers_of_its_own(system, again):

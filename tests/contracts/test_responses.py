@@ -99,7 +99,7 @@ HISTORIES: dict[str, list[History]] = {
         Angle("arm", "z", seen_from="rod", center=3.0),
     ],
     "ply_failure": [PlyFailure("rod"), PlyFailure("rod", "max_stress")],
-    "ply_stress": [PlyStress("rod", "11"), PlyStress("rod", "12", layer=1, extreme="lowest")],
+    "ply_stress": [PlyStress("rod", "11", layer=1), PlyStress("rod", "12", layer=1, extreme="lowest")],
 }
 ENERGY, LAG = StrainEnergy("rod"), Displacement("rod", "z", node="right")
 MEASURES: dict[str, list[Measure]] = {

@@ -40,7 +40,7 @@ def test_the_time_is_that_of_a_batch_within_a_factor_of_three(write):
             break
     else:
         pytest.fail(f"estimates over seconds: {ratios}")
-    assert cost.memory > 3 * 2 * motion.dq_db[0].numel() * 8
+    assert cost.memory > 3 * 2 * motion.q[0].numel() * 8
 
 
 def test_a_valid_file_is_told_with_its_cost(write):

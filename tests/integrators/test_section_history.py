@@ -50,9 +50,7 @@ def motions() -> tuple[Trajectory, Trajectory]:
     steps = STEP * torch.eye(2, dtype=torch.float64)
     near = torch.cat([angles[:, None] + steps, angles[:, None] - steps], 1).flatten(0, 1)
     return tuple(
-        mbd.simulate(
-            made, 0.04, gradients=way, designs={"arm.section.angles": x}, **options
-        ).require_ok()
+        mbd.simulate(made, 0.04, gradients=way, designs={"arm.section.angles": x}, **options).require_ok()
         for way, x in (("forward", angles), ("none", near))
     )
 

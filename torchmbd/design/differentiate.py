@@ -39,8 +39,8 @@ def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
             return Valued(f(shared), None)
     with torch.inference_mode(False), torch.enable_grad():  # wherever the caller is
         found = f(shared)
-    rows = found.flatten(1).sum(0) if found.dim() > 1 else found.sum()[None]  # of each row the sum over lanes
-    parts = [_gradients(some, inputs) for some in rows.split(ROWS)]
+        rows = found.flatten(1).sum(0) if found.dim() > 1 else found.sum()[None]  # of each row the sum over lanes
+        parts = [_gradients(some, inputs) for some in rows.split(ROWS)]
     return Valued(found.detach(), torch.cat(parts, 1).reshape(*found.shape, -1))
 
 

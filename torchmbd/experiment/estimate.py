@@ -17,7 +17,6 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from rich.console import Console
 
 from torchmbd.design import Problem
@@ -95,7 +94,7 @@ def _short(plan: Plan, problem: Problem, X: np.ndarray, gradients: bool, share: 
             share * told.duration,
             method=told.method,
             steps=None if told.steps is None else round(share * told.steps),
-            gradients="forward" if gradients else "none",
+            gradients=problem.gradients if gradients else "none",
             variables=problem.space.variables,
             backend=told.backend,
             designs=problem.space.designs(X),
@@ -105,10 +104,10 @@ def _short(plan: Plan, problem: Problem, X: np.ndarray, gradients: bool, share: 
 
 
 def _bytes(motion: Trajectory) -> float:
-    """Bytes of the coordinates, rates and accelerations of a motion with their sensitivities."""
-    with torch.no_grad():
-        arrays = (motion.q, motion.v, motion.a, motion.dq_db, motion.dv_db, motion.da_db)
-    return float(sum(x.numel() * x.element_size() for x in arrays if x is not None))
+    """Bytes of the coordinates, rates and accelerations of a motion with their tangents, or cotangents."""
+    numbers = sum(x.numel() for x in (motion.q, motion.v, motion.a))
+    copies = {"forward": 1 + len(motion.parameters), "reverse": 2}.get(motion.stats["gradients"], 1)
+    return 8.0 * numbers * copies
 
 
 def print_estimate(plan: Plan | FiguresPlan, console: Console) -> None:

@@ -89,18 +89,17 @@ class Grid:
                 outputs.append(moving(T, T.schedule(self.times[1:], self.dynamics.data), len(self.lanes), 0))
             bars.append(by.laws)
         used = [(y, x) for y, x in zip(outputs, bars, strict=True) if y.requires_grad]
-        rows = range(bars[0].shape[-2])
-        found = [self._row([(y, x[..., row : row + 1, :]) for y, x in used]) for row in rows]
-        return {name: torch.cat(x, -2) for name, x in zip(self.leaves, zip(*found, strict=True), strict=True)}
-
-    def _row(self, pairs: list[tuple[Tensor, Tensor]]) -> list[Tensor]:
         leaves = list(self.leaves.values())
-        if not pairs:
-            return [torch.zeros_like(x) for x in leaves]
-        outputs = [y for y, _ in pairs]
-        bars = [x if x.shape == y.shape else x.sum(-1, keepdim=True) for y, x in pairs]
-        found = torch.autograd.grad(outputs, leaves, bars, retain_graph=True, allow_unused=True, materialize_grads=True)
-        return list(found)
+        options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
+
+        def pulled(*rows: Tensor) -> tuple[Tensor, ...]:
+            return torch.autograd.grad([y for y, _ in used], leaves, rows, **options)
+
+        if not used:
+            return {}
+        rows = [x if x.shape[-1] == y.shape[-1] else x.sum(-1, keepdim=True) for y, x in used]
+        found = torch.vmap(pulled)(*(x.movedim(-2, 0).unsqueeze(-2) for x in rows))
+        return {name: x.squeeze(-2).movedim(0, -2) for name, x in zip(self.leaves, found, strict=True)}
 
 
 class Cotangents(NamedTuple):
