@@ -235,9 +235,9 @@ def test_gradient_of_the_motion_by_thickness():
     history = mbd.Displacement("plate", "z", node="corner_right_top")
     problem = mbd.Problem(
         system,
-        0.2,
+        0.05,
         minimize=mbd.Integral(history**2),
-        steps=40,
+        steps=600,
         variables=["plate.laminate.thickness"],
         bounds=(1e-4, 2e-2),
     )
