@@ -12,7 +12,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.elements.beam_cases import coupled_section
-from tests.mechanisms import turned
+from tests.mechanisms import finished, turned
 from tests.sections.section_cases import ANBA
 from torchmbd import sections
 from torchmbd.elements import BeamLine, GivenSection
@@ -145,8 +145,7 @@ def test_a_pendulum_of_a_stiff_beam_is_the_rigid_one():
     for body, root in ((flexible, flexible.at("start")), (rigid, rigid.at(0, 0, 0))):
         system = mbd.System([body], [mbd.Spherical(ground.at(0, 0, 0), root)], gravity=(1.5, -9.0, 3.5))
         motion = mbd.simulate(system, duration=0.5, steps=200)
-        assert motion.status == ["ok"]
-        state = motion.body("rod")
+        state = finished(motion).body("rod")  # of a stiff beam the gross motion
         tips.append((state.r + state.A @ torch.tensor([length, 0.0, 0.0], dtype=torch.float64))[0].detach())
     assert float((tips[0] - tips[1]).norm(dim=1).max()) < 2e-4 * length
     assert float((tips[0][-1] - tips[0][0]).norm()) > 0.2 * length

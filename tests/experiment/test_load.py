@@ -49,7 +49,7 @@ def test_which_way_gradients_come_can_be_told(write, way):
     simulate = {"duration": 0.002, "steps": 20}
     told = problem_of(load(write(simulate=simulate | {"gradients": way})))
     assert told.simulate(told.start[None], gradients=True).stats["gradients"] == way
-    assert "gradients" not in load(write(simulate=simulate)).study.resolved()["simulate"]
+    assert load(write(simulate=simulate)).study.resolved()["simulate"]["gradients"] == "auto"
 
 
 def test_phases_come_from_a_function(write):

@@ -80,7 +80,7 @@ def study(write, folder):
 
     mesh = rectangle(length=0.3, width=0.04, cells=(4, 2))
     sets = {name: torch.tensor(mesh.node_set(f"{name}_edge")).numpy() for name in ("left", "right")}
-    points, cells = mesh.nodes.numpy(), [("triangle", mesh.triangles.numpy())]
+    points, cells = mesh.nodes.numpy(), [("quad", mesh.quads.numpy())]
     meshio.Mesh(points, cells, point_sets=sets).write(folder / "rod.inp")
     (folder / "plate.bdf").write_text(bdf_model((2, 1)))
     (folder / "push.txt").write_text("10.0\n")
@@ -143,7 +143,7 @@ def copied(tmp_path_factory):
     return package
 
 
-@pytest.mark.parametrize("part", [*PARTS, "errors.py", "cli.py", "integrators/march.cpp", "integrators/march.cu"])
+@pytest.mark.parametrize("part", [*PARTS, "errors.py", "cli.py", "integrators/march.cpp"])
 def test_the_sources_that_compute_numbers_count(copied, monkeypatch, part):
     """The optimizers, the tracking, the pictures and the command line see an evaluation when it is made."""
     before = place_module._code(place_module._PACKAGE)

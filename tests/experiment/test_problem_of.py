@@ -9,7 +9,7 @@ import torchmbd as mbd
 
 
 def test_the_problem_of_a_file_is_that_of_its_study(write):
-    problem = mbd.problem_of(write(), "simulate.steps=20", "design.rod.laminate.angles.start=[30, -60]")
+    problem = mbd.problem_of(write(), "simulate.steps=60", "design.rod.laminate.angles.start=[30, -60]")
     assert problem.names == ["rod.laminate.angles[0]", "rod.laminate.angles[1]"]
     np.testing.assert_allclose(np.degrees(problem.start), [30.0, -60.0])
     own = mbd.Problem(
@@ -19,7 +19,7 @@ def test_the_problem_of_a_file_is_that_of_its_study(write):
         subject_to=mbd.Max(mbd.StrainEnergy("rod")) <= "initial",
         bounds=mbd.deg([-90, 90]),
         start=mbd.deg([30, -60]),
-        steps=20,
+        steps=60,
     )
     X = np.radians([[45.0, -45.0], [0.0, 10.0]])
     for one, other in zip(problem.evaluate(X, True), own.evaluate(X, True), strict=True):

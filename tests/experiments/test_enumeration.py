@@ -12,7 +12,7 @@ from experiments.discrete import Within, problem_of
 from experiments.enumeration import Enumeration, enumerate_all, grid
 from experiments.minima import STORED
 
-TINY = {"cells": (4, 2), "modes": 3, "steps": 16, "kind": "triangle"}  # the limit of 3f is one for triangles
+TINY = {"cells": (4, 2), "modes": 3, "steps": 120, "kind": "triangle"}  # the limit of 3f is one for triangles
 
 
 @pytest.mark.parametrize(("layers", "increment"), [(1, 45.0), (2, 30.0), (3, 45.0)])

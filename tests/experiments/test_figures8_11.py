@@ -6,7 +6,7 @@ from experiments import figures8_11
 
 
 def test_figures_are_drawn_and_tell_their_minima(tmp_path):
-    found = figures8_11.figures(tmp_path, cells=(4, 2), modes=2, steps=24, increment=15.0, max_iterations=1)
+    found = figures8_11.figures(tmp_path, cells=(4, 2), modes=2, steps=96, increment=15.0, max_iterations=1)
     names = {f"figure{k}.{ending}" for k in (8, 9, 10, 11) for ending in ("png", "pdf")}
     assert {file.name for file in tmp_path.iterdir()} == names
     assert str(found["figure8_minima"]).startswith("0 deg (0.")

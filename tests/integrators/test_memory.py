@@ -93,11 +93,11 @@ def test_a_body_that_does_not_fit_is_refused(monkeypatch):
 
 
 def test_a_problem_evaluates_any_number_of_designs_in_batches_that_fit(monkeypatch):
-    problem = mbd.Problem(build(), 0.002, mbd.Integral(mbd.StrainEnergy("rod")), steps=8)
+    problem = mbd.Problem(build(), 0.002, mbd.Integral(mbd.StrainEnergy("rod")), steps=24)
     X = np.linspace(-1.0, 1.0, 22).reshape(11, 2)
     expected = problem.evaluate(X, True)
-    one = memory.lane_bytes(problem.system, 8, 2)
-    monkeypatch.setattr(memory, "installed", lambda: 4.0 * (3.5 * one + 9 * 3000))
+    one = memory.lane_bytes(problem.system, 24, 2)
+    monkeypatch.setattr(memory, "installed", lambda: 4.0 * (3.5 * one + 25 * 3000))
     sizes = []
     simulate = problem.simulate
     monkeypatch.setattr(problem, "simulate", lambda X, gradients: sizes.append(len(X)) or simulate(X, gradients))

@@ -71,8 +71,8 @@ def tube(**given):
     return mbd.sections.tube(**({"radius": 0.02, "ply": mbd.Ply(**CARBON), "angles": [0.3], "thickness": 1e-3} | given))
 
 
-def sheet(length: float, width: float, thickness: float) -> mbd.FlexibleBody:
-    mesh = mbd.mesh.rectangle(length, width, (4, 2))
+def sheet(length: float, width: float, thickness: float, cells: tuple[int, int] = (4, 2)) -> mbd.FlexibleBody:
+    mesh = mbd.mesh.rectangle(length, width, cells)
     laminate = mbd.Laminate(mbd.Ply(**CARBON), mbd.deg([0, 90]), thickness / 2)
     return mbd.FlexibleBody.plate("sheet", mesh, laminate, 2)
 
@@ -130,7 +130,7 @@ def test_other_units_are_doubted(name):
 
 LEGITIMATE = {
     "MEMS plate": lambda: sheet(1e-4, 2e-5, 1e-6),
-    "blade of 100 m": lambda: sheet(100.0, 4.0, 0.04),
+    "blade of 100 m": lambda: sheet(100.0, 4.0, 0.04, (10, 2)),
     "solar blanket": lambda: sheet(10.0, 2.0, 2.5e-4),
     "thick plate": lambda: sheet(0.3, 0.3, 0.15),
     "foam": lambda: mbd.Ply.isotropic(1e6, 0.3, 30.0),

@@ -32,8 +32,8 @@ def test_positions_are_those_of_the_motion(beam_motion, slider_crank_motion):
     for motion, name in ((beam_motion, "arm"), (slider_crank_motion, "rod")):
         scene = scene_of(motion, 0, 1000)
         body = next(body for body in scene["bodies"] if body["name"] == name)
-        nodes = motion.body(name).nodes[0].numpy()
-        size = np.abs(motion.body(name).displacements[0].numpy()).max()
+        nodes = motion.body(name).nodes[0].detach().numpy()
+        size = np.abs(motion.body(name).displacements[0].detach().numpy()).max()
         assert_allclose(positions(body, len(motion.t), 1.0), nodes, atol=1e-6 + 1e-4 * size)
 
 

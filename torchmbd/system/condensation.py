@@ -155,6 +155,7 @@ class _Poses:
         return q
 
 
+@torch.no_grad()  # what is held is a matter of the numbers; no design moves it
 def condense(T: Topology, q: Tensor) -> Condensation | None:
     """The condensation of a topology with approximate initial positions q [n_q]; None if nothing can go."""
     holds = _holds(T)
