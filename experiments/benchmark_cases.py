@@ -136,7 +136,10 @@ def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[T
     data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
     made = ReverseIntegration(None, replace(dynamics, data={}), tuple(data), duration, steps, {}, True)
     outputs: Any = Motion.apply(made, *data.values())
-    found = responses_of(duration, energy(replace(dynamics, data=data), History(*outputs, made.expansion(data)))[0])
+    q, v, vd, lam = outputs
+    found = responses_of(
+        duration, energy(replace(dynamics, data=data), History(q, v, vd, lam, made.expansion(data)))[0]
+    )
     rows, leaves = found.sum(-1), [data[name] for name in moving]
     slopes = torch.vmap(lambda weights: torch.autograd.grad(rows, leaves, weights, retain_graph=True))(
         torch.eye(2).double()

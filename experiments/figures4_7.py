@@ -73,7 +73,8 @@ class Rod:
         motion = mbd.simulate(system, DURATION, gradients="forward", variables=[ANGLES], **self.options).require_ok()
         found = {place: differentiate(lambda m, place=place: deflection(m, place), motion) for place in PLACES}
         values = {place: x.value[0].numpy() for place, x in found.items()}
-        return motion.t.numpy(), values, {place: x.gradient[0, :, 0].numpy() for place, x in found.items()}
+        slopes = {place: x.gradient[0, :, 0].numpy() for place, x in found.items() if x.gradient is not None}
+        return motion.t.numpy(), values, slopes
 
     def forward_differences(self, place: str) -> dict[float, np.ndarray]:
         """Sensitivity [m/rad] by forward differences of every step [rad], all of them in one batch."""

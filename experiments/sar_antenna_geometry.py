@@ -44,10 +44,10 @@ def integrals(steps: int, duration: float, **options: Any) -> tuple[float, float
     """Eq. (40) of the start of Table 7 and of `OPTIMUM` [J s]."""
     designs = {ANGLES: torch.stack([mbd.deg(list(x)) for x in (START, OPTIMUM)])}
     system = build(START, **(MODEL | options))
-    given: dict[str, Any] = {"steps": steps, "halvings": 0} | INTEGRATOR[options.get("trusses", "rigid")]
-    first, last = OBJECTIVE.value(
-        mbd.simulate(system, duration, designs=designs, gradients="none", **given).require_ok()
-    ).tolist()
+    given: dict[str, Any] = {"steps": steps, "halvings": 0, "gradients": "none"} | INTEGRATOR[
+        options.get("trusses", "rigid")
+    ]
+    first, last = OBJECTIVE.value(mbd.simulate(system, duration, designs=designs, **given).require_ok()).tolist()
     return first, last
 
 

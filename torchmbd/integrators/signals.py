@@ -110,7 +110,7 @@ class Recorded(Signals):
         """As of Signals."""
         h, data = self.history, {name: detached(x) for name, x in self.data.items()}
         expansion = None if h.expansion is None else replace(h.expansion, data=data)
-        plain = History(*(x.detach() for x in (h.q, h.v, h.vd, h.lam)), expansion)
+        plain = History(h.q.detach(), h.v.detach(), h.vd.detach(), h.lam.detach(), expansion)
         return Recorded(plain, self.settle, data, self.until)
 
     def ended(self, until: Tensor) -> Self:

@@ -117,10 +117,16 @@ def simulate(
                 explained(plain)
             until = numbers_until(motion.integration.history, motion.status, motion.stats)
             motion.stats.pop("until", None)
-            warn_of_spin(replace(plain, signals=plain.signals.ended(until)))
-        if len(until) != motion.lanes:  # one of a batch of torch.func.vmap
-            return motion
-        return replace(motion, signals=motion.signals.ended(until))
+            warn_of_spin(_ended(plain, until))
+        return _ended(motion, until)
+
+
+def _ended(motion: Trajectory, until: Tensor) -> Trajectory:
+    """The motion with nan from a number of times on [lanes]; one of a batch of torch.func.vmap stays as it is."""
+    signals = motion.signals
+    if not isinstance(signals, Recorded) or len(until) != motion.lanes:
+        return motion
+    return replace(motion, signals=signals.ended(until))
 
 
 def _route(motion: Trajectory) -> str:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -68,7 +68,7 @@ def energy_over_time(t: Numbers, energies: Mapping[str, Numbers], body: str = ""
 
 def over_time(axes: Axes, t: Numbers, y: Numbers, label: str, color: str) -> None:
     """Draw a history [times]; one that is nan from a time on, as of a failed lane, ends there with a cross, and says so."""
-    t, y = (np.asarray(x.detach() if hasattr(x, "detach") else x, dtype=float) for x in (t, y))
+    t, y = (_plain(x) for x in (t, y))
     good = np.flatnonzero(np.isfinite(y))
     last = int(good[-1]) if len(good) else 0
     fails = last < len(y) - 1
@@ -76,6 +76,11 @@ def over_time(axes: Axes, t: Numbers, y: Numbers, label: str, color: str) -> Non
     axes.plot(t, y, color=color, lw=1.3, label=label)
     if fails and len(good):
         axes.plot(t[last], y[last], "x", color=color, ms=7)
+
+
+def _plain(x: Any) -> np.ndarray:
+    """Numbers, of a tensor without its graph."""
+    return np.asarray(x.detach() if hasattr(x, "detach") else x, dtype=float)
 
 
 def criterion(
