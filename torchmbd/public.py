@@ -50,11 +50,14 @@ from torchmbd.errors import InputError, MbdError, SimulationFailure
 from torchmbd.forces import (
     AxialSpringDamper,
     Bushing,
+    ControlHistory,
+    Controller,
     Force,
     Pressure,
     RotationalSpringDamper,
     SpringDamper,
     Torque,
+    signals,
 )
 from torchmbd.integrators import Event, Phase, Trajectory, simulate
 from torchmbd.integrators.ply_history import PlyHistory
@@ -136,6 +139,8 @@ __all__ = [
     "Bushing",
     "ConstantSpeed",
     "Constraint",
+    "ControlHistory",
+    "Controller",
     "Cylindrical",
     "DesignSpace",
     "Differences",
@@ -216,6 +221,7 @@ __all__ = [
     "pareto_front",
     "problem_of",
     "sections",
+    "signals",
     "simulate",
     "sobol",
     "spectral_function",

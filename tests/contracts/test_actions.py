@@ -77,6 +77,19 @@ def test_pairs_carry_the_tangents(kind):
 
 
 GROUND = mbd.Ground()
+
+
+def controller(a: mbd.Frame, b: mbd.Frame) -> mbd.Controller:
+    """A network of everything that two bodies without joints have."""
+    S = mbd.signals
+    inputs = [S.PointPosition(a), S.PointVelocity(b), S.Time(), S.PointVelocity(a)]
+    outputs = [S.TorqueOn(a, b, "y"), S.ForceOn(b, "x", axes="frame"), S.TorqueOn(GROUND.at(), a, "x")]
+    with torch.random.fork_rng():
+        torch.manual_seed(4)
+        layers = torch.nn.Linear(10, 3), torch.nn.Tanh(), torch.nn.Linear(3, 3)
+    return mbd.Controller(torch.nn.Sequential(*layers).double(), inputs, outputs)
+
+
 ELEMENTS: dict[str, Callable] = {
     "axialspringdamper": partial(mbd.AxialSpringDamper, axis="y", law=law),
     "bushing": partial(
@@ -87,8 +100,11 @@ ELEMENTS: dict[str, Callable] = {
     "pressure": lambda a, b: mbd.Pressure(b.body, 5.0),
     "force": lambda a, b: mbd.Force(b, (1.0, -2.0, 0.5), axes="frame"),
     "torque": lambda a, b: mbd.Torque(b, lambda t: torch.stack([t.cos(), t, 1.0 - t])),
+    "controller": lambda a, b: controller(a, b),
 }
-between = pytest.mark.parametrize("name", [n for n in ELEMENTS if n not in ("force", "pressure", "torque")])
+between = pytest.mark.parametrize(
+    "name", [n for n in ELEMENTS if n not in ("controller", "force", "pressure", "torque")]
+)
 each = pytest.mark.parametrize("name", list(ELEMENTS))
 
 

@@ -35,6 +35,7 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from torchmbd.forces.control import Port
 from torchmbd.forces.laws import Scaled, Spring
 from torchmbd.forces.varied import Varied
 from torchmbd.numerics.elementwise import lifted, reciprocal, slopes, sqrt
@@ -160,6 +161,8 @@ def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
     """A law applied; one that states its slopes needs no differentiation, which could not be compiled."""
     if isinstance(law, Spring):
         return law(s, rate, t)  # numbers themselves
+    if isinstance(law, Port):
+        return linear(torch.zeros_like, s)
     if isinstance(law, Scaled):
         return _force(law.law, s, rate, t) * law.factor
     if isinstance(t, Pair) or not (hasattr(law, "slopes") and isinstance(s, Pair)):

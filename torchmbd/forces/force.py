@@ -43,6 +43,7 @@ class ForceElement:
         if name is not None and not isinstance(name, str):
             raise InputError(f"name of a {kind} is {name!r}; allowed: a string")
         self.frames: tuple[Frame, ...] = frames
+        self.measured: tuple[Frame, ...] = ()  # frames that it reads only
         self.name = name or "_".join([kind.lower(), *(frame.body.name for frame in frames)])
         self.varying = Varying(self.name)
 

@@ -18,6 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.forces.control import Port
 from torchmbd.forces.laws import LAWS, Scaled
 from torchmbd.forces.varied import Varied
 from torchmbd.numerics.scalars import Tape, Untraceable
@@ -81,6 +82,8 @@ def writable(law: Any) -> Any:
     """The law as numbers of a known form or as scalar operations; Untraceable where it can be neither."""
     if isinstance(law, (Varied, Scaled)):
         return replace(law, law=writable(law.law))
+    if isinstance(law, Port):
+        raise Untraceable(f"the {law.control.label} is no scalar operation")
     return law if known(law) else written(law)
 
 

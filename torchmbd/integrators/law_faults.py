@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from torchmbd.forces.control import Port
 from torchmbd.joints.joint import Scribe
 from torchmbd.numerics.pair import value
 from torchmbd.system import equations
@@ -44,11 +45,18 @@ def laws_at_fault(motion: Trajectory, lane: int) -> list[str]:
     q, v = (x[lane, i][:, None, None] for x in (motion.q, motion.v))
     at = equations.placement(T, data, q, T.prescribed(t, data))
     called, found = names(motion), []
-    for action, (s, rate, _) in zip(T.actions, equations.action_states(T, data, at, v), strict=True):
-        forces = [action.strength(x, rate, t, data).flatten(1).isfinite().all(1) for x in (s, s + h * rate)]
-        for k in torch.nonzero(~(forces[0] & forces[1]))[:, 0].tolist():
+    states = equations.action_states(T, data, at, v)
+    ahead = [(s + h * rate, rate, direction) for s, rate, direction in states]
+    both = zip(*(equations.strengths(T, data, some, t) for some in (states, ahead)), strict=True)
+    for action, (s, rate, _), forces in zip(T.actions, states, both, strict=True):
+        good = [f.flatten(1).isfinite().all(1) for f in forces]
+        for k in torch.nonzero(~(good[0] & good[1]))[:, 0].tolist():
+            law = action.laws[k]
+            if isinstance(law, Port):
+                found.append(f"the {law.control.label} is not finite near t = {float(t):.6g} s")
+                continue
             found.append(
                 f"the law of {called[type(action), k]!r} is not finite near s = {float(s[k]):.6g}, "
                 f"s' = {float(rate[k]):.6g}, t = {float(t):.6g} s"
             )
-    return found
+    return list(dict.fromkeys(found))

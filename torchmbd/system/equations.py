@@ -255,11 +255,16 @@ def constraint_forces(T: Topology, data: Data, at: Placement, lam):
 
 def applied_on_vectors(T: Topology, data: Data, at: Placement, v):
     """What the actions do to the attached vectors [3, vectors, ...], in ground axes."""
-    slots = []
-    for action, (s, rate, direction) in zip(T.actions, action_states(T, data, at, v), strict=True):
-        f = action.strength(s, rate, at.t, data)
+    states, slots = action_states(T, data, at, v), []
+    for f, (_, _, direction) in zip(strengths(T, data, states, at.t), states, strict=True):
         slots += [f * d for d in direction]
     return T.action_fold(*slots)  # pyright: ignore[reportOptionalCall]
+
+
+def strengths(T: Topology, data: Data, states: list[tuple], t: Any) -> list:
+    """Generalized forces f [n, ...] of each kind of action, by laws and controllers."""
+    own = [action.strength(s, rate, t, data) for action, (s, rate, _) in zip(T.actions, states, strict=True)]
+    return T.links.strengths(states, own, t, data)
 
 
 def action_states(T: Topology, data: Data, at: Placement, v) -> list[tuple]:

@@ -188,7 +188,8 @@ class Saddle:
         T = self.T
         total = sum(len(action.laws) for action in T.actions)
         slots, weights, start = [], [], 0
-        for action, (s, rate, direction) in zip(T.actions, action_states(T, data, at, v), strict=True):
+        states = action_states(T, data, at, v)
+        for action, (s, rate, direction) in zip(T.actions, states, strict=True):
             n = len(action.laws)
             unit = torch.eye(total, dtype=s.dtype, device=s.device)[
                 start : start + n, :, None
@@ -200,7 +201,9 @@ class Saddle:
         force = T.action_fold(*slots)  # pyright: ignore[reportOptionalCall]
         D = torch.cat([x.flatten(0, 1) for x in generalized_forces(T, data, at, force)])
         D = (D if T.gather is None else T.gather(D)).permute(2, 0, 1)
-        return (D * torch.cat(weights).T[:, None]) @ D.transpose(1, 2)
+        K = (D * torch.cat(weights).T[:, None]) @ D.transpose(1, 2)
+        coupled = T.links.slopes(states, at.t, data, stiffness, damping)
+        return K if coupled is None else K - D @ coupled @ D.transpose(1, 2)
 
     def _by_increment(self, torque: Tensor, turn: Tensor | None) -> Tensor:
         """A change d of the increment th turns a body by (1 - ~th/2 + ~th~th/6) d, here to the third order."""

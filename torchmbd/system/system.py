@@ -18,6 +18,8 @@ from torch import Tensor, nn
 from torchmbd.bodies import FlexibleBody, RigidBody
 from torchmbd.bodies.frame import VELOCITIES, vector
 from torchmbd.errors import InputError, unknown
+from torchmbd.forces.control import Port
+from torchmbd.forces.controller import VARIABLES as OF_CONTROLLERS
 from torchmbd.forces.force import ForceElement
 from torchmbd.forces.laws import VARIABLES
 from torchmbd.joints.drive import VARIABLES as OF_DRIVES
@@ -194,7 +196,10 @@ class System(nn.Module):
                     )
         for kind in self.topology.actions:
             for law in kind.laws:
-                refuse_lost("law of a force", law, VARIABLES)
+                if isinstance(law, Port):
+                    refuse_lost(law.control.label, law.control.module, OF_CONTROLLERS, law.control.module)
+                else:
+                    refuse_lost("law of a force", law, VARIABLES)
         for joint in self.joints:
             registered = joint.variables.module if joint.variables else None
             refuse_lost(f"law of {joint.name!r}", getattr(joint, "law", None), OF_DRIVES, registered)

@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple, TypeVar
 
 import torch
@@ -29,6 +30,7 @@ from torchmbd.bodies import Ground
 from torchmbd.errors import InputError
 from torchmbd.forces.action import KINDS as ACTIONS
 from torchmbd.forces.action import Action
+from torchmbd.forces.control import Links
 from torchmbd.forces.force import Applied, ForceElement
 from torchmbd.joints.joint import Attached, Equation, Joint, Scribe
 from torchmbd.joints.primitive import KINDS, Primitive
@@ -129,6 +131,11 @@ class Topology:
     rates: Tensor | None = None  # [rates of all bodies, independent rates]
     spread: SparseMap | None = None  # the same
     gather: SparseMap | None = None  # its transpose
+
+    @cached_property
+    def links(self) -> Links:
+        """The controllers among the actions."""
+        return Links([law for action in self.actions for law in action.laws])
 
     @property
     def bodies(self) -> int:
@@ -294,7 +301,7 @@ def _checked(joint: Joint, scribe: Scribe, number: dict[int, int]) -> list[Equat
 
 
 def _acting(force: ForceElement, scribe: Scribe, number: dict[int, int]) -> list[Applied]:
-    for frame in force.frames:
+    for frame in (*force.frames, *force.measured):
         if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
                 f"force {force.name!r} acts on body {frame.body.name!r}, which is not among the bodies of the system"
