@@ -8,6 +8,7 @@ Parts (default: all):
     multistart      a whole optimization from 32 starts
     structure       structure stage with tangents
     variables       cost of one more variable
+    angles          gradient by 288 angles over one simulation
     mesh            motion stage on a fine mesh
     chain           cost per link of a flexible chain
     gradients       error of the gradients
@@ -38,6 +39,7 @@ from rich.console import Console
 import torchmbd as mbd
 from experiments import benchmark_costs as costs
 from experiments import benchmark_motion, exudyn_peer
+from experiments.benchmark_angles import many_angles
 from experiments.benchmark_integrators import work_precision
 from experiments.benchmark_multistart import multistart
 from experiments.benchmark_report import Result, Settings
@@ -49,6 +51,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "multistart": multistart,
     "structure": costs.structure,
     "variables": costs.variables,
+    "angles": many_angles,
     "mesh": costs.mesh,
     "chain": costs.chain,
     "gradients": costs.gradient_error,
@@ -67,6 +70,7 @@ FIGURES = (
     "eager_3x128",
     "multistart",
     "structure_ms",
+    "many_angles",
     "tenth_variable",
     "tenth_variable_tangents",
     "mesh_ratio",

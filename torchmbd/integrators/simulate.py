@@ -94,7 +94,8 @@ def simulate(
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
     with torch.inference_mode(False), torch.set_grad_enabled(grad):
         names = _variables(system, given, gradients, variables)
-        batch = _same_lanes({name: _own(system, name)[None] for name in names if name not in given} | given)
+        own = dict(system.named_parameters())
+        batch = _same_lanes({name: own[name][None] for name in names if name not in given} | given)
         if gradients in ("forward", "reverse"):
             batch = {k: _leaf(x) if k in names and not watched(x) else x for k, x in batch.items()}
         count = sum(x[0].numel() for name, x in batch.items() if name in names)
@@ -225,10 +226,6 @@ def labels_of(system: System, names: Sequence[str]) -> tuple[str, ...]:
     """One label for each entry of the named parameters: `rod.laminate.angles[0]`."""
     own = dict(system.named_parameters())
     return tuple(f"{name}[{i}]" for name in names for i in range(own[name].numel()))
-
-
-def _own(system: System, name: str) -> Tensor:
-    return dict(system.named_parameters())[name]
 
 
 def _leaf(x: Tensor) -> Tensor:
