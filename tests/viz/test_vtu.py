@@ -104,7 +104,9 @@ def test_the_motion(tmp_path, motion):
         worst = [float(indices[plies.points[:, 0] == k].max()) for k in range(view.mesh.cell_count)]
         assert_allclose(found["tsai_wu"], np.maximum(worst, 0.0), rtol=1e-9, atol=1e-15)
     arm = next(x for x in sets if x.get("name") == "arm")
-    assert_allclose(arrays(tmp_path / arm.get("file"))["points"][0], motion.body("arm").r[0, 0].detach().numpy(), rtol=1e-12)
+    assert_allclose(
+        arrays(tmp_path / arm.get("file"))["points"][0], motion.body("arm").r[0, 0].detach().numpy(), rtol=1e-12
+    )
 
 
 def test_meshio_reads_it(tmp_path, motion):
