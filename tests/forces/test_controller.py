@@ -214,7 +214,7 @@ def test_vmap_over_weights():
     own = system.get_parameter("controller.2.bias").detach()
 
     def f(x: Tensor) -> Tensor:
-        return looked_at(mbd.simulate(system, 0.01, steps=4, designs={"controller.2.bias": x}))[0]
+        return looked_at(mbd.simulate(system, 0.02, designs={"controller.2.bias": x}, **OPTIONS))[0]
 
     many = torch.stack([own, own + 0.5])
     slopes = torch.stack([torch.func.jacrev(f)(x) for x in many])
@@ -236,8 +236,12 @@ class Steep(nn.Module):
 
 def test_a_lane_that_is_not_finite_fails_alone_and_is_named():
     system = arm(Steep())
-    motion = mbd.simulate(system, 0.02, steps=8, designs={"controller.gain": tensor(0.1, 2.0)})
+    gains = tensor(0.1, 2.0).requires_grad_()
+    motion = mbd.simulate(system, 0.02, steps=8, designs={"controller.gain": gains})
     assert motion.status[0] == "ok"
+    motion.q[0].square().sum().backward()
+    assert float(gains.grad[0].abs()) > 0.0
+    assert float(gains.grad[1]) == 0.0
     assert "module Steep of the controller 'controller' is not finite near t = 0.0" in motion.status[1]
 
 
