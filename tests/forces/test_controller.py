@@ -214,7 +214,7 @@ def test_vmap_over_weights():
     own = system.get_parameter("controller.2.bias").detach()
 
     def f(x: Tensor) -> Tensor:
-        return looked_at(mbd.simulate(system, 0.01, steps=4, designs={"controller.2.bias": x}))[0]
+        return looked_at(mbd.simulate(system, 0.02, designs={"controller.2.bias": x}, **OPTIONS))[0]
 
     many = torch.stack([own, own + 0.5])
     slopes = torch.stack([torch.func.jacrev(f)(x) for x in many])
@@ -236,8 +236,12 @@ class Steep(nn.Module):
 
 def test_a_lane_that_is_not_finite_fails_alone_and_is_named():
     system = arm(Steep())
-    motion = mbd.simulate(system, 0.02, steps=8, designs={"controller.gain": tensor(0.1, 2.0)})
+    gains = tensor(0.1, 2.0).requires_grad_()
+    motion = mbd.simulate(system, 0.02, steps=8, designs={"controller.gain": gains})
     assert motion.status[0] == "ok"
+    motion.q[0].square().sum().backward()
+    assert float(gains.grad[0].abs()) > 0.0
+    assert float(gains.grad[1]) == 0.0
     assert "module Steep of the controller 'controller' is not finite near t = 0.0" in motion.status[1]
 
 
@@ -448,3 +452,35 @@ def test_arguments_that_are_refused():
     ):
         with pytest.raises(InputError, match=said):
             make()
+
+
+def test_shared_weights():
+    """One module in two controllers, and one layer twice in a module: one parameter, whose gradient is of all its places."""
+    layer = nn.Linear(2, 2, bias=False, dtype=torch.float64)
+    twice = nn.Sequential(layer, nn.Tanh(), layer)
+    body, joint = hinged()
+    inputs = [S.JointRate(joint), S.Time()]
+    first = mbd.Controller(twice, inputs, [S.JointTorque(joint), S.ForceOn(body.at(0.1, 0.0, 0.0), "y")], "first")
+    second = mbd.Controller(twice, inputs, [S.ForceOn(body.at(0.2, 0.1, 0.0), axis) for axis in "xz"], "second")
+    system = mbd.System([body], [joint], [first, second], gravity=GRAVITY)
+    (name,) = (name for name, _ in system.named_parameters())
+
+    def f(x: Tensor) -> Tensor:
+        motion = mbd.simulate(system, 0.05, designs={name: x.reshape(2, 2)}, **OPTIONS)
+        return (motion.q * (1.0 + motion.q) + motion.v.sum(2, keepdim=True)).sum((1, 2))
+
+    x = layer.weight.detach().flatten()
+    expected = differences(f, x, 1e-2)[0]
+    assert_close(torch.func.jacrev(f)(x)[0], expected, rtol=0, atol=1e-6 * float(expected.abs().max()))
+    assert_close(torch.func.jacfwd(f)(x)[0], expected, rtol=0, atol=1e-6 * float(expected.abs().max()))
+    before = layer.weight.clone()
+    mbd.simulate(system, 0.05, **OPTIONS).v.sum().backward()
+    assert layer.weight.grad is not None
+    assert torch.equal(layer.weight, before)
+
+
+def test_controllers_of_one_name_are_refused():
+    body, joint = hinged()
+    two = [mbd.Controller(linear((1.0,)), [S.JointRate(joint)], [S.JointTorque(joint)]) for _ in range(2)]
+    with pytest.raises(InputError, match="'controller' has design variables; allowed: a name of its own"):
+        mbd.System([body], [joint], two)
