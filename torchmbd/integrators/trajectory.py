@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, SimulationFailure, unknown
@@ -141,6 +142,7 @@ class Trajectory:
     known: dict[Any, Any] | None = field(default=None, repr=False)  # what measures evaluated together share
     variables: dict[str, Tensor] = field(default_factory=dict, repr=False)
     integration: Any = field(default=None, repr=False)
+    _energies: dict[bool, Energies] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def lanes(self) -> int:
@@ -245,10 +247,13 @@ class Trajectory:
         """Force and torque of a joint on its second body, in the frame of its first."""
         return reaction(self, joint)
 
-    @cached_property
+    @property
     def energies(self) -> Energies:
         """Kinetic, strain and potential energy, what was dissipated, and the work of forces and drives, over time."""
-        return energies(self)
+        mode = torch.is_grad_enabled()  # those of one mode have no gradient, or keep a graph
+        if mode not in self._energies:
+            self._energies[mode] = energies(self)
+        return self._energies[mode]
 
     def singular_positions(self) -> list[SingularPosition]:
         """Where and when the motion came near a position at which its constraints lose rank."""
