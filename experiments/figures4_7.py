@@ -70,8 +70,6 @@ class Rod:
         """Time [s]; by place of the node the deflection [m] and its sensitivity [m/rad], by direct differentiation."""
         system = build(1, [self.degrees], self.cells, updated=updated)
         motion = mbd.simulate(system, DURATION, gradients="forward", variables=[ANGLES], **self.options).require_ok()
-        motion.modes("rod")
-        motion.prepare()
 
         def moved(delta: torch.Tensor) -> dict[str, torch.Tensor]:
             return {place: deflection(motion.moved(delta), place)[0] for place in PLACES}

@@ -264,18 +264,19 @@ class Trajectory:
         return self.shapes.values(name)
 
     def moved(self, delta: Tensor) -> Trajectory:
-        """The motion of all designs moved by delta [n_b], to first order, for functions that events and impacts look at."""
-        return self._neighbor(Moved(self.signals, delta), delta)
-
-    def _neighbor(self, signals: Signals, delta: Tensor) -> Trajectory:
+        """The motion of all designs moved by delta [n_b], to first order; InputError where it has no tangents."""
+        made = self.integration
+        if made is not None and self.tangents("q", ()) is None:
+            raise InputError("a motion without tangents is moved; allowed: simulate(..., gradients='forward')")
+        dynamics, plain = (self.dynamics, self) if made is None else (made.dynamics, self.detach())
         return replace(
-            self,
-            signals=signals,
-            dynamics=replace(self.dynamics, data=MovedData(self.dynamics.data, delta)),
-            shapes=MovedShapes(self.shapes, delta),
-            designs=moved_designs(self.designs, self.parameters, delta),
+            plain,
+            signals=Moved(self.sensitivities, delta),
+            dynamics=replace(self.dynamics, data=MovedData(dynamics.data, delta)),
+            shapes=MovedShapes(plain.shapes, delta),
+            designs=moved_designs(plain.designs, self.parameters, delta),
             parameters=(),
-            switches=[switch.moved(delta) for switch in self.switches],
+            switches=[switch.moved(delta) for switch in plain.switches],
             known=None if self.known is None else {},
             integration=None,
         )
