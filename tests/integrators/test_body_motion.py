@@ -49,3 +49,10 @@ def test_points_that_do_not_exist(motion):
         motion.body("arm").at("left")
     with pytest.raises(mbd.InputError, match=r"'lefft'.*did you mean 'left'"):
         motion.body("rod").at("lefft")
+
+
+def test_a_motion_without_tangents_is_not_moved():
+    for way, said in (("reverse", "come by the adjoint"), ("none", "a motion without tangents is moved")):
+        motion = mbd.simulate(pendulum(), 0.01, steps=8, gradients=way)
+        with pytest.raises(mbd.InputError, match=rf"{said}.*; allowed: simulate\(..., gradients='forward'\)"):
+            motion.moved(torch.zeros(2, dtype=torch.float64))

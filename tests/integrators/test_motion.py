@@ -277,3 +277,82 @@ def test_a_number_that_depends_on_no_parameter(system, angles):
     assert bool(torch.isfinite(slope).all())
     (nothing,) = torch.autograd.grad(motion.t.sum() + 0.0 * motion.q.sum(), x)
     assert nothing.tolist() == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_look_without_gradients_takes_none_away(system, angles, way):
+    """What was asked for under `no_grad` is asked for again with a gradient."""
+    looks = {
+        "q": lambda motion: motion.q,
+        "lam": lambda motion: motion.lam,
+        "energies": lambda motion: motion.energies.stored,
+        "modes": lambda motion: motion.modes("rod"),
+        "reaction": lambda motion: motion.reaction(system.joints[0].name).force,
+    }
+    x = angles.clone().requires_grad_()
+    motion = mbd.simulate(system, 0.01, designs={ANGLES: x}, gradients=way, **OPTIONS)
+    for name, look in looks.items():
+        with torch.no_grad():
+            before = look(motion)
+        found = look(motion)
+        assert (before.requires_grad, found.requires_grad) == (False, True), name
+        assert torch.equal(before, found.detach()), name
+
+
+@pytest.mark.parametrize("gradients", ["auto", "forward", "reverse"])
+def test_a_design_that_is_no_variable_is_refused_where_it_is_differentiated(system, angles, gradients):
+    name = "rod.laminate.thickness"
+    designs = {ANGLES: angles, name: system.get_parameter(name).detach().clone().requires_grad_()}
+    with pytest.raises(InputError, match=rf"design '{name}' is being differentiated, but variables is \['{ANGLES}'\]"):
+        mbd.simulate(system, 0.01, designs=designs, gradients=gradients, variables=[ANGLES], **OPTIONS)
+    designs[name] = designs[name].detach()
+    motion = mbd.simulate(system, 0.01, designs=designs, gradients=gradients, variables=[ANGLES], **OPTIONS)
+    assert motion.ok
+
+
+def test_vmap_without_gradients(system, angles):
+    """Also of what has the design in its data."""
+    many = torch.stack([angles, angles + 0.3])
+
+    def f(x: Tensor) -> Tensor:
+        motion = mbd.simulate(system, 0.002, "rk4", steps=4, designs={ANGLES: x}, gradients="none")
+        return motion.body("rod").strain_energy[0]
+
+    assert_close(torch.vmap(f)(many), torch.stack([f(x) for x in many]), rtol=1e-12, atol=0)
+    with pytest.raises(InputError, match=r"gradients='none' is being differentiated; allowed: 'auto' or 'forward'"):
+        torch.func.jvp(f, (angles,), (torch.ones_like(angles),))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_batch_of_vmap_whose_lanes_fail_has_gradients_of_its_shape(system, angles, way):
+    many = torch.stack([angles, angles + 0.1, angles - 0.2])
+
+    def f(x: Tensor) -> Tensor:  # one step over a swing: its iteration does not converge
+        motion = mbd.simulate(system, 0.3, steps=1, designs={ANGLES: x}, gradients=way)
+        return motion.body("rod").strain_energy.sum()
+
+    for inside in (torch.func.jacrev, torch.func.jacfwd):
+        found = torch.vmap(inside(f))(many)
+        assert found.shape == many.shape
+        assert bool(found.isfinite().all())
+
+
+def test_vmap_over_phases(system, angles):
+    """What lanes have in common with vmap is the same; energies, whose times are those of each lane, are refused."""
+    many = torch.stack([angles, angles + 0.2])
+    phases = [mbd.Phase(until=0.004), mbd.Phase(lock=[system.joints[0]])]
+
+    def motion(x: Tensor) -> mbd.Trajectory:
+        return mbd.simulate(system, 0.01, designs={ANGLES: x}, phases=phases, **OPTIONS)
+
+    def f(x: Tensor) -> Tensor:
+        found = motion(x)
+        return found.lam.square().sum() + found.switches[0].after.v.sum() + found.body("rod").strain_energy.sum()
+
+    assert_close(torch.vmap(f)(many), torch.stack([f(x) for x in many]), rtol=1e-9, atol=0)
+    slopes = torch.stack([torch.func.jacrev(f)(x) for x in many])
+    for inside in (torch.func.jacrev, torch.func.jacfwd):
+        found = torch.vmap(inside(f))(many)
+        assert_close(found, slopes, rtol=0, atol=1e-8 * float(slopes.abs().max()))
+    with pytest.raises(InputError, match=r"energies of a motion with phases .*vmap"):
+        torch.vmap(lambda x: motion(x).energies.stored)(many)

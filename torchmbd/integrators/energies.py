@@ -23,6 +23,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.numerics.pair import dot, matvec, value
 from torchmbd.system import equations
 from torchmbd.system.side_by_side import side_by_side
@@ -58,6 +59,11 @@ class Energies:
 
 def energies(motion: Trajectory) -> Energies:
     """Of all lanes of a motion."""
+    if motion.switches and len(motion.status) != motion.lanes:
+        raise InputError(
+            "energies of a motion with phases are asked for in torch.func.vmap, but lanes switch at times of their own; "
+            "allowed: designs [lanes, ...] in one simulate"
+        )
     parts = [_lane(motion, lane) for lane in range(motion.lanes)]
     return Energies(*(torch.stack(x) for x in zip(*parts, strict=True)))
 

@@ -17,6 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.forces.action import Action
 from torchmbd.integrators import staged_alpha, staged_ode
 from torchmbd.integrators.attempts import careful, has_failed, run, status_of, steps_that_fit
@@ -77,12 +78,13 @@ class ForwardIntegration:
         else:
             self._through_phases(designs, self.phases)
         data = self.dynamics.data
-        self.moving = tuple(name for name, x in data.items() if isinstance(x, Pair))
+        self.moving = tuple(name for name, x in data.items() if isinstance(x, Pair) or x.shape[-1] > 1)
         h = self.history
-        numbers = [Pair(x) for x in (h.q, h.v, h.vd, h.lam)] + [data[name] for name in self.moving]
+        numbers = [Pair(x) for x in (h.q, h.v, h.vd, h.lam)]
+        numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.moving)]
         for switch in self.switches:
             numbers += _numbers_of(switch)
-        self._tangents = [x.tangent for x in numbers] if self.variables else []
+        self._tangents = [x.tangent for x in numbers]
         return tuple(value(x) for x in numbers)
 
     def _plainly(self, designs: dict[str, Tensor]) -> None:
@@ -112,6 +114,8 @@ class ForwardIntegration:
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         """As of `Integration`."""
+        if not self.variables:
+            raise InputError("a motion with gradients='none' is being differentiated; allowed: 'auto' or 'forward'")
         found = [None if d is None or name not in self.variables else d for name, d in self._by_name(directions)]
         count = next((x.shape[-2] for x in found if x is not None), 1)
         flat = []
@@ -169,6 +173,9 @@ class ForwardIntegration:
 
     def _size(self, name: str) -> int:
         return dict(self.system.named_parameters())[name].numel()
+
+    def _constant(self, x: Tensor) -> Pair:
+        return Pair.of(x, x.new_zeros(*x.shape[:-2], len(self.labels), x.shape[-1]))
 
     def _no_tangents(self, size: int, count: int) -> Tensor:
         return torch.zeros(size, count, 1, dtype=torch.float64)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 from torch import Tensor
 
@@ -37,7 +36,7 @@ class History:
             return self.expansion.rows(order, x, rows, known=not slots.start)
         return x if rows is None else chosen(x, rows)
 
-    @cached_property
+    @property
     def multipliers(self) -> Tensor:
         """Of all constraints [times, rows, slots, lanes]."""
         if self.expansion is None:

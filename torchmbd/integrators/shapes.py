@@ -100,9 +100,9 @@ def sound_lanes(status: Sequence[str], lanes: int) -> Tensor | None:
     return None if all(good) or len(good) != lanes else torch.tensor(good)
 
 
-def without_failed(data: dict[str, Any], status: Sequence[str]) -> dict[str, Any]:
+def without_failed(data: dict[str, Any], status: Sequence[str], lanes: int) -> dict[str, Any]:
     """Data [component..., 1, lanes] that have no gradient in lanes that failed: that of their motion would be nan."""
-    good = sound_lanes(status, len(status))
+    good = sound_lanes(status, lanes)
     if good is None:
         return data
 

@@ -94,6 +94,8 @@ def simulate(
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
     with torch.inference_mode(False), torch.set_grad_enabled(grad):
         names = _variables(system, given, gradients, variables)
+        if gradients != "none":
+            _require_wanted(names, given)
         own = dict(system.named_parameters())
         batch = _same_lanes({name: own[name][None] for name in names if name not in given} | given)
         if gradients in ("forward", "reverse"):
@@ -160,6 +162,16 @@ def _variables(
     return names
 
 
+def _require_wanted(names: Sequence[str], given: Mapping[str, Tensor]) -> None:
+    """InputError where a design is being differentiated, but is none of the variables of this name."""
+    for name, x in given.items():
+        if name not in names and watched(x):
+            raise InputError(
+                f"design {name!r} is being differentiated, but variables is {list(names)}; allowed: variables with it, "
+                "or its x.detach()"
+            )
+
+
 def _reverse(
     system: System,
     batch: dict[str, Tensor],
@@ -203,7 +215,7 @@ def _presented(
     """What was integrated, with all that belongs to it, as functions of the outputs, the data and the designs."""
     q, v, vd, lam = outputs
     whole = integration.dynamics
-    data = without_failed(data, integration.status)
+    data = without_failed(data, integration.status, q.shape[-1])
     dynamics = Dynamics(whole.topology, whole.saddle, data, whole.initial, whole.stabilization, whole.backend)
     history = History(q, v, vd, lam, integration.expansion(data))
     signals = Recorded(history, integration, data)

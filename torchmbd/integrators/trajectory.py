@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, SimulationFailure, unknown
@@ -141,6 +142,7 @@ class Trajectory:
     known: dict[Any, Any] | None = field(default=None, repr=False)  # what measures evaluated together share
     variables: dict[str, Tensor] = field(default_factory=dict, repr=False)
     integration: Any = field(default=None, repr=False)
+    _energies: dict[bool, Energies] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def lanes(self) -> int:
@@ -245,10 +247,13 @@ class Trajectory:
         """Force and torque of a joint on its second body, in the frame of its first."""
         return reaction(self, joint)
 
-    @cached_property
+    @property
     def energies(self) -> Energies:
         """Kinetic, strain and potential energy, what was dissipated, and the work of forces and drives, over time."""
-        return energies(self)
+        mode = torch.is_grad_enabled()  # those of one mode have no gradient, or keep a graph
+        if mode not in self._energies:
+            self._energies[mode] = energies(self)
+        return self._energies[mode]
 
     def singular_positions(self) -> list[SingularPosition]:
         """Where and when the motion came near a position at which its constraints lose rank."""
@@ -259,18 +264,19 @@ class Trajectory:
         return self.shapes.values(name)
 
     def moved(self, delta: Tensor) -> Trajectory:
-        """The motion of all designs moved by delta [n_b], to first order, for functions that events and impacts look at."""
-        return self._neighbor(Moved(self.signals, delta), delta)
-
-    def _neighbor(self, signals: Signals, delta: Tensor) -> Trajectory:
+        """The motion of all designs moved by delta [n_b], to first order; InputError where it has no tangents."""
+        made = self.integration
+        if made is not None and self.tangents("q", ()) is None:
+            raise InputError("a motion without tangents is moved; allowed: simulate(..., gradients='forward')")
+        dynamics, plain = (self.dynamics, self) if made is None else (made.dynamics, self.detach())
         return replace(
-            self,
-            signals=signals,
-            dynamics=replace(self.dynamics, data=MovedData(self.dynamics.data, delta)),
-            shapes=MovedShapes(self.shapes, delta),
-            designs=moved_designs(self.designs, self.parameters, delta),
+            plain,
+            signals=Moved(self.sensitivities, delta),
+            dynamics=replace(self.dynamics, data=MovedData(dynamics.data, delta)),
+            shapes=MovedShapes(plain.shapes, delta),
+            designs=moved_designs(plain.designs, self.parameters, delta),
             parameters=(),
-            switches=[switch.moved(delta) for switch in self.switches],
+            switches=[switch.moved(delta) for switch in plain.switches],
             known=None if self.known is None else {},
             integration=None,
         )
