@@ -22,6 +22,7 @@ Nothing else is written for a force: design tangents come from pairs, the iterat
 `Turn` measures within half a turn around the `center` of its law (0 by default).
 A law is elementwise: it sees s and s' of shape [1, 1, lanes] and returns that shape. It may state its own derivatives by s
 and s' (`slopes`, as the laws of laws.py do); otherwise they come from forward mode, and the step is not compiled.
+The law of an action that a controller reads or sets is a Port: what that does is added to all strengths (control.py).
 Checked in tests/contracts/test_actions.py: direction against autograd, momentum, slopes of laws.
 """
 

@@ -7,7 +7,7 @@ force of its own. `Links` adds the u of all controllers to the strengths of all 
 the iteration matrix come from the directions of the kinds and from derivatives of the module.
 The module sees one lane at a time, under torch.func.vmap where there are several: lanes cannot mix.
 `data["law NAME"]` holds the parameters of the controller NAME, flat [k, slots, lanes].
-Checked in tests/forces/test_controller.py.
+Checked in tests/forces/test_controller.py, tests/forces/test_controller_refusals.py.
 """
 
 from __future__ import annotations
