@@ -20,7 +20,7 @@ def test_python_example_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     names: dict = {}
     first, _ = blocks("python")
     exec(compile(first, "README.md", "exec"), names)
-    assert names["gradient"].shape == (1, 3)
+    assert names["laminate"].angles.grad.shape == (3,)
     assert names["result"].value < float(names["value"])
     assert (tmp_path / "rod.html").stat().st_size > 10_000
 

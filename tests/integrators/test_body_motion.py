@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
