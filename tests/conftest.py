@@ -1,4 +1,4 @@
-"""What all tests share: one thread, no compilation in the background, and a small slider-crank."""
+"""What all tests share: one thread, no compilation, and a small slider-crank."""
 
 from __future__ import annotations
 

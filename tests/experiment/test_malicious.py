@@ -89,7 +89,7 @@ def test_models_of_two_folders_have_their_own_modules(tmp_path):
 
 
 def test_modules_in_the_current_folder_are_not_executed_by_the_server_of_ui(tmp_path):
-    """With the environment that `ui` gives it, its workers too; for builds in the background see test_library.py."""
+    """With the environment that `ui` gives it, its workers too."""
     proof = tmp_path / "proof"
     for name in ("random.py", "signal.py", "pickle.py"):
         (tmp_path / name).write_text(f"open({str(proof)!r}, 'w')\nraise RuntimeError('mine')\n")

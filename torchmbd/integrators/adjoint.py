@@ -1,6 +1,6 @@
 """The adjoint of a simulation by generalized-alpha: gradients of few responses by many design variables.
 
-Tangents cost a share of a simulation for each *variable*; going back through the steps costs about half of one for each
+Tangents cost a share of a simulation for each *variable*; the adjoint of the steps costs about half of one for each
 *response*, and as much once for all, however many variables there are. y the derivative of a response by the state
 x1 = F(z, x) after a step, z the unknowns of the step, R(z; x, b) = 0 (step.py):
 
@@ -10,11 +10,11 @@ x1 = F(z, x) after a step, z the unknowns of the step, R(z; x, b) = 0 (step.py):
 
 and last y' dx/db of the state at the start. It is the exact derivative of the discrete map, as the tangents are: both
 agree within what their iterations leave. mu comes from the factors of the iteration matrix, transposed and at the solution
-itself, with corrections until they are small. The structure stage stays in forward mode: dJ/db is taken by the numbers of
-the reduced model, whose tangents are there.
+itself, with corrections until they are small. b are the numbers of the reduced model: torch differentiates the structure
+stage that they come from.
 
-`Adjoint` is what a motion keeps for it; `Sweep` goes back through equal steps by operators of torch, compiled_adjoint.py
-by compiled code. Not for phases, nor for the methods of torchdiffeq.
+`Adjoint` is kept by the integration (reverse_integration.py); `Sweep` makes the steps by operators of torch,
+compiled_adjoint.py by compiled code. Not for phases, nor for the methods of torchdiffeq.
 Checked in tests/sensitivity/test_adjoint.py, tests/contracts/test_adjoint.py (all joints and forces).
 Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 15 (implicit functions).
 """

@@ -144,18 +144,13 @@ class ForwardIntegration:
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """As of ReverseIntegration."""
-        known = self.history.expansion
-        return None if known is None else replace(known, data=data)
+        return self.history.expansion_by(data)
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
         """As of ReverseIntegration, with as many slots as the history has."""
         if self._course is not None:
             return self._course.multipliers(history, data)
-        least = self.dynamics.least_norm
-        if least is None:
-            return history.multipliers
-        times = torch.linspace(0.0, self.duration, len(history.q), dtype=torch.float64)
-        return least.at_times(data, times, history.rows(0), history.multipliers)
+        return history.settled(self.dynamics.least_norm, self.duration, data)
 
     def switches_of(self, numbers: Sequence[Tensor]) -> list[Switch]:
         """The switches with their numbers as differentiable outputs."""

@@ -8,13 +8,16 @@ Checked in tests/integrators/test_signals.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import torch
 from torch import Tensor
 
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import Pair, value
+from torchmbd.system.equations import Data
 from torchmbd.system.expansion import Expansion, chosen
+from torchmbd.system.least_norm import LeastNorm
 
 
 @dataclass
@@ -42,6 +45,17 @@ class History:
         if self.expansion is None:
             return self.lam
         return self.expansion.multipliers(self.q, self.v, self.vd, self.lam)
+
+    def expansion_by(self, data: Data) -> Expansion | None:
+        """Leads to the whole system as a function of its data; None: it is the whole."""
+        return None if self.expansion is None else replace(self.expansion, data=data)
+
+    def settled(self, least: LeastNorm | None, duration: float, data: Data) -> Tensor:
+        """Multipliers of all constraints [times, rows, slots, lanes]; of redundant rows those of least norm."""
+        if least is None:
+            return self.multipliers
+        times = torch.linspace(0.0, duration, len(self.q), dtype=torch.float64)
+        return least.at_times(data, times, self.rows(0), self.multipliers)
 
     @classmethod
     def of(cls, states: list[State]) -> History:

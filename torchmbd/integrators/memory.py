@@ -4,9 +4,9 @@
     motion    = 3 * 8 * times * (n_q + 2 n_v + rows) * (1 + n_b)                    coordinates, rates, ... and copies of them
     structure = sum over flexible bodies of nodes * (a + b sqrt(nodes) + c modes + n_b (d + e modes))
 
-n_b design tangents of the motion. Going back through it (adjoint.py) there are none, except in the structure stage.
+n_b design tangents of the motion. For the adjoint (adjoint.py) there are none, except in the structure stage.
 Measured on the peak of processes: plates of 65 to 3201 nodes, 6 and 20 modes, up to 8 variables, 2 to 100 000 steps.
-Assumed: other processes keep what they have. Memory of a GPU is not looked at.
+Assumed: other processes keep what they have.
 Checked in tests/integrators/test_memory.py.
 """
 

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from torchmbd.integrators import compiled_adjoint, generalized_alpha
@@ -91,16 +90,11 @@ class ReverseIntegration:
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """Leads from what was integrated to the whole system, as a function of the data; None: it is the whole."""
-        known = self.history.expansion
-        return None if known is None else replace(known, data=data)
+        return self.history.expansion_by(data)
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
         """All multipliers [times, rows, 1, lanes]; of redundant rows those of least norm."""
-        least = self.dynamics.least_norm
-        if least is None:
-            return history.multipliers
-        times = torch.linspace(0.0, self.duration, len(history.q), dtype=torch.float64)
-        return least.at_times(data, times, history.rows(0), history.multipliers)
+        return history.settled(self.dynamics.least_norm, self.duration, data)
 
     def _with(self, inputs: Any) -> Dynamics:
         return replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
