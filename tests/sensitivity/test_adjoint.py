@@ -72,6 +72,21 @@ def test_compiled_and_eager_agree(name, native):
     assert float(((fast - eager).abs().amax((0, 1)) / eager.abs().amax((0, 1))).max()) < 1e-8
 
 
+@pytest.mark.parametrize("backend", ["eager", "native"])
+def test_segments_change_nothing(backend, native, monkeypatch):
+    """The algorithmic acceleration at the start of a segment, the cotangents at its end, and laws of the design."""
+    make, duration, steps = CASES["laws of drives"]
+    system = make()
+    names = [name for name, x in system.named_parameters() if x.requires_grad]
+    options = {"steps": steps, "variables": names, "designs": designs_of(system, names), "iterations": (4, 2)}
+    found = []
+    for length in (adjoint.SEGMENT, 7):
+        monkeypatch.setattr(adjoint, "SEGMENT", length)
+        motion = finished(mbd.simulate(system, duration, gradients="reverse", backend=backend, **options))
+        found.append(differentiate(everything, motion).gradient)
+    assert_close(found[1], found[0], rtol=1e-11, atol=1e-13 * float(found[0].abs().max()))
+
+
 def test_the_compiled_error_is_the_largest_of_all_steps(native):
     """What one correction leaves differs by thousands from step to step; the adjoint comes to the first step last."""
     make, duration, steps = CASES["redundant"]

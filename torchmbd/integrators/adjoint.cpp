@@ -25,7 +25,7 @@ struct Job {
   const double *stay, *lost;                       // [N], or null
   const double *nothing;                           // [block][8], see march.py
   double *slopes, *moved_slopes;                   // [block][rows][data][8], [steps][block][rows][moving][8], zeros
-  double *start_slopes;                            // [block][rows][N_X][8], by the state at the start
+  double *state_slopes;                            // [block][rows][N_X][8], in: by the last state, out: by the first
   double *error;                                   // [block][8], estimated relative error of mu
   double *room;                                    // scratch
   long moved_slots, corrections;                   // 1 + any; of mu, at least
@@ -95,8 +95,7 @@ extern "C" long adjoint(const Job* job) {
         as[(i + 1) * N_V + n] = u[A_FROM_VD] * before + u[A_FROM_A] * as[i * N_V + n] + u[SHARE] * after;
       }
     }
-    std::memset((void*)ys, 0, S * N_X * sizeof(V));
-    for (long s = 0; s < S; s++) take(J, J.steps, s, block, valid, ys + s * N_X);
+    std::memcpy((void*)ys, (const V*)J.state_slopes + block * S * N_X, S * N_X * sizeof(V));
     state(J, J.steps, block, valid, x);
     for (long i = J.steps - 1; i >= 0; i--) {
       if (J.moving) {
@@ -158,7 +157,7 @@ extern "C" long adjoint(const Job* job) {
         std::memset((void*)(own + J.data - J.moving), 0, J.moving * sizeof(V));
       }
     }
-    std::memcpy((V*)J.start_slopes + block * S * N_X, ys, S * N_X * sizeof(V));
+    std::memcpy((V*)J.state_slopes + block * S * N_X, ys, S * N_X * sizeof(V));
     ((V*)J.error)[block] = worst;
   }
   return 0;

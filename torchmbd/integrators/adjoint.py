@@ -44,10 +44,16 @@ MOST = 12  # corrections of mu
 # Estimated relative errors of mu. The largest gradient of a response has 100 times that at most, as measured.
 POOR = 1e-5  # worth a warning
 ENOUGH = 1e-8  # gets no other correction; most steps have it after the first
+SEGMENT = 2000  # steps
 
 
 # What responses take from q, v, a, lam, in this order [times, n, rows, lanes]; None: nothing.
 Bars = Sequence[Tensor | None]
+
+
+def segments(steps: int) -> list[range]:
+    """All steps, in runs of at most SEGMENT."""
+    return [range(i, min(i + SEGMENT, steps)) for i in range(0, steps, SEGMENT)]
 
 
 def rows_of(bars: Bars) -> int:
@@ -197,40 +203,77 @@ def _spaced(x: Tensor, every: int) -> Tensor:
 
 
 class Sweep:
-    """The way back through one grid by operators of torch."""
+    """The way back through one grid by operators of torch, one segment of steps after the other, the last one first.
+
+    So the memory that it takes besides the history does not grow with the number of steps.
+    """
 
     def __init__(self, grid: Grid):
         self.grid, self.dynamics = grid, grid.dynamics
-        T = self.dynamics.topology
-        self.schedule = T.schedule(grid.times[1:], self.dynamics.data)
         self.diagonal, self.nothing = self.dynamics.diagonal(), nothing(self.dynamics)
+        T = self.dynamics.topology
         self.factor = Elimination(T) if pays(T) else factored
+        self.segments = segments(len(grid.times) - 1)
+        self.accelerations = self._accelerations()
 
     def __call__(self, bars: Bars) -> tuple[Cotangents, Tensor]:
         """Cotangents of the steps, and their estimated relative error [lanes]."""
-        lanes = len(self.grid.lanes)
+        bars = [x if x is None else x.contiguous() for x in bars]
+        y, by, laws = self._taken(bars, -1), {}, []
+        error = torch.zeros(len(self.grid.lanes), dtype=torch.float64)
+        for number in reversed(range(len(self.segments))):
+            found, left = self._segment(number, bars, y)
+            by = {name: x + by.get(name, 0.0) for name, x in found.data.items()}
+            laws.append(found.laws)
+            y, error = found.start, error.maximum(left)
+        varied = self.dynamics.topology.varied
+        return Cotangents(by, torch.cat(laws[::-1]) if varied else None, y), error
+
+    def _segment(self, number: int, bars: Bars, y: State) -> tuple[Cotangents, Tensor]:
+        """As of `__call__`, of one segment from the cotangents y of its last state; `start` are those of its first state."""
+        steps, lanes = self.segments[number], len(self.grid.lanes)
+        T = self.dynamics.topology
+        schedule = self._schedule(steps)
         data = {name: _leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
-        model = Model(self.dynamics.topology, self.dynamics.saddle, self.grid.weights, data)
-        states = self._states()
-        y = self._taken(bars, -1)
+        model = Model(T, self.dynamics.saddle, self.grid.weights, data)
+        states = self._states(number)
         by: dict[str, Any] = dict.fromkeys(data, 0.0)
         laws, error = [], torch.zeros(lanes, dtype=torch.float64)
-        for i in reversed(range(len(self.schedule))):
-            found = _StepBack(model, states[i], states[i + 1], self.schedule[i], self.grid.corrections, self.nothing)
+        for i in reversed(range(len(steps))):
+            found = _StepBack(model, states[i], states[i + 1], schedule[i], self.grid.corrections, self.nothing)
             y, by_data, by_laws, left = found(y, self._factors)
-            y = State(*(a + b for a, b in zip(y, self._taken(bars, i), strict=True)))
+            y = State(*(a + b for a, b in zip(y, self._taken(bars, steps[i]), strict=True)))
             by = {name: x + by_data[name] for name, x in by.items()}
             laws.append(torch.cat(list(by_laws.values())) if by_laws else None)
             error = error.maximum(left)
-        return Cotangents(by, torch.stack(laws[::-1]) if self.dynamics.topology.varied else None, y), error
+        return Cotangents(by, torch.stack(laws[::-1]) if T.varied else None, y), error
 
-    def _states(self) -> list[State]:
-        """States [n, 1, lanes] at all times; the algorithmic acceleration, which is not recorded, from the others."""
-        h, w = self.grid.history, self.grid.weights
-        a, found = value(self.grid.start.a).expand(*h.vd.shape[1:]), []
-        for i, (q, v, vd, lam) in enumerate(zip(h.q, h.v, h.vd, h.lam, strict=True)):
-            a = w.a_from_vd * h.vd[i - 1] + w.a_from_a * a + w.share * vd if i else a
-            found.append(State(q, v, vd, a, lam))
+    def _schedule(self, steps: range) -> list[Prescribed]:
+        """What is known at the ends of steps."""
+        return self.dynamics.topology.schedule(self.grid.times[steps.start + 1 : steps.stop + 1], self.dynamics.data)
+
+    def _accelerations(self) -> list[Tensor]:
+        """The algorithmic acceleration [n_v, 1, lanes] at the first state of each segment; it is not recorded.
+
+        a1 = w(v0', v1') + c a0 over a segment is a sum with powers of c.
+        """
+        w, vd = self.grid.weights, self.grid.history.vd
+        a = value(self.grid.start.a).expand(*vd.shape[1:])
+        found = [a]
+        for steps in self.segments[:-1]:
+            some = vd[steps.start : steps.stop + 1]
+            powers = w.a_from_a ** torch.arange(len(steps), dtype=torch.float64).flip(0)
+            new = torch.einsum("t,tnsl->nsl", powers, w.a_from_vd * some[:-1] + w.share * some[1:])
+            found.append(new + w.a_from_a ** len(steps) * found[-1])
+        return found
+
+    def _states(self, number: int) -> list[State]:
+        """States [n, 1, lanes] at all times of a segment."""
+        h, w, steps = self.grid.history, self.grid.weights, self.segments[number]
+        a, found = self.accelerations[number], []
+        for i in range(steps.start, steps.stop + 1):
+            a = w.a_from_vd * h.vd[i - 1] + w.a_from_a * a + w.share * h.vd[i] if found else a
+            found.append(State(h.q[i], h.v[i], h.vd[i], a, h.lam[i]))
         return found
 
     def _taken(self, bars: Bars, i: int) -> State:

@@ -24,11 +24,10 @@ from torchmbd.integrators.blocks import (
 )
 from torchmbd.integrators.library import library
 from torchmbd.integrators.step import State
-from torchmbd.numerics.pair import value
 
 _NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
 _ARRAYS = ("given", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
-_ARRAYS += ("stay", "lost", "nothing", "slopes", "moved_slopes", "start_slopes", "error", "room")
+_ARRAYS += ("stay", "lost", "nothing", "slopes", "moved_slopes", "state_slopes", "error", "room")
 
 
 class _Job(ctypes.Structure):
@@ -56,35 +55,39 @@ class CompiledSweep(Sweep):
         self.code: ctypes.CDLL | None = code
         code.adjoint_room.restype = code.adjoint.restype = ctypes.c_long
         code.adjoint_room.argtypes = [ctypes.c_long, ctypes.c_long]
-        T, lanes = grid.dynamics.topology, len(grid.lanes)
-        plain = grid.dynamics.values()
-        self.values, _ = data_blocks(plain)
-        self.moved = moving_blocks(T, self.schedule, lanes, 0)
-        self.table = uniform(torch.tensor(grid.weights, dtype=torch.float64), shared(T, self.schedule))
+        lanes = len(grid.lanes)
+        self.values, _ = data_blocks(grid.dynamics.values())
         h = grid.history
         self.states = [x.contiguous() for x in (h.q, h.v, h.vd, h.lam)]
         self.least = blocks(in_all_lanes(self.nothing[None, None], lanes))
-        self.start = blocks(in_all_lanes(value(grid.start.a), lanes))
+        self.weights = torch.tensor(grid.weights, dtype=torch.float64)
+        self._first_known = self._known(self.segments[0])  # most motions are one segment
 
-    def __call__(self, bars: Bars) -> tuple[Cotangents, Tensor]:
+    def _known(self, steps: range) -> tuple[Tensor, Tensor]:
+        """What is the same for all lanes at the ends of steps, and what moves with the design."""
+        T, schedule = self.dynamics.topology, self._schedule(steps)
+        return uniform(self.weights, shared(T, schedule)), moving_blocks(T, schedule, len(self.grid.lanes), 0)
+
+    def _segment(self, number: int, bars: Bars, y: State) -> tuple[Cotangents, Tensor]:
         if self.code is None:
-            return super().__call__(bars)
-        T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), rows_of(bars), len(self.table)
-        count, data, moving = len(self.values), self.values.shape[2], self.moved.shape[3]
-        n_x = T.n_q + 3 * T.n_v + T.rows
+            return super()._segment(number, bars, y)
+        T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), rows_of(bars), self.segments[number]
+        table, moved = self._known(steps) if number else self._first_known
+        count, data, moving = len(self.values), self.values.shape[2], moved.shape[3]
         new = self.values.new_zeros
-        slopes, moved_slopes = new(count, rows, data, 8), new(steps, count, rows, moving, 8)
-        start_slopes, error = new(count, rows, n_x, 8), new(count, 8)
-        room = torch.empty(self.code.adjoint_room(rows, steps) // 8, dtype=torch.float64)
-        arrays = [self.table, *self.states, *(x if x is None else x.contiguous() for x in bars), self.start]
-        arrays += [self.values, self.moved, *(self.diagonal or (None, None)), self.least]
-        arrays += [slopes, moved_slopes, start_slopes, error, room]
-        numbers = (lanes, rows, data, self.table.shape[1], steps, moving)
-        job = _Job(*numbers, *addresses(arrays), self.moved.shape[2], self.grid.corrections)
+        slopes, moved_slopes = new(count, rows, data, 8), new(len(steps), count, rows, moving, 8)
+        state_slopes, error = blocks(torch.cat([in_all_lanes(x, lanes) for x in y])), new(count, 8)
+        room = torch.empty(self.code.adjoint_room(rows, len(steps)) // 8, dtype=torch.float64)
+        arrays = [table, *(x[steps.start :] for x in self.states)]
+        arrays += [x if x is None else x[steps.start :] for x in bars]
+        arrays += [blocks(in_all_lanes(self.accelerations[number], lanes)), self.values, moved]
+        arrays += [*(self.diagonal or (None, None)), self.least, slopes, moved_slopes, state_slopes, error, room]
+        numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
+        job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.grid.corrections)
         if self.code.adjoint(ctypes.byref(job)):
             self.code = None
-            return super().__call__(bars)
-        y = lanes_out(start_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
+            return super()._segment(number, bars, y)
+        start = lanes_out(state_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         laws = torch.stack([lanes_out(x, lanes) for x in moved_slopes]) if moving else None
         by = unflattened(self.dynamics, lanes_out(slopes, lanes))
-        return Cotangents(by, laws, State(*y)), error.flatten()[:lanes]
+        return Cotangents(by, laws, State(*start)), error.flatten()[:lanes]
