@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
@@ -50,10 +49,3 @@ def test_points_that_do_not_exist(motion):
         motion.body("arm").at("left")
     with pytest.raises(mbd.InputError, match=r"'lefft'.*did you mean 'left'"):
         motion.body("rod").at("lefft")
-
-
-def test_a_motion_without_tangents_is_not_moved():
-    for way, said in (("reverse", "come by the adjoint"), ("none", "a motion without tangents is moved")):
-        motion = mbd.simulate(pendulum(), 0.01, steps=8, gradients=way)
-        with pytest.raises(mbd.InputError, match=rf"{said}.*; allowed: simulate\(..., gradients='forward'\)"):
-            motion.moved(torch.zeros(2, dtype=torch.float64))

@@ -8,7 +8,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from experiments.slider_crank import DURATION, build
-from torchmbd.integrators.signals import Given, Moved, Recorded
+from torchmbd.integrators.signals import Given, Recorded
 
 ANGLES = "rod.laminate.angles"
 NAMES = ("q", "v", "a")
@@ -55,17 +55,6 @@ def test_a_carrier_moves_as_its_drive_says(motion):
     assert float(motion.sensitivities.tangents("q", rows).abs().max()) == 0.0
 
 
-@pytest.mark.parametrize("name", [*NAMES, "lam"])
-def test_a_moved_motion_has_moved_rows(motion, name):
-    delta = torch.tensor([1e-3, -2e-3], dtype=torch.float64)
-    moved = Moved(motion.sensitivities, delta)
-    expected = motion.sensitivities.values(name) + motion.sensitivities.tangents(name) @ delta
-    assert_close(moved.values(name), expected)
-    assert_close(moved.values(name, [2, 0]), expected[..., [2, 0]])
-    assert moved.tangents(name) is None
-    assert (moved.lanes, moved.times) == (2, 41)
-
-
 def test_given_rows():
     q = torch.arange(24, dtype=torch.float64).reshape(2, 3, 4)
     signals = Given({"q": q}, {"q": torch.stack([q, -q], -1)})
@@ -100,3 +89,9 @@ def test_a_motion_stays_what_it_was(motion):
     shapes = first.modes("rod")
     designs.add_(0.5)
     assert_close(second.modes("rod"), shapes, rtol=0, atol=0)
+
+
+def test_a_motion_with_an_adjoint_has_no_tangents_and_says_so():
+    motion = mbd.simulate(build(2, modes=3, cells=(6, 2)), 0.02 * DURATION, steps=4, gradients="reverse")
+    with pytest.raises(mbd.InputError, match=r"dq_db: .* come by the adjoint.*; allowed: simulate\(..., gradients='f"):
+        _ = motion.dq_db

@@ -2,15 +2,15 @@
 
     g(t*, x(t*, b)) = 0        dt*/db = -g_b / g_t        both total derivatives along the motion
 
-g is a function: motion -> [lanes, times], written as for a history; here it sees one time only. Its derivatives by
-design and time come from the neighbors of the motion, as those of every response do.
+g is a function: motion -> [lanes, times], written as for a history; here it sees one time only. torch differentiates it in
+reverse mode by all that it sees: time, state, data of the model, designs and mode shapes. Where these have tangents, so has g.
 Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrators.shapes import DesignShapes, OneLane
+from torchmbd.integrators.shapes import DesignShapes, GivenShapes, OneLane, Shapes, shape_tangents
 from torchmbd.integrators.signals import Given, Rows, Signals
 from torchmbd.integrators.sized import determined
 from torchmbd.integrators.step import State
@@ -95,64 +95,139 @@ class Instant(Signals):
         return determined(self.dynamics, self.t, self.x)
 
 
+class Leaves:
+    """Values of one lane as leaves of a graph of torch, each with the tangents by which its gradient is multiplied.
+
+    n   number of tangents; directions that are missing are zero
+    """
+
+    def __init__(self, n: int):
+        self.n = n
+        self.values: list[Tensor] = []
+        self.tangents: list[Tensor] = []
+
+    def leaf(self, x: Tensor, tangents: Tensor | None) -> Tensor:
+        """A leaf with the value x; tangents [k, ...]: those beyond k are zero; None: all are."""
+        y = x.detach()
+        if tangents is None or not len(tangents):
+            return y
+        y = y.clone().requires_grad_()
+        flat = tangents.detach().reshape(len(tangents), -1)
+        self.values.append(y)
+        self.tangents.append(torch.nn.functional.pad(flat, (0, 0, 0, self.n - len(flat))))
+        return y
+
+    def number(self, x: Any) -> Tensor:
+        """A leaf of a number [..., 1 + k, 1]."""
+        return self.leaf(value(x), x.tangent.movedim(-2, 0) if isinstance(x, Pair) else None)
+
+    def pushed(self, y: Tensor) -> Tensor:
+        """Tangents [m, n] of y [m], a function of the leaves."""
+        found = y.new_zeros(len(y), self.n)
+        for i, row in enumerate(y.unbind()):
+            if row.requires_grad:
+                slopes = torch.autograd.grad(row, self.values, retain_graph=True, allow_unused=True)
+                parts = [dx @ s.flatten() for s, dx in zip(slopes, self.tangents, strict=True) if s is not None]
+                found[i] = torch.stack(parts).sum(0) if parts else 0.0
+        return found
+
+
 @dataclass
 class Views:
     """Makes motions of one time, for functions of the motion to look at.
 
-    whole  the motion's system, designs and parameters, with all lanes; keeps the mode shapes that were asked for
+    whole       the motion's system and designs, with all lanes; keeps the mode shapes that were asked for
+    directions  tangents of designs by name [k, lanes, ...]; designs without them stay as they are
     """
 
     whole: Trajectory
+    directions: dict[str, Tensor] = field(default_factory=dict)
+    _slopes: dict[str, Tensor] = field(default_factory=dict, init=False)
 
     @classmethod
-    def of(cls, system: Any, dynamics: Dynamics, designs: dict[str, Tensor], parameters: tuple[str, ...]) -> Views:
+    def of(
+        cls,
+        system: Any,
+        dynamics: Dynamics,
+        designs: dict[str, Tensor],
+        directions: dict[str, Tensor] | None = None,
+    ) -> Views:
         T, lanes = dynamics.topology, dynamics.lanes
         sizes = {"q": T.n_q, "v": T.n_v, "a": T.n_v, "lam": T.rows}
         nothing = Given({name: torch.zeros(lanes, 0, n, dtype=torch.float64) for name, n in sizes.items()})
         whole = Trajectory(
             t=torch.zeros(0, dtype=torch.float64),
             signals=nothing,
-            shapes=DesignShapes(system, designs, parameters, lanes),
+            shapes=DesignShapes(system, designs, lanes),
             status=[OK] * lanes,
             stats={},
             system=system,
             dynamics=dynamics,
             designs=designs,
-            parameters=parameters,
         )
-        return cls(whole)
+        return cls(whole, directions or {})
 
     def values(self, event: Event, dynamics: Dynamics, t: Tensor, x: State) -> Tensor:
         """The function at time t [] of all lanes [lanes]."""
         motion = self._motion(self.whole, dynamics, t[None, None], x.values())
         return event.of(motion)[:, 0]
 
-    def _lane(self, lane: int, dynamics: Dynamics, t: Any, x: State) -> Trajectory:
-        """The motion of one lane at t [1 + n, 1]."""
+    def value(self, event: Event, lane: int, dynamics: Dynamics, t: Any, x: State) -> Tensor:
+        """The function of one lane []."""
+        return event.of(self.at(lane, dynamics.values(), value(t), x.values()))[0, 0]
+
+    def at(
+        self,
+        lane: int,
+        dynamics: Dynamics,
+        t: Tensor,
+        x: State,
+        designs: Mapping[str, Tensor] | None = None,
+        shapes: Shapes | None = None,
+    ) -> Trajectory:
+        """The motion of one lane at t [1, 1], a function of all arguments; designs, shapes: instead of its own."""
+        own = {name: y[lane : lane + 1] for name, y in self.whole.designs.items()}
         one = replace(
             self.whole,
             status=[OK],
-            designs={name: y[lane : lane + 1] for name, y in self.whole.designs.items()},
-            shapes=OneLane(self.whole.shapes, lane, t.shape[0] - 1),
+            designs=own if designs is None else dict(designs),
+            shapes=OneLane(self.whole.shapes, lane) if shapes is None else shapes,
         )
         return self._motion(one, dynamics, t, x)
 
-    def neighbors(self, lane: int, dynamics: Dynamics, t: Any, x: State) -> Callable[[Tensor], Trajectory]:
-        """The motion of one lane at t, a number [1 + n, 1], as a function of delta [n], to first order."""
-        motion = self._lane(lane, dynamics, t, x)
+    def number(self, f: Callable[[Trajectory], Tensor], lane: int, dynamics: Dynamics, t: Any, x: State) -> Any:
+        """f [m] of the motion of one lane as a number [m, 1 + n, 1], with tangents if t has any; else [m, 1, 1]."""
         if not isinstance(t, Pair):
-            return lambda delta: motion
-        return lambda delta: replace(motion.moved(delta), t=motion.t + delta @ t.tangent[:, 0], known=None)
-
-    def value(self, event: Event, lane: int, dynamics: Dynamics, t: Any, x: State) -> Tensor:
-        """The function of one lane []."""
-        return event.of(self._lane(lane, dynamics.values(), value(t), x.values()))[0, 0]
+            return f(self.at(lane, dynamics, t, x))[:, None, None]
+        leaves, own = Leaves(t.shape[0] - 1), OneLane(self.whole.shapes, lane)
+        with torch.enable_grad():
+            data = {name: leaves.number(y) for name, y in dynamics.data.items()}
+            designs = {
+                name: leaves.leaf(y[lane : lane + 1], self._along(self.directions.get(name), lane))
+                for name, y in self.whole.designs.items()
+            }
+            shapes = GivenShapes(lambda name: leaves.leaf(own.values(name), self._bent(name, lane)))
+            state, now = x.map(leaves.number), leaves.number(t)
+            y = f(self.at(lane, replace(dynamics, data=data), now, state, designs, shapes))
+            slopes = leaves.pushed(y)
+        return Pair.of(y.detach()[:, None, None], slopes[..., None])
 
     def slopes(self, event: Event, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Tensor, Tensor]:
         """The function of one lane [] and its derivatives [n] in the directions of the pairs."""
-        moved = self.neighbors(lane, dynamics, t, x)
-        zero = torch.zeros(t.shape[0] - 1, dtype=torch.float64)
-        return event.of(moved(zero))[0, 0], torch.func.jacfwd(lambda delta: event.of(moved(delta))[0, 0])(zero)
+        g = self.number(lambda motion: event.of(motion)[0], lane, dynamics, t, x)
+        return g.value[0, 0, 0], g.tangent[0, :, 0]
+
+    @staticmethod
+    def _along(directions: Tensor | None, lane: int) -> Tensor | None:
+        return None if directions is None else directions[:, lane]
+
+    def _bent(self, name: str, lane: int) -> Tensor | None:
+        """Tangents of the mode shapes of a body [k, nodes, 6, modes] of one lane."""
+        if not self.directions:
+            return None
+        if name not in self._slopes:
+            self._slopes[name] = shape_tangents(self.whole.system, self.whole.designs, self.directions, name)
+        return self._slopes[name][:, lane]
 
     @staticmethod
     def _motion(base: Trajectory, dynamics: Dynamics, t: Any, x: State) -> Trajectory:
@@ -163,22 +238,19 @@ class Views:
 def normal(event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> tuple[Any, Any]:
     """Derivatives of a gap g(q, t) of one lane: by increments of q [n_v, ...] and by time [1, ...]; pairs if x are."""
     T = dynamics.topology
-    moved = views.neighbors(lane, dynamics, t, x)
 
-    def gap(step: Tensor, delta: Tensor) -> Tensor:
-        motion = moved(delta)
-        q = equations.advance(T, motion.q[0].T[:, None], step[: T.n_v, None, None])
-        others = {name: motion.signals.values(name) for name in ("v", "a", "lam")}
-        signals = Given({"q": q[:, 0].T[None]} | others)
-        there = replace(motion, signals=signals, t=motion.t + step[T.n_v], known=None)
-        return event.of(there)[0, 0]
+    def slope(motion: Trajectory) -> Tensor:
+        kept = torch.is_grad_enabled()
+        with torch.enable_grad():
+            step = torch.zeros(T.n_v + 1, dtype=torch.float64, requires_grad=True)
+            q = equations.advance(T, motion.q[0].T[:, None], step[: T.n_v, None, None])
+            others = {name: motion.signals.values(name) for name in ("v", "a", "lam")}
+            signals = Given({"q": q[:, 0].T[None]} | others)
+            there = replace(motion, signals=signals, t=motion.t + step[T.n_v], known=None)
+            g = event.of(there)[0, 0]
+            if not g.requires_grad:
+                return torch.zeros_like(step).detach()
+            return torch.autograd.grad(g, step, create_graph=kept)[0]
 
-    def slope(delta: Tensor) -> Tensor:
-        return torch.func.jacfwd(gap)(delta.new_zeros(T.n_v + 1), delta)  # pyright: ignore[reportReturnType]
-
-    zero = torch.zeros(t.shape[0] - 1, dtype=torch.float64)
-    both: Any = slope(zero)[:, None, None]
-    if isinstance(x.q, Pair):
-        tangents: Any = torch.func.jacfwd(slope)(zero)
-        both = Pair.of(both, tangents[..., None])
+    both = views.number(slope, lane, dynamics, t, x)
     return both[: T.n_v], both[T.n_v :]

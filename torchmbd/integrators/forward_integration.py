@@ -31,6 +31,7 @@ from torchmbd.integrators.trajectory import OK, Switch
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import Dynamics, System
 from torchmbd.system.expansion import Expansion
+from torchmbd.system.system import unit_directions
 
 _SIDES = ("q", "v", "a", "lam")
 
@@ -97,7 +98,8 @@ class ForwardIntegration:
         self.system, stages = plan(self.system, phases, self.duration)
         dynamics = resolved(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
         self.steps = steps = self.steps or steps_that_fit(self.system, dynamics, self.duration, len(self.labels))
-        views = Views.of(self.system, dynamics, designs, self.labels)
+        directions = unit_directions({name: designs[name] for name in self.variables})
+        views = Views.of(self.system, dynamics, designs, directions)
 
         def attempt(options: dict[str, Any]) -> tuple[Course, dict[str, Any], list[str]]:
             course = Course(dynamics, stages, views, self.duration, steps)

@@ -3,7 +3,7 @@
     values(name, rows)     [lanes, times, k]
     tangents(name, rows)   [lanes, times, k, n_b], None without sensitivities
 
-`Recorded` reads what an integrator left; `Moved` is its neighbor to first order in the design; `Given` holds tensors.
+`Recorded` reads what an integrator left; `Given` holds tensors.
 Names are "q", "v", "a" and "lam"; rows None: all. What was asked for once is kept.
 Checked in tests/integrators/test_signals.py.
 """
@@ -149,25 +149,6 @@ class Recorded(Signals):
         return self.history.rows(ORDERS.index(name), rows, slots)
 
 
-class Moved(Signals):
-    """The neighbor of a motion by delta [n_b] or [lanes, n_b], to first order; delta may carry derivatives."""
-
-    def __init__(self, base: Signals, delta: Tensor):
-        super().__init__()
-        self.base, self.delta = base, delta
-        self.lanes, self.times = base.lanes, base.times
-
-    def _values(self, name: str, rows: Rows) -> Tensor:
-        return moved(self.base.values(name, rows), self.base.tangents(name, rows), self.delta)
-
-
 def detached(x: Any) -> Any:
     """A number without a graph of torch."""
     return Pair(x.full.detach()) if isinstance(x, Pair) else x.detach()
-
-
-def moved(x: Tensor, dx: Tensor | None, delta: Tensor) -> Tensor:
-    """x + dx delta: x [lanes, ...], dx [lanes, ..., n_b], delta [n_b], or [lanes, n_b] for each lane its own."""
-    if dx is None:
-        return x
-    return x + (torch.matmul(dx, delta) if delta.dim() == 1 else torch.einsum("l...b,lb->l...", dx, delta))

@@ -226,7 +226,7 @@ def _presented(
         stats=integration.stats,
         system=system,
         dynamics=dynamics,
-        shapes=DesignShapes(system, designs, labels, signals.lanes, integration.status),
+        shapes=DesignShapes(system, designs, signals.lanes, integration.status),
         designs=designs,
         parameters=labels,
         variables={name: designs[name] for name in names},

@@ -196,13 +196,7 @@ def mapped(
 ) -> Any:
     """Velocities [n_v, ...] of one lane after the impact that ends a phase: a restitution, or a map motion -> v."""
     if callable(impact):
-        moved = views.neighbors(lane, dynamics, t, x)
-        zero = torch.zeros(t.shape[0] - 1, dtype=torch.float64)
-        v = impact(moved(zero))[0, 0][:, None, None]
-        if not isinstance(x.q, Pair):
-            return v
-        slopes: Any = torch.func.jacfwd(lambda delta: impact(moved(delta))[0, 0])(zero)
-        return Pair.of(v, slopes[..., None])
+        return views.number(lambda motion: impact(motion)[0, 0], lane, dynamics, t, x)
     slope, rate = normal(event, views, lane, dynamics, t, x)
 
     def rebound(one: Dynamics, now: Tensor, q: Any, v: Any, slope: Any, rate: Any) -> tuple:

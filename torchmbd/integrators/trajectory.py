@@ -9,14 +9,11 @@ Sensitivities of modal rows go with the basis, which moves with the design (redu
 designs are something else, for each has modes of its own. Responses do not depend on the choice.
 
 What nobody asks for is not made: rows of the whole, multipliers of condensed joints, mode shapes (signals.py, shapes.py).
-`moved(delta)` is the neighbor of a motion to first order in the design: the derivative of any function f of a motion is
-the Jacobian of f(motion.moved(delta)) at zero.
 A lane that failed says why in `status`; its numbers are nan from the failure on and must not be used.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -29,10 +26,9 @@ from torchmbd.forces.action import Action
 from torchmbd.integrators.body_motion import BodyMotion
 from torchmbd.integrators.energies import Energies, energies
 from torchmbd.integrators.reaction import JointReaction, reaction
-from torchmbd.integrators.shapes import MovedShapes, OneLane, Shapes, moved_designs
-from torchmbd.integrators.signals import Given, Moved, Recorded, Rows, Signals, detached, moved
+from torchmbd.integrators.shapes import OneLane, Shapes
+from torchmbd.integrators.signals import Given, Recorded, Rows, Signals, detached
 from torchmbd.integrators.singular import SingularPosition, singular_positions
-from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
 OK = "ok"
@@ -55,11 +51,6 @@ class Moment:
         """The same numbers without a graph of torch."""
         return replace(self, **{name: getattr(self, name).detach() for name in ("q", "v", "a", "lam")})
 
-    def moved(self, delta: Tensor) -> Moment:
-        """Of all designs moved by delta [n_b] or [lanes, n_b], to first order."""
-        names = ("q", "v", "a", "lam")
-        return Moment(*(moved(getattr(self, name), getattr(self, f"d{name}_db"), delta) for name in names))
-
 
 @dataclass(frozen=True, eq=False)
 class Switch:
@@ -77,32 +68,6 @@ class Switch:
     def detach(self) -> Switch:
         """The same numbers without a graph of torch."""
         return replace(self, t=self.t.detach(), before=self.before.detach(), after=self.after.detach())
-
-    def moved(self, delta: Tensor) -> Switch:
-        """Of all designs moved by delta [n_b] or [lanes, n_b], to first order."""
-        t = moved(self.t, self.dt_db, delta)
-        return Switch(self.phase, t, self.before.moved(delta), self.after.moved(delta))
-
-
-class MovedData(Mapping[str, Tensor]):
-    """Data of the neighbor by delta [n_b] or [lanes, n_b], to first order; an entry is made when somebody asks."""
-
-    def __init__(self, data: Mapping[str, Any], delta: Tensor):
-        self._data, self._delta = data, delta.mT if delta.dim() == 2 else delta[:, None]
-        self._kept: dict[str, Tensor] = {}
-
-    def __getitem__(self, name: str) -> Tensor:
-        if name not in self._kept:
-            x = self._data[name]
-            moving = isinstance(x, Pair)
-            self._kept[name] = x.value + (x.tangent * self._delta).sum(-2, keepdim=True) if moving else x
-        return self._kept[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._data)
-
-    def __len__(self) -> int:
-        return len(self._data)
 
 
 @dataclass(eq=False)
@@ -262,24 +227,6 @@ class Trajectory:
     def modes(self, name: str) -> Tensor:
         """Mode shapes [lanes, nodes, 6, modes] of a flexible body: the structure stage of the designs, once more."""
         return self.shapes.values(name)
-
-    def moved(self, delta: Tensor) -> Trajectory:
-        """The motion of all designs moved by delta [n_b], to first order; InputError where it has no tangents."""
-        made = self.integration
-        if made is not None and self.tangents("q", ()) is None:
-            raise InputError("a motion without tangents is moved; allowed: simulate(..., gradients='forward')")
-        dynamics, plain = (self.dynamics, self) if made is None else (made.dynamics, self.detach())
-        return replace(
-            plain,
-            signals=Moved(self.sensitivities, delta),
-            dynamics=replace(self.dynamics, data=MovedData(dynamics.data, delta)),
-            shapes=MovedShapes(plain.shapes, delta),
-            designs=moved_designs(plain.designs, self.parameters, delta),
-            parameters=(),
-            switches=[switch.moved(delta) for switch in plain.switches],
-            known=None if self.known is None else {},
-            integration=None,
-        )
 
     def at_moment(self, lane: int, t: Tensor, moment: Moment) -> Trajectory:
         """One lane at one side of a switch at its time t [], as a motion of one time without sensitivities."""

@@ -280,11 +280,8 @@ def _vector_modes(T: topology.Topology, stages: list[dict[str, Tensor]]) -> Tens
     return _together(rows, 2)
 
 
-def _tangents(stage: Any, given: dict[str, Tensor]) -> dict[str, Any]:
-    """Values and tangents of the structure stage: one linearization, all design directions together.
-
-    A quantity whose tangent is zero for every design and direction becomes a plain tensor: nothing to carry.
-    """
+def unit_directions(given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """A direction for each entry of the parameters [lanes, ...], of all lanes at once: [n_b, lanes, ...]."""
     sizes = {name: x[0].numel() for name, x in given.items()}
     total, start = sum(sizes.values()), 0
     directions = {}
@@ -293,11 +290,19 @@ def _tangents(stage: Any, given: dict[str, Tensor]) -> dict[str, Any]:
         unit[start : start + sizes[name]] = torch.eye(sizes[name], dtype=x.dtype, device=x.device)
         directions[name] = unit.reshape(total, 1, *x.shape[1:]).expand(total, *x.shape)
         start += sizes[name]
+    return directions
+
+
+def _tangents(stage: Any, given: dict[str, Tensor]) -> dict[str, Any]:
+    """Values and tangents of the structure stage: one linearization, all design directions together.
+
+    A quantity whose tangent is zero for every design and direction becomes a plain tensor: nothing to carry.
+    """
 
     def push(direction: dict[str, Tensor]) -> tuple:
         return torch.func.jvp(stage, (given,), (direction,))
 
-    values, tangents = torch.func.vmap(push, out_dims=(None, 0))(directions)  # pyright: ignore[reportArgumentType]
+    values, tangents = torch.func.vmap(push, out_dims=(None, 0))(unit_directions(given))  # pyright: ignore[reportArgumentType]
     result: dict[str, Any] = {}
     for name, x in values.items():
         dx = tangents[name].movedim(0, -1).squeeze(-3).movedim(-1, -2)
