@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
+from torchmbd.reduction.lanczos import Recurrence
 from torchmbd.reduction.panels import Factor, Panels, panels
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -61,15 +62,51 @@ def test_multiply_sparse(p: int) -> None:
 
 
 @pytest.mark.parametrize("p", COLUMNS)
-@pytest.mark.parametrize("k", [3, 22])
-def test_orthogonalize(k: int, p: int) -> None:
-    wide = torch.cat([torch.linalg.qr(random(3, 67, k))[0], random(3, 67, 5)], 2)
-    basis, W = wide[..., :k], random(3, 67, p)
-    left = W.clone()
-    found = code().orthogonalize(left, basis, 10)
-    close(found, basis.mT @ W)
-    close(left, W - basis @ (basis.mT @ W))
-    assert (basis.mT @ left).abs().max() < 1e-14
+def test_pair(p: int) -> None:
+    near = random(29, 29).abs() > 1
+    pattern = Pattern(*(near | near.mT).nonzero().unbind(1), 29)
+    Y, X = random(2, 3, 29, p), random(2, 29, p)
+    close(code().pair(pattern, Y, X), (Y @ X[:, None].mT)[..., pattern.rows, pattern.cols])
+
+
+def started(p: int, lanes: int = 3) -> Recurrence:
+    return Recurrence(torch.linalg.qr(random(lanes, 55, p))[0])
+
+
+def far(X: torch.Tensor) -> float:
+    """How far columns are from orthonormal ones."""
+    return float((X.mT @ X - torch.eye(X.shape[2], dtype=X.dtype)).abs().max())
+
+
+@pytest.mark.parametrize("p", [1, 5, 8, 9])
+def test_lanczos(p: int) -> None:
+    """The recurrence of torch's steps, in two goes; H Q = Q T + X R e'."""
+    factor, inverse = factored((12, 30, 13))
+    G = random(3, 55, 1).abs() + 0.5
+    H = G * inverse * G.mT
+    ours, torchs = started(p), started(p)
+    torchs.make_room(4)
+    torchs.go_on(lambda X: H @ X, 4)
+    for end in (1, 4):
+        ours.make_room(end)
+        code().lanczos(factor, G, ours.steps, end, ours.Q, ours.T, ours.X, ours.R)
+        ours.steps = end
+    T = ours.T.triu()
+    close(T.abs(), torchs.T.triu().abs())  # columns have signs of their own
+    T = T + T.triu(1).mT
+    close(H @ ours.Q, ours.Q @ T + torch.cat([torch.zeros_like(ours.Q[..., p:]), ours.X @ ours.R], 2))
+    assert far(torch.cat([ours.Q, ours.X], 2)) < 1e-13
+
+
+def test_lanczos_stays_orthonormal_where_nothing_new_is_left() -> None:
+    """All vectors are eigenvectors: after the first block there is rounding only."""
+    one = torch.ones(1, 55, 1, dtype=torch.float64)
+    factor = Factor((0, 55), [torch.eye(55, dtype=torch.float64)[None]], [])
+    found = started(8, lanes=1)
+    found.make_room(3)
+    code().lanczos(factor, one, 0, 3, found.Q, found.T, found.X, found.R)
+    assert far(found.Q) < 1e-13
+    assert far(found.X) < 1e-13
 
 
 @pytest.mark.parametrize("p", COLUMNS)

@@ -108,6 +108,8 @@ class Sparse:
         return torch.from_numpy(result).reshape(*lanes, *X.shape[-2:])
 
     def pair(self, Y: Tensor, X: Tensor) -> Tensor:
+        if X.dim() == 4 and X.shape[:2] == (len(Y), 1) and (code := panels(X)) is not None:
+            return code.pair(self.pattern, Y, X[:, 0])
         lanes = torch.broadcast_shapes(Y.shape[:-2], X.shape[:-2])
         total = Y.new_zeros((*lanes, self.pattern.nnz))
         for y, x in zip(Y.unbind(-1), X.unbind(-1), strict=True):

@@ -5,10 +5,11 @@
 Q [lane, N, m] is an orthonormal basis of the block Krylov space of H, fully reorthogonalized; mu and Q V are the Ritz
 values and vectors, largest first, and |R v_last| their residuals.
 A block of p columns finds at most p copies of a multiple eigenvalue, and small blocks need far fewer products with H.
-So the block is small, and a probe tells whether a copy was missed: a random vector orthogonal to Q is iterated with
-H, and must not grow as the wanted eigenvectors do. If it does, the iteration starts again with more columns than
-wanted eigenvalues. Source: Golub and Van Loan, Matrix Computations, section 10.3; Parlett, The Symmetric Eigenvalue
-Problem, chapter 13. Checked in tests/reduction/test_lanczos.py.
+So the block is small, and where p wanted eigenvalues lie close together a probe tells whether a copy was missed: a random
+vector orthogonal to Q is iterated with H, and must not grow as the wanted eigenvectors do. If it does, the iteration
+starts again with more columns than wanted eigenvalues.
+Source: Golub and Van Loan, Matrix Computations, section 10.3; Parlett, The Symmetric Eigenvalue Problem, chapter 13.
+Checked in tests/reduction/test_lanczos.py.
 """
 
 from __future__ import annotations
@@ -20,13 +21,12 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import pad
 
-from torchmbd.reduction.panels import panels
-
-BLOCK = 12  # the most columns; a block of more than are wanted finds all copies without a probe
+BLOCK = 8  # columns, which fill the registers of a processor
+CLOSE = 0.1  # relative distance of as many eigenvalues as the block has columns at which one more may be there
 NEXT = 1e-4  # residual of the pair after the last wanted: enough to judge the gap
 PROBES, SUSPICIOUS = 3, 0.7
+MOST = 2  # steps between looks: residuals fall faster at the end
 SAMPLE = 4  # lanes that are looked at first: where these have not converged the others need not be asked
 
 
@@ -45,6 +45,40 @@ class Ritz:
         return torch.linalg.vector_norm(self.R @ self.V[:, -self.R.shape[-1] :], dim=1) / self.mu
 
 
+class Recurrence:
+    """What `steps` steps have found: columns of Q [lane, N, room], of T [lane, room, room] above the diagonal, X, R."""
+
+    def __init__(self, X: Tensor) -> None:
+        lanes, size, p = X.shape
+        self.X, self.R = X.contiguous(), X.new_zeros(lanes, p, p)
+        self.Q, self.T = X.new_zeros(lanes, size, 0), X.new_zeros(lanes, 0, 0)
+        self.steps = 0
+
+    def make_room(self, steps: int) -> None:
+        """For more columns."""
+        if (missing := steps * self.X.shape[2] - self.Q.shape[2]) > 0:
+            self.Q = torch.nn.functional.pad(self.Q, (0, missing))
+            self.T = torch.nn.functional.pad(self.T, (0, missing, 0, missing))
+
+    def go_on(self, apply: Callable[[Tensor], Tensor], steps: int) -> None:
+        """Up to so many steps."""
+        p = self.X.shape[2]
+        for k in range(self.steps * p, steps * p, p):
+            self.Q[..., k : k + p] = self.X
+            basis = self.Q[..., : k + p]
+            W = apply(self.X)
+            taken = self.T[:, : k + p, k : k + p] = _orthogonalize(W, basis, 2 * p)
+            X, self.R = torch.linalg.qr(W)
+            self.X = _repair(X, self.R, basis, taken)
+        self.steps = steps
+
+    def ritz(self, every: int) -> Ritz:
+        """Of every so many lanes."""
+        k = self.steps * self.X.shape[2]
+        mu, V = torch.linalg.eigh(self.T[::every, :k, :k], UPLO="U")
+        return Ritz(mu.flip(-1), self.Q[::every, :, :k], V.flip(-1), self.X[::every], self.R[::every])
+
+
 def lanczos(
     apply: Callable[[Tensor], Tensor],
     lanes: int,
@@ -52,15 +86,17 @@ def lanczos(
     n: int,
     tolerance: float,
     device: torch.device | None = None,
+    go_on: Callable[[Recurrence, int], None] | None = None,
 ) -> Ritz | None:
     """Iterate until n pairs in every lane have residuals below tolerance, relative to mu.
 
+    go_on: does the same as Recurrence.go_on with `apply`
     Returns None when the Krylov space fills half of the whole space before that: then a dense method is the better one.
     """
-    block = min(n + 2, BLOCK)
-    ritz = _iterate(apply, _random(lanes, size, block, device), n, tolerance)
-    if ritz is not None and block <= n and misses_a_copy(apply, ritz, n):
-        ritz = _iterate(apply, _random(lanes, size, n + 2, device), n, tolerance)
+    go_on = go_on or (lambda found, steps: found.go_on(apply, steps))
+    ritz = _iterate(go_on, _random(lanes, size, BLOCK, device), n, tolerance)
+    if ritz is not None and _crowded(ritz.mu[:, : n + 1]) and misses_a_copy(apply, ritz, n):
+        ritz = _iterate(go_on, _random(lanes, size, n + 2, device), n, tolerance)
     return ritz
 
 
@@ -70,32 +106,26 @@ def _random(lanes: int, size: int, columns: int, device: torch.device | None) ->
     return torch.linalg.qr(torch.from_numpy(start))[0].repeat(lanes, 1, 1).to(device)
 
 
-def _iterate(apply: Callable[[Tensor], Tensor], X: Tensor, n: int, tolerance: float) -> Ritz | None:
+def _crowded(mu: Tensor) -> bool:
+    """Whether as many of mu [lane, n] lie close together as a block has columns."""
+    first, last = mu[:, : 1 - BLOCK], mu[:, BLOCK - 1 :]
+    return bool((first - last <= CLOSE * first).any())
+
+
+def _iterate(go_on: Callable[[Recurrence, int], None], X: Tensor, n: int, tolerance: float) -> Ritz | None:
     lanes, size, p = X.shape
-    most = size // (2 * p)
-    look = max(4 * (n + 2) // p, 2)
-    Q, columns = X.new_empty((lanes, size, 0)), []
-    for step in range(1, most + 1):
-        k = step * p
-        if k > Q.shape[2]:
-            Q = torch.cat([Q, X.new_empty((lanes, size, (look - step + 4) * p))], dim=2)
-        Q[..., k - p : k] = X
-        basis = Q[..., :k]
-        W = apply(X)
-        columns.append(_orthogonalize(W, basis, 2 * p))
-        X, R = torch.linalg.qr(W)
-        if step == look:
-            T = torch.cat([pad(column, (0, 0, 0, k - column.shape[1])) for column in columns], dim=2)
-            for sample in dict.fromkeys((max(lanes // SAMPLE, 1), 1)):
-                mu, V = torch.linalg.eigh(T[::sample], UPLO="U")
-                ritz = Ritz(mu.flip(-1), basis[::sample], V.flip(-1), X[::sample], R[::sample])
-                excess = _excess(ritz, n, tolerance)
-                if excess > 1:
-                    break
-            else:
-                return ritz
-            look += _steps_to_go(excess, tolerance, step - n // p)
-        X = _repair(X, R, basis, columns[-1])
+    found, look = Recurrence(X), max(4 * (n + 2) // p, 2)
+    while look <= size // (2 * p):
+        found.make_room(look)
+        go_on(found, look)
+        for every in dict.fromkeys((max(lanes // SAMPLE, 1), 1)):
+            ritz = found.ritz(every)
+            excess = _excess(ritz, n, tolerance)
+            if excess > 1:
+                break
+        else:
+            return ritz
+        look += _steps_to_go(excess, tolerance, look - n // p)
     return None
 
 
@@ -111,7 +141,7 @@ def _excess(ritz: Ritz, n: int, tolerance: float) -> float:
 def _steps_to_go(excess: float, tolerance: float, steps: int) -> int:
     """Residuals fall about geometrically: continue the line from one to where they are now."""
     fallen = math.log(excess * tolerance) / max(steps, 1)
-    return min(max(math.ceil(math.log(excess) / -fallen), 1), 4) if fallen < 0 else 4
+    return min(max(math.ceil(math.log(excess) / -fallen), 1), MOST) if fallen < 0 else MOST
 
 
 def _orthogonalize(W: Tensor, basis: Tensor, recent: int) -> Tensor:
@@ -119,8 +149,6 @@ def _orthogonalize(W: Tensor, basis: Tensor, recent: int) -> Tensor:
 
     But for rounding all of them lie in the last two blocks: those first, then once more everything.
     """
-    if (code := panels(W)) is not None:
-        return code.orthogonalize(W, basis, recent)
     near = basis[..., -recent:]
     first = near.mT @ W
     W.baddbmm_(near, first, alpha=-1)

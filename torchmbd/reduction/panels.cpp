@@ -73,6 +73,57 @@ void cut(const double* from, double* to, long rows, long p) {
   for (long i = 0; i < rows; i++) std::memcpy(to + i * p, from + i * P, p * sizeof(double));
 }
 
+// Takes the components along the k first columns of a basis [N][stride] out of w: first those along the last `recent` of
+// them, then all; `all` has both together [k][P].
+void take_out(const double* basis, long N, long k, long stride, long recent, double* w, double* some, double* all, long P) {
+  std::fill(all, all + k * P, 0.0);
+  for (long first : {recent < k ? k - recent : 0, 0L}) {
+    product<false>(k - first, N, {basis + first, 1, stride}, w, some, P);
+    product<true>(N, k - first, {basis + first, stride, 1}, some, w, P);
+    for (long i = 0; i < (k - first) * P; i++) all[first * P + i] += some[i];
+  }
+}
+
+// w = x r with orthonormal x in the place of w [N][P], p columns, and r [p][P] upper triangular: Gram-Schmidt, twice.
+// False: next to nothing is left in a column beside the others, or beside `taken` that was taken out before.
+bool orthonormal(double* w, long N, long p, double* r, double* second, long P, double taken) {
+  bool whole = true;
+  for (double* s : {r, second}) {
+    std::fill(s, s + p * P, 0.0);
+    for (long j = 0; j < p; j++) {
+      double* row = s + j * P;
+      for (long q = 0; q < P; q += 8) {
+        V sum = {};
+        for (long i = 0; i < N; i++) sum += w[i * P + j] * *(const V*)&w[i * P + q];
+        std::memcpy(row + q, &sum, sizeof(V));
+      }
+      if (!(row[j] > TINY)) {  // nothing at all: any other column, which the second time makes orthogonal
+        for (long i = 0; i < N; i++) w[i * P + j] = std::cos((i + 1.0) * (j + 2.0));
+        std::fill(row, row + P, 0.0);
+        continue;
+      }
+      const double size = std::sqrt(row[j]);
+      for (long q = 0; q < P; q++) row[q] = q < j ? 0.0 : row[q] / size;
+      for (long i = 0; i < N; i++) {
+        const double x = w[i * P + j] / size;
+        for (long q = 0; q < P; q++) w[i * P + q] -= x * row[q];
+        w[i * P + j] = x;
+      }
+    }
+    if (s != r) break;
+    double least = r[0], most = r[0];
+    for (long j = 0; j < p; j++) least = std::min(least, r[j * P + j]), most = std::max(most, r[j * P + j]);
+    whole = least > std::max(1e-8 * most, 1e-12 * taken);  // as in `_repair` of lanczos.py
+  }
+  for (long i = 0; i < p; i++)  // r = second r; rows below i are still those of the first
+    for (long j = i; j < p; j++) {
+      double sum = 0.0;
+      for (long k = i; k <= j; k++) sum += second[i * P + k] * r[k * P + j];
+      r[i * P + j] = sum;
+    }
+  return whole;
+}
+
 // x = A^-1 y; y is used up.
 void solve_lane(const Factor& f, long lane, double* y, double* x, long P) {
   for (long b = 1; b < f.blocks; b++) {
@@ -138,23 +189,56 @@ extern "C" void solve(const Factor* f, const double* X, double* out, long p) {
   }
 }
 
-// Takes the components along the k first columns of a basis [lane][N][stride] out of W [lane][N][p]: first those along
-// the last `recent` of them, then all. Returns both together as coefficients [lane][k][p].
-extern "C" void orthogonalize(long lanes, long N, long k, long stride, long recent, const double* basis, double* W, long p,
-                              double* coefficients) {
-  const long P = filled(p);
-  Room w(N * P), some(k * P), all(k * P);
-  for (long lane = 0; lane < lanes; lane++) {
-    const double* Q = basis + lane * N * stride;
-    fill_up(W + lane * N * p, w.data(), N, p);
-    std::fill(all.begin(), all.end(), 0.0);
-    for (long first : {recent < k ? k - recent : 0, 0L}) {
-      product<false>(k - first, N, {Q + first, 1, stride}, w.data(), some.data(), P);
-      product<true>(N, k - first, {Q + first, stride, 1}, some.data(), w.data(), P);
-      for (long i = 0; i < (k - first) * P; i++) all[first * P + i] += some[i];
+// Steps `from` to `to` of block Lanczos for H = G A^-1 G, as `_extend` of lanczos.py: the next block X [lane][N][p] becomes
+// columns of Q [lane][N][room], and what H X has along Q columns of T [lane][room][room]; X and R [lane][p][p] the rest.
+extern "C" void lanczos(const Factor* f, const double* G, long from, long to, long room, long p, double* Q, double* T,
+                        double* X, double* R) {
+  const long N = f->size(), P = filled(p), most = to * p;
+  Room x(N * P), y(N * P), w(N * P), some(most * P), all(most * P), r(p * P), second(p * P);
+  for (long lane = 0; lane < f->lanes; lane++) {
+    const double* g = G + lane * N;
+    double *basis = Q + lane * N * room, *t = T + lane * room * room;
+    fill_up(X + lane * N * p, x.data(), N, p);
+    for (long k = from * p; k < to * p; k += p) {
+      for (long i = 0; i < N; i++) {
+        std::memcpy(basis + i * room + k, &x[i * P], p * sizeof(double));
+        for (long j = 0; j < P; j++) y[i * P + j] = g[i] * x[i * P + j];
+      }
+      solve_lane(*f, lane, y.data(), w.data(), P);
+      for (long i = 0; i < N; i++)
+        for (long j = 0; j < P; j++) w[i * P + j] *= g[i];
+      take_out(basis, N, k + p, room, 2 * p, w.data(), some.data(), all.data(), P);
+      for (long i = 0; i < k + p; i++) std::memcpy(t + i * room + k, &all[i * P], p * sizeof(double));
+      double largest = 0.0;
+      for (long i = 0; i < (k + p) * P; i++) largest = std::max(largest, std::abs(all[i]));
+      x = w;
+      if (!orthonormal(x.data(), N, p, r.data(), second.data(), P, largest))  // there is rounding in place of what is new
+        for (int again = 0; again < 2; again++) {
+          take_out(basis, N, k + p, room, p, x.data(), some.data(), all.data(), P);
+          orthonormal(x.data(), N, p, some.data(), second.data(), P, 0.0);
+        }
     }
-    cut(w.data(), W + lane * N * p, N, p);
-    cut(all.data(), coefficients + lane * k * p, k, p);
+    cut(x.data(), X + lane * N * p, N, p);
+    cut(r.data(), R + lane * p * p, p, p);
+  }
+}
+
+// out [lane][t][nnz] = Y X' at the places of a pattern, for Y [lane][T][N][p] and X [lane][N][p].
+extern "C" void pair(long lanes, long T, long N, const int* start, const int* column, const double* Y, const double* X,
+                     double* out, long p) {
+  const long P = filled(p), nnz = start[N];
+  Room x(N * P), y(N * P);
+  for (long lane = 0; lane < lanes; lane++) {
+    fill_up(X + lane * N * p, x.data(), N, p);
+    for (long t = lane * T; t < (lane + 1) * T; t++) {
+      fill_up(Y + t * N * p, y.data(), N, p);
+      for (long i = 0; i < N; i++)
+        for (int e = start[i]; e < start[i + 1]; e++) {
+          V sum = {};
+          for (long j = 0; j < P; j += 8) sum += *(const V*)&y[i * P + j] * *(const V*)&x[column[e] * P + j];
+          out[t * nnz + e] = ((sum[0] + sum[1]) + (sum[2] + sum[3])) + ((sum[4] + sum[5]) + (sum[6] + sum[7]));
+        }
+    }
   }
 }
 

@@ -1,8 +1,9 @@
 """Products of the structure stage by compiled code (panels.cpp): a few columns, one design after another.
 
     solve                 A^-1 X of a block-tridiagonal matrix                      blocks.py
-    orthogonalize         W - Q Q' W                                                lanczos.py
+    lanczos               steps of block Lanczos                                    lanczos.py
     multiply_sparse       K X for many K of one pattern                             forms.py
+    pair                  Y X' at the places of a pattern                           forms.py
     conjugate_gradients   (1 - H / mu) y = c                                        sparse_modes.py
 
 A batch of designs that torch treats side by side leaves the cache of the processor with every operation; one after
@@ -72,21 +73,16 @@ class Panels:
         self._code.solve(byref(factor.struct), *_places(X, out), c_long(X.shape[2]))
         return out
 
-    def orthogonalize(self, W: Tensor, basis: Tensor, recent: int) -> Tensor:
-        """Take the components along basis [lane, N, k] out of W in place: those of the last columns first, then all.
+    def lanczos(
+        self, factor: Factor, G: Tensor, start: int, end: int, Q: Tensor, T: Tensor, X: Tensor, R: Tensor
+    ) -> None:
+        """Steps of block Lanczos with H = G A^-1 G, in place.
 
-        Returns them [lane, k, p]. The rows of a basis may be longer than k.
+        G [lane, N, 1], Q [lane, N, room], T [lane, room, room], X [lane, N, p], R [lane, p, p]
         """
-        lanes, N, k = basis.shape
-        assert basis.stride(2) == 1
-        assert basis.stride(0) == N * basis.stride(1)
-        left = W.contiguous()
-        found = W.new_empty(lanes, k, W.shape[2])
-        numbers = map(c_long, (lanes, N, k, basis.stride(1), recent))
-        self._code.orthogonalize(*numbers, *_places(basis, left), c_long(W.shape[2]), *_places(found))
-        if left is not W:
-            W.copy_(left)
-        return found
+        assert all(x.is_contiguous() for x in (G, Q, T, X, R))
+        numbers = map(c_long, (start, end, Q.shape[2], X.shape[2]))
+        self._code.lanczos(byref(factor.struct), *_places(G), *numbers, *_places(Q, T, X, R))
 
     def multiply_sparse(self, pattern: Pattern, values: Tensor, X: Tensor) -> Tensor:
         """K X for values [lane, T, nnz] and X [lane, N, p]: [lane, T, N, p]."""
@@ -95,6 +91,14 @@ class Panels:
         indices = c_void_p(pattern.indptr.ctypes.data), c_void_p(pattern.indices.ctypes.data)
         numbers = map(c_long, (lanes, T, pattern.size))
         self._code.multiply_sparse(*numbers, *indices, *_places(values, X, out), c_long(X.shape[2]))
+        return out
+
+    def pair(self, pattern: Pattern, Y: Tensor, X: Tensor) -> Tensor:
+        """Y X' at the places of the pattern, for Y [lane, T, N, p] and X [lane, N, p]: [lane, T, nnz]."""
+        (lanes, T, N, p), Y, X = Y.shape, Y.contiguous(), X.contiguous()
+        out = X.new_empty(lanes, T, pattern.nnz)
+        indices = c_void_p(pattern.indptr.ctypes.data), c_void_p(pattern.indices.ctypes.data)
+        self._code.pair(*map(c_long, (lanes, T, N)), *indices, *_places(Y, X, out), c_long(p))
         return out
 
     def conjugate_gradients(

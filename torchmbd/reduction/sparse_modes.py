@@ -23,8 +23,8 @@ from torch import Tensor
 from torchmbd.errors import SimulationFailure
 from torchmbd.reduction.blocks import BlockFactor, storage
 from torchmbd.reduction.forms import Form
-from torchmbd.reduction.lanczos import Ritz, lanczos
-from torchmbd.reduction.mass import DiagonalRoot, mass_root
+from torchmbd.reduction.lanczos import Recurrence, Ritz, lanczos
+from torchmbd.reduction.mass import BlockRoot, DiagonalRoot, mass_root
 from torchmbd.reduction.panels import panels
 from torchmbd.reduction.partition import partition
 from torchmbd.reduction.shift import choose_shift, comparable_shift, too_near
@@ -64,7 +64,14 @@ class SparseModes:
             self.ritz, self.U, self.known = ritz, vectors[..., :n], vectors[..., n:]
 
     def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
-        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance, self.shift.device)
+        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance, self.shift.device, self._go_on)
+
+    def _go_on(self, found: Recurrence, steps: int) -> None:
+        """`Recurrence.go_on`, by compiled code where there is some."""
+        if isinstance(self.root, BlockRoot) or (code := panels(found.X)) is None:
+            return found.go_on(self._apply, steps)
+        code.lanczos(self.factor.compiled, self.root.G, found.steps, steps, found.Q, found.T, found.X, found.R)
+        found.steps = steps
 
     def _apply(self, X: Tensor) -> Tensor:
         return self.root.upper(self.factor.solve(self.root.lower(X)))
