@@ -15,9 +15,11 @@ from torch import Tensor
 import torchmbd as mbd
 from experiments import slider_crank
 from torchmbd.design.spline import Spline
-from torchmbd.integrators import generalized_alpha, library
+from torchmbd.integrators import library
+from torchmbd.integrators.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrators.history import History
 from torchmbd.integrators.motion import Motion
+from torchmbd.integrators.registry import DEFAULT, integrator_of
 from torchmbd.integrators.reverse_integration import ReverseIntegration
 from torchmbd.numerics.native import unavailable
 from torchmbd.numerics.pair import Pair, value
@@ -124,8 +126,8 @@ def responses_of(duration: float, U: Tensor) -> Tensor:
 def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> tuple[Tensor, Tensor]:
     """The motion stage of a batch: from frozen dynamics to `responses`."""
     with torch.no_grad():
-        begun = generalized_alpha.begin(library.resolved(dynamics, "auto"))
-        history, _ = generalized_alpha.integrate(begun, duration, steps, **options)
+        integrator = integrator_of(DEFAULT, options)
+        history = integrator.integrate(library.resolved(dynamics, "auto"), duration, steps).history
         U = energy(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
 
@@ -134,7 +136,7 @@ def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[T
     """The same, with the gradients of both responses by the adjoint of the steps."""
     moving = {name: x for name, x in dynamics.data.items() if isinstance(x, Pair)}
     data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
-    made = ReverseIntegration(None, replace(dynamics, data={}), tuple(data), duration, steps, {}, True)
+    made = ReverseIntegration(None, replace(dynamics, data={}), tuple(data), duration, steps, GeneralizedAlpha(), True)
     outputs: Any = Motion.apply(made, *data.values())
     q, v, vd, lam = outputs
     found = responses_of(

@@ -8,7 +8,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from torchmbd.integrators import generalized_alpha
+from torchmbd.integrators.prepared import initial
 from torchmbd.system import Dynamics, equations
 from torchmbd.system.condensation import condense
 
@@ -139,7 +139,7 @@ def test_redundant_rows_of_a_guided_body_share_the_reaction(monkeypatch):
     assert (left(system).topology.n_v, left(system).topology.rows) == (1, 0)
     motion = mbd.simulate(system, 0.1, steps=50).require_ok()
     assert_close(motion.body("slider").r[0, -1, 0], torch.tensor(0.005, dtype=torch.float64), rtol=1e-9, atol=0)
-    dynamics, given = system.dynamics(), generalized_alpha.initial(system.dynamics())
+    dynamics, given = system.dynamics(), initial(system.dynamics())
     assert motion.lam.shape[-1] == 10
     forces = motion.lam[0, -1, :, None, None]
     at = equations.placement(

@@ -31,8 +31,10 @@ from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.integrators import Phase, Trajectory, simulate
 from torchmbd.integrators.arguments import check, check_backend, check_gradients
 from torchmbd.integrators.attempts import FEWEST, default_steps
+from torchmbd.integrators.integrator import Integrator
 from torchmbd.integrators.memory import lanes_at_once, require_room
 from torchmbd.integrators.phases import plan
+from torchmbd.integrators.registry import DEFAULT
 from torchmbd.integrators.trajectory import OK
 from torchmbd.numerics.owned import several
 from torchmbd.optimizers import Evaluation
@@ -91,7 +93,7 @@ class Problem:
         bounds: Any = (-np.inf, np.inf),
         variables: Sequence[str] | None = None,
         start: Any = None,
-        method: str = "generalized_alpha",
+        method: str = DEFAULT,
         steps: int | None = None,
         links: Any = None,
         bound: tuple[float, float] = (1.0, 1.0),
@@ -105,7 +107,7 @@ class Problem:
         if not isinstance(minimize, Measure):
             raise InputError(f"minimize is {minimize!r}; allowed: a measure, such as Integral(StrainEnergy('rod'))")
         subject_to = constraints_of(subject_to)
-        check(duration, method, steps, options, phases is not None)
+        integrator = check(duration, method, steps, options, phases is not None)
         if phases is not None:
             plan(system, phases, duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
@@ -123,16 +125,16 @@ class Problem:
         # Rows of the extra variable come first among the constraints.
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound
-        check_gradients(gradients, method, phases is not None)
+        check_gradients(gradients, integrator, phases is not None)
         check_backend(backend)
-        self.gradients = self._way() if gradients in ("auto", "none") else gradients
+        self.gradients = self._way(integrator) if gradients in ("auto", "none") else gradients
         self._tangents = sum(system.get_parameter(name).numel() for name in self.space.variables)
         require_room(system, 1, steps or FEWEST, self._tangents, self.gradients == "reverse")
 
-    def _way(self) -> str:
+    def _way(self, integrator: Integrator) -> str:
         """The cheaper way to gradients, by counting."""
         count = sum(self.system.get_parameter(name).numel() for name in self.space.variables)
-        there = self.simulation["method"] == "generalized_alpha" and self.simulation["phases"] is None
+        there = integrator.adjoint and self.simulation["phases"] is None
         return "reverse" if there and self._count <= count else "forward"
 
     @property

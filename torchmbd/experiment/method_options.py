@@ -1,7 +1,7 @@
 """Options of methods: the keys of `simulate` and `optimizer` that the schema leaves to the method they are given to.
 
-Names and types are read off the method's own signature, so a method that gains an option needs no word here; ranges are
-the method's to refuse. Checked in tests/experiment/test_load.py, test_malformed.py.
+Names and types are read off the fields of integrators and the signatures of optimizers, so a method that gains an option
+needs no word here; ranges are the method's to refuse. Checked in tests/experiment/test_load.py, test_malformed.py.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pydantic import TypeAdapter, ValidationError
 from torchmbd.errors import InputError, nearest
 from torchmbd.experiment.faults import Fault, shown
 from torchmbd.experiment.schema import Optimizer, Simulation
-from torchmbd.integrators import generalized_alpha, ode
 from torchmbd.integrators.arguments import check_gradients
+from torchmbd.integrators.registry import INTEGRATORS
 from torchmbd.optimizers import OPTIMIZERS, multistart
 
 
@@ -26,11 +26,11 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     faults: list[Fault] = []
     simulation: Simulation | None = sections.get("simulate")
     if simulation is not None:
-        integrate = generalized_alpha.integrate if simulation.method == "generalized_alpha" else ode.integrate
-        types = _types(integrate, lambda p: p.default is not p.empty)
+        integrator = INTEGRATORS[simulation.method]
+        types = integrator.option_types(simulation.phases is not None)
         own = ("duration", "method", "steps", "phases", "gradients", "backend")
         faults += _faults("simulate", simulation.method, simulation.model_extra or {}, types, own)
-        told = simulation.method, simulation.phases is not None
+        told = integrator, simulation.phases is not None
         refusals: dict[str, Callable[[], Any]] = {
             "gradients": lambda: check_gradients(simulation.gradients, *told),
         }

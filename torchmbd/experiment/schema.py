@@ -37,8 +37,8 @@ from pydantic_core import PydanticCustomError
 
 from torchmbd.design.spec import SpecError, measure_of
 from torchmbd.errors import nearest
-from torchmbd.integrators import METHODS
 from torchmbd.integrators.arguments import BACKENDS, GRADIENTS
+from torchmbd.integrators.registry import DEFAULT, METHODS
 from torchmbd.optimizers import OPTIMIZERS
 from torchmbd.tracking.store import uri_fault
 
@@ -110,7 +110,7 @@ class Simulation(Section):
 
     model_config = ConfigDict(extra="allow")
     duration: float = Field(gt=0)
-    method: Annotated[str, _one_of(METHODS)] = "generalized_alpha"
+    method: Annotated[str, _one_of(METHODS)] = DEFAULT
     steps: PositiveInt | None = None
     phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
     backend: Annotated[str, _one_of(BACKENDS)] = "auto"  # of the steps

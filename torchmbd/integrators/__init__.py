@@ -1,8 +1,8 @@
 """Integrators: torchdiffeq and generalized-alpha behind one door, with sensitivities."""
 
-from torchmbd.integrators.arguments import METHODS
 from torchmbd.integrators.events import Event
 from torchmbd.integrators.phases import Phase
+from torchmbd.integrators.registry import METHODS
 from torchmbd.integrators.simulate import simulate
 from torchmbd.integrators.trajectory import Moment, Switch, Trajectory
 

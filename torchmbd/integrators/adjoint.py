@@ -1,4 +1,4 @@
-"""The adjoint of a simulation by generalized-alpha: gradients of few responses by many design variables.
+"""The adjoint of a simulation by a one-step method: gradients of few responses by many design variables.
 
 Tangents cost a share of a simulation for each *variable*; the adjoint of the steps costs about half of one for each
 *response*, and as much once for all, however many variables there are. y the derivative of a response by the state
@@ -22,7 +22,7 @@ Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapte
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -31,10 +31,11 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrators.blocks import moving
-from torchmbd.integrators.generalized_alpha import SPECTRAL_RADIUS, begin
 from torchmbd.integrators.history import History
 from torchmbd.integrators.march import nothing
-from torchmbd.integrators.step import Coefficients, Model, State, Step, Weights, apply
+from torchmbd.integrators.one_step import OneStep
+from torchmbd.integrators.prepared import prepare
+from torchmbd.integrators.step import Model, State, Step, Weights, apply
 from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics, regularized
 from torchmbd.system.elimination import Elimination, factored, pays
@@ -123,7 +124,7 @@ class Adjoint:
 
     dynamics   of the whole system, values only
     history    what was integrated, by equal steps over the duration [s]
-    options    of generalized_alpha
+    integrator  that made the steps
     failed     lanes whose cotangents are zero
     sweep      makes a Sweep of a grid
     """
@@ -131,7 +132,7 @@ class Adjoint:
     dynamics: Dynamics
     history: History
     duration: float
-    options: Mapping[str, Any]
+    integrator: OneStep
     failed: Sequence[int]
     sweep: Callable[[Grid], Sweep]
     _sweeps: dict[tuple[str, ...], list[Sweep]] = field(default_factory=dict, init=False, repr=False)
@@ -183,13 +184,12 @@ class Adjoint:
         some = self.dynamics if len(lanes) == self.dynamics.lanes else self.dynamics.some(lanes)
         leaves = {name: _leaf(some.data[name].expand(*some.data[name].shape[:-1], len(lanes))) for name in names}
         with torch.enable_grad():
-            _, left, start = begin(replace(some, data={**some.data, **leaves}))
+            _, left, start = prepare(replace(some, data={**some.data, **leaves}))
         parts = (history.q, history.v, history.vd, history.lam)
         q, v, vd, lam = (x if x.shape[-1] == len(own) else x[..., own] for x in parts)
         h = self.duration / (len(history.q) - 1)
         times = h * torch.arange(len(history.q), dtype=torch.float64)
-        weights = Coefficients(self.options.get("spectral_radius", SPECTRAL_RADIUS)).weights(h)
-        corrections = self.options.get("iterations", (0, 1))[1]
+        weights, corrections = self.integrator.weights(h), self.integrator.iterations[1]
         return Grid(lanes, History(q, v, vd, lam), leaves, left, start, weights, times, every, corrections)
 
 

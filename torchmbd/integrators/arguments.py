@@ -14,49 +14,35 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.integrators import ode
+from torchmbd.integrators.integrator import Integrator
 from torchmbd.integrators.library import BACKENDS
+from torchmbd.integrators.registry import INTEGRATORS, integrator_of
 from torchmbd.numerics.owned import all_true, plain, whole
 from torchmbd.numerics.plausible import check_parameter
 from torchmbd.system import System
 
-METHODS = ("generalized_alpha", *ode.METHODS)
 GRADIENTS = ("auto", "forward", "reverse", "none")
 
 
-def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> None:
-    """InputError for arguments of `simulate` that are wrong for every system."""
+def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> Integrator:
+    """The integrator; InputError for arguments of `simulate` that are wrong for every system."""
     if not isinstance(duration, numbers.Real) or isinstance(duration, bool) or not 0 < float(duration) < math.inf:
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
     if steps is not None and not (whole(steps) and steps >= 1):
         raise InputError(f"steps is {steps!r}; allowed: a positive integer")
-    if method == "scipy_solver":
-        raise InputError(
-            "method 'scipy_solver' returns gradients of zero in reverse mode, silently; allowed: any other"
-        )
-    if method not in METHODS:
-        raise unknown("method", method, METHODS)
-    allowed = (
-        ("spectral_radius", "iterations", "refresh", *(() if phases else ("halvings",)))
-        if method == "generalized_alpha"
-        else ("rtol", "atol", "options")
-    )
-    for name in options:
-        if name not in allowed:
-            raise unknown(f"for method {method!r} the option", name, allowed)
+    return integrator_of(method, options, phases)
 
 
-def check_gradients(gradients: Any, method: str, phases: bool) -> None:
+def check_gradients(gradients: Any, integrator: Integrator, phases: bool) -> None:
     """Refuse a way to gradients that does not exist, or not for these motions; InputError says why."""
     if gradients not in GRADIENTS:
         raise unknown("gradients", str(gradients), GRADIENTS)
     if gradients != "reverse":
         return
-    if method != "generalized_alpha" or phases:
-        found = "phases are given" if phases else f"method is {method!r}"
-        raise InputError(
-            f"gradients is 'reverse', but {found}; allowed: method 'generalized_alpha' without phases, or 'forward'"
-        )
+    if phases or not integrator.adjoint:
+        found = "phases are given" if phases else f"method is {integrator.name!r}"
+        there = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
+        raise InputError(f"gradients is 'reverse', but {found}; allowed: method {there} without phases, or 'forward'")
 
 
 def check_backend(backend: Any) -> None:

@@ -1,7 +1,7 @@
 """Attempts at a motion: a lane that fails does not take the others with it, and is tried again.
 
-Equal steps: first carefully, with a new matrix for every correction, then with half the step. Adaptive methods: the lanes
-one by one. What became of a lane is its status: "ok", or what is wrong: "failed: ..." or "unresolved: ...".
+How, its integrator says (`Integrator.again`): carefully, or with half the step. What became of a lane is its status: "ok",
+or what is wrong: "failed: ..." or "unresolved: ...".
 Checked in tests/integrators/test_simulate.py.
 """
 
@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
-from torchmbd.integrators import generalized_alpha, ode
-from torchmbd.integrators.generalized_alpha import Begun
 from torchmbd.integrators.history import History
+from torchmbd.integrators.integrator import Integrator
 from torchmbd.integrators.march import ITERATION_ERROR, TURN
 from torchmbd.integrators.memory import require_room
+from torchmbd.integrators.ode import fastest_vibration
 from torchmbd.integrators.trajectory import OK
 from torchmbd.system import Dynamics, System
 
@@ -36,47 +34,24 @@ _LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
 
 
 def run(
-    dynamics: Dynamics, duration: float, steps: int, method: str, options: dict[str, Any]
+    integrator: Integrator, dynamics: Dynamics, duration: float, steps: int, precise: bool
 ) -> tuple[History, dict[str, Any], list[str]]:
-    """Integrate; a lane that fails does not take the others with it.
+    """Integrate; lanes that fail, or whose gradients are imprecise, are tried again as the integrator says.
 
-    Equal steps: the lanes that failed are tried again (`with_retries`). Adaptive methods: the lanes are run one by one.
+    precise: whether there are gradients
     """
-    if method == "generalized_alpha":
-        begun = generalized_alpha.begin(dynamics)
-        return with_retries(begun, duration, steps, precise=dynamics.tangents > 0, **options)
-    try:
-        history, stats = ode.integrate(dynamics, duration, steps, method, **options)
-        return history, stats, status_of(history, duration, steps, {})
-    except FloatingPointError as error:
-        if dynamics.lanes == 1:
-            return _empty(dynamics, steps), {}, [f"failed: {error}"]
-    parts = [run(dynamics.some([i]), duration, steps, method, options) for i in range(dynamics.lanes)]
-    q, v, vd, lam = (torch.cat([getattr(h, name) for h, _, _ in parts], -1) for name in ("q", "v", "vd", "lam"))
-    counts = {"evaluations": sum(s.get("evaluations", 0) for _, s, _ in parts)}
-    return History(q, v, vd, lam), counts, [status for _, _, statuses in parts for status in statuses]
-
-
-def with_retries(
-    begun: Begun, duration: float, steps: int, precise: bool, halvings: int = 1, **options: Any
-) -> tuple[History, dict[str, Any], list[str]]:
-    """generalized_alpha; lanes that fail, or whose gradients are imprecise, are tried again carefully, then with half the step.
-
-    precise: whether there are gradients;  halvings: how many times the step may be halved
-    """
-    if not isinstance(halvings, int) or halvings < 0:
-        raise InputError(f"halvings is {halvings!r}; allowed: a whole number, 0 or more")
-    history, stats = generalized_alpha.integrate(begun, duration, steps, **options)
+    found, again = integrator.integrate(dynamics, duration, steps), integrator.again()
+    history, stats = found.history, found.statistics
     status = status_of(history, duration, steps, stats)
-    quick = options.get("refresh", 1) > 0
-    poor = (stats["iteration_error"] > (IMPRECISE if quick and precise else torch.inf)).tolist()
+    status = [f"failed: {found.failed[i]}" if i in found.failed else reason for i, reason in enumerate(status)]
+    poor = [False] * len(status)
+    if precise and again is not None and again.steps == 1:
+        poor = (stats["iteration_error"] > IMPRECISE).tolist()
     failed = [lane for lane, reason in enumerate(status) if has_failed(reason) or poor[lane]]
-    if not failed or not (quick or halvings):
+    if not failed or again is None:
         return history, stats, status
-    often, left = (1, halvings) if quick else (2, halvings - 1)
-    options |= careful(options) if quick else {}
-    again = generalized_alpha.begin(begun.whole.some(failed))
-    better, counts, retried = with_retries(again, duration, often * steps, precise, left, **options)
+    often = again.steps
+    better, counts, retried = run(again.integrator, dynamics.some(failed), duration, often * steps, precise)
     cured = [(i, lane) for i, lane in enumerate(failed) if not has_failed(retried[i])]
     if not cured:
         return history, stats, status
@@ -109,20 +84,11 @@ def _finer(better: History, often: int, cured: list[tuple[int, int]]) -> dict:
     return result
 
 
-def careful(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of generalized_alpha for lanes that failed: a new matrix for every correction, and more of these.
-
-    The matrix of the step before does not suit one near a singular position: there its inverse grows without bound.
-    """
-    values, tangents = options.get("iterations", (3, 1))
-    return {"iterations": (2 * values, tangents), "refresh": 0}
-
-
 def default_steps(dynamics: Dynamics, duration: float) -> int:
     """Twenty steps per period of the fastest retained mode, at least 200 in all."""
     if "Kr" not in dynamics.data:
         return 1000
-    return max(FEWEST, math.ceil(20.0 * duration * ode.fastest_vibration(dynamics) / (2.0 * math.pi)))
+    return max(FEWEST, math.ceil(20.0 * duration * fastest_vibration(dynamics) / (2.0 * math.pi)))
 
 
 def steps_that_fit(system: System | None, dynamics: Dynamics, duration: float, tangents: int) -> int:
@@ -131,11 +97,6 @@ def steps_that_fit(system: System | None, dynamics: Dynamics, duration: float, t
     if system is not None:
         require_room(system, dynamics.lanes, steps, tangents)
     return steps
-
-
-def _empty(dynamics: Dynamics, steps: int) -> History:
-    start = generalized_alpha.initial(dynamics)
-    return History.of([start.map(lambda x: x * torch.nan)] * (steps + 1))
 
 
 def status_of(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:

@@ -19,11 +19,11 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.forces.action import Action
-from torchmbd.integrators import staged_alpha, staged_ode
-from torchmbd.integrators.attempts import careful, has_failed, run, status_of, steps_that_fit
+from torchmbd.integrators.attempts import has_failed, run, status_of, steps_that_fit
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
+from torchmbd.integrators.integrator import Integrator
 from torchmbd.integrators.library import resolved
 from torchmbd.integrators.motion import Tensors
 from torchmbd.integrators.phases import Phase, plan
@@ -38,7 +38,7 @@ _SIDES = ("q", "v", "a", "lam")
 
 @dataclass(eq=False)
 class ForwardIntegration:
-    """Any method over a duration [s].
+    """Any integrator over a duration [s].
 
     names      of the inputs;  variables: those among them whose tangents are carried
     labels     one for each entry of the variables
@@ -54,8 +54,7 @@ class ForwardIntegration:
     labels: tuple[str, ...]
     duration: float
     steps: int | None
-    method: str
-    options: dict[str, Any]
+    integrator: Integrator
     phases: Sequence[Phase] | None
     backend: str
     dynamics: Dynamics = field(init=False)
@@ -89,10 +88,12 @@ class ForwardIntegration:
         return tuple(value(x) for x in numbers)
 
     def _plainly(self, designs: dict[str, Tensor]) -> None:
-        kind = "step" if self.method == "generalized_alpha" else "rates"
-        self.dynamics = resolved(self.system.dynamics(designs, tangents=self.variables), self.backend, kind)
+        dynamics = self.system.dynamics(designs, tangents=self.variables)
+        self.dynamics = resolved(dynamics, self.backend, self.integrator.kind)
         self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, len(self.labels))
-        self.history, self.stats, self.status = run(self.dynamics, self.duration, self.steps, self.method, self.options)
+        self.history, self.stats, self.status = run(
+            self.integrator, self.dynamics, self.duration, self.steps, precise=self.dynamics.tangents > 0
+        )
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
         self.system, stages = plan(self.system, phases, self.duration)
@@ -101,15 +102,16 @@ class ForwardIntegration:
         directions = unit_directions({name: designs[name] for name in self.variables})
         views = Views.of(self.system, dynamics, designs, directions)
 
-        def attempt(options: dict[str, Any]) -> tuple[Course, dict[str, Any], list[str]]:
+        def attempt(integrator: Integrator) -> tuple[Course, dict[str, Any], list[str]]:
             course = Course(dynamics, stages, views, self.duration, steps)
-            return course, *_through(course, self.method, options)
+            return course, *_through(course, integrator)
 
-        course, stats, status = attempt(self.options)
-        if self.method == "generalized_alpha" and self.options.get("refresh", 1) and any(x != OK for x in status):
-            again, counts, better = attempt(self.options | careful(self.options))
+        course, stats, status = attempt(self.integrator)
+        again = self.integrator.again()
+        if again is not None and again.steps == 1 and any(x != OK for x in status):
+            other, counts, better = attempt(again.integrator)
             if better.count(OK) > status.count(OK):
-                course, stats, status = again, counts | {"renewed": list(range(len(status)))}, better
+                course, stats, status = other, counts | {"renewed": list(range(len(status)))}, better
         self._course, self.dynamics, self.history = course, course.whole, course.history
         self.stats, self.status, self.switches = stats, status, course.switches
         self.actions = tuple(stage.topology.actions for stage in stages)
@@ -192,11 +194,8 @@ def _numbers_of(switch: Switch) -> list[Any]:
     return found
 
 
-def _through(course: Course, method: str, options: dict[str, Any]) -> tuple[dict[str, Any], list[str]]:
+def _through(course: Course, integrator: Integrator) -> tuple[dict[str, Any], list[str]]:
     """Integrate through all phases; statistics and status."""
-    if method == "generalized_alpha":
-        stats = staged_alpha.integrate(course, **options)
-    else:
-        stats = staged_ode.integrate(course, method, **options)
+    stats = integrator.integrate_phases(course)
     found = status_of(course.history, course.duration, course.steps, stats)
     return stats, [own if own != OK else other for own, other in zip(course.status, found, strict=True)]

@@ -1,4 +1,4 @@
-"""Every method of torchdiffeq on the index-1 equations; motion and sensitivities in one augmented state.
+"""Flows of the index-1 equations by torchdiffeq; motion and sensitivities in one augmented state.
 
     y = [z, dz/db_1, ..., dz/db_n]          y' = [f(t, z), (df/dz) dz/db_k + df/db_k]
 
@@ -18,10 +18,7 @@ import torchdiffeq
 from torch import Tensor
 from torchdiffeq._impl.odeint import SOLVERS
 
-from torchmbd.errors import InputError
-from torchmbd.integrators.compiled_rates import RightHandSide, augment
-from torchmbd.integrators.generalized_alpha import initial
-from torchmbd.integrators.history import History
+from torchmbd.integrators.compiled_rates import RightHandSide
 from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics
 
@@ -30,51 +27,6 @@ FIXED = {"euler", "midpoint", "heun2", "heun3", "rk4", "explicit_adams", "implic
 DEFAULTS: dict[str, dict[str, Any]] = {"explicit_adams": {"max_order": 5}}
 FIRST_STEP = 0.01  # of 1 / omega; the steps grow tenfold at most from one to the next
 METHODS = tuple(sorted(name for name in SOLVERS if name != "scipy_solver"))
-
-
-def integrate(
-    dynamics: Dynamics,
-    duration: float,
-    steps: int,
-    method: str,
-    rtol: float = 1e-7,
-    atol: float = 1e-9,
-    options: dict[str, Any] | None = None,
-) -> tuple[History, dict[str, Any]]:
-    """Integrate all lanes; states at steps + 1 equal times.
-
-    steps        output intervals; a method of fixed step makes one step in each
-    rtol, atol   tolerances of adaptive methods, for motion and sensitivities alike
-    options      passed to torchdiffeq
-
-    Raises FloatingPointError when the step size underflows: the caller makes a status of it.
-    """
-    T = dynamics.topology
-    start = initial(dynamics)
-    times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
-    y0 = torch.cat([augment(start.q, dynamics), augment(start.v, dynamics)])
-
-    before = dynamics.statistics["evaluations"]
-    f = RightHandSide(dynamics)
-    y = flow(f, y0, times, arguments(dynamics, method, rtol, atol, options))
-    counts = {"evaluations": dynamics.statistics["evaluations"] - before}
-    a, lam = (
-        torch.stack(x)
-        for x in zip(*(f.accelerations(t, state) for t, state in zip(times, y, strict=True)), strict=True)
-    )
-    return History(y[:, : T.n_q], y[:, T.n_q :], a, lam), counts
-
-
-def arguments(
-    dynamics: Dynamics, method: str, rtol: float, atol: float, options: dict[str, Any] | None
-) -> dict[str, Any]:
-    """Arguments of torchdiffeq.odeint."""
-    for name, tolerance in (("rtol", rtol), ("atol", atol)):
-        if not isinstance(tolerance, (int, float)) or not 0.0 < tolerance < 1.0:
-            raise InputError(f"{name} is {tolerance!r}; allowed: positive, below 1")
-    tolerances = {} if method in FIXED else {"rtol": rtol, "atol": atol}
-    own = DEFAULTS.get(method, {}) if method in FIXED else first_step(dynamics)
-    return {"method": method, "options": own | (options or {})} | tolerances
 
 
 def first_step(dynamics: Dynamics) -> dict[str, float]:
@@ -95,7 +47,10 @@ def fastest_vibration(dynamics: Dynamics) -> float:
 
 
 def flow(f: RightHandSide, y0: Tensor, times: Tensor, given: dict[str, Any]) -> Tensor:
-    """The augmented state [times, n_z, 1 + n_b, lanes] at times [n] from y0 at the first; `given` by `arguments`."""
+    """The augmented state [times, n_z, 1 + n_b, lanes] at times [n] from y0 at the first.
+
+    given   arguments of torchdiffeq.odeint
+    """
     try:
         return torchdiffeq.odeint(f, y0, times, **given)  # pyright: ignore[reportReturnType]
     except AssertionError as error:  # torchdiffeq's way to say that dt underflows or that the state is not finite

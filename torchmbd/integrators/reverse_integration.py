@@ -1,4 +1,4 @@
-"""A motion by generalized-alpha whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
+"""A motion by equal steps whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
 
     inputs    the data of the reduced model, in the order of `names`
     outputs   q, v, v', lam [times, n, 1, lanes] of what a condensation left
@@ -16,12 +16,13 @@ from typing import Any
 
 from torch import Tensor
 
-from torchmbd.integrators import compiled_adjoint, generalized_alpha
+from torchmbd.integrators import compiled_adjoint
 from torchmbd.integrators.adjoint import Adjoint
-from torchmbd.integrators.attempts import has_failed, steps_that_fit, with_retries
+from torchmbd.integrators.attempts import has_failed, run, steps_that_fit
 from torchmbd.integrators.history import History
 from torchmbd.integrators.library import resolved
 from torchmbd.integrators.motion import Tensors
+from torchmbd.integrators.one_step import OneStep
 from torchmbd.numerics.pair import Pair
 from torchmbd.system import Dynamics, System
 from torchmbd.system.expansion import Expansion
@@ -34,7 +35,7 @@ class ReverseIntegration:
     system    the model, where steps are to be chosen;  model: topology and options of the equations; its data are not used
     names     of the inputs
     steps     their number; None: chosen from the data
-    options   of generalized_alpha and of its retries
+    integrator   with a pullback of its steps
     precise   whether derivatives will be taken
     backend   of the steps, as of `simulate`
 
@@ -46,7 +47,7 @@ class ReverseIntegration:
     names: tuple[str, ...]
     duration: float
     steps: int | None
-    options: dict[str, Any]
+    integrator: OneStep
     precise: bool
     backend: str = "auto"
     dynamics: Dynamics = field(init=False)
@@ -59,9 +60,8 @@ class ReverseIntegration:
         """As of `Integration`."""
         self.dynamics = resolved(self._with(inputs), self.backend)
         self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, 0)
-        begun = generalized_alpha.begin(self.dynamics)
-        self.history, self.stats, self.status = with_retries(
-            begun, self.duration, self.steps, precise=self.precise, **self.options
+        self.history, self.stats, self.status = run(
+            self.integrator, self.dynamics, self.duration, self.steps, self.precise
         )
         h = self.history
         return h.q, h.v, h.vd, h.lam
@@ -72,8 +72,7 @@ class ReverseIntegration:
         data = self.dynamics.data
         moving = {name: Pair.of(data[name], dx) for name, dx in given if dx is not None}
         moved = replace(self._with({**data, **moving}.values()), backend=self.dynamics.backend)
-        begun = generalized_alpha.begin(moved)
-        h, stats, _ = with_retries(begun, self.duration, self.steps or 0, precise=True, **self.options)
+        h, stats, _ = run(self.integrator, moved, self.duration, self.steps or 0, precise=True)
         self.stats["tangent_error"] = stats.get("tangent_error")
         return [x[:, :, 1:] for x in (h.q, h.v, h.vd, h.lam)]
 
@@ -86,7 +85,7 @@ class ReverseIntegration:
     def adjoint(self) -> Adjoint:
         """Of the motion."""
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
-        return Adjoint(self.dynamics, self.history, self.duration, self.options, failed, compiled_adjoint.sweep)
+        return Adjoint(self.dynamics, self.history, self.duration, self.integrator, failed, compiled_adjoint.sweep)
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """Leads from what was integrated to the whole system, as a function of the data; None: it is the whole."""

@@ -30,7 +30,9 @@ from torchmbd.integrators.forward_integration import ForwardIntegration
 from torchmbd.integrators.history import History
 from torchmbd.integrators.memory import require_room
 from torchmbd.integrators.motion import Motion
+from torchmbd.integrators.one_step import OneStep
 from torchmbd.integrators.phases import Phase
+from torchmbd.integrators.registry import DEFAULT
 from torchmbd.integrators.reverse_integration import ReverseIntegration
 from torchmbd.integrators.shapes import DesignShapes, without_failed
 from torchmbd.integrators.signals import Recorded
@@ -46,7 +48,7 @@ from torchmbd.system import Dynamics, System
 def simulate(
     system: System,
     duration: float,
-    method: str = "generalized_alpha",
+    method: str = DEFAULT,
     steps: int | None = None,
     designs: Mapping[str, Tensor] | None = None,
     phases: Sequence[Phase] | None = None,
@@ -76,8 +78,8 @@ def simulate(
                 or "auto": native where that is compiled in reasonable time. The same call gives the same numbers every time
     variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
-    options     generalized_alpha: spectral_radius, iterations, refresh; halvings (not with phases);
-                torchdiffeq: rtol, atol, options
+    options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
+                halvings (not with phases); torchdiffeq: rtol, atol, options
 
     A lane that fails is reported in `status`; it is nan from there on and adds nothing to a gradient. So is one whose steps do
     not resolve its vibrations, with all numbers. `stats` says which way gradients come and which backend made the steps.
@@ -85,10 +87,10 @@ def simulate(
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
-    check(duration, method, steps, options, phases is not None)
+    integrator = check(duration, method, steps, options, phases is not None)
     steps = None if steps is None else int(steps)
     given = check_designs(system, designs)
-    check_gradients(gradients, method, phases is not None)
+    check_gradients(gradients, integrator, phases is not None)
     check_backend(backend)
     grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
@@ -103,15 +105,14 @@ def simulate(
         count = sum(x[0].numel() for name, x in batch.items() if name in names)
         lanes = max((len(x) for x in batch.values()), default=1)
         require_room(system, lanes, steps or FEWEST, count, gradients != "forward")
-        adjoint = method == "generalized_alpha" and phases is None
-        if gradients == "forward" or not adjoint:
+        if gradients == "forward" or not isinstance(integrator, OneStep) or phases is not None:
             labels = labels_of(system, names)
             integration = ForwardIntegration(
-                system, tuple(batch), tuple(names), labels, float(duration), steps, method, options, phases, backend
+                system, tuple(batch), tuple(names), labels, float(duration), steps, integrator, phases, backend
             )
             motion = _forward(integration, batch)
         else:
-            motion = _reverse(system, batch, names, float(duration), steps, options, backend)
+            motion = _reverse(system, batch, names, float(duration), steps, integrator, backend)
         motion.stats["backend"] = motion.integration.dynamics.backend
         motion.stats["gradients"] = _route(motion) if names else GRADIENTS[-1]
         with torch.no_grad():
@@ -178,14 +179,14 @@ def _reverse(
     names: list[str],
     duration: float,
     steps: int | None,
-    options: dict[str, Any],
+    integrator: OneStep,
     backend: str,
 ) -> Trajectory:
     """A motion whose structure stage is differentiated by torch, and whose steps by their adjoint."""
     dynamics = system.reduced(batch)
     data = dynamics.data
     integration = ReverseIntegration(
-        system, replace(dynamics, data={}), tuple(data), duration, steps, options, bool(names), backend
+        system, replace(dynamics, data={}), tuple(data), duration, steps, integrator, bool(names), backend
     )
     outputs: Any = Motion.apply(integration, *data.values())
     return _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names)

@@ -1,4 +1,4 @@
-"""Steps of generalized-alpha whose size depends on the design, and the state a little after a switch.
+"""Steps whose size depends on the design, and the state a little after a switch.
 
 Size h and end t1 of a step are numbers [1 + n, 1] with tangents; one lane. Iterated to rounding, values and tangents.
 Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
@@ -6,13 +6,14 @@ Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.step import Coefficients, Model, State
+from torchmbd.integrators.step import Model, State, Weights
 from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import equations
@@ -24,9 +25,12 @@ _MOST = 25  # corrections
 _ROUNDING = 1e-13  # relative
 
 
-def sized(dynamics: Dynamics, method: Coefficients, x: State, h: Any, t1: Any) -> State:
-    """The state of one lane after a step of size h that ends at t1; numbers [1 + n, 1], pairs if x are."""
-    model = Model(dynamics.topology, dynamics.saddle, method.weights(h), dynamics.data)
+def sized(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: Any, t1: Any) -> State:
+    """The state of one lane after a step of size h that ends at t1; numbers [1 + n, 1], pairs if x are.
+
+    weights   of a step, as a function of its size
+    """
+    model = Model(dynamics.topology, dynamics.saddle, weights(h), dynamics.data)
     step = model.step(x, known(dynamics.topology, t1, dynamics.data))
     z = torch.cat([value(x.vd), value(x.lam)])
     before = torch.inf

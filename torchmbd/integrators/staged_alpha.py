@@ -1,4 +1,4 @@
-"""Generalized-alpha through the phases of a simulation: regular steps of all lanes, and steps of other sizes at switches.
+"""One-step methods through the phases of a simulation: regular steps of all lanes, and steps of other sizes at switches.
 
     h* : g(t + h*, x(h*)) = 0       the last step of a phase, by Newton's method on its size      dh*/db = -g_b / g_h
     t_k - t*                        the first step of the next one, back to the grid
@@ -15,20 +15,20 @@ Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
-from torchmbd.integrators import compiled
 from torchmbd.integrators.course import Course, Passage
+from torchmbd.integrators.estimates import turns
 from torchmbd.integrators.events import Event
-from torchmbd.integrators.generalized_alpha import checked, turns
-from torchmbd.integrators.march import TURN, first
+from torchmbd.integrators.march import TURN, March, first
 from torchmbd.integrators.sized import narrowed, shortly_after, sized, widened, widened_data
-from torchmbd.integrators.step import Coefficients, State
+from torchmbd.integrators.step import State, Weights
 from torchmbd.integrators.switch import lane_of, pick
 from torchmbd.numerics.pair import Pair, value
+from torchmbd.system.dynamics import Dynamics
 
 SHORT = 0.05  # of a regular step
 _SAME = 1e-9  # of a regular step: times that are equal
@@ -36,15 +36,23 @@ _ROUND = 1e-13  # of the size
 _MOST = 40  # iterations for the size of a last step
 
 
-def integrate(
-    course: Course, spectral_radius: float = 0.9, iterations: tuple[int, int] = (3, 1), refresh: int = 1
-) -> dict[str, Any]:
-    """Integrate all lanes through all stages; options and statistics as of generalized_alpha.integrate."""
-    checked(iterations, refresh)
-    method = Coefficients(spectral_radius)
+class Method(Protocol):
+    """A one-step method on the index-3 equations (one_step.py)."""
+
+    def weights(self, h: Any) -> Weights:
+        """Weights of a step of size h [s]."""
+        ...
+
+    def stepper(self, dynamics: Dynamics, h: float) -> March:
+        """Regular steps of size h [s]."""
+        ...
+
+
+def integrate(course: Course, method: Method) -> dict[str, Any]:
+    """Integrate all lanes through all stages."""
     passage, errors = course.start(), {}
     for number in range(len(course.stages)):
-        passage, found = _Leg(course, number, passage, method).run(iterations, refresh)
+        passage, found = _Leg(course, number, passage, method).run()
         for name, x in found.items():
             errors[name] = (torch.minimum if name == "until" else torch.maximum)(errors.get(name, x), x)
     h = course.duration / course.steps
@@ -56,7 +64,7 @@ def integrate(
 class _Leg:
     """All lanes in one stage, from `entry` to where they leave it."""
 
-    def __init__(self, course: Course, number: int, entry: Passage, method: Coefficients):
+    def __init__(self, course: Course, number: int, entry: Passage, method: Method):
         self.course, self.stage, self.method = course, course.stages[number], method
         self.h, self.times = course.duration / course.steps, course.times
         self.dynamics, x = course.enter(number, entry)
@@ -68,10 +76,10 @@ class _Leg:
         self.g = self._start_values()
         self.left: dict[int, Passage] = {}
 
-    def run(self, iterations: tuple[int, int], refresh: int) -> tuple[Passage, dict[str, Tensor]]:
-        """March until every lane has left the stage, or to the end; what the iterations leave as in generalized_alpha."""
-        d, w, x = self.dynamics, self.method.weights(self.h), self.entry.x
-        march = compiled.march(d, w, iterations, refresh)
+    def run(self) -> tuple[Passage, dict[str, Tensor]]:
+        """Step until every lane has left the stage, or to the end; what the iterations leave, as of March.errors."""
+        d, x = self.dynamics, self.entry.x
+        march = self.method.stepper(d, self.h)
         self._put_shortly_after()
         schedule = d.topology.schedule(self.times, d.data)
         alive, inside = self.alive, torch.zeros_like(self.alive)
@@ -120,7 +128,7 @@ class _Leg:
         if self._on_grid(lane, k):
             return x
         end = t * 0.0 + float(self.times[k])
-        return sized(lane_of(self.dynamics, lane), self.method, x, end - t, end)
+        return sized(lane_of(self.dynamics, lane), self.method.weights, x, end - t, end)
 
     def _put_shortly_after(self) -> None:
         """Record the points of the grid that lie between a switch and the first that a lane marches to."""
@@ -165,7 +173,7 @@ class _Leg:
         t, x = before.lane(lane)
         if self.event is None:
             end = pick(self.ends, [lane])
-            return Passage(end, sized(lane_of(self.dynamics, lane), self.method, x, end - t, end))
+            return Passage(end, sized(lane_of(self.dynamics, lane), self.method.weights, x, end - t, end))
         return self._located(self.event, lane, Passage(t, x), float(self.times[i] - value(t)[0, 0]), share)
 
     def _time(self, i: int) -> Any:
@@ -183,7 +191,7 @@ class _Leg:
         sign = math.copysign(1.0, float(self.g[lane]))
         for _ in range(_MOST):
             size = one + h
-            y = sized(wide, self.method, x, size, t + size)
+            y = sized(wide, self.method.weights, x, size, t + size)
             g, slope = self.course.views.slopes(event, lane, wide, t + size, y)
             low, high = (h, high) if float(g) * sign > 0.0 else (low, h)
             better = h - float(g / slope[-1])

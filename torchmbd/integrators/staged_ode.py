@@ -18,7 +18,7 @@ from torch import Tensor
 from torchmbd.integrators.compiled_rates import RightHandSide
 from torchmbd.integrators.course import Course, Passage
 from torchmbd.integrators.events import Event
-from torchmbd.integrators.ode import arguments, flow
+from torchmbd.integrators.ode import flow
 from torchmbd.integrators.phases import Stage
 from torchmbd.integrators.sized import narrowed, widened, widened_data
 from torchmbd.integrators.step import State
@@ -31,11 +31,8 @@ _ROUND = 1e-13  # of an output interval
 _MOST = 30  # iterations for the time of an event
 
 
-def integrate(
-    course: Course, method: str, rtol: float = 1e-7, atol: float = 1e-9, options: dict[str, Any] | None = None
-) -> dict[str, Any]:
-    """Integrate all lanes through all stages; options and statistics as of ode.integrate."""
-    given = arguments(course.whole, method, rtol, atol, options)
+def integrate(course: Course, given: dict[str, Any]) -> dict[str, Any]:
+    """Integrate all lanes through all stages; `given`: arguments of torchdiffeq.odeint. Statistics: evaluations."""
     before = course.whole.statistics["evaluations"]
     passage = course.start()
     for number in range(len(course.stages)):

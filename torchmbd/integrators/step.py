@@ -1,4 +1,4 @@
-"""One step of generalized-alpha: the operations that the integrator is made of (see generalized_alpha.py).
+"""One step on the index-3 equations: the operations that one-step integrators are made of (see one_step.py).
 
 Each is a pure function of tensors: no branch on numbers, nothing kept. So each can be written out as it
 stands (code.py), and the eager and the compiled integrator are one text.
@@ -15,13 +15,11 @@ correction is mostly enough.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
 
 from torch import Tensor
 
-from torchmbd.errors import InputError
 from torchmbd.numerics.elementwise import reciprocal
 from torchmbd.numerics.pair import Pair, cat, combine, value
 from torchmbd.system import equations
@@ -47,56 +45,6 @@ class State(NamedTuple):
         return self.map(value)
 
 
-@dataclass(frozen=True)
-class Coefficients:
-    """Coefficients of the method for a spectral radius 0 <= rho <= 1 at infinite frequency."""
-
-    rho: float
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.rho, (int, float)) or not 0.0 <= self.rho <= 1.0:
-            raise InputError(f"spectral_radius is {self.rho!r}; allowed: 0 (strong damping) to 1 (none)")
-
-    @property
-    def am(self) -> float:
-        return (2.0 * self.rho - 1.0) / (self.rho + 1.0)
-
-    @property
-    def af(self) -> float:
-        return self.rho / (self.rho + 1.0)
-
-    @property
-    def gamma(self) -> float:
-        return 0.5 + self.af - self.am
-
-    @property
-    def beta(self) -> float:
-        return 0.25 * (self.gamma + 0.5) ** 2
-
-    @property
-    def share(self) -> float:
-        """da1/dv1'."""
-        return (1.0 - self.af) / (1.0 - self.am)
-
-    def weights(self, h: Any) -> Weights:
-        """Weights of a step of size h [s]: a float, or a number [1, 1] that may be a pair (staged.py)."""
-        scale = self.beta * h * h * self.share
-        return Weights(
-            share=self.share,
-            a_from_vd=self.af / (1.0 - self.am),
-            a_from_a=-self.am / (1.0 - self.am),
-            h=h,
-            step_from_a=h * h * (0.5 - self.beta),
-            step_from_new=h * h * self.beta,
-            v_from_a=h * (1.0 - self.gamma),
-            v_from_new=h * self.gamma,
-            scale=scale,
-            rate=self.gamma * h * self.share,
-            inverse_scale=reciprocal(scale),
-            half=0.5 * h,
-        )
-
-
 class Weights(NamedTuple):
     """Numbers of one method and step size.
 
@@ -114,7 +62,31 @@ class Weights(NamedTuple):
     scale: Any  # dq1/dv1'
     rate: Any  # dv1/dv1'
     inverse_scale: Any
-    half: Any
+
+    @classmethod
+    def newmark(cls, h: Any, am: float, af: float) -> Weights:
+        """Of Newmark's updates with weighted accelerations, of second order:
+
+            (1 - am) a1 + am a0 = (1 - af) v1' + af v0',    gamma = 1/2 + af - am,    beta = (gamma + 1/2)^2 / 4
+
+        h   a float, or a number [1, 1] that may be a pair (sized.py)
+        """
+        share, gamma = (1.0 - af) / (1.0 - am), 0.5 + af - am
+        new = 0.25 * (gamma + 0.5) ** 2
+        scale = new * h * h * share
+        return cls(
+            share=share,
+            a_from_vd=af / (1.0 - am),
+            a_from_a=-am / (1.0 - am),
+            h=h,
+            step_from_a=h * h * (0.5 - new),
+            step_from_new=h * h * new,
+            v_from_a=h * (1.0 - gamma),
+            v_from_new=h * gamma,
+            scale=scale,
+            rate=gamma * h * share,
+            inverse_scale=reciprocal(scale),
+        )
 
     def values(self) -> Weights:
         return Weights(*(value(x) for x in self))

@@ -1,0 +1,94 @@
+"""Every method of torchdiffeq as an integrator, on the index-1 equations; see ode.py.
+
+Checked in tests/contracts/test_integrators.py, tests/convergence/test_time_order.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+
+from torchmbd.errors import InputError
+from torchmbd.integrators import staged_ode
+from torchmbd.integrators.compiled_rates import RightHandSide, augment
+from torchmbd.integrators.course import Course
+from torchmbd.integrators.history import History
+from torchmbd.integrators.integrator import Integrated, Integrator
+from torchmbd.integrators.ode import DEFAULTS, FIXED, first_step, flow
+from torchmbd.integrators.prepared import initial
+from torchmbd.system.dynamics import Dynamics
+
+
+@dataclass(frozen=True)
+class Torchdiffeq(Integrator):
+    """A method of torchdiffeq, by its name.
+
+    rtol, atol   tolerances of adaptive methods, for motion and sensitivities alike
+    options      passed to torchdiffeq
+
+    A method of fixed step makes one step in each output interval. Lanes are integrated together; where one cannot be
+    integrated (its step size underflows), one by one.
+    """
+
+    rtol: float = 1e-7
+    atol: float = 1e-9
+    options: dict[str, Any] | None = None
+    kind: ClassVar[str | None] = "rates"
+    adjoint: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        for key in ("rtol", "atol"):
+            x = getattr(self, key)
+            if not isinstance(x, (int, float)) or isinstance(x, bool) or not 0.0 < x < 1.0:
+                raise InputError(f"{key} is {x!r}; allowed: positive, below 1")
+        if self.options is not None and not (isinstance(self.options, dict) and all(map(_named, self.options))):
+            raise InputError(f"options is {self.options!r}; allowed: name -> value, options of torchdiffeq")
+
+    def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> Integrated:
+        """As of Integrator; statistics: the number of evaluations of the right-hand side."""
+        before = dynamics.statistics["evaluations"]
+        try:
+            history = self._together(dynamics, duration, steps)
+        except FloatingPointError as error:
+            if dynamics.lanes == 1:
+                x = initial(dynamics).map(lambda y: y * torch.nan)
+                return Integrated(History.of([x] * (steps + 1)), {}, {0: str(error)})
+            return _side_by_side([self.integrate(dynamics.some([i]), duration, steps) for i in range(dynamics.lanes)])
+        return Integrated(history, {"evaluations": dynamics.statistics["evaluations"] - before})
+
+    def _together(self, dynamics: Dynamics, duration: float, steps: int) -> History:
+        """All lanes with the same steps; raises FloatingPointError where one of them cannot be integrated."""
+        T = dynamics.topology
+        start = initial(dynamics)
+        times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
+        y0 = torch.cat([augment(start.q, dynamics), augment(start.v, dynamics)])
+        f = RightHandSide(dynamics)
+        y = flow(f, y0, times, self.arguments(dynamics))
+        states = zip(times, y, strict=True)
+        a, lam = (torch.stack(x) for x in zip(*(f.accelerations(t, z) for t, z in states), strict=True))
+        return History(y[:, : T.n_q], y[:, T.n_q :], a, lam)
+
+    def integrate_phases(self, course: Course) -> dict[str, Any]:
+        """As of Integrator."""
+        return staged_ode.integrate(course, self.arguments(course.whole))
+
+    def arguments(self, dynamics: Dynamics) -> dict[str, Any]:
+        """Arguments of torchdiffeq.odeint."""
+        tolerances = {} if self.name in FIXED else {"rtol": self.rtol, "atol": self.atol}
+        own = DEFAULTS.get(self.name, {}) if self.name in FIXED else first_step(dynamics)
+        return {"method": self.name, "options": own | (self.options or {})} | tolerances
+
+
+def _named(key: Any) -> bool:
+    return isinstance(key, str)
+
+
+def _side_by_side(parts: list[Integrated]) -> Integrated:
+    """Lanes that were integrated one by one."""
+    histories = [part.history for part in parts]
+    q, v, vd, lam = (torch.cat([getattr(h, name) for h in histories], -1) for name in ("q", "v", "vd", "lam"))
+    evaluations = sum(part.statistics.get("evaluations", 0) for part in parts)
+    failed = {i: part.failed[0] for i, part in enumerate(parts) if part.failed}
+    return Integrated(History(q, v, vd, lam), {"evaluations": evaluations}, failed)
