@@ -57,8 +57,8 @@ class History(_Constant):
         return None
 
     def __call__(self, motion: Trajectory) -> Tensor:
-        """Value [lanes, times]."""
-        return self.values(motion)
+        """Value [lanes, times]; lanes that failed have nan, and no derivative."""
+        return motion.sound(self.values(motion))
 
     def check(self, system: System) -> None:
         """Raise InputError where the history asks for what the system does not have."""
@@ -136,8 +136,8 @@ class Measure(_Constant):
         raise NotImplementedError(type(self).__name__)
 
     def __call__(self, motion: Trajectory) -> Tensor:
-        """Value [lanes], or [lanes, rows]."""
-        return self.value(motion)
+        """Value [lanes], or [lanes, rows]; lanes that failed have nan, and no derivative."""
+        return motion.sound(self.value(motion))
 
     def check(self, system: System) -> None:
         """Raise InputError where the measure asks for what the system does not have."""

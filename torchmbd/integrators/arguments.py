@@ -11,7 +11,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
+import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
+from torch._C._functorch import is_functorch_wrapped_tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrators.integrator import Integrator
@@ -43,6 +45,16 @@ def check_gradients(gradients: Any, integrator: Integrator, phases: bool) -> Non
         found = "phases are given" if phases else f"method is {integrator.name!r}"
         there = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
         raise InputError(f"gradients is 'reverse', but {found}; allowed: method {there} without phases, or 'forward'")
+
+
+def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
+    """InputError where a dual level of torch.autograd.forward_ad is open: tangents would be a second one inside."""
+    for name, x in batch.items():
+        if not is_functorch_wrapped_tensor(x) and forward_ad.unpack_dual(x).tangent is not None:
+            raise InputError(
+                f"{name!r} is a dual number of torch.autograd.forward_ad, in which no tangents can be integrated; allowed: "
+                "torch.func.jvp, or method 'generalized_alpha' without phases with gradients='auto' or 'reverse'"
+            )
 
 
 def check_backend(backend: Any) -> None:

@@ -118,8 +118,17 @@ def has_failed(status: str) -> bool:
     return status.startswith("failed")
 
 
-def numbers_until(history: History, status: list[str], stats: dict[str, Any]) -> Tensor:
-    """How many times of each lane have numbers that count [lanes]: all, or those before its failure."""
+def validity(history: History, status: list[str], stats: dict[str, Any]) -> Tensor:
+    """Of each lane [2, 1, lanes]: how many times have numbers that count, and 1, or 0 where it has failed.
+
+    A tensor, and an output of `Motion`: torch.func.vmap takes it apart as it does the motion.
+    """
+    good = torch.tensor([not has_failed(x) for x in status], dtype=torch.float64)
+    return torch.stack([_numbers_until(history, status, stats).to(good), good])[:, None]
+
+
+def _numbers_until(history: History, status: list[str], stats: dict[str, Any]) -> Tensor:
+    """All times, or those before the failure [lanes]."""
     times, lanes = len(history.q), len(status)
     good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0)
     until = good.int().cumprod(0).sum(0)

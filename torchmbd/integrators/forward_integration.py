@@ -1,8 +1,8 @@
 """A motion with the tangents of its design variables, integrated together; see motion.py.
 
     inputs    designs by name [component..., 1, lanes]
-    outputs   q, v, v', lam [times, n, 1, lanes], the data of the reduced model that move with the design, and of every
-              switch between phases its time and the states on both sides
+    outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (attempts.py), the data of the reduced model that
+              move with the design, and of every switch between phases its time and the states on both sides
 
 The structure stage is inside. Every method and phases; forward and reverse mode multiply with the tangents at hand.
 Checked in tests/integrators/test_motion.py, tests/sensitivity/.
@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.forces.action import Action
-from torchmbd.integrators.attempts import has_failed, run, status_of, steps_that_fit
+from torchmbd.integrators.attempts import run, status_of, steps_that_fit, validity
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
@@ -60,6 +60,7 @@ class ForwardIntegration:
     dynamics: Dynamics = field(init=False)
     history: History = field(init=False)
     status: list[str] = field(init=False)
+    validity: Tensor = field(init=False)
     stats: dict[str, Any] = field(init=False)
     switches: list[Switch] = field(default_factory=list, init=False)
     actions: tuple[tuple[Action, ...], ...] = field(default=(), init=False)
@@ -80,7 +81,8 @@ class ForwardIntegration:
         data = self.dynamics.data
         self.moving = tuple(name for name, x in data.items() if isinstance(x, Pair) or x.shape[-1] > 1)
         h = self.history
-        numbers = [Pair(x) for x in (h.q, h.v, h.vd, h.lam)]
+        self.validity = validity(h, self.status, self.stats)
+        numbers = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self._constant(self.validity)]
         numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.moving)]
         for switch in self.switches:
             numbers += _numbers_of(switch)
@@ -129,7 +131,8 @@ class ForwardIntegration:
                 flat.append(self._no_tangents(size, count) if d is None else d.reshape(size, count, d.shape[-1]))
         lanes = max(x.shape[-1] for x in flat)
         step = torch.cat([x.expand(*x.shape[:-1], lanes) for x in flat])
-        return [torch.einsum("...bl,bsl->...sl", dx.expand(*dx.shape[:-1], lanes), step) for dx in self._tangents]
+        moved = (torch.einsum("...bl,bsl->...sl", dx.expand(*dx.shape[:-1], lanes), step) for dx in self._tangents)
+        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in moved]
 
     def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
@@ -140,7 +143,7 @@ class ForwardIntegration:
         ]
         lanes = len(self.status)
         total = torch.stack([x.expand(*x.shape[:-1], lanes) for x in parts]).sum(0)
-        total[..., [lane for lane, status in enumerate(self.status) if has_failed(status)]] = 0.0
+        total = torch.where(self.validity[1] > 0.0, total, 0.0)
         ends = iter(total.split([self._size(name) for name in self.variables]))
         by = {name: next(ends) for name in self.variables}
         own = dict(self.system.named_parameters())

@@ -20,6 +20,7 @@ from typing import Any, NoReturn, Protocol
 
 import torch
 from torch import Tensor
+from torch._C._functorch import is_legacy_batchedtensor
 
 from torchmbd.errors import InputError
 
@@ -60,6 +61,7 @@ class Motion(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *cotangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         inputs, wanted = ctx.saved_tensors, ctx.needs_input_grad[1:]
+        _refuse_batched(cotangents)
         if all(x is None for x in cotangents):
             return (None,) * (1 + len(inputs))
         found = iter(_Backward.apply(ctx.integration, wanted, *inputs, *cotangents))  # pyright: ignore[reportArgumentType]
@@ -85,6 +87,14 @@ def _refuse() -> NoReturn:
     raise InputError(
         "a second derivative of a motion is asked for; allowed: first derivatives (second ones by differences of gradients)"
     )
+
+
+def _refuse_batched(cotangents: Tensors) -> None:
+    if any(x is not None and is_legacy_batchedtensor(x) for x in cotangents):
+        raise InputError(
+            "torch.autograd.grad of a motion has is_grads_batched=True, which torch does without the rules of its operations; "
+            "allowed: torch.vmap over torch.autograd.grad, or torch.func.jacrev"
+        )
 
 
 class _Derivative(torch.autograd.Function):

@@ -1,7 +1,7 @@
 """A motion by equal steps whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
 
     inputs    the data of the reduced model, in the order of `names`
-    outputs   q, v, v', lam [times, n, 1, lanes] of what a condensation left
+    outputs   q, v, v', lam [times, n, 1, lanes] of what a condensation left, and the validity of the lanes (attempts.py)
 
 Tangents are integrated when they are asked for, together with the values once more.
 Checked in tests/integrators/test_motion.py, tests/sensitivity/test_adjoint.py.
@@ -14,11 +14,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from torchmbd.integrators import compiled_adjoint
 from torchmbd.integrators.adjoint import Adjoint
-from torchmbd.integrators.attempts import has_failed, run, steps_that_fit
+from torchmbd.integrators.attempts import has_failed, run, steps_that_fit, validity
 from torchmbd.integrators.history import History
 from torchmbd.integrators.library import resolved
 from torchmbd.integrators.motion import Tensors
@@ -53,6 +54,7 @@ class ReverseIntegration:
     dynamics: Dynamics = field(init=False)
     history: History = field(init=False)
     status: list[str] = field(init=False)
+    validity: Tensor = field(init=False)
     stats: dict[str, Any] = field(init=False)
     variables: tuple[str, ...] = ()  # none carries tangents along
 
@@ -64,7 +66,8 @@ class ReverseIntegration:
             self.integrator, self.dynamics, self.duration, self.steps, self.precise
         )
         h = self.history
-        return h.q, h.v, h.vd, h.lam
+        self.validity = validity(h, self.status, self.stats)
+        return h.q, h.v, h.vd, h.lam, self.validity
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         """As of `Integration`."""
@@ -74,11 +77,13 @@ class ReverseIntegration:
         moved = replace(self._with({**data, **moving}.values()), backend=self.dynamics.backend)
         h, stats, _ = run(self.integrator, moved, self.duration, self.steps or 0, precise=True)
         self.stats["tangent_error"] = stats.get("tangent_error")
-        return [x[:, :, 1:] for x in (h.q, h.v, h.vd, h.lam)]
+        good = self.validity[1] > 0.0
+        found = [torch.where(good, x[:, :, 1:], 0.0) for x in (h.q, h.v, h.vd, h.lam)]
+        return [*found, self.validity.new_zeros(2, found[0].shape[2], len(self.status))]
 
     def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
-        found = self.adjoint(outputs, [name for name, one in zip(self.names, wanted, strict=True) if one])
+        found = self.adjoint(outputs[:4], [name for name, one in zip(self.names, wanted, strict=True) if one])
         return [found.get(name) for name in self.names]
 
     @cached_property

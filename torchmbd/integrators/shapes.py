@@ -7,13 +7,14 @@ Checked in tests/integrators/test_body_motion.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.numerics.called import called
+from torchmbd.numerics.owned import all_true, watched
 
 
 class Shapes:
@@ -40,40 +41,33 @@ class Shapes:
 class DesignShapes(Shapes):
     """Of all lanes; designs by name [lanes, ...].
 
-    status   of the lanes: shapes of those that failed have no gradient
+    good     which lanes have not failed [lanes]: shapes of the others have no gradient; None: all
     """
 
-    def __init__(self, system: Any, designs: dict[str, Tensor], lanes: int, status: Sequence[str] = ()):
+    def __init__(self, system: Any, designs: dict[str, Tensor], lanes: int, good: Tensor | None = None):
         super().__init__()
-        self.system, self.lanes, self.status = system, lanes, status
+        self.system, self.lanes, self.good = system, lanes, good
         # All parameters as they are now: they may be others when somebody looks.
         self.designs = {name: x.detach().clone() for name, x in system.named_parameters()} | designs
 
     def detach(self) -> DesignShapes:
         """As of Shapes."""
         designs = {name: x.detach() for name, x in self.designs.items()}
-        return DesignShapes(self.system, designs, self.lanes, self.status)
+        return DesignShapes(self.system, designs, self.lanes, self.good)
 
     def _values(self, name: str) -> Tensor:
         psi = called(self.system, self.designs, name)["psi"]
         wide = psi if psi.dim() == 4 else psi[None].expand(self.lanes, *psi.shape)
-        good = sound_lanes(self.status, self.lanes)
-        return wide if good is None else torch.where(good[:, None, None, None], wide, wide.detach())
+        if self.good is None or all_true(self.good):
+            return wide
+        return torch.where(self.good[:, None, None, None], wide, wide.detach())
 
 
-def sound_lanes(status: Sequence[str], lanes: int) -> Tensor | None:
-    """Which lanes have not failed [lanes]; None: none has. Of a batch of torch.func.vmap all lanes count as sound."""
-    good = [not reason.startswith("failed") for reason in status]
-    return None if all(good) or len(good) != lanes else torch.tensor(good)
-
-
-def without_failed(data: dict[str, Any], status: Sequence[str], lanes: int) -> dict[str, Any]:
-    """Data [component..., 1, lanes] that have no gradient in lanes that failed: that of their motion would be nan."""
-    good = sound_lanes(status, lanes)
-    if good is None:
+def without_failed(data: dict[str, Any], good: Tensor) -> dict[str, Any]:
+    """Data [component..., 1, lanes] that have no derivative in lanes that are not good [lanes]: theirs would be nan."""
+    if all_true(good):
         return data
-
-    moving = {name: x for name, x in data.items() if isinstance(x, Tensor) and x.requires_grad}
+    moving = {name: x for name, x in data.items() if isinstance(x, Tensor) and watched(x)}
     return data | {name: torch.where(good, x, x.detach()) for name, x in moving.items()}
 
 

@@ -12,12 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from torchmbd.integrators.history import History
+from torchmbd.numerics.owned import all_true
 from torchmbd.numerics.pair import Pair
 
 ORDERS = ("q", "v", "a")
@@ -113,10 +114,6 @@ class Recorded(Signals):
         plain = History(h.q.detach(), h.v.detach(), h.vd.detach(), h.lam.detach(), expansion)
         return Recorded(plain, self.settle, data, self.until)
 
-    def ended(self, until: Tensor) -> Self:
-        """The same up to a number of times of each lane [lanes]."""
-        return type(self)(self.history, self.settle, self.data, until)
-
     def _values(self, name: str, rows: Rows) -> Tensor:
         x = self._of(name, rows, slice(1))[:, :, 0].permute(2, 0, 1)
         return x if rows is None else x.contiguous()
@@ -137,7 +134,7 @@ class Recorded(Signals):
 
     def _of(self, name: str, rows: Rows, slots: slice) -> Tensor:
         x = self._whole(name, rows, slots)
-        if self.until is None or bool((self.until >= self.times).all()):
+        if self.until is None or all_true(self.until >= self.times):
             return x
         lost = torch.arange(self.times)[:, None] >= self.until
         return x.masked_fill(lost[:, None, None], torch.nan)

@@ -24,8 +24,9 @@ from torchmbd.integrators.arguments import (
     check_designs,
     check_gradients,
     check_variables,
+    refuse_dual_level,
 )
-from torchmbd.integrators.attempts import FEWEST, numbers_until
+from torchmbd.integrators.attempts import FEWEST
 from torchmbd.integrators.forward_integration import ForwardIntegration
 from torchmbd.integrators.history import History
 from torchmbd.integrators.memory import require_room
@@ -106,6 +107,7 @@ def simulate(
         lanes = max((len(x) for x in batch.values()), default=1)
         require_room(system, lanes, steps or FEWEST, count, gradients != "forward")
         if gradients == "forward" or not isinstance(integrator, OneStep) or phases is not None:
+            refuse_dual_level(batch)
             labels = labels_of(system, names)
             integration = ForwardIntegration(
                 system, tuple(batch), tuple(names), labels, float(duration), steps, integrator, phases, backend
@@ -116,33 +118,23 @@ def simulate(
         motion.stats["backend"] = motion.integration.dynamics.backend
         motion.stats["gradients"] = _route(motion) if names else GRADIENTS[-1]
         with torch.no_grad():
-            plain = _plain(motion)
             if phases is None:
-                explained(plain)
-            until = numbers_until(motion.integration.history, motion.status, motion.stats)
+                explained(_plain(motion))
             motion.stats.pop("until", None)
-            warn_of_spin(_ended(plain, until))
-        return _ended(motion, until)
-
-
-def _ended(motion: Trajectory, until: Tensor) -> Trajectory:
-    """The motion with nan from a number of times on [lanes]; one of a batch of torch.func.vmap stays as it is."""
-    signals = motion.signals
-    if not isinstance(signals, Recorded) or len(until) != motion.lanes:
+            warn_of_spin(_plain(motion, motion.integration.validity[0, 0]))
         return motion
-    return replace(motion, signals=signals.ended(until))
 
 
 def _route(motion: Trajectory) -> str:
     return "reverse" if isinstance(motion.integration, ReverseIntegration) else "forward"
 
 
-def _plain(motion: Trajectory) -> Trajectory:
-    """The motion on plain tensors, wherever the caller is; status and statistics are shared."""
+def _plain(motion: Trajectory, until: Tensor | None = None) -> Trajectory:
+    """The motion on plain tensors, wherever the caller is; status and statistics are shared. until: as of Recorded."""
     made = motion.integration
     dynamics, h = made.dynamics.values(), made.history
     q, v, vd, lam = (x[:, :, :1] for x in (h.q, h.v, h.vd, h.lam))
-    signals = Recorded(History(q, v, vd, lam, made.expansion(dynamics.data)), made, dynamics.data)
+    signals = Recorded(History(q, v, vd, lam, made.expansion(dynamics.data)), made, dynamics.data, until)
     return replace(motion, signals=signals, dynamics=dynamics, designs={}, variables={}, integration=None)
 
 
@@ -195,10 +187,10 @@ def _reverse(
 def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Trajectory:
     """A motion with tangents."""
     outputs: Any = Motion.apply(integration, *(x.movedim(0, -1).unsqueeze(-2) for x in batch.values()))
-    end = 4 + len(integration.moving)
-    data = dict(integration.dynamics.data) | dict(zip(integration.moving, outputs[4:end], strict=True))
+    end = 5 + len(integration.moving)
+    data = dict(integration.dynamics.data) | dict(zip(integration.moving, outputs[5:end], strict=True))
     names, labels = list(integration.variables), integration.labels
-    motion = _presented(integration.system, integration, outputs[:4], data, batch, labels, names)
+    motion = _presented(integration.system, integration, outputs[:5], data, batch, labels, names)
     motion.switches = integration.switches_of(outputs[end:])
     motion.actions = integration.actions
     return motion
@@ -214,12 +206,13 @@ def _presented(
     names: list[str],
 ) -> Trajectory:
     """What was integrated, with all that belongs to it, as functions of the outputs, the data and the designs."""
-    q, v, vd, lam = outputs
+    q, v, vd, lam, (until, good) = outputs
+    until, good = until[0].detach(), good[0] > 0.0
     whole = integration.dynamics
-    data = without_failed(data, integration.status, q.shape[-1])
+    data = without_failed(data, good)
     dynamics = Dynamics(whole.topology, whole.saddle, data, whole.initial, whole.stabilization, whole.backend)
     history = History(q, v, vd, lam, integration.expansion(data))
-    signals = Recorded(history, integration, data)
+    signals = Recorded(history, integration, data, until)
     return Trajectory(
         t=torch.linspace(0.0, integration.duration, len(q), dtype=torch.float64),
         signals=signals,
@@ -227,7 +220,8 @@ def _presented(
         stats=integration.stats,
         system=system,
         dynamics=dynamics,
-        shapes=DesignShapes(system, designs, signals.lanes, integration.status),
+        shapes=DesignShapes(system, designs, signals.lanes, good),
+        good=good,
         designs=designs,
         parameters=labels,
         variables={name: designs[name] for name in names},

@@ -29,6 +29,7 @@ from torchmbd.integrators.reaction import JointReaction, reaction
 from torchmbd.integrators.shapes import OneLane, Shapes
 from torchmbd.integrators.signals import Given, Recorded, Rows, Signals, detached
 from torchmbd.integrators.singular import SingularPosition, singular_positions
+from torchmbd.numerics.owned import all_true
 from torchmbd.system.dynamics import Dynamics
 
 OK = "ok"
@@ -88,6 +89,7 @@ class Trajectory:
     designs     parameters of the lanes by name, [lanes, ...]
     parameters  names of the design variables of the sensitivities, one for each slot
     switches    passages into the second phase and all later ones
+    good        which lanes have not failed [lanes], also where torch.func.vmap makes several motions of one; None: all
     actions     applied forces of each phase; none: of all the same
     variables   designs by which the motion is differentiable, by name [lanes, ...]: inputs of torch.autograd.grad
     integration how it was integrated, with its tangents if it has any (forward_integration.py, reverse_integration.py)
@@ -105,6 +107,7 @@ class Trajectory:
     switches: list[Switch] = field(default_factory=list)
     actions: tuple[tuple[Action, ...], ...] = ()
     known: dict[Any, Any] | None = field(default=None, repr=False)  # what measures evaluated together share
+    good: Tensor | None = field(default=None, repr=False)
     variables: dict[str, Tensor] = field(default_factory=dict, repr=False)
     integration: Any = field(default=None, repr=False)
     _energies: dict[bool, Energies] = field(default_factory=dict, init=False, repr=False)
@@ -202,6 +205,12 @@ class Trajectory:
                 raise SimulationFailure(f"lane {lane}: {status}")
         return self
 
+    def sound(self, x: Tensor) -> Tensor:
+        """A function [lanes, ...] of the motion, without derivatives in lanes that failed: those of nan would be nan."""
+        if self.good is None or all_true(self.good):
+            return x
+        return torch.where(self.good.reshape(-1, *[1] * (x.dim() - 1)), x, x.detach())
+
     def body(self, name: str) -> BodyMotion:
         """The motion of one body."""
         if name not in self.dynamics.topology.names:
@@ -241,6 +250,7 @@ class Trajectory:
             shapes=OneLane(self.shapes, lane),
             designs={name: x[one] for name, x in self.designs.items()},
             parameters=(),
+            good=None if self.good is None else self.good[one],
             switches=[],
             known=None,
             variables={},
