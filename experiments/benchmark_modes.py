@@ -97,18 +97,19 @@ def large(cells: tuple[int, int] = (82, 40), layers: int = 8, modes: int = 20) -
     clamped = set(mesh.node_sets["left_edge"])
     keep = [6 * node + f for node in range(len(mesh.nodes)) if node not in clamped for f in range(6)]
     pattern, slots = matrices.pattern.restrict(keep)
-    basis = matrices.basis[:, slots]
     mass = matrices.lumped_mass(laminate.mass_per_area, laminate.rotary_inertia_per_area)[keep].detach()
     angles = laminate.angles.detach()
 
     def stage(angles: Tensor) -> tuple[Tensor, ...]:
         return modal_basis(
-            SparseMatrix(pattern, functional_call(laminate, {"angles": angles}, ()) @ basis), mass, modes
+            SparseMatrix(pattern, matrices.values(functional_call(laminate, {"angles": angles}, ()), slots)),
+            mass,
+            modes,
         )
 
     with torch.no_grad():
         values = best(lambda: stage(angles), 3)
-        K = pattern.to_scipy(laminate.entries().detach() @ basis)
+        K = pattern.to_scipy(matrices.values(laminate.entries().detach(), slots))
     M = scipy.sparse.diags_array(mass.numpy()).tocsc()
     eigsh = best(lambda: scipy.sparse.linalg.eigsh(K, k=modes, M=M, sigma=0.0), 1)
     derivatives = best(lambda: with_tangents(stage, angles), 3) - values

@@ -13,6 +13,8 @@ from hypothesis import settings
 import torchmbd as mbd
 from experiments.slider_crank import build
 from torchmbd.integrators import Trajectory
+from torchmbd.numerics import panels
+from torchmbd.numerics.native import compiler
 from torchmbd.tracking.store import open_store
 
 # Code compiled by an earlier run would decide which code a test runs; tests of compilation switch it on themselves.
@@ -48,6 +50,29 @@ def native(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if shutil.which("g++") is None:
         pytest.skip("no C++ compiler")
     monkeypatch.setenv("TORCHMBD_CACHE", str(kept))
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A folder of its own for the compiled products, which are built once."""
+    return str(tmp_path_factory.mktemp("libraries"))
+
+
+@pytest.fixture
+def compiled(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Products are compiled code."""
+    monkeypatch.setenv("TORCHMBD_CACHE", library)
+    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+    if shutil.which(compiler()) is None:
+        pytest.skip("no C++ compiler")
+    assert panels._native() is not None
+
+
+@pytest.fixture(params=["torch", "compiled"])
+def products(request: pytest.FixtureRequest) -> None:
+    """A test runs with products of torch and with compiled ones."""
+    if request.param == "compiled":
+        request.getfixturevalue("compiled")
 
 
 ANGLES = (30.0, -20.0, 50.0)

@@ -37,7 +37,7 @@ def test_a_rectangle_in_bending_has_the_energy_of_its_material():
         torch.tensor([0.4**2, 0.9**2], dtype=torch.float64) / 3 / size**2
     )  # means of y^2 and x^2; that of x y is 0
     exact = (amount[:2] ** 2 * squares * S.diagonal()[:2]).sum()
-    assert_close(w @ inner.law(A, 0 * A)[0, :4, :4] @ w, exact, rtol=1e-12, atol=0.0)
+    assert_close(w @ inner.law(A[None], 0 * A[None])[0, :4, :4] @ w, exact, rtol=1e-12, atol=0.0)
 
 
 def test_amounts_of_three_functions_are_all_that_varies():

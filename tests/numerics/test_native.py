@@ -9,7 +9,7 @@ import pytest
 
 from torchmbd.numerics.native import Native
 
-SOURCE = "reduction/panels.cpp"
+SOURCE = "numerics/panels.cpp"
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 
 

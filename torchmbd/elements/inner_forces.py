@@ -82,18 +82,19 @@ class CellForces:
         self.given = given
         self.rows = torch.cat([given.work, given.curvature.flatten(1, 2)], dim=1)  # J
         sigma = given.states
-        self._flexibility = torch.einsum("mesa,kst,metb->kmab", sigma, unit_laws(), sigma)
-        self._states = sigma.permute(0, 3, 1, 2).contiguous()  # [m, state, function, component]
+        self._flexibility = torch.einsum("mesa,kst,metb->mkab", sigma, unit_laws(), sigma).flatten(2)
+        self._sides = given.sides.transpose(0, 1).flatten(2)
+        self._states = sigma.permute(0, 3, 1, 2).flatten(1, 2)  # [m, state and function, component]
 
-    def law(self, A: Float[Tensor, "*lanes 3 3"], B: Float[Tensor, "*lanes 3 3"]) -> Float[Tensor, "*lanes m 13 13"]:
-        """C: from what the states work on the sides and from curvatures, energy per area."""
+    def law(
+        self, A: Float[Tensor, "*lanes c 3 3"], B: Float[Tensor, "*lanes c 3 3"]
+    ) -> Float[Tensor, "*lanes m 13 13"]:
+        """C of every cell: from what the states work on the sides and from curvatures, energy per area; c is m, or 1."""
         S = torch.linalg.inv(A)
-        numbers = torch.stack([S[..., i, j] for i, j in SYMMETRIC], dim=-1)
-        U, X = (
-            (numbers @ basis.flatten(1)).unflatten(-1, basis.shape[1:])
-            for basis in (self._flexibility, self.given.sides)
-        )
-        bent = (self._states.flatten(0, 2) @ (S @ B)).unflatten(-2, self._states.shape[:3]).flatten(-2)
+        numbers = torch.stack([S[..., i, j] for i, j in SYMMETRIC], dim=-1)[..., None, :]
+        U = (numbers @ self._flexibility).unflatten(-1, (4, 4)).squeeze(-3)
+        X = (numbers @ self._sides).unflatten(-1, (4, 2)).squeeze(-3)
+        bent = (self._states @ (S @ B)).unflatten(-2, (4, 3)).flatten(-2)
         w = torch.cat([torch.eye(4, dtype=A.dtype).expand(*bent.shape[:-1], 4), bent], dim=-1)
         F, coupling = _inverse(U[..., :2, :2]), U[..., 2:, :2]
         lean = coupling @ F
@@ -103,19 +104,14 @@ class CellForces:
         stiff = _inverse(U[..., 2:, 2:] - lean @ coupling.mT)
         relief = torch.einsum("ef,...st->...esft", torch.eye(3, dtype=A.dtype), B @ S @ B).flatten(-2).flatten(-3, -2)
         strains, forces = torch.cat([w[..., :2, :], left], dim=-2), torch.cat([c, stiff @ left], dim=-2)
-        return strains.mT @ forces - torch.nn.functional.pad(relief, (4, 0, 4, 0))[..., None, :, :]
+        return strains.mT @ forces - torch.nn.functional.pad(relief, (4, 0, 4, 0))
 
-    def numbers(self, C: Float[Tensor, "lanes m 13 13"]) -> Float[Tensor, "numbers lanes"]:
-        """Area J' C J of all cells [m * f * f, lanes]; lanes last, as that is faster."""
-        m, rows, f = self.rows.shape
-        half = self.rows.mT @ C.permute(1, 2, 3, 0).flatten(2)
-        half = half.unflatten(-1, (rows, -1)).transpose(1, 2).flatten(2)  # [m, 13, f * lanes]
-        return ((self.given.area[:, None, None] * self.rows.mT) @ half).reshape(m * f * f, -1)
+    def stiffness(self, C: Float[Tensor, "lanes m 13 13"]) -> Float[Tensor, "lanes m f f"]:
+        """Area J' C J of all cells."""
+        return (self.given.area[:, None, None] * self.rows).mT @ (C @ self.rows)
 
-    def adjoint(self, numbers: Float[Tensor, "numbers lanes"]) -> Float[Tensor, "lanes m 13 13"]:
-        """What has the same product with C as these have with `numbers(C)`."""
-        m, _, f = self.rows.shape
-        K = numbers.mT.reshape(-1, m, f, f)
+    def adjoint(self, K: Float[Tensor, "lanes m f f"]) -> Float[Tensor, "lanes m 13 13"]:
+        """What has the same product with C as these have with `stiffness(C)`."""
         return (self.given.area[:, None, None] * self.rows) @ K @ self.rows.mT
 
 

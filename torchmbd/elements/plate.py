@@ -1,14 +1,11 @@
 """Stiffness of a laminated plate or faceted shell: linear in the laminate's 21 entries, but for inner forces of the cells.
 
-    K(b) = sum_i s_i(b) K_i (+ inner forces),      s = laminate.entries() [..., 21],      K_i = sum_e sum_points weight E' C_i E
+    K(b) = sum_cells K_cell(s(b))      s = laminate.entries() [..., 21]
 
-C_i     the pattern of entry i in the 8 x 8 law (N, M, Q) = C (eps, kappa, gamma)
-E       strains of the cell (strains.py, shell_elements.py): triangles and quadrilaterals, mixed as the mesh mixes them
-basis   values of all K_i on one sparsity pattern, made once per mesh            [21, nnz]
-inner   membrane forces that vary over a quadrilateral (inner_forces.py): a small matrix for each cell and design
-
-So a new design of triangles costs one product `entries @ basis`, whatever the mesh, and derivatives in the design are exact.
-Two numbers enter E from the laminate: mean Poisson's ratio and shear length (IsotropicMean). They are constants under
+Cells of one shape and one laminate have one matrix (cell_stiffness.py): a new design costs their products and one sum over
+all cells, and derivatives in the design are exact.
+Two numbers enter the strains of a cell (strains.py, shell_elements.py) from the laminate: mean Poisson's ratio and
+shear length (IsotropicMean). They are constants under
 any change of ply angle. When *thickness* is a design variable they stay those of the laminate given here: still a
 converging element with the exact gradient of what it computes, tuned to a neighboring thickness. A fifth more or less
 moves frequencies of a mesh by 0.2 % beside the element tuned anew, half or twice the thickness by 0.5 and 2 %; make the
@@ -29,8 +26,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchmbd.elements.cell_stiffness import CellStiffness, shapes_of
 from torchmbd.elements.facet import Facets, facets
-from torchmbd.elements.inner_forces import CellForces
 from torchmbd.elements.shell_elements import ELEMENTS
 from torchmbd.elements.strains import Strains
 from torchmbd.errors import InputError
@@ -38,61 +35,57 @@ from torchmbd.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffne
 from torchmbd.mesh import Mesh, directed_area
 from torchmbd.numerics.linear_map import mapped
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
-
-_FIRST_ROW = {"A": (0, 0), "B": (0, 3), "D": (3, 3), "As": (6, 6)}
+from torchmbd.numerics.sums import Sums
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Cells of one kind: their corners [m, c], planes and strains."""
+    """Cells of one kind: their corners and planes, the shape of each, and the strains of the shapes."""
 
     corners: Int[Tensor, "m c"]
     facets: Facets
+    shape: Int[Tensor, " m"]
     strains: Strains
 
+    @classmethod
+    def of(cls, kind: str, corners: Int[Tensor, "m c"], plane: Facets, mean: IsotropicMean) -> Cells:
+        """Cells in their planes."""
+        one, shape = shapes_of(plane)
+        return cls(corners, plane, shape, ELEMENTS[kind](Facets(*(x[one] for x in vars(plane).values())), mean))
 
-class _Picked(NamedTuple):
-    """Some numbers of K, a linear map of entries and of the laws of inner forces (linear_map.py).
 
-    basis   columns of these numbers, and of more [21, columns]
-    inner   of the kinds that have inner forces
-    places  the column of every number of their cells
-    result  which columns are asked for
-    """
+class _Numbers(NamedTuple):
+    """The numbers of K, a linear map of entries and of the laws of inner forces (linear_map.py)."""
 
-    basis: Float[Tensor, "21 columns"]
-    inner: list[CellForces]
-    places: list[Int[Tensor, " numbers"]]
-    result: slice | Int[Tensor, " k"]
+    cells: list[CellStiffness]
+    sums: Sums
 
-    def __call__(self, *x: Tensor) -> Float[Tensor, "lanes columns"]:
-        """Of entries [lanes, 21] and laws [lanes, m, 13, 13]; in memory lanes come last."""
-        if not self.inner:
-            return x[0] @ self.basis
-        values = self.basis.mT @ x[0].mT
-        for own, place, law in zip(self.inner, self.places, x[1:], strict=True):
-            values.index_add_(0, place, own.numbers(law))
-        return values.mT
+    def __call__(self, *x: Tensor) -> Float[Tensor, "lanes numbers"]:
+        """Of entries [lanes, laminates, 21] and laws [lanes, variants, 13, 13]."""
+        laws = iter(x[1:])
+        return self.sums(torch.cat([own(x[0], *(next(laws) for _ in range(own.laws))) for own in self.cells], 1))
 
-    def adjoint(self, y: Float[Tensor, "lanes columns"]) -> tuple[Tensor, ...]:
+    def adjoint(self, y: Float[Tensor, "lanes numbers"]) -> tuple[Tensor, ...]:
         """Back to entries and laws."""
-        laws = (own.adjoint(y.mT[place]) for own, place in zip(self.inner, self.places, strict=True))
-        return y @ self.basis.mT, *laws
+        parts = self.sums.adjoint(y).split([own.numbers for own in self.cells], 1)
+        found = [own.adjoint(part) for own, part in zip(self.cells, parts, strict=True)]
+        return torch.stack([entries for entries, *_ in found]).sum(0), *(law for _, *laws in found for law in laws)
 
 
 class PlateMatrices:
     """What a mesh contributes to stiffness and mass, made once per mesh.
 
     pattern   where K is not zero
-    basis     [21, nnz]: K values = entries @ basis, and inner forces; `...` lanes of entries give [..., nnz]
     area      [n] tributary area of each node [m2]: lumped mass = mass_per_area * area,
               nodal rotary inertia = rotary_inertia_per_area * area
     kinds     the cells of each kind that there are
     members   the numbers of the cells, by kind
+    zones     the laminate of each of these
 
     laminate    the laminate, of which only the mean properties enter here; or these
     direction   the laminate's x-axis in mesh axes, projected into each cell: [3], or one for each cell of the mesh [m, 3]
     cells       numbers of the cells that are made of it; None: all of the mesh
+    zones       which of several laminates, of the same mean, each of these cells is made of; None: one laminate
     """
 
     def __init__(
@@ -101,6 +94,7 @@ class PlateMatrices:
         laminate: Laminate | IsotropicMean,
         direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
         cells: Sequence[int] | Tensor | None = None,
+        zones: Int[Tensor, " cells"] | None = None,
     ) -> None:
         if not isinstance(mesh, Mesh):
             raise InputError(f"mesh of a plate is {mesh!r}; allowed: a Mesh, such as mbd.mesh.rectangle(...)")
@@ -109,29 +103,36 @@ class PlateMatrices:
         self.mesh = mesh
         chosen = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
         self.mean = laminate if isinstance(laminate, IsotropicMean) else IsotropicMean.of(laminate)
-        found = []
+        self.kinds: dict[str, Cells] = {}
+        members = []
         for kind, corners in mesh.cells.items():
             own = chosen - mesh.first(kind)
             own = own[(own >= 0) & (own < len(corners))]
             if len(own):
-                found.append((kind, own, facets(mesh, direction, own, kind)))
-        self.members = torch.cat([mesh.first(kind) + own for kind, own, _ in found])
+                self.kinds[kind] = Cells.of(kind, corners[own], facets(mesh, direction, own, kind), self.mean)
+                members.append(mesh.first(kind) + own)
+        self.members = torch.cat(members)
+        self.several = zones is not None
+        of_cell = chosen.new_zeros(mesh.cell_count)
+        self.zones = (of_cell if zones is None else of_cell.index_copy(0, chosen, zones))[self.members]
+        self.laminates = 1 + int(self.zones.max())
         self.area = self._tributary()
-        corners = [mesh.cells[kind][own] for kind, own, _ in found]
-        self.pattern, slots = _block_pattern(corners, len(mesh.nodes))
-        self.kinds = {
-            kind: Cells(at, plane, ELEMENTS[kind](plane, self.mean))
-            for (kind, _, plane), at in zip(found, corners, strict=True)
-        }
-        self.basis = self.area.new_zeros(len(ENTRIES), self.pattern.nnz)
-        inner, places = [], []
-        for own, slot in zip(self.kinds.values(), slots, strict=True):
-            _add_laws(self.basis, own.strains, slot)
-            if own.strains.forces is not None:
-                inner.append(CellForces(own.strains.forces))
-                places.append(slot.flatten())
-        self._whole = self._picked = _Picked(self.basis, inner, places, slice(None))
+        self._whole = self._picked = self._numbers()
         self._chosen: Tensor | None = None
+
+    def _numbers(self) -> _Numbers:
+        """Numbers of K on the pattern, which is found here."""
+        self.pattern, slots = _block_pattern([own.corners for own in self.kinds.values()], len(self.mesh.nodes))
+        made, sources, count = [], [], 0
+        laminates = self.zones.split([len(own.shape) for own in self.kinds.values()])
+        for own, laminate in zip(self.kinds.values(), laminates, strict=True):
+            variants, variant = torch.unique(torch.stack([own.shape, laminate], 1), dim=0, return_inverse=True)
+            cell = CellStiffness(own.strains, variants, self.laminates)
+            sources.append((count + variant[:, None] * cell.each + cell.place.flatten()).flatten())
+            made.append(cell)
+            count += cell.numbers
+        slot = torch.cat([x.flatten() for x in slots])
+        return _Numbers(made, Sums.of(slot, torch.cat(sources), (self.pattern.nnz, count)))
 
     @property
     def axes(self) -> Float[Tensor, "m 3 3"]:
@@ -147,7 +148,7 @@ class PlateMatrices:
         return nodes, share * directed_area(self.mesh.nodes[nodes]).norm(dim=1), self.mesh.normals[cell[chosen]]
 
     def stiffness(self, entries: Float[Tensor, "*lanes 21"]) -> SparseMatrix:
-        """Return K of one laminate or of a batch."""
+        """Return K of one laminate or of a batch; of several laminates entries are [*lanes, laminates, 21]."""
         if entries.shape[-1] != len(ENTRIES):
             raise InputError(f"entries has shape {tuple(entries.shape)}; allowed: [..., {len(ENTRIES)}]")
         return SparseMatrix(self.pattern, self.values(entries))
@@ -157,29 +158,20 @@ class PlateMatrices:
     ) -> Float[Tensor, "*lanes nnz"]:
         """Return the numbers of K on the pattern, or only chosen ones: where they are is found once."""
         if chosen is not None and chosen is not self._chosen:
-            self._chosen, self._picked = chosen, self._pick(chosen)
+            self._chosen, self._picked = chosen, self._whole._replace(sums=self._whole.sums.chosen(chosen))
         picked = self._whole if chosen is None else self._picked
-        numbers = entries.reshape(-1, len(ENTRIES))
+        lanes = entries.shape[: -2 if self.several else -1]
+        numbers = entries.reshape(-1, self.laminates, len(ENTRIES))
         law = LaminateStiffness.of(numbers)
-        values = mapped(picked, numbers, *(own.law(law.A, law.B) for own in picked.inner))
-        return values[:, picked.result].reshape(*entries.shape[:-1], -1)
-
-    def _pick(self, chosen: Int[Tensor, " k"]) -> _Picked:
-        """What makes the chosen numbers of K; others of a cell go to a last place that is left out."""
-        distinct, again = torch.unique(chosen, return_inverse=True)
-        place = torch.full((self.pattern.nnz,), len(distinct))
-        place[distinct] = torch.arange(len(distinct))
-        basis = torch.nn.functional.pad(self.basis[:, distinct], (0, 1 if self._whole.inner else 0))
-        same = torch.equal(again, torch.arange(len(distinct)))
-        places = [place[own] for own in self._whole.places]
-        return _Picked(basis, self._whole.inner, places, slice(len(distinct)) if same else again)
+        laws = [x for own in picked.cells for x in own.law(law.A, law.B)]
+        return mapped(picked, numbers, *laws).reshape(*lanes, -1)
 
     def section_strains(self, displacements: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 8 k"]:
         """Return eps, kappa, gamma at the middle of each cell for k fields of nodal displacements, such as modes."""
         found = []
         for own in self.kinds.values():
             at = displacements[..., own.corners, :, :].flatten(-3, -2)
-            found.append(torch.einsum("msf,...mfk->...msk", own.strains.center, at))
+            found.append(torch.einsum("msf,...mfk->...msk", own.strains.center[own.shape], at))
         return torch.cat(found, dim=-3)
 
     def lumped_mass(
@@ -221,17 +213,3 @@ def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
         m, c = corners.shape
         cells.append(slots[own].reshape(m, c, c, 6, 6).transpose(2, 3).reshape(m, 6 * c, 6 * c))
     return Pattern(rows, cols, 6 * n), cells
-
-
-def _add_laws(basis: Float[Tensor, "21 nnz"], strains: Strains, slot: Int[Tensor, "m f f"]) -> None:
-    """Add sum_points weight E' C_i E of every entry i to its row."""
-    weighted = strains.at * strains.weight[..., None, None]
-    slots = slot.flatten()
-    for values, (name, i, j) in zip(basis, ENTRIES, strict=True):
-        p0, q0 = _FIRST_ROW[name]
-        pairs = sorted({(p0 + i, q0 + j), (p0 + j, q0 + i)})  # two, where i differs from j
-        left, right = [p for p, _ in pairs], [q for _, q in pairs]
-        element = weighted[:, :, left].flatten(1, 2).mT @ strains.at[:, :, right].flatten(1, 2)
-        if name == "B":  # stands in C twice, above and below the diagonal
-            element = element + element.mT
-        values.index_add_(0, slots, element.flatten())

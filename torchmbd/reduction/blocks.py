@@ -18,8 +18,8 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
+from torchmbd.numerics.panels import Factor, panels
 from torchmbd.reduction.forms import Form
-from torchmbd.reduction.panels import Factor, panels
 from torchmbd.reduction.partition import Partition, form_slots
 
 

@@ -20,8 +20,8 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.numerics.panels import panels
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
-from torchmbd.reduction.panels import panels
 
 SYMMETRY_TOLERANCE = 1e-9
 

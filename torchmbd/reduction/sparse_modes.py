@@ -21,11 +21,11 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import SimulationFailure
+from torchmbd.numerics.panels import panels
 from torchmbd.reduction.blocks import BlockFactor, storage
 from torchmbd.reduction.forms import Form
 from torchmbd.reduction.lanczos import Recurrence, Ritz, lanczos
 from torchmbd.reduction.mass import BlockRoot, DiagonalRoot, mass_root
-from torchmbd.reduction.panels import panels
 from torchmbd.reduction.partition import partition
 from torchmbd.reduction.shift import choose_shift, comparable_shift, too_near
 

@@ -4,12 +4,13 @@
     lanczos               steps of block Lanczos                                    lanczos.py
     multiply_sparse       K X for many K of one pattern                             forms.py
     pair                  Y X' at the places of a pattern                           forms.py
+    sums, shares          sums of chosen numbers, and their transpose               numerics/sums.py
     conjugate_gradients   (1 - H / mu) y = c                                        sparse_modes.py
 
 A batch of designs that torch treats side by side leaves the cache of the processor with every operation; one after
 another they stay in it, and there is no call for each block. The same sums in another order: results agree to rounding.
 `panels` gives None where there is no compiled code (no compiler, not built yet, another device): torch does it then.
-Tensors are float64 on the CPU. No autograd inside. Checked in tests/reduction/test_panels.py.
+Tensors are float64 on the CPU. No autograd inside. Checked in tests/numerics/test_panels.py.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from torch import Tensor
 from torchmbd.numerics.native import Native
 from torchmbd.numerics.sparse import Pattern
 
-_native = Native("reduction/panels.cpp")
+_native = Native("numerics/panels.cpp")
 
 
 class _Factor(ctypes.Structure):
@@ -99,6 +100,20 @@ class Panels:
         out = X.new_empty(lanes, T, pattern.nnz)
         indices = c_void_p(pattern.indptr.ctypes.data), c_void_p(pattern.indices.ctypes.data)
         self._code.pair(*map(c_long, (lanes, T, N)), *indices, *_places(Y, X, out), c_long(p))
+        return out
+
+    def sums(self, start: Tensor, terms: Tensor, x: Tensor) -> Tensor:
+        """Sums of x [lane, size] over terms[start[k] : start[k + 1]]: [lane, rows]."""
+        x = x.contiguous()
+        out = x.new_empty(len(x), len(start) - 1)
+        self._code.sums(*map(c_long, (len(x), len(start) - 1, x.shape[1])), *_places(start, terms, x, out))
+        return out
+
+    def shares(self, start: Tensor, terms: Tensor, y: Tensor, size: int) -> Tensor:
+        """The transpose of `sums`: [lane, size] of y [lane, rows]."""
+        y = y.contiguous()
+        out = y.new_zeros(len(y), size)
+        self._code.shares(*map(c_long, (len(y), len(start) - 1, size)), *_places(start, terms, y, out))
         return out
 
     def conjugate_gradients(

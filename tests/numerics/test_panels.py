@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
+from torchmbd.numerics.panels import Factor, Panels, panels
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
 from torchmbd.reduction.lanczos import Recurrence
-from torchmbd.reduction.panels import Factor, Panels, panels
 
 pytestmark = pytest.mark.usefixtures("compiled")
 COLUMNS = [1, 5, 8, 9, 17, 24, 45]

@@ -315,3 +315,20 @@ extern "C" long conjugate_gradients(const Factor* f, const double* G, const doub
   }
   return 0;
 }
+
+// y [lane][rows]: of every row the sum of x [lane][size] over its terms, those from start[row] on.
+extern "C" void sums(long lanes, long rows, long size, const long* start, const long* term, const double* x, double* y) {
+  for (long lane = 0; lane < lanes; lane++, x += size, y += rows)
+    for (long k = 0; k < rows; k++) {
+      double sum = 0.0;
+      for (long e = start[k]; e < start[k + 1]; e++) sum += x[term[e]];
+      y[k] = sum;
+    }
+}
+
+// The transpose: x [lane][size] begins with zeros.
+extern "C" void shares(long lanes, long rows, long size, const long* start, const long* term, const double* y, double* x) {
+  for (long lane = 0; lane < lanes; lane++, x += size, y += rows)
+    for (long k = 0; k < rows; k++)
+      for (long e = start[k]; e < start[k + 1]; e++) x[term[e]] += y[k];
+}
