@@ -1,4 +1,7 @@
-"""The contract of every integrator: it converges to the motion, and a lane that fails is named, alone.
+"""The contract of every integrator in the registry.
+
+It converges to the motion, with phases and without; its tangents are those of its steps and its pullback is their transpose;
+a lane that fails is named, alone; options of other names and types are refused.
 
 The mechanism is a spatial double pendulum with a flexible part, two designs side by side.
 """
@@ -16,7 +19,11 @@ import torchmbd as mbd
 from tests.mechanisms import pendulum
 from torchmbd.integrators import METHODS, Trajectory
 from torchmbd.integrators.attempts import run
-from torchmbd.integrators.registry import integrator_of
+from torchmbd.integrators.ode import FIXED
+from torchmbd.integrators.one_step import OneStep
+from torchmbd.integrators.registry import INTEGRATORS, integrator_of
+from torchmbd.integrators.step import Weights
+from torchmbd.numerics.elementwise import reciprocal
 
 DURATION = 0.02
 
@@ -37,6 +44,7 @@ def adaptive(rtol: float, q: float, v: float) -> Accuracy:
 
 ACCURACY = {
     "generalized_alpha": Accuracy(1e-6, 1e-4, steps=50),
+    "hht_alpha": Accuracy(1e-6, 1e-4, steps=50),
     "euler": Accuracy(2e-4, 2e-2),
     "midpoint": Accuracy(2e-6, 2e-4),
     "heun2": Accuracy(2e-6, 2e-4),
@@ -124,3 +132,129 @@ def test_a_motion_that_diverges_is_a_status_not_an_exception(method, system):
     assert not motion.ok
     with pytest.raises(mbd.SimulationFailure, match="lane 1: failed: the motion is not finite"):
         motion.require_ok()
+
+
+ANGLES = "rod.laminate.angles"
+WITH_ADJOINT = [name for name, one in INTEGRATORS.items() if one.adjoint]
+TIGHT: dict[str, dict[str, Any]] = {name: {"iterations": (6, 6)} for name in WITH_ADJOINT}
+# Solved to rounding, tangents are those of the discrete map. Other methods choose steps, or iterate, by all numbers that they
+# see: tangents are right within tolerances, and differences of such motions are not smooth.
+DISCRETE = {*WITH_ADJOINT, *FIXED} - {"implicit_adams", "fixed_adams"}
+
+
+def numbers_of(motion: Trajectory) -> torch.Tensor:
+    """Coordinates, rates, accelerations and multipliers at all times, of sizes that are alike [lanes, n]."""
+    parts = (motion.q, 0.1 * motion.v, 1e-3 * motion.a, 1e-2 * motion.lam)
+    return torch.cat([x.flatten(1) for x in parts], 1)
+
+
+@every_method
+@pytest.mark.filterwarnings("ignore:Functional iteration did not converge", "ignore:the steps do not resolve")
+def test_tangents_are_those_of_the_steps(method, system):
+    """Against differences of neighbors by the same method; where it is not smooth, by another one."""
+    asked, h = ACCURACY[method], 1e-3
+    steps, own = min(asked.steps, 10), asked.options | TIGHT.get(method, {})
+    b = mbd.deg([[20.0, -50.0]])
+    e = torch.tensor([[0.6, -0.8]], dtype=torch.float64)
+    motion = mbd.simulate(system, 0.01, method, steps, {ANGLES: b}, gradients="forward", **own)
+    other, options = (method, own) if method in DISCRETE else ("dopri8", {"rtol": 1e-10, "atol": 1e-12})
+    around = [b + k * h * e for k in (2, 1, -1, -2)]  # one by one: none sees another's steps
+    neighbors = [mbd.simulate(system, 0.01, other, steps, {ANGLES: x}, gradients="none", **options) for x in around]
+    limit = 1e-7 if method in DISCRETE else 5e-3
+    for name, found in (("q", motion.dq_db), ("v", motion.dv_db)):  # rounding hides differences of accelerations
+        y = [getattr(neighbor, name)[0] for neighbor in neighbors]
+        wanted = (8.0 * (y[1] - y[2]) - (y[0] - y[3])) / (12.0 * h)
+        assert float(wanted.abs().max()) > 1e-3
+        assert float((found[0] @ e[0] - wanted).abs().max()) < limit * float(wanted.abs().max()), name
+
+
+@every_method
+def test_the_pullback_is_the_transpose_of_the_tangents(method, system, designs):
+    """Or refused by name, with the methods that have one."""
+    if method not in WITH_ADJOINT:
+        with pytest.raises(mbd.InputError, match=f"'reverse', but method is '{method}'; allowed: .*{WITH_ADJOINT[0]}"):
+            mbd.simulate(system, DURATION, method, steps=2, gradients="reverse")
+        return
+    gradients = []
+    for way in ("forward", "reverse"):
+        b = designs[ANGLES].clone().requires_grad_()
+        motion = mbd.simulate(system, 0.01, method, 15, {ANGLES: b}, gradients=way, **TIGHT[method])
+        x = numbers_of(motion)
+        (x * torch.sin(torch.arange(x.shape[1], dtype=x.dtype)) + x * x).sum().backward()
+        gradients.append(b.grad)
+        assert motion.stats["gradients"] == way
+    assert float(gradients[0].abs().min()) > 1e-4
+    assert_close(gradients[1], gradients[0], rtol=1e-8, atol=1e-9 * float(gradients[0].abs().max()))
+
+
+@every_method
+@pytest.mark.filterwarnings("ignore:Functional iteration did not converge", "ignore:the steps do not resolve")
+def test_it_goes_through_an_event(method, system, reference):
+    """To the same end as a motion without phases: the event changes nothing."""
+    asked = ACCURACY[method]
+    level = float(reference.q[0, :, 2].mean())
+    event = mbd.Event(lambda m: m.q[..., 2] - level)
+    steps = max(asked.steps, 4)
+    phases = [mbd.Phase(until=event), mbd.Phase()]
+    angles = {ANGLES: mbd.deg([[20.0, -50.0]])}
+    motion = mbd.simulate(system, DURATION, method, steps, angles, phases=phases, **asked.options).require_ok()
+    assert 0.0 < float(motion.switches[0].t[0]) < DURATION
+    # An event is looked for step by step: methods of several steps start anew in each.
+    assert_close(motion.q[0, -1], reference.q[0, -1], rtol=0, atol=max(1e-6, 30 * asked.q))
+    assert_close(motion.v[0, -1], reference.v[0, -1], rtol=0, atol=max(1e-4, 30 * asked.v))
+
+
+@every_method
+def test_options_are_the_fields_of_its_class(method, system):
+    """Others are refused by name, with those that there are; and every one of a type that it cannot have."""
+    allowed = INTEGRATORS[method].option_types()
+    words = "the option 'rest' does not exist; allowed: " + ", ".join(allowed)
+    with pytest.raises(mbd.InputError, match=f"for method '{method}' {words}"):
+        mbd.simulate(system, DURATION, method, rest=1)
+    with pytest.raises(mbd.InputError, match="the option 'name' does not exist"):
+        integrator_of(method, {"name": "mine"})
+    for name in allowed:
+        for wrong in ("x", object(), -1, [1.0], {1: 2}, True, b"1", torch.zeros(2)):
+            with pytest.raises(mbd.InputError, match=rf"^{name} is .*; allowed: "):
+                mbd.simulate(system, DURATION, method, steps=2, **{name: wrong})
+
+
+@pytest.mark.parametrize("method", [3, None, [3], {"a": 1}, object(), "generalised_alpha", "scipy_solver"])
+def test_a_method_that_does_not_exist_is_refused(method, system):
+    with pytest.raises(mbd.InputError, match=r"method .*; allowed: "):
+        mbd.simulate(system, DURATION, method)
+
+
+@dataclass(frozen=True)
+class BackwardEuler(OneStep):
+    """q1 = q0 o exp(h v1), v1 = v0 + h v1'."""
+
+    name: str = "backward_euler"
+
+    def weights(self, h: Any) -> Weights:
+        zero, one = 0.0 * h, 1.0 + 0.0 * h
+        return Weights(one, zero, zero, h, zero, h * h, zero, h, h * h, h, reciprocal(h * h))
+
+
+def test_another_integrator_is_one_line_of_the_registry(system, designs, reference, monkeypatch, native):
+    """It has options, gradients in both ways, phases and native code."""
+    monkeypatch.setitem(INTEGRATORS, "backward_euler", BackwardEuler())
+    ends = [
+        mbd.simulate(system, DURATION, "backward_euler", steps, designs, halvings=0).q[:, -1] - reference.q[:, -1]
+        for steps in (100, 200)
+    ]
+    sizes = [float(x.abs().max()) for x in ends]
+    assert sizes[0] / sizes[1] == pytest.approx(2.0, abs=0.15)
+    gradients = []
+    for way in ("forward", "reverse"):
+        b = designs[ANGLES].clone().requires_grad_()
+        motion = mbd.simulate(system, 0.01, "backward_euler", 15, {ANGLES: b}, gradients=way, iterations=(6, 6))
+        numbers_of(motion).sum().backward()
+        gradients.append(b.grad)
+    assert_close(gradients[1], gradients[0], rtol=1e-8, atol=1e-9 * float(gradients[0].abs().max()))
+    fast = mbd.simulate(system, 0.01, "backward_euler", 15, designs, backend="native", iterations=(6, 6))
+    assert fast.stats["backend"] == "native"
+    assert_close(fast.q, motion.q.detach(), rtol=0, atol=1e-10)
+    phases = [mbd.Phase(until=0.0051), mbd.Phase()]
+    there = mbd.simulate(system, 0.01, "backward_euler", 15, designs, phases=phases, iterations=(6, 6))
+    assert_close(there.q[:, -1], motion.q[:, -1].detach(), rtol=0, atol=1e-4)

@@ -1,21 +1,20 @@
 """All integrators by name: what `method=` of `simulate` and of configuration files finds.
 
 How to add an integrator: write one file with a frozen dataclass that keeps the contract (integrator.py), and add one line
-here. Its fields are its options: `simulate(..., method="hht_alpha", alpha=-0.1)` and the key `alpha` of a file's section
-`simulate` need no other word, and options of other names are refused with those that it has. A one-step method on the
-index-3 equations is an `OneStep` (one_step.py) with its weights for a step of size h, and gets phases, events, retries,
-tangents, adjoint and native code with them. All of generalized_alpha.py is
+here. Its fields are its options: `simulate(..., method="hht_alpha", alpha=-0.1)` and the key `alpha` of the section `simulate`
+of a configuration file need no other word, and options of other names are refused with those that it has. A one-step method
+on the index-3 equations is a `OneStep` (one_step.py) with its weights for a step of size h, and gets phases, events, retries,
+tangents, the adjoint and native code with them. All of hht_alpha.py, but for the check of its option, is
 
     @dataclass(frozen=True)
-    class GeneralizedAlpha(OneStep):
-        name: str = "generalized_alpha"
-        spectral_radius: float = 0.9
+    class HHTAlpha(OneStep):
+        name: str = "hht_alpha"
+        alpha: float = -0.05
 
         def weights(self, h):
-            rho = self.spectral_radius
-            return Weights.newmark(h, (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0))
+            return Weights.newmark(h, 0.0, -self.alpha)
 
-and a check of its option. Then tests/contracts/test_integrators.py asks what error it may have.
+Then tests/contracts/test_integrators.py asks which error it may have, and checks the whole contract.
 Checked in tests/contracts/test_integrators.py.
 """
 
@@ -27,6 +26,7 @@ from typing import Any
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrators.generalized_alpha import GeneralizedAlpha
+from torchmbd.integrators.hht_alpha import HHTAlpha
 from torchmbd.integrators.integrator import Integrator
 from torchmbd.integrators.ode import METHODS as OF_TORCHDIFFEQ
 from torchmbd.integrators.torchdiffeq_method import Torchdiffeq
@@ -35,6 +35,7 @@ INTEGRATORS: dict[str, Integrator] = {
     integrator.name: integrator
     for integrator in (
         GeneralizedAlpha(),
+        HHTAlpha(),
         *(Torchdiffeq(name) for name in OF_TORCHDIFFEQ),
     )
 }
