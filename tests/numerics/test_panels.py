@@ -27,22 +27,37 @@ def close(found: torch.Tensor, expected: torch.Tensor) -> None:
     torch.testing.assert_close(found, expected, rtol=0, atol=1e-13 * float(expected.abs().max()))
 
 
-def factored(sizes: tuple[int, ...], lanes: int = 3) -> tuple[Factor, torch.Tensor]:
-    """Factors of a block-tridiagonal matrix, and its inverse."""
+def stored(sizes: tuple[int, ...], lanes: int = 3) -> tuple[list[int], torch.Tensor, torch.Tensor]:
+    """Bounds, storage and all numbers of a block-tridiagonal matrix."""
     bounds = [0, *torch.tensor(sizes).cumsum(0).tolist()]
-    A, S_inverse, E = torch.zeros(lanes, bounds[-1], bounds[-1], dtype=torch.float64), [], []
+    A, diagonal, lower = torch.zeros(lanes, bounds[-1], bounds[-1], dtype=torch.float64), [], []
     for i, size in enumerate(sizes):
-        here = slice(bounds[i], bounds[i + 1])
-        D = random(lanes, size, size)
-        D = D @ D.mT + 2 * size * torch.eye(size, dtype=torch.float64)
-        A[:, here, here] = D
+        here, D = slice(bounds[i], bounds[i + 1]), random(lanes, size, size)
+        A[:, here, here] = D @ D.mT + 3 * size * torch.eye(size, dtype=torch.float64)
+        diagonal.append(A[:, here, here].flatten(1))
         if i:
             B, before = random(lanes, size, sizes[i - 1]), slice(bounds[i - 1], bounds[i])
             A[:, here, before], A[:, before, here] = B, B.mT
-            E.append(B @ S_inverse[-1])
-            D = D - E[-1] @ B.mT
-        S_inverse.append(D.inverse().mT)  # not contiguous
-    return Factor(bounds, S_inverse, E), A.inverse()
+            lower.append(B.flatten(1))
+    return bounds, torch.cat(diagonal + lower, 1), A
+
+
+def factored(sizes: tuple[int, ...]) -> tuple[Factor, torch.Tensor]:
+    """Factors of a block-tridiagonal matrix, and its inverse."""
+    bounds, flat, A = stored(sizes)
+    factor = Factor(bounds, flat)
+    pivot = code().factorize(factor)
+    L = torch.linalg.cholesky(A)
+    close(pivot, (L.diagonal(dim1=1, dim2=2) ** 2 / A.diagonal(dim1=1, dim2=2)).amin(1))
+    return factor, A.inverse()
+
+
+def test_a_lane_that_is_not_definite_is_marked() -> None:
+    bounds, flat, _ = stored((7, 9, 3))
+    flat[1, 49 + 10 * 4] = -1.0
+    pivot = code().factorize(Factor(bounds, flat))
+    assert pivot[1] == -1.0
+    assert (pivot[[0, 2]] > 0.0).all()
 
 
 @pytest.mark.parametrize("p", COLUMNS)
@@ -101,7 +116,7 @@ def test_lanczos(p: int) -> None:
 def test_lanczos_stays_orthonormal_where_nothing_new_is_left() -> None:
     """All vectors are eigenvectors: after the first block there is rounding only."""
     one = torch.ones(1, 55, 1, dtype=torch.float64)
-    factor = Factor((0, 55), [torch.eye(55, dtype=torch.float64)[None]], [])
+    factor = Factor((0, 55), torch.eye(55, dtype=torch.float64).reshape(1, -1))
     found = started(8, lanes=1)
     found.make_room(3)
     code().lanczos(factor, one, 0, 3, found.Q, found.T, found.X, found.R)

@@ -14,10 +14,17 @@ constexpr double TINY = 2.2250738585072014e-308, STAYS = 1e-2;  // as in sparse_
 
 struct Factor {  // of a block-tridiagonal matrix, as in blocks.py
   long lanes, blocks;
-  const long* bounds;                  // [blocks + 1]
-  const double *const *S, *const *E;  // S_i^-1 [lane][s_i][s_i], E_i [lane][s_(i+1)][s_i]
+  const long* bounds;  // [blocks + 1]
+  double* at;          // [lane][S_0^-1 ..., E_0 ...], S_i^-1 [s_i][s_i], E_i [s_(i+1)][s_i]
   long size() const { return bounds[blocks]; }
   long rows(long block) const { return bounds[block + 1] - bounds[block]; }
+  long start(long block, bool lower) const {
+    long sum = 0;
+    for (long b = 0; b < (lower ? blocks : block); b++) sum += rows(b) * rows(b);
+    for (long b = 0; b < (lower ? block : 0); b++) sum += rows(b) * rows(b + 1);
+    return sum;
+  }
+  double* lane(long lane) const { return at + lane * start(blocks - 1, true); }
 };
 
 struct Left {  // the left factor of a product: entry (r, c) at at[r * row + c * column]
@@ -45,11 +52,13 @@ inline void tile(long inner, Left A, const double* B, double* C, long P) {
     }
 }
 
+// Few rows leave registers idle: what tiles of R rows leave goes to tiles of half as many.
 template <int R, int W, bool take>
 void panel(long rows, long inner, Left A, const double* B, double* C, long P) {
   long r = 0;
   for (; r + R <= rows; r += R) tile<R, W, take>(inner, {A.at + r * A.row, A.row, A.column}, B, C + r * P, P);
-  for (; r < rows; r++) tile<1, W, take>(inner, {A.at + r * A.row, A.row, A.column}, B, C + r * P, P);
+  if constexpr (R > 1)
+    if (r < rows) panel<R / 2, W, take>(rows - r, inner, {A.at + r * A.row, A.row, A.column}, B, C + r * P, P);
 }
 
 template <bool take>
@@ -57,7 +66,7 @@ void product(long rows, long inner, Left A, const double* B, double* C, long P) 
   long p = 0;
   for (; p + 24 <= P; p += 24) panel<6, 3, take>(rows, inner, A, B + p, C + p, P);
   for (; p + 16 <= P; p += 16) panel<8, 2, take>(rows, inner, A, B + p, C + p, P);
-  for (; p < P; p += 8) panel<12, 1, take>(rows, inner, A, B + p, C + p, P);
+  for (; p < P; p += 8) panel<8, 1, take>(rows, inner, A, B + p, C + p, P);
 }
 
 void fill_up(const double* from, double* to, long rows, long p) {
@@ -126,18 +135,42 @@ bool orthonormal(double* w, long N, long p, double* r, double* second, long P, d
 
 // x = A^-1 y; y is used up.
 void solve_lane(const Factor& f, long lane, double* y, double* x, long P) {
+  const double* E = f.lane(lane) + f.start(0, true);
   for (long b = 1; b < f.blocks; b++) {
     const long s = f.rows(b), before = f.rows(b - 1);
-    product<true>(s, before, {f.E[b - 1] + lane * s * before, before, 1}, y + f.bounds[b - 1] * P, y + f.bounds[b] * P, P);
+    product<true>(s, before, {E, before, 1}, y + f.bounds[b - 1] * P, y + f.bounds[b] * P, P);
+    E += s * before;
   }
+  const double* S = f.lane(lane) + f.start(0, true);
   for (long b = f.blocks - 1; b >= 0; b--) {
     const long s = f.rows(b);
     double* here = x + f.bounds[b] * P;
-    product<false>(s, s, {f.S[b] + lane * s * s, s, 1}, y + f.bounds[b] * P, here, P);
+    S -= s * s;
+    product<false>(s, s, {S, s, 1}, y + f.bounds[b] * P, here, P);
     if (b + 1 == f.blocks) continue;
     const long after = f.rows(b + 1);
-    product<true>(s, after, {f.E[b] + lane * after * s, 1, s}, x + f.bounds[b + 1] * P, here, P);
+    E -= after * s;
+    product<true>(s, after, {E, 1, s}, x + f.bounds[b + 1] * P, here, P);
   }
+}
+
+// The inverse of a positive definite a [s][P] in its place, by elimination; `pivot` [s] are its pivots. False: it is not.
+bool invert(double* a, long s, long P, double* pivot) {
+  for (long k = 0; k < s; k++) {
+    double* row = a + k * P;
+    if (!((pivot[k] = row[k]) > 0.0)) return false;
+    const double inverse = 1.0 / row[k];
+    row[k] = 1.0;
+    for (long j = 0; j < P; j += 8) *(V*)(row + j) *= inverse;
+    for (long i = 0; i < s; i++) {
+      if (i == k) continue;
+      double* other = a + i * P;
+      const double share = other[k];
+      other[k] = 0.0;
+      for (long j = 0; j < P; j += 8) *(V*)(other + j) -= share * *(V*)(row + j);
+    }
+  }
+  return true;
 }
 
 // Columns of a lane in conjugate gradients; those that are done leave.
@@ -177,6 +210,42 @@ struct Columns {
   }
 };
 }  // namespace
+
+// S_i^-1 and E_i in the place of D_i and B_i: BlockFactor of blocks.py. pivot [lane]: the smallest, relative to the diagonal.
+extern "C" void factorize(const Factor* f, double* pivot) {
+  long most = 0;
+  for (long b = 0; b < f->blocks; b++) most = std::max(most, f->rows(b));
+  Room S(most * filled(most)), B(most * filled(most)), E(most * filled(most)), diagonal(most), found(most);
+  for (long lane = 0; lane < f->lanes; lane++) {
+    double *D = f->lane(lane), *lower = D + f->start(0, true);
+    pivot[lane] = HUGE_VAL;
+    for (long b = 0; b < f->blocks; b++) {
+      const long s = f->rows(b), P = filled(s);
+      fill_up(D, S.data(), s, s);
+      for (long i = 0; i < s; i++) diagonal[i] = D[i * s + i];
+      if (b) {  // S -= E B'
+        const long before = f->rows(b - 1);
+        product<true>(s, before, {E.data(), filled(before), 1}, B.data(), S.data(), P);
+      }
+      if (invert(S.data(), s, P, found.data())) {
+        for (long i = 0; i < s; i++) pivot[lane] = std::min(pivot[lane], found[i] / diagonal[i]);
+      } else {  // what cannot be factorized must not stop the other lanes
+        pivot[lane] = -1.0;
+        std::fill(S.begin(), S.end(), 0.0);
+        for (long i = 0; i < s; i++) S[i * P + i] = 1.0;
+      }
+      cut(S.data(), D, s, s);
+      D += s * s;
+      if (b + 1 == f->blocks) continue;
+      const long next = f->rows(b + 1), Q = filled(next);
+      product<false>(next, s, {lower, s, 1}, S.data(), E.data(), P);
+      for (long i = 0; i < s; i++)
+        for (long j = 0; j < Q; j++) B[i * Q + j] = j < next ? lower[j * s + i] : 0.0;  // B'
+      cut(E.data(), lower, next, s);
+      lower += next * s;
+    }
+  }
+}
 
 // out [lane][N][p] = A^-1 X.
 extern "C" void solve(const Factor* f, const double* X, double* out, long p) {

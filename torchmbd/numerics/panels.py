@@ -1,6 +1,6 @@
 """Products of the structure stage by compiled code (panels.cpp): a few columns, one design after another.
 
-    solve                 A^-1 X of a block-tridiagonal matrix                      blocks.py
+    factorize, solve      A^-1 X of a block-tridiagonal matrix                      blocks.py
     lanczos               steps of block Lanczos                                    lanczos.py
     multiply_sparse       K X for many K of one pattern                             forms.py
     pair                  Y X' at the places of a pattern                           forms.py
@@ -35,8 +35,7 @@ class _Factor(ctypes.Structure):
         ("lanes", c_long),
         ("blocks", c_long),
         ("bounds", POINTER(c_long)),
-        ("S", POINTER(c_void_p)),
-        ("E", POINTER(c_void_p)),
+        ("at", c_void_p),
     )
 
 
@@ -49,15 +48,13 @@ def panels(like: Tensor) -> Panels | None:
 class Factor:
     """A factorization as compiled code sees it; keeps what it points to.
 
-    bounds: first rows of the blocks, with the end; S_inverse, E: as in blocks.py
+    bounds: first rows of the blocks, with the end; flat: storage of S_i^-1 and E_i [lane, :], as in blocks.py
     """
 
-    def __init__(self, bounds: Sequence[int], S_inverse: Sequence[Tensor], E: Sequence[Tensor]) -> None:
-        self._kept = [x.contiguous() for x in (*S_inverse, *E)]
-        n, places = len(S_inverse), [x.data_ptr() for x in self._kept]
-        numbers = (c_long * (n + 1))(*bounds)
-        S, E_places = (c_void_p * n)(*places[:n]), (c_void_p * max(len(E), 1))(*places[n:])
-        self.struct = _Factor(len(S_inverse[0]), n, numbers, S, E_places)
+    def __init__(self, bounds: Sequence[int], flat: Tensor) -> None:
+        self._kept = flat.contiguous()
+        self.lanes, blocks = len(flat), len(bounds) - 1
+        self.struct = _Factor(self.lanes, blocks, (c_long * (blocks + 1))(*bounds), flat.data_ptr())
 
 
 class Panels:
@@ -66,6 +63,12 @@ class Panels:
     def __init__(self, code: ctypes.CDLL) -> None:
         self._code = code
         code.conjugate_gradients.restype = c_long
+
+    def factorize(self, factor: Factor) -> Tensor:
+        """S_i^-1 and E_i in the place of D_i and B_i; the smallest pivot [lane], -1 where the matrix is not definite."""
+        pivot = torch.empty(factor.lanes, dtype=torch.float64)
+        self._code.factorize(byref(factor.struct), *_places(pivot))
+        return pivot
 
     def solve(self, factor: Factor, X: Tensor) -> Tensor:
         """A^-1 X for columns [lane, N, p]."""

@@ -13,22 +13,19 @@ Checked in tests/reduction/test_sparse_modes.py.
 
 from __future__ import annotations
 
-from functools import cached_property
-
 import torch
 from torch import Tensor
 
 from torchmbd.numerics.panels import Factor, panels
 from torchmbd.reduction.forms import Form
-from torchmbd.reduction.partition import Partition, form_slots
+from torchmbd.reduction.partition import Partition, form_sums
+
+SMALL = 64  # rows of blocks that compiled code eliminates; larger ones are better off with LAPACK
 
 
 def storage(layout: Partition, form: Form, values: Tensor) -> Tensor:
     """Put the values [lane, *entry] of a matrix into block storage [lane, :]: D_0, D_1, ..., B_1, B_2, ..."""
-    stored, slots, length = form_slots(layout, form)
-    flat = values.new_zeros((len(values), length))
-    flat[:, slots] = values.flatten(1)[:, stored]
-    return flat
+    return form_sums(layout, form)(values.flatten(1))
 
 
 def views(layout: Partition, flat: Tensor) -> tuple[list[Tensor], list[Tensor]]:
@@ -41,32 +38,33 @@ def views(layout: Partition, flat: Tensor) -> tuple[list[Tensor], list[Tensor]]:
 
 
 class BlockFactor:
-    """S_i^-1 and E_i of a symmetric positive definite matrix; `pivot` tells how safely it is so."""
+    """S_i^-1 and E_i of a symmetric positive definite matrix, in the place of D_i and B_i; `pivot` tells how safely it is so.
+
+    flat: its storage, which is used up
+    """
 
     def __init__(self, layout: Partition, flat: Tensor) -> None:
-        D, B = views(layout, flat)
         self.bounds = layout.bounds
-        self.S_inverse: list[Tensor] = []
-        self.E: list[Tensor] = []
-        pivots = []
-        S = D[0]
-        for i in range(len(D)):
-            L, info = torch.linalg.cholesky_ex(S)
-            diagonal = D[i].diagonal(dim1=-2, dim2=-1)
-            smallest = (L.diagonal(dim1=-2, dim2=-1) ** 2 / diagonal).amin(-1)
-            pivots.append(torch.where(info == 0, smallest, -1.0))
-            if info.any():  # what cannot be factorized must not stop the other lanes: `pivot` tells
-                L = torch.where((info == 0)[:, None, None], L, torch.eye(L.shape[-1], dtype=L.dtype, device=L.device))
-            self.S_inverse.append(torch.cholesky_inverse(L))
-            if i + 1 < len(D):
-                self.E.append(B[i] @ self.S_inverse[i])
-                S = torch.baddbmm(D[i + 1], self.E[i], B[i].mT, alpha=-1)
-        self.pivot = torch.stack(pivots).amin(0)
+        self.S_inverse, self.E = views(layout, flat)
+        self.compiled = Factor(layout.bounds, flat)
+        if max(layout.sizes) <= SMALL and (code := panels(flat)) is not None:
+            self.pivot = code.factorize(self.compiled)
+        else:
+            self.pivot = torch.stack([self._eliminate(i) for i in range(len(self.S_inverse))]).amin(0)
 
-    @cached_property
-    def compiled(self) -> Factor:
-        """As compiled code sees it."""
-        return Factor(self.bounds, self.S_inverse, self.E)
+    def _eliminate(self, i: int) -> Tensor:
+        """One block; its smallest pivot relative to the diagonal."""
+        D = self.S_inverse[i]
+        S = torch.baddbmm(D, self.E[i - 1], self._before.mT, alpha=-1) if i else D
+        L, info = torch.linalg.cholesky_ex(S)
+        smallest = (L.diagonal(dim1=-2, dim2=-1) ** 2 / D.diagonal(dim1=-2, dim2=-1)).amin(-1)
+        if info.any():  # what cannot be factorized must not stop the other lanes: `pivot` tells
+            L = torch.where((info == 0)[:, None, None], L, torch.eye(L.shape[-1], dtype=L.dtype, device=L.device))
+        D.copy_(torch.cholesky_inverse(L))
+        if i < len(self.E):
+            self._before = self.E[i].clone()
+            torch.bmm(self._before, D, out=self.E[i])
+        return torch.where(info == 0, smallest, -1.0)
 
     def solve(self, X: Tensor) -> Tensor:
         """A^-1 X for columns [lane, N, k]."""

@@ -158,8 +158,7 @@ def recognize(name: str, matrix: Tensor | SparseMatrix, size: int | None = None)
 
 def check(name: str, form: Form, values: Tensor) -> None:
     """Raise InputError naming lane and entry where a matrix [lane, *entry] is not finite or not symmetric."""
-    wrong = ~torch.isfinite(values)
-    if wrong.any():
+    if not torch.isfinite(values.sum()) and (wrong := ~torch.isfinite(values)).any():
         raise InputError(f"{_place(name, form, wrong)} = {values[wrong][0].item()}; finite numbers are needed")
     if isinstance(form, Sparse) and form.symmetric:
         return

@@ -26,7 +26,6 @@ BLOCK = 8  # columns, which fill the registers of a processor
 CLOSE = 0.1  # relative distance of as many eigenvalues as the block has columns at which one more may be there
 NEXT = 1e-4  # residual of the pair after the last wanted: enough to judge the gap
 PROBES, SUSPICIOUS = 3, 0.7
-MOST = 2  # steps between looks: residuals fall faster at the end
 SAMPLE = 4  # lanes that are looked at first: where these have not converged the others need not be asked
 
 
@@ -139,9 +138,9 @@ def _excess(ritz: Ritz, n: int, tolerance: float) -> float:
 
 
 def _steps_to_go(excess: float, tolerance: float, steps: int) -> int:
-    """Residuals fall about geometrically: continue the line from one to where they are now."""
+    """Residuals fall about geometrically, faster at the end: continue the line from one to where they are now."""
     fallen = math.log(excess * tolerance) / max(steps, 1)
-    return min(max(math.ceil(math.log(excess) / -fallen), 1), MOST) if fallen < 0 else MOST
+    return min(max(math.floor(math.log(excess) / -fallen), 1), 3) if fallen < 0 else 3
 
 
 def _orthogonalize(W: Tensor, basis: Tensor, recent: int) -> Tensor:

@@ -18,7 +18,8 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from torch import Tensor
 
 from torchmbd.numerics.sparse import Pattern
-from torchmbd.reduction.forms import Dense, Diagonal, Form, Sparse
+from torchmbd.numerics.sums import Sums
+from torchmbd.reduction.forms import Dense, Form, Sparse
 
 SMALLEST_BLOCK = 24  # smaller ones cost more in calls than they save in arithmetic
 
@@ -102,17 +103,14 @@ def _cut(rows: np.ndarray, cols: np.ndarray, size: int) -> list[int]:
     return best
 
 
-def form_slots(layout: Partition, form: Form) -> tuple[Tensor, Tensor, int]:
-    """`Partition.slots` for the values of a form, flattened to one dimension."""
-    return _form_slots(layout, form)
-
-
 @lru_cache(maxsize=64)
-def _form_slots(layout: Partition, form: Form) -> tuple[Tensor, Tensor, int]:
-    if isinstance(form, Diagonal):
+def form_sums(layout: Partition, form: Form) -> Sums:
+    """From the values of a form, flattened to one dimension, to the storage: `Partition.slots`."""
+    if isinstance(form, Sparse):
+        rows, cols = form.pattern.rows, form.pattern.cols
+    else:
         every = torch.arange(form.size)
-        return layout.slots(every, every)
-    if isinstance(form, Dense):
-        every = torch.arange(form.size)
-        return layout.slots(every.repeat_interleave(form.size), every.repeat(form.size))
-    return layout.slots(form.pattern.rows, form.pattern.cols)
+        dense = isinstance(form, Dense)
+        rows, cols = (every.repeat_interleave(form.size), every.repeat(form.size)) if dense else (every, every)
+    stored, slots, length = layout.slots(rows, cols)
+    return Sums.of(slots, stored, (length, len(rows)))
