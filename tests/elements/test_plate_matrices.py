@@ -50,6 +50,17 @@ def test_pattern_couples_nodes_that_share_a_triangle():
     assert PLATE.pattern.nnz == 36 * int(near.sum())
 
 
+@pytest.mark.usefixtures("products")
+def test_several_rows_at_once():
+    angles = torch.tensor([[0.1, 0.2, -0.3], [1.0, -1.2, 0.4]], dtype=torch.float64, requires_grad=True)
+    K = PLATE.values(functional_call(GENERAL, {"angles": angles}, ()))
+    rows = torch.randn(3, *K.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    found = vmap(lambda row: torch.autograd.grad(K, angles, row, retain_graph=True)[0])(rows)
+    for row, own in zip(rows, found, strict=True):
+        assert_close(own, torch.autograd.grad(K, angles, row, retain_graph=True)[0])
+
+
+@pytest.mark.usefixtures("products")
 def test_lanes_and_tangents():
     angles = torch.tensor([[0.1, 0.2, -0.3], [1.0, -1.2, 0.4]], dtype=torch.float64)
 

@@ -48,13 +48,36 @@ class _Mapped(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *dy: Tensor) -> tuple[Tensor | None, ...]:
-        return None, *ctx.linear.adjoint(dy[0])
+        return None, *_Adjoint.apply(ctx.linear, dy[0])  # pyright: ignore[reportGeneralTypeIssues]
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, linear: LinearMap, *x: Tensor) -> tuple[Tensor, int]:
-        n = info.batch_size
-        wide = [
-            own.expand(n, *own.shape) if dim is None else own.movedim(dim, 0)
-            for own, dim in zip(x, in_dims[1:], strict=True)
-        ]
-        return mapped(linear, *(own.flatten(0, 1) for own in wide)).unflatten(0, (n, -1)), 0
+        wide = [_wide(own, dim, info.batch_size) for own, dim in zip(x, in_dims[1:], strict=True)]
+        return mapped(linear, *(own.flatten(0, 1) for own in wide)).unflatten(0, (info.batch_size, -1)), 0
+
+
+class _Adjoint(torch.autograd.Function):
+    @staticmethod
+    def forward(linear: LinearMap, y: Tensor) -> tuple[Tensor, ...]:
+        return linear.adjoint(y)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Any) -> None:
+        ctx.linear = inputs[0]
+
+    @staticmethod
+    def jvp(ctx: Any, _: None, dy: Tensor) -> Any:
+        return _Adjoint.apply(ctx.linear, dy)
+
+    @staticmethod
+    def backward(ctx: Any, *dx: Tensor) -> tuple[None, Tensor]:
+        return None, mapped(ctx.linear, *dx)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, linear: LinearMap, y: Tensor) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
+        found: Any = _Adjoint.apply(linear, _wide(y, in_dims[1], info.batch_size).flatten(0, 1))
+        return tuple(x.unflatten(0, (info.batch_size, -1)) for x in found), (0,) * len(found)
+
+
+def _wide(x: Tensor, dim: int | None, size: int) -> Tensor:
+    return x.expand(size, *x.shape) if dim is None else x.movedim(dim, 0)
