@@ -135,7 +135,7 @@ def test_what_becomes_a_parameter_later_is_refused_when_it_is_simulated():
         mbd.simulate(system, 0.01, steps=4)
 
 
-@pytest.mark.parametrize("name", ["gravity", "arm.mass", "arm.center", "arm.position", "arm.velocity", "rod.axes"])
+@pytest.mark.parametrize("name", ["gravity", "arm.axes", "rod.axes"])
 def test_constants_of_a_system_are_refused_as_parameters(name):
     body, rod = box("arm"), plate("rod", position=(1.0, 0.0, 0.0))
     system = mbd.System([body, rod], gravity=(0.0, 0.0, -9.81), free=["arm", "rod"])
@@ -192,7 +192,7 @@ def test_a_laminate_refuses_what_is_computed_and_the_advice_is_right():
 
 
 REFUSED: dict[str, Callable[[Any], Any]] = {
-    "mass": lambda v: mbd.RigidBody("b", v, (1.0, 1.0, 1.0)),
+    "mass": lambda v: mbd.RigidBody("b", 2.0 * v, (1.0, 1.0, 1.0)),
     "inertia": lambda v: mbd.RigidBody("b", 1.0, (v, 1.0, 1.0)),
     "center": lambda v: mbd.RigidBody("b", 1.0, (1.0, 1.0, 1.0), center=(0.0, v, 0.0)),
     "position": lambda v: mbd.RigidBody("b", 1.0, (1.0, 1.0, 1.0), position=[v, 0.0, 0.0]),

@@ -25,6 +25,7 @@ from torch import Tensor, nn
 from torchmbd.bodies.mount import Mount
 from torchmbd.errors import InputError
 from torchmbd.numerics.gradients import refuse_gradients
+from torchmbd.numerics.owned import parameter
 
 
 class Body(Protocol):
@@ -88,6 +89,19 @@ def vector(name: str, x: Sequence[float] | Tensor) -> Tensor:
     return result
 
 
+def vector_or_parameter(name: str, x: Sequence[float] | Tensor) -> Tensor:
+    """A `vector`, or a Parameter [3] as it is: a design variable."""
+    result = vector(name, x.detach() if isinstance(x, nn.Parameter) else x)
+    return parameter(name, x) if isinstance(x, nn.Parameter) else result
+
+
+def keep(module: nn.Module, name: str, x: Tensor) -> None:
+    """Register a Parameter as one of the module, any other tensor as a buffer: both move with the module and are saved."""
+    if name in module._parameters or name in module._buffers:
+        delattr(module, name)
+    (module.register_parameter if isinstance(x, nn.Parameter) else module.register_buffer)(name, x)  # pyright: ignore[reportCallIssue, reportArgumentType]
+
+
 def rotation(name: str, axes: Sequence | Tensor | None) -> Tensor:
     """Read a rotation matrix [3, 3]: columns are the axes of the body or frame; None is the identity."""
     if axes is None:
@@ -120,9 +134,9 @@ def place(
     velocity: Sequence[float] | Tensor | None = None,
     angular_velocity: Sequence[float] | Tensor | None = None,
 ) -> None:
-    """Give a body its approximate initial position and velocity, as buffers: they move with the module and are saved."""
-    body.register_buffer("position", vector(f"position of {body.name!r}", position))
-    body.register_buffer("axes", rotation(f"axes of {body.name!r}", axes))
+    """Give a body its approximate initial position and velocity; what is a Parameter is a design variable."""
+    keep(body, "position", vector_or_parameter(f"position of {body.name!r}", position))
+    keep(body, "axes", rotation(f"axes of {body.name!r}", axes))
     move(body, velocity, angular_velocity)
 
 
@@ -134,7 +148,7 @@ def move(
 ) -> None:
     """Give a body its initial velocities; what is None is zero, and follows from what the joints and other bodies ask."""
     for key, x in zip(VELOCITIES, (velocity, angular_velocity), strict=True):
-        body.register_buffer(key, vector(f"{key} of {body.name!r}", (0.0, 0.0, 0.0) if x is None else x))
+        keep(body, key, vector_or_parameter(f"{key} of {body.name!r}", (0.0, 0.0, 0.0) if x is None else x))
     body.moves = tuple(x is not None for x in (velocity, angular_velocity))
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.layout import distinct
+from torchmbd.integrators.layout import distinct, names_of
 from torchmbd.numerics.pair import Pair, linear, value
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed, Topology
@@ -55,7 +55,7 @@ def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
     Behind them room for what laws with design variables prescribe, `moving`.
     """
     lanes, slots = dynamics.lanes, dynamics.tangents
-    parts = [_distinct(name, dynamics.data[name]) for name in sorted(dynamics.data)]
+    parts = [_distinct(name, dynamics.data[name]) for name in names_of(dynamics.data)]
     T = dynamics.topology
     room = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
     parts.append(value(parts[0]).new_zeros(room, 1, 1))
@@ -72,7 +72,7 @@ def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
 def unflattened(dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
     """Cotangents of the data [component..., rows, lanes] out of those of the distinct numbers [n, rows, lanes]."""
     found, start = {}, 0
-    for name in sorted(dynamics.data):
+    for name in names_of(dynamics.data):
         shape = tuple(dynamics.data[name].shape[:-2])
         taken, index, _ = distinct(name, shape)
         own = by[start : start + len(taken)]

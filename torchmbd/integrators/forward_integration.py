@@ -122,13 +122,13 @@ class ForwardIntegration:
         """As of `Integration`."""
         if not self.variables:
             raise InputError("a motion with gradients='none' is being differentiated; allowed: 'auto' or 'forward'")
-        found = [None if d is None or name not in self.variables else d for name, d in self._by_name(directions)]
+        by = dict(self._by_name(directions))
+        found = [by.get(name) for name in self.variables]  # in their order, that of the slots
         count = next((x.shape[-2] for x in found if x is not None), 1)
         flat = []
-        for (name, _), d in zip(self._by_name(directions), found, strict=True):
-            if name in self.variables:
-                size = self._size(name)
-                flat.append(self._no_tangents(size, count) if d is None else d.reshape(size, count, d.shape[-1]))
+        for name, d in zip(self.variables, found, strict=True):
+            size = self._size(name)
+            flat.append(self._no_tangents(size, count) if d is None else d.reshape(size, count, d.shape[-1]))
         lanes = max(x.shape[-1] for x in flat)
         step = torch.cat([x.expand(*x.shape[:-1], lanes) for x in flat])
         moved = (torch.einsum("...bl,bsl->...sl", dx.expand(*dx.shape[:-1], lanes), step) for dx in self._tangents)

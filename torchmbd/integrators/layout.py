@@ -6,11 +6,13 @@ Checked in tests/integrators/test_compiled.py.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from torchmbd.system.initial import START
 from torchmbd.system.topology import Topology
 
 
@@ -25,9 +27,14 @@ class Layout(NamedTuple):
 
     @classmethod
     def of(cls, data: dict[str, Any], T: Topology) -> Layout:
-        names, varied = sorted(data), [T.primitives[i] for i in T.varied]
+        names, varied = names_of(data), [T.primitives[i] for i in T.varied]
         shapes = [tuple(data[name].shape[:-2]) for name in names] + [(p.driven, len(p.data)) for p in varied]
         return cls((*names, *(moving(i) for i in T.varied)), tuple(shapes))
+
+
+def names_of(data: Mapping[str, Any]) -> list[str]:
+    """Data that steps take, in their order: the start of a motion is none."""
+    return sorted(name for name in data if name not in START)
 
 
 # Data that hold every number twice: which axes change places, and the sign. [3, 3, m, m, f], [3, m, m, f], [m, m, f].

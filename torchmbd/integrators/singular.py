@@ -55,8 +55,8 @@ def of_lane(motion: Trajectory, lane: int, below: float = NEAR) -> list[Singular
         return []
     q, t = motion.q[lane, good], motion.t[good]
     with torch.no_grad():
-        dynamics = motion.dynamics.values().some([lane if motion.dynamics.lanes > 1 else 0])
-        J = jacobians(dynamics, q, t)
+        dynamics = motion.dynamics.values()
+        J = jacobians(dynamics.some([lane if dynamics.lanes > 1 else 0]), q, t)
         J[:, list(dynamics.rank.left_out)] = 0.0
         sound = torch.isfinite(J).all(2).all(1)
         t = t[sound]

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.bodies.frame import Frame, axis_index
 from torchmbd.bodies.mount import Mount
@@ -83,6 +83,12 @@ class Scribe:
 
     def twin_point(self, frame: Frame, other: Frame) -> int:
         """Index of the point on the other body that coincides now with the point of the first frame."""
+        for body in (frame.body, other.body):
+            if isinstance(body.position, nn.Parameter):
+                raise InputError(
+                    f"position of {body.name!r} is a Parameter, but a displacement is measured from where {frame!r} and "
+                    f"{other!r} are at the given positions; allowed: a position without a gradient"
+                )
         ground = frame.body.position + frame.body.axes @ frame.point
         return self._add(other.body, other.body.axes.T @ (ground - other.body.position), other.mount, True)
 

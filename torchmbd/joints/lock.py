@@ -93,12 +93,12 @@ def _phi(joint: Joint, twist: Tensor) -> Tensor:
     scribe = Scribe()
     equations = list(joint.equations(scribe))
     axes = joint.a.body.axes @ joint.a.axes
-    origin = joint.a.body.position + joint.a.body.axes @ joint.a.point
+    origin = joint.a.body.position.detach() + joint.a.body.axes @ joint.a.point
     shift, turn = axes @ twist[:3], axes @ twist[3:]
 
     def ground(x: Attached) -> Tensor:
         g = x.body.axes @ x.vector
-        g = g + x.body.position if x.is_point else g
+        g = g + x.body.position.detach() if x.is_point else g
         if x.body is not joint.b.body:
             return g
         turned = g + torch.linalg.cross(turn, g - origin if x.is_point else g)

@@ -153,7 +153,10 @@ class Dynamics:
     def values(self) -> Dynamics:
         """The same dynamics without design tangents."""
         data = {name: value(x) for name, x in self.data.items()}
-        return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization, self.backend)
+        found = Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization, self.backend)
+        if "rank" in vars(self):  # of values alone; no transform of torch.func lets it be judged inside
+            vars(found)["rank"] = self.rank
+        return found
 
     def condensed(self) -> Dynamics:
         """The same motion with fewer unknowns (condensation.py); itself if there is nothing to condense."""

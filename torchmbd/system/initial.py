@@ -20,7 +20,8 @@ and d(J v0 + Phi_t) of a velocity for dPhi. A given velocity that is not kept is
 On pairs, or on tensors that require gradients, every step carries them; a last one the position's at the closed joints.
 What cannot close is named with its residual.
 Of undeformed bodies nothing but the attached points and the laws of drives enters. Where those are no part of the design,
-all designs start alike, and what is found for the first serves all (`Alike`).
+all designs start alike, and what is found for the first serves all (`Alike`). Positions and velocities that are Parameters of
+bodies are data of a design, "q0" and "v0".
 Source: Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432 (pseudo-inverse of constant rank).
 Checked in tests/system/test_initial.py.
 """
@@ -49,6 +50,22 @@ _STEPS = 50
 _RANK = 1e-10  # share of the largest singular value of J that counts as zero
 _KEPT = 1e-6  # share of the largest given velocity by which one may change without a word
 _TOLD = 4  # velocities that are not kept, the worst first
+
+
+START = ("q0", "v0")  # where approximate initial coordinates and rates are among the data of a design, if these vary
+
+
+def given_start(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
+    """Coordinates [n_q, 1, lanes] and rates [n_v, 1, lanes] as bodies were given them, in the order of the topology."""
+
+    def rows(*kinds: list[Tensor]) -> Tensor:
+        lanes = max((x.shape[0] for kind in kinds for x in kind if x.dim() > 1), default=1)
+        wide = [torch.stack([x.expand(lanes, -1) for x in kind], -1).flatten(1) for kind in kinds]
+        modal = wide[0].new_zeros(lanes, T.modes * T.flexible)
+        return torch.cat([*wide, modal], 1).T[:, None]
+
+    q = rows([b.position for b in bodies], [euler_parameters(b.axes) for b in bodies])
+    return {"q0": q, "v0": rows([b.velocity for b in bodies], [b.angular_velocity for b in bodies])}
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,19 +99,10 @@ class InitialConditions:
     @classmethod
     def of(cls, topology: Topology, bodies: list[Any]) -> InitialConditions:
         """Collect what the bodies were given; `bodies` in the order of the topology."""
-        modal = torch.zeros(topology.modes * topology.flexible, dtype=torch.float64)
-        q = [
-            torch.stack([b.position for b in bodies], 1).flatten(),
-            torch.stack([euler_parameters(b.axes) for b in bodies], 1).flatten(),
-            modal,
-        ]
-        v = [
-            torch.stack([b.velocity for b in bodies], 1).flatten(),
-            torch.stack([b.angular_velocity for b in bodies], 1).flatten(),
-            modal,
-        ]
+        start = {name: x[:, 0, 0].detach().clone() for name, x in given_start(topology, bodies).items()}
         given = torch.tensor([moves(b) for b in bodies]).T[:, None].expand(2, 3, -1).flatten()
-        return cls(topology, torch.cat(q), torch.cat(v), torch.cat([given, modal > 0.0]))
+        modal = torch.zeros(topology.n_v - len(given), dtype=torch.bool)
+        return cls(topology, start["q0"], start["v0"], torch.cat([given, modal]))
 
     @cached_property
     def condensed(self) -> Condensation | None:
@@ -104,7 +112,14 @@ class InitialConditions:
     def alike(self, dynamics: Any) -> Alike | None:
         """What all designs of these data share; None if their starts depend on the design. Raises InputError as `solve`."""
         T, x = self.topology, dynamics.data["x"]
-        if not T.rows or T.varied or isinstance(x, Pair) or x.requires_grad or x.shape[-1] > 1:
+        if (
+            not T.rows
+            or T.varied
+            or START[0] in dynamics.data
+            or isinstance(x, Pair)
+            or x.requires_grad
+            or x.shape[-1] > 1
+        ):
             return None
         laws = [drive for drive in T.law_jets(x.new_zeros(()), dynamics.data) if drive]
         seen = [x, *(part for drive in laws for jet in drive for part in jet.parts)]
@@ -129,8 +144,10 @@ class InitialConditions:
         device = value(data["x"]).device
         lanes = dynamics.lanes
         t = torch.zeros((), dtype=torch.float64, device=device)
-        q = self.q.to(device)[:, None, None].expand(-1, 1, lanes).contiguous()
-        v = self.v.to(device)[:, None, None].expand(-1, 1, lanes).contiguous()
+        q, v = (
+            linear(lambda y: y.expand(*y.shape[:-1], lanes).contiguous(), data.get(name, own.to(device)[:, None, None]))
+            for name, own in zip(START, (self.q, self.v), strict=True)
+        )
         if not T.rows:
             return q, v
         for _ in range(_STEPS):
@@ -145,7 +162,7 @@ class InitialConditions:
         q = equations.advance(T, q, -tied.least(phi))
         tied = _Tied.of(dynamics, q, t, self.given.to(device))
         s = -tied.least(value(tied.rates(v)).detach())
-        self._tell(v[:, 0], s[:, 0])
+        self._tell(value(v).detach()[:, 0], s[:, 0])
         return q, v + s + tied.turned(s) - tied.least(tied.rates(v + s))
 
     def _tell(self, v: Tensor, s: Tensor) -> None:
@@ -213,10 +230,10 @@ class _Tied:
         """Phi [rows, ...]."""
         return equations.constraints(self.dynamics.topology, self.at)
 
-    def rates(self, v: Tensor):
+    def rates(self, v):
         """Phi' = J v + Phi_t [rows, ...]."""
         T, data = self.dynamics.topology, self.dynamics.data
-        return equations.constraint_jets(T, self.at, data, v, torch.zeros_like(v), self.t).velocity
+        return equations.constraint_jets(T, self.at, data, v, torch.zeros_like(value(v)), self.t).velocity
 
     def least(self, x):
         """K x [n_v, ...] of x [rows, ...]; modal rows zero."""

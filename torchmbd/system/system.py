@@ -33,11 +33,13 @@ from torchmbd.system import topology
 from torchmbd.system.description import Description, check_connected, describe
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.equations import INERTIA
-from torchmbd.system.initial import InitialConditions
+from torchmbd.system.initial import InitialConditions, given_start
 from torchmbd.system.saddle import Saddle
 
-# Numbers of a system and of its bodies by which nothing is differentiated.
-_CONSTANTS = ("gravity", "mass", "center", "second_moment", "position", "axes", *VELOCITIES)
+# Numbers of a system and of its bodies by which nothing is differentiated, and those of bodies that Parameters are.
+_CONSTANTS = ("gravity", "axes")
+_OF_START = ("position", *VELOCITIES)
+_VARIABLES = ("mass", "center", "inertia", *_OF_START)
 
 
 class System(nn.Module):
@@ -187,13 +189,14 @@ class System(nn.Module):
     def _refuse_lost(self) -> None:
         """InputError for numbers that would be differentiated, but are constants of the system, its bodies and laws."""
         for owner in (self, *self.bodies):
-            for name in _CONSTANTS:
-                x = owner._parameters.get(name, owner._buffers.get(name))
+            for name in (*_CONSTANTS, *_VARIABLES):
+                x = owner._buffers.get(name, owner._parameters.get(name) if name in _CONSTANTS else None)
                 if x is not None and (name in owner._parameters or x.requires_grad):
                     label = name if owner is self else f"{owner.name}.{name}"
-                    raise InputError(
-                        f"{label!r} is a constant: it has no gradient; allowed: a tensor that requires none"
-                    )
+                    allowed = "a tensor that requires none"
+                    if name in _VARIABLES:
+                        allowed += ", or a Parameter given to the constructor of the body"
+                    raise InputError(f"{label!r} is a constant: it has no gradient; allowed: {allowed}")
         for kind in self.topology.actions:
             for law in kind.laws:
                 if isinstance(law, Port):
@@ -221,6 +224,8 @@ class System(nn.Module):
         for element in (*self.joints, *self.forces):
             if element.variables is not None:
                 data[key(element.name)] = element.variables.flat()
+        if any(name in body._parameters for body in self.bodies for name in _OF_START):
+            data |= given_start(T, [*flexible, *rigid])
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data

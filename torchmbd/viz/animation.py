@@ -82,7 +82,7 @@ def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
         entry: dict[str, Any] = {"name": body.name, "r": _packed(r), "A": _packed(A)}
         if state.mesh is None:
             points = np.array(_unique(_array(side.point).tolist() for side in mine)).reshape(-1, 3)
-            center = _array(body.center).reshape(1, 3)
+            center = _array(body.center.detach()).reshape(1, 3)
             entry |= {"points": points.tolist(), "center": center[0].tolist()}
             local = (points if len(points) > 1 else np.concatenate([points, center]))[None]
         else:
