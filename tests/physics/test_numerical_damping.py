@@ -5,6 +5,8 @@ As published, forces of both ends of a step are averaged; here accelerations are
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -13,7 +15,7 @@ import torchmbd as mbd
 STEP, STEPS, WAY = 1e-3, 60, 0.01  # [s]; [m] in a step, at the speed of the start
 
 
-def motion(method: str, omega: float, **options: float) -> mbd.Trajectory:
+def motion(method: str, omega: float, **options: Any) -> mbd.Trajectory:
     """A mass on a guide, on a spring of circular frequency omega [rad/s], that starts with a speed where it is at rest."""
     ground, body = mbd.Ground(), mbd.RigidBody("mass", 2.0, (1e-3, 2e-3, 3e-3), velocity=(WAY / STEP, 0.0, 0.0))
     guide = mbd.Prismatic(ground.at(), body.at(), axis="x")
