@@ -1,7 +1,9 @@
 """The contract of an integrator: a method with its options, which makes motions out of equations.
 
     integrate           motion of all lanes over equal output intervals
-    integrate_phases    the same through the phases of a simulation
+    integrate_phases    the same through the phases of a simulation (phase_loop.py), by
+    stepper               regular steps of all lanes, from output to output
+    sized                 a step of one lane whose size and end may depend on the design
     again               what lanes that failed are tried again with
 
 An integrator is a frozen dataclass: its fields but `name` are its options, with types and defaults; `__post_init__` refuses
@@ -15,11 +17,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
-from typing import Any, ClassVar, NamedTuple, get_type_hints
+from typing import Any, ClassVar, NamedTuple, Protocol, get_type_hints
+
+from torch import Tensor
 
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.history import History
+from torchmbd.integrators.step import State
 from torchmbd.system.dynamics import Dynamics
+from torchmbd.system.topology import Prescribed
 
 
 @dataclass
@@ -38,18 +44,44 @@ class Again(NamedTuple):
     steps: int
 
 
+class Stepper(Protocol):
+    """Regular steps of the lanes of one system; keeps what goes on from step to step.
+
+    failed   lanes that cannot be integrated, with the reason
+    """
+
+    failed: dict[int, str]
+
+    def step(self, i: int, x: State, given: Prescribed, lanes: Tensor) -> State:
+        """The state at time i of the grid; with tangents, the exact derivative of the discrete step, where x has them.
+
+        given   what is known at its end;  lanes: a mask: others have no motion, and come out with any numbers
+        """
+        ...
+
+    def forget(self) -> None:
+        """The state has jumped: what is kept does not suit it."""
+        ...
+
+    def errors(self, history: History, duration: float, numbers: list[int] | None = None) -> dict[str, Tensor]:
+        """What the steps to the times of these numbers left to be desired, for statistics [lanes]."""
+        ...
+
+
 @dataclass(frozen=True)
 class Integrator(ABC):
     """See the module header.
 
     kind            of native code that makes its steps: "step", "rates"; None: there is none
     adjoint         whether its steps have a pullback: reverse mode without phases
+    shortest        step that it bears, of the regular one
     not_in_phases   options that say nothing where there are phases
     """
 
     name: str
     kind: ClassVar[str | None]
     adjoint: ClassVar[bool]
+    shortest: ClassVar[float] = 0.0
     not_in_phases: ClassVar[tuple[str, ...]] = ()
 
     @classmethod
@@ -66,6 +98,17 @@ class Integrator(ABC):
     @abstractmethod
     def integrate_phases(self, course: Course) -> dict[str, Any]:
         """Integrate all lanes through all phases, into the record of the course; statistics."""
+
+    @abstractmethod
+    def stepper(self, dynamics: Dynamics, h: float) -> Stepper:
+        """Regular steps of size h [s]."""
+
+    @abstractmethod
+    def sized(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
+        """The state of one lane after a step of size h that ends at t1; numbers [1 + n, 1], pairs if x are.
+
+        Those of x and of the result carry total derivatives: times may depend on the design.
+        """
 
     def again(self) -> Again | None:
         """What lanes that failed are tried again with; None: nothing more."""

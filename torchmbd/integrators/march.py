@@ -92,11 +92,19 @@ class March:
         self.nothing = nothing(dynamics)
         self.diagonal = dynamics.diagonal(everywhere=refresh == 0)
         self.factor = Elimination(dynamics.topology) if pays(dynamics.topology) else factored
+        self.failed: dict[int, str] = {}  # none: a lane that fails is nan
         self.H: Any = None
         self.sizes: list[Tensor] = []  # of the last two corrections of values [2, lanes], for each step
         self.tangent_error: list[Tensor] = []  # relative [lanes], at each look
         self.largest: Tensor | None = None  # tangents of accelerations so far [n_b, lanes]
         self.counts = mass.new_ones(dynamics.lanes, dtype=torch.bool)  # lanes whose motion is one
+
+    def step(self, i: int, x: State, given: Prescribed, lanes: Tensor) -> State:
+        """As of Stepper."""
+        self.counts = lanes
+        x = self(i, x, given)
+        self.sizes[-1] = torch.where(lanes, self.sizes[-1], 0.0)
+        return x
 
     def __call__(self, i: int, x: State, given: Any) -> State:
         """The state after step i."""

@@ -32,14 +32,15 @@ from typing import Any, ClassVar
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.integrators import compiled, staged_alpha
+from torchmbd.integrators import compiled, phase_loop
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.estimates import step_errors, turns
 from torchmbd.integrators.history import Record
 from torchmbd.integrators.integrator import Again, Integrated, Integrator
 from torchmbd.integrators.march import TURN, March, first
 from torchmbd.integrators.prepared import prepare
-from torchmbd.integrators.step import Weights
+from torchmbd.integrators.sized import sized
+from torchmbd.integrators.step import State, Weights
 from torchmbd.numerics.owned import whole
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.expansion import Expansion
@@ -59,6 +60,7 @@ class OneStep(Integrator):
     halvings: int = 1
     kind: ClassVar[str | None] = "step"
     adjoint: ClassVar[bool] = True
+    shortest: ClassVar[float] = 0.05  # index-3 equations do not bear much less
     not_in_phases: ClassVar[tuple[str, ...]] = ("halvings",)
 
     def __post_init__(self) -> None:
@@ -76,8 +78,12 @@ class OneStep(Integrator):
         """Weights of a step of size h [s]: a float, or a number [1, 1] that may be a pair (sized.py)."""
 
     def stepper(self, dynamics: Dynamics, h: float) -> March:
-        """Steps of size h [s]."""
+        """As of Integrator."""
         return compiled.march(dynamics, self.weights(h), self.iterations, self.refresh)
+
+    def sized(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
+        """As of Integrator."""
+        return sized(dynamics, self.weights, x, h, t1)
 
     def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> Integrated:
         """As of Integrator.
@@ -106,7 +112,11 @@ class OneStep(Integrator):
 
     def integrate_phases(self, course: Course) -> dict[str, Any]:
         """As of Integrator; statistics as of `integrate`, without errors of steps."""
-        return staged_alpha.integrate(course, self)
+        errors = phase_loop.integrate(course, self)
+        h = course.duration / course.steps
+        turn = turns(course.whole, course.recorded(), h)
+        errors["until"] = errors.get("until", first(turn < 0.0)).minimum(first(turn > TURN).clamp_min(1))
+        return {"steps": course.steps, "step_size": h, "turn": turn.amax(0)} | errors
 
     def again(self) -> Again | None:
         """First with a new matrix for every correction, and more of these; then with half the step.

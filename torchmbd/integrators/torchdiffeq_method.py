@@ -11,13 +11,15 @@ from typing import Any, ClassVar
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.integrators import staged_ode
+from torchmbd.integrators import phase_loop
 from torchmbd.integrators.compiled_rates import RightHandSide, augment
 from torchmbd.integrators.course import Course
+from torchmbd.integrators.flow_stepper import FlowStepper, moved
 from torchmbd.integrators.history import History
 from torchmbd.integrators.integrator import Integrated, Integrator
 from torchmbd.integrators.ode import DEFAULTS, FIXED, first_step, flow
 from torchmbd.integrators.prepared import initial
+from torchmbd.integrators.step import State
 from torchmbd.system.dynamics import Dynamics
 
 
@@ -71,8 +73,21 @@ class Torchdiffeq(Integrator):
         return History(y[:, : T.n_q], y[:, T.n_q :], a, lam)
 
     def integrate_phases(self, course: Course) -> dict[str, Any]:
+        """As of Integrator; statistics as of `integrate`."""
+        before = course.whole.statistics["evaluations"]
+        phase_loop.integrate(course, self)
+        return {"evaluations": course.whole.statistics["evaluations"] - before}
+
+    def stepper(self, dynamics: Dynamics, h: float) -> FlowStepper:
         """As of Integrator."""
-        return staged_ode.integrate(course, self.arguments(course.whole))
+        return FlowStepper(dynamics, h, self.arguments(dynamics))
+
+    def sized(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
+        """As of Integrator; nan where it cannot be integrated."""
+        try:
+            return moved(dynamics, x, h, t1, self.arguments(dynamics))
+        except FloatingPointError:
+            return x.map(lambda y: y * torch.nan)
 
     def arguments(self, dynamics: Dynamics) -> dict[str, Any]:
         """Arguments of torchdiffeq.odeint."""

@@ -1,72 +1,56 @@
-"""One-step methods through the phases of a simulation: regular steps of all lanes, and steps of other sizes at switches.
+"""The loop through the phases of a simulation: regular steps of all lanes, and steps of other sizes at switches.
 
     h* : g(t + h*, x(h*)) = 0       the last step of a phase, by Newton's method on its size      dh*/db = -g_b / g_h
     t_k - t*                        the first step of the next one, back to the grid
 
-The steps are differentiated as they stand, to O(h^2) at a switch (2e-4 with 400 steps): sizes are numbers with design
-tangents (sized.py), and while h* is sought it is one more design variable. Steps shorter than `SHORT` of the regular one are
-not made, for the index-3 equations do not bear them: the last step of a phase begins one point of the grid earlier instead,
-the first one ends one later, and the points between take the first terms of the Taylor series from the switch.
+Every integrator goes this way: it makes regular steps by its stepper and those of other sizes by `Integrator.sized`. The steps
+are differentiated as they stand (one-step methods: to O(h^2) at a switch, 2e-4 with 400 steps): sizes are numbers with design
+tangents, and while h* is sought it is one more design variable. Steps that are too short for the integrator are not made: the
+last step of a phase begins one point of the grid earlier instead, the first one ends one later, and the points between take
+the first terms of the Taylor series from the switch.
 
-All lanes march together in one phase; those that left it, or are not there yet, with numbers that nobody looks at.
+All lanes are in one phase together; those that left it, or are not there yet, with numbers that nobody looks at.
 Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, Protocol
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.integrators.course import Course, Passage
-from torchmbd.integrators.estimates import turns
 from torchmbd.integrators.events import Event
-from torchmbd.integrators.march import TURN, March, first
-from torchmbd.integrators.sized import narrowed, shortly_after, sized, widened, widened_data
-from torchmbd.integrators.step import State, Weights
+from torchmbd.integrators.integrator import Integrator
+from torchmbd.integrators.sized import narrowed, shortly_after, widened, widened_data
+from torchmbd.integrators.step import State
 from torchmbd.integrators.switch import lane_of, pick
 from torchmbd.numerics.pair import Pair, value
-from torchmbd.system.dynamics import Dynamics
 
-SHORT = 0.05  # of a regular step
 _SAME = 1e-9  # of a regular step: times that are equal
 _ROUND = 1e-13  # of the size
 _MOST = 40  # iterations for the size of a last step
 
 
-class Method(Protocol):
-    """A one-step method on the index-3 equations (one_step.py)."""
-
-    def weights(self, h: Any) -> Weights:
-        """Weights of a step of size h [s]."""
-        ...
-
-    def stepper(self, dynamics: Dynamics, h: float) -> March:
-        """Regular steps of size h [s]."""
-        ...
-
-
-def integrate(course: Course, method: Method) -> dict[str, Any]:
-    """Integrate all lanes through all stages."""
+def integrate(course: Course, integrator: Integrator) -> dict[str, Tensor]:
+    """Integrate all lanes through all stages; what the iterations leave, as of Stepper.errors, largest of all stages."""
     passage, errors = course.start(), {}
     for number in range(len(course.stages)):
-        passage, found = _Leg(course, number, passage, method).run()
+        passage, found = _Leg(course, number, passage, integrator).run()
         for name, x in found.items():
             errors[name] = (torch.minimum if name == "until" else torch.maximum)(errors.get(name, x), x)
-    h = course.duration / course.steps
-    turn = turns(course.whole, course.recorded(), h)
-    errors["until"] = errors.get("until", first(turn < 0.0)).minimum(first(turn > TURN).clamp_min(1))
-    return {"steps": course.steps, "step_size": h, "turn": turn.amax(0)} | errors
+    return errors
 
 
 class _Leg:
     """All lanes in one stage, from `entry` to where they leave it."""
 
-    def __init__(self, course: Course, number: int, entry: Passage, method: Method):
-        self.course, self.stage, self.method = course, course.stages[number], method
+    def __init__(self, course: Course, number: int, entry: Passage, integrator: Integrator):
+        self.course, self.stage, self.integrator = course, course.stages[number], integrator
         self.h, self.times = course.duration / course.steps, course.times
+        self.short = max(integrator.shortest, _SAME)
         self.dynamics, x = course.enter(number, entry)
         self.ends = course.end(self.stage, entry.t)
         self.entry, self.alive = Passage(entry.t, x), course.arrived(entry)
@@ -77,22 +61,20 @@ class _Leg:
         self.left: dict[int, Passage] = {}
 
     def run(self) -> tuple[Passage, dict[str, Tensor]]:
-        """Step until every lane has left the stage, or to the end; what the iterations leave, as of March.errors."""
+        """Step until every lane has left the stage, or to the end; what the iterations leave, as of Stepper.errors."""
         d, x = self.dynamics, self.entry.x
-        march = self.method.stepper(d, self.h)
+        stepper = self.integrator.stepper(d, self.h)
         self._put_shortly_after()
         schedule = d.topology.schedule(self.times, d.data)
         alive, inside = self.alive, torch.zeros_like(self.alive)
         older, recent, numbers = x, x, []
         for i in range(int(self.first.min()), len(self.times)):
             if bool(inside.any()):
-                march.counts = inside
-                older, recent, x = recent, x, march(i, x, schedule[i])
+                older, recent, x = recent, x, stepper.step(i, x, schedule[i], inside)
                 numbers.append(i)
-                march.sizes[-1] = torch.where(inside, march.sizes[-1], 0.0)
             for lane in torch.nonzero(alive & (self.first == i))[:, 0].tolist():
                 x = _placed(x, lane, self._arrival(lane))
-                march.forget()
+                stepper.forget()
                 inside[lane] = True
             passed, g = self._passed(i, x, inside)
             self.course.put(self.stage, i, inside & ~(passed & self._beyond(i)), x)
@@ -102,19 +84,21 @@ class _Leg:
             inside, alive = inside & ~passed, alive & ~passed
             if not bool(alive.any()):
                 break
-        errors = march.errors(self.course.recorded(), self.course.duration, numbers) if march.sizes else {}
+        errors = stepper.errors(self.course.recorded(), self.course.duration, numbers) if numbers else {}
+        for lane, reason in stepper.failed.items():
+            self.course.fail(lane, reason)
         staying = torch.nonzero(alive)[:, 0].tolist()
         return self.course.passage(self.stage, self.entry, self.left, staying), errors
 
     def _first(self, lane: int) -> int:
-        """The first point of the grid that a lane marches to."""
+        """The first point of the grid that a lane steps to."""
         t = float(value(self.entry.t)[0, lane])
         if not self.alive[lane]:
             return len(self.times)
         k = math.ceil(t / self.h - _SAME)
         if self._on_grid(lane, k):
             return k
-        return k + (k * self.h - t < SHORT * self.h)
+        return k + (k * self.h - t < self.short * self.h)
 
     def _on_grid(self, lane: int, k: int) -> bool:
         """Whether a lane enters at a point of the grid, whatever the design."""
@@ -128,10 +112,10 @@ class _Leg:
         if self._on_grid(lane, k):
             return x
         end = t * 0.0 + float(self.times[k])
-        return sized(lane_of(self.dynamics, lane), self.method.weights, x, end - t, end)
+        return self.integrator.sized(lane_of(self.dynamics, lane), x, end - t, end)
 
     def _put_shortly_after(self) -> None:
-        """Record the points of the grid that lie between a switch and the first that a lane marches to."""
+        """Record the points of the grid that lie between a switch and the first that a lane steps to."""
         t = value(self.entry.t)[0]
         for k in range(len(self.times)):
             between = self.alive & (t <= self.times[k] + _SAME * self.h) & (k < self.first)
@@ -156,7 +140,7 @@ class _Leg:
             return inside & self.event.passed(self.g, g), g
         if self.ends is None:
             return torch.zeros_like(inside), self.g
-        return inside & (self.times[i] > value(self.ends)[0] - SHORT * self.h), self.g
+        return inside & (self.times[i] > value(self.ends)[0] - self.short * self.h), self.g
 
     def _beyond(self, i: int) -> Tensor:
         """Which of the leaving lanes had left before a point of the grid."""
@@ -169,11 +153,11 @@ class _Leg:
         grid = [Passage(self._time(i - 1 - k), states[k]) for k in range(min(2, i - int(self.first[lane])))]
         points = [*grid, self.entry]
         share = float(self.g[lane] / (self.g[lane] - g[lane]))
-        before = points[1 if self.event is not None and share < SHORT and grid else 0]
+        before = points[1 if self.event is not None and share < self.integrator.shortest and grid else 0]
         t, x = before.lane(lane)
         if self.event is None:
             end = pick(self.ends, [lane])
-            return Passage(end, sized(lane_of(self.dynamics, lane), self.method.weights, x, end - t, end))
+            return Passage(end, self.integrator.sized(lane_of(self.dynamics, lane), x, end - t, end))
         return self._located(self.event, lane, Passage(t, x), float(self.times[i] - value(t)[0, 0]), share)
 
     def _time(self, i: int) -> Any:
@@ -191,7 +175,7 @@ class _Leg:
         sign = math.copysign(1.0, float(self.g[lane]))
         for _ in range(_MOST):
             size = one + h
-            y = sized(wide, self.method.weights, x, size, t + size)
+            y = self.integrator.sized(wide, x, size, t + size)
             g, slope = self.course.views.slopes(event, lane, wide, t + size, y)
             low, high = (h, high) if float(g) * sign > 0.0 else (low, h)
             better = h - float(g / slope[-1])
