@@ -1,11 +1,10 @@
 """What do the experiment layer, its logging and its workers cost? `python -m experiments.benchmark_tracking WHAT ...`
 
     overhead   a study of some ten seconds (the three-layer rod; `--starts`, `--iterations`) by `torchmbd run`'s own path,
-               beside the same multistart called in Python, both in this process, by turns; the writer and the figures have
-               the other core
+               beside the same multistart called in Python, both in this process, by turns
     fresh      the same, each time in a store that is not there yet
-    logging    200 starts of 30 iterations told to a journal, and the writer beside it that brings them into MLflow's
-               SQLite, as shares of a study whose evaluations take 0.1 s each, as those of the slider-crank do
+    logging    200 starts of 30 iterations told to the tracker, whose thread brings them into MLflow's SQLite store: processor
+               time of both, as a share of a study whose evaluations take 0.1 s each, as those of the slider-crank do
     table      the same, and seconds until Chromium shows the table of these 200 runs, from MLflow's own server (playwright)
     start      seconds from `torchmbd run` to the first iteration of the main job on the screen, in a store that is not there
                yet and then in that store
@@ -22,7 +21,6 @@ import argparse
 import io
 import os
 import re
-import resource
 import shutil
 import subprocess
 import sys
@@ -44,9 +42,10 @@ from torchmbd.experiment.run import run_plan
 from torchmbd.optimizers import multistart
 from torchmbd.optimizers.optimizer import Iterate
 from torchmbd.process import settle
-from torchmbd.tracking import ProcessTracker, Record
+from torchmbd.tracking import MlflowTracker, Record
 from torchmbd.tracking.links import view_link
 from torchmbd.tracking.server import serving
+from torchmbd.tracking.store import open_store
 
 STUDY = """
 model: experiments.slider_crank:build
@@ -109,13 +108,14 @@ def place(folder: Path) -> None:
 
 
 def logging(file: Path, table: bool) -> None:
-    """A journal of many iterates, and the writer's catching up; then perhaps the table of the runs in a browser."""
+    """Many iterates and the thread that writes them; then perhaps the table of the runs in a browser."""
     plan = load_study(file)
     n = len(plan.columns.names)
     with tempfile.TemporaryDirectory() as folder:
         uri = f"sqlite:///{folder}/runs.db"
-        tracker = ProcessTracker("logging", uri, Path(folder) / "study")
-        journal = Journal(plan, tracker, tracker.files)
+        open_store(uri)
+        tracker = MlflowTracker("logging", uri)
+        journal = Journal(plan, tracker, Path(folder))
 
         def tell() -> None:
             journal.begin("study")
@@ -125,25 +125,18 @@ def logging(file: Path, table: bool) -> None:
             for iteration in range(STEPS + 1):
                 for k in range(STARTS):
                     journal.iterate(Iterate(k, iteration, x, 1.0 / (1 + iteration), 0.0, np.zeros(1), iteration + 1))
+            journal.end_all("FINISHED")
+            tracker.close()
 
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        told = timed(tell)
-        began = time.perf_counter()
-        journal.end_all("FINISHED")
-        record = tracker.close()
-        caught = time.perf_counter() - began
-        used = resource.getrusage(resource.RUSAGE_CHILDREN)
-        writer = used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime
+        wall, processor = timed(tell)
         if table:
-            shown(uri, record)
+            shown(uri, tracker.record)
     study = STARTS * STEPS * EVALUATION
-    shares = [100 * seconds / study for seconds in (told[1], writer)]
     print(
-        f"logging: {STARTS} starts x {STEPS} iterations told in {told[1]:.2f} s of processor, {shares[0]:.2f} %",
+        f"logging: {STARTS} starts x {STEPS} iterations in the store after {wall:.1f} s, {processor:.1f} s of processor: ",
         end="",
     )
-    print(f" of a study of {study:.0f} s; the writer {writer:.1f} s, {shares[1]:.1f} %; ", end="")
-    print(f"in MLflow {told[0] + caught:.1f} s after the first word")
+    print(f"{100 * processor / study:.1f} % of a study of {study:.0f} s")
 
 
 def shown(uri: str, record: Record) -> None:

@@ -17,7 +17,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "torchmbd"
 # From the ground up; folders of one line do not know each other.
 FLOORS = (
-    {"errors", "bare", "process"},
+    {"errors", "process"},
     {"numerics"},
     {"mesh", "materials"},
     {"elements", "sections"},

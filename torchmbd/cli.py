@@ -255,14 +255,14 @@ def ui(
 
 @app.command
 def sync() -> int:
-    """Send what earlier studies could not: their MLflow server was away, or the power went off."""
-    from torchmbd.experiment.place import place
-    from torchmbd.tracking.process import deliver_all
+    """Send again the studies that are not in their MLflow store: it was away, or the study was killed.
 
-    waiting = deliver_all(place())
-    if not waiting:
-        print("everything is in its tracking store")
-    return min(waiting, 1)
+    They run once more with the evaluations that are on disk, and no others.
+    """
+    settle()
+    from torchmbd.experiment.sync import send_all
+
+    return min(send_all(Console()), 1)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -55,5 +55,5 @@ def finished(tmp_path_factory, empty_store):
         tracker = MlflowTracker("finished", uri)
         plan = load_study(file, ["simulate.duration=0.002", f"simulate.steps={steps}"])
         assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
-        runs.append(tracker.runs["study"])
+        runs.append(tracker.record.runs["study"])
     return SimpleNamespace(folder=folder, file=file, uri=uri, runs=runs, client=open_store(uri))

@@ -15,9 +15,8 @@ from torchmbd.experiment.draw import run_figures
 from torchmbd.experiment.faults import StudyError
 from torchmbd.experiment.load import FiguresPlan, load, load_study
 from torchmbd.experiment.place import figures_key
+from torchmbd.experiment.unfinished import claimed
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
-from torchmbd.tracking.process import deliver_all
-from torchmbd.tracking.spool import Journal
 from torchmbd.tracking.store import open_store
 
 DRAW = """
@@ -59,7 +58,7 @@ def test_pictures_numbers_and_the_sentence_are_in_the_store(write, tmp_path, emp
     code, output = run(write("figures: draw.py:figures\noptions: {angle: 2.5}\n"), tracker)
     assert code == 0
     assert "It turns by 2.5." in output
-    (run_,) = open_store(tracker.uri).search_runs([tracker.experiment_id])
+    (run_,) = open_store(tracker.uri).search_runs([tracker.record.experiment_id])
     assert run_.info.status == "FINISHED"
     assert run_.data.metrics == {"angle": 2.5}
     assert run_.data.params["options.angle"] == "2.5"
@@ -74,7 +73,7 @@ def test_a_function_that_fails_leaves_a_failed_run(write, tmp_path, empty_store)
     tracker = MlflowTracker("draw", f"sqlite:///{shutil.copy(empty_store, tmp_path)}")
     with pytest.raises(MbdError, match="ZeroDivisionError: half a picture"):
         run(write("figures: draw.py:broken\n"), tracker)
-    assert [r.info.status for r in open_store(tracker.uri).search_runs([tracker.experiment_id])] == ["FAILED"]
+    assert [r.info.status for r in open_store(tracker.uri).search_runs([tracker.record.experiment_id])] == ["FAILED"]
 
 
 def test_figures_leave_nothing_behind_and_go_on_after_a_death(write, tmp_path, empty_store, monkeypatch):
@@ -86,10 +85,10 @@ def test_figures_leave_nothing_behind_and_go_on_after_a_death(write, tmp_path, e
     plan = load(file)
     assert isinstance(plan, FiguresPlan)
     key = figures_key(plan, uri)
-    dead = Journal(tmp_path / "place" / key, ["session", "drawn", uri, key])  # told, and the power went off
-    dead.append(["begin", "study", "pictures", None, {}, {}])
-    dead.close()
-    assert deliver_all(tmp_path / "place") == 0
+    with claimed(key, plan, uri) as dead:  # told, and the power went off
+        tracker = MlflowTracker("drawn", uri, dead.id)
+        tracker.begin("study", "pictures")
+        tracker.close()
     client = open_store(uri)
     experiment = client.get_experiment_by_name("drawn")
     assert experiment is not None

@@ -37,8 +37,8 @@ def test_a_study_of_the_highest_peaks_is_run_and_loaded(write, folder, empty_sto
     plan = load_study(write(minimize=PEAKS), SHORT)
     tracker = MlflowTracker("min-max", uri)
     assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
-    study = mbd.load(tracker.runs["study"], uri, folder / "rod_model.py")
-    metrics = find(uri, tracker.runs["study"]).metrics
+    study = mbd.load(tracker.record.runs["study"], uri, folder / "rod_model.py")
+    metrics = find(uri, tracker.record.runs["study"]).metrics
     assert study.x.shape == (2,)
     highest = float(mbd.Max(mbd.StrainEnergy("rod")).value(study.motion)[0])
     assert 0.0 < metrics["bound"] <= 1.0

@@ -24,10 +24,10 @@ from torchmbd.design import Problem
 from torchmbd.errors import MbdError
 from torchmbd.experiment.evaluations import Evaluations
 from torchmbd.experiment.load import load_study
-from torchmbd.experiment.place import evaluations_file, place, problem_key, study_key
+from torchmbd.experiment.place import evaluations_file, problem_key, study_key
 from torchmbd.experiment.run import run_plan
+from torchmbd.experiment.unfinished import claimed
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
-from torchmbd.tracking.spool import locked
 from torchmbd.tracking.store import open_store, store_uri
 
 
@@ -95,8 +95,9 @@ def test_fresh_forgets_nothing_of_a_study_that_is_running(study, folder):
     plan = load_study(study)
     count = Evaluations(evaluations_file(), problem_key(plan)).count()
     assert count > 0
-    running = place() / study_key(plan, store_uri(plan.study.tracking.uri))
-    with locked(running, "study.lock"), pytest.raises(MbdError, match="the same study is running in another process"):
+    uri = store_uri(plan.study.tracking.uri)
+    message = "the same study is running in another process"
+    with claimed(study_key(plan, uri), plan, uri), pytest.raises(MbdError, match=message):
         run_plan(plan, Console(file=io.StringIO()), fresh=True)
     assert Evaluations(evaluations_file(), problem_key(plan)).count() == count
 
@@ -113,7 +114,7 @@ def test_a_study_that_was_interrupted_goes_on_in_its_runs(study, folder):
         run_plan(plan, Console(file=io.StringIO()), tracker)
         if interrupted:
             tracker.metrics = tell
-        runs = open_store(uri).search_runs([tracker.experiment_id])
+        runs = open_store(uri).search_runs([tracker.record.experiment_id])
         lives.append({run.info.run_id: run.info.status for run in runs})
     assert set(lives[0].values()) == {"KILLED"}
     assert set(lives[1].values()) == {"FINISHED"}
@@ -132,7 +133,7 @@ def _interrupting(metrics):
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_killed_at_twenty_random_moments(write, folder, monkeypatch, workers):
-    """kill -9 of the study, its writer, its workers, ten times; then the same table, one run for each start, no zombie."""
+    """kill -9 of the study or its workers, ten times; then the same table, one run for each start, no zombie."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("TORCHMBD_STORE", str(folder / "place"))
     uri = f"sqlite:///{folder / 'runs.db'}"
@@ -189,13 +190,11 @@ def _struck(process: subprocess.Popen, chance: random.Random, struck: list[str],
 
 def _below(study: int) -> dict[int, str]:
     """The processes that a study has started, by what they do."""
-    roles = {"torchmbd.tracking.writer": "writer", "torchmbd.viz.studio": "studio"}
     found = {}
     with contextlib.suppress(psutil.NoSuchProcess):
         for process in psutil.Process(study).children(recursive=True):
             with contextlib.suppress(psutil.NoSuchProcess):
-                words = process.cmdline()
-                found[process.pid] = next((role for module, role in roles.items() if module in words), "worker")
+                found[process.pid] = "worker"
     return found
 
 

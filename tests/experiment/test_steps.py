@@ -36,7 +36,7 @@ def test_the_best_design_on_the_steps(write, folder, empty_store):
     problem = problem_of(plan)
     every = np.radians(list(itertools.product(range(-90, 90, 30), repeat=2)))
     least = min(e.objective for e in problem.evaluate(every, False))
-    metrics = open_store(tracker.uri).get_run(tracker.runs["study"]).data.metrics
+    metrics = open_store(tracker.uri).get_run(tracker.record.runs["study"]).data.metrics
     assert metrics["objective"] == pytest.approx(least, rel=1e-9)
     assert metrics["relaxed_objective"] <= (1.0 + 1e-6) * metrics["objective"]
     angles = np.array([metrics["angle_1_deg"], metrics["angle_2_deg"]])
@@ -44,7 +44,7 @@ def test_the_best_design_on_the_steps(write, folder, empty_store):
     assert problem.evaluate(np.radians(angles)[None], False)[0].objective == pytest.approx(least, rel=1e-9)
     assert "on the steps: " in output.getvalue()
     assert "no better design among" in output.getvalue()
-    kept = mbd.load(tracker.runs["study"], f"sqlite:///{store}", folder / "rod_model.py")
+    kept = mbd.load(tracker.record.runs["study"], f"sqlite:///{store}", folder / "rod_model.py")
     np.testing.assert_allclose(np.degrees(kept.x), angles, atol=1e-9)
 
 

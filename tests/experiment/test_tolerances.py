@@ -49,7 +49,7 @@ def test_a_study_with_tolerances(write, tmp_path, empty_store):
     assert "mean over the tolerances" in output.getvalue()
     own = mbd.RobustProblem(problem_of(plan), mbd.deg([4.0, 4.0]))
     alone = mbd.optimize(own, "mmfd", max_iterations=2)
-    metrics = open_store(uri).get_run(tracker.runs["study"]).data.metrics
+    metrics = open_store(uri).get_run(tracker.record.runs["study"]).data.metrics
     assert metrics["objective"] == pytest.approx(alone.value, rel=1e-9)
     angles = [metrics[f"angle_{k}_deg"] for k in (1, 2)]
     np.testing.assert_allclose(angles, np.degrees(alone.x), atol=1e-6)

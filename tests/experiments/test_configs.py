@@ -64,7 +64,7 @@ def test_every_study_runs(file, uri):
     tracker = MlflowTracker(file.stem, uri)
     output = io.StringIO()
     assert run_plan(plan, Console(file=output), tracker) == 0
-    runs = open_store(tracker.uri).search_runs([tracker.experiment_id])
+    runs = open_store(tracker.uri).search_runs([tracker.record.experiment_id])
     assert {run.info.status for run in runs} == {"FINISHED"}
     (parent,) = [run for run in runs if run.data.tags["kind"] in ("study", "sweep")]
     assert len(runs) - 1 == (5 if plan.study.sweep else 2)

@@ -67,7 +67,7 @@ def test_its_file_runs_for_two_iterations(tmp_path):
     plan = load_study(FILE, [*small, "simulate.iterations=[6, 2]", "optimizer.max_iterations=2"])
     tracker = MlflowTracker("swing", f"sqlite:///{tmp_path / 'runs.db'}")
     assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
-    runs = open_store(tracker.uri).search_runs([tracker.experiment_id])
+    runs = open_store(tracker.uri).search_runs([tracker.record.experiment_id])
     assert {run.info.status for run in runs} == {"FINISHED"}
     (parent,) = [run for run in runs if run.data.tags["kind"] == "study"]
     assert parent.data.metrics["failed_evaluations"] == 0

@@ -1,66 +1,86 @@
-"""The contract of tracking, run by every tracker against a real SQLite store, read back by MlflowClient."""
+"""The contract of tracking, kept against a real SQLite store, read back by MlflowClient."""
 
 from __future__ import annotations
 
-import os
 import shutil
-import signal
+import sqlite3
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
 import pytest
 
 from torchmbd.numerics.build_cache import entries
-from torchmbd.tracking import ProcessTracker, TrackingError
-from torchmbd.tracking.mlflow_tracker import MlflowTracker
+from torchmbd.tracking import MlflowTracker, TrackingError
 from torchmbd.tracking.store import open_store, store_uri
 
-TRACKERS = [MlflowTracker, ProcessTracker]
+
+@pytest.fixture
+def uri(tmp_path, empty_store):
+    (tmp_path / "store").mkdir()
+    return f"sqlite:///{shutil.copy(empty_store, tmp_path / 'store')}"
 
 
-def made(tracker_type, experiment: str, uri: str, folder: Path):
-    return MlflowTracker(experiment, uri) if tracker_type is MlflowTracker else ProcessTracker(experiment, uri, folder)
+def hide(tmp_path: Path) -> None:
+    """Put a file where the store's folder should be: it cannot be opened until it is shown again."""
+    (tmp_path / "store").rename(tmp_path / "hidden")
+    (tmp_path / "store").write_text("")
 
 
-@pytest.fixture(scope="module")
-def uri(tmp_path_factory, empty_store):
-    return f"sqlite:///{shutil.copy(empty_store, tmp_path_factory.mktemp('store'))}"
+def show(tmp_path: Path) -> None:
+    (tmp_path / "store").unlink()
+    (tmp_path / "hidden").rename(tmp_path / "store")
 
 
-@pytest.mark.parametrize("tracker_type", TRACKERS)
-def test_what_is_told_is_read_back(tracker_type, uri, tmp_path):
+def points(uri: str, run_id: str, key: str = "objective") -> list[tuple[int, float]]:
+    return sorted((p.step, p.value) for p in open_store(uri).get_metric_history(run_id, key))
+
+
+def runs(uri: str) -> list:
+    client = open_store(uri)
+    return client.search_runs([e.experiment_id for e in client.search_experiments()])
+
+
+def test_what_is_told_is_read_back(uri, tmp_path):
     picture = tmp_path / "a.txt"
     picture.write_text("picture")
-    tracker = made(tracker_type, f"contract-{tracker_type.__name__}", uri, tmp_path / "study")
-    tracker.begin("study", "L3", params={"options.layers": 3}, tags={"kind": "study"})
-    tracker.begin("start_1", "start 1", parent="study")
+    before = int(1000 * time.time())
+    tracker = MlflowTracker("contract", uri)
+    tracker.begin("study", "L3", params={"options.layers": 3, "long": "x" * 7000}, tags={"kind": "study"})
+    tracker.begin("start_1", "start 1", parent="study", params={f"p{k}": k for k in range(250)})
     for step in range(1200):  # more than one batch of MLflow's
         tracker.metrics("start_1", {"objective": 1.0 / (step + 1), "angle_1_deg": 45.0 - step}, step)
+    tracker.metrics("start_1", {"objective": 0.5}, 1199)  # a result at the step of the last iterate
     tracker.tags("start_1", {"status": "converged"})
     tracker.artifact("study", picture, "figures")
     tracker.end("start_1", "FINISHED")
     tracker.end("study", "FINISHED")
+    told = int(1000 * time.time())
     record = tracker.close()
 
     client = open_store(uri)
     parent, child = (client.get_run(record.runs[key]) for key in ("study", "start_1"))
     assert parent.info.experiment_id == child.info.experiment_id == record.experiment_id
-    assert parent.data.params == {"options.layers": "3"}
+    assert parent.data.params == {"options.layers": "3", "long": "x" * 6000}
+    assert len(child.data.params) == 250
     assert child.data.tags["mlflow.parentRunId"] == record.runs["study"]
-    assert child.data.tags["status"] == "converged"
+    assert (child.data.tags["status"], parent.data.tags["kind"]) == ("converged", "study")
     history = client.get_metric_history(record.runs["start_1"], "objective")
-    assert {point.step: point.value for point in history} == {step: 1.0 / (step + 1) for step in range(1200)}
+    assert {point.step: point.value for point in history[:-1]} == {step: 1.0 / (step + 1) for step in range(1200)}
+    assert child.data.metrics["objective"] == 0.5
     assert parent.info.status == child.info.status == "FINISHED"
-    assert (Path(parent.info.artifact_uri) / "figures" / "a.txt").read_text() == "picture"
-    assert Path(parent.info.artifact_uri).is_relative_to(Path(uri.removeprefix("sqlite:///")).parent / "mlartifacts")
+    times = [parent.info.start_time, child.info.start_time, child.info.end_time, parent.info.end_time]
+    assert sorted([before, *times, told]) == [before, *times, told]  # when it was told, not when it was sent
+    files = Path(str(parent.info.artifact_uri))
+    assert (files / "figures" / "a.txt").read_text() == "picture"
+    assert files.is_relative_to(Path(uri.removeprefix("sqlite:///")).parent / "mlartifacts")
 
 
-@pytest.mark.parametrize("tracker_type", TRACKERS)
-def test_what_is_left_open_is_killed(tracker_type, uri, tmp_path):
-    tracker = made(tracker_type, "open", uri, tmp_path / "study")
+def test_what_is_left_open_is_killed(uri):
+    tracker = MlflowTracker("open", uri)
     tracker.begin("study", "s")
     tracker.begin("start_0", "s0", parent="study")
     tracker.begin("start_1", "s1", parent="study")
@@ -74,100 +94,145 @@ def test_what_is_left_open_is_killed(tracker_type, uri, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("tracker_type", "bad", "message"),
+    ("bad", "message"),
     [
-        (MlflowTracker, lambda tracker: tracker.metrics("missing", {"objective": 1.0}), "'missing' has not begun"),
-        (MlflowTracker, lambda tracker: tracker.begin("study", "again"), "has begun already"),
-        (MlflowTracker, lambda tracker: tracker.artifact("study", "/does/not/exist"), "does/not/exist"),
-        (ProcessTracker, lambda tracker: tracker.artifact("study", "/does/not/exist"), "does/not/exist"),
+        (lambda tracker: tracker.metrics("missing", {"objective": 1.0}), "'missing' has not begun"),
+        (lambda tracker: tracker.begin("start_0", "s", parent="missing"), "'missing' has not begun"),
+        (lambda tracker: tracker.begin("study", "again"), "has begun already"),
     ],
 )
-def test_what_cannot_be_written_is_an_error(tracker_type, uri, bad, message, tmp_path):
-    tracker = made(tracker_type, "errors", uri, tmp_path / "study")
+def test_what_cannot_be_told_is_an_error(uri, bad, message):
+    tracker = MlflowTracker("errors", uri)
     tracker.begin("study", "s")
-
-    def tell_and_close():
+    with pytest.raises(TrackingError, match=message):
         bad(tracker)
+    tracker.close()
+
+
+def test_what_the_store_refuses_is_named_and_holds_nothing_up(uri):
+    tracker = MlflowTracker("refused", uri)
+    tracker.begin("study", "s")
+    tracker.artifact("study", "/does/not/exist")
+    tracker.begin("start_0", "s", "study", params={"no|key": 1})
+    tracker.metrics("study", {"objective": 2.0}, 0)
+    tracker.end("start_0", "FINISHED")
+    tracker.end("study", "FINISHED")
+    with pytest.raises(TrackingError, match="does/not/exist") as caught:
         tracker.close()
+    assert "no|key" in str(caught.value)
+    found = runs(uri)
+    assert [run.info.status for run in found] == ["FINISHED"] * 2
+    assert any(run.data.metrics == {"objective": 2.0} for run in found)
 
-    with pytest.raises((TrackingError, OSError), match=message):
-        tell_and_close()
 
-
-@pytest.mark.parametrize("tracker_type", TRACKERS)
-def test_a_store_that_cannot_be_opened_is_named(tracker_type, tmp_path, monkeypatch):
+def test_a_store_that_cannot_be_opened_is_named(tmp_path, monkeypatch):
     monkeypatch.setenv("TORCHMBD_PATIENCE", "0.2")
     (tmp_path / "file").write_text("")
-    bad = f"sqlite:///{tmp_path / 'file' / 'runs.db'}"
-
-    def use():
-        tracker = made(tracker_type, "x", bad, tmp_path / "study")
-        tracker.begin("study", "s")
+    tracker = MlflowTracker("x", f"sqlite:///{tmp_path / 'file' / 'runs.db'}")
+    tracker.begin("study", "s")
+    with pytest.raises(TrackingError, match=r"runs\.db(.|\n)*torchmbd sync"):
         tracker.close()
 
-    with pytest.raises(TrackingError, match=r"runs\.db"):
-        use()
 
-
-def test_a_deleted_experiment_is_named(uri):
-    MlflowTracker("gone", uri).close()
-    client = open_store(uri)
-    client.delete_experiment(client.get_experiment_by_name("gone").experiment_id)
+def test_a_deleted_experiment_is_named(uri, monkeypatch):
+    monkeypatch.setenv("TORCHMBD_PATIENCE", "0")
+    for life in range(2):
+        tracker = MlflowTracker("gone", uri)
+        tracker.begin("study", "s")
+        if life == 0:
+            open_store(uri).delete_experiment(tracker.close().experiment_id)
     with pytest.raises(TrackingError, match="'gone' is deleted"):
-        MlflowTracker("gone", uri)
+        tracker.close()
 
 
-STUDY = """
-import sys, time
-from pathlib import Path
-from torchmbd.tracking import ProcessTracker
-if __name__ == "__main__":
-    tracker = ProcessTracker("killed", sys.argv[1], Path(sys.argv[2]))
+def test_a_store_that_is_away_is_caught_up_with(uri, tmp_path):
+    """The study goes on; what it tells meanwhile is there in the end."""
+    hide(tmp_path)
+    tracker = MlflowTracker("away", uri)
     tracker.begin("study", "s")
-    tracker.begin("start_0", "s0", parent="study")
-    tracker.metrics("start_0", {"objective": 3.0}, 0)
-    print("told", flush=True)
-    time.sleep(60)
+    while tracker.trouble is None:
+        time.sleep(0.01)
+    assert "runs.db" in tracker.trouble
+    began = time.monotonic()
+    for step in range(50):
+        tracker.metrics("study", {"objective": 3.0 / (step + 1)}, step)
+    tracker.end("study", "FINISHED")
+    assert time.monotonic() - began < 1.0
+    back = threading.Timer(1.0, show, [tmp_path])
+    back.start()
+    record = tracker.close()
+    assert [step for step, _ in points(uri, record.runs["study"])] == list(range(50))
+    assert [run.info.status for run in runs(uri)] == ["FINISHED"]
+
+
+def test_a_store_that_somebody_else_writes_is_waited_for(uri):
+    other = sqlite3.connect(uri.removeprefix("sqlite:///"), check_same_thread=False, isolation_level=None)
+    tracker = MlflowTracker("locked", uri)
+    tracker.begin("study", "s")
+    tracker.metrics("study", {"objective": 1.0}, 0)
+    other.execute("begin immediate")
+    free = threading.Timer(3.0, other.execute, ["rollback"])
+    free.start()
+    tracker.end("study", "FINISHED")
+    record = tracker.close()
+    free.join()
+    other.close()
+    assert points(uri, record.runs["study"]) == [(0, 1.0)]
+    assert [run.info.status for run in runs(uri)] == ["FINISHED"]
+
+
+LIFE = """
+import os, signal, sys, time
+from torchmbd.tracking import MlflowTracker
+tracker = MlflowTracker("killed", sys.argv[1], "k")
+tracker.begin("study", "s", params={"layers": 3})
+tracker.begin("start_0", "start 0", parent="study")
+for step in range(4):
+    tracker.metrics("start_0", {"objective": 1.0 / (step + 1)}, step)
+while len(tracker.record.runs) < 2:
+    time.sleep(0.01)
+time.sleep(1.0)
+os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
-def test_a_study_that_is_killed_leaves_no_run_running(tmp_path, empty_store):
-    """kill -9: no handler runs in the study; its writer sees the pipe close."""
-    uri = f"sqlite:///{shutil.copy(empty_store, tmp_path)}"
-    MlflowTracker("killed", uri).close()
-    study = subprocess.Popen(
-        [sys.executable, "-c", STUDY, uri, str(tmp_path / "study")], stdout=subprocess.PIPE, text=True
-    )
-    assert study.stdout is not None
-    assert study.stdout.readline() == "told\n"
-    os.kill(study.pid, signal.SIGKILL)
-    study.wait()
-    study.stdout.close()
-    client = open_store(uri)
-    experiment = client.get_experiment_by_name("killed").experiment_id
-    for _ in range(300):
-        runs = client.search_runs([experiment])
-        if len(runs) == 2 and all(run.info.end_time for run in runs):
-            break
-        time.sleep(0.1)
-    assert sorted(run.info.status for run in runs) == ["KILLED", "KILLED"]
-    assert any(run.data.metrics == {"objective": 3.0} for run in runs)
+def test_a_study_that_was_killed_goes_on_in_its_runs(uri):
+    """kill -9 leaves runs RUNNING: the next life ends them, and writes nothing twice."""
+    subprocess.run([sys.executable, "-c", LIFE, uri], check=False)
+    left = {run.info.run_id: run.info.status for run in runs(uri)}
+    assert list(left.values()) == ["RUNNING"] * 2
+    tracker = MlflowTracker("killed", uri, "k")
+    tracker.begin("study", "s", params={"layers": 3})
+    tracker.begin("start_0", "start 0", parent="study")
+    for step in range(6):
+        tracker.metrics("start_0", {"objective": 1.0 / (step + 1)}, step)
+    tracker.metrics("start_0", {"objective": 0.01}, 5)
+    tracker.end("start_0", "FINISHED")
+    tracker.end("study", "FINISHED")
+    record = tracker.close()
+    assert set(record.runs.values()) == set(left)
+    assert {run.info.status for run in runs(uri)} == {"FINISHED"}
+    assert points(uri, record.runs["start_0"]) == sorted([(k, 1.0 / (k + 1)) for k in range(6)] + [(5, 0.01)])
+    assert open_store(uri).get_run(record.runs["start_0"]).data.metrics["objective"] == 0.01
+    other = MlflowTracker("killed", uri)
+    other.begin("study", "s")
+    assert not set(other.close().runs.values()) & set(left)
 
 
 @pytest.mark.slow
 def test_two_studies_open_a_fresh_store_at_once(tmp_path):
     """Without the lock MLflow's migration crashes one of them, or the experiment is made twice."""
     uri = f"sqlite:///{tmp_path / 'runs.db'}"
-    trackers = [ProcessTracker("same", uri, tmp_path / f"study_{k}") for k in range(2)]
-    for tracker in trackers:
-        tracker.begin("study", "s")
-    records = [tracker.close() for tracker in trackers]
-    assert records[0].experiment_id == records[1].experiment_id
-    assert records[0].runs["study"] != records[1].runs["study"]
+    life = "import sys; from torchmbd.tracking import MlflowTracker; t = MlflowTracker('same', sys.argv[1])\n"
+    life += "t.begin('study', 's'); r = t.close(); print(r.experiment_id, r.runs['study'])"
+    both = [subprocess.Popen([sys.executable, "-c", life, uri], stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    found = [process.communicate()[0].split() for process in both]
+    assert found[0][0] == found[1][0]
+    assert found[0][1] != found[1][1]
 
 
 def test_a_study_that_says_nothing_creates_no_store(tmp_path):
-    ProcessTracker("silent", f"sqlite:///{tmp_path / 'runs.db'}", tmp_path / "study").close()
+    MlflowTracker("silent", f"sqlite:///{tmp_path / 'runs.db'}").close()
     assert not list(tmp_path.iterdir())
 
 
@@ -178,7 +243,9 @@ def test_stores_leave_one_lock_for_all(tmp_path, empty_store, monkeypatch):
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "TMPDIR"))
     for k in range(2):
         (tmp_path / f"{k}").mkdir()
-        MlflowTracker("own", f"sqlite:///{shutil.copy(empty_store, tmp_path / f'{k}')}").close()
+        tracker = MlflowTracker("own", f"sqlite:///{shutil.copy(empty_store, tmp_path / f'{k}')}")
+        tracker.begin("study", "s")
+        tracker.close()
     assert not list((tmp_path / "TMPDIR").iterdir())
     assert [file.name for file in (tmp_path / "TORCHMBD_CACHE").iterdir()] == ["stores.lock"]
     assert not entries()  # torchmbd cache lists libraries

@@ -9,7 +9,9 @@ description that MLflow shows on top of the run. Checked in tests/experiment/tes
 from __future__ import annotations
 
 import math
+import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 import yaml
@@ -17,48 +19,45 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.errors import MbdError
-from torchmbd.experiment.journal import flat
+from torchmbd.experiment.journal import PARENT, flat
 from torchmbd.experiment.load import FiguresPlan
 from torchmbd.experiment.model import find_function
-from torchmbd.experiment.place import figures_key, place
-from torchmbd.experiment.run import EXIT, close, folder_of, print_run_links
-from torchmbd.tracking import ProcessTracker, Status, Tracker
+from torchmbd.experiment.place import figures_key
+from torchmbd.experiment.run import close, conclude
+from torchmbd.experiment.unfinished import claimed
+from torchmbd.tracking import MlflowTracker, Status, Tracker
 from torchmbd.tracking.provenance import provenance
 from torchmbd.tracking.store import store_uri
 
-RUN, SENTENCE = "study", "sentence"
+SENTENCE = "sentence"
 PICTURES = (".png", ".pdf", ".svg", ".html", ".gif")
 
 
-def run_figures(plan: FiguresPlan, console: Console, tracker: Tracker | None = None) -> int:
-    """Draw, and file what was drawn; return the exit code."""
-    tracking = plan.study.tracking
-    if tracker is None:
-        key = figures_key(plan, store_uri(tracking.uri))
-        tracker = ProcessTracker(tracking.experiment, tracking.uri, place() / key, key)
+def run_figures(plan: FiguresPlan, console: Console, tracker: Tracker | None = None, uri: str | None = None) -> int:
+    """Draw, and file what was drawn; return the exit code. `tracker`, `uri` as in run.run_plan."""
     began = time.monotonic()
-    status: Status = "FAILED"
-    resolved = plan.study.resolved()
-    tags = {"kind": "figures", "mlflow.source.name": str(plan.file), **provenance(plan.file.absolute().parent)}
-    tracker.begin(RUN, plan.name, params=flat(resolved), tags=tags)
-    with folder_of(tracker) as folder:
+    with ExitStack() as stack:
+        study = None
+        if tracker is None:
+            uri = store_uri(uri or plan.study.tracking.uri)
+            study = stack.enter_context(claimed(figures_key(plan, uri), plan, uri))
+            tracker = MlflowTracker(plan.study.tracking.experiment, uri, study.id)
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
+        resolved = plan.study.resolved()
+        tags = {"kind": "figures", "mlflow.source.name": str(plan.file), **provenance(plan.file.absolute().parent)}
+        tracker.begin(PARENT, plan.name, params=flat(resolved), tags=tags)
         (folder / "config.yaml").write_text(yaml.safe_dump(resolved, sort_keys=False), encoding="utf-8")
-        tracker.artifact(RUN, folder / "config.yaml")
+        tracker.artifact(PARENT, folder / "config.yaml")
+        status: Status = "FAILED"
         try:
             _draw(plan, folder, tracker, console)
             status = "FINISHED"
         except KeyboardInterrupt:
             status = "KILLED"
         finally:
-            tracker.end(RUN, status)
-            record = close(tracker, console)
-    console.print(f"{escape(plan.name)}: {status.lower()} after {time.monotonic() - began:.1f} s")
-    if record is None:
-        return 1
-    print_run_links(record, "figures", status, console)
-    if status == "FINISHED" and isinstance(tracker, ProcessTracker):
-        tracker.conclude()
-    return EXIT[status]
+            tracker.end(PARENT, status)
+            record = close(tracker, study, console)
+        return conclude(plan, "figures", status, f"{time.monotonic() - began:.1f} s", record, study, console)
 
 
 def _draw(plan: FiguresPlan, folder: Path, tracker: Tracker, console: Console) -> None:
@@ -71,11 +70,11 @@ def _draw(plan: FiguresPlan, folder: Path, tracker: Tracker, console: Console) -
         raise MbdError(f"{plan.study.figures}: {type(error).__name__}: {error}") from error
     numbers = {key: float(value) for key, value in shown.items() if not isinstance(value, str)}
     words = {key: value for key, value in shown.items() if isinstance(value, str)}
-    tracker.metrics(RUN, {key: value for key, value in numbers.items() if math.isfinite(value)})
+    tracker.metrics(PARENT, {key: value for key, value in numbers.items() if math.isfinite(value)})
     if SENTENCE in words:
         words["mlflow.note.content"] = words[SENTENCE]
         console.print(escape(words[SENTENCE]), soft_wrap=True)
-    tracker.tags(RUN, words)
+    tracker.tags(PARENT, words)
     for file in sorted(folder.rglob("*")):
         if file.suffix in PICTURES:
-            tracker.artifact(RUN, file, "figures")
+            tracker.artifact(PARENT, file, "figures")

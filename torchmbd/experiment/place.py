@@ -1,7 +1,7 @@
 """Where studies keep what they must not lose: a folder of the working directory, and the names of things in it.
 
     .torchmbd/evaluations.db      every evaluation (evaluations.py)
-    .torchmbd/<study>/            what the tracking store does not have yet (torchmbd.tracking.spool)
+    .torchmbd/<study>/            a study that has not finished (unfinished.py)
 
 TORCHMBD_STORE names another folder. A study is known by a hash of all that its course depends on, so that the same
 command goes on with it. Checked in tests/experiment/test_place.py.
@@ -24,7 +24,7 @@ from torchmbd.experiment.load import FiguresPlan, Plan
 
 _NUMBERS = ("model", "options", "simulate", "minimize", "subject_to")
 _PACKAGE = Path(__file__).parents[1]
-_UNCONCERNED = ("cli.py", "process.py", "bare.py", "experiment", "tracking", "viz", "optimizers")  # for an evaluation
+_UNCONCERNED = ("cli.py", "process.py", "experiment", "tracking", "viz", "optimizers")  # for an evaluation
 _FROM_FILE = ("experiment/assemble.py", "experiment/check.py", "experiment/columns.py", "experiment/schema.py")
 
 

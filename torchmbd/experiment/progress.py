@@ -55,7 +55,7 @@ class Progress:
         """Say something once, above the table."""
         if text not in self.notes:
             self.notes.append(text)
-            self.console.print(escape(text), style="red")
+            self.console.print(escape(text), style="red", soft_wrap=True)
 
     def _table(self) -> Table:
         title = f"{self.title}   {time.monotonic() - self._began:.0f} s"

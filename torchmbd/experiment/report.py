@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -17,8 +17,7 @@ from torchmbd.experiment.journal import Journal
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.progress import outcome, print_table, table_of
 from torchmbd.optimizers import Study
-from torchmbd.viz import animate
-from torchmbd.viz.studio import STUDIO
+from torchmbd.viz import animate, convergence, design_map, energy_over_time, save
 
 
 def print_results(plan: Plan, study: Study, failures: Sequence[str], console: Console) -> None:
@@ -54,29 +53,33 @@ def study_pictures(
     if not histories:
         return
     best = study.best
-    STUDIO.draw(
-        "convergence",
-        [journal.folder / "convergence.png"],
+    draw(
+        convergence,
+        ["convergence.png"],
+        journal,
+        console,
         objectives={name: [i.objective for i in history] for name, history in histories.items()},
         violations={name: [i.violation for i in history] for name, history in histories.items()},
         best=None if best is None else f"start {best.start}",
         ylabel=heading(plan.study.minimize),
     )
     if len(plan.columns.names) <= 2:
-        STUDIO.draw("design_map", [journal.folder / "design_map.png"], **_map(plan, study, visited))
+        draw(design_map, ["design_map.png"], journal, console, **_map(plan, study, visited))
     with no_picture_costs_a_result(console):
         if best is not None and not study.interrupted:  # two simulations more: not what Ctrl-C asks for
-            _motion_pictures(plan, np.stack([problem.start, best.x]), problem, journal)
-    file_figures(journal, console)
+            _motion_pictures(plan, np.stack([problem.start, best.x]), problem, journal, console)
 
 
-def file_figures(journal: Journal, console: Console) -> None:
-    """File what the studio has drawn; say why a figure is missing."""
-    for drawn in STUDIO.finish():
-        for file in drawn.files:
-            journal.file(file, "figures")
-        if drawn.trouble:
-            console.print(f"No picture: {escape(drawn.trouble)}", style="red")
+def draw(
+    figure: Callable[..., Any], files: Sequence[str], journal: Journal, console: Console, **arguments: Any
+) -> None:
+    """File a figure of torchmbd.viz under one name or several; say why it is missing."""
+    try:
+        drawn = figure(**arguments)
+        for name in files:
+            journal.file(save(drawn, journal.folder / name), "figures")
+    except Exception as error:  # matplotlib's, the disk's: no picture costs a result
+        console.print(f"No picture: {escape(str(error) or type(error).__name__)}", style="red")
 
 
 @contextmanager
@@ -103,7 +106,7 @@ def _map(plan: Plan, study: Study, visited: Visited) -> dict[str, Any]:
     }
 
 
-def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal: Journal) -> None:
+def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal: Journal, console: Console) -> None:
     motion = problem.simulate(designs).require_ok()
     t = motion.t.numpy()
     shown = [plan.columns.sentence(x) for x in designs]
@@ -112,9 +115,9 @@ def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal:
         if motion.body(body.name).mesh is None:
             continue
         energy = motion.body(body.name).strain_energy.numpy()
-        files = [journal.folder / f"energy_{body.name}.{ending}" for ending in ("png", "pdf")]
+        files = [f"energy_{body.name}.{ending}" for ending in ("png", "pdf")]
         energies = dict(zip(labels, energy, strict=True))
-        STUDIO.draw("energy_over_time", files, t=t, energies=energies, body=body.name)
+        draw(energy_over_time, files, journal, console, t=t, energies=energies, body=body.name)
     for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
         path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{plan.name}: {label}")
         journal.file(path)

@@ -3,15 +3,14 @@
 Whatever happens, the runs end with a status that is true: FINISHED, KILLED (Ctrl-C, with what was computed),
 FAILED (an exception, or no start succeeded). Results are told before pictures are drawn: no picture costs a result.
 Every evaluation is on disk before anybody hears of it (evaluations.py), so the same command goes on where a study
-ended, however it ended. Checked in tests/experiment/test_run.py, test_resume.py.
+ended, however it ended (unfinished.py). Checked in tests/experiment/test_run.py, test_resume.py.
 """
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -24,19 +23,18 @@ from torchmbd.experiment.evaluations import Evaluations, Remembered
 from torchmbd.experiment.farm import LANES, Farm
 from torchmbd.experiment.journal import PARENT, Journal
 from torchmbd.experiment.listing import print_links_of, study_links
-from torchmbd.experiment.load import Plan
-from torchmbd.experiment.place import evaluations_file, place, problem_key, study_key
+from torchmbd.experiment.load import FiguresPlan, Plan
+from torchmbd.experiment.place import evaluations_file, problem_key, study_key
 from torchmbd.experiment.progress import Progress
 from torchmbd.experiment.report import print_results, study_pictures
 from torchmbd.experiment.schema import Optimizer
 from torchmbd.experiment.steps import lay
 from torchmbd.experiment.sweep import run_sweep
+from torchmbd.experiment.unfinished import Unfinished, claimed, unsent
 from torchmbd.optimizers import Iterate, Study, multistart
-from torchmbd.tracking import ProcessTracker, Record, Status, Tracker, TrackingError
+from torchmbd.tracking import MlflowTracker, Record, Status, Tracker, TrackingError
 from torchmbd.tracking.links import DEFAULT_BASE
-from torchmbd.tracking.process import deliver_soon
 from torchmbd.tracking.store import sqlite_file, store_uri
-from torchmbd.viz.studio import STUDIO
 
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
 
@@ -48,31 +46,38 @@ def run_plan(
     workers: int = 1,
     scheduler: str | None = None,
     fresh: bool = False,
+    uri: str | None = None,
+    source: Any = None,
 ) -> int:
     """Run a study or a sweep and return the exit code.
 
+    tracker    hears of it; None: MLflow, and the same command goes on with the study until it has finished there
     workers    processes that evaluate: 1: this one; more: a Dask cluster on this machine; 0: one for each core
     scheduler  address of a Dask scheduler to use instead, or a cluster file (cluster.py)
     fresh      forget the evaluations of this problem, and begin the study anew
+    uri        the MLflow store; None: that of the plan
+    source     evaluates what is not on disk; None: this process, or the workers
     """
-    problem, tracking, began = problem_of(plan), plan.study.tracking, time.monotonic()
+    problem, began = problem_of(plan), time.monotonic()
     sought(plan, problem)  # what is wrong with it is refused before anything is kept
     farm = _farm(plan, problem, workers, scheduler)
     with ExitStack() as stack:
         store = Evaluations(evaluations_file(), problem_key(plan))
         stack.callback(store.close)
+        study = None
         if tracker is None:
-            study = study_key(plan, store_uri(tracking.uri))
-            folder = place() / study
-            tracker = ProcessTracker(tracking.experiment, tracking.uri, folder, None if fresh else study)
+            uri = store_uri(uri or plan.study.tracking.uri)
+            study = stack.enter_context(claimed(study_key(plan, uri), plan, uri, fresh))
+            tracker = MlflowTracker(plan.study.tracking.experiment, uri, study.id)
         if fresh:  # a study that is running has been refused by then
             store.forget()
-        source, lanes = problem, LANES
+        source, lanes = source or problem, LANES
         if farm is not None:
             with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):
                 stack.enter_context(farm)
             source, lanes = farm, farm.lanes
-        journal = Journal(plan, tracker, stack.enter_context(folder_of(tracker)))
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
+        journal = Journal(plan, tracker, folder)
         remembered = Remembered(problem, store, source, journal.evaluated)
         status: Status = "FAILED"
         try:
@@ -84,21 +89,13 @@ def run_plan(
             status = "KILLED"
         finally:
             journal.end_all(status)
-            record = close(tracker, console)
+            record = close(tracker, study, console)
         for what, trouble in (("The last evaluations are not on disk", store.trouble), ("A file", journal.trouble)):
             if trouble:
                 console.print(f"{what}: {escape(trouble)}", style="red")
-    deliver_soon(place())
-    known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known" * bool(
-        remembered.known
-    )
-    console.print(f"{escape(plan.name)}: {status.lower()} after {time.monotonic() - began:.1f} s{known}")
-    if record is None:
-        return 1
-    print_run_links(record, "sweep" if plan.study.sweep else "study", status, console)
-    if status == "FINISHED" and isinstance(tracker, ProcessTracker):
-        tracker.conclude()
-    return EXIT[status]
+        known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known"
+        since = f"{time.monotonic() - began:.1f} s{known if remembered.known else ''}"
+        return conclude(plan, "sweep" if plan.study.sweep else "study", status, since, record, study, console)
 
 
 def _farm(plan: Plan, problem: Problem, workers: int, scheduler: str | None) -> Farm | None:
@@ -107,16 +104,6 @@ def _farm(plan: Plan, problem: Problem, workers: int, scheduler: str | None) -> 
         return None
     rows = problem.peaks + sum(constraint.measure.rows for constraint in problem.constraints)
     return Farm(plan, problem_key(plan), rows, workers, scheduler)
-
-
-@contextmanager
-def folder_of(tracker: Tracker) -> Iterator[Path]:
-    """Where a study puts its files: with its journal, which keeps them until the store has them, or for now only."""
-    if isinstance(tracker, ProcessTracker):
-        yield tracker.files
-        return
-    with tempfile.TemporaryDirectory(prefix="torchmbd-") as folder:
-        yield Path(folder)
 
 
 def run_study(
@@ -136,7 +123,6 @@ def run_study(
     options: dict[str, Any] = {"max_lanes": max(1, lanes // each)} | optimizer.options
     points = recipe.points(target)
     journal.begin("study")
-    STUDIO.open()
     for index, point in enumerate(points):
         journal.begin_start(index, point)
     title = f"{plan.name}: {optimizer.name} from {len(points)} start{'s' if len(points) > 1 else ''}"
@@ -147,9 +133,10 @@ def run_study(
         def callback(iterate: Iterate) -> None:
             journal.iterate(iterate)
             progress.iterate(iterate)
-            for trouble in (store.trouble, getattr(journal.tracker, "trouble", None)):
-                if trouble:
-                    progress.note(f"{trouble}; the study goes on, and keeps it in memory")
+            if store.trouble:
+                progress.note(f"{store.trouble}; the study goes on, and keeps it in memory")
+            if trouble := getattr(journal.tracker, "trouble", None):
+                progress.note(f"{trouble}; the study goes on")
 
         study = multistart(
             target,
@@ -187,21 +174,46 @@ def _summarize(study: Study, journal: Journal) -> None:
     journal.summary(numbers, tags)
 
 
-def close(tracker: Tracker, console: Console) -> Record | None:
+def close(tracker: Tracker, study: Unfinished | None, console: Console) -> Record | None:
     """Wait for the tracker; None, and a message, if not everything is in its store."""
     try:
         with console.status("writing the last of it to MLflow"):
-            return tracker.close()
+            record = tracker.close()
     except TrackingError as error:
-        console.print(f"Tracking failed: {escape(str(error))}", style="red")
+        console.print(f"Tracking failed: {escape(str(error))}", style="red", soft_wrap=True)
         return None
+    if study is not None and record.runs:
+        study.told()
+    elif study is not None:  # nothing is there to go on with
+        study.conclude()
+    return record
+
+
+def conclude(
+    plan: Plan | FiguresPlan,
+    kind: str,
+    status: Status,
+    since: str,
+    record: Record | None,
+    study: Unfinished | None,
+    console: Console,
+) -> int:
+    """Say how it ended and where to look at it; return the exit code. A study that has finished is gone on with no more."""
+    console.print(f"{escape(plan.name)}: {status.lower()} after {since}")
+    if record is None:
+        return 1
+    if PARENT in record.runs:
+        print_run_links(record, kind, status, console)
+    if status == "FINISHED" and study is not None:
+        study.conclude()
+    if waiting := unsent():
+        console.print(f"{len(waiting)} earlier studies are not in their tracking store: torchmbd sync")
+    return EXIT[status]
 
 
 def print_run_links(record: Record, kind: str, status: Status, console: Console) -> None:
     """Print where to look at a run."""
-    run = record.runs.get(PARENT)
-    if run is None:
-        return
+    run = record.runs[PARENT]
     served = record.uri.startswith(("http:", "https:"))
     base = record.uri.rstrip("/") if served else DEFAULT_BASE
     links = study_links(base, record.experiment_id, run, kind, status)

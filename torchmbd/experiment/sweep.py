@@ -19,10 +19,10 @@ from torchmbd.experiment.check import swept_index
 from torchmbd.experiment.journal import Journal, child
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.progress import print_table, table_of
-from torchmbd.experiment.report import file_figures, no_picture_costs_a_result
+from torchmbd.experiment.report import draw, no_picture_costs_a_result
 from torchmbd.optimizers import Evaluation
 from torchmbd.tracking import Status
-from torchmbd.viz.studio import STUDIO
+from torchmbd.viz import criterion
 
 _BETWEEN = 512  # designs at most, until what is found is on disk
 
@@ -44,7 +44,6 @@ def run_sweep(
     X = np.tile(problem.start, (span.count, 1))
     X[:, index] = values * plan.columns.factors[index]
     journal.begin("sweep")
-    STUDIO.open()
     with console.status(f"{escape(plan.name)}: {span.count} designs"):
         designs = np.vstack([problem.start, X])
         parts = np.array_split(designs, math.ceil(len(designs) / _BETWEEN))
@@ -119,6 +118,5 @@ def _show(
             writer.writerows(zip(values.tolist(), *criteria.values(), strict=True))
         journal.file(file)
     if np.isfinite(next(iter(criteria.values()))).any():
-        files = [journal.folder / f"sweep.{ending}" for ending in ("png", "pdf")]
-        STUDIO.draw("criterion", files, values=values, criteria=criteria, xlabel=heading, mark=start)
-    file_figures(journal, console)
+        files = ["sweep.png", "sweep.pdf"]
+        draw(criterion, files, journal, console, values=values, criteria=criteria, xlabel=heading, mark=start)

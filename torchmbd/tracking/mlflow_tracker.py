@@ -1,61 +1,91 @@
-"""Runs in an MLflow store, by explicit run ids: no global state, many runs at once.
+"""Runs in an MLflow store, written by one background thread: a study waits for its store at its end only.
 
-Runs begin and end, and metrics lie, at the time `when` they were told; a writer may be late.
-What is told is collected, a Draft for each run (torchmbd.tracking.runs), and written by `flush`.
+    study                                 thread
+    metrics("start_3", {...}, 7)    ->    every few seconds: MlflowClient.log_batch of what was told of each run
+    close()                         ->    the rest; then the Record
 
-A study that died is gone on with: its root run (tags study_key and run_key; any status but FINISHED, or the very run that
-the study's folder knows) and the children of it are opened again under their keys, and what they hold of metrics
-(`steps`: the last step of each, and its values there, an iterate's and a result's) is not written twice.
+What is told gets its time when it is told. Sending the same again changes nothing in the store, so whatever fails is sent
+again: a store that is away is tried until it is back, or until `TORCHMBD_PATIENCE` seconds (default 15) after the end of the
+study. What it refuses (a file that is gone) is named by `close`, and costs nothing else.
+
+`study` names all lives of a study: one that was killed and goes on finds its runs by the tags study_key and run_key, and
+writes no metric twice. Checked in tests/tracking/test_tracker.py.
 """
 
 from __future__ import annotations
 
-import copy
 import json
+import os
+import threading
 import time
 import uuid
-from collections.abc import Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, NamedTuple
 
 from torchmbd.tracking.links import VIEW_TAG
-from torchmbd.tracking.runs import Draft, Point, open_runs
-from torchmbd.tracking.store import store_uri
+from torchmbd.tracking.store import experiment_id, first_line, open_store, store_uri
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 
+if TYPE_CHECKING:
+    from mlflow import MlflowClient
+
+PATIENCE = "TORCHMBD_PATIENCE"  # environment variable: seconds to wait for a store that is away when the study is over
+_INTERVAL, _SHARE = 3.0, 0.1  # seconds between two deliveries at least; share of a core that the thread takes at most
+_RETRY, _LAST_RETRY = (
+    5.0,
+    0.5,
+)  # seconds until a store that is away is tried again, while the study computes and after it
 _MAX_VALUE = 6000  # characters of a parameter; MLflow's own limit
+_METRICS, _WORDS = 800, 100  # in one log_batch: MLflow allows 1000 of all kinds, 100 parameters, 100 tags
+_MAX_RUNS = 50_000  # of one study
+_REFUSALS = ("INVALID_PARAMETER_VALUE", "RESOURCE_DOES_NOT_EXIST", "BAD_REQUEST")  # else the store is away
+
+
+class Point(NamedTuple):
+    """A metric at one step."""
+
+    key: str
+    value: float
+    when: int  # ms since 1970
+    step: int
+
+
+@dataclass
+class Draft:
+    """What was told of one run and is not in the store yet."""
+
+    name: str | None = None  # of a run that begins
+    began: int = 0  # ms since 1970
+    parent: str | None = None  # key of the run above it
+    params: dict[str, str] = field(default_factory=dict)
+    tags: dict[str, str] = field(default_factory=dict)
+    metrics: list[Point] = field(default_factory=list)
+    artifacts: list[tuple[Path, str]] = field(default_factory=list)  # files and their folders in the run
+    view: str | None = None
+    ended: tuple[Status, int] | None = None  # ms since 1970
 
 
 class MlflowTracker:
-    """Keeps the contract of torchmbd.tracking.tracker here and now."""
+    """Keeps the contract of torchmbd.tracking.tracker.
 
-    def __init__(
-        self,
-        experiment: str,
-        uri: str | None = None,
-        study: str | None = None,
-        runs: Mapping[str, str] | None = None,
-        steps: Mapping[str, Mapping[str, list[Any]]] | None = None,
-        earlier: str = "",
-        life: str = "",
-    ) -> None:
-        """`runs`, `steps`: what an earlier writer of this study has written, by the key of the run.
+    study  the same for all lives of a study, whose runs are gone on with; None: a study of its own
+    """
 
-        earlier   run id of the root of an earlier life that has not told its end, if it is known
-        life      one life of the study, the same for all its writers; default: a life of its own
-        """
-        self.uri = store_uri(uri)
-        self.store = open_runs(self.uri, experiment)
-        self.experiment_id = self.store.experiment_id
-        self.study, self._life = study, f"{study} {life or uuid.uuid4().hex}"
-        self.when: int | None = None  # what is told now has happened [ms since 1970]; None: now
-        self.runs: dict[str, str] = dict(runs or {})
-        self.steps = {run: dict(last) for run, last in (steps or {}).items()}
-        self._written = copy.deepcopy(self.steps)
-        self._open = [run for run, id in self.runs.items() if self.store.status(id) == "RUNNING"]
-        self._root = earlier
-        self._earlier: dict[str, str] | None = None  # run ids of an earlier life of the study
-        self._drafts: dict[str, Draft] = {}
+    def __init__(self, experiment: str, uri: str | None = None, study: str | None = None) -> None:
+        self.experiment, self.uri = experiment, store_uri(uri)
+        self.study = study or uuid.uuid4().hex
+        self.trouble: str | None = None  # why nothing reaches the store now: the study goes on in any case
+        self._lock = threading.Lock()
+        self._pending: dict[str, Draft] = {}  # told since the last delivery, by the key of the run
+        self._open: dict[str, bool] = {}  # every run that has begun: whether it is open
+        self._last = 0  # ms since 1970 of the last metric
+        self._store = _Store(experiment, self.uri, self.study)
+        self._closing, self._deadline = threading.Event(), float("inf")
+        self._thread = threading.Thread(target=self._deliver, name="mlflow", daemon=True)
 
     def begin(
         self,
@@ -65,57 +95,31 @@ class MlflowTracker:
         params: Mapping[str, object] | None = None,
         tags: Mapping[str, str] | None = None,
     ) -> None:
-        if run in self.runs:
+        if run in self._open:
             raise TrackingError(f"run {run!r} has begun already")
-        everything = dict(tags or {})
-        if self.study is not None:
-            everything |= {"study_key": self.study, "run_key": run}
         if parent is not None:
-            everything["mlflow.parentRunId"] = self._id(parent)
-        earlier = self._found(run, parent)
-        if earlier is None:
-            draft = self.store.begin(f"{self._life} {run}", name, self._now(), everything)
-            self.steps.pop(run, None)
-            self._written.pop(run, None)
-        else:
-            draft = Draft(earlier, status="RUNNING")
-        self._drafts[run], self.runs[run] = draft, draft.id
-        self._open.append(run)
-        draft.params |= {key: str(value)[:_MAX_VALUE] for key, value in (params or {}).items()}
-
-    def _found(self, run: str, parent: str | None) -> str | None:
-        """Return the id of a run of an earlier life of this study, None if there is none to go on with."""
-        if self.study is None:
-            return None
-        if parent is None:
-            root = self.store.left(self.study, run, self._root)
-            self._earlier = {run: root} if root else {}
-        elif self._earlier is None or parent not in self._earlier:
-            return None
-        elif len(self._earlier) == 1:
-            self._earlier |= self.store.children(self._earlier[parent])
-        return (self._earlier or {}).get(run)
+            self._require(parent)
+        with self._lock:
+            texts = {key: str(value)[:_MAX_VALUE] for key, value in (params or {}).items()}
+            self._pending[run] = Draft(name, _now(), parent, texts, dict(tags or {}))
+        self._open[run] = True
+        if self._thread.ident is None:
+            self._thread.start()
 
     def metrics(self, run: str, values: Mapping[str, float], step: int = 0) -> None:
-        draft, now = self._draft(run), self._now()
-        written, last = self._written.get(run, {}), self.steps.setdefault(run, {})
-        for key, value in values.items():
-            known, there = written.get(key, (-1, ()))
-            if step < known or (step == known and float(value) in there):
-                continue
-            latest = last.get(key, [-1, []])
-            latest = latest if step == latest[0] else [step, []]
-            # The later of two at one step is the last one, also where both were told within a millisecond.
-            draft.metrics.append(Point(key, float(value), now + len(latest[1]), step))
-            latest[1].append(float(value))
-            if step >= last.get(key, [-1])[0]:
-                last[key] = latest
+        self._last = max(_now(), self._last + 1)  # the later of two at one step is the last one
+        with self._lock:
+            points = self._draft(run).metrics
+            points += [Point(key, float(value), self._last, step) for key, value in values.items()]
 
     def tags(self, run: str, values: Mapping[str, str]) -> None:
-        self._draft(run).tags.update({key: str(value) for key, value in values.items()})
+        with self._lock:
+            self._draft(run).tags.update({key: str(value) for key, value in values.items()})
 
     def artifact(self, run: str, file: str | Path, folder: str = "") -> None:
-        self.store.artifact(self._id(run), Path(file), folder)
+        """The file must be there until `close` has returned."""
+        with self._lock:
+            self._draft(run).artifacts.append((Path(file).absolute(), folder))
 
     def view(self, run: str, columns: Sequence[str], order_by: str) -> None:
         """Store a view of the run's children that `links.view_link` opens.
@@ -123,7 +127,6 @@ class MlflowTracker:
         columns, order_by   `metrics.objective`, `params.start`, `tags.status`
         """
         state = {
-            "searchFilter": f'tags.mlflow.parentRunId = "{self._id(run)}"',
             "orderByKey": _quoted(order_by),
             "orderByAsc": True,
             "startTime": "ALL",
@@ -131,55 +134,168 @@ class MlflowTracker:
             "selectedColumns": [_quoted(column) for column in columns],
             "runsHiddenMode": "SHOW_ALL",
         }
-        self.store.note(VIEW_TAG + self._id(run), json.dumps(state))
+        with self._lock:
+            self._draft(run).view = json.dumps(state)
 
     def end(self, run: str, status: Status) -> None:
-        draft = self._draft(run)
-        draft.status, draft.ended = status, self._now()
-        if run in self._open:
-            self._open.remove(run)
-
-    def flush(self, *runs: str) -> None:
-        """Write what waits: of some runs, or of all."""
-        chosen = runs or self.waiting
-        self.store.write([self._drafts[run] for run in chosen])
-        self.forget(*chosen)
-
-    def forget(self, *runs: str) -> None:
-        """Drop what waits of some runs."""
-        for run in runs:
-            self._drafts.pop(run, None)
-
-    @property
-    def waiting(self) -> tuple[str, ...]:
-        """Runs of which something is not written yet."""
-        return tuple(self._drafts)
+        with self._lock:
+            self._draft(run).ended = status, _now()
+        self._open[run] = False
 
     def close(self) -> Record:
-        for run in reversed(list(self._open)):  # children before their parent
+        """Wait until everything is in the store; TrackingError says what is not, and what to do."""
+        for run in reversed([run for run, is_open in self._open.items() if is_open]):  # children before their parent
             self.end(run, "KILLED")
-        self.flush()
-        return self.record()
-
-    def record(self) -> Record:
-        """Return where the runs are."""
-        return Record(self.uri, self.experiment_id, dict(self.runs))
+        if self._thread.ident is None:  # nothing was told: no store is made for it
+            return self.record
+        self._deadline = time.monotonic() + float(os.environ.get(PATIENCE, "15"))
+        self._closing.set()
+        self._thread.join()
+        if self.trouble:
+            raise TrackingError(self.trouble)
+        if self._store.refused:
+            raise TrackingError("; ".join(self._store.refused))
+        return self.record
 
     @property
-    def finished(self) -> bool:
-        """Whether no run of this study is left to go on with."""
-        return not self._open and all(self.store.status(run) == "FINISHED" for run in list(self.runs.values())[:1])
+    def record(self) -> Record:
+        """Where the runs are that the store has by now."""
+        return Record(self.uri, self._store.experiment_id, dict(self._store.ids))
 
-    def _now(self) -> int:
-        return int(1000 * time.time()) if self.when is None else self.when
+    def _require(self, run: str) -> None:
+        if run not in self._open:
+            raise TrackingError(f"run {run!r} has not begun")
 
     def _draft(self, run: str) -> Draft:
-        return self._drafts.setdefault(run, Draft(self._id(run)))
+        self._require(run)
+        return self._pending.setdefault(run, Draft())
 
-    def _id(self, run: str) -> str:
-        if run not in self.runs:
-            raise TrackingError(f"run {run!r} has not begun")
-        return self.runs[run]
+    def _taken(self) -> deque[tuple[str, Draft]]:
+        """Return what was told since it was last asked."""
+        with self._lock:
+            pending, self._pending = self._pending, {}
+        return deque(pending.items())
+
+    def _deliver(self) -> None:
+        """What the thread does."""
+        taken: deque[tuple[str, Draft]] = deque()
+        while True:
+            closing = self._closing.is_set()
+            taken = taken or self._taken()
+            try:
+                self._store.opened()
+                began = time.thread_time()  # making a store, once, is nothing to rest from
+                while taken:
+                    self._store.write(*taken[0])
+                    taken.popleft()
+                    if closing and not taken:
+                        taken = self._taken()
+            except Exception as error:  # MLflow's, the database's, the network's: told, and tried again
+                self.trouble = (
+                    f"the store {self.uri!r} does not take the runs: {first_line(error)}\nNothing is lost: every evaluation "
+                    "is on disk. When the store is back, `torchmbd sync` sends the study again"
+                )
+                if closing and time.monotonic() > self._deadline:
+                    return
+                pause = _RETRY
+            else:
+                self.trouble = None
+                if closing:
+                    return
+                pause = max(_INTERVAL, (time.thread_time() - began) / _SHARE)
+            if closing:
+                time.sleep(_LAST_RETRY)
+            else:
+                self._closing.wait(pause)
+
+
+class _Store:
+    """One study in the store, by MlflowClient; all of it in the thread of the tracker."""
+
+    def __init__(self, experiment: str, uri: str, study: str) -> None:
+        self.experiment, self.uri, self.study = experiment, uri, study
+        self.experiment_id = ""
+        self.ids: dict[str, str] = {}  # of the runs, by their keys
+        self.refused: list[str] = []
+        self._client: MlflowClient | None = None
+        self._earlier: dict[str, str] | None = (
+            None  # ids of the runs of an earlier life, by their keys; None: not known
+        )
+        self._known: dict[tuple[str, str], set[tuple[int, float]]] = {}  # of a run and metric: steps and values there
+
+    def write(self, run: str, draft: Draft) -> None:
+        """Bring a draft into the store; raises while that does not answer."""
+        from mlflow.entities import Metric, Param, RunTag
+
+        client = self.opened()
+        if run not in self.ids:
+            self.ids[run] = self._begun(client, run, draft)
+        id = self.ids[run]
+        metrics = [Metric(*point) for point in draft.metrics if not self._is_known(client, run, point)]
+        params = [Param(*item) for item in draft.params.items()]
+        tags = [RunTag(*item) for item in draft.tags.items()]
+        while metrics or params or tags:
+            self._tried(run, partial(client.log_batch, id, metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]))
+            del metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]
+        for file, folder in draft.artifacts:
+            self._tried(run, partial(client.log_artifact, id, str(file), folder or None))
+        if draft.view is not None:
+            view = json.loads(draft.view) | {"searchFilter": f'tags.mlflow.parentRunId = "{id}"'}
+            client.set_experiment_tag(self.experiment_id, VIEW_TAG + id, json.dumps(view))
+        if draft.ended is not None:
+            client.set_terminated(id, *draft.ended)
+
+    def opened(self) -> MlflowClient:
+        """Return the client; TrackingError if the store cannot be opened."""
+        if self._client is None:
+            client = open_store(self.uri)
+            self.experiment_id = experiment_id(client, self.experiment, self.uri)
+            self._client = client
+        return self._client
+
+    def _begun(self, client: MlflowClient, run: str, draft: Draft) -> str:
+        """Return the id of a run: of an earlier life, or a new one."""
+        if self._earlier is None:
+            mine = f"tags.study_key = '{self.study}'"
+            found = client.search_runs([self.experiment_id], mine, max_results=_MAX_RUNS)
+            self._earlier = {earlier.data.tags["run_key"]: earlier.info.run_id for earlier in found}
+        if run in self._earlier:
+            client.update_run(self._earlier[run], status="RUNNING")
+            return self._earlier[run]
+        tags = draft.tags | {"study_key": self.study, "run_key": run}
+        if draft.parent is not None:
+            tags["mlflow.parentRunId"] = self.ids[draft.parent]
+        try:
+            return client.create_run(self.experiment_id, draft.began, tags, draft.name).info.run_id
+        except Exception:
+            self._earlier = None  # it may be there although its answer was lost: looked for before it is made again
+            raise
+
+    def _is_known(self, client: MlflowClient, run: str, point: Point) -> bool:
+        """Whether an earlier life has written a metric at its step."""
+        if run not in (self._earlier or {}):
+            return False
+        if (run, point.key) not in self._known:
+            history = client.get_metric_history(self.ids[run], point.key)
+            self._known[run, point.key] = {(there.step, there.value) for there in history}
+        return (point.step, point.value) in self._known[run, point.key]
+
+    def _tried(self, run: str, action: Callable[[], object]) -> None:
+        """Do it; what the store refuses, though it answers, is noted."""
+        from mlflow.exceptions import MlflowException
+
+        try:
+            action()
+        except FileNotFoundError as error:
+            self.refused.append(f"{run}: {error.filename}: {error.strerror}")
+        except MlflowException as error:
+            if error.error_code not in _REFUSALS:
+                raise
+            self.refused.append(f"{run}: {first_line(error)}")
+
+
+def _now() -> int:
+    return int(1000 * time.time())
 
 
 def _quoted(column: str) -> str:

@@ -30,7 +30,8 @@ SCHEMES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databrick
 _SETTINGS = {  # of MLflow
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "MLFLOW_LOGGING_LEVEL": "WARNING",
-    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "2",  # a server that is not there is told within seconds, not minutes
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",  # a server that is not there is told within seconds, not minutes
+    "MLFLOW_HTTP_REQUEST_TIMEOUT": "20",
 }
 
 
@@ -67,6 +68,7 @@ def open_store(uri: str) -> MlflowClient:
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
     logging.getLogger("alembic").setLevel(logging.WARNING)
+    logging.getLogger("urllib3").setLevel(logging.ERROR)  # its retries; how they end is told
     from mlflow import MlflowClient  # 3 seconds: imported when a store is wanted, not before
     from mlflow.exceptions import MlflowException
 
@@ -78,7 +80,7 @@ def open_store(uri: str) -> MlflowClient:
             client = MlflowClient(uri)
             client.search_experiments(max_results=1)
     except (MlflowException, OSError, sqlite3.Error) as error:
-        raise TrackingError(f"the store {uri!r} cannot be opened: {_first_line(error)}") from error
+        raise TrackingError(f"the store {uri!r} cannot be opened: {first_line(error)}") from error
     return client
 
 
@@ -120,5 +122,6 @@ def _alone(uri: str) -> Iterator[None]:
         yield
 
 
-def _first_line(error: Exception) -> str:
+def first_line(error: Exception) -> str:
+    """Return the first line of a message, the name of the error where it has none."""
     return (str(error).splitlines() or [type(error).__name__])[0]

@@ -8,11 +8,9 @@
     end      it is over: FINISHED, FAILED or KILLED
     close    nothing more will come: what is still open is KILLED; returns where the runs are
 
-No call returns anything before `close`, so that a tracker may live in another process and write in batches.
-All arguments are plain JSON data (numbers, strings, dicts) and paths. A tracker that cannot write raises
-TrackingError, at the latest in `close`.
-Kept by MlflowTracker (here and now) and ProcessTracker (in a process of its own); tests/tracking/test_tracker.py
-runs both against a real store.
+No call returns anything before `close`, so that a tracker may write in batches, in another thread.
+A tracker that cannot write raises TrackingError, at the latest in `close`.
+Kept by MlflowTracker; tests/tracking/test_tracker.py runs it against a real store.
 """
 
 from __future__ import annotations

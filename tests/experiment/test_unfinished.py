@@ -1,0 +1,115 @@
+"""Studies that do not reach their store, or are killed, and `torchmbd sync` afterwards."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from torchmbd import cli
+from torchmbd.tracking.store import open_store
+
+
+@pytest.fixture
+def file(write, folder, empty_store, monkeypatch):
+    """A short study in a place of its own; its store is in `store/`."""
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("TORCHMBD_STORE")
+    monkeypatch.setenv("TORCHMBD_PATIENCE", "0")
+    (folder / "store").mkdir()
+    uri = f"sqlite:///{shutil.copy(empty_store, folder / 'store')}"
+    return write(simulate={"duration": 0.002, "steps": 8}, tracking={"experiment": "late", "uri": uri})
+
+
+def hide(folder: Path) -> None:
+    (folder / "store").rename(folder / "hidden")
+    (folder / "store").write_text("")
+
+
+def show(folder: Path) -> None:
+    (folder / "store").unlink()
+    (folder / "hidden").rename(folder / "store")
+
+
+def runs(folder: Path) -> list:
+    client = open_store(f"sqlite:///{folder / 'store' / 'runs.db'}")
+    return client.search_runs([client.get_experiment_by_name("late").experiment_id])
+
+
+def told(folder: Path) -> dict[str, tuple]:
+    """What the store says of every run: params, metrics, status, words, files."""
+    found = {}
+    for run in runs(folder):
+        root = Path(run.info.artifact_uri)
+        files = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
+        words = {key: run.data.tags.get(key) for key in ("kind", "status", "message", "best", "best_start", "seed")}
+        found[run.info.run_name] = run.data.params, run.data.metrics, run.info.status, words, files
+    return found
+
+
+def test_sync_sends_what_the_study_would_have_sent(file, folder, capsys):
+    hide(folder)
+    assert cli.main(["run", str(file)]) == 1
+    output = capsys.readouterr().out
+    assert "runs.db" in output
+    assert "torchmbd sync" in output
+    assert cli.main(["sync"]) == 1  # it is still away
+    assert "store/runs.db' cannot be opened" in capsys.readouterr().out.replace("\n", "")
+    show(folder)
+    assert cli.main(["sync"]) == 0
+    assert "everything is in its tracking store" in capsys.readouterr().out
+    late = told(folder)
+    assert len(late) == 3
+    client = open_store(f"sqlite:///{folder / 'store' / 'runs.db'}")
+    for run in runs(folder):
+        client.delete_run(run.info.run_id)
+    assert not [path for path in (folder / ".torchmbd").iterdir() if path.is_dir()]
+    assert cli.main(["run", str(file)]) == 0
+    assert told(folder) == late
+
+
+def test_a_file_that_has_changed_since_is_not_sent(file, folder, capsys):
+    hide(folder)
+    assert cli.main(["run", str(file)]) == 1
+    show(folder)
+    file.write_text(file.read_text().replace("seed: 7", "seed: 8"))
+    capsys.readouterr()
+    assert cli.main(["sync"]) == 1
+    assert "has changed since" in capsys.readouterr().out.replace("\n", " ")
+
+
+KILLED = """
+import os, signal, sys
+from torchmbd.design import Problem
+from torchmbd.cli import main
+evaluate, batches = Problem.evaluate, []
+def deadly(self, X, gradients):
+    batches.append(len(X))
+    if len(batches) == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return evaluate(self, X, gradients)
+Problem.evaluate = deadly
+main(["run", sys.argv[1]])
+"""
+
+
+def test_a_killed_study_is_sent_as_far_as_it_went(file, folder, capsys):
+    """Then the same command goes on with it, in the same runs."""
+    environment = {**os.environ, "PYTHONPATH": str(Path(cli.__file__).parents[1])}
+    killed = subprocess.run(
+        [sys.executable, "-c", KILLED, str(file)], env=environment, capture_output=True, check=False
+    )
+    assert killed.returncode == -signal.SIGKILL
+    assert cli.main(["sync"]) == 0
+    first = {run.info.run_id: run.info.status for run in runs(folder)}
+    assert list(first.values()) == ["KILLED"] * 3
+    (parent,) = [run for run in runs(folder) if "mlflow.parentRunId" not in run.data.tags]
+    assert parent.data.metrics["evaluations"] == 4  # two batches of two starts
+    assert cli.main(["run", str(file)]) == 0
+    assert {run.info.run_id: run.info.status for run in runs(folder)} == dict.fromkeys(first, "FINISHED")
+    assert "4 of " in capsys.readouterr().out
