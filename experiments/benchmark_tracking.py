@@ -41,7 +41,7 @@ from torchmbd.experiment.place import problem_key
 from torchmbd.experiment.run import run_plan
 from torchmbd.optimizers import multistart
 from torchmbd.optimizers.optimizer import Iterate
-from torchmbd.process import settle
+from torchmbd.process import use_one_thread
 from torchmbd.tracking import MlflowTracker, Record
 from torchmbd.tracking.links import view_link
 from torchmbd.tracking.server import serving
@@ -228,7 +228,7 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=20, help="of every start of the study, at most")
     parser.add_argument("--pairs", type=int, default=5, help="of the study in Python and through the layer")
     arguments = parser.parse_args()
-    settle()  # as the command line does
+    use_one_thread()  # as the command line does
     for part in arguments.what:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "study.yaml"

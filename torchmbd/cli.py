@@ -20,7 +20,7 @@ from rich.markup import escape
 
 from torchmbd import __version__
 from torchmbd.errors import InputError, MbdError
-from torchmbd.process import BROOD, breed, brief_warnings, settle
+from torchmbd.process import brief_warnings, use_one_thread
 
 EXIT_INTERRUPTED = 130
 
@@ -52,9 +52,7 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     fresh
         Forget the evaluations of this problem, and begin anew.
     """
-    if workers != 1 and scheduler is None:
-        breed(*BROOD)
-    settle()
+    use_one_thread()
     from torchmbd.experiment.draw import run_figures
     from torchmbd.experiment.load import Plan, load
     from torchmbd.experiment.overrides import combinations
@@ -86,7 +84,7 @@ def check(file: Path, /, *assignments: str) -> int:
     assignments
         Overrides, as in run.
     """
-    settle()
+    use_one_thread()
     from torchmbd.experiment.estimate import print_estimate
     from torchmbd.experiment.load import load
     from torchmbd.experiment.overrides import combinations
@@ -259,7 +257,7 @@ def sync() -> int:
 
     They run once more with the evaluations that are on disk, and no others.
     """
-    settle()
+    use_one_thread()
     from torchmbd.experiment.sync import send_all
 
     return min(send_all(Console()), 1)

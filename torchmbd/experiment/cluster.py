@@ -30,7 +30,7 @@ from torchmbd.experiment.place import place
 from torchmbd.experiment.schema import Section
 from torchmbd.experiment.validation import validate
 from torchmbd.experiment.yaml_file import read_yaml
-from torchmbd.process import MEMORY, ONE_THREAD
+from torchmbd.process import ONE_THREAD
 
 Word = Annotated[str, Field(pattern=r"^[\w.:/=+-]+$")]
 Line = Annotated[str, Field(pattern=r"^[^\n]+$")]
@@ -79,7 +79,7 @@ class Slurm(Section):
             job_name="torchmbd",
             job_extra_directives=[*(["--gpus-per-task=1"] if self.gpus_per_worker else []), *self.directives],
             job_script_prologue=[
-                *(f"export {name}={value}" for name, value in (ONE_THREAD | MEMORY).items()),
+                *(f"export {name}={value}" for name, value in ONE_THREAD.items()),
                 *self.setup,
             ],
             log_directory=str(own / "jobs"),

@@ -29,7 +29,6 @@ import numpy as np
 from torchmbd.errors import MbdError
 from torchmbd.optimizers import Evaluation
 from torchmbd.optimizers.batch import Batch, Done, at_once, begin
-from torchmbd.process import exempt
 
 _TABLE = """
 create table if not exists evaluations (
@@ -172,7 +171,6 @@ class Remembered:
             return _Recalled(Done([]), lambda _: self._told(X, found))
 
         def complete(fresh: list[Evaluation]) -> list[Evaluation]:
-            exempt()
             self._store.keep(X[missing], gradients, fresh)
             for k, evaluation in zip(missing, fresh, strict=True):
                 found[k] = evaluation

@@ -42,14 +42,14 @@ from torchmbd.experiment.model import build_model, find_model
 from torchmbd.experiment.place import problem_key
 from torchmbd.experiment.schema import Study
 from torchmbd.optimizers import Evaluation
-from torchmbd.process import MEMORY, ONE_THREAD, brief_warnings, exempt, settle
+from torchmbd.process import ONE_THREAD, brief_warnings, use_one_thread
 
 LANES = 64  # designs in one batch of one process: more gain little, and cost memory
 _DEATHS = 3  # of workers under the same piece, until its designs count as failed
 _SETTINGS: dict[str, Any] = {
     "distributed.scheduler.allowed-failures": _DEATHS,
     "distributed.worker.multiprocessing-method": "forkserver",
-    "distributed.nanny.pre-spawn-environ": ONE_THREAD | MEMORY,  # Dask's own hands memory back at once
+    "distributed.nanny.pre-spawn-environ": ONE_THREAD,
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "500ms",  # 20 ms by itself: a wake-up that interrupts the numbers
 }
@@ -192,14 +192,12 @@ class Pieces:
 
 def evaluate_piece(study: str, folder: str, key: str, X: np.ndarray, gradients: bool) -> list[Evaluation]:
     """What a worker does: evaluate designs [lanes, n] of the study that `study` (JSON) and `folder` describe."""
-    found = _problem(study, folder, key).evaluate(X, gradients)
-    exempt()
-    return found
+    return _problem(study, folder, key).evaluate(X, gradients)
 
 
 @cache
 def _problem(study_json: str, folder: str, key: str) -> Any:
-    settle()
+    use_one_thread()
     brief_warnings()
     study = Study.model_validate(json.loads(study_json))
     system = build_model(find_model(study.model, Path(folder)), study.options)

@@ -9,11 +9,13 @@ Checked in tests/experiment/test_farm.py.
 from __future__ import annotations
 
 import logging
+import multiprocessing
+import os
+import signal
+from typing import Any
 
 import cryptography  # noqa: F401  what Security.temporary needs: the error names the package
 from distributed import Nanny, Scheduler, Security, SpecCluster, Worker  # pyright: ignore[reportMissingImports]
-
-from torchmbd.process import BROOD, breed
 
 HOST = "127.0.0.1"
 
@@ -24,13 +26,18 @@ class _Scheduler(Scheduler):
 
 
 class _Worker(Worker):
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the terminal is the study's to handle
+        super().__init__(*arguments, **options)
+
     def start_http_server(self, *_: object, **__: object) -> None:
         """Open no port."""
 
 
 def start_local_cluster(workers: int) -> SpecCluster:
     """Start so many processes of one thread each."""
-    breed(*BROOD)
+    os.environ.setdefault("PYTHONSAFEPATH", "1")  # no module of the current folder hides one of Python's
+    multiprocessing.set_forkserver_preload(["distributed", "torchmbd.experiment.farm"])  # imported once for all workers
     security = Security.temporary()
     options = {"host": HOST, "protocol": "tls://", "security": security}
     own = {"worker_class": _Worker, "nthreads": 1, "memory_limit": 0, "silence_logs": logging.CRITICAL}

@@ -27,7 +27,7 @@ import torch
 
 from torchmbd.errors import InputError
 from torchmbd.optimizers.optimizer import Evaluation, Problem, require_problem
-from torchmbd.process import exempt, settle
+from torchmbd.process import use_one_thread
 
 _here: dict[str, Any] = {}  # in a worker: its copy of the problem, and where all workers meet
 
@@ -115,13 +115,12 @@ def _packed(problem: Problem) -> bytes:
 def _begin(problem: bytes, dtype: torch.dtype, door: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's affair
     threading.Thread(target=_end_with_the_caller, daemon=True).start()
-    settle()
+    use_one_thread()
     torch.set_default_dtype(dtype)
     own = cloudpickle.loads(problem)
     _here.update(problem=own, door=door)
     with contextlib.suppress(Exception):  # it comes again, when the caller asks
         own.evaluate(np.asarray(own.start)[None], True)  # what is made once is made now
-    exempt()
 
 
 def _meet() -> None:
