@@ -22,7 +22,7 @@ from experiments.benchmark_cases import compilation, compiled_ready, measures
 from experiments.benchmark_report import Cell, Grid, Result, Settings, ratio
 from experiments.slider_crank import DURATION, build
 from torchmbd.optimizers import Evaluation
-from torchmbd.process import exempt, settle
+from torchmbd.process import exempt, use_one_thread
 
 ANGLES = "rod.laminate.angles"
 STEPS, STARTS, ITERATIONS = 500, 32, 30
@@ -45,7 +45,7 @@ _worker: dict[str, Any] = {}
 
 def _begin(peer: bool) -> None:
     sys.stdout = sys.stderr  # standard output belongs to the JSON object
-    settle()
+    use_one_thread()
     _worker["system"] = build(3, joint="spherical")
     if peer:
         import experiments.exudyn_peer  # noqa: F401  before the clock starts
@@ -117,7 +117,7 @@ def multistart(settings: Settings, starts: int = STARTS, iterations: int = ITERA
     """Wall time of both, for each method; `multistart` is the ratio over all methods."""
     if settings.quick:
         return Result({"multistart": None})
-    settle()  # as the command line does
+    use_one_thread()  # as the command line does
     own = own_problem(steps)
     ready = compiled_ready(own.system.dynamics())
     exempt()
