@@ -56,9 +56,10 @@ def forward_and_reverse(layers: int, duration: float = 2e-4, steps: int = 20) ->
     system = build(layers, np.degrees(DESIGNS[layers]).tolist(), cells=(8, 2), modes=4)
     motion = mbd.simulate(system, duration, method="rk4", steps=steps, gradients="forward")
     forward = ENERGY.series(motion).gradient
-    dynamics = system()
+    f = system()
+    dynamics = f.dynamics
     t = torch.linspace(0, duration, steps + 1, dtype=torch.float64)
-    z = torchdiffeq.odeint(dynamics, dynamics.initial_state(), t, method="rk4")
+    z = torchdiffeq.odeint(f, f.initial_state(), t, method="rk4")
     w = z[-1, 0, dynamics.topology.w_slice(0)]  # type: ignore[index]
     (0.5 * w @ dynamics.data["Kr"][:, :, 0, 0, 0] @ w).backward()
     reverse = system.body("rod").laminate.angles.grad

@@ -136,7 +136,7 @@ def joined(case: Case, pair: str) -> Joined:
             x.position, x.axes = r, A
             bodies.append(x)
     system = mbd.System(bodies, [JOINTS[case.kind](frame_a, frame_b, **case.given, name="joint")])
-    data = {name: x.detach() for name, x in system().data.items()}
+    data = {name: x.detach() for name, x in system().dynamics.data.items()}
     return Joined(system, (frame_a, frame_b), data)
 
 

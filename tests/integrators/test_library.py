@@ -180,7 +180,7 @@ def test_a_law_of_the_user_is_in_the_key(cache: Path) -> None:
     system, keys = sprung(law), []
     for stiffness in (3.0, 4.0, 3.0):
         held["stiffness"] = stiffness
-        found = library.written_out(system().condensed())
+        found = library.written_out(system().dynamics.condensed())
         keys.append(library.key(found))
     assert keys[0] == keys[2] != keys[1]
 

@@ -109,7 +109,7 @@ def test_a_step_that_ends_in_a_singular_position():
     flat, errors = (np.pi - start) / speed, []
     bar = mbd.RigidBody("coupler", 1.0, (0.01, 0.3, 0.3), position=tensor(np.cos(start) + 1.0, np.sin(start), 0.0))
     system = parallelogram(start, speed, bar, side=1.0)
-    assert system().rank.redundant == ()
+    assert system().dynamics.rank.redundant == ()
     for steps in (60, 240):
         with pytest.warns(UserWarning, match=f"singular position near t = {flat:.5g}") as told:
             motion = mbd.simulate(system, 2.0 * flat, steps=steps).require_ok()
@@ -125,7 +125,7 @@ def test_a_start_in_a_singular_position():
     soft = mbd.Laminate(mbd.Ply(strength=None, **SOFT), mbd.deg([40.0, -10.0]), thickness=1.25e-3, symmetric=True)
     bar = plate("coupler", made_of=soft, position=(0.25, 0.0, 0.0), axes=[[1, 0, 0], [0, 0, 1], [0, -1, 0]])
     system = parallelogram(0.0, 6.0, bar, side=0.1)
-    rank = system().rank
+    rank = system().dynamics.rank
     assert (len(rank.redundant), rank.left_out) == (1, ())
     motion = mbd.simulate(system, 0.2, steps=100).require_ok()
     assert motion.singular_positions()[0].t == 0.0

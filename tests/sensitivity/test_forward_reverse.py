@@ -65,7 +65,7 @@ def test_a_batch_in_forward_mode_is_each_design_in_reverse_mode():
         alone = pendulum(angles=(angles * 180 / torch.pi).tolist())
         dynamics = alone()
         q = torchdiffeq.odeint(dynamics, dynamics.initial_state(), times, method="rk4")[-1, 0, : system.topology.n_q]
-        w, Kr = q[alone.topology.w_slice(0)], dynamics.data["Kr"][:, :, 0, 0, 0]
+        w, Kr = q[alone.topology.w_slice(0)], dynamics.dynamics.data["Kr"][:, :, 0, 0, 0]
         energy = 0.5 * w @ Kr @ w
         (gradient,) = torch.autograd.grad(energy, alone.body("rod").laminate.angles)
         assert_close(U.value[lane, -1], energy.detach(), rtol=1e-8, atol=0)

@@ -99,7 +99,7 @@ def test_drives_by_torchdiffeq():
     assert motion.dq_db is not None
     found = differences(system, variables, lambda designs: run(designs).q)
     assert_close(motion.dq_db[0], found, rtol=0, atol=1e-6 * float(found.abs().amax()))
-    dynamics = system()
+    dynamics = system().dynamics
     end = torchdiffeq.odeint(dynamics, dynamics.initial_state(), motion.t, method="rk4")[-1, 0, : motion.q.shape[2]]
     k = int(found[-1].abs().amax(-1).argmax())
     slopes = torch.autograd.grad(end[k], [system.get_parameter(name) for name in variables])

@@ -89,7 +89,7 @@ def test_inertia_forces_are_the_sums_over_the_nodes(kinds):
     """A missing Coriolis, centrifugal or gyroscopic term, a mode of the wrong body, padded modes that take part."""
     system = system_of(kinds)
     T = system.topology
-    data = {name: x.detach() for name, x in system().data.items()}
+    data = {name: x.detach() for name, x in system().dynamics.data.items()}
     q, v, a = random_state(system, seed=4, bend=0.3)
     at = equations.placement(T, data, q, T.prescribed(torch.zeros(())))
     force, torque, modal = (x[..., 0, 0] for x in equations.inertia_forces(T, data, at, v, a))
@@ -109,7 +109,7 @@ def test_rigid_bodies_obey_newton_and_euler(kinds):
     """About the center of mass, with the inertia that was given: J_c omega' + omega x J_c omega."""
     system = system_of(kinds)
     T = system.topology
-    data = {name: x.detach() for name, x in system().data.items()}
+    data = {name: x.detach() for name, x in system().dynamics.data.items()}
     q, v, a = random_state(system, seed=9)
     force, torque, _ = (
         x[..., 0, 0]
@@ -153,7 +153,7 @@ def mechanisms() -> dict[str, mbd.System]:
 def linearized(request):
     """A mechanism at a general state, its data, and a residual of accelerations and multipliers [n, 1, lanes]."""
     system = mechanisms()[request.param]
-    T, data = system.topology, {name: x.detach() for name, x in system().data.items()}
+    T, data = system.topology, {name: x.detach() for name, x in system().dynamics.data.items()}
     q, v, a = random_state(system, seed=13, bend=0.05)
     t = torch.tensor(0.3, dtype=torch.float64)
     lam = torch.randn(T.rows, 1, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64)

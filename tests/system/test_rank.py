@@ -106,7 +106,7 @@ def test_rows_that_only_coupled_bending_tells_apart_are_named():
     for difference, most in ((0.001, 1e-5), (1.0, 1e-2)):
         system = hung((difference, -difference))
         with pytest.warns(UserWarning, match=r"corner_left_bottom: coincide y.*craig-bampton"):
-            found = system().rank
+            found = system().dynamics.rank
         assert {name.partition(":")[0] for name in found.weak} == set(CORNERS)
         assert 1e-9 < found.share < most
         assert not found.left_out

@@ -45,7 +45,7 @@ REGULARIZATION = (
 
 @dataclass(eq=False)
 class Dynamics:
-    """Frozen equations of motion of one design or of a batch of designs (lanes); what `system()` returns.
+    """Frozen equations of motion of one design or of a batch of designs (lanes); see also state_equation.py.
 
     Called with t [] [s] and z [lanes, n] it is the right-hand side dz/dt for torchdiffeq, from `initial_state()`.
 
@@ -187,6 +187,8 @@ class Dynamics:
         n = self.topology.n_q + self.topology.n_v
         if z.shape[-1] != n or z.dim() > 2:
             raise InputError(f"state z has shape {tuple(z.shape)}; allowed: [{n}] or [lanes, {n}]")
+        if z.dtype != torch.float64 or z.device.type != "cpu":
+            raise InputError(f"state z is {z.dtype} on {z.device}; allowed: torch.float64 on cpu")
         batch = z if z.dim() == 2 else z[None]
         dz = self.rates(torch.as_tensor(t, dtype=z.dtype, device=z.device), batch.T[:, None])
         return value(dz)[:, 0].T.reshape(z.shape)

@@ -1,4 +1,4 @@
-"""A system: bodies, joints and forces. Calling it runs the structure stage and returns the frozen dynamics.
+"""A system: bodies, joints and forces. Calling it returns its equations of motion dy/dt = f(t, y), a torch module.
 
 The design variables are the parameters of the module by their names, for example `rod.laminate.angles`. Bodies that
 share a laminate share its angles. A batch of designs is the same module with leading lane axes on its parameters:
@@ -9,6 +9,7 @@ share a laminate share its angles. A batch of designs is the same module with le
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Mapping, Sequence
 from typing import Any, Self
 
@@ -35,6 +36,7 @@ from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.equations import INERTIA
 from torchmbd.system.initial import InitialConditions, given_start
 from torchmbd.system.saddle import Saddle
+from torchmbd.system.state_equation import StateEquation
 
 # Numbers of a system and of its bodies by which nothing is differentiated, and those of bodies that Parameters are.
 _CONSTANTS = ("gravity", "axes")
@@ -87,7 +89,7 @@ class System(nn.Module):
         check_connected(self.bodies, joints, forces, free)
         self._join(joints)
         for body in self.bodies:
-            if hasattr(self, body.name) or body.name in ("ground", "data"):
+            if hasattr(self, body.name) or hasattr(StateEquation, body.name) or body.name in ("ground", "data"):
                 raise InputError(f"body name {body.name!r} is taken by torchmbd; allowed: any other identifier")
             self.add_module(body.name, body)
         self._add_laws()
@@ -101,7 +103,7 @@ class System(nn.Module):
             if element.variables is None:
                 continue
             name = element.name
-            if names.count(name) > 1 or "." in name or hasattr(self, name):
+            if names.count(name) > 1 or "." in name or hasattr(self, name) or hasattr(StateEquation, name):
                 raise InputError(f"{name!r} has design variables; allowed: a name of its own, without a point")
             self.add_module(name, element.variables.module)
 
@@ -132,13 +134,21 @@ class System(nn.Module):
 
     @exclusive
     def forward(self, part: str | None = None) -> Any:
-        """Structure stage of the module's own parameters: one design, differentiable in reverse mode.
+        """The equations of motion as a module (state_equation.py), of the parameters as they are when that is called.
 
-        Returns the Dynamics; for part="data" its tensors, for the name of a flexible body the structure of that body.
+        For part="data" the tensors that the structure stage makes of them; for the name of a flexible body its structure.
         """
         if part is None:
-            return Dynamics(self.topology, self._saddle, self._data(), self._initial, self.stabilization)
+            made = StateEquation(dict(self.named_children()), self._own)
+            made.register_load_state_dict_post_hook(functools.partial(_joined_with, self))
+            return made
         return self._data() if part == "data" else self.body(part).structure()
+
+    @exclusive
+    def _own(self) -> Dynamics:
+        """Structure stage of the module's own parameters: one design."""
+        self._refuse_lost()
+        return Dynamics(self.topology, self._saddle, self._data(), self._initial, self.stabilization)
 
     @exclusive
     def reduced(self, parameters: Mapping[str, Tensor]) -> Dynamics:
@@ -233,6 +243,10 @@ class System(nn.Module):
 
 def _joined_anew(system: System, _: Any) -> None:
     """After loading other numbers: places may have changed. A function of the module, so that a system can be pickled."""
+    system._join(system.joints)
+
+
+def _joined_with(system: System, *_: Any) -> None:
     system._join(system.joints)
 
 
