@@ -46,7 +46,7 @@ def test_counts_of_the_paper():
 
 
 def test_rows_of_phase_1():
-    rigid, flexible = build(None).describe(), build(modes=4, cells=COARSE)().rank
+    rigid, flexible = build(None).describe(), build(modes=4, cells=COARSE)().dynamics.rank
     assert (rigid.rows, rigid.rank, rigid.mobility, len(rigid.redundant)) == (31, 27, 3, 4)
     first, second = (sorted(x) for x in zip(*(row.split(": ") for row in flexible.redundant), strict=True))
     assert second == ["coincide y"] * 2

@@ -59,6 +59,6 @@ def test_the_same_on_the_other_route():
 def test_rows_of_rigid_bodies_stay():
     body = mbd.RigidBody("door", 1.0, (1e-3, 1e-3, 1e-3))
     joints = [mbd.Spherical(GROUND.at(0, y, 0), body.at(0, y, 0)) for y in (-1, 1)]
-    rank = mbd.System([body], joints, gravity=GRAVITY)().rank
+    rank = mbd.System([body], joints, gravity=GRAVITY)().dynamics.rank
     assert rank.left_out == ()
     assert len(rank.redundant) == 1

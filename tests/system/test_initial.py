@@ -172,7 +172,7 @@ def test_redundant_equations_close():
 def test_redundant_equations_move_as_the_planar_mechanism():
     """The same four-bar with two hinges of which only the in-plane equations are kept: no redundant row."""
     spatial, planar = four_bar(), four_bar(planar=True)
-    assert planar().redundant == ()
+    assert planar().dynamics.redundant == ()
     for method, options in (("generalized_alpha", {"iterations": (4, 4)}), ("rk4", {})):
         a, b = (mbd.simulate(s, 0.2, method=method, steps=200, **options).require_ok() for s in (spatial, planar))
         assert float((a.q - b.q).abs().max()) < 1e-8

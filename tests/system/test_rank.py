@@ -45,7 +45,7 @@ def test_a_drive_comes_last():
     """Of a hinge and a drive along it nothing is redundant; a second hinge is, not the drive."""
     ground, a = mbd.Ground(), box("a")
     hinges = [mbd.Revolute(ground.at(0, 0, z), a.at(0, 0, z), name=f"hinge_{z}") for z in (0, 1)]
-    dynamics = mbd.System([a], [mbd.Drive(ground, a, speed=1.0, name="motor"), *hinges])()
+    dynamics = mbd.System([a], [mbd.Drive(ground, a, speed=1.0, name="motor"), *hinges])().dynamics
     assert len(dynamics.redundant) == 5
     assert all(name.startswith("hinge") for name in dynamics.redundant)
 
@@ -72,7 +72,7 @@ def test_the_rows_that_are_lost_in_line_are_those_along_the_line():
         mbd.Revolute(a.at(1.0, 0.0, 0.0), b.at(), name="middle"),
         mbd.Distance(ground.at(2.0, 0.0, 0.0), b.at(0.5, 0.0, 0.0), 0.5, name="rod"),
     ]
-    dynamics = mbd.System([a, b], joints)()
+    dynamics = mbd.System([a, b], joints)().dynamics
     T = dynamics.topology
     J = jacobians(dynamics, dynamics.initial.q[None], torch.zeros(1).double())[0]
     U, s, _ = torch.linalg.svd(J)
@@ -86,7 +86,7 @@ def test_a_travel_that_a_fixed_joint_holds_is_named():
     a, ground = box("a"), mbd.Ground()
     joints = [mbd.Fixed(ground.at(), a.at()), mbd.Drive(ground, a, axis="x", velocity=1.0, name="pusher")]
     with pytest.raises(InputError, match=r"'pusher: travel'.*allowed: a drive along a motion"):
-        _ = mbd.System([a], joints)().redundant
+        _ = mbd.System([a], joints)().dynamics.redundant
 
 
 CORNERS = ("corner_left_bottom", "corner_left_top")
@@ -102,7 +102,7 @@ def hung(angles: tuple[float, float], modes: int = 4, **reduction) -> mbd.System
 
 def test_rows_that_only_coupled_bending_tells_apart_are_named():
     """Symmetric: the second is left out. Unsymmetric by a little: both act, and share the little; joints' modes help."""
-    assert hung((0.0, 0.0))().rank.left_out
+    assert hung((0.0, 0.0))().dynamics.rank.left_out
     for difference, most in ((0.001, 1e-5), (1.0, 1e-2)):
         system = hung((difference, -difference))
         with pytest.warns(UserWarning, match=r"corner_left_bottom: coincide y.*craig-bampton"):
@@ -112,4 +112,4 @@ def test_rows_that_only_coupled_bending_tells_apart_are_named():
         assert not found.left_out
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert not hung((1.0, -1.0), reduction="craig-bampton", interface=CORNERS)().rank.weak
+        assert not hung((1.0, -1.0), reduction="craig-bampton", interface=CORNERS)().dynamics.rank.weak

@@ -8,8 +8,8 @@ Its parameters are those of the system, by the same names, so every tool that ta
     y = torchdiffeq.odeint(f, f.initial_state(), t)            or odeint_adjoint
     torch.func.functional_call(f, {"rod.laminate.angles": x}, (t, y0))
 
-The structure stage runs once for each set of values of the parameters, not at each call. Its graph of torch is kept, so that one
-backward pass after another may go through it; `odeint_adjoint` makes one at each of its evaluations.
+The structure stage runs once for each set of values of the parameters, not at each call. Its graph of torch is kept: one
+backward pass after another may go through it, as `odeint_adjoint` makes one at each of its evaluations.
 Computed in float64 on the CPU; anything else is refused.
 Checked in tests/system/test_state_equation.py.
 """
