@@ -215,8 +215,37 @@ def test_options_are_the_fields_of_its_class(method, system):
         integrator_of(method, {"name": "mine"})
     for name in allowed:
         for wrong in ("x", object(), -1, [1.0], {1: 2}, True, b"1", torch.zeros(2)):
-            with pytest.raises(mbd.InputError, match=rf"^{name} is .*; allowed: "):
+            with pytest.raises(mbd.InputError, match=rf"^{name} (is|of method) .*; allowed: "):
                 mbd.simulate(system, DURATION, method, steps=2, **{name: wrong})
+
+
+OF_TORCHDIFFEQ = {
+    "dopri5": [{"first_step": "q"}, {"max_num_steps": 0}, {"max_order": 3}, {"jump_t": [0.1]}, {"rtol": 1e-3}, {3: 1}],
+    "rk4": [{"step_size": "x"}, {"step_size": 0.0}, {"interp": "spline"}, {"perturb": 1}, {"first_step": 1e-3}],
+    "explicit_adams": [{"max_order": "y"}, {"max_order": 13}, {"implicit": True}, {"max_iters": 0.5}],
+}
+
+
+@pytest.mark.parametrize(("method", "given"), [(m, x) for m, some in OF_TORCHDIFFEQ.items() for x in some])
+def test_options_of_torchdiffeq_are_checked(method, given, system):
+    """It passes over names that it does not know, and ends in other exceptions on values of a wrong type."""
+    (name,) = given
+    with pytest.raises(mbd.InputError, match=rf"options of method '{method}': .*{name}.*; allowed: "):
+        mbd.simulate(system, DURATION, method, steps=2, options=given)
+
+
+def test_good_options_of_torchdiffeq_are_passed_on(system):
+    fine = mbd.simulate(system, 0.01, "rk4", steps=2, options={"step_size": 1e-3, "interp": "cubic"}).require_ok()
+    steps = mbd.simulate(system, 0.01, "rk4", steps=10).require_ok()
+    assert_close(fine.q[:, -1], steps.q[:, -1], rtol=0, atol=1e-14)
+    few = {"max_num_steps": 3, "first_step": 1e-6, "max_step": 1e-5}
+    assert "max_num_steps" in mbd.simulate(system, 0.01, "dopri5", steps=2, options=few).status[0]
+
+
+@pytest.mark.parametrize("phases", [object(), int, 1j, torch.zeros(3), True, -1, "x", {}, [], [1], mbd.Phase()])
+def test_phases_of_another_type_are_refused(phases, system):
+    with pytest.raises(mbd.InputError, match=r"phases is .*; allowed: a list of at least one mbd.Phase"):
+        mbd.simulate(system, DURATION, steps=2, phases=phases)
 
 
 @pytest.mark.parametrize("method", [3, None, [3], {"a": 1}, object(), "generalised_alpha", "scipy_solver"])

@@ -105,7 +105,7 @@ class Stage:
 
 def plan(system: System, phases: Sequence[Phase], duration: float) -> tuple[System, list[Stage]]:
     """The system with all joints and locks, and its stages; InputError names what a phase cannot have."""
-    if isinstance(phases, Phase) or not phases or not all(isinstance(phase, Phase) for phase in phases):
+    if not isinstance(phases, (list, tuple)) or not phases or not all(isinstance(phase, Phase) for phase in phases):
         raise InputError(f"phases is {phases!r}; allowed: a list of at least one mbd.Phase")
     names = [phase.name or str(i) for i, phase in enumerate(phases, 1)]
     joints = [joint.name for joint in system.joints]

@@ -5,12 +5,14 @@ Checked in tests/contracts/test_integrators.py, tests/convergence/test_time_orde
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import torch
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, unknown
 from torchmbd.integrators import phase_loop
 from torchmbd.integrators.compiled_rates import RightHandSide, augment
 from torchmbd.integrators.course import Course
@@ -20,6 +22,7 @@ from torchmbd.integrators.integrator import Integrated, Integrator
 from torchmbd.integrators.ode import DEFAULTS, FIXED, first_step, flow
 from torchmbd.integrators.prepared import initial
 from torchmbd.integrators.step import State
+from torchmbd.numerics.owned import whole
 from torchmbd.system.dynamics import Dynamics
 
 
@@ -45,8 +48,15 @@ class Torchdiffeq(Integrator):
             x = getattr(self, key)
             if not isinstance(x, (int, float)) or isinstance(x, bool) or not 0.0 < x < 1.0:
                 raise InputError(f"{key} is {x!r}; allowed: positive, below 1")
-        if self.options is not None and not (isinstance(self.options, dict) and all(map(_named, self.options))):
+        if self.options is not None and not isinstance(self.options, dict):
             raise InputError(f"options is {self.options!r}; allowed: name -> value, options of torchdiffeq")
+        allowed = options_of(self.name)
+        for key, x in (self.options or {}).items():
+            if key not in allowed:
+                raise unknown(f"options of method {self.name!r}: the option", key, allowed)
+            good, words = allowed[key]
+            if not good(x):
+                raise InputError(f"options of method {self.name!r}: {key} is {x!r}; allowed: {words}")
 
     def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> Integrated:
         """As of Integrator; statistics: the number of evaluations of the right-hand side."""
@@ -96,8 +106,31 @@ class Torchdiffeq(Integrator):
         return {"method": self.name, "options": own | (self.options or {})} | tolerances
 
 
-def _named(key: Any) -> bool:
-    return isinstance(key, str)
+Allowed = tuple[Callable[[Any], bool], str]  # whether a value is, and what is
+
+
+def options_of(method: str) -> Mapping[str, Allowed]:
+    """Options of a method of torchdiffeq, which itself passes over what it does not know."""
+    positive: Allowed = (lambda x: _number(x) and x > 0.0, "a positive number")
+    count: Allowed = (lambda x: whole(x) and x >= 1, "a positive integer")
+    times: Allowed = (lambda x: isinstance(x, torch.Tensor) and x.dim() == 1, "a tensor of times [s]")
+    if method not in FIXED:
+        names = ("first_step", "max_step", "safety", "ifactor", "dfactor")
+        not_negative: Allowed = (lambda x: _number(x) and x >= 0.0, "zero or positive")
+        rest = {"min_step": not_negative, "max_num_steps": count, "step_t": times, "jump_t": times}
+        return dict.fromkeys(names, positive) | rest
+    found: dict[str, Allowed] = {
+        "step_size": positive,
+        "grid_constructor": (callable, "a function (f, y0, t) -> times"),
+        "interp": (lambda x: isinstance(x, str) and x in ("linear", "cubic"), "linear, cubic"),
+        "perturb": (lambda x: isinstance(x, bool), "true or false"),
+    }
+    order: Allowed = (lambda x: whole(x) and 1 <= x <= 12, "1 to 12")
+    return found | ({"max_order": order, "max_iters": count} if method.endswith("adams") else {})
+
+
+def _number(x: Any) -> bool:
+    return isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x)
 
 
 def _side_by_side(parts: list[Integrated]) -> Integrated:
