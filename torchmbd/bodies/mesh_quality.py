@@ -33,7 +33,9 @@ _ROUNDING = 1e-9
 
 def warn_mesh(body: FlexibleBody) -> None:
     """Warn once, naming the worst cell and its figure, if cells are skewed or slender or too coarse for their plies."""
-    doubts = [doubt for part in body.plates.values() for doubt in (*_cells(part), *_plies(part))]
+    doubts = [
+        doubt for part in body.assembly.merged if isinstance(part, Plates) for doubt in (*_cells(part), *_plies(part))
+    ]
     if doubts:
         warnings.warn(
             f"mesh of body {body.name!r}: {'; '.join(doubts)}. Results may be off; compare with a finer mesh, or one of "
@@ -80,7 +82,7 @@ def _cells(part: Plates) -> list[str]:
 
 def _plies(part: Plates) -> list[str]:
     count = len(part.matrices.members)
-    ratios = [max(p.E1, p.E2) / min(p.E1, p.E2, p.G12, p.G13, p.G23) for p in part.laminate.plies]
+    ratios = [max(p.E1, p.E2) / min(p.E1, p.E2, p.G12, p.G13, p.G23) for p in part.laminates[0].plies]
     k = max(range(len(ratios)), key=ratios.__getitem__)
     if ratios[k] < ANISOTROPY or count >= FINE:
         return []

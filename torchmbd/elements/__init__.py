@@ -1,11 +1,12 @@
 """Finite elements: laminated triangles and quadrilaterals, stresses of plies, beams of any section; parts make up a body."""
 
-from torchmbd.elements.assembly import Assembly, MassPoints, Part
+from torchmbd.elements.assembly import Assembly
 from torchmbd.elements.beam import BeamMatrices
 from torchmbd.elements.beam_line import BeamLine
 from torchmbd.elements.beam_section import BeamSection, GivenSection
 from torchmbd.elements.beams import Beams
 from torchmbd.elements.freedoms import Average, Freedoms, RigidLink
+from torchmbd.elements.part import MassPoints, Part
 from torchmbd.elements.plate import PlateMatrices
 from torchmbd.elements.plates import MASSES, Plates, PointMasses
 from torchmbd.elements.ply_recovery import PlyBasis, ply_basis, ply_points

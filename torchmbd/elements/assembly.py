@@ -17,26 +17,16 @@ Checked in tests/elements/test_assembly.py, tests/elements/test_beams.py.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import torch
-from jaxtyping import Float, Int
-from torch import Tensor, nn
+from jaxtyping import Float
+from torch import Tensor
 
 from torchmbd.elements.freedoms import Average, Freedoms, RigidLink
+from torchmbd.elements.part import MassPoints, Part
+from torchmbd.elements.plates import merged
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
-
-
-class MassPoints(NamedTuple):
-    """Point masses [kg] and rotary inertias [kg m2] at the middles of node pairs; a pair (k, k) is node k.
-
-    arm: from there to the point [m], rigid, in mesh axes; it may depend on the design. None: no arms, in any design
-    """
-
-    ends: Int[Tensor, "points 2"]
-    mass: Float[Tensor, "*lanes points"]
-    rotary: Float[Tensor, "*lanes points"]
-    arm: Float[Tensor, "*lanes points 3"] | None = None
 
 
 class Meshed(Protocol):
@@ -46,29 +36,11 @@ class Meshed(Protocol):
     def nodes(self) -> Float[Tensor, "n 3"]: ...
 
 
-class Part(Protocol):
-    """What an assembly asks of a part. `pattern`: of its stiffness, size 6 * nodes of the mesh."""
-
-    pattern: Pattern
-
-    def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
-        """K of the present design on the pattern, or only some entries of it."""
-        ...
-
-    def masses(self) -> MassPoints:
-        """Masses of the present design."""
-        ...
-
-    def modules(self) -> dict[str, nn.Module]:
-        """Whose parameters are the design: the body registers them under these names."""
-        ...
-
-
 class Assembly:
     """Parts on the nodes of one mesh, some of them held or linked.
 
     mesh    whose nodes carry the freedoms
-    parts   name -> part
+    parts   name -> part; `merged`: the same, plates of one kind as one
     held    nodes that are fixed
     links   nodes that follow others
     """
@@ -81,8 +53,9 @@ class Assembly:
         links: Sequence[RigidLink | Average] = (),
     ) -> None:
         self.mesh, self.parts = mesh, dict(parts)
+        self.merged = merged(list(parts.values()))
         self.freedoms = Freedoms(mesh.nodes, held, links)
-        points = [part.masses() for part in self.parts.values()]
+        points = [part.masses() for part in self.merged]
         self._ends = torch.cat([p.ends for p in points])
         self._lumped = bool((self._ends[:, 0] == self._ends[:, 1]).all())
         self._prepare_stiffness()
@@ -94,7 +67,7 @@ class Assembly:
 
     def _prepare_stiffness(self) -> None:
         """Where the values of every part go in the common pattern of the free freedoms: (source, slot, factor)."""
-        reduced = [self.freedoms.reduced(part.pattern) for part in self.parts.values()]
+        reduced = [self.freedoms.reduced(part.pattern) for part in self.merged]
         if len(reduced) == 1:
             self.pattern, slots = reduced[0][0], [torch.arange(reduced[0][0].nnz)]
         else:
@@ -119,7 +92,7 @@ class Assembly:
 
     def stiffness(self) -> SparseMatrix:
         """K of the free freedoms."""
-        values = [part.values(source) for part, (source, *_) in zip(self.parts.values(), self._places, strict=True)]
+        values = [part.values(source) for part, (source, *_) in zip(self.merged, self._places, strict=True)]
         if len(values) == 1 and self.freedoms.plain:
             return SparseMatrix(self.pattern, values[0], symmetric=True)
         lanes = torch.broadcast_shapes(*(v.shape[:-1] for v in values))
@@ -130,7 +103,7 @@ class Assembly:
 
     def masses(self) -> MassPoints:
         """All mass points."""
-        points = [part.masses() for part in self.parts.values()]
+        points = [part.masses() for part in self.merged]
         lanes = torch.broadcast_shapes(*(p.mass.shape[:-1] for p in points), *(p.rotary.shape[:-1] for p in points))
         mass, rotary = (
             torch.cat([getattr(p, name).expand(*lanes, -1) for p in points], dim=-1) for name in ("mass", "rotary")

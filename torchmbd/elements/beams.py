@@ -11,9 +11,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from torchmbd.elements.assembly import MassPoints
 from torchmbd.elements.beam import BeamMatrices, Line
 from torchmbd.elements.beam_section import BeamSection, line_transform
+from torchmbd.elements.part import MassPoints
 from torchmbd.elements.plates import MASSES
 from torchmbd.errors import InputError, unknown
 from torchmbd.numerics.owned import reals

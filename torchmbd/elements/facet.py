@@ -59,20 +59,26 @@ def facets(
     mesh [m, 3].
     Raises InputError where it is zero or normal to a cell.
     """
-    d = reals("direction", direction)
-    if d.shape not in ((3,), (mesh.cell_count, 3)):
-        raise InputError(
-            f"direction has shape {tuple(d.shape)}; allowed: [3], or one for each cell [{mesh.cell_count}, 3]"
-        )
+    d = laid(mesh, direction)
     members = torch.arange(len(mesh.cells[kind])) if members is None else members
     own = mesh.first(kind) + members
     e3 = mesh.normals[own]
-    axes = _axes(mesh, own, e3, d.expand_as(e3) if d.ndim == 1 else d[own])
+    axes = _axes(mesh, own, e3, d[own])
     p = mesh.nodes[mesh.cells[kind][members]]
     local = (p - p.mean(dim=1, keepdim=True)) @ axes.mT
     tilt = (corner_normals(mesh)[kind][members] - e3[:, None]).norm(dim=2).amax(1)
     cell, mixed, alone = (of_kind[kind][members] for of_kind in _sides(mesh))
     return Facets(axes, local[..., :2].contiguous(), local[..., 2], mesh.areas[own], cell, mixed, alone, tilt)
+
+
+def laid(mesh: Mesh, direction: Sequence[float] | Tensor) -> Float[Tensor, "m 3"]:
+    """The direction for each cell of the mesh. Raises InputError where its shape is wrong."""
+    d = reals("direction", direction)
+    if d.shape not in ((3,), (mesh.cell_count, 3)):
+        raise InputError(
+            f"direction has shape {tuple(d.shape)}; allowed: [3], or one for each cell [{mesh.cell_count}, 3]"
+        )
+    return d.expand(mesh.cell_count, 3)
 
 
 def _axes(mesh: Mesh, own: Tensor, e3: Tensor, d: Tensor) -> Float[Tensor, "m 3 3"]:

@@ -140,12 +140,16 @@ class PlateMatrices:
         return torch.cat([own.facets.axes for own in self.kinds.values()])
 
     @property
-    def pieces(self) -> tuple[Int[Tensor, "pieces 3"], Float[Tensor, " pieces"], Float[Tensor, "pieces 3"]]:
-        """Triangles that cover the cells (mesh.py), the area that each counts with [m2], and its cell's normal."""
+    def pieces(
+        self,
+    ) -> tuple[Int[Tensor, "pieces 3"], Float[Tensor, " pieces"], Float[Tensor, "pieces 3"], Int[Tensor, " pieces"]]:
+        """Triangles that cover the cells (mesh.py): the area that each counts with [m2], its cell's normal and laminate."""
         nodes, share, cell = self.mesh.pieces
         chosen = torch.isin(cell, self.members)
-        nodes, share = nodes[chosen], share[chosen]
-        return nodes, share * directed_area(self.mesh.nodes[nodes]).norm(dim=1), self.mesh.normals[cell[chosen]]
+        nodes, share, cell = nodes[chosen], share[chosen], cell[chosen]
+        zone = self.zones.new_zeros(self.mesh.cell_count).index_copy(0, self.members, self.zones)
+        area = share * directed_area(self.mesh.nodes[nodes]).norm(dim=1)
+        return nodes, area, self.mesh.normals[cell], zone[cell]
 
     def stiffness(self, entries: Float[Tensor, "*lanes 21"]) -> SparseMatrix:
         """Return K of one laminate or of a batch; of several laminates entries are [*lanes, laminates, 21]."""
@@ -185,7 +189,7 @@ class PlateMatrices:
         return (self.area[:, None] * per_area[..., None, :]).flatten(-2)
 
     def _tributary(self) -> Float[Tensor, " n"]:
-        nodes, area, _ = self.pieces
+        nodes, area, *_ = self.pieces
         thirds = (area / 3.0)[:, None].expand(-1, 3).reshape(-1)
         return area.new_zeros(len(self.mesh.nodes)).index_add(0, nodes.flatten(), thirds)
 

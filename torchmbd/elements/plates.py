@@ -16,14 +16,17 @@ Checked in tests/elements/test_assembly.py, tests/bodies/test_mass_off_middle.py
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from torchmbd.elements.assembly import MassPoints
+from torchmbd.elements.facet import laid
+from torchmbd.elements.part import MassPoints, Part
 from torchmbd.elements.plate import PlateMatrices
-from torchmbd.errors import unknown
+from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Laminate
 from torchmbd.mesh import Mesh
 from torchmbd.numerics.gradients import constants
@@ -33,27 +36,54 @@ MASSES = ("lumped", "consistent")
 
 
 class Plates:
-    """One laminate on cells of a mesh (default: all).
+    """One laminate on cells of a mesh (default: all), or several of the same plies, each on its own cells.
 
     direction   the laminate's x-axis in mesh axes: [3], or one for each cell of the mesh [m, 3]
     cells       numbers of the cells that are made of it
     mass        "lumped" or "consistent"
+    zones       which of several laminates each of the cells is made of
     """
 
     def __init__(
         self,
         mesh: Mesh,
-        laminate: Laminate,
+        laminate: Laminate | Sequence[Laminate],
         direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
         cells: Sequence[int] | Tensor | None = None,
         mass: str = "lumped",
+        zones: Int[Tensor, " cells"] | None = None,
     ) -> None:
         if mass not in MASSES:
             raise unknown("mass", mass, MASSES)
-        self.laminate = laminate
-        self.matrices = PlateMatrices(mesh, laminate, direction, cells)
-        self.pattern = self.matrices.pattern
-        self._ends, self._area, self._normal = _points(self.matrices, mass == "consistent")
+        several = isinstance(laminate, Sequence)
+        self.laminates, self.mass, self.direction = tuple(laminate) if several else (laminate,), mass, direction
+        if not isinstance(mesh, Mesh):
+            raise InputError(f"mesh of a plate is {mesh!r}; allowed: a Mesh, such as mbd.mesh.rectangle(...)")
+        for one in self.laminates:
+            if not isinstance(one, Laminate):
+                raise InputError(f"laminate of a plate is {one!r}; allowed: a Laminate")
+        self.mesh, self._zones = mesh, zones
+        self.cells = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
+
+    @property
+    def laminate(self) -> Laminate:
+        """The only laminate, or all of them side by side."""
+        return self.laminates[0] if self._zones is None else Laminate.side_by_side(self.laminates)
+
+    @property
+    def kind(self) -> tuple:
+        """What plates have in common that may be one part."""
+        return id(self.mesh), self.mass, *(laminate.kin for laminate in self.laminates)
+
+    @cached_property
+    def matrices(self) -> PlateMatrices:
+        """What the cells contribute."""
+        return PlateMatrices(self.mesh, self.laminates[0], self.direction, self.cells, self._zones)
+
+    @property
+    def pattern(self) -> Pattern:
+        """Where K is not zero."""
+        return self.matrices.pattern
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design, or only some entries of it."""
@@ -61,18 +91,49 @@ class Plates:
 
     def modules(self) -> dict[str, nn.Module]:
         """The laminate."""
-        return {"laminate": self.laminate}
+        return {"laminate": self.laminates[0]}
+
+    @cached_property
+    def _points(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        return _points(self.matrices, self.mass == "consistent")
 
     def masses(self) -> MassPoints:
         """Mass points of the present design."""
-        mass, rotary = (
-            x[..., None] * self._area for x in (self.laminate.mass_per_area, self.laminate.rotary_inertia_per_area)
-        )
-        if self.laminate.centered:
-            return MassPoints(self._ends, mass, rotary)
-        height = self.laminate.first_moment_per_area / self.laminate.mass_per_area
-        arm = height[..., None, None] * self._normal
-        return MassPoints(self._ends, mass, rotary - mass * (arm * arm).sum(-1), arm)
+        ends, zone, area, normal = self._points
+        laminate = self.laminate
+
+        def of_points(x: Tensor) -> Tensor:
+            return x[..., None] if self._zones is None else x[..., zone]
+
+        mass, rotary = (of_points(x) * area for x in (laminate.mass_per_area, laminate.rotary_inertia_per_area))
+        if laminate.centered:
+            return MassPoints(ends, mass, rotary)
+        height = of_points(laminate.first_moment_per_area / laminate.mass_per_area)
+        arm = height[..., None] * normal
+        return MassPoints(ends, mass, rotary - mass * (arm * arm).sum(-1), arm)
+
+
+def merged(parts: Sequence[Part]) -> list[Part]:
+    """The parts, plates whose laminates differ in their angles only as one: what a design costs is not so much for each."""
+    groups: dict[Any, list[Any]] = {}
+    for part in parts:
+        kind = part.kind if isinstance(part, Plates) else id(part)
+        groups.setdefault(kind, []).append(part)
+    return [part for group in groups.values() for part in _joined(group)]
+
+
+def _joined(group: list[Any]) -> list[Part]:
+    """Plates of one kind as one part; where two lie on one cell, as they are."""
+    cells = [part.cells for part in group if isinstance(part, Plates)]
+    if len(group) == 1 or len(torch.cat(cells).unique()) < sum(map(len, cells)):
+        return group
+    mesh = group[0].mesh
+    direction = torch.zeros(mesh.cell_count, 3, dtype=torch.float64)
+    for part in group:
+        direction[part.cells] = laid(mesh, part.direction)[part.cells]
+    zones = torch.repeat_interleave(torch.tensor([len(x) for x in cells]))
+    laminates = [part.laminates[0] for part in group]
+    return [Plates(mesh, laminates, direction, torch.cat(cells), group[0].mass, zones)]
 
 
 class PointMasses:
@@ -98,15 +159,14 @@ class PointMasses:
         return MassPoints(self._nodes[:, None].expand(-1, 2), self._mass, self._rotary)
 
 
-def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor, Tensor]:
-    """Node pairs of the mass points, the area of each, and the mean normal there."""
-    corners, area, normals = matrices.pieces
+def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Node pairs of the mass points, the laminate and the area of each, and the mean normal there."""
+    corners, area, normals, zone = matrices.pieces
     other = corners.roll(-1, dims=1) if consistent else corners
-    pairs, place = torch.unique(
-        torch.stack([corners, other], dim=-1).flatten(0, 1).sort(dim=1).values, dim=0, return_inverse=True
-    )
+    pairs = torch.stack([corners, other], dim=-1).flatten(0, 1).sort(dim=1).values
+    points, place = torch.unique(torch.cat([pairs, zone.repeat_interleave(3)[:, None]], 1), dim=0, return_inverse=True)
     thirds = (area / 3.0).repeat_interleave(3)
-    whole = thirds.new_zeros(len(pairs)).index_add(0, place, thirds)
-    normal = torch.zeros(len(pairs), 3, dtype=area.dtype)
+    whole = thirds.new_zeros(len(points)).index_add(0, place, thirds)
+    normal = torch.zeros(len(points), 3, dtype=area.dtype)
     normal.index_add_(0, place, thirds[:, None] * normals.repeat_interleave(3, dim=0))
-    return pairs, whole, normal / whole[:, None]
+    return points[:, :2], points[:, 2], whole, normal / whole[:, None]

@@ -27,6 +27,7 @@ Checked in tests/materials/test_laminate.py.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import ClassVar, NamedTuple
 
@@ -113,6 +114,21 @@ class Laminate(nn.Module):
         self.register_buffer("_G", torch.stack([p.shear_stiffness() for p in plies]), persistent=False)
         density = torch.tensor([p.density for p in plies], dtype=torch.float64)
         self.register_buffer("_density", density, persistent=False)
+
+    @property
+    def kin(self) -> tuple:
+        """What laminates have in common that differ in their angles only."""
+        return self.plies, self.symmetric, self.shear_correction, tuple(self.thickness.tolist())
+
+    @staticmethod
+    def side_by_side(laminates: Sequence[Laminate]) -> Laminate:
+        """Laminates with the same plies as one, whose parameters have an axis more: [*lanes, laminates, layers]."""
+        result = copy.copy(laminates[0])
+        result._parameters = {}  # of the copy, which has tensors instead
+        for name in ("angles", "thickness"):
+            own = torch.broadcast_tensors(*(getattr(laminate, name) for laminate in laminates))
+            vars(result)[name] = torch.stack(own, -2)
+        return result
 
     def forward(self) -> Float[Tensor, "*lanes 21"]:
         """Return `entries()`: the form in which torch.func.functional_call asks for the laminate."""
