@@ -8,7 +8,7 @@ Parts (default: all):
     multistart      a whole optimization from 32 starts
     structure       structure stage with tangents
     variables       cost of one more variable
-    angles          gradient by 288 angles over one simulation
+    angles          gradient by 288 and by 3,000 angles over one simulation
     mesh            motion stage on a fine mesh
     chain           cost per link of a flexible chain
     gradients       error of the gradients
@@ -71,6 +71,8 @@ FIGURES = (
     "multistart",
     "structure_ms",
     "many_angles",
+    "many_angles_3000",
+    "many_angles_gb",
     "tenth_variable",
     "tenth_variable_tangents",
     "mesh_ratio",

@@ -1,9 +1,17 @@
 """Many design variables: `backward()` of one response by the ply angles of every zone of a rod, in simulations.
 
-Structure stage included, one design. The rod of the slider-crank in 24x4 cells, each a zone of three plies: 288 angles.
+Structure stage included, one design. The rod of the slider-crank in 24x4 cells, each a zone of three plies: 288 angles; and in
+82x20 cells, 1,000 zones: 3,000 angles. `python -m experiments.benchmark_angles 24 4 24 4` is the fresh process of a case.
 """
 
 from __future__ import annotations
+
+import json
+import resource
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 
@@ -43,13 +51,9 @@ def zoned(cells: tuple[int, int], zones: tuple[int, int], layers: int = 3) -> mb
     return mbd.System([crank, rod, slider], joints)
 
 
-def many_angles(settings: Settings) -> Result:
-    """many_angles: gradient of one response by 288 angles over one simulation, structure stages included."""
-    if unavailable() is not None:
-        return Result({"many_angles": None})
-    cells, zones = ((6, 2), (6, 2)) if settings.quick else ((24, 4), (24, 4))
+def measured(cells: tuple[int, int], zones: tuple[int, int], steps: int, repeat: int) -> dict[str, float]:
+    """Angles, freedoms, seconds of a simulation and of a gradient, and what the process came to need."""
     system, measure = zoned(cells, zones), mbd.Integral(mbd.StrainEnergy("rod"))
-    steps = 20 if settings.quick else STEPS
 
     def values() -> None:
         with torch.no_grad():
@@ -58,11 +62,48 @@ def many_angles(settings: Settings) -> Result:
     def gradient() -> None:
         measure(mbd.simulate(system, DURATION * steps / STEPS, steps=steps)).sum().backward()
 
-    with compilation(not settings.quick):
-        gradient()
-        seconds = interleaved({"values": values, "gradient": gradient}, settings.repeat)
-    count = sum(x.numel() for x in system.parameters() if x.requires_grad)
-    ratio = seconds["gradient"] / seconds["values"]
-    rows = [[count, 1e3 * seconds["values"], 1e3 * seconds["gradient"], ratio]]
-    columns = ["angles", "simulation ms", "gradient ms", "in simulations"]
-    return Result({"many_angles": None if settings.quick else ratio}, [Grid("many angles, one design", columns, rows)])
+    gradient()
+    found = interleaved({"values": values, "gradient": gradient}, repeat)
+    found["angles"] = sum(x.numel() for x in system.parameters() if x.requires_grad)
+    found["freedoms"] = len(system.body("rod").free)
+    return found | {"gb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2}
+
+
+def many_angles(settings: Settings) -> Result:
+    """many_angles, many_angles_3000: gradient of one response by 288 and by 3,000 angles, the latter of 10,000 freedoms, over
+    one simulation, structure stages included; many_angles_gb: memory of the process of the latter."""
+    figures: dict[str, float | None] = dict.fromkeys(("many_angles", "many_angles_3000", "many_angles_gb"))
+    if unavailable() is not None:
+        return Result(figures)
+    if settings.quick:
+        with compilation(False):
+            found = [measured((6, 2), (6, 2), 20, settings.repeat)]
+    else:
+        found = [_fresh("24", "4", "24", "4"), _fresh("82", "20", "50", "20")]
+        few, many = (x["gradient"] / x["values"] for x in found)
+        figures = {"many_angles": few, "many_angles_3000": many, "many_angles_gb": found[1]["gb"]}
+    rows = [
+        [x["angles"], x["freedoms"], 1e3 * x["values"], 1e3 * x["gradient"], x["gradient"] / x["values"], x["gb"]]
+        for x in found
+    ]
+    columns = ["angles", "freedoms", "simulation ms", "gradient ms", "in simulations", "GB"]
+    return Result(figures, [Grid("many angles, one design", columns, rows)])
+
+
+def _fresh(*sizes: str) -> dict[str, float]:
+    """Of a fresh process, whose memory is that of the case alone."""
+    command = [sys.executable, "-W", "ignore", "-m", "experiments.benchmark_angles", *sizes]
+    root = Path(__file__).parent.parent
+    found = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+    return json.loads(found.stdout.splitlines()[-1])
+
+
+def main(sizes: Sequence[int]) -> None:
+    """What a fresh process does: cells and zones along the rod and across it."""
+    torch.set_num_threads(1)
+    with compilation(True):
+        print(json.dumps(measured((sizes[0], sizes[1]), (sizes[2], sizes[3]), STEPS, Settings().repeat)))
+
+
+if __name__ == "__main__":
+    main([int(x) for x in sys.argv[1:]])

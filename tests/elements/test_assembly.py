@@ -11,7 +11,7 @@ import torchmbd as mbd
 from tests.elements.plate_cases import CARBON, GENERAL, irregular, rotation, turned
 from tests.validation.navier import Navier
 from tests.validation.simply_supported import supports
-from torchmbd.elements import Assembly, Plates, PointMasses, RigidLink
+from torchmbd.elements import Assembly, Plates, PointMasses, RigidLink, merged
 from torchmbd.errors import InputError
 from torchmbd.materials import Laminate
 from torchmbd.numerics.angles import deg
@@ -124,3 +124,35 @@ def test_names_of_several_laminates():
         mbd.FlexibleBody("box", MESH, {"mesh": parts["skin"], "rib": parts["rib"]}, 2)
     with pytest.raises(InputError, match=r"mass 'lumpt' does not exist.*did you mean 'lumped'"):
         Plates(MESH, one, mass="lumpt")
+
+
+@pytest.mark.parametrize("mass", ["lumped", "consistent"])
+def test_laminates_of_one_kind_are_one_part(mass):
+    """Stiffness, mass and their slopes by all angles and thicknesses, of laminates along directions of their own."""
+    plies = [CARBON, mbd.Ply.isotropic(70e9, 0.3, 2700.0)]
+    laminates = [Laminate(plies, deg(angles), [2e-3, 1e-3]) for angles in ([10, 50], [-70, 30], [25, 0])]
+    chosen = torch.arange(len(MESH.triangles)).split([5, 9, len(MESH.triangles) - 14])
+    parts = {
+        f"zone{k}": Plates(MESH, laminate, rotation(2)[:, 0] + 0.1 * k, cells, mass)
+        for k, (laminate, cells) in enumerate(zip(laminates, chosen, strict=True))
+    }
+    parts["thick"] = Plates(MESH, GENERAL, cells=[2], mass=mass)
+    joined = merged(parts)
+    assert list(joined) == ["zone0", "thick"]
+    variables = [x for laminate in laminates for x in laminate.parameters()]
+    for x in variables:
+        x.requires_grad_()
+    found = []
+    for some in (parts, joined):
+        assembly = Assembly(MESH, some, held=[3])
+        K, M = assembly.stiffness().dense(), assembly.mass().dense()
+        weight = torch.linspace(-1.0, 1.0, K.numel(), dtype=torch.float64).reshape(K.shape)
+        slopes = [torch.autograd.grad((weight * X).sum() / X.max(), variables, allow_unused=True) for X in (K, M)]
+        found.append((K, M, *(torch.zeros(1) if x is None else x for both in slopes for x in both)))
+    for one, other in zip(*found, strict=True):
+        assert_close(one, other, rtol=1e-11, atol=1e-12 * float(one.detach().abs().max()))
+
+
+def test_laminates_on_one_cell_stay_apart():
+    parts = {name: Plates(MESH, GENERAL, cells=cells) for name, cells in (("one", [0, 1]), ("other", [1, 2]))}
+    assert merged(parts) == parts

@@ -39,6 +39,7 @@ from torchmbd.elements import (
     PlateMatrices,
     Plates,
     RigidLink,
+    merged,
 )
 from torchmbd.errors import InputError
 from torchmbd.materials import Laminate
@@ -83,11 +84,12 @@ class FlexibleBody(nn.Module):
         self.name = identifier("flexible body", name)
         self.mesh = mesh
         place(self, position, axes)
-        links = [*links, *rigid_links(mesh, rigid)]
-        self.reference = reference_nodes(mesh, parts, reference, links)
+        links, self.parts = [*links, *rigid_links(mesh, rigid)], dict(parts)
+        joined = merged(self.parts)
+        self.reference = reference_nodes(mesh, joined, reference, links)
         self.origin = mesh.nodes[self.reference].mean(0)
         self._register(parts)
-        self.assembly = Assembly(mesh, parts, self.reference, links)
+        self.assembly = Assembly(mesh, joined, self.reference, links)
         self.free = self.assembly.freedoms.free
         held = node_indices(mesh, interface)
         self.reduction = reduced(name, self.assembly, reduction, modes, held, self.reference, updated)
@@ -108,12 +110,12 @@ class FlexibleBody(nn.Module):
     @property
     def plates(self) -> dict[str, Plates]:
         """The laminated parts by their names."""
-        return {key: part for key, part in self.assembly.parts.items() if isinstance(part, Plates)}
+        return {key: part for key, part in self.parts.items() if isinstance(part, Plates)}
 
     @property
     def beams(self) -> dict[str, Beams]:
         """The beams of one section each by their names."""
-        return {key: part for key, part in self.assembly.parts.items() if isinstance(part, Beams)}
+        return {key: part for key, part in self.parts.items() if isinstance(part, Beams)}
 
     @property
     def matrices(self) -> PlateMatrices:

@@ -34,7 +34,10 @@ _ROUNDING = 1e-9
 def warn_mesh(body: FlexibleBody) -> None:
     """Warn once, naming the worst cell and its figure, if cells are skewed or slender or too coarse for their plies."""
     doubts = [
-        doubt for part in body.assembly.merged if isinstance(part, Plates) for doubt in (*_cells(part), *_plies(part))
+        doubt
+        for part in body.assembly.parts.values()
+        if isinstance(part, Plates)
+        for doubt in (*_cells(part), *_plies(part))
     ]
     if doubts:
         warnings.warn(

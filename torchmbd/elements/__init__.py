@@ -8,13 +8,13 @@ from torchmbd.elements.beams import Beams
 from torchmbd.elements.freedoms import Average, Freedoms, RigidLink
 from torchmbd.elements.part import MassPoints, Part
 from torchmbd.elements.plate import PlateMatrices
-from torchmbd.elements.plates import MASSES, Plates, PointMasses
+from torchmbd.elements.plates import MASSES, Plates, PointMasses, merged
 from torchmbd.elements.ply_recovery import PlyBasis, ply_basis, ply_points
 from torchmbd.elements.shell_elements import ELEMENTS
 from torchmbd.elements.strains import FREEDOMS
 
 __all__ = [
     "ELEMENTS", "FREEDOMS", "MASSES", "Assembly", "Average", "BeamLine", "BeamMatrices", "BeamSection", "Beams", "Freedoms",
-    "GivenSection", "MassPoints", "Part", "PlateMatrices", "Plates", "PlyBasis", "PointMasses", "RigidLink", "ply_basis",
-    "ply_points",
+    "GivenSection", "MassPoints", "Part", "PlateMatrices", "Plates", "PlyBasis", "PointMasses", "RigidLink", "merged",
+    "ply_basis", "ply_points",
 ]  # fmt: skip

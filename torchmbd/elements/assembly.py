@@ -19,13 +19,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Protocol
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.elements.freedoms import Average, Freedoms, RigidLink
 from torchmbd.elements.part import MassPoints, Part
-from torchmbd.elements.plates import merged
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
 
 
@@ -40,7 +40,7 @@ class Assembly:
     """Parts on the nodes of one mesh, some of them held or linked.
 
     mesh    whose nodes carry the freedoms
-    parts   name -> part; `merged`: the same, plates of one kind as one
+    parts   name -> part
     held    nodes that are fixed
     links   nodes that follow others
     """
@@ -53,9 +53,8 @@ class Assembly:
         links: Sequence[RigidLink | Average] = (),
     ) -> None:
         self.mesh, self.parts = mesh, dict(parts)
-        self.merged = merged(list(parts.values()))
         self.freedoms = Freedoms(mesh.nodes, held, links)
-        points = [part.masses() for part in self.merged]
+        points = [part.masses() for part in self.parts.values()]
         self._ends = torch.cat([p.ends for p in points])
         self._lumped = bool((self._ends[:, 0] == self._ends[:, 1]).all())
         self._prepare_stiffness()
@@ -67,7 +66,7 @@ class Assembly:
 
     def _prepare_stiffness(self) -> None:
         """Where the values of every part go in the common pattern of the free freedoms: (source, slot, factor)."""
-        reduced = [self.freedoms.reduced(part.pattern) for part in self.merged]
+        reduced = [self.freedoms.reduced(part.pattern) for part in self.parts.values()]
         if len(reduced) == 1:
             self.pattern, slots = reduced[0][0], [torch.arange(reduced[0][0].nnz)]
         else:
@@ -92,10 +91,10 @@ class Assembly:
 
     def stiffness(self) -> SparseMatrix:
         """K of the free freedoms."""
-        values = [part.values(source) for part, (source, *_) in zip(self.merged, self._places, strict=True)]
+        values = [part.values(source) for part, (source, *_) in zip(self.parts.values(), self._places, strict=True)]
         if len(values) == 1 and self.freedoms.plain:
             return SparseMatrix(self.pattern, values[0], symmetric=True)
-        lanes = torch.broadcast_shapes(*(v.shape[:-1] for v in values))
+        lanes = np.broadcast_shapes(*(v.shape[:-1] for v in values))
         total = values[0].new_zeros(*lanes, self.pattern.nnz)
         for (_, slot, factor), v in zip(self._places, values, strict=True):
             total = total.index_add(-1, slot, (v * factor).expand(*lanes, -1))
@@ -103,8 +102,8 @@ class Assembly:
 
     def masses(self) -> MassPoints:
         """All mass points."""
-        points = [part.masses() for part in self.merged]
-        lanes = torch.broadcast_shapes(*(p.mass.shape[:-1] for p in points), *(p.rotary.shape[:-1] for p in points))
+        points = [part.masses() for part in self.parts.values()]
+        lanes = np.broadcast_shapes(*(p.mass.shape[:-1] for p in points), *(p.rotary.shape[:-1] for p in points))
         mass, rotary = (
             torch.cat([getattr(p, name).expand(*lanes, -1) for p in points], dim=-1) for name in ("mass", "rotary")
         )

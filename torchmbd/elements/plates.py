@@ -15,7 +15,7 @@ Checked in tests/elements/test_assembly.py, tests/bodies/test_mass_off_middle.py
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -113,27 +113,28 @@ class Plates:
         return MassPoints(ends, mass, rotary - mass * (arm * arm).sum(-1), arm)
 
 
-def merged(parts: Sequence[Part]) -> list[Part]:
-    """The parts, plates whose laminates differ in their angles only as one: what a design costs is not so much for each."""
-    groups: dict[Any, list[Any]] = {}
-    for part in parts:
-        kind = part.kind if isinstance(part, Plates) else id(part)
-        groups.setdefault(kind, []).append(part)
-    return [part for group in groups.values() for part in _joined(group)]
+def merged(parts: Mapping[str, Part]) -> dict[str, Part]:
+    """The parts, plates whose laminates differ in their angles only as one: a design costs little more than of one laminate."""
+    groups: dict[Any, dict[str, Any]] = {}
+    for name, part in parts.items():
+        groups.setdefault(part.kind if isinstance(part, Plates) else id(part), {})[name] = part
+    return {name: part for group in groups.values() for name, part in _joined(group).items()}
 
 
-def _joined(group: list[Any]) -> list[Part]:
+def _joined(group: dict[str, Any]) -> dict[str, Part]:
     """Plates of one kind as one part; where two lie on one cell, as they are."""
-    cells = [part.cells for part in group if isinstance(part, Plates)]
-    if len(group) == 1 or len(torch.cat(cells).unique()) < sum(map(len, cells)):
+    first, *others = group.values()
+    if not others:
         return group
-    mesh = group[0].mesh
-    direction = torch.zeros(mesh.cell_count, 3, dtype=torch.float64)
-    for part in group:
-        direction[part.cells] = laid(mesh, part.direction)[part.cells]
+    cells = [part.cells for part in (first, *others)]
+    if len(torch.cat(cells).unique()) < sum(map(len, cells)):
+        return group
+    direction = torch.zeros(first.mesh.cell_count, 3, dtype=torch.float64)
+    for part in (first, *others):
+        direction[part.cells] = laid(first.mesh, part.direction)[part.cells]
     zones = torch.repeat_interleave(torch.tensor([len(x) for x in cells]))
-    laminates = [part.laminates[0] for part in group]
-    return [Plates(mesh, laminates, direction, torch.cat(cells), group[0].mass, zones)]
+    laminates = [part.laminates[0] for part in (first, *others)]
+    return {next(iter(group)): Plates(first.mesh, laminates, direction, torch.cat(cells), first.mass, zones)}
 
 
 class PointMasses:

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -46,7 +47,7 @@ def ply_maps(laminate: Laminate) -> PlyMaps:
 
 def _diagonal(plane: Tensor, shear: Tensor) -> Tensor:
     """Join a map of the first six strains to (11, 22, 12) and one of the last two to (13, 23)."""
-    lanes = torch.broadcast_shapes(plane.shape[:-2], shear.shape[:-2])
+    lanes = np.broadcast_shapes(plane.shape[:-2], shear.shape[:-2])
     plane, shear = plane.expand(*lanes, 3, 6), shear.expand(*lanes, 2, 2)
     upper = torch.cat([plane, plane.new_zeros(*lanes, 3, 2)], dim=-1)
     return torch.cat([upper, torch.cat([shear.new_zeros(*lanes, 2, 6), shear], dim=-1)], dim=-2)

@@ -22,6 +22,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -99,8 +100,8 @@ def open_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, t
         raise InputError(f"n = {n!r} modes of a problem with {K_form.size} freedoms; 1 ... {K_form.size} are allowed")
     K_lanes, M_lanes = K_values.shape[: -K_form.entry_dims], M_values.shape[: -M_form.entry_dims]
     try:
-        lanes = torch.broadcast_shapes(K_lanes, M_lanes)
-    except RuntimeError:
+        lanes = np.broadcast_shapes(K_lanes, M_lanes)
+    except ValueError:
         raise InputError(
             f"K has lanes {tuple(K_lanes)} and M has {tuple(M_lanes)}; lanes that broadcast are needed"
         ) from None

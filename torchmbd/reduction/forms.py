@@ -95,7 +95,7 @@ class Sparse:
             return SparseMatrix(self.pattern, values) @ X
         if values.dim() == 3 and X.shape[:2] == (len(values), 1) and (code := panels(X)) is not None:
             return code.multiply_sparse(self.pattern, values, X[:, 0])
-        lanes = torch.broadcast_shapes(values.shape[:-1], X.shape[:-2])
+        lanes = np.broadcast_shapes(values.shape[:-1], X.shape[:-2])
         flat_values = values.expand(*lanes, -1).reshape(-1, self.pattern.nnz).numpy()
         flat_X = X.expand(*lanes, *X.shape[-2:]).reshape(-1, *X.shape[-2:]).numpy()
         result = np.empty_like(flat_X)
@@ -110,7 +110,7 @@ class Sparse:
     def pair(self, Y: Tensor, X: Tensor) -> Tensor:
         if X.dim() == 4 and X.shape[:2] == (len(Y), 1) and (code := panels(X)) is not None:
             return code.pair(self.pattern, Y, X[:, 0])
-        lanes = torch.broadcast_shapes(Y.shape[:-2], X.shape[:-2])
+        lanes = np.broadcast_shapes(Y.shape[:-2], X.shape[:-2])
         total = Y.new_zeros((*lanes, self.pattern.nnz))
         for y, x in zip(Y.unbind(-1), X.unbind(-1), strict=True):
             total += y[..., self.pattern.rows] * x[..., self.pattern.cols]
