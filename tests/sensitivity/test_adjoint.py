@@ -13,7 +13,7 @@ from experiments.slider_crank import build
 from tests.mechanisms import finished, pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
-from torchmbd.integrators import adjoint
+from torchmbd.integrators import adjoint, pullback
 from torchmbd.integrators.compiled_adjoint import CompiledSweep
 from torchmbd.system import System
 
@@ -48,7 +48,7 @@ def test_the_gradient_is_that_of_forward_tangents(name):
     size = wanted.gradient.abs().amax((0, 1))
     assert float(size.min()) > 0
     assert float(((found.gradient - wanted.gradient).abs().amax((0, 1)) / size).max()) < 1e-8
-    assert float(back.integration.adjoint.error.max()) < adjoint.ENOUGH
+    assert float(back.integration.adjoint.error.max()) < pullback.ENOUGH
 
 
 SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("laws of forces", "many bodies")]  # long compilations

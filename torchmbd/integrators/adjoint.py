@@ -35,16 +35,15 @@ from torchmbd.integrators.history import History
 from torchmbd.integrators.march import nothing
 from torchmbd.integrators.one_step import OneStep
 from torchmbd.integrators.prepared import prepare
-from torchmbd.integrators.step import Model, State, Step, Weights, apply
+from torchmbd.integrators.pullback import StepPullback, leaf
+from torchmbd.integrators.step import Model, State, Weights
 from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics, regularized
 from torchmbd.system.elimination import Elimination, factored, pays
 from torchmbd.system.topology import Prescribed
 
-MOST = 12  # corrections of mu
 # Estimated relative errors of mu. The largest gradient of a response has 100 times that at most, as measured.
 POOR = 1e-5  # worth a warning
-ENOUGH = 1e-8  # gets no other correction; most steps have it after the first
 SEGMENT = 2000  # steps
 
 
@@ -182,7 +181,7 @@ class Adjoint:
     def _grid(self, names: tuple[str, ...], lanes: list[int], history: History, own: list[int], every: int) -> Grid:
         """Of lanes of the batch, which are `own` in a history."""
         some = self.dynamics if len(lanes) == self.dynamics.lanes else self.dynamics.some(lanes)
-        leaves = {name: _leaf(some.data[name].expand(*some.data[name].shape[:-1], len(lanes))) for name in names}
+        leaves = {name: leaf(some.data[name].expand(*some.data[name].shape[:-1], len(lanes))) for name in names}
         with torch.enable_grad():
             _, left, start = prepare(replace(some, data={**some.data, **leaves}))
         parts = (history.q, history.v, history.vd, history.lam)
@@ -234,13 +233,13 @@ class Sweep:
         steps, lanes = self.segments[number], len(self.grid.lanes)
         T = self.dynamics.topology
         schedule = self._schedule(steps)
-        data = {name: _leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
+        data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
         model = Model(T, self.dynamics.saddle, self.grid.weights, data)
         states = self._states(number)
         by: dict[str, Any] = dict.fromkeys(data, 0.0)
         laws, error = [], torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(steps))):
-            found = _StepBack(model, states[i], states[i + 1], schedule[i], self.grid.corrections, self.nothing)
+            found = StepPullback(model, states[i], states[i + 1], schedule[i], self.grid.corrections, self.nothing)
             y, by_data, by_laws, left = found(y, self._factors)
             y = State(*(a + b for a, b in zip(y, self._taken(bars, steps[i]), strict=True)))
             by = {name: x + by_data[name] for name, x in by.items()}
@@ -284,81 +283,3 @@ class Sweep:
 
     def _factors(self, K: Tensor) -> Any:
         return self.factor(regularized(K.mT, self.diagonal))
-
-
-class _StepBack:
-    """One step in reverse mode."""
-
-    def __init__(self, model: Model, before: State, after: State, given: Prescribed, corrections: int, nothing: Tensor):
-        T, self.corrections, self.nothing = model.T, corrections, nothing
-        varied: dict[int, tuple] = {i: given.laws[i] or () for i in T.varied}
-        self.laws = {f"{i}.{k}": x for i, law in varied.items() for k, x in enumerate(law)}
-        self.x, self.z = before.map(_leaf), _leaf(torch.cat([after.vd, after.lam]))
-        lanes = self.z.shape[-1]
-        self.law_values = {name: _leaf(value(x).expand(*x.shape[:-2], 1, lanes)) for name, x in self.laws.items()}
-        laws: list = [
-            tuple(self.law_values[f"{i}.{k}"] for k in range(len(law or ()))) if i in varied else law
-            for i, law in enumerate(given.laws)
-        ]
-        self.data = model.data
-        with torch.enable_grad():
-            step = Step(model, self.x, Prescribed(laws, *given[1:]))
-            self.end, self.residual = step.finish(self.z), step.residual(self.z)
-        with torch.no_grad():
-            self.matrix = step.matrix(self.z)
-
-    def __call__(self, y: State, factors: Callable[[Tensor], Any]) -> tuple[State, dict, dict, Tensor]:
-        """y before the step, derivatives by data and laws [..., rows, lanes], and what the iteration leaves [lanes]."""
-        H, rows = factors(self.matrix), range(y.q.shape[1])
-        found = [self._row(H, y.map(lambda x, row=row: x[:, row : row + 1])) for row in rows]
-        states, data, laws, left = (list(x) for x in zip(*found, strict=True))
-        before = State(*(torch.cat(x, 1) for x in zip(*states, strict=True)))
-        by_data, by_laws = ({k: torch.cat([x[k] for x in some], -2) for k in some[0]} for some in (data, laws))
-        return before, by_data, by_laws, torch.stack(left).amax(0)
-
-    def _row(self, H: Any, y: State) -> tuple[State, dict, dict, Tensor]:
-        goal, *known = _pulled(self.end, y, [self.z, *self.x])
-        mu, left = self._solved(H, goal)
-        names, law_names = list(self.data), list(self.law_values)
-        leaves = [*self.x, *self.data.values(), *self.law_values.values()]
-        by = [-x for x in _pulled([self.residual], [mu], leaves)]
-        n = len(known)
-        state = State(*(a + b for a, b in zip(known, by[:n], strict=True)))
-        data = dict(zip(names, by[n : n + len(names)], strict=True))
-        return state, data, dict(zip(law_names, by[n + len(names) :], strict=True)), left
-
-    def _solved(self, H: Any, goal: Tensor) -> tuple[Tensor, Tensor]:
-        """mu [n, 1, lanes] with R_z' mu = goal, and its estimated relative error [lanes]."""
-        mu = apply(H, goal)
-        n_v = self.x.v.shape[0]
-        active = left = before = torch.ones_like(goal[0, 0])
-        for k in range(1, max(MOST, self.corrections) + 1):
-            (pulled,) = _pulled([self.residual], [mu], [self.z])
-            correction = apply(H, pulled - goal)
-            mu = mu - active * correction
-            size = self._size(mu[:, 0].abs()).clamp_min(torch.finfo(mu.dtype).tiny)
-            change = correction[:n_v, 0].abs().amax(0) / size
-            # Each correction leaves the same share of what the one before left.
-            left = torch.where(active > 0.0, change * change / before, left)
-            before = change.clamp_min(torch.finfo(mu.dtype).tiny)
-            if k >= self.corrections:
-                active = active * (left > ENOUGH)  # what a lane gets depends on no other
-            if not bool(active.any()):
-                break
-        return mu, left
-
-    def _size(self, mu: Tensor) -> Tensor:
-        """Of mu [n, lanes] for accelerations; where that is rounding only, what mu for multipliers would make of it."""
-        n_v = self.x.v.shape[0]
-        size = mu[:n_v].amax(0)
-        return size.maximum(self.nothing * mu[n_v:].amax(0)) if len(mu) > n_v else size
-
-
-def _leaf(x: Tensor) -> Tensor:
-    return x.detach().clone().requires_grad_()
-
-
-def _pulled(outputs: Sequence[Tensor], weights: Sequence[Tensor], by: Sequence[Tensor]) -> tuple[Tensor, ...]:
-    """Derivatives of sum(weights * outputs); zeros where there are none."""
-    of, by_weights = zip(*((x, w) for x, w in zip(outputs, weights, strict=True) if x.requires_grad), strict=True)
-    return torch.autograd.grad(of, by, by_weights, retain_graph=True, allow_unused=True, materialize_grads=True)
