@@ -169,5 +169,10 @@ def test_a_problem_may_have_phases():
     assert middle.objective != pytest.approx(
         problem(subject_to=[]).evaluate(x[None], gradients=False)[0].objective, rel=0.01
     )
+    forward = problem(phases=lock, subject_to=[], gradients="forward")
+    assert (found.gradients, forward.gradients) == ("reverse", "forward")  # one response by two angles
+    expected = forward.evaluate(x[None], gradients=True)[0].objective_gradient
+    assert middle.objective_gradient == pytest.approx(expected, rel=1e-8)
+    assert problem(phases=lock, subject_to=[mbd.Max(ENERGY) <= 1.0, mbd.Min(ENERGY) >= 0.0]).gradients == "forward"
     with pytest.raises(InputError, match="the joint 'hook' does not exist"):
         problem(phases=[mbd.Phase(lock=["hook"])])

@@ -33,7 +33,10 @@ def system() -> mbd.System:
         ({"variables": 1}, ["variables", "1", "a list of names"]),
         ({"gradients": "adjoint"}, ["gradients", "'adjoint'", "auto, forward, reverse, none"]),
         ({"gradients": "reverse", "method": "rk4"}, ["gradients is 'reverse'", "method is 'rk4'", "'forward'"]),
-        ({"gradients": "reverse", "phases": [mbd.Phase()]}, ["gradients is 'reverse'", "phases are given"]),
+        (
+            {"gradients": "reverse", "phases": [mbd.Phase()], "method": "dopri5"},
+            ["gradients is 'reverse'", "method is 'dopri5'", "'generalized_alpha'", "'forward'"],
+        ),
         ({"steps": 0}, ["steps", "0", "positive integer"]),
         ({"steps": 10.0}, ["steps", "10.0", "positive integer"]),
         ({"steps": True}, ["steps", "True", "positive integer"]),

@@ -125,7 +125,7 @@ class Problem:
         # Rows of the extra variable come first among the constraints.
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound
-        check_gradients(gradients, integrator, phases is not None)
+        check_gradients(gradients, integrator)
         check_backend(backend)
         self.gradients = self._way(integrator) if gradients in ("auto", "none") else gradients
         self._tangents = sum(system.get_parameter(name).numel() for name in self.space.variables)
@@ -134,8 +134,7 @@ class Problem:
     def _way(self, integrator: Integrator) -> str:
         """The cheaper way to gradients, by counting."""
         count = sum(self.system.get_parameter(name).numel() for name in self.space.variables)
-        there = integrator.adjoint and self.simulation["phases"] is None
-        return "reverse" if there and self._count <= count else "forward"
+        return "reverse" if integrator.adjoint and self._count <= count else "forward"
 
     @property
     def _count(self) -> int:

@@ -30,15 +30,10 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
         types = integrator.option_types(simulation.phases is not None)
         own = ("duration", "method", "steps", "phases", "gradients", "backend")
         faults += _faults("simulate", simulation.method, simulation.model_extra or {}, types, own)
-        told = integrator, simulation.phases is not None
-        refusals: dict[str, Callable[[], Any]] = {
-            "gradients": lambda: check_gradients(simulation.gradients, *told),
-        }
-        for name, refuse in refusals.items():
-            try:
-                refuse()
-            except InputError as error:
-                faults.append(Fault(("simulate", name), str(error)))
+        try:
+            check_gradients(simulation.gradients, integrator)
+        except InputError as error:
+            faults.append(Fault(("simulate", "gradients"), str(error)))
     optimizer: Optimizer | None = sections.get("optimizer")
     if optimizer is not None:
         types = {}

@@ -14,7 +14,7 @@ itself, with corrections until they are small. b are the numbers of the reduced 
 stage that they come from.
 
 `Adjoint` is kept by the integration (reverse_integration.py); `Sweep` makes the steps by operators of torch,
-compiled_adjoint.py by compiled code. Not for phases, nor for the methods of torchdiffeq.
+compiled_adjoint.py by compiled code. Through phases it is phase_adjoint.py; not for the methods of torchdiffeq.
 Checked in tests/sensitivity/test_adjoint.py, tests/contracts/test_adjoint.py (all joints and forces).
 Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 15 (implicit functions).
 """

@@ -35,16 +35,17 @@ def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], ph
     return integrator_of(method, options, phases)
 
 
-def check_gradients(gradients: Any, integrator: Integrator, phases: bool) -> None:
-    """Refuse a way to gradients that does not exist, or not for these motions; InputError says why."""
+def check_gradients(gradients: Any, integrator: Integrator) -> None:
+    """Refuse a way to gradients that does not exist, or not for this integrator; InputError says why."""
     if gradients not in GRADIENTS:
         raise unknown("gradients", str(gradients), GRADIENTS)
     if gradients != "reverse":
         return
-    if phases or not integrator.adjoint:
-        found = "phases are given" if phases else f"method is {integrator.name!r}"
+    if not integrator.adjoint:
         there = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
-        raise InputError(f"gradients is 'reverse', but {found}; allowed: method {there} without phases, or 'forward'")
+        raise InputError(
+            f"gradients is 'reverse', but method is {integrator.name!r}; allowed: method {there}, or 'forward'"
+        )
 
 
 def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:

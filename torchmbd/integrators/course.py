@@ -52,6 +52,29 @@ class Passage(NamedTuple):
 
 
 @dataclass
+class PhaseRecord:
+    """What the lanes did in one phase, for the adjoint (phase_adjoint.py).
+
+    dynamics   of the phase, with the marks of its locks
+    entry      time and state before the switch that begins the phase;  start: the state after it
+    first      the first point of the grid that a lane steps to [lanes]
+    arrival    its state there, by lane;  on_grid: whether that is `start` itself
+    base       by lane: the point of the grid at which its last step begins (None: at `start`), and the state there
+    exit       where lanes left the phase, by lane
+    """
+
+    number: int
+    dynamics: Dynamics
+    entry: Passage
+    start: State
+    first: Tensor
+    arrival: dict[int, State] = field(default_factory=dict)
+    on_grid: dict[int, bool] = field(default_factory=dict)
+    base: dict[int, tuple[int | None, State]] = field(default_factory=dict)
+    exit: dict[int, Passage] = field(default_factory=dict)
+
+
+@dataclass
 class Course:
     """One simulation through all stages.
 
@@ -64,18 +87,25 @@ class Course:
     duration: float
     steps: int
     switches: list[Switch] = field(default_factory=list)
+    records: list[PhaseRecord] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         T, lanes, slots = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
         self.status = [OK] * lanes
+        self.given = self.whole.data  # without marks
+        # Whether the time at which a stage begins depends on the design.
+        self.moves = [False]
+        for stage in self.stages[:-1]:
+            until = stage.phase.until
+            self.moves.append(isinstance(until, Event) or (until is None and self.moves[-1]))
+        self.least_norm: list[LeastNorm | None] = []
 
         def nothing(rows: int) -> Tensor:
             return torch.full((self.steps + 1, rows, slots, lanes), torch.nan, dtype=torch.float64)
 
         self.q, self.v, self.vd, self.lam = (nothing(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
         self.number = torch.full((self.steps + 1, lanes), -1)
-        self.least_norm: list[LeastNorm | None] = []
 
     @property
     def history(self) -> History:
@@ -111,13 +141,16 @@ class Course:
 
     def start(self) -> Passage:
         """Consistent initial positions and velocities under the joints that close the mechanism."""
-        first = selected(self.whole.topology, self.stages[0].start)
-        opening = replace(self.whole.initial, topology=first)
-        dynamics = replace(self.whole, topology=first, saddle=Saddle(first), initial=opening)
-        q, v = (self._wide(x) for x in opening.solve(dynamics))
+        q, v = (self._wide(x) for x in self.closed(self.whole))
         self.opening = Opening(value(q)[..., :1], value(v)[..., :1])
         t = self._wide(torch.zeros(1, self.whole.lanes, dtype=torch.float64))
         return Passage(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
+
+    def closed(self, whole: Dynamics) -> tuple[Any, Any]:
+        """Initial q and v for the data of some dynamics of the whole."""
+        first = selected(whole.topology, self.stages[0].start)
+        opening = replace(whole.initial, topology=first)
+        return opening.solve(replace(whole, topology=first, saddle=Saddle(first), initial=opening))
 
     def _wide(self, x: Any) -> Any:
         """All lanes and tangents of a number."""
@@ -128,16 +161,20 @@ class Course:
 
     def enter(self, number: int, passage: Passage) -> tuple[Dynamics, State]:
         """The dynamics of a stage and the state in which its lanes begin, with consistent accelerations."""
-        stage, x = self.stages[number], passage.x
-        data = marked(self.whole.topology, self.whole.data, x.q, stage.locks)
+        data = marked(self.whole.topology, self.whole.data, passage.x.q, self.stages[number].locks)
         self.whole = replace(self.whole, data=data)
-        dynamics = replace(self.whole, topology=stage.topology, saddle=stage.saddle, initial=self.opening)
+        dynamics, stage = self.dynamics_of(number, self.whole), self.stages[number]
         self.least_norm.append(LeastNorm.of(self.whole.topology, dynamics.rank, stage.rows))
         parts = [self._begin(number, lane, lane_of(dynamics, lane), passage) for lane in range(self.whole.lanes)]
         state = together(parts)
         if number:
             self.switches.append(self._switch(number, passage, state))
         return dynamics, state
+
+    def dynamics_of(self, number: int, whole: Dynamics) -> Dynamics:
+        """Of a stage, with the data of the whole."""
+        stage = self.stages[number]
+        return replace(whole, topology=stage.topology, saddle=stage.saddle, initial=self.opening)
 
     def _switch(self, number: int, passage: Passage, after: State) -> Switch:
         t = passage.t
@@ -151,15 +188,19 @@ class Course:
 
     def _multipliers(self, number: int, t: Any, x: State) -> Any:
         """Multipliers of all rows [rows, ...] on one side of a switch, as `multipliers`."""
-        n, rows = self.whole.topology.rows, torch.tensor(self.stages[number].rows, dtype=torch.long)
-        lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), x.lam)
-        least, parts = self.least_norm[number], []
-        for k in range(self.whole.lanes):
-            own = [pick(y, [k]) for y in (t, x.q, lam)]
-            if least is not None and bool(torch.isfinite(value(own[0])).all()):
-                own[2] = least.at_own_time(lane_of(self.whole, k).data, *own)
-            parts.append(own[2])
+        parts = []
+        for lane in range(self.whole.lanes):
+            own = [pick(y, [lane]) for y in (t, x.q, x.lam)]
+            data = lane_of(self.whole, lane).data if bool(torch.isfinite(value(own[0])).all()) else None
+            parts.append(self.settled(number, data, *own))
         return side_by_side(parts)
+
+    def settled(self, number: int, data: equations.Data | None, t: Any, q: Any, lam: Any) -> Any:
+        """Multipliers of all rows of one lane from those of a stage; data None: as they are."""
+        n, rows = self.whole.topology.rows, torch.tensor(self.stages[number].rows, dtype=torch.long)
+        lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
+        least = self.least_norm[number]
+        return lam if least is None or data is None else least.at_own_time(data, t, q, lam)
 
     def _begin(self, number: int, lane: int, dynamics: Dynamics, passage: Passage) -> State:
         """The state of one lane after a switch."""
@@ -172,10 +213,14 @@ class Course:
             return State(q, v, v, v, Pair(rows) if isinstance(x.q, Pair) else rows)
         if number:
             self._check_closed(number, lane, dynamics, t, x.q)
+        return self.after(number, self.views, lane, dynamics, t, x)
+
+    def after(self, number: int, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> State:
+        """The state of one lane after the switch that begins a stage, from the state before it."""
         (v,) = at_time(jump, dynamics, t, x.q, x.v)
         ended = self.stages[number - 1].phase if number else None
         if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
-            v = mapped(ended.impact, ended.until, self.views, lane, dynamics, t, x._replace(v=v))
+            v = mapped(ended.impact, ended.until, views, lane, dynamics, t, x._replace(v=v))
         a, lam = at_time(accelerations, dynamics, t, x.q, v)
         return State(x.q, v, a, a, dynamics.carried(lam))
 

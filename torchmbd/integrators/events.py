@@ -9,7 +9,7 @@ Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrators.shapes import DesignShapes, GivenShapes, OneLane, Shapes, shape_tangents
+from torchmbd.integrators.shapes import DesignShapes, GivenShapes, OneLane, shape_tangents
 from torchmbd.integrators.signals import Given, Rows, Signals
 from torchmbd.integrators.sized import determined
 from torchmbd.integrators.step import State
@@ -176,39 +176,41 @@ class Views:
         """The function of one lane []."""
         return event.of(self.at(lane, dynamics.values(), value(t), x.values()))[0, 0]
 
-    def at(
-        self,
-        lane: int,
-        dynamics: Dynamics,
-        t: Tensor,
-        x: State,
-        designs: Mapping[str, Tensor] | None = None,
-        shapes: Shapes | None = None,
-    ) -> Trajectory:
-        """The motion of one lane at t [1, 1], a function of all arguments; designs, shapes: instead of its own."""
-        own = {name: y[lane : lane + 1] for name, y in self.whole.designs.items()}
+    def at(self, lane: int, dynamics: Dynamics, t: Tensor, x: State) -> Trajectory:
+        """The motion of one lane at t [1, 1], a function of all arguments."""
         one = replace(
             self.whole,
             status=[OK],
-            designs=own if designs is None else dict(designs),
-            shapes=OneLane(self.whole.shapes, lane) if shapes is None else shapes,
+            designs={name: y[lane : lane + 1] for name, y in self.whole.designs.items()},
+            shapes=OneLane(self.whole.shapes, lane),
         )
         return self._motion(one, dynamics, t, x)
+
+    def through(
+        self, lane: int, design: Callable[[str, Tensor], Tensor], shape: Callable[[str, Tensor], Tensor]
+    ) -> Views:
+        """Of one lane, which is lane 0 there, with designs and mode shapes passed through functions (name, values)."""
+        kept = OneLane(self.whole.shapes, lane)
+        whole = replace(
+            self.whole,
+            designs={name: design(name, y[lane : lane + 1]) for name, y in self.whole.designs.items()},
+            shapes=GivenShapes(lambda name: shape(name, kept.values(name).detach())),
+        )
+        return Views(whole)
 
     def number(self, f: Callable[[Trajectory], Tensor], lane: int, dynamics: Dynamics, t: Any, x: State) -> Any:
         """f [m] of the motion of one lane as a number [m, 1 + n, 1], with tangents if t has any; else [m, 1, 1]."""
         if not isinstance(t, Pair):
             return f(self.at(lane, dynamics, t, x))[:, None, None]
-        leaves, own = Leaves(t.shape[0] - 1), OneLane(self.whole.shapes, lane)
+        leaves = Leaves(t.shape[0] - 1)
         with torch.enable_grad():
+            views = self.through(
+                lane,
+                lambda name, y: leaves.leaf(y, self._along(name, lane)),
+                lambda name, y: leaves.leaf(y, self._bent(name, lane)),
+            )
             data = {name: leaves.number(y) for name, y in dynamics.data.items()}
-            designs = {
-                name: leaves.leaf(y[lane : lane + 1], self._along(self.directions.get(name), lane))
-                for name, y in self.whole.designs.items()
-            }
-            shapes = GivenShapes(lambda name: leaves.leaf(own.values(name), self._bent(name, lane)))
-            state, now = x.map(leaves.number), leaves.number(t)
-            y = f(self.at(lane, replace(dynamics, data=data), now, state, designs, shapes))
+            y = f(views.at(0, replace(dynamics, data=data), leaves.number(t), x.map(leaves.number)))
             slopes = leaves.pushed(y)
         return Pair.of(y.detach()[:, None, None], slopes[..., None])
 
@@ -217,9 +219,9 @@ class Views:
         g = self.number(lambda motion: event.of(motion)[0], lane, dynamics, t, x)
         return g.value[0, 0, 0], g.tangent[0, :, 0]
 
-    @staticmethod
-    def _along(directions: Tensor | None, lane: int) -> Tensor | None:
-        return None if directions is None else directions[:, lane]
+    def _along(self, name: str, lane: int) -> Tensor | None:
+        """Tangents of a design [k, ...] of one lane."""
+        return self.directions[name][:, lane] if name in self.directions else None
 
     def _bent(self, name: str, lane: int) -> Tensor | None:
         """Tangents of the mode shapes of a body [k, nodes, 6, modes] of one lane."""

@@ -11,7 +11,7 @@ Checked in tests/integrators/test_motion.py, tests/sensitivity/.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -19,21 +19,20 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.forces.action import Action
-from torchmbd.integrators.attempts import run, status_of, steps_that_fit, validity
+from torchmbd.integrators.attempts import run, steps_that_fit, validity
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
 from torchmbd.integrators.integrator import Integrator
 from torchmbd.integrators.library import resolved
 from torchmbd.integrators.motion import Tensors
+from torchmbd.integrators.multiphase import integrate, numbers_of, switches_of
 from torchmbd.integrators.phases import Phase, plan
-from torchmbd.integrators.trajectory import OK, Switch
+from torchmbd.integrators.trajectory import Switch
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import Dynamics, System
 from torchmbd.system.expansion import Expansion
 from torchmbd.system.system import unit_directions
-
-_SIDES = ("q", "v", "a", "lam")
 
 
 @dataclass(eq=False)
@@ -85,7 +84,7 @@ class ForwardIntegration:
         numbers = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self._constant(self.validity)]
         numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.moving)]
         for switch in self.switches:
-            numbers += _numbers_of(switch)
+            numbers += numbers_of(switch)
         self._tangents = [x.tangent for x in numbers]
         return tuple(value(x) for x in numbers)
 
@@ -104,16 +103,7 @@ class ForwardIntegration:
         directions = unit_directions({name: designs[name] for name in self.variables})
         views = Views.of(self.system, dynamics, designs, directions)
 
-        def attempt(integrator: Integrator) -> tuple[Course, dict[str, Any], list[str]]:
-            course = Course(dynamics, stages, views, self.duration, steps)
-            return course, *_through(course, integrator)
-
-        course, stats, status = attempt(self.integrator)
-        again = self.integrator.again()
-        if again is not None and again.steps == 1 and any(x != OK for x in status):
-            other, counts, better = attempt(again.integrator)
-            if better.count(OK) > status.count(OK):
-                course, stats, status = other, counts | {"renewed": list(range(len(status)))}, better
+        course, stats, status = integrate(dynamics, stages, views, self.duration, steps, self.integrator)
         self._course, self.dynamics, self.history = course, course.whole, course.history
         self.stats, self.status, self.switches = stats, status, course.switches
         self.actions = tuple(stage.topology.actions for stage in stages)
@@ -161,14 +151,7 @@ class ForwardIntegration:
 
     def switches_of(self, numbers: Sequence[Tensor]) -> list[Switch]:
         """The switches with their numbers as differentiable outputs."""
-        found, rest = [], iter(numbers)
-        for switch in self.switches:
-            t = next(rest)[0, 0]
-            before, after = (
-                replace(side, **{name: next(rest)[:, 0].T for name in _SIDES}) for side in (switch.before, switch.after)
-            )
-            found.append(replace(switch, t=t, before=before, after=after))
-        return found
+        return switches_of(self.switches, numbers)
 
     def _by_name(self, x: Tensors) -> list[tuple[str, Tensor | None]]:
         return list(zip(self.names, x, strict=True))
@@ -181,24 +164,3 @@ class ForwardIntegration:
 
     def _no_tangents(self, size: int, count: int) -> Tensor:
         return torch.zeros(size, count, 1, dtype=torch.float64)
-
-
-def _numbers_of(switch: Switch) -> list[Any]:
-    """Time and states of a switch as numbers [n, 1 + n_b, lanes]."""
-
-    def number(x: Tensor, dx: Tensor | None) -> Any:
-        y = x.T[:, None]
-        return Pair(y if dx is None else torch.cat([y, dx.permute(1, 2, 0)], 1))
-
-    t, dt = switch.t[:, None], switch.dt_db
-    found = [number(t, None if dt is None else dt[:, None])]
-    for side in (switch.before, switch.after):
-        found += [number(getattr(side, name), getattr(side, f"d{name}_db")) for name in _SIDES]
-    return found
-
-
-def _through(course: Course, integrator: Integrator) -> tuple[dict[str, Any], list[str]]:
-    """Integrate through all phases; statistics and status."""
-    stats = integrator.integrate_phases(course)
-    found = status_of(course.history, course.duration, course.steps, stats)
-    return stats, [own if own != OK else other for own, other in zip(course.status, found, strict=True)]

@@ -73,7 +73,7 @@ class Integrator(ABC):
     """See the module header.
 
     kind            of native code that makes its steps: "step", "rates"; None: there is none
-    adjoint         whether its steps have a pullback: reverse mode without phases
+    adjoint         whether its steps have a pullback: reverse mode
     shortest        step that it bears, of the regular one
     not_in_phases   options that say nothing where there are phases
     """

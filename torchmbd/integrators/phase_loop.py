@@ -4,10 +4,10 @@
     t_k - t*                        the first step of the next one, back to the grid
 
 Every integrator goes this way: it makes regular steps by its stepper and those of other sizes by `Integrator.sized`. The steps
-are differentiated as they stand (one-step methods: to O(h^2) at a switch, 2e-4 with 400 steps): sizes are numbers with design
-tangents, and while h* is sought it is one more design variable. Steps that are too short for the integrator are not made: the
-last step of a phase begins one point of the grid earlier instead, the first one ends one later, and the points between take
-the first terms of the Taylor series from the switch.
+are differentiated as they stand: sizes are numbers with design tangents, and while h* is sought it is one more design variable.
+What the adjoint needs is recorded (`PhaseRecord`). Steps that are too short for the integrator are not made: the last step of
+a phase begins one point of the grid earlier instead, the first one ends one later, and the points between take the first
+terms of the Taylor series from the switch.
 
 All lanes are in one phase together; those that left it, or are not there yet, with numbers that nobody looks at.
 Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
@@ -21,7 +21,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.course import Course, Passage
+from torchmbd.integrators.course import Course, Passage, PhaseRecord
 from torchmbd.integrators.events import Event
 from torchmbd.integrators.integrator import Integrator
 from torchmbd.integrators.sized import narrowed, shortly_after, widened, widened_data
@@ -48,7 +48,7 @@ class _Leg:
     """All lanes in one stage, from `entry` to where they leave it."""
 
     def __init__(self, course: Course, number: int, entry: Passage, integrator: Integrator):
-        self.course, self.stage, self.integrator = course, course.stages[number], integrator
+        self.course, self.number, self.stage, self.integrator = course, number, course.stages[number], integrator
         self.h, self.times = course.duration / course.steps, course.times
         self.short = max(integrator.shortest, _SAME)
         self.dynamics, x = course.enter(number, entry)
@@ -58,7 +58,8 @@ class _Leg:
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
         self.event = self.stage.phase.until if isinstance(self.stage.phase.until, Event) else None
         self.g = self._start_values()
-        self.left: dict[int, Passage] = {}
+        self.record = PhaseRecord(number, self.dynamics, entry, x, self.first)
+        course.records.append(self.record)
 
     def run(self) -> tuple[Passage, dict[str, Tensor]]:
         """Step until every lane has left the stage, or to the end; what the iterations leave, as of Stepper.errors."""
@@ -79,7 +80,7 @@ class _Leg:
             passed, g = self._passed(i, x, inside)
             self.course.put(self.stage, i, inside & ~(passed & self._beyond(i)), x)
             for lane in torch.nonzero(passed)[:, 0].tolist():
-                self.left[lane] = self._leave(lane, i, (recent, older), g)
+                self.record.exit[lane] = self._leave(lane, i, (recent, older), g)
             self.g = torch.where(inside, g, self.g)
             inside, alive = inside & ~passed, alive & ~passed
             if not bool(alive.any()):
@@ -88,7 +89,7 @@ class _Leg:
         for lane, reason in stepper.failed.items():
             self.course.fail(lane, reason)
         staying = torch.nonzero(alive)[:, 0].tolist()
-        return self.course.passage(self.stage, self.entry, self.left, staying), errors
+        return self.course.passage(self.stage, self.entry, self.record.exit, staying), errors
 
     def _first(self, lane: int) -> int:
         """The first point of the grid that a lane steps to."""
@@ -102,17 +103,18 @@ class _Leg:
 
     def _on_grid(self, lane: int, k: int) -> bool:
         """Whether a lane enters at a point of the grid, whatever the design."""
-        t = pick(self.entry.t, [lane])
-        moves = isinstance(t, Pair) and bool(t.tangent.any())
-        return not moves and abs(float(value(t)) - k * self.h) < _SAME * self.h
+        t = float(value(self.entry.t)[0, lane])
+        return not self.course.moves[self.number] and abs(t - k * self.h) < _SAME * self.h
 
     def _arrival(self, lane: int) -> State:
         """The state of a lane at its first point of the grid."""
         k, (t, x) = int(self.first[lane]), self.entry.lane(lane)
-        if self._on_grid(lane, k):
-            return x
-        end = t * 0.0 + float(self.times[k])
-        return self.integrator.sized(lane_of(self.dynamics, lane), x, end - t, end)
+        self.record.on_grid[lane] = self._on_grid(lane, k)
+        if not self.record.on_grid[lane]:
+            end = t * 0.0 + float(self.times[k])
+            x = self.integrator.sized(lane_of(self.dynamics, lane), x, end - t, end)
+        self.record.arrival[lane] = x
+        return x
 
     def _put_shortly_after(self) -> None:
         """Record the points of the grid that lie between a switch and the first that a lane steps to."""
@@ -150,11 +152,13 @@ class _Leg:
 
     def _leave(self, lane: int, i: int, states: tuple[State, State], g: Tensor) -> Passage:
         """Where a lane leaves between the point i of the grid and the one before, or its entry."""
-        grid = [Passage(self._time(i - 1 - k), states[k]) for k in range(min(2, i - int(self.first[lane])))]
-        points = [*grid, self.entry]
+        points = [i - 1 - k for k in range(min(2, i - int(self.first[lane])))]
         share = float(self.g[lane] / (self.g[lane] - g[lane]))
-        before = points[1 if self.event is not None and share < self.integrator.shortest and grid else 0]
+        skipped = self.event is not None and share < self.integrator.shortest and bool(points)
+        k = [*points, None][int(skipped)]
+        before = self.entry if k is None else Passage(self._time(k), states[int(skipped)])
         t, x = before.lane(lane)
+        self.record.base[lane] = k, x
         if self.event is None:
             end = pick(self.ends, [lane])
             return Passage(end, self.integrator.sized(lane_of(self.dynamics, lane), x, end - t, end))

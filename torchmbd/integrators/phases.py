@@ -12,9 +12,10 @@ phase begins (joints/lock.py). Bodies, structure stage and attached vectors are 
 and all locks; a phase has some of its constraint rows (system/selection.py). Multipliers are rows of that whole.
 A law of a force that jumps, such as eq. (39), is a phase for each of its continuous pieces: its jumps are located, not
 smoothed.
-Gradients through switches are those of the motion to O(h^2), not those of the discrete map: 2e-4 off its differences where a
-phase has 400 steps.
-Checked in tests/integrators/test_phases.py, tests/sensitivity/test_laws_that_jump.py.
+Gradients through switches, forward and reverse, are those of the discrete map: of steps, sizes of the last and first step
+of a phase, times of events, jumps. Where a switch passes a point of the grid that map jumps by O(h^2), which they do not see.
+One-step methods have both ways (phase_adjoint.py), methods of torchdiffeq forward tangents only.
+Checked in tests/integrators/test_phases.py, tests/sensitivity/test_laws_that_jump.py, test_phase_adjoint.py.
 """
 
 from __future__ import annotations

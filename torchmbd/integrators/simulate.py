@@ -32,15 +32,16 @@ from torchmbd.integrators.history import History
 from torchmbd.integrators.memory import require_room
 from torchmbd.integrators.motion import Motion
 from torchmbd.integrators.one_step import OneStep
-from torchmbd.integrators.phases import Phase
+from torchmbd.integrators.phases import Phase, plan
 from torchmbd.integrators.registry import DEFAULT
 from torchmbd.integrators.reverse_integration import ReverseIntegration
+from torchmbd.integrators.reverse_phases import ReversePhaseIntegration
 from torchmbd.integrators.shapes import DesignShapes, without_failed
 from torchmbd.integrators.signals import Recorded
 from torchmbd.integrators.singular import explained
 from torchmbd.integrators.spin import warn_of_spin
 from torchmbd.integrators.trajectory import Trajectory
-from torchmbd.numerics.called import exclusive
+from torchmbd.numerics.called import exclusive, outside
 from torchmbd.numerics.owned import watched
 from torchmbd.system import Dynamics, System
 
@@ -71,7 +72,7 @@ def simulate(
     designs     parameter name -> values [lanes, ...], or [...] for one lane; others keep their own values
     phases      locks, releases and ends of the phases that follow each other (phases.py); default: one without either
     gradients   "reverse": by the adjoint of the steps, about one simulation for the first response and half of one for each
-                further one, however many variables there are; generalized_alpha without phases.
+                further one, however many variables there are; one-step methods, such as generalized_alpha.
                 "forward": by tangents of all variables, integrated with the motion: about a quarter of a simulation for each;
                 then the motion has `dq_db` as well. "auto": reverse where there is an adjoint, else forward, by what
                 requires a gradient or is under torch.func. "none": values only
@@ -91,7 +92,7 @@ def simulate(
     integrator = check(duration, method, steps, options, phases is not None)
     steps = None if steps is None else int(steps)
     given = check_designs(system, designs)
-    check_gradients(gradients, integrator, phases is not None)
+    check_gradients(gradients, integrator)
     check_backend(backend)
     grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
@@ -106,13 +107,16 @@ def simulate(
         count = sum(x[0].numel() for name, x in batch.items() if name in names)
         lanes = max((len(x) for x in batch.values()), default=1)
         require_room(system, lanes, steps or FEWEST, count, gradients != "forward")
-        if gradients == "forward" or not isinstance(integrator, OneStep) or phases is not None:
+        if gradients == "forward" or phases is not None or not integrator.adjoint:
             refuse_dual_level(batch)
+        if gradients == "forward" or not isinstance(integrator, OneStep):
             labels = labels_of(system, names)
             integration = ForwardIntegration(
                 system, tuple(batch), tuple(names), labels, float(duration), steps, integrator, phases, backend
             )
             motion = _forward(integration, batch)
+        elif phases is not None:
+            motion = _reverse_phases(system, batch, names, float(duration), steps, integrator, backend, phases)
         else:
             motion = _reverse(system, batch, names, float(duration), steps, integrator, backend)
         motion.stats["backend"] = motion.integration.dynamics.backend
@@ -126,7 +130,7 @@ def simulate(
 
 
 def _route(motion: Trajectory) -> str:
-    return "reverse" if isinstance(motion.integration, ReverseIntegration) else "forward"
+    return "forward" if isinstance(motion.integration, ForwardIntegration) else "reverse"
 
 
 def _plain(motion: Trajectory, until: Tensor | None = None) -> Trajectory:
@@ -184,9 +188,40 @@ def _reverse(
     return _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names)
 
 
+def _reverse_phases(
+    system: System,
+    batch: dict[str, Tensor],
+    names: list[str],
+    duration: float,
+    steps: int | None,
+    integrator: OneStep,
+    backend: str,
+    phases: Sequence[Phase],
+) -> Trajectory:
+    """The same through phases."""
+    whole, stages = outside(lambda: plan(system, phases, duration))
+    dynamics = whole.reduced(batch)
+    data, model = dynamics.data, replace(dynamics, data={})
+    integration = ReversePhaseIntegration(
+        whole, stages, model, tuple(data), tuple(batch), duration, steps, integrator, backend
+    )
+    outputs: Any = Motion.apply(integration, *data.values(), *_lanes_last(batch))
+    end = 5 + len(integration.moving)
+    data = dict(data) | dict(zip(integration.moving, outputs[5:end], strict=True))
+    motion = _presented(whole, integration, outputs[:5], data, batch, labels_of(system, names), names)
+    motion.switches = integration.switches_of(outputs[end:])
+    motion.actions = tuple(stage.topology.actions for stage in stages)
+    return motion
+
+
+def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:
+    """Designs [lanes, ...] as inputs of `Motion` [..., 1, lanes]."""
+    return [x.movedim(0, -1).unsqueeze(-2) for x in batch.values()]
+
+
 def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Trajectory:
     """A motion with tangents."""
-    outputs: Any = Motion.apply(integration, *(x.movedim(0, -1).unsqueeze(-2) for x in batch.values()))
+    outputs: Any = Motion.apply(integration, *_lanes_last(batch))
     end = 5 + len(integration.moving)
     data = dict(integration.dynamics.data) | dict(zip(integration.moving, outputs[5:end], strict=True))
     names, labels = list(integration.variables), integration.labels
@@ -198,7 +233,7 @@ def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Traje
 
 def _presented(
     system: System,
-    integration: ReverseIntegration | ForwardIntegration,
+    integration: ReverseIntegration | ReversePhaseIntegration | ForwardIntegration,
     outputs: Sequence[Tensor],
     data: dict[str, Tensor],
     designs: dict[str, Tensor],

@@ -1,7 +1,7 @@
 """Steps whose size depends on the design, and the state a little after a switch.
 
 Size h and end t1 of a step are numbers [1 + n, 1] with tangents; one lane. Iterated to rounding, values and tangents.
-Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py.
+Checked in tests/integrators/test_phases.py, tests/sensitivity/test_events.py, tests/sensitivity/test_phase_adjoint.py.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.step import Model, State, Weights
+from torchmbd.integrators.step import Model, State, Step, Weights, apply
 from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import equations
 from torchmbd.system.dynamics import Dynamics
-from torchmbd.system.elimination import factored
+from torchmbd.system.elimination import Factored, factored
 from torchmbd.system.topology import Prescribed, Topology
 
 _MOST = 25  # corrections
@@ -29,28 +29,66 @@ def sized(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: An
     """The state of one lane after a step of size h that ends at t1; numbers [1 + n, 1], pairs if x are.
 
     weights   of a step, as a function of its size
+
+    In grad mode differentiable in reverse mode by all that it depends on.
     """
     model = Model(dynamics.topology, dynamics.saddle, weights(h), dynamics.data)
     step = model.step(x, known(dynamics.topology, t1, dynamics.data))
-    z = torch.cat([value(x.vd), value(x.lam)])
+    with torch.no_grad():
+        z, K = _solved(dynamics, step, torch.cat([value(x.vd), value(x.lam)]))
+    if isinstance(x.q, Pair):
+        return step.finish(z, _tangents(step, factored(K), z, torch.cat([x.vd.tangent, x.lam.tangent])))
+    return step.finish(_implicit(step, factored(K.mT), z) if torch.is_grad_enabled() else z)
+
+
+def _solved(dynamics: Dynamics, step: Step, z: Tensor) -> tuple[Tensor, Tensor]:
+    """The unknowns z [n, 1, 1] of a step from an estimate, and the iteration matrix there."""
     before = torch.inf
     for _ in range(_MOST):
-        H = factored(dynamics.determined(step.matrix(z)))
-        z, correction = step.correct(H, z)
+        K = dynamics.determined(step.matrix(z))
+        z, correction = step.correct(factored(K), z)
         size = float(step.size(correction))
         if _done(size, before, z):
             break
         before = size
-    if not isinstance(x.q, Pair):
-        return step.finish(z)
-    dz, before = torch.cat([x.vd.tangent, x.lam.tangent]), torch.inf
+    return z, K
+
+
+def _tangents(step: Step, H: Factored, z: Tensor, dz: Tensor) -> Tensor:
+    """Design tangents [n, n_b, 1] of the unknowns, from an estimate."""
+    before = torch.inf
     for _ in range(_MOST):
         dz, correction = step.tangent(H, z, dz)
         size = float(step.size(correction).max())
         if _done(size, before, dz):
             break
         before = size
-    return step.finish(z, dz)
+    return dz
+
+
+def _implicit(step: Step, H: Factored, z: Tensor) -> Tensor:
+    """The unknowns as a function of all that their residual R(z; ...) depends on, for reverse mode; H: of the transpose.
+
+    dz = -R_z^-1 dR:  the cotangent of R is -mu with R_z' mu = the cotangent of z.
+    """
+    leaf = z.detach().requires_grad_()
+    residual = step.residual(leaf)
+
+    def solved(goal: Tensor) -> Tensor:
+        mu, before = apply(H, goal), torch.inf
+        for _ in range(_MOST):
+            (pulled,) = torch.autograd.grad(residual, leaf, mu, retain_graph=True)
+            correction = apply(H, pulled - goal)
+            mu = mu - correction
+            size = float(step.size(correction))
+            if _done(size, before, mu[: step.model.T.n_v]):
+                break
+            before = size
+        return mu
+
+    found = z - (residual - residual.detach())
+    found.register_hook(solved)
+    return found
 
 
 def _done(size: float, before: float, z: Tensor) -> bool:

@@ -6,6 +6,9 @@ where several modules hold the same one.
 
 The parameters are replaced in place, and torch.func keeps what it differentiates in globals of the process: what does either is
 `exclusive`, one thread at a time.
+
+Under a transform of torch.func every tensor that is made is wrapped, also those that nobody differentiates: what makes tensors
+that stay, or reads their memory, is run `outside`.
 Checked in tests/numerics/test_called.py.
 """
 
@@ -48,3 +51,27 @@ def called(module: nn.Module, values: Mapping[str, Tensor], *args: Any) -> Any:
         names.setdefault(id(own[name]), []).append(name)
     given = {place: x for name, x in values.items() for place in names[id(own[name])]}
     return torch.func.functional_call(module, given, args, tie_weights=False)
+
+
+class _Outside(torch.autograd.Function):
+    """An operation whose forward pass runs a function: torch.func lowers it through all transforms first."""
+
+    @staticmethod
+    def forward(run: Callable[[], None], x: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        run()
+        return x.clone()
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
+        return None
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, run: Callable[[], None], x: Tensor) -> tuple[Any, None]:
+        return _Outside.apply(run, x), None
+
+
+def outside(f: Callable[[], R]) -> R:
+    """f() outside of all transforms of torch.func, without gradients."""
+    found: list[R] = []
+    _Outside.apply(lambda: found.append(f()), torch.zeros(()))
+    return found[0]
