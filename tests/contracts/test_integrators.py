@@ -287,3 +287,13 @@ def test_another_integrator_is_one_line_of_the_registry(system, designs, referen
     phases = [mbd.Phase(until=0.0051), mbd.Phase()]
     there = mbd.simulate(system, 0.01, "backward_euler", 15, designs, phases=phases, iterations=(6, 6))
     assert_close(there.q[:, -1], motion.q[:, -1].detach(), rtol=0, atol=1e-4)
+
+
+def test_hht_and_generalized_alpha_meet(system, designs):
+    """am = 0, af = 1/3: the strongest damping of the one is a spectral radius of 1/2 of the other."""
+    hht, alpha = (
+        mbd.simulate(system, DURATION, method, 20, designs, **options)
+        for method, options in (("hht_alpha", {"alpha": -1 / 3}), ("generalized_alpha", {"spectral_radius": 0.5}))
+    )
+    for name in ("q", "v", "a", "lam"):
+        assert_close(getattr(hht, name), getattr(alpha, name), rtol=1e-9, atol=1e-9)
