@@ -35,6 +35,8 @@ def test_valid_files_are_valid(validator, file):
         {"design": {"a": {"lower": 0, "upper": 1, "unit": "degree"}}},
         {"starts": {"sampler": "sobel"}},
         {"simulate": {"duration": -1}},
+        {"simulate": {"duration": 1.0, "method": "hht_alpha", "alpha": "strong"}},
+        {"simulate": {"duration": 1.0, "iterations": [3, "x"]}},
         {"subject_to": [{"max": {"strain_energy": "rod"}}]},
         {"figures": "a:b"},
     ],

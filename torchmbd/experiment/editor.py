@@ -10,10 +10,12 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.spec import SQUARED, SUM
 from torchmbd.experiment.schema import KINDS, SAMPLERS, UNITS, Figures, Study
-from torchmbd.integrators import METHODS
+from torchmbd.integrators.registry import INTEGRATORS
 from torchmbd.optimizers import OPTIMIZERS
 
 
@@ -25,9 +27,12 @@ def json_schema() -> dict[str, Any]:
         ("Variable", "unit", UNITS),
         ("Starts", "sampler", SAMPLERS),
         ("Optimizer", "name", OPTIMIZERS),
-        ("Simulation", "method", METHODS() if callable(METHODS) else METHODS),
+        ("Simulation", "method", INTEGRATORS),
     ):
         parts[part]["properties"][field]["enum"] = list(names)
+    for integrator in INTEGRATORS.values():
+        for name, kind in integrator.option_types().items():
+            parts["Simulation"]["properties"].setdefault(name, TypeAdapter(kind).json_schema())
     parts["History"] = _history()
     parts["Measure"] = _measure()
     limit = parts["Constraint"]["properties"]["at_most"]["anyOf"][:2]
