@@ -169,14 +169,18 @@ class Adjoint:
     def _swept(self, names: tuple[str, ...]) -> list[Sweep]:
         """One for the lanes with the steps that were asked for, one for each lane that had to take smaller ones."""
         if names not in self._sweeps:
-            finer = self.history.finer
-            some = [lane for lane in range(self.dynamics.lanes) if lane not in finer and lane not in self.failed]
-            grids = [self._grid(names, some, self.history, some, 1)] if some else []
-            for lane, (history, own, every) in finer.items():
-                if lane not in self.failed:
-                    grids.append(self._grid(names, [lane], history, [own], every))
-            self._sweeps[names] = [self.sweep(grid) for grid in grids]
+            self._sweeps[names] = [self.sweep(grid) for grid in self.grids(names)]
         return self._sweeps[names]
+
+    def grids(self, names: tuple[str, ...] = ()) -> list[Grid]:
+        """Of all lanes that have not failed."""
+        finer = self.history.finer
+        some = [lane for lane in range(self.dynamics.lanes) if lane not in finer and lane not in self.failed]
+        grids = [self._grid(names, some, self.history, some, 1)] if some else []
+        for lane, (history, own, every) in finer.items():
+            if lane not in self.failed:
+                grids.append(self._grid(names, [lane], history, [own], every))
+        return grids
 
     def _grid(self, names: tuple[str, ...], lanes: list[int], history: History, own: list[int], every: int) -> Grid:
         """Of lanes of the batch, which are `own` in a history."""

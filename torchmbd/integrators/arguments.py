@@ -19,7 +19,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.integrators.integrator import Integrator
 from torchmbd.integrators.library import BACKENDS
 from torchmbd.integrators.registry import INTEGRATORS, integrator_of
-from torchmbd.numerics.owned import all_true, plain, whole
+from torchmbd.numerics.owned import all_true, plain, watched, whole
 from torchmbd.numerics.plausible import check_parameter
 from torchmbd.system import System
 
@@ -28,6 +28,10 @@ GRADIENTS = ("auto", "forward", "reverse", "none")
 
 def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> Integrator:
     """The integrator; InputError for arguments of `simulate` that are wrong for every system."""
+    if isinstance(duration, Tensor) and plain(duration).dim():
+        what = f"a tensor of shape {tuple(duration.shape)}" if duration.dim() else "a batch of torch.vmap"
+        raise InputError(f"duration is {what}; allowed: one positive number [s], for all designs")
+    duration = seconds_of(duration)
     if not isinstance(duration, numbers.Real) or isinstance(duration, bool) or not 0 < float(duration) < math.inf:
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
     if steps is not None and not (whole(steps) and steps >= 1):
@@ -46,6 +50,28 @@ def check_gradients(gradients: Any, integrator: Integrator) -> None:
         raise InputError(
             f"gradients is 'reverse', but method is {integrator.name!r}; allowed: method {there}, or 'forward'"
         )
+
+
+def seconds_of(duration: Any) -> Any:
+    """A duration as a number of Python."""
+    return plain(duration).item() if isinstance(duration, Tensor) else duration
+
+
+def check_timed(duration: Any, gradients: str, integrator: Integrator, phases: bool) -> bool:
+    """Whether the motion is differentiated by its duration; InputError where it cannot be, or where that would be lost."""
+    if not isinstance(duration, Tensor) or not watched(duration):
+        return False
+    found = f"gradients is {gradients!r}" if gradients in ("forward", "none") else f"method is {integrator.name!r}"
+    found = "phases are given" if phases else found
+    if phases or not integrator.adjoint or gradients in ("forward", "none"):
+        there = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
+        raise InputError(
+            f"duration is being differentiated, but {found}; allowed: method {there} without phases with gradients='auto' or "
+            "'reverse', which have both modes, or duration.detach()"
+        )
+    if duration.dtype != torch.float64:
+        raise InputError(f"duration is {duration.dtype}; allowed: torch.float64")
+    return True
 
 
 def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:

@@ -81,6 +81,7 @@ class ForwardIntegration:
         self.moving = tuple(name for name, x in data.items() if isinstance(x, Pair) or x.shape[-1] > 1)
         h = self.history
         self.validity = validity(h, self.status, self.stats)
+        self.dynamics.judged()
         numbers = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self._constant(self.validity)]
         numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.moving)]
         for switch in self.switches:

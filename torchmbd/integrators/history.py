@@ -29,6 +29,7 @@ class History:
     vd: Tensor
     lam: Tensor
     expansion: Expansion | None = None
+    times: Tensor | None = None  # [times] [s]; None: equal ones, by the duration
     # Lanes that were integrated with smaller steps: of which history they are which lane, with how many steps for one here.
     finer: dict[int, tuple[History, int, int]] = field(default_factory=dict)
 
@@ -54,7 +55,9 @@ class History:
         """Multipliers of all constraints [times, rows, slots, lanes]; of redundant rows those of least norm."""
         if least is None:
             return self.multipliers
-        times = torch.linspace(0.0, duration, len(self.q), dtype=torch.float64)
+        times = (
+            self.times if self.times is not None else torch.linspace(0.0, duration, len(self.q), dtype=torch.float64)
+        )
         return least.at_times(data, times, self.rows(0), self.multipliers)
 
     @classmethod

@@ -111,7 +111,14 @@ class Recorded(Signals):
         """As of Signals."""
         h, data = self.history, {name: detached(x) for name, x in self.data.items()}
         expansion = None if h.expansion is None else replace(h.expansion, data=data)
-        plain = History(h.q.detach(), h.v.detach(), h.vd.detach(), h.lam.detach(), expansion)
+        plain = History(
+            h.q.detach(),
+            h.v.detach(),
+            h.vd.detach(),
+            h.lam.detach(),
+            expansion,
+            None if h.times is None else h.times.detach(),
+        )
         return Recorded(plain, self.settle, data, self.until)
 
     def _values(self, name: str, rows: Rows) -> Tensor:

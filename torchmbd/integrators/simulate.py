@@ -23,8 +23,10 @@ from torchmbd.integrators.arguments import (
     check_backend,
     check_designs,
     check_gradients,
+    check_timed,
     check_variables,
     refuse_dual_level,
+    seconds_of,
 )
 from torchmbd.integrators.attempts import FEWEST
 from torchmbd.integrators.forward_integration import ForwardIntegration
@@ -44,12 +46,13 @@ from torchmbd.integrators.trajectory import Trajectory
 from torchmbd.numerics.called import exclusive, outside
 from torchmbd.numerics.owned import watched
 from torchmbd.system import Dynamics, System
+from torchmbd.system.expansion import Expansion
 
 
 @exclusive
 def simulate(
     system: System,
-    duration: float,
+    duration: float | Tensor,
     method: str = DEFAULT,
     steps: int | None = None,
     designs: Mapping[str, Tensor] | None = None,
@@ -65,7 +68,7 @@ def simulate(
     the system that require a gradient, in grad mode and under torch.func. Second derivatives are refused.
 
     system      the model; its own parameters are the design where `designs` says nothing
-    duration    simulated time [s], positive
+    duration    simulated time [s], positive; a tensor [] is differentiated by: the steps are as many, their size changes
     method      "generalized_alpha" or a method of torchdiffeq, such as "dopri5" or "rk4"
     steps       equal time steps, and output intervals; default: 20 per period of the fastest retained mode, at least 200.
                 Adaptive methods choose their own steps between the outputs
@@ -92,12 +95,14 @@ def simulate(
     integrator = check(duration, method, steps, options, phases is not None)
     steps = None if steps is None else int(steps)
     given = check_designs(system, designs)
+    seconds = seconds_of(duration)
     check_gradients(gradients, integrator)
     check_backend(backend)
     grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
     with torch.inference_mode(False), torch.set_grad_enabled(grad):
-        names = _variables(system, given, gradients, variables)
+        timed = check_timed(duration, gradients, integrator, phases is not None)
+        names = _variables(system, given, gradients, variables, timed)
         if gradients != "none":
             _require_wanted(names, given)
         own = dict(system.named_parameters())
@@ -112,15 +117,15 @@ def simulate(
         if gradients == "forward" or not isinstance(integrator, OneStep):
             labels = labels_of(system, names)
             integration = ForwardIntegration(
-                system, tuple(batch), tuple(names), labels, float(duration), steps, integrator, phases, backend
+                system, tuple(batch), tuple(names), labels, seconds, steps, integrator, phases, backend
             )
             motion = _forward(integration, batch)
         elif phases is not None:
-            motion = _reverse_phases(system, batch, names, float(duration), steps, integrator, backend, phases)
+            motion = _reverse_phases(system, batch, names, seconds, steps, integrator, backend, phases)
         else:
-            motion = _reverse(system, batch, names, float(duration), steps, integrator, backend)
+            motion = _reverse(system, batch, names, duration if timed else seconds, steps, integrator, backend)
         motion.stats["backend"] = motion.integration.dynamics.backend
-        motion.stats["gradients"] = _route(motion) if names else GRADIENTS[-1]
+        motion.stats["gradients"] = _route(motion) if names or timed else GRADIENTS[-1]
         with torch.no_grad():
             if phases is None:
                 explained(_plain(motion))
@@ -139,11 +144,13 @@ def _plain(motion: Trajectory, until: Tensor | None = None) -> Trajectory:
     dynamics, h = made.dynamics.values(), made.history
     q, v, vd, lam = (x[:, :, :1] for x in (h.q, h.v, h.vd, h.lam))
     signals = Recorded(History(q, v, vd, lam, made.expansion(dynamics.data)), made, dynamics.data, until)
-    return replace(motion, signals=signals, dynamics=dynamics, designs={}, variables={}, integration=None)
+    return replace(
+        motion, signals=signals, dynamics=dynamics, designs={}, variables={}, integration=None, t=motion.t.detach()
+    )
 
 
 def _variables(
-    system: System, given: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None
+    system: System, given: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None, timed: bool
 ) -> list[str]:
     """Names of the parameters by which the motion is differentiated."""
     if gradients == "none":
@@ -154,7 +161,7 @@ def _variables(
     if gradients == "auto":
         return [name for name, x in own.items() if watched(given.get(name, x))]
     names = [name for name, x in own.items() if x.requires_grad or watched(given.get(name, x))]
-    if not names:
+    if not names and not timed:
         raise InputError(f"gradients is {gradients!r}, but no parameter of the system requires a gradient")
     return names
 
@@ -173,19 +180,41 @@ def _reverse(
     system: System,
     batch: dict[str, Tensor],
     names: list[str],
-    duration: float,
+    duration: float | Tensor,
     steps: int | None,
     integrator: OneStep,
     backend: str,
 ) -> Trajectory:
-    """A motion whose structure stage is differentiated by torch, and whose steps by their adjoint."""
+    """A motion whose structure stage is differentiated by torch, and whose steps by their adjoint; also by a `duration` []."""
+    timed = isinstance(duration, Tensor)
     dynamics = system.reduced(batch)
     data = dynamics.data
     integration = ReverseIntegration(
-        system, replace(dynamics, data={}), tuple(data), duration, steps, integrator, bool(names), backend
+        system,
+        replace(dynamics, data={}),
+        tuple(data),
+        seconds_of(duration),
+        timed,
+        steps,
+        integrator,
+        bool(names) or timed,
+        backend,
     )
-    outputs: Any = Motion.apply(integration, *data.values())
-    return _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names)
+    inputs = (*data.values(), duration[None, None]) if timed else data.values()
+    outputs: Any = Motion.apply(integration, *inputs)
+    motion = _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names)
+    return _timed(motion, duration) if timed else motion
+
+
+def _timed(motion: Trajectory, duration: Tensor) -> Trajectory:
+    """The motion at times that are functions of the duration."""
+    signals = motion.signals
+    assert isinstance(signals, Recorded)
+    t = torch.linspace(0.0, 1.0, signals.times, dtype=torch.float64) * duration
+    h, x = signals.history, signals.history.expansion
+    x = None if x is None else Expansion.of(x.condensation, x.data, t)
+    history = replace(h, expansion=x, times=t)
+    return replace(motion, t=t, signals=Recorded(history, signals.settle, signals.data, signals.until))
 
 
 def _reverse_phases(

@@ -37,7 +37,7 @@ def sized(dynamics: Dynamics, weights: Callable[[Any], Weights], x: State, h: An
     with torch.no_grad():
         z, K = _solved(dynamics, step, torch.cat([value(x.vd), value(x.lam)]))
     if isinstance(x.q, Pair):
-        return step.finish(z, _tangents(step, factored(K), z, torch.cat([x.vd.tangent, x.lam.tangent])))
+        return step.finish(z, converged(step, factored(K), z, torch.cat([x.vd.tangent, x.lam.tangent])))
     return step.finish(_implicit(step, factored(K.mT), z) if torch.is_grad_enabled() else z)
 
 
@@ -54,8 +54,8 @@ def _solved(dynamics: Dynamics, step: Step, z: Tensor) -> tuple[Tensor, Tensor]:
     return z, K
 
 
-def _tangents(step: Step, H: Factored, z: Tensor, dz: Tensor) -> Tensor:
-    """Design tangents [n, n_b, 1] of the unknowns, from an estimate."""
+def converged(step: Step, H: Factored, z: Tensor, dz: Tensor) -> Tensor:
+    """Tangents [n, slots, lanes] of the unknowns z of a step, iterated to rounding from an estimate."""
     before = torch.inf
     for _ in range(_MOST):
         dz, correction = step.tangent(H, z, dz)

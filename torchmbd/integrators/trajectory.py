@@ -180,6 +180,7 @@ class Trajectory:
         """The same numbers without a graph of torch."""
         return replace(
             self,
+            t=self.t.detach(),
             signals=self.signals.detach(),
             dynamics=replace(self.dynamics, data={k: detached(x) for k, x in self.dynamics.data.items()}),
             shapes=self.shapes.detach(),

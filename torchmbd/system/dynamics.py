@@ -115,6 +115,11 @@ class Dynamics:
         """Names of constraint rows that follow from the others at the initial position (rank.py)."""
         return self.rank.redundant
 
+    def judged(self) -> None:
+        """Find now what is found of numbers: inside a transform of torch.func no tensor has any to look at."""
+        if self.redundant:
+            _ = self.least_norm
+
     @cached_property
     def least_norm(self) -> LeastNorm | None:
         """Makes undetermined multipliers those of least norm; None if all are determined."""
