@@ -12,7 +12,12 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 # Modules whose distribution has another name, or that belong to another distribution's interface.
-DISTRIBUTION = {"yaml": "pyyaml", "pydantic_core": "pydantic", "annotated_types": "pydantic", "dask": "distributed"}
+DISTRIBUTION = {
+    "yaml": "pyyaml",
+    "pydantic_core": "pydantic",
+    "annotated_types": "annotated-types",
+    "dask": "distributed",
+}
 ELSEWHERE = {"cyipopt"}  # no wheel: by conda only, as its method says
 
 

@@ -17,8 +17,6 @@ from torchmbd.optimizers import OPTIMIZERS, STATUSES, Evaluation, optimize
 
 # A method with an option that changes it altogether is a case of its own.
 VARIANTS = {
-    "mmfd-newton": ("mmfd", {"metric": "newton"}),
-    "mmfd-conjugate": ("mmfd", {"metric": "conjugate"}),
     "mmfd-first-order": ("mmfd", {"second_order": False}),
 }
 GRADIENT_FREE = ["differential_evolution"]  # slow and inexact: tests/optimizers/test_evolution.py
@@ -393,8 +391,6 @@ def test_wrong_names_are_answered_with_the_nearest():
         optimize(quadratic(), "mfd")
     with pytest.raises(InputError, match=r"option 'delobjs' does not exist.*did you mean 'delobj'"):
         optimize(quadratic(), "mmfd", delobjs=1e-3)
-    with pytest.raises(InputError, match=r"metric 'bfg' does not exist.*did you mean 'bfgs'"):
-        optimize(quadratic(), "mmfd", metric="bfg")
     with pytest.raises(InputError, match=r"ct = 0.03: must lie in \[-1, 0\]"):
         optimize(quadratic(), "mmfd", ct=0.03)
 

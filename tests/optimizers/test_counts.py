@@ -4,8 +4,7 @@ from functools import cache
 
 import pytest
 
-from tests.optimizers.counts import count, error, plain_slsqp, problems
-from torchmbd.optimizers import optimize
+from tests.optimizers.counts import count, plain_slsqp, problems
 
 # The way from its start leads into the saddle point of Colville's function (f = 7.877, one negative curvature of -0.12).
 SADDLE = "HS38"
@@ -37,28 +36,6 @@ def test_all_together_need_half_as_much_again_as_slsqp():
     assert len(both) >= 40
     assert sum(ours.functions for ours, _ in both) <= 1.55 * sum(plain.functions for _, plain in both)
     assert sum(ours.gradients for ours, _ in both) <= 1.2 * sum(plain.gradients for _, plain in both)
-
-
-def test_newton_needs_two_thirds_of_the_turns():
-    """Turns are batches: with its neighbors in the same batch, a trial of Newton's costs one like any other."""
-    turns = {"bfgs": 0, "newton": 0}
-    for problem in PROBLEMS.values():
-        for metric in turns:
-            problem.reset()
-            result = optimize(problem, "mmfd", metric=metric, max_iterations=200)
-            assert error(problem, result.value) <= 1e-4
-            assert result.violation <= 1e-6
-            turns[metric] += len(problem.batches)
-    assert turns["newton"] <= 0.75 * turns["bfgs"]
-
-
-# DOT's own direction converges linearly along curved constraints, so it may stop short of 1e-4 there.
-@pytest.mark.parametrize("name", [name for name in PROBLEMS if name not in (SADDLE, "HS1", "HS104", "Rosen-Suzuki")])
-def test_conjugate_directions_solve_them_too(name):
-    ours = count(PROBLEMS[name], "mmfd", metric="conjugate")
-    assert ours.status == "converged"
-    assert ours.error <= 1e-4
-    assert ours.violation <= 1e-6
 
 
 def test_the_saddle_is_left_by_the_check_of_the_curvature():

@@ -1,15 +1,13 @@
-"""Second derivatives from neighbors, and minima told from saddle points, with and without constraints."""
+"""Curvature along ways, and minima told from saddle points, with and without constraints."""
 
 import numpy as np
 import pytest
 
 from tests.optimizers.analytic import Analytic
 from torchmbd.optimizers import optimize
-from torchmbd.optimizers.curvature import along, hessian, tangent
+from torchmbd.optimizers.curvature import along, tangent
 from torchmbd.optimizers.kkt import KuhnTucker
 from torchmbd.optimizers.search import Search
-
-VARIANTS = [{}, {"metric": "newton"}, {"metric": "conjugate"}]
 
 
 def search_on(problem: Analytic) -> Search:
@@ -18,29 +16,6 @@ def search_on(problem: Analytic) -> Search:
 
 def quality(multipliers, bounds) -> KuhnTucker:
     return KuhnTucker(np.array(multipliers, dtype=float), np.array(bounds, dtype=float), 0.0)
-
-
-def test_hessian_of_the_lagrangian():
-    problem = Analytic(
-        "p",
-        [0.7, -0.4, 1.0],
-        lambda x: x[0] ** 3 + x[0] * x[1] ** 2,
-        lambda x: [x[1] ** 2 * x[2]],
-        lower=[-5, -5, 1],
-        upper=[5, 5, 1],
-    )
-    search = search_on(problem)
-    H = hessian(search, search.start, search.begin(), np.array([2.0]))
-    assert H is not None
-    # d2(f + 2 c) by hand; the third variable is fixed
-    expected = [[6 * 0.7, 2 * -0.4, 0], [2 * -0.4, 2 * 0.7 + 4 * 1.0, 0], [0, 0, 0]]
-    assert np.allclose(H, expected, atol=5e-3)  # forward differences of 1e-3
-
-
-def test_no_hessian_where_a_neighbor_fails():
-    problem = Analytic("p", [1.0, 1.0], lambda x: x[0] ** 2, lower=-5, upper=5, fails=lambda x: x[1] > 1.0)
-    search = search_on(problem)
-    assert hessian(search, search.start, search.begin(), np.zeros(0)) is None
 
 
 def test_ways_are_along_what_has_a_multiplier():
@@ -65,30 +40,27 @@ def test_curvature_along_ways_takes_a_design_for_each():
     assert problem.batches == [(1, True), (2, True)]
 
 
-@pytest.mark.parametrize("options", VARIANTS)
-def test_a_saddle_on_the_way_is_left(options):
+def test_a_saddle_on_the_way_is_left():
     """From x2 = 0 all gradients stay in the plane of symmetry, whose lowest point is a saddle."""
     problem = Analytic(
         "saddle", [2.0, 0.0], lambda x: x[0] ** 2 + x[1] ** 4 / 4 - x[1] ** 2 / 2 + 1, lower=-3, upper=3, optimum=0.75
     )
     assert optimize(problem, second_order=False).value == pytest.approx(1.0, abs=1e-6)
-    result = optimize(problem, **options)
+    result = optimize(problem)
     assert result.status == "converged"
     assert result.value == pytest.approx(0.75, abs=1e-5)
 
 
-@pytest.mark.parametrize("options", VARIANTS)
-def test_a_maximum_on_a_bound_is_left(options):
+def test_a_maximum_on_a_bound_is_left():
     """A ply angle at -90 degrees: stationary by symmetry, on its bound, and the worst there is."""
     f = lambda x: 3 - np.cos(x[0] * np.pi / 90) - np.cos(x[1] * np.pi / 90)  # noqa: E731
     problem = Analytic("angles", [30.0, -90.0], f, lower=-90, upper=90)
-    result = optimize(problem, **options)
+    result = optimize(problem)
     assert result.status == "converged"
     assert result.value == pytest.approx(1.0, abs=1e-4)
 
 
-@pytest.mark.parametrize("options", VARIANTS)
-def test_a_saddle_on_a_curved_constraint_is_left(options):
+def test_a_saddle_on_a_curved_constraint_is_left():
     """(-1, 0) on the unit circle is stationary, but x2^2 has a negative factor: down is along the circle."""
     problem = Analytic(
         "circle",
@@ -99,7 +71,7 @@ def test_a_saddle_on_a_curved_constraint_is_left(options):
         upper=[1.5, 1.5],
     )
     flat = optimize(problem, second_order=False)
-    result = optimize(problem, **options)
+    result = optimize(problem)
     assert result.status == "converged"
     assert result.violation <= 1e-6
     assert result.value < flat.value - 0.1

@@ -3,13 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.optimizers.analytic import Analytic
 from torchmbd.optimizers import Evaluation
-from torchmbd.optimizers.conjugate import ConjugateMetric
-from torchmbd.optimizers.direction import Direction, find_direction
+from torchmbd.optimizers.direction import find_direction
 from torchmbd.optimizers.metric import VariableMetric
-from torchmbd.optimizers.newton import NewtonMetric
-from torchmbd.optimizers.search import Search
 
 FREE = np.full(2, -np.inf), np.full(2, np.inf)
 
@@ -84,48 +80,3 @@ def test_bfgs_stays_positive_definite_where_the_function_is_concave():
         s = rng.normal(size=2)
         metric.learn(s, np.array([[-1.0, 0.2], [0.2, -3.0]]) @ s)
         assert np.linalg.eigvalsh(metric.B).min() > 0.0
-
-
-def newton_at(f, y, **bounds):
-    problem = Analytic("p", y, f, **({"lower": -5.0, "upper": 5.0} | bounds))
-    search = Search(problem.evaluate, problem.start, problem.lower, problem.upper)
-    metric = NewtonMetric(len(y))
-    search.prefetch([problem.start, *metric.companions(search, problem.start)])
-    here = search.begin()
-    looked = metric.look(search, search.start, here, np.zeros(0))
-    return metric, problem, looked
-
-
-def test_newton_finds_the_hessian_in_one_batch():
-    metric, problem, _ = newton_at(lambda x: 3 * x[0] ** 2 + x[0] * x[1] + 2 * x[1] ** 2 + x[2] ** 2, [1.0, -2.0, 0.5])
-    assert np.allclose(metric.B, [[6, 1, 0], [1, 4, 0], [0, 0, 2]], atol=1e-9)
-    assert problem.batches == [(4, True)]
-
-
-def test_newton_differences_stay_inside_the_bounds():
-    metric, _, _ = newton_at(lambda x: 3 * x[0] ** 2 + x[0] * x[1] + 2 * x[1] ** 2, [5.0, -5.0])
-    assert np.allclose(metric.B, [[6, 1], [1, 4]], atol=1e-9)
-
-
-def test_newton_is_repelled_by_a_saddle():
-    """Along the concave axis the metric is soft and positive: the step goes down, away from the ridge."""
-    metric, _, _ = newton_at(lambda x: x[0] ** 2 - x[1] ** 2, [1.0, 0.1])
-    assert np.allclose(metric.B, [[2, 0], [0, 0.3]], atol=1e-9)
-    found = direction([2.0, -0.2], [], [], B=metric.B)
-    assert np.allclose(found.s, [-1.0, 2 / 3], atol=1e-6)
-
-
-def test_newton_leaves_the_metric_alone_where_a_neighbor_fails():
-    metric, _, looked = newton_at(lambda x: x[0] ** 2 + x[1] ** 2, [1.0, 1.0], fails=lambda x: x[0] > 1.0)
-    assert not looked
-    assert np.array_equal(metric.B, np.eye(2))
-
-
-def test_fletcher_reeves_minimizes_a_quadratic_in_n_exact_searches():
-    H, x = np.array([[3.0, 1.0], [1.0, 2.0]]), np.array([4.0, -3.0])
-    metric = ConjugateMetric(2)
-    for _ in range(2):
-        df = H @ x
-        s = metric.turn(Direction(-df, np.zeros(0), 1.0), Evaluation(0.0, np.zeros(0), df, np.zeros((0, 2))), free=True)
-        x = x - (s @ df) / (s @ H @ s) * s
-    assert np.allclose(x, 0.0, atol=1e-12)

@@ -134,7 +134,7 @@ if __name__ == "__main__":
     shared = Processes(Bowl(0.0), 2)
     shared.wait()
     copy.copy(shared)
-    print(*shared._pool._processes, flush=True)
+    print(*(begun.result() for begun in shared._begun), flush=True)
     time.sleep(60)
 """
 

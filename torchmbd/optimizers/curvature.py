@@ -1,6 +1,4 @@
-"""Second derivatives of the Lagrangian from neighbors, and whether a Kuhn-Tucker point is a minimum.
-
-    H_ij = (dL(y + h_i e_i) - dL(y))_j / h_i           one batch of n neighbors, each a little along one variable
+"""Second derivatives of the Lagrangian along some ways, and whether a Kuhn-Tucker point is a minimum.
 
 A Kuhn-Tucker point is no minimum if s'H s < 0 for a direction s along the constraints and bounds that are pressed against
 (those with a multiplier): a saddle point, or a maximum such as the ply angle of 90 degrees, where all gradients vanish by
@@ -21,31 +19,6 @@ from torchmbd.optimizers.search import Search
 
 # Step, as a share of each variable's size: the gradients of a simulation carry a relative noise of 1e-6.
 DIFFERENCE = 1e-3
-
-
-def neighbors(search: Search, y: np.ndarray) -> list[np.ndarray]:
-    """Return n designs, each a little along one variable, inside the bounds."""
-    steps = DIFFERENCE * np.maximum(np.abs(y), 1.0)
-    steps = np.where(y + steps <= search.upper, steps, -steps)
-    return [
-        np.clip(y + step * axis, search.lower, search.upper) for step, axis in zip(steps, np.eye(y.size), strict=True)
-    ]
-
-
-def hessian(search: Search, y: np.ndarray, here: Evaluation, multipliers: np.ndarray) -> np.ndarray | None:
-    """Return the Lagrangian's second derivatives [n, n], those of fixed variables 0; None if a neighbor fails."""
-    others = neighbors(search, y)
-    search.prefetch(others)
-    H = np.zeros((y.size, y.size))
-    for i, other in enumerate(others):
-        there = search.evaluate(other, gradients=True)
-        if not there.ok:
-            return None
-        step = other[i] - y[i]
-        if step != 0.0:
-            H[i] = (slope(there, multipliers) - slope(here, multipliers)) / step
-    H[:, search.lower == search.upper] = 0.0
-    return 0.5 * (H + H.T)
 
 
 def slope(evaluation: Evaluation, multipliers: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from torchmbd.optimizers.curvature import tangent
+from torchmbd.optimizers.curvature import along, tangent
 from torchmbd.optimizers.direction import Direction, find_direction
 from torchmbd.optimizers.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimizers.line_search import LineSearch, Trial
@@ -15,7 +15,8 @@ from torchmbd.optimizers.optimizer import Ending, Evaluation
 from torchmbd.optimizers.search import Search
 from torchmbd.optimizers.stationary import departure
 
-LOOKS = 3  # at a metric that depends on the multipliers
+# Longest change of a variable in one step, times the step just made: after one cut short, and after a full one of that length.
+REACH_IF_SHORT, REACH_IF_FULL = 3.0, 10.0
 PATIENCE = 5  # times ITRMOP iterations at rest may go on while a constraint is still violated
 RESETS = 2  # fresh starts of the metric before the search gives up
 ESCAPE = 0.25  # length of a step away from a saddle point (scaled)
@@ -42,14 +43,13 @@ class Settings:
 class FeasibleDirections:
     """One run: the current design `y`, its evaluation `here`, and what was learnt on the way."""
 
-    def __init__(self, search: Search, settings: Settings, metric: VariableMetric, first: Evaluation) -> None:
-        self.search, self.settings, self.metric = search, settings, metric
+    def __init__(self, search: Search, settings: Settings, first: Evaluation) -> None:
+        self.search, self.settings, self.metric = search, settings, VariableMetric(search.size)
         self.y, self.here = departure(search, first)
         self.weights = np.zeros(self.here.constraints.size)
-        self.multipliers = np.zeros(self.here.constraints.size)
         self.resets = self.quiet = 0
         self.believed = np.inf  # the objective where it was at rest, and nearly optimal
-        self.reach = metric.first_reach
+        self.reach = np.inf  # longest change of a variable in one step (scaled)
         self.metric.reset(self.first_curvature(self.weights))
 
     def run(self, max_iterations: int) -> Ending:
@@ -67,32 +67,16 @@ class FeasibleDirections:
         if ending is not None:
             return ending
         line = self.line(direction)
-        trial = line.run(1.0, self.metric.stretch, self.metric.refine)
+        trial = line.run(1.0, self.metric.stretch)
         if trial is None or not (trial.y != self.y).any():
             return self.no_step(direction, line)
         return self.accept(direction, trial, line)
 
     def direction(self) -> Direction:
-        """Return the direction to search along, turned by the metric where nothing is active."""
-        direction = self.subproblem(self.here.constraints >= self.settings.ct * self.unit())
-        df = self.here.objective_gradient
-        assert df is not None
-        bounded = np.abs(self.metric.B @ direction.s + df).max(initial=0.0) > 1e-6 * np.abs(df).max(initial=0.0)
-        free = not bounded and not direction.multipliers.any()
-        return Direction(self.metric.turn(direction, self.here, free), direction.multipliers, direction.beta)
-
-    def subproblem(self, active: np.ndarray) -> Direction:
-        """Solve for the direction within reach; metrics that depend on the multipliers are asked until these settle."""
-        search = self.search
+        """Return the direction to search along, within reach."""
+        search, active = self.search, self.here.constraints >= self.settings.ct * self.unit()
         lower, upper = np.maximum(search.lower, self.y - self.reach), np.minimum(search.upper, self.y + self.reach)
-        for _ in range(LOOKS):
-            before = self.multipliers
-            again = self.metric.look(search, self.y, self.here, before)
-            direction = find_direction(self.here, self.y, lower, upper, self.metric.B, active)
-            # Those of a relaxed subproblem are of the order of Phi: no estimate of curvature's weights.
-            self.multipliers = direction.multipliers if direction.beta == 1.0 else before
-            if not again or np.allclose(before, self.multipliers, rtol=0.1, atol=1e-6):
-                break
+        direction = find_direction(self.here, self.y, lower, upper, self.metric.B, active)
         if direction.beta == 1.0 and np.abs(direction.s).max(initial=0.0) >= 0.999 * self.reach:
             # Our own limit takes the multipliers of the constraints upon itself: those of the design tell more.
             multipliers = np.maximum(direction.multipliers, self.quality().multipliers)
@@ -144,7 +128,6 @@ class FeasibleDirections:
             self.metric.B,
             self.unit(),
             slack,
-            self.metric.companions,
         )
 
     def accept(self, direction: Direction, trial: Trial, line: LineSearch) -> Ending | None:
@@ -173,9 +156,9 @@ class FeasibleDirections:
         """Set the reach of the next step by how this one went."""
         length = float(np.abs(step).max())
         if alpha < 1.0:
-            self.reach = self.metric.reach_if_short * length
+            self.reach = REACH_IF_SHORT * length
         elif float(np.abs(direction.s).max()) >= 0.9 * self.reach:
-            self.reach *= self.metric.reach_if_full
+            self.reach *= REACH_IF_FULL
 
     def at_rest(self, direction: Direction, line: LineSearch) -> Ending | None:
         """Say what it means that the objective no longer changes, or None to go on."""
@@ -201,7 +184,7 @@ class FeasibleDirections:
         quality, search = self.quality(), self.search
         assert self.here.constraint_gradients is not None
         Z = tangent(self.here.constraint_gradients, quality, self.settings.kkt)
-        reduced = self.metric.reduced(search, self.y, self.here, quality.multipliers, Z)
+        reduced = along(search, self.y, self.here, quality.multipliers, Z)
         if reduced is None or not reduced.size:
             return False
         values, vectors = np.linalg.eigh(reduced)
@@ -211,7 +194,7 @@ class FeasibleDirections:
         self.metric.know(Z @ reduced @ Z.T + values[-1] * (np.eye(len(Z)) - Z @ Z.T))
         s *= ESCAPE / np.abs(s).max()
         both = [np.clip(self.y + sign * s, search.lower, search.upper) for sign in (1.0, -1.0)]
-        search.prefetch([design for y in both for design in (y, *self.metric.companions(search, y))])
+        search.prefetch(both)
         for sign in (1.0, -1.0):
             direction = Direction(sign * s, quality.multipliers, 1.0)
             line = self.line(direction)
@@ -250,7 +233,7 @@ class FeasibleDirections:
             return False
         self.resets += 1
         self.quiet = 0
-        self.reach = self.metric.first_reach
+        self.reach = np.inf
         self.metric.reset(self.first_curvature(direction.multipliers))
         return True
 

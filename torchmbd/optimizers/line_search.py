@@ -14,7 +14,6 @@ Powell's, not DOT's.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,7 +49,6 @@ class LineSearch:
     B: np.ndarray
     unit: np.ndarray  # [m], what makes a distance of each constraint
     slack: float  # distances up to here are left to the next direction
-    companions: Callable[[Search, np.ndarray], list[np.ndarray]]  # designs to simulate together with a trial
     most: int = 12
 
     def __post_init__(self) -> None:
@@ -73,10 +71,10 @@ class LineSearch:
     def merit(self, evaluation: Evaluation) -> float:
         return evaluation.objective + float(self.weights @ np.maximum(evaluation.constraints, 0.0))
 
-    def run(self, alpha: float, stretch: float, refine: bool = False) -> Trial | None:
+    def run(self, alpha: float, stretch: float) -> Trial | None:
         """Return the best acceptable trial, or None.
 
-        `stretch`: an extrapolation must promise an alpha so many times longer. `refine`: interpolate once more even so.
+        `stretch`: an extrapolation must promise an alpha so many times longer.
         """
         shortened = False
         while not self.used or (self.used < self.most and alpha >= self.shortest):
@@ -89,17 +87,13 @@ class LineSearch:
                 if returned is not None and (returned.merit < trial.merit or self.acceptable(returned)):
                     trial = returned
             if self.acceptable(trial):
-                trial = trial if shortened else self.extrapolated(trial, stretch)
-                return self.refined(trial) if refine else trial
+                return trial if shortened else self.extrapolated(trial, stretch)
             alpha, shortened = self.shorter(trial), True
         return None
 
     def attempt(self, y: np.ndarray, alpha: float) -> Trial | None:
         """Evaluate a design, projected onto the side constraints; None if that fails."""
         y = np.clip(y, self.search.lower, self.search.upper)
-        companions = self.companions(self.search, y)
-        if companions:
-            self.search.prefetch([y, *companions])
         evaluation = self.search.evaluate(y)
         self.used += 1
         if not evaluation.ok:
@@ -169,18 +163,6 @@ class LineSearch:
                 return best
             best = longer
         return best
-
-    def refined(self, trial: Trial) -> Trial:
-        """Try the minimum of the polynomials up to the longest step once, if it promises a fair share more."""
-        if self.used >= self.most:
-            return trial
-        grid = np.linspace(0.05, 1.0, 96) * max(t.alpha for t in self.trials)
-        promised, _ = self.modeled(grid, self.trials[-1])
-        choice = int(np.argmin(promised))
-        if trial.merit - promised[choice] <= 0.1 * (self.merit0 - trial.merit):
-            return trial
-        other = self.attempt(self.y + grid[choice] * self.direction.s, float(grid[choice]))
-        return trial if other is None or other.merit >= trial.merit or not self.acceptable(other) else other
 
     def modeled(self, grid: np.ndarray, newest: Trial) -> tuple[np.ndarray, np.ndarray]:
         """Return phi [k] and c [k, m] on the grid [k], of polynomials through what is known at the start and `newest`.

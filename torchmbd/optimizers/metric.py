@@ -5,8 +5,6 @@
 theta keeps s'r >= 0.2 s'B s, so B stays positive definite where the Lagrangian is concave. A metric that was much too stiff
 along the step is softened as a whole first (self-scaling): one long step must teach all directions.
 
-Other metrics keep the same contract: Newton's (newton.py) and DOT's conjugate directions (conjugate.py).
-
 Source: Powell, A fast algorithm for nonlinearly constrained optimization calculations, LNM 630 (1978) 144-157; Oren and
 Luenberger, Self-scaling variable metric algorithms, Management Science 20 (1974) 845-862; Shanno and Phua, Math.
 Programming 14 (1978) 149-160 (the first guess).
@@ -15,11 +13,6 @@ Programming 14 (1978) 149-160 (the first guess).
 from __future__ import annotations
 
 import numpy as np
-
-from torchmbd.optimizers.curvature import along
-from torchmbd.optimizers.direction import Direction
-from torchmbd.optimizers.optimizer import Evaluation
-from torchmbd.optimizers.search import Search
 
 STIFF = 0.2  # s'q below this share of s'B s: the metric is too stiff
 SOFTEN_AT_MOST = 0.01  # by this factor in one step
@@ -31,12 +24,6 @@ SOFT = 0.15  # a negative curvature counts as this share of it
 
 class VariableMetric:
     """B [n, n], learnt from the gradients along the way."""
-
-    # Longest change of a variable in one step (scaled): at first, after a step cut short and after a full step of that
-    # length, both times the step just made.
-    first_reach, reach_if_short, reach_if_full = np.inf, 3.0, 10.0
-    # Whether a line search should interpolate once more although its step is acceptable.
-    refine = False
 
     def __init__(self, size: int) -> None:
         self.B = np.eye(size)
@@ -54,30 +41,12 @@ class VariableMetric:
         self.floor = SOFTEST * curvature
         self.fresh = True
 
-    def companions(self, search: Search, y: np.ndarray) -> list[np.ndarray]:
-        """Return the designs that should be simulated in one batch with `y`, in case it is accepted."""
-        return []
-
-    def look(self, search: Search, y: np.ndarray, here: Evaluation, multipliers: np.ndarray) -> bool:
-        """Take in what is known around `y`; return whether better multipliers would ask for another look."""
-        return False
-
-    def reduced(
-        self, search: Search, y: np.ndarray, here: Evaluation, multipliers: np.ndarray, Z: np.ndarray
-    ) -> np.ndarray | None:
-        """Return Z'H Z, H the second derivatives of the Lagrangian; None if they cannot be had."""
-        return along(search, y, here, multipliers, Z)
-
     def know(self, H: np.ndarray) -> None:
         """Take in the second derivatives H [n, n]; where they are negative the metric is soft: leave quickly."""
         values, vectors = np.linalg.eigh(H)
         values = np.where(values < 0.0, -SOFT * values, values)
         self.B = self.bounded((vectors * values) @ vectors.T, KNOWN_CONDITION)
         self.fresh = False
-
-    def turn(self, direction: Direction, evaluation: Evaluation, free: bool) -> np.ndarray:
-        """Return the direction to search along; `free`: nothing is active."""
-        return direction.s
 
     def learn(self, s: np.ndarray, q: np.ndarray) -> None:
         """Take in a step s [n] over which the Lagrangian's gradient changed by q [n]."""

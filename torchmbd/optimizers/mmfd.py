@@ -12,11 +12,9 @@ CTMIN is the slack of the first iterations and shrinks with the promised gain do
 tolerance. An infeasible start is restored first, with the weight Phi on the violation. A failed evaluation shortens
 the step. The end must be a minimum, not only a Kuhn-Tucker point (curvature.py): a saddle point is left.
 
-Options have the names of DOT. `metric` says how a direction is scaled: "bfgs" learns curvature along the way, "newton"
-simulates n neighbours with every trial and needs two thirds of the turns, "conjugate" is DOT's own (steepest descent or
-Fletcher-Reeves, projected). What else differs from DOT: all constraints are linearized and not only the active, an exact
-penalty arbitrates the line search, the tolerances are tighter (DOT: DELOBJ 1e-3, CTMIN 3e-3 at the end also) and the
-first step is bolder (DOT: DOBJ1 0.1).
+Options have the names of DOT. What differs from DOT: the metric of a direction is learnt along the way (metric.py), all
+constraints are linearized and not only the active, an exact penalty arbitrates the line search, the tolerances are tighter
+(DOT: DELOBJ 1e-3, CTMIN 3e-3 at the end also) and the first step is bolder (DOT: DOBJ1 0.1).
 
 Source: Vanderplaats, An efficient feasible directions algorithm for design synthesis, AIAA J. 22 (1984) 1633-1640;
 Vanderplaats, Numerical Optimization Techniques for Engineering Design; DOT user's manual (options and criteria). Own
@@ -25,19 +23,9 @@ text throughout. Checked in tests/contracts/test_optimizers.py and tests/optimiz
 
 from __future__ import annotations
 
-from torchmbd.errors import unknown
-from torchmbd.optimizers.conjugate import ConjugateMetric
 from torchmbd.optimizers.feasible_directions import FeasibleDirections, Settings
-from torchmbd.optimizers.metric import VariableMetric
-from torchmbd.optimizers.newton import NewtonMetric
 from torchmbd.optimizers.optimizer import Ending, refuse_equalities, register, require_count, require_range
 from torchmbd.optimizers.search import Search
-
-METRICS: dict[str, type[VariableMetric]] = {
-    "bfgs": VariableMetric,
-    "newton": NewtonMetric,
-    "conjugate": ConjugateMetric,
-}
 
 
 @register("mmfd")
@@ -45,7 +33,6 @@ def mmfd(
     search: Search,
     max_iterations: int,
     *,
-    metric: str = "bfgs",
     ct: float = -0.03,
     ctmin: float = 0.003,
     delobj: float = 1e-6,
@@ -62,18 +49,14 @@ def mmfd(
     is no saddle point and leave it if it is; costs as many analyses as there are ways along the active constraints, in
     one batch.
     """
-    if metric not in METRICS:
-        raise unknown("metric", metric, METRICS)
     require_range("ct", ct, -1.0, 0.0)
     positive = {"ctmin": ctmin, "delobj": delobj, "dabobj": dabobj, "dobj1": dobj1, "dx1": dx1, "kkt": kkt}
     for name, value in positive.items():
         require_range(name, value, 1e-16, 1e3)
     require_count("itrmop", itrmop, 1, 1000)
     refuse_equalities("mmfd", search)
-    learner = METRICS[metric](search.size)
-    search.prefetch([search.start, *learner.companions(search, search.start)])
     first = search.begin()
     if not first.ok:
         return Ending(search.start, "failed", f"the start could not be evaluated: {first.status}")
     settings = Settings(ct, ctmin, delobj, dabobj, itrmop, dobj1, dx1, kkt, second_order)
-    return FeasibleDirections(search, settings, learner, first).run(max_iterations)
+    return FeasibleDirections(search, settings, first).run(max_iterations)

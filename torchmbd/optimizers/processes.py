@@ -97,8 +97,9 @@ class Processes:
 
     def __exit__(self, kind: object, *_: object) -> None:
         if kind is not None and self._pool is not None:  # Ctrl-C: nobody waits for what is under way
-            for process in list(self._pool._processes.values()):
-                process.terminate()
+            for begun in self._begun:
+                if begun.done() and not begun.exception():
+                    os.kill(begun.result(), signal.SIGTERM)
         self.close()
 
 
@@ -112,19 +113,21 @@ def _packed(problem: Problem) -> bytes:
         ) from error
 
 
-def _begin(problem: bytes, dtype: torch.dtype, door: Any) -> None:
+def _begin(problem: bytes, dtype: torch.dtype, barrier: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's affair
     threading.Thread(target=_end_with_the_caller, daemon=True).start()
     use_one_thread()
     torch.set_default_dtype(dtype)
     own = cloudpickle.loads(problem)
-    _here.update(problem=own, door=door)
+    _here.update({"problem": own, "all": barrier})
     with contextlib.suppress(Exception):  # it comes again, when the caller asks
         own.evaluate(np.asarray(own.start)[None], True)  # what is made once is made now
 
 
-def _meet() -> None:
-    _here["door"].wait()
+def _meet() -> int:
+    """Wait until all processes are there; return which this is."""
+    _here["all"].wait()
+    return os.getpid()
 
 
 def _evaluate(X: np.ndarray, gradients: bool) -> bytes:
