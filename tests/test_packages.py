@@ -49,3 +49,7 @@ def test_packages_are_declared():
 
 def test_the_tests_have_them_all():
     assert packages() <= names([*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["test"]])
+
+
+def test_what_is_declared_is_imported():
+    assert names(PROJECT["dependencies"]) <= packages()
