@@ -128,6 +128,8 @@ def test_what_a_model_reads_counts_and_comments_do_not(study, folder, monkeypatc
 class Silent:
     """A tracker that hears nothing."""
 
+    trouble = None
+
     def __getattr__(self, name):
         return lambda *arguments, **options: None
 
@@ -150,9 +152,8 @@ def test_the_sources_that_compute_numbers_count(copied, monkeypatch, part):
     folder = copied / part
     for file in sorted(folder.glob("*.py"))[-2:] if folder.is_dir() else [folder]:
         text = file.read_text()
-        comment = "# no more" if file.suffix == ".py" else "// no more"
         counts = part not in ("cli.py", "experiment", "tracking", "viz", "optimizers")
-        for more, changed in (("", False), (f"\n{comment}\n", False), ("\nx = 1;\n", counts)):
+        for more, changed in (("", False), ("\nx = 1;\n", counts)):
             file.write_text(text + more)
             place_module._code.cache_clear()
             assert (place_module._code(copied) != before) is changed, file

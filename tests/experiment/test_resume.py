@@ -54,6 +54,8 @@ def run(file: Path, tracker=None) -> str:
 class Silent:
     """A tracker that hears nothing."""
 
+    trouble = None
+
     def __getattr__(self, name):
         return lambda *arguments, **options: None
 

@@ -13,7 +13,6 @@ from torch import Tensor
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from torchmbd.reduction import align
 
 ANGLES = "rod.laminate.angles"
 DURATION, STEPS, MODES = 0.004, 40, 6
@@ -47,8 +46,9 @@ def crossing(system: mbd.System, others: tuple[float, ...], bracket: tuple[float
     for _ in range(40):
         middle = (low + high) / 2
         values, found, _ = frequencies_and_modes(system, design(middle))
-        followed = align(modes[:, first : first + 2], found[:, first : first + 2], mass)
-        difference = values[first : first + 2][followed.order].diff()
+        overlap = modes[:, first : first + 2].mT @ (mass[:, None] * found[:, first : first + 2])
+        crossed = overlap.square().flip(1).trace() > overlap.square().trace()
+        difference = values[first : first + 2].diff() * (-1 if crossed else 1)
         low, high = (middle, high) if sign * difference > 0 else (low, middle)
     return design((low + high) / 2)
 

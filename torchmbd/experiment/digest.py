@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import enum
 import hashlib
-import re
 import sys
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -43,10 +42,6 @@ _ATOMS = (
     PurePath,
 )
 _METHODS = (FunctionType, classmethod, staticmethod, property)
-_STRING = r"(?P<text>{}\"(?:\\.|[^\"\\\n])*\"|'(?:\\.|[^'\\\n])*')|"
-_LONG = r"(?P<q>\"\"\"|''')(?:\\.|(?!(?P=q)).)*(?P=q)|"
-_PYTHON = re.compile(_STRING.format(_LONG) + r"#[^\n]*", re.DOTALL)
-_C = re.compile(_STRING.format("") + r"//[^\n]*|/\*.*?\*/", re.DOTALL)
 
 
 def digest(*objects: Any, aside: Iterable[Any] = ()) -> str:
@@ -58,23 +53,14 @@ def digest(*objects: Any, aside: Iterable[Any] = ()) -> str:
 
 
 def sources(folder: Path, parts: Iterable[str]) -> str:
-    """Return the digest of source files (Python, C++, CUDA) of a folder, or of folders in it, without their comments."""
+    """Return the digest of source files (Python, C++, CUDA) of a folder, or of folders in it."""
     hash = hashlib.sha256()
     for part in parts:
         path = folder / part
         for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
             if file.suffix in (".py", ".cpp", ".cu", ".h"):
-                hash.update(
-                    f"{file.relative_to(folder)}\0{_code(file.read_text(encoding='utf-8'), file.suffix)}\0".encode()
-                )
+                hash.update(f"{file.relative_to(folder)}\0".encode() + file.read_bytes() + b"\0")
     return hash.hexdigest()[:32]
-
-
-def _code(text: str, suffix: str) -> str:
-    """Return a source text without comments, empty lines and blanks at the ends of lines, where they mean nothing."""
-    pattern, strip = (_PYTHON, str.rstrip) if suffix == ".py" else (_C, str.strip)
-    bare = pattern.sub(lambda found: found["text"] or " ", text)
-    return "\n".join(line for line in map(strip, bare.splitlines()) if line)
 
 
 class _Walk:

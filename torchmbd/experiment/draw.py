@@ -25,7 +25,7 @@ from torchmbd.experiment.model import find_function
 from torchmbd.experiment.place import figures_key
 from torchmbd.experiment.run import close, conclude
 from torchmbd.experiment.unfinished import claimed
-from torchmbd.tracking import MlflowTracker, Status, Tracker
+from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.provenance import provenance
 from torchmbd.tracking.store import store_uri
 
@@ -33,7 +33,9 @@ SENTENCE = "sentence"
 PICTURES = (".png", ".pdf", ".svg", ".html", ".gif")
 
 
-def run_figures(plan: FiguresPlan, console: Console, tracker: Tracker | None = None, uri: str | None = None) -> int:
+def run_figures(
+    plan: FiguresPlan, console: Console, tracker: MlflowTracker | None = None, uri: str | None = None
+) -> int:
     """Draw, and file what was drawn; return the exit code. `tracker`, `uri` as in run.run_plan."""
     began = time.monotonic()
     with ExitStack() as stack:
@@ -60,7 +62,7 @@ def run_figures(plan: FiguresPlan, console: Console, tracker: Tracker | None = N
         return conclude(plan, "figures", status, f"{time.monotonic() - began:.1f} s", record, study, console)
 
 
-def _draw(plan: FiguresPlan, folder: Path, tracker: Tracker, console: Console) -> None:
+def _draw(plan: FiguresPlan, folder: Path, tracker: MlflowTracker, console: Console) -> None:
     draw = find_function(plan.study.figures, plan.file.absolute().parent)
     try:
         shown = draw(folder=folder, **plan.study.options)

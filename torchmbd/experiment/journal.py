@@ -20,7 +20,7 @@ from torchmbd.design.problem import BOUND
 from torchmbd.experiment.load import Plan
 from torchmbd.experiment.place import problem_key
 from torchmbd.optimizers.optimizer import Evaluation, Iterate, OptimizationResult
-from torchmbd.tracking import Status, Tracker
+from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.provenance import provenance
 
 PARENT = "study"
@@ -29,7 +29,7 @@ PARENT = "study"
 class Journal:
     """Translates what happens in a study into calls of a tracker."""
 
-    def __init__(self, plan: Plan, tracker: Tracker, folder: Path) -> None:
+    def __init__(self, plan: Plan, tracker: MlflowTracker, folder: Path) -> None:
         self.plan, self.tracker, self.folder = plan, tracker, folder
         self.first: dict[int, float] = {}
         self.evaluations = self.iterates = 0

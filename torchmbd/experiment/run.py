@@ -32,7 +32,7 @@ from torchmbd.experiment.steps import lay
 from torchmbd.experiment.sweep import run_sweep
 from torchmbd.experiment.unfinished import Unfinished, claimed, unsent
 from torchmbd.optimizers import Iterate, Study, multistart
-from torchmbd.tracking import MlflowTracker, Record, Status, Tracker, TrackingError
+from torchmbd.tracking import MlflowTracker, Record, Status, TrackingError
 from torchmbd.tracking.links import DEFAULT_BASE
 from torchmbd.tracking.store import sqlite_file, store_uri
 
@@ -42,7 +42,7 @@ EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
 def run_plan(
     plan: Plan,
     console: Console,
-    tracker: Tracker | None = None,
+    tracker: MlflowTracker | None = None,
     workers: int = 1,
     scheduler: str | None = None,
     fresh: bool = False,
@@ -135,7 +135,7 @@ def run_study(
             progress.iterate(iterate)
             if store.trouble:
                 progress.note(f"{store.trouble}; the study goes on, and keeps it in memory")
-            if trouble := getattr(journal.tracker, "trouble", None):
+            if trouble := journal.tracker.trouble:
                 progress.note(f"{trouble}; the study goes on")
 
         study = multistart(
@@ -174,7 +174,7 @@ def _summarize(study: Study, journal: Journal) -> None:
     journal.summary(numbers, tags)
 
 
-def close(tracker: Tracker, study: Unfinished | None, console: Console) -> Record | None:
+def close(tracker: MlflowTracker, study: Unfinished | None, console: Console) -> Record | None:
     """Wait for the tracker; None, and a message, if not everything is in its store."""
     try:
         with console.status("writing the last of it to MLflow"):

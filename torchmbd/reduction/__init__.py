@@ -3,7 +3,6 @@
 from torchmbd.reduction.basis import CutCluster, Matrix, ModalBasis, modal_basis
 from torchmbd.reduction.branches import Branches, eigenpair_branches
 from torchmbd.reduction.constraint_modes import constraint_modes
-from torchmbd.reduction.continuity import Alignment, align, span
 from torchmbd.reduction.craig_bampton import craig_bampton
 from torchmbd.reduction.eigenpairs import Eigenpairs, eigenpairs
 from torchmbd.reduction.family import REDUCTIONS, CraigBampton, Reduction, VibrationModes, uncut
@@ -12,7 +11,6 @@ from torchmbd.reduction.spectral import eigenvalues, spectral_function
 
 __all__ = [
     "REDUCTIONS",
-    "Alignment",
     "Branches",
     "CraigBampton",
     "CutCluster",
@@ -21,7 +19,6 @@ __all__ = [
     "ModalBasis",
     "Reduction",
     "VibrationModes",
-    "align",
     "constraint_modes",
     "craig_bampton",
     "eigenpair_branches",
@@ -29,7 +26,6 @@ __all__ = [
     "eigenvalues",
     "inertia_invariants",
     "modal_basis",
-    "span",
     "spectral_function",
     "uncut",
 ]

@@ -30,6 +30,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.numerics.first_derivative import FirstDerivative
 from torchmbd.numerics.sparse import Pattern, SparseMatrix
 from torchmbd.reduction.basis import Matrix, open_pencil
 from torchmbd.reduction.blocks import BlockFactor, storage
@@ -37,7 +38,7 @@ from torchmbd.reduction.forms import Dense, Diagonal, Form, Sparse, check, check
 from torchmbd.reduction.partition import partition
 from torchmbd.reduction.shift import SAFE_PIVOT
 from torchmbd.reduction.slices import by_slices
-from torchmbd.reduction.transport import SECOND, Pencil, batched
+from torchmbd.reduction.transport import Pencil, batched
 
 
 def constraint_modes(K: Matrix, M: Matrix, interface: Sequence[int]) -> tuple[Tensor, Tensor]:
@@ -172,53 +173,33 @@ class _ConstraintModes(torch.autograd.Function):
         return None, _Cotangent.apply(ctx.split, T, columns.unsqueeze(1), small.unsqueeze(1)).squeeze(1), None
 
 
-class _Tangent(torch.autograd.Function):
+class _Tangent(FirstDerivative):
     """dT [lane, T, N, i] and dS [lane, T, i, i] from dK [lane, T, *entry] by (1)."""
+
+    of = "modes"
 
     @staticmethod
     def forward(split: Split, T: Tensor, dK: Tensor) -> tuple[Tensor, Tensor]:
         return by_slices(partial(_tangent, split), T, dK)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
-        pass
-
-    @staticmethod
     def vmap(info: Any, in_dims: tuple, split: Split, *tensors: Tensor | None) -> tuple:
         return batched(_Tangent, info, in_dims, split, tensors, state=1)
 
-    @staticmethod
-    def jvp(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
 
-    @staticmethod
-    def backward(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
-
-
-class _Cotangent(torch.autograd.Function):
+class _Cotangent(FirstDerivative):
     """The cotangent of K [lane, T, *entry] from those of T [lane, T, N, i] and S [lane, T, i, i] by (2)."""
+
+    of = "modes"
 
     @staticmethod
     def forward(split: Split, T: Tensor, G: Tensor, H: Tensor) -> Tensor:
         return by_slices(partial(_cotangent, split), T, G, H)[0]
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
-        pass
-
-    @staticmethod
     def vmap(info: Any, in_dims: tuple, split: Split, *tensors: Tensor | None) -> tuple:
         (K_bar,), (dim,) = batched(_Cotangent, info, in_dims, split, tensors, state=1)
         return K_bar, dim
-
-    @staticmethod
-    def jvp(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
-
-    @staticmethod
-    def backward(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
 
 
 def _tangent(split: Split, T: Tensor, dK: Tensor, *_: None) -> tuple[Tensor, Tensor]:

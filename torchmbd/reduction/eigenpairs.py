@@ -40,11 +40,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.numerics.first_derivative import FirstDerivative
 from torchmbd.numerics.sparse import SparseMatrix
 from torchmbd.reduction.basis import CLUSTER, modal_basis, open_pencil, rounding
 from torchmbd.reduction.sharpen import Sharpen
 from torchmbd.reduction.spectral import chained
-from torchmbd.reduction.transport import SECOND
 
 UNEQUAL = 1e-4  # of cotangents; less is what distinct eigenvalues of a cluster make of a symmetric function
 
@@ -160,8 +160,10 @@ def _inverse_gaps(values: Tensor, known_to: Tensor, cluster: float) -> Tensor:
     return torch.where(together, 0.0, 1 / torch.where(together, 1.0, gaps))
 
 
-class _Slopes(torch.autograd.Function):
+class _Slopes(FirstDerivative):
     """The eigenvalues of each cluster's block of dKr [..., n, n], in rising order; its diagonal for single modes."""
+
+    of = "modes"
 
     @staticmethod
     def forward(dKr: Tensor, together: Tensor) -> Tensor:
@@ -179,21 +181,9 @@ class _Slopes(torch.autograd.Function):
         return slopes
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
-        pass
-
-    @staticmethod
     def vmap(info: Any, in_dims: tuple, dKr: Tensor, together: Tensor) -> tuple[Tensor, int]:
         wide = [
             x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
             for x, dim in ((dKr, in_dims[0]), (together, in_dims[1]))
         ]
         return _Slopes.apply(*wide), 0
-
-    @staticmethod
-    def jvp(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
-
-    @staticmethod
-    def backward(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)

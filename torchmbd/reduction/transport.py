@@ -53,6 +53,7 @@ from typing import Any, Protocol
 import torch
 from torch import Tensor
 
+from torchmbd.numerics.first_derivative import FirstDerivative
 from torchmbd.reduction.forms import Form
 from torchmbd.reduction.slices import by_slices
 
@@ -78,8 +79,10 @@ class Pencil:
         self.K_form, self.M_form = K_form, M_form
 
 
-class Tangent(torch.autograd.Function):
+class Tangent(FirstDerivative):
     """dPsi [lane, T, N, n] and dKr [lane, T, n, n] from dK, dM [lane, T, *entry] by (1), (4), (5)."""
+
+    of = "modes"
 
     @staticmethod
     def forward(
@@ -88,44 +91,22 @@ class Tangent(torch.autograd.Function):
         return by_slices(partial(_tangent, pencil), values, psi, dK, dM)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
-        pass
-
-    @staticmethod
     def vmap(info: Any, in_dims: tuple, pencil: Pencil, *tensors: Tensor | None) -> tuple:
         return batched(Tangent, info, in_dims, pencil, tensors)
 
-    @staticmethod
-    def jvp(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
 
-    @staticmethod
-    def backward(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
-
-
-class Cotangent(torch.autograd.Function):
+class Cotangent(FirstDerivative):
     """The cotangents of K and M [lane, T, *entry] from those of Psi [lane, T, N, n] and Kr [lane, T, n, n] by (6)."""
+
+    of = "modes"
 
     @staticmethod
     def forward(pencil: Pencil, values: Tensor, psi: Tensor, G: Tensor, H: Tensor) -> tuple[Tensor, Tensor]:
         return by_slices(partial(_cotangent, pencil), values, psi, G, H)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
-        pass
-
-    @staticmethod
     def vmap(info: Any, in_dims: tuple, pencil: Pencil, *tensors: Tensor | None) -> tuple:
         return batched(Cotangent, info, in_dims, pencil, tensors)
-
-    @staticmethod
-    def jvp(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
-
-    @staticmethod
-    def backward(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
 
 
 def _tangent(
@@ -154,9 +135,6 @@ def _cotangent(pencil: Pencil, values: Tensor, psi: Tensor, G: Tensor, H: Tensor
     K_bar = pencil.K_form.pair(columns @ H - Y, columns)
     M_bar = pencil.M_form.pair(Y * lam - columns @ W.mT / 2, columns)
     return K_bar, M_bar
-
-
-SECOND = "second derivatives of modes are not provided; use finite differences of gradients"
 
 
 def batched(

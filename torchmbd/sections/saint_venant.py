@@ -32,9 +32,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchmbd.numerics.first_derivative import FirstDerivative
 from torchmbd.numerics.inverse import balanced_inverse
 from torchmbd.sections.geometry import SectionGeometry
-from torchmbd.sections.warping import SECOND, WarpingProblem, solve
+from torchmbd.sections.warping import WarpingProblem, solve
 
 CLASSICAL, SHEAR = [0, 3, 4, 5], [1, 2]
 
@@ -101,28 +102,18 @@ class _Compliance(torch.autograd.Function):
         return None, torch.einsum("lij,lijkab->lkab", S_bar, slopes)
 
 
-class _Slopes(torch.autograd.Function):
+class _Slopes(FirstDerivative):
     """dS_ij / dD_kab [lane, 6, 6, layers, 6, 6], for symmetric changes of D."""
+
+    of = "section stiffness"
 
     @staticmethod
     def forward(problem: WarpingProblem, D: Tensor) -> Tensor:
         return _slopes(problem, D)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
-        pass
-
-    @staticmethod
     def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor) -> tuple:
         return _flattened(_Slopes, in_dims, problem, D)
-
-    @staticmethod
-    def jvp(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
-
-    @staticmethod
-    def backward(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
 
 
 def _slopes(problem: WarpingProblem, D: Float[Tensor, "lane layers 6 6"]) -> Float[Tensor, "lane 6 6 layers 6 6"]:

@@ -23,9 +23,8 @@ from scipy.sparse.linalg import SuperLU, splu
 from torch import Tensor
 
 from torchmbd.errors import SimulationFailure
+from torchmbd.numerics.first_derivative import FirstDerivative
 from torchmbd.sections.geometry import SectionGeometry
-
-SECOND = "second derivatives of section stiffness are not provided; use finite differences of gradients"
 
 
 class WarpingProblem:
@@ -128,28 +127,18 @@ class _Solve(torch.autograd.Function):
         return None, -g.layer_pairs(g.warp_strain(f_bar), g.warp_strain(u), D.shape[-3]), f_bar
 
 
-class _Substitute(torch.autograd.Function):
+class _Substitute(FirstDerivative):
     """E^-1 f with D as a number: what derivatives of u need; its own derivatives are refused."""
+
+    of = "section stiffness"
 
     @staticmethod
     def forward(problem: WarpingProblem, D: Tensor, f: Tensor) -> Tensor:
         return problem.substitute(problem.factors(D), f)
 
     @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
-        pass
-
-    @staticmethod
     def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor, f: Tensor) -> tuple:
         return _batched(_Substitute, info, in_dims, problem, D, f)
-
-    @staticmethod
-    def jvp(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
-
-    @staticmethod
-    def backward(ctx: Any, *_: Any) -> Any:
-        raise NotImplementedError(SECOND)
 
 
 def _batched(function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor, f: Tensor) -> tuple:

@@ -1,6 +1,6 @@
-"""Tracking of studies: the contract, and MLflow behind it. Nothing below this floor knows of it."""
+"""Tracking of studies by MLflow. Nothing below this floor knows of it."""
 
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
-from torchmbd.tracking.tracker import Record, Status, Tracker, TrackingError
+from torchmbd.tracking.tracker import Record, Status, TrackingError
 
-__all__ = ["MlflowTracker", "Record", "Status", "Tracker", "TrackingError"]
+__all__ = ["MlflowTracker", "Record", "Status", "TrackingError"]

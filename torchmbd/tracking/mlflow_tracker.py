@@ -4,6 +4,14 @@
     metrics("start_3", {...}, 7)    ->    every few seconds: MlflowClient.log_batch of what was told of each run
     close()                         ->    the rest; then the Record
 
+    begin    a run opens, under a key that the caller chooses ("study", "start_3"), perhaps below a parent
+    metrics  numbers of one step of it (an iteration)
+    tags     words about it
+    artifact a file of it
+    view     which metrics, parameters and tags of its children show best how they compare
+    end      it is over: FINISHED, FAILED or KILLED
+    close    nothing more will come: what is still open is KILLED; returns where the runs are
+
 What is told gets its time when it is told. Sending the same again changes nothing in the store, so whatever fails is sent
 again: a store that is away is tried until it is back, or until `TORCHMBD_PATIENCE` seconds (default 15) after the end of the
 study. What it refuses (a file that is gone) is named by `close`, and costs nothing else.
@@ -70,7 +78,7 @@ class Draft:
 
 
 class MlflowTracker:
-    """Keeps the contract of torchmbd.tracking.tracker.
+    """See the header of this file.
 
     study  the same for all lives of a study, whose runs are gone on with; None: a study of its own
     """
