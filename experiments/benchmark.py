@@ -8,6 +8,7 @@ Parts (default: all):
     multistart      a whole optimization from 32 starts
     structure       structure stage with tangents
     variables       cost of one more variable
+    batches         fixed cost of a batch, and cost of ply failure
     angles          gradient by 288 and by 3,000 angles over one simulation
     mesh            motion stage on a fine mesh
     chain           cost per link of a flexible chain
@@ -40,6 +41,7 @@ import torchmbd as mbd
 from experiments import benchmark_costs as costs
 from experiments import benchmark_motion, exudyn_peer
 from experiments.benchmark_angles import many_angles
+from experiments.benchmark_batches import batches
 from experiments.benchmark_integrators import work_precision
 from experiments.benchmark_multistart import multistart
 from experiments.benchmark_report import Result, Settings
@@ -51,6 +53,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "multistart": multistart,
     "structure": costs.structure,
     "variables": costs.variables,
+    "batches": batches,
     "angles": many_angles,
     "mesh": costs.mesh,
     "chain": costs.chain,
@@ -70,6 +73,9 @@ FIGURES = (
     "eager_3x128",
     "multistart",
     "structure_ms",
+    "structure_reverse_ms",
+    "batch_fixed_ms",
+    "failure_ratio",
     "many_angles",
     "many_angles_3000",
     "many_angles_gb",

@@ -43,20 +43,21 @@ ANGLES = "rod.laminate.angles"
 
 
 def structure(settings: Settings) -> Result:
-    """Structure stage with tangents: processor milliseconds per design, by compiled products and by torch's."""
-    rows, figure = [], None
+    """Structure stage with tangents, and with its gradient: processor milliseconds per design, compiled and by torch."""
+    rows, figures = [], dict.fromkeys(("structure_ms", "structure_reverse_ms"))
+    kinds = ("values_ms", "structure_ms", "reverse_ms")
     for layers, designs in ((3, 4),) if settings.quick else ((3, 1), (3, 32), (4, 32), (10, 32)):
         with compilation(True):
             found = rod(designs=designs, layers=layers) if unavailable() is None else None
         with compilation(False):
             eager = rod(designs=designs, layers=layers)
         found = found or eager
-        costs = [x[k] for k in ("values_ms", "structure_ms") for x in (found, eager)]
-        rows.append([layers, designs, int(found["freedoms"]), *costs])
+        rows.append([layers, designs, int(found["freedoms"]), *(x[k] for k in kinds for x in (found, eager))])
         if (layers, designs) == (3, 32):
-            figure = found["structure_ms"]
+            figures = {"structure_ms": found["structure_ms"], "structure_reverse_ms": found["reverse_ms"]}
     columns = ["angles", "designs", "freedoms", "values, ms per design", "uncompiled", "with tangents", "uncompiled"]
-    return Result({"structure_ms": figure}, [Grid("structure stage, processor time", columns, rows)])
+    columns += ["with gradient", "uncompiled"]
+    return Result(figures, [Grid("structure stage, processor time", columns, rows)])
 
 
 def variables(settings: Settings) -> Result:

@@ -79,6 +79,8 @@ def rod(
     with torch.no_grad():
         values = best(lambda: stage(angles), 5)
     both = best(lambda: with_tangents(stage, angles), 5)
+    leaf = angles.clone().requires_grad_()
+    reverse = best(lambda: torch.autograd.grad(sum(x.sum() for x in stage(leaf).values() if x.requires_grad), leaf), 5)  # type: ignore[arg-type]
     return {
         "freedoms": len(body.free),
         "designs": designs,
@@ -86,6 +88,7 @@ def rod(
         "modes": body.modes,
         "values_ms": 1e3 * values / designs,
         "structure_ms": 1e3 * both / designs,
+        "reverse_ms": 1e3 * reverse / designs,
     }
 
 

@@ -53,6 +53,7 @@ def build(
     updated: bool = True,
     kind: str = "quad",
     joint: str = "universal",
+    strength: mbd.Strength | None = None,
 ) -> mbd.System:
     """Slider-crank with a rod of equal layers.
 
@@ -66,13 +67,14 @@ def build(
     joint    of rod and slider: "universal", which keeps the rod from spinning about itself, or "spherical", as in the
              independent codes (exudyn_peer.py). With coupling of bending and twist they differ: peak of U at 17 degrees
              0.103 and 0.094 J
+    strength of the plies
     """
     if joint not in JOINTS:
         raise unknown("joint", joint, JOINTS)
     plies = [45.0 if i % 2 == 0 else -45.0 for i in range(layers)] if angles is None else list(angles)
     if len(plies) != layers:
         raise mbd.InputError(f"angles has {len(plies)} entries; allowed: {layers}, one for each of layers={layers}")
-    laminate = mbd.Laminate(mbd.Ply(**CARBON), angles=mbd.deg(plies), thickness=THICKNESS / layers)
+    laminate = mbd.Laminate(mbd.Ply(**CARBON, strength=strength), mbd.deg(plies), THICKNESS / layers)
     mesh = mbd.mesh.rectangle(length=ROD, width=DEPTH, cells=(cells[0], cells[1]), kind=kind)
     # The normal of the plate lies in the plane of motion, so that the 7.5 mm side bends (inferred).
     axes = [[1, 0, 0], [0, 0, 1], [0, -1, 0]]

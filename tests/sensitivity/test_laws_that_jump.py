@@ -24,9 +24,9 @@ class Pushed(mbd.System):
         super().__init__([body], [mbd.Prismatic(GROUND.at(), body.at(), axis="x")], [push])
         self.g = nn.Parameter(tensor(1.0))
 
-    def _data(self):
+    def _data(self, stages):
         zero = torch.zeros_like(self.g)
-        return super()._data() | {"gravity": torch.stack([self.g, zero, zero]).reshape(3, 1, 1, -1)}
+        return super()._data(stages) | {"gravity": torch.stack([self.g, zero, zero]).reshape(3, 1, 1, -1)}
 
 
 def place(t: Tensor, g: Tensor) -> Tensor:

@@ -21,13 +21,13 @@ from torch import Tensor, nn
 
 from torchmbd.elements import PlyBasis, ply_basis, ply_points
 from torchmbd.errors import InputError, unknown
-from torchmbd.materials import CRITERIA
+from torchmbd.materials import CRITERIA, FailureForms
 from torchmbd.numerics.called import called
 
 if TYPE_CHECKING:
     from torchmbd.integrators.trajectory import Trajectory
 
-_CHUNK = 2_000_000  # stresses that are looked through at once
+_CHUNK = 500_000  # indices that are looked through at once
 
 
 class PlyHistory:
@@ -73,13 +73,12 @@ class PlyHistory:
 
     def critical(self, criterion: str = "tsai_wu") -> Int[Tensor, "lanes times"]:
         """Which point is nearest to failure, at each time."""
-        rule, strength = self._rule(criterion)
-        basis, w = self.basis.stress.detach(), self.w.detach()
-        size = max(1, _CHUNK // basis[0, ..., 0].numel())
-        rows = [
-            torch.cat([rule(_at(one, part), strength).argmax(-1) for part in trajectory.split(size)])
-            for one, trajectory in zip(basis, w, strict=True)
-        ]
+        _, strength = self._rule(criterion)
+        size = max(1, _CHUNK // len(strength))
+        rows = []
+        for basis, w in zip(self.basis.stress.detach(), self.w.detach(), strict=True):
+            index = FailureForms(criterion, basis, strength)
+            rows.append(torch.cat([index(part).argmax(-1) for part in w.split(size)]))
         return torch.stack(rows)
 
     def failure(self, criterion: str = "tsai_wu") -> Float[Tensor, "lanes times"]:

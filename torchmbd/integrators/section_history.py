@@ -24,14 +24,14 @@ from torch import Tensor, nn
 
 from torchmbd.elements import Beams
 from torchmbd.errors import InputError, unknown
-from torchmbd.materials import CRITERIA
+from torchmbd.materials import CRITERIA, FailureForms
 from torchmbd.numerics.called import called
 from torchmbd.sections import Section
 
 if TYPE_CHECKING:
     from torchmbd.integrators.trajectory import Trajectory
 
-_CHUNK = 2_000_000  # stresses that are looked through at once
+_CHUNK = 500_000  # indices that are looked through at once
 
 #: Where the five stresses of a ply, PLY_COMPONENTS, stand among the six of a solid.
 _OF_PLY = [0, 1, 5, 4, 3]
@@ -89,17 +89,16 @@ class SectionHistory:
     def critical(self, criterion: str = "tsai_wu", part: str | None = None) -> Int[Tensor, "lanes times 2"]:
         """Which end and which point of a part is nearest to failure, at each time."""
         key = self._key(part)
-        rule, strength = _rule(criterion), self._strength(key)
-        made, rows = self._made[key], []
-        size = max(1, _CHUNK // (made.forces.shape[1] * made.unit[0, :, 0].numel()))
+        _rule(criterion)
+        made, rows, strength = self._made[key], [], self._strength(key)
+        ends, points = made.forces.shape[1], made.unit.shape[1]
         for forces, unit, w in zip(*(x.detach() for x in (*made, self.w)), strict=True):
-            flat = unit[:, _OF_PLY].flatten(0, 1)
-            for some in w.split(size):
-                stress = (torch.einsum("esm,tm->tes", forces, some) @ flat.T).unflatten(-1, (-1, 5))
-                rows.append(rule(stress, strength).flatten(1).argmax(-1))
+            index = FailureForms(criterion, unit[:, _OF_PLY], strength)
+            for some in w.split(max(1, _CHUNK // (ends * points))):
+                loads = torch.einsum("esm,tm->tes", forces, some).flatten(0, 1)
+                rows.append(index(loads).unflatten(0, (-1, ends)).flatten(1).argmax(-1))
         place = torch.cat(rows).unflatten(0, (len(self.w), -1))
-        count = made.unit.shape[1]
-        return torch.stack([torch.div(place, count, rounding_mode="floor"), place % count], dim=-1)
+        return torch.stack([torch.div(place, points, rounding_mode="floor"), place % points], dim=-1)
 
     def failure(self, criterion: str = "tsai_wu") -> Float[Tensor, "lanes times"]:
         """Index of the point nearest to failure of all parts at each time: below one nothing fails."""

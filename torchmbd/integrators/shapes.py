@@ -8,6 +8,7 @@ Checked in tests/integrators/test_body_motion.py.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -42,13 +43,22 @@ class DesignShapes(Shapes):
     """Of all lanes; designs by name [lanes, ...].
 
     good     which lanes have not failed [lanes]: shapes of the others have no gradient; None: all
+    shapes   those that the structure stage has made already, with gradients
     """
 
-    def __init__(self, system: Any, designs: dict[str, Tensor], lanes: int, good: Tensor | None = None):
+    def __init__(
+        self,
+        system: Any,
+        designs: dict[str, Tensor],
+        lanes: int,
+        good: Tensor | None = None,
+        shapes: Mapping[str, Tensor] = MappingProxyType({}),
+    ):
         super().__init__()
         self.system, self.lanes, self.good = system, lanes, good
         # All parameters as they are now: they may be others when somebody looks.
         self.designs = {name: x.detach().clone() for name, x in system.named_parameters()} | designs
+        self._kept |= {(name, True): self._of_all(psi) for name, psi in shapes.items()}
 
     def detach(self) -> DesignShapes:
         """As of Shapes."""
@@ -56,7 +66,9 @@ class DesignShapes(Shapes):
         return DesignShapes(self.system, designs, self.lanes, self.good)
 
     def _values(self, name: str) -> Tensor:
-        psi = called(self.system, self.designs, name)["psi"]
+        return self._of_all(called(self.system, self.designs, name)["psi"])
+
+    def _of_all(self, psi: Tensor) -> Tensor:
         wide = psi if psi.dim() == 4 else psi[None].expand(self.lanes, *psi.shape)
         if self.good is None or all_true(self.good):
             return wide

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import torch
@@ -187,7 +188,7 @@ def _reverse(
 ) -> Trajectory:
     """A motion whose structure stage is differentiated by torch, and whose steps by their adjoint; also by a `duration` []."""
     timed = isinstance(duration, Tensor)
-    dynamics = system.reduced(batch)
+    dynamics, shapes = system.stages(batch)
     data = dynamics.data
     integration = ReverseIntegration(
         system,
@@ -202,7 +203,9 @@ def _reverse(
     )
     inputs = (*data.values(), duration[None, None]) if timed else data.values()
     outputs: Any = Motion.apply(integration, *inputs)
-    motion = _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names)
+    if not torch.is_grad_enabled():
+        shapes = {}  # they are made when somebody asks, and take no room before
+    motion = _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names, shapes)
     return _timed(motion, duration) if timed else motion
 
 
@@ -268,6 +271,7 @@ def _presented(
     designs: dict[str, Tensor],
     labels: tuple[str, ...],
     names: list[str],
+    shapes: Mapping[str, Tensor] = MappingProxyType({}),
 ) -> Trajectory:
     """What was integrated, with all that belongs to it, as functions of the outputs, the data and the designs."""
     q, v, vd, lam, (until, good) = outputs
@@ -284,7 +288,7 @@ def _presented(
         stats=integration.stats,
         system=system,
         dynamics=dynamics,
-        shapes=DesignShapes(system, designs, signals.lanes, good),
+        shapes=DesignShapes(system, designs, signals.lanes, good, shapes),
         good=good,
         designs=designs,
         parameters=labels,

@@ -72,7 +72,11 @@ def tsai_wu(stress: Float[Tensor, "*n 5"], strength: Float[Tensor, "*n 8"]) -> F
 
 def tsai_wu_irf(stress: Float[Tensor, "*n 5"], strength: Float[Tensor, "*n 8"]) -> Float[Tensor, "*n"]:
     """Inverse reserve factor of Tsai-Wu, the positive root of x^2 - linear x - quadratic = 0."""
-    linear, quadratic = _tsai_wu_parts(stress, strength)
+    return inverse_reserve_factor(*_tsai_wu_parts(stress, strength))
+
+
+def inverse_reserve_factor(linear: Float[Tensor, "*n"], quadratic: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
+    """The positive root x of x^2 - linear x - quadratic = 0."""
     square = linear**2 + 4.0 * quadratic
     loaded = square > 0.0
     return torch.where(loaded, 0.5 * (linear + torch.where(loaded, square, 1.0).sqrt()), 0.0 * square)
@@ -86,14 +90,21 @@ def max_stress(stress: Float[Tensor, "*n 5"], strength: Float[Tensor, "*n 8"]) -
     return torch.stack(parts, dim=-1).amax(-1)
 
 
+def tsai_wu_forms(strength: Float[Tensor, "*n 8"]) -> tuple[Float[Tensor, "*n 5"], Float[Tensor, "*n 5 5"]]:
+    """The linear form of Tsai-Wu in the stress, and the matrix of the quadratic one."""
+    Xt, Xc, Yt, Yc, S12, S13, S23, interaction = strength.unbind(-1)
+    F11, F22 = 1.0 / (Xt * Xc), 1.0 / (Yt * Yc)
+    none = torch.zeros_like(Xt)
+    linear = torch.stack([1.0 / Xt - 1.0 / Xc, 1.0 / Yt - 1.0 / Yc, none, none, none], dim=-1)
+    quadratic = torch.diag_embed(torch.stack([F11, F22, S12**-2, S13**-2, S23**-2], dim=-1))
+    quadratic[..., 0, 1] = quadratic[..., 1, 0] = interaction * (F11 * F22).sqrt()
+    return linear, quadratic
+
+
 def _tsai_wu_parts(stress: Tensor, strength: Tensor) -> tuple[Tensor, Tensor]:
     """The parts that are linear and quadratic in the stress."""
-    Xt, Xc, Yt, Yc, S12, S13, S23, interaction = strength.unbind(-1)
-    s1, s2, t12, t13, t23 = stress.unbind(-1)
-    F11, F22 = 1.0 / (Xt * Xc), 1.0 / (Yt * Yc)
-    linear = (1.0 / Xt - 1.0 / Xc) * s1 + (1.0 / Yt - 1.0 / Yc) * s2
-    plane = F11 * s1**2 + F22 * s2**2 + 2.0 * interaction * (F11 * F22).sqrt() * s1 * s2
-    return linear, plane + (t12 / S12) ** 2 + (t13 / S13) ** 2 + (t23 / S23) ** 2
+    f, F = tsai_wu_forms(strength)
+    return (f * stress).sum(-1), (stress * (F @ stress[..., None])[..., 0]).sum(-1)
 
 
 CRITERIA: dict[str, Callable[[Tensor, Tensor], Tensor]] = {

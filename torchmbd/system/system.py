@@ -136,25 +136,38 @@ class System(nn.Module):
     def forward(self, part: str | None = None) -> Any:
         """The equations of motion as a module (state_equation.py), of the parameters as they are when that is called.
 
-        For part="data" the tensors that the structure stage makes of them; for the name of a flexible body its structure.
+        For part="data" the tensors that the structure stage makes of them; for "stages" these and the structures of all
+        flexible bodies; for the name of one its structure.
         """
         if part is None:
             made = StateEquation(dict(self.named_children()), self._own)
             made.register_load_state_dict_post_hook(functools.partial(_joined_with, self))
             return made
-        return self._data() if part == "data" else self.body(part).structure()
+        if part not in ("data", "stages"):
+            return self.body(part).structure()
+        structures = self._structures()
+        data = self._data(list(structures.values()))
+        return data if part == "data" else (data, structures)
 
     @exclusive
     def _own(self) -> Dynamics:
         """Structure stage of the module's own parameters: one design."""
         self._refuse_lost()
-        return Dynamics(self.topology, self._saddle, self._data(), self._initial, self.stabilization)
+        return self._made(self._data(list(self._structures().values())))
 
     @exclusive
     def reduced(self, parameters: Mapping[str, Tensor]) -> Dynamics:
         """Structure stage of a batch of designs, name -> values [lanes, ...], differentiable by torch in every mode."""
+        return self.stages(parameters)[0]
+
+    @exclusive
+    def stages(self, parameters: Mapping[str, Tensor]) -> tuple[Dynamics, dict[str, Tensor]]:
+        """The same, and the mode shapes [lanes, nodes, 6, modes] of the flexible bodies by their names."""
         self._refuse_lost()
-        data = called(self, parameters, "data")
+        data, structures = called(self, parameters, "stages")
+        return self._made(data), {name: made["psi"] for name, made in structures.items()}
+
+    def _made(self, data: dict[str, Any]) -> Dynamics:
         return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
 
     @exclusive
@@ -194,7 +207,7 @@ class System(nn.Module):
                 data = _tangents(lambda moving: stage(fixed | moving), {name: given[name] for name in tangents})
             else:
                 data = stage(given)
-        return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
+        return self._made(data)
 
     def _refuse_lost(self) -> None:
         """InputError for numbers that would be differentiated, but are constants of the system, its bodies and laws."""
@@ -217,11 +230,13 @@ class System(nn.Module):
             registered = joint.variables.module if joint.variables else None
             refuse_lost(f"law of {joint.name!r}", getattr(joint, "law", None), OF_DRIVES, registered)
 
-    def _data(self) -> dict[str, Tensor]:
+    def _structures(self) -> dict[str, dict[str, Tensor]]:
+        return {name: self.body(name).structure() for name in self.topology.names[: self.topology.flexible]}
+
+    def _data(self, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
         T = self.topology
         flexible = [self.body(name) for name in T.names[: T.flexible]]
         rigid = [self.body(name) for name in T.names[T.flexible :]]
-        stages = [body.structure() for body in flexible]
         inertia = [*stages, *(body.invariants() for body in rigid)]
         data = {key: _together([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
         if flexible:
