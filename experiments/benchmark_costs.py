@@ -44,7 +44,8 @@ ANGLES = "rod.laminate.angles"
 
 def structure(settings: Settings) -> Result:
     """Structure stage with tangents, and with its gradient: processor milliseconds per design, compiled and by torch."""
-    rows, figures = [], dict.fromkeys(("structure_ms", "structure_reverse_ms"))
+    figures: dict[str, float | None] = dict.fromkeys(("structure_ms", "structure_reverse_ms"))
+    rows = []
     kinds = ("values_ms", "structure_ms", "reverse_ms")
     for layers, designs in ((3, 4),) if settings.quick else ((3, 1), (3, 32), (4, 32), (10, 32)):
         with compilation(True):
@@ -55,9 +56,8 @@ def structure(settings: Settings) -> Result:
         rows.append([layers, designs, int(found["freedoms"]), *(x[k] for k in kinds for x in (found, eager))])
         if (layers, designs) == (3, 32):
             figures = {"structure_ms": found["structure_ms"], "structure_reverse_ms": found["reverse_ms"]}
-    columns = ["angles", "designs", "freedoms", "values, ms per design", "uncompiled", "with tangents", "uncompiled"]
-    columns += ["with gradient", "uncompiled"]
-    return Result(figures, [Grid("structure stage, processor time", columns, rows)])
+    columns = ["angles", "designs", "freedoms", "values", "eager", "tangents", "eager", "gradient", "eager"]
+    return Result(figures, [Grid("structure stage, processor ms per design", columns, rows)])
 
 
 def variables(settings: Settings) -> Result:

@@ -22,7 +22,7 @@ from experiments.benchmark_cases import compilation, compiled_ready, measures
 from experiments.benchmark_report import Cell, Grid, Result, Settings, ratio
 from experiments.slider_crank import DURATION, build
 from torchmbd.optimizers import Evaluation
-from torchmbd.process import exempt, use_one_thread
+from torchmbd.process import use_one_thread
 
 ANGLES = "rod.laminate.angles"
 STEPS, STARTS, ITERATIONS = 500, 32, 30
@@ -120,7 +120,6 @@ def multistart(settings: Settings, starts: int = STARTS, iterations: int = ITERA
     use_one_thread()  # as the command line does
     own = own_problem(steps)
     ready = compiled_ready(own.system.dynamics())
-    exempt()
     rows: list[list[Cell]] = []
     total = {"ours": 0.0, "peer": 0.0}
     with multiprocessing.get_context("spawn").Pool(PROCESSES, _begin, (bool(settings.peer),)) as pool:
