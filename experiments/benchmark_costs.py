@@ -46,17 +46,18 @@ def structure(settings: Settings) -> Result:
     """Structure stage with tangents, and with its gradient: processor milliseconds per design, compiled and by torch."""
     figures: dict[str, float | None] = dict.fromkeys(("structure_ms", "structure_reverse_ms"))
     rows = []
-    kinds = ("values_ms", "structure_ms", "reverse_ms")
+    kinds = {"values": "values_ms", "with tangents": "structure_ms", "with gradient": "reverse_ms"}
     for layers, designs in ((3, 4),) if settings.quick else ((3, 1), (3, 32), (4, 32), (10, 32)):
         with compilation(True):
             found = rod(designs=designs, layers=layers) if unavailable() is None else None
         with compilation(False):
             eager = rod(designs=designs, layers=layers)
         found = found or eager
-        rows.append([layers, designs, int(found["freedoms"]), *(x[k] for k in kinds for x in (found, eager))])
+        size = [layers, designs, int(found["freedoms"])]
+        rows += [[*size, what, found[k], eager[k]] for what, k in kinds.items()]
         if (layers, designs) == (3, 32):
             figures = {"structure_ms": found["structure_ms"], "structure_reverse_ms": found["reverse_ms"]}
-    columns = ["angles", "designs", "freedoms", "values", "eager", "tangents", "eager", "gradient", "eager"]
+    columns = ["angles", "designs", "freedoms", "what", "compiled", "eager"]
     return Result(figures, [Grid("structure stage, processor ms per design", columns, rows)])
 
 

@@ -176,7 +176,10 @@ def test_the_pullback_is_the_transpose_of_the_tangents(method, system, designs, 
             mbd.simulate(system, DURATION, method, steps=2, gradients="reverse")
         return
     level = float(reference.q[0, :, 2].mean())
-    for phases in (None, [mbd.Phase(until=mbd.Event(lambda m: m.q[..., 2] - level)), mbd.Phase(lock=["universal_arm_rod"])]):
+    for phases in (
+        None,
+        [mbd.Phase(until=mbd.Event(lambda m: m.q[..., 2] - level)), mbd.Phase(lock=["universal_arm_rod"])],
+    ):
         gradients = []
         for way in ("forward", "reverse"):
             b = designs[ANGLES].clone().requires_grad_()
