@@ -81,7 +81,6 @@ class ForwardIntegration:
         self.moving = tuple(name for name, x in data.items() if isinstance(x, Pair) or x.shape[-1] > 1)
         h = self.history
         self.validity = validity(h, self.status, self.stats)
-        self.dynamics.judged()
         numbers = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self._constant(self.validity)]
         numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.moving)]
         for switch in self.switches:
@@ -96,6 +95,7 @@ class ForwardIntegration:
         self.history, self.stats, self.status = run(
             self.integrator, self.dynamics, self.duration, self.steps, precise=self.dynamics.tangents > 0
         )
+        self.dynamics.judged()
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
         self.system, stages = plan(self.system, phases, self.duration)
