@@ -51,7 +51,7 @@ class Action:
     """All actions of one kind in a system.
 
     members  for each argument the indices of its vectors, long [n]
-    laws     f(s, s', t) of each
+    laws     f(s, s', t) of each, or one of all
     """
 
     members: tuple[Tensor, ...]
@@ -77,10 +77,14 @@ class Action:
 
     def strength(self, s, rate, t, data: Data):
         """Generalized forces f [n, ...]."""
+        if len(self.laws) == 1:
+            return _force(_of(self.laws[0], data), s, rate, t)
         return cat([_force(_of(law, data), s[i : i + 1], rate[i : i + 1], t) for i, law in enumerate(self.laws)])
 
     def slopes(self, s: Tensor, rate: Tensor, t: Any, data: Data) -> tuple[Tensor, Tensor]:
         """df/ds and df/ds' [n, ...] of plain numbers."""
+        if len(self.laws) == 1:
+            return _slopes(_of(self.laws[0], data), s, rate, value(t))
         parts = [_slopes(_of(law, data), s[i : i + 1], rate[i : i + 1], value(t)) for i, law in enumerate(self.laws)]
         return torch.cat([p[0] for p in parts]), torch.cat([p[1] for p in parts])
 
@@ -129,6 +133,8 @@ class Turn(Action):
     def measure(self, vectors):
         x, y, b = vectors
         c, s = dot(x, b), dot(y, b)
+        if len(self.laws) == 1:
+            return _angle(s, c, getattr(self.laws[0], "center", 0.0))
         parts = [_angle(s[i : i + 1], c[i : i + 1], getattr(law, "center", 0.0)) for i, law in enumerate(self.laws)]
         return cat(parts)
 

@@ -63,7 +63,7 @@ class Pair:
         return self._tangent
 
     @property
-    def shape(self) -> torch.Size:
+    def shape(self) -> Any:
         return self.full.shape
 
     def map(self, f: Callable[[Tensor], Tensor]) -> Pair:
@@ -143,10 +143,10 @@ class _Apart(Pair):
         return self._tangent
 
     @property
-    def shape(self) -> torch.Size:
+    def shape(self) -> Any:
         slots = 1 + self._tangent.shape[-2]
         lanes = max(self._value.shape[-1], self._tangent.shape[-1])
-        return torch.Size((*self._value.shape[:-2], slots, lanes))
+        return (*self._value.shape[:-2], slots, lanes)
 
     def map(self, f: Callable[[Tensor], Tensor]) -> Pair:
         return _Apart(f(self._value), f(self._tangent))

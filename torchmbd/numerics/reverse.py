@@ -17,7 +17,7 @@ from itertools import takewhile
 from torchmbd.numerics.scalars import Tape, Untraceable
 
 Conditions = tuple[tuple[int, bool], ...]  # numbers, and whether they hold
-_PLAIN = ("add", "sub", "neg", "where")  # make nothing but zero of zero
+PLAIN = ("add", "sub", "neg", "where")  # make nothing but zero of zero
 Rule = Callable[[Tape, int, int, tuple], tuple]
 
 
@@ -104,7 +104,7 @@ def pullback(tape: Tape, outputs: Sequence[int], weights: Sequence[int], by: Seq
     def give(node: int, bar: int, conditions: Conditions) -> None:
         if bar != tape.zero:
             worth[node] = tape.call("add", worth[node], bar) if node in worth else bar
-            under[node] = _shared(under.get(node, conditions), conditions)
+            under[node] = shared(under.get(node, conditions), conditions)
 
     for output, weight in zip(outputs, weights, strict=True):
         give(output, weight, ())
@@ -120,16 +120,16 @@ def pullback(tape: Tape, outputs: Sequence[int], weights: Sequence[int], by: Seq
             own = [under[node], (*under[node], (args[0], True)), (*under[node], (args[0], False))]
         for a, bar, conditions in zip(args, RULES[op](tape, worth[node], node, args), own, strict=True):
             if a in moving:
-                give(a, bar if op in _PLAIN else _chosen_under(tape, under[node], bar), conditions)
+                give(a, bar if op in PLAIN else chosen_under(tape, under[node], bar), conditions)
     return [worth.get(node, tape.zero) for node in by]
 
 
-def _shared(a: Conditions, b: Conditions) -> Conditions:
+def shared(a: Conditions, b: Conditions) -> Conditions:
     """The conditions that both begin with."""
     return tuple(x for x, _ in takewhile(lambda both: both[0] == both[1], zip(a, b, strict=False)))
 
 
-def _chosen_under(tape: Tape, conditions: Conditions, bar: int) -> int:
+def chosen_under(tape: Tape, conditions: Conditions, bar: int) -> int:
     """Zero where not all conditions hold: what a branch that is not taken makes of zero may be nan."""
     for c, holds in conditions:
         bar = tape.call("where", c, bar, tape.zero) if holds else tape.call("where", c, tape.zero, bar)

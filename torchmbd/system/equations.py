@@ -100,7 +100,7 @@ def placement(T: Topology, data: Data, q, given: Prescribed) -> Placement:
     if T.attached_flexible:
         bent = _modal_vector(T, data["Y"], w)
         n = T.attached_flexible
-        rho = cat([rho[:, :n] + bent, rho[:, n:]], 1) if n < len(T.attached) else rho + bent
+        rho = cat([rho[:, :n] + bent, rho[:, n:]], 1) if n < T.vectors else rho + bent
     A_of = A.index_select(2, T.vector_body)
     g = matvec(A_of, rho) + r.index_select(1, T.vector_origin)
     return Placement(A, w, A_of, rho, g, T.arguments(g), given.laws, given.t)
@@ -235,7 +235,7 @@ def vector_velocities(T: Topology, at: Placement, data: Data, v):
     n = T.attached_flexible
     if n:
         bending = velocity[:, :n] + _modal_vector(T, data["Y"], wd)
-        velocity = cat([bending, velocity[:, n:]], 1) if n < len(T.attached) else bending
+        velocity = cat([bending, velocity[:, n:]], 1) if n < T.vectors else bending
     return _with_carriers(T, rd, 1).index_select(1, T.vector_origin) + matvec(at.A_of, velocity)
 
 
@@ -243,7 +243,7 @@ def _with_carriers(T: Topology, x, dim: int):
     """Append zeros for the carriers and the ground."""
 
     def zeros(y: Tensor) -> Tensor:
-        return torch.zeros_like(y.narrow(dim, 0, 1)).repeat_interleave(1 + len(T.carriers), dim)
+        return y.new_zeros(*y.shape[:dim], T.known, *y.shape[dim + 1 :])
 
     return cat([x, linear(zeros, x)], dim)
 

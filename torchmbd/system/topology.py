@@ -155,6 +155,16 @@ class Topology:
         return 6 * self.bodies + self.modes * self.flexible
 
     @property
+    def vectors(self) -> int:
+        """Attached vectors."""
+        return len(self.attached)
+
+    @property
+    def known(self) -> int:
+        """Bodies whose motion is known: the carriers and the ground."""
+        return 1 + len(self.carriers)
+
+    @property
     def rows(self) -> int:
         return len(self.row_names)
 
@@ -192,6 +202,10 @@ class Topology:
         A, r = (torch.stack(x, -2)[..., None, None].movedim(-3, 0).contiguous() for x in zip(*poses, strict=True))
         at = [[None if law is None else tuple(x[i] for x in law) for law in laws] for i in range(n)]
         return [Prescribed(*x) for x in zip(at, A, r, times, strict=True)]
+
+    def modal_identity(self, like: Tensor) -> Tensor:
+        """The identity [modes, modes, 1, 1, 1]."""
+        return torch.eye(self.modes, dtype=like.dtype, device=like.device)[:, :, None, None, None]
 
     def row_slices(self) -> list[tuple[Primitive, slice]]:
         """Each kind of primitive with its rows among all."""
