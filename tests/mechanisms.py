@@ -166,3 +166,22 @@ def sprung(law: Any = None, kind: str = "quad") -> mbd.System:
     ]
     joints = [mbd.Revolute(ground.at(), arm.at()), mbd.Spherical(arm.at(0.15, 0.0, 0.0), rod.at("left"))]
     return mbd.System([arm, rod], joints, forces, gravity=(0.0, -9.81, 0.0))
+
+
+def linked(links: int, joint: Any = mbd.Spherical, modes: int = 2) -> mbd.System:
+    """A chain of links of two lengths on joints, every third of them rigid, level at the start, released under gravity."""
+    bodies, ends, x = [], [mbd.Ground().at(0.0, 0.0, 0.0)], 0.0
+    for i in range(links):
+        size = 0.3 if i % 2 else 0.2
+        at = (x + 0.5 * size, 0.0, 0.0)
+        x += size
+        if i % 3 == 2:
+            bodies.append(box(f"link{i}", position=at))
+            ends += [bodies[-1].at(-0.5 * size, 0.0, 0.0), bodies[-1].at(0.5 * size, 0.0, 0.0)]
+        else:
+            mesh = mbd.mesh.rectangle(length=size, width=0.03, cells=(4, 2))
+            body = mbd.FlexibleBody.plate(f"link{i}", mesh, laminate(), modes=modes, position=at)
+            bodies.append(body)
+            ends += [body.at("left"), body.at("right")]
+    joints = [joint(ends[2 * i], ends[2 * i + 1]) for i in range(links)]
+    return mbd.System(bodies, joints, gravity=(0.0, -9.81, 0.0))

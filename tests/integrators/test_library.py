@@ -11,7 +11,7 @@ import torch
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from tests.mechanisms import sprung
+from tests.mechanisms import linked, sprung
 from torchmbd.cli import main
 from torchmbd.errors import InputError, MbdError
 from torchmbd.integrators import library
@@ -37,7 +37,7 @@ def dynamics(modes: int = 3, tangents: bool = True, layers: int = 3) -> Dynamics
     return system.dynamics({NAME: ANGLES[:, :layers]}, tangents=[NAME] if tangents else []).condensed()
 
 
-def test_a_key_is_that_of_a_topology() -> None:
+def test_a_key_of_unrolled_code_is_that_of_a_topology() -> None:
     """One library serves any number of variables and lanes."""
     keys = [library.key(dynamics(modes)) for modes in (3, 4)]
     assert len(set(keys)) == 2
@@ -141,18 +141,19 @@ def test_a_folder_that_others_can_write(cache: Path) -> None:
     refused(dynamics(), "can be written by others")
 
 
-@needs_compiler
-def test_a_large_mechanism_is_compiled_on_demand_only(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(library, "MOST_UNKNOWNS", 5)
-    with pytest.warns(UserWarning, match="unknowns, whose code takes minutes to compile"):
-        assert library.resolved(dynamics(modes=1), "auto").backend == "eager"
-    assert library.resolved(dynamics(modes=1), "native").backend == "native"
+def test_a_key_of_code_with_loops_is_that_of_a_kind(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One library serves any number of bodies, modes and joints, but not another kind of joint."""
+    monkeypatch.setattr(library, "MOST_UNROLLED", 0)
+    assert len({library.key(dynamics(modes)) for modes in (1, 3, 4)}) == 1
+    chains = [linked(n).dynamics() for n in (2, 3, 5)]
+    assert len({library.key(d) for d in chains}) == 1
+    assert library.key(chains[0]) not in (library.key(dynamics()), library.key(linked(2, mbd.Revolute).dynamics()))
 
 
 def test_a_compiler_that_fails_is_told(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "false")
     with pytest.raises(MbdError, match="false failed on the step of rod"):
-        library.build(*library.order(dynamics(modes=1)))
+        library.build(dynamics(modes=1), "step", "name")
     assert list(cache.iterdir()) == []
 
 

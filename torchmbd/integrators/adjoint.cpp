@@ -29,9 +29,10 @@ struct Job {
   double *error;                                   // [block][8], estimated relative error of mu
   double *room;                                    // scratch
   long moved_slots, corrections;                   // 1 + any; of mu, at least
+  const void *mechanism;                           // of loops (native/)
 };
 
-extern "C" long adjoint_room(long rows, long steps) {
+extern "C" long adjoint_room(const void*, long rows, long steps) {
   const long numbers = ROOM + BOUNDARY + 4 * N + N_X + MATRIX + PULL_END + PULL_UNKNOWNS + PULL_KNOWN;
   return (long)sizeof(Block) + (long)sizeof(V) * (numbers + rows * N_X + (steps + 1) * N_V + 64);
 }

@@ -43,12 +43,6 @@ def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
     return x.expand(*x.shape[:-1], lanes)
 
 
-def data_blocks(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
-    """Distinct data in the order of their names: values [block, 1, n, 8] and tangents [block, n_b, n, 8]; see `flat_data`."""
-    values, tangents = flat_data(dynamics)
-    return blocks(values), blocks(tangents)
-
-
 def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
     """Distinct data in the order of their names: values [n, 1, lanes] and tangents [n, n_b, lanes].
 

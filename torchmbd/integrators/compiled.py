@@ -16,14 +16,13 @@ from torch import Tensor
 from torchmbd.integrators.blocks import (
     addresses,
     blocks,
-    data_blocks,
     in_all_lanes,
     lanes_out,
     moving_blocks,
     shared,
     uniform,
 )
-from torchmbd.integrators.library import library
+from torchmbd.integrators.library import Library, library
 from torchmbd.integrators.march import CHECK, March, Record, between_looks
 from torchmbd.integrators.step import Model, State, Weights
 from torchmbd.numerics.pair import Pair
@@ -33,7 +32,7 @@ from torchmbd.system.topology import Prescribed
 _NUMBERS = ("lanes", "slots", "data", "data_tangents", "uniform", "first", "steps", "corrections", "most", "refresh")
 _NUMBERS += ("look", "fresh", "moving")
 _ARRAYS = ("given", "state", "values", "tangents", "factors", "stay", "lost", "q", "v", "vd", "lam", "sizes", "errors")
-_ARRAYS += ("room", "moved", "passes")
+_ARRAYS += ("room", "moved", "mechanism", "passes")
 
 
 class _Job(ctypes.Structure):
@@ -55,21 +54,22 @@ class CompiledMarch(March):
 
     def __init__(
         self,
-        code: ctypes.CDLL,
+        library: Library,
         dynamics: Dynamics,
         w: Weights,
         iterations: tuple[int, int],
         refresh: int,
     ):
         super().__init__(dynamics, Model.of(dynamics, w), iterations, refresh)
-        self.code: ctypes.CDLL | None = code
+        self.code: ctypes.CDLL | None = library.code
+        code, self.library = library.code, library
         self.lanes, self.slots, self.fresh = dynamics.lanes, dynamics.tangents, 1
         code.march_room.restype = code.march_factors.restype = code.march.restype = ctypes.c_long
-        code.march_room.argtypes = [ctypes.c_long]
+        code.march_room.argtypes, code.march_factors.argtypes = [ctypes.c_void_p, ctypes.c_long], [ctypes.c_void_p]
         self.weights = torch.tensor(w, dtype=torch.float64)
-        self.values, self.tangents = data_blocks(dynamics)
-        self.factors = torch.empty(len(self.values) * code.march_factors() // 8, dtype=torch.float64)
-        self.room = torch.empty(code.march_room(self.slots) // 8, dtype=torch.float64)
+        self.values, self.tangents = library.data_blocks(dynamics)
+        self.factors = torch.empty(len(self.values) * code.march_factors(library.address) // 8, dtype=torch.float64)
+        self.room = torch.empty(code.march_room(library.address, self.slots) // 8, dtype=torch.float64)
 
     def forget(self) -> None:
         super().forget()
@@ -113,7 +113,8 @@ class CompiledMarch(March):
         arrays.append(blocks(self.passes[None, None]))
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)
-        job = _Job(*numbers, *addresses(arrays))
+        *found, passes = addresses(arrays)
+        job = _Job(*numbers, *found, self.library.address, passes)
         if self.code.march(ctypes.byref(job)):
             self.code = None
             return False

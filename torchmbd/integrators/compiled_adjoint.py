@@ -14,15 +14,13 @@ from torchmbd.integrators.adjoint import Bars, Cotangents, Grid, Sweep, rows_of
 from torchmbd.integrators.blocks import (
     addresses,
     blocks,
-    data_blocks,
     in_all_lanes,
     lanes_out,
     moving_blocks,
     shared,
-    unflattened,
     uniform,
 )
-from torchmbd.integrators.library import library
+from torchmbd.integrators.library import Library, library
 from torchmbd.integrators.step import State
 
 _NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
@@ -38,6 +36,7 @@ class _Job(ctypes.Structure):
         *((n, ctypes.c_void_p) for n in _ARRAYS),
         ("moved_slots", ctypes.c_long),
         ("corrections", ctypes.c_long),
+        ("mechanism", ctypes.c_void_p),
     ]
 
 
@@ -50,13 +49,14 @@ def sweep(grid: Grid) -> Sweep:
 class CompiledSweep(Sweep):
     """Sweep by a library. Where its factors cannot be relied on, it goes the eager way."""
 
-    def __init__(self, code: ctypes.CDLL, grid: Grid):
+    def __init__(self, library: Library, grid: Grid):
         super().__init__(grid)
-        self.code: ctypes.CDLL | None = code
+        self.code: ctypes.CDLL | None = library.code
+        code, self.library = library.code, library
         code.adjoint_room.restype = code.adjoint.restype = ctypes.c_long
-        code.adjoint_room.argtypes = [ctypes.c_long, ctypes.c_long]
+        code.adjoint_room.argtypes = [ctypes.c_void_p, ctypes.c_long, ctypes.c_long]
         lanes = len(grid.lanes)
-        self.values, _ = data_blocks(grid.dynamics.values())
+        self.values, _ = library.data_blocks(grid.dynamics.values())
         h = grid.history
         self.states = [x.contiguous() for x in (h.q, h.v, h.vd, h.lam)]
         self.least = blocks(in_all_lanes(self.nothing[None, None], lanes))
@@ -77,17 +77,17 @@ class CompiledSweep(Sweep):
         new = self.values.new_zeros
         slopes, moved_slopes = new(count, rows, data, 8), new(len(steps), count, rows, moving, 8)
         state_slopes, error = blocks(torch.cat([in_all_lanes(x, lanes) for x in y])), new(count, 8)
-        room = torch.empty(self.code.adjoint_room(rows, len(steps)) // 8, dtype=torch.float64)
+        room = torch.empty(self.code.adjoint_room(self.library.address, rows, len(steps)) // 8, dtype=torch.float64)
         arrays = [table, *(x[steps.start :] for x in self.states)]
         arrays += [x if x is None else x[steps.start :] for x in bars]
         arrays += [blocks(in_all_lanes(self.accelerations[number], lanes)), self.values, moved]
         arrays += [*(self.diagonal or (None, None)), self.least, slopes, moved_slopes, state_slopes, error, room]
         numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
-        job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.grid.corrections)
+        job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.grid.corrections, self.library.address)
         if self.code.adjoint(ctypes.byref(job)):
             self.code = None
             return super()._segment(number, bars, y)
         start = lanes_out(state_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         laws = torch.stack([lanes_out(x, lanes) for x in moved_slopes]) if moving else None
-        by = unflattened(self.dynamics, lanes_out(slopes, lanes))
+        by = self.library.unflattened(self.dynamics, lanes_out(slopes, lanes))
         return Cotangents(by, laws, State(*start)), error.flatten()[:lanes]

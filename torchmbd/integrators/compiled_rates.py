@@ -13,14 +13,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.blocks import addresses, data_blocks
-from torchmbd.integrators.library import library
+from torchmbd.integrators.blocks import addresses
+from torchmbd.integrators.library import Library, library
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 
 LOOK = 100  # evaluations between two looks at the factors
 _NUMBERS = ("lanes", "slots", "data", "data_tangents", "check")
-_ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "room")
+_ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "room", "mechanism")
 
 
 class _Job(ctypes.Structure):
@@ -32,11 +32,13 @@ class _Job(ctypes.Structure):
 class CompiledRates:
     """dy/dt and multipliers of augmented states y [n_z, 1 + n_b, lanes]."""
 
-    def __init__(self, code: ctypes.CDLL, dynamics: Dynamics):
-        self.code, self.dynamics = code, dynamics
+    def __init__(self, library: Library, dynamics: Dynamics):
+        code, self.library, self.dynamics = library.code, library, dynamics
+        self.code = code
+        code.rates_room.argtypes = [ctypes.c_void_p]
         code.rates_room.restype = code.rates.restype = ctypes.c_long
-        self.values, self.tangents = data_blocks(dynamics)
-        self.room = torch.empty(code.rates_room() // 8, dtype=torch.float64)
+        self.values, self.tangents = library.data_blocks(dynamics)
+        self.room = torch.empty(code.rates_room(library.address) // 8, dtype=torch.float64)
         self.count = 0
 
     def __call__(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
@@ -57,7 +59,7 @@ class CompiledRates:
         self.count += 1
         arrays = (uniform, self.values, self.tangents, y, dy, lam, self.room)
         assert y.shape[2] == self.dynamics.lanes
-        job = _Job(*numbers, *addresses(arrays))
+        job = _Job(*numbers, *addresses(arrays), self.library.address)
         return None if self.code.rates(ctypes.byref(job)) else (dy, lam)
 
 

@@ -17,16 +17,22 @@ import hashlib
 import subprocess
 import tempfile
 import warnings
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import torch
+from torch import Tensor
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.forces.written import writable
+from torchmbd.integrators import blocks
 from torchmbd.integrators.code import source
 from torchmbd.integrators.layout import Layout
+from torchmbd.integrators.native import data as native_data
+from torchmbd.integrators.native import functions
+from torchmbd.integrators.native.mechanism import Mechanism
 from torchmbd.numerics import build_cache
 from torchmbd.numerics.native import OPTIONS, SUFFIX, compilation_wanted, compiler, load, surroundings, unavailable
 from torchmbd.numerics.scalars import Untraceable
@@ -42,12 +48,14 @@ _SOURCES = (
     "integrators/step.py",
     "integrators/code.py",
     "integrators/layout.py",
+    "numerics/codegen",
+    "integrators/native",
 )
 _DRIVERS = ("factors.cpp", "march.cpp", "adjoint.cpp", "rates.cpp")
-_SOURCES += tuple(f"integrators/{name}" for name in _DRIVERS)
+_SOURCES += tuple(f"integrators/{folder}{name}" for folder in ("", "native/") for name in _DRIVERS)
 _ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
 BACKENDS = ("auto", "eager", "native")
-MOST_UNKNOWNS = 150  # of a system whose code "auto" writes out: more take minutes to compile
+MOST_UNROLLED = 45  # unknowns of a system whose code is unrolled: more take longer to compile than loops are slower
 _loaded: dict[str, ctypes.CDLL] = {}
 _failed: dict[str, str] = {}  # builds that failed, and why
 _said: set[str] = set()
@@ -78,9 +86,6 @@ def _obstacle(dynamics: Dynamics, backend: str, kind: str | None) -> str | None:
         return None
     if (why := unavailable()) is not None:
         return why
-    T = dynamics.topology
-    if backend == "auto" and T.n_v + T.rows > MOST_UNKNOWNS:
-        return f"a step has {T.n_v + T.rows} unknowns, whose code takes minutes to compile (backend 'native' does it)"
     try:
         known = written_out(dynamics)
     except Untraceable as error:
@@ -98,7 +103,35 @@ def wanted(backend: str) -> bool:
     return backend == "native" or compilation_wanted()
 
 
-def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
+@dataclass(frozen=True)
+class Library:
+    """Native code for one system. mechanism: its counts and tables, where the code has loops; None: it is unrolled."""
+
+    code: ctypes.CDLL
+    mechanism: Any
+
+    @property
+    def address(self) -> int | None:
+        """Where the mechanism is."""
+        return None if self.mechanism is None else ctypes.addressof(self.mechanism)
+
+    def data_blocks(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
+        """Data as the code takes them: values [block, 1, n, 8] and tangents [block, n_b, n, 8]."""
+        known = written_out(dynamics)
+        values, tangents = (blocks if self.mechanism is None else native_data).flat_data(known)
+        return blocks.blocks(values), blocks.blocks(tangents)
+
+    def unflattened(self, dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
+        """Cotangents of the data [component..., rows, lanes] out of those of the numbers that the code takes."""
+        return (blocks if self.mechanism is None else native_data).unflattened(written_out(dynamics), by)
+
+
+def unrolled(T: Topology) -> bool:
+    """Whether the code of a system is straight-line code of its own, rather than loops that serve all of its kind."""
+    return T.n_v + T.rows <= MOST_UNROLLED
+
+
+def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
     """The library of a system whose backend is native, built if it is missing; None: by operators of torch."""
     if dynamics.backend != "native":
         return None
@@ -110,7 +143,21 @@ def library(dynamics: Dynamics, kind: str = "step") -> ctypes.CDLL | None:
             warnings.warn(
                 f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}", stacklevel=3
             )
-    return _loaded.get(name)
+    code = _loaded.get(name)
+    return None if code is None else Library(code, _mechanism(dynamics.topology, known, kind, code))
+
+
+_mechanisms: WeakKeyDictionary[Topology, dict[str, Any]] = WeakKeyDictionary()
+
+
+def _mechanism(T: Topology, known: Dynamics, kind: str, code: ctypes.CDLL) -> Any:
+    """Counts and tables of a system for code with loops, made once for its topology; None for unrolled code."""
+    if unrolled(T):
+        return None
+    own, name = _mechanisms.setdefault(T, {}), key(known, kind)
+    if name not in own:
+        own[name] = Mechanism(known.topology, known.saddle.blocks.rows, kind != "rates").struct(code)
+    return own[name]
 
 
 def _load(dynamics: Dynamics, kind: str, name: str) -> None:
@@ -118,7 +165,7 @@ def _load(dynamics: Dynamics, kind: str, name: str) -> None:
     code = load(_path(name, kind))
     if code is None:
         try:
-            build(*order(dynamics, kind))
+            build(dynamics, kind, name)
         except (MbdError, OSError) as error:
             _failed[name] = str(error)
             return
@@ -150,6 +197,9 @@ def written_out(dynamics: Dynamics) -> Dynamics:
 def key(dynamics: Dynamics, kind: str = "step") -> str:
     """Name of the library of a system, for this source, these versions and this processor."""
     T = dynamics.topology
+    if not unrolled(T):
+        facts = repr(["loops", kind, _facts(native_data.kind_of(dynamics))])
+        return hashlib.sha256(facts.encode() + surroundings(_SOURCES).encode()).hexdigest()[:32]
     attached = [(a.mount is None, a.is_point) for a in T.attached]
     facts = [
         len(T.names),
@@ -166,6 +216,8 @@ def _facts(x: Any) -> Any:
     """Everything that an object is made of, as numbers, names and lists."""
     if isinstance(x, torch.Tensor):
         return x.tolist()
+    if isinstance(x, type):
+        return x.__qualname__
     if isinstance(x, dict):
         return [(k, _facts(y)) for k, y in sorted(x.items())]
     if isinstance(x, (list, tuple)):
@@ -181,23 +233,25 @@ def bare(T: Topology) -> Topology:
     return replace(T, attached=attached, primitives=primitives, carriers=carriers)
 
 
-def order(dynamics: Dynamics, kind: str = "step") -> tuple[Topology, Layout, str, Any, str]:
-    """What `build` needs."""
+def text(dynamics: Dynamics, kind: str) -> str:
+    """C++ of a system."""
     T, zero = dynamics.topology, torch.zeros((), dtype=torch.float64)
+    if not unrolled(T):
+        return functions.source(native_data.kind_of(dynamics), kind)
     sample = T.prescribed(zero).shared(T.varied) if kind != "rates" else T.law_jets(zero)
-    return bare(T), Layout.of(dynamics.data, T), kind, sample, key(dynamics, kind)
+    return source(bare(T), Layout.of(dynamics.data, T), kind, sample)
 
 
-def build(T: Topology, layout: Layout, kind: str, sample: Any, name: str) -> Path:
-    """Write and compile the code of a topology; the library appears complete or not at all."""
+def build(dynamics: Dynamics, kind: str, name: str) -> Path:
+    """Write and compile the code of a system; the library appears complete or not at all."""
     with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
-        text, made = Path(work) / "code.cpp", Path(work) / "code.so"
-        text.write_text(source(T, layout, kind, sample))
+        code, made = Path(work) / "code.cpp", Path(work) / "code.so"
+        code.write_text(text(dynamics, kind))
+        effort = ("-O1", "-fexpensive-optimizations") if unrolled(dynamics.topology) else ("-O2",)
         done = subprocess.run(
-            [compiler(), "-O1", "-fexpensive-optimizations", *OPTIONS, "-o", str(made), str(text)],
-            capture_output=True,
-            text=True,
+            [compiler(), *effort, *OPTIONS, "-o", str(made), str(code)], capture_output=True, text=True
         )
         if done.returncode:
-            raise MbdError(f"{compiler()} failed on the {kind} of {', '.join(T.names)}: {done.stderr[-2000:]}")
+            names = ", ".join(dynamics.topology.names)
+            raise MbdError(f"{compiler()} failed on the {kind} of {names}: {done.stderr[-2000:]}")
         return build_cache.keep(made, _path(name, kind))

@@ -21,13 +21,14 @@ struct Job {
   double *sizes, *errors;                                        // [steps][2][lanes], [3][slots][lanes]
   double *room;                                                  // scratch
   const double *moved;                                           // [steps][block][1 + slots][moving][8]
+  const void *mechanism;                                         // of loops (native/)
   const double *passes;                                          // [block][8], corrections of tangents; `most` of all
 };
 
-extern "C" long march_room(long slots) {
+extern "C" long march_room(const void*, long slots) {
   return (long)sizeof(Block) + (long)sizeof(V) * (ROOM + BOUNDARY + 3 * N + MATRIX + N * slots + N_X * (1 + slots) + 64);
 }
-extern "C" long march_factors() { return (long)sizeof(Block); }
+extern "C" long march_factors(const void*) { return (long)sizeof(Block); }
 
 // Unknowns (v', lam) that a step starts from: those of the state.
 static void start(const V* x, V* z) {

@@ -9,9 +9,10 @@ struct Job {
   const double *y;                            // [N_Q + N_V][1 + slots][lanes]
   double *dy, *lam;                           // the same; [ROWS][1 + slots][lanes]
   double *room;
+  const void *mechanism;                      // of loops (native/)
 };
 
-extern "C" long rates_room() { return (long)(sizeof(Block) + sizeof(V) * (ROOM + BOUNDARY + 2 * N + MATRIX + 4 * (N_Q + N_V))); }
+extern "C" long rates_room(const void*) { return (long)(sizeof(Block) + sizeof(V) * (ROOM + BOUNDARY + 2 * N + MATRIX + 4 * (N_Q + N_V))); }
 
 extern "C" long rates(const Job* job) {
   const Job& J = *job;

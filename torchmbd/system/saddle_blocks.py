@@ -123,9 +123,7 @@ class SaddleBlocks:
         half = cross(th, torque)
         return torque + 0.5 * half + (1.0 / 6.0) * cross(th, half)
 
-    def _mass_blocks(
-        self, data: Data, at: Placement, body: Moments, stiffness: Any, damping: Any
-    ) -> dict[str, Tensor]:
+    def _mass_blocks(self, data: Data, at: Placement, body: Moments, stiffness: Any, damping: Any) -> dict[str, Tensor]:
         T = self.T
         n, f = T.bodies, T.flexible
         eye = torch.eye(3, dtype=at.A.dtype, device=at.A.device)[:, :, None, None, None]
@@ -174,9 +172,7 @@ class SaddleBlocks:
             blocks["twist"] = blocks["twist"] + turning
             eye = torch.eye(3, dtype=om.dtype, device=om.device)[:, :, None, None, None]
             stirred = 2.0 * (eye * (X[0, 0] + X[1, 1] + X[2, 2]) - X) - skew(matvec(R1, wd))
-            blocks["inertia"] = cat(
-                [blocks["inertia"][:, :, :f] + factor * stirred, blocks["inertia"][:, :, f:]], 2
-            )
+            blocks["inertia"] = cat([blocks["inertia"][:, :, :f] + factor * stirred, blocks["inertia"][:, :, f:]], 2)
             both = G + G.transpose(0, 1)
             trace = G[0, 0] + G[1, 1] + G[2, 2]
             centrifugal = (both * om_f[None, :, None]).sum(1) - 2.0 * om_f[:, None] * trace[None]
@@ -217,9 +213,7 @@ class SaddleBlocks:
         blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(h))
         blocks["inertia"] = blocks["inertia"] + factor * matmul(skew(S), skew(u))
 
-    def _add_geometric(
-        self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: Any, pulls: Tensor
-    ) -> None:
+    def _add_geometric(self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: Any, pulls: Tensor) -> None:
         """Add what the forces on attached vectors change by when bodies turn and bend under them, forces held in ground axes.
 
         A rod under tension has a mode of small inertia in which its frame turns against its bending; there this

@@ -65,7 +65,11 @@ class UnitForces:
     def shapes(self, modes: int, name: str) -> list[Block]:
         """Names and shapes of `blocks`."""
         pairs = 3, len(self.pairs)
-        return [(f"{name}_force", pairs), (f"{name}_torque", pairs), (f"{name}_modal", (modes, len(self.flexible_pairs)))]
+        return [
+            (f"{name}_force", pairs),
+            (f"{name}_torque", pairs),
+            (f"{name}_modal", (modes, len(self.flexible_pairs))),
+        ]
 
     def places(self, T: Topology, blocks: dict[str, np.ndarray], name: str) -> np.ndarray:
         """Rate, column and place [3, n] of each entry, out of the places of blocks."""

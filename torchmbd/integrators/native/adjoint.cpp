@@ -24,17 +24,17 @@ struct Job {
   const double *stay, *lost;                       // [N], or null
   const double *nothing;                           // [block][LANES], see march.py
   double *slopes, *moved_slopes;                   // [block][rows][data][LANES], [steps][block][rows][moving][LANES], zeros
-  double *start_slopes;                            // [block][rows][N_X][LANES], by the state at the start
+  double *state_slopes;                            // [block][rows][N_X][LANES], in: by the last state, out: by the first
   double *error;                                   // [block][LANES], estimated relative error of mu
   double *room;                                    // scratch
   long moved_slots, corrections;                   // 1 + any; of mu, at least
   const Mechanism *mechanism;
 };
 
-// Numbers of scratch memory.
+// Bytes of scratch memory.
 extern "C" long adjoint_room(const Mechanism* m, long rows, long steps) {
   const Counts c(*m);
-  return LANES * (m->numbers + c.scratch + c.entries + 4 * c.unknowns + c.n_x * (2 + rows) + (steps + 1) * c.n_v);
+  return sizeof(V) * (m->numbers + c.scratch + c.entries + 4 * c.unknowns + c.n_x * (2 + rows) + (steps + 1) * c.n_v);
 }
 
 // Counts and places of q, v, v', lam in a state.
@@ -93,8 +93,7 @@ extern "C" long adjoint(const Job* job) {
         as[(i + 1) * c.n_v + n] = u[A_FROM_VD] * before + u[A_FROM_A] * as[i * c.n_v + n] + u[SHARE] * after;
       }
     }
-    std::memset((void*)ys, 0, S * n_x * sizeof(V));
-    for (long s = 0; s < S; s++) take(J, p, J.steps, s, block, valid, ys + s * n_x);
+    std::memcpy((void*)ys, (const V*)J.state_slopes + block * S * n_x, S * n_x * sizeof(V));
     state(J, p, J.steps, block, valid, x);
     for (long i = J.steps - 1; i >= 0; i--) {
       if (J.moving) {
@@ -148,7 +147,7 @@ extern "C" long adjoint(const Job* job) {
         std::memset((void*)(own + J.data - J.moving), 0, J.moving * sizeof(V));
       }
     }
-    std::memcpy((V*)J.start_slopes + block * S * n_x, ys, S * n_x * sizeof(V));
+    std::memcpy((V*)J.state_slopes + block * S * n_x, ys, S * n_x * sizeof(V));
     ((V*)J.error)[block] = worst;
   }
   return 0;

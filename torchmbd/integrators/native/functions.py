@@ -1,4 +1,4 @@
-"""The C++ of a kind of mechanisms: functions of the equations of motion with loops, around them drivers that are the same for all.
+"""The C++ of a kind of mechanisms: functions with loops of the equations of motion, around them drivers.
 
     step      a step of generalized-alpha (step.py), driven by march.cpp
     adjoint   the derivative of the same step in reverse mode, driven by adjoint.cpp
@@ -32,7 +32,7 @@ from torchmbd.numerics.codegen.emit import PRELUDE, size_text
 from torchmbd.numerics.codegen.module import Module
 from torchmbd.numerics.codegen.program import Program, Write, product
 from torchmbd.numerics.codegen.reverse import Pullback
-from torchmbd.numerics.codegen.size import AnySize, Index, Size, at, place
+from torchmbd.numerics.codegen.size import AnySize, Index, Lookup, Size, at, place
 from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair, cat, separate, value
 from torchmbd.system import equations
@@ -115,7 +115,8 @@ class _Traced:
         tables = sorted(_tables(program))
         lines = [f"struct N {{ long {', '.join(sizes)}; }};", "struct Tables { const int "]
         lines[-1] += ", ".join(f"*{name}" for name in tables or ["none"]) + "; };"
-        lines.append(f'extern "C" const char* needed() {{ return "{" ".join(sizes)}|{" ".join(tables)}|{" ".join(self._constants())}"; }}')
+        given = "|".join(" ".join(names) for names in (sizes, tables, self._constants()))
+        lines.append(f'extern "C" const char* needed() {{ return "{given}"; }}')
         lines.append("struct In {\n  N n;\n  Tables tables;\n  V* w;\n  const long* o;")
         fields = {"lanes": "const V", "uniform": "const double", "output": "V"}
         always = {"x": "lanes", "z": "lanes", "dx": "lanes", "dz": "lanes", "u": "uniform"}
@@ -139,7 +140,11 @@ class _Traced:
         """Functions that say where the data, their tangents and their cotangents are."""
         all_shapes = shapes(self.kind) | moving_shapes(self.kind)
         lines = []
-        for function, prefix, kind in (("data", "d_", "const V*"), ("data_tangents", "e_", "const V*"), ("data_bars", "b_", "V*")):
+        for function, prefix, kind in (
+            ("data", "d_", "const V*"),
+            ("data_tangents", "e_", "const V*"),
+            ("data_bars", "b_", "V*"),
+        ):
             lines.append(f"static inline void point_{function}(In& in, {kind} at) {{\n  const N& n = in.n;\n  (void)n;")
             for name, shape in all_shapes.items():
                 field = prefix + buffer_name(name)
@@ -169,10 +174,10 @@ def _names(program: Program) -> set[str]:
         add(x.offset)
         for stride, atom in x.terms:
             add(stride)
-            if hasattr(atom, "table"):
-                index(atom.index)  # pyright: ignore[reportAttributeAccessIssue]
+            if isinstance(atom, Lookup):
+                index(atom.index)
             else:
-                add(atom.size)  # pyright: ignore[reportAttributeAccessIssue]
+                add(atom.size)
 
     for node, op in enumerate(program.op):
         if op == "load":
@@ -191,9 +196,9 @@ def _tables(program: Program) -> set[str]:
 
     def index(x: Index) -> None:
         for _, atom in x.terms:
-            if hasattr(atom, "table"):
-                found.add(atom.table)  # pyright: ignore[reportAttributeAccessIssue]
-                index(atom.index)  # pyright: ignore[reportAttributeAccessIssue]
+            if isinstance(atom, Lookup):
+                found.add(atom.table)
+                index(atom.index)
 
     for node, op in enumerate(program.op):
         if op == "load":
@@ -234,7 +239,7 @@ class _Step(_Traced):
         weights = Weights(*(self.uniform() for _ in Weights._fields))
         given = self.prescribed()
         self.model = Model(T, _Saddle(self.blocks), weights, self.data)  # pyright: ignore
-        self.step = self.model.step(State(*self.state(self.sizes)), given)
+        self.step: Any = self.model.step(State(*self.state(self.sizes)), given)
         n = T.n_v + T.rows
         self.z, self.dz = (Array.input(self.program, name, (n, 1, 1)) for name in ("z", "dz"))
 
@@ -258,7 +263,9 @@ class _Saddle:
     def __init__(self, blocks: SymbolicBlocks):
         self.blocks = blocks
 
-    def matrix(self, data: Any, placed: Any, stiffness: Any = 0.0, damping: Any = 0.0, v: Any = None, *rest: Any) -> Any:
+    def matrix(
+        self, data: Any, placed: Any, stiffness: Any = 0.0, damping: Any = 0.0, v: Any = None, *rest: Any
+    ) -> Any:
         """Blocks by name, and the slopes of the actions or None."""
         found = self.blocks(data, placed, stiffness, damping, v, *rest)
         if v is None or not self.blocks.T.actions:

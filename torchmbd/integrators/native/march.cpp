@@ -24,11 +24,13 @@ struct Job {
   const double *passes;                                          // [block][LANES], corrections of tangents; `most` of all
 };
 
-// Numbers of scratch memory.
+// Bytes of scratch memory, and of the factors of a block.
 extern "C" long march_room(const Mechanism* m, long slots) {
   const Counts c(*m);
-  return LANES * (m->numbers + c.scratch + c.entries + (2 + slots) * c.unknowns + (1 + slots) * c.n_x);
+  return sizeof(V) * (m->numbers + c.scratch + c.entries + (2 + slots) * c.unknowns + (1 + slots) * c.n_x);
 }
+
+extern "C" long march_factors(const Mechanism* m) { return sizeof(V) * m->numbers; }
 
 // Unknowns (v', lam) that a step starts from: those of the state.
 static void start(const Counts& c, const V* x, V* z) {

@@ -117,7 +117,9 @@ class Mechanism:
         total = size_of(self.blocks.shapes())
         products = self._products(total) if slopes and T.actions else [np.empty(0, dtype=np.int64)] * 6
         n = T.n_v + T.rows
-        all_rows, all_columns = (np.concatenate(x).astype(np.int64) for x in ((row, products[0]), (column, products[1])))
+        all_rows, all_columns = (
+            np.concatenate(x).astype(np.int64) for x in ((row, products[0]), (column, products[1]))
+        )
         self.elimination = e = elimination(n, T.n_v, all_rows, all_columns)
         integers = {
             "to": e.place(row, column),

@@ -12,10 +12,10 @@ struct Job {
   const Mechanism *mechanism;
 };
 
-// Numbers of scratch memory.
+// Bytes of scratch memory.
 extern "C" long rates_room(const Mechanism* m) {
   const Counts c(*m);
-  return LANES * (m->numbers + c.scratch + c.entries + 2 * c.unknowns + 3 * (c.n_q + c.n_v));
+  return sizeof(V) * (m->numbers + c.scratch + c.entries + 2 * c.unknowns + 3 * (c.n_q + c.n_v));
 }
 
 extern "C" long rates(const Job* job) {

@@ -24,6 +24,7 @@ from torchmbd.joints.primitive import Distance, Primitive
 from torchmbd.numerics.codegen.array import Array, SegmentSum, Table
 from torchmbd.numerics.codegen.program import Program
 from torchmbd.numerics.codegen.size import AnySize, Size
+from torchmbd.numerics.pair import value
 from torchmbd.system.saddle_blocks import SaddleBlocks
 from torchmbd.system.topology import Topology
 
@@ -75,7 +76,9 @@ def form(law: Any) -> tuple[Any, list[Any]]:
         rows = dict(law.rows)
         shape, numbers = form(law.law)
         names = _FIELDS[type(law.law)]
-        return shape, [(law.key, rows[name]) if name in rows else x for name, x in zip(names, numbers, strict=False)] + numbers[len(names) :]
+        return shape, [
+            (law.key, rows[name]) if name in rows else x for name, x in zip(names, numbers, strict=False)
+        ] + numbers[len(names) :]
     if isinstance(law, Spring):
         return (Spring,), [law.stiffness, law.damping, law.rest]
     if isinstance(law, Scaled):
@@ -129,7 +132,14 @@ def _law(shape: Any, numbers: Any) -> Any:
     if shape[0] is Scaled:
         factor = next(numbers)
         return Scaled(factor, _law(shape[1], numbers))
-    return shape[0](*(next(numbers) for _ in range(numbers_of(shape))))
+    given: list[Any] = [next(numbers) for _ in range(numbers_of(shape))]
+    return (
+        Spring(*given) if shape[0] is Spring else OfTime(*(_plain(x) for x in given))
+    )  # no design varies those of OfTime
+
+
+def _plain(x: Any) -> Any:
+    return value(x)
 
 
 class _Distance(Distance):
@@ -139,7 +149,7 @@ class _Distance(Distance):
         return self.data[0]
 
 
-B, F, M, V, W, C, U, E, G = (Size(name) for name in "B F M V W C U E G".split())
+B, F, M, V, W, C, U, E, G = (Size(name) for name in ["B", "F", "M", "V", "W", "C", "U", "E", "G"])
 # Components and loops of each datum.
 SHAPES: dict[str, tuple[AnySize, ...]] = {
     "mass": (B,),
@@ -215,7 +225,7 @@ class SymbolicTopology:
         if kind is not Distance:
             return kind((), ())
         n = primitive_count(i)
-        return _Distance((), (Array.input(program, LENGTHS, (n, 1, 1)),))
+        return _Distance((), (Array.input(program, f"d_{buffer_name(LENGTHS)}", (n, 1, 1)),))
 
     @staticmethod
     def _action(i: int, one: Form) -> Any:

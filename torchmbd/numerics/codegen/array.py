@@ -135,7 +135,9 @@ class Array(_Traced):
         assert len(self.loops) == numbers.ndim
 
     @classmethod
-    def input(cls, program: Program, name: str, shape: Sequence[AnySize], start: AnySize = 0, kind: str = "lanes") -> Array:
+    def input(
+        cls, program: Program, name: str, shape: Sequence[AnySize], start: AnySize = 0, kind: str = "lanes"
+    ) -> Any:
         """What stands in a buffer from `start` on in row-major order; a buffer that is not there is made."""
         if name not in program.buffers:
             program.buffer(name, 0, kind)
@@ -145,7 +147,7 @@ class Array(_Traced):
     def placed(cls, program: Program, shape: Sequence[AnySize], number: Callable[[Index], int]) -> Array:
         """The array of the numbers at row-major places."""
         loops = new_variables(shape)
-        extents = [1 if v is not None else n for n, v in zip(shape, loops, strict=True)]
+        extents = components(shape, loops)
         numbers = np.empty(extents, dtype=np.int64)
         for k in np.ndindex(*extents):
             index = place(0)
@@ -173,9 +175,11 @@ class Array(_Traced):
 
     def renamed(self, loops: Sequence[Variable | None]) -> Array:
         """The same over other variables."""
-        mapping = {v: at(w) for v, w in zip(self.loops, loops, strict=True) if v is not None and w is not None and v != w}
+        mapping = {
+            v: at(w) for v, w in zip(self.loops, loops, strict=True) if v is not None and w is not None and v != w
+        }
         found = self.mapped(lambda some: self.program.substitute_all(some, mapping)) if mapping else self
-        return Array(self.program, found.numbers, loops)
+        return Array(self.program, found.numbers, tuple(loops))
 
     def stored(self) -> Array:
         """The same, loaded from buffers."""
@@ -234,11 +238,12 @@ class Pieces(_Traced):
 
     def __getitem__(self, key: Any) -> Any:
         first = key[self.axis] if isinstance(key, tuple) and len(key) > self.axis else key
-        if isinstance(key, slice) or (isinstance(key, tuple) and all(k == slice(None) for k in key[: self.axis])):
-            if isinstance(first, slice) and (not isinstance(key, tuple) or len(key) == self.axis + 1):
-                found = self._some(first) if self.axis == 0 or isinstance(key, tuple) else None
-                if found is not None:
-                    return found
+        before = key[: self.axis] if isinstance(key, tuple) else ()
+        alone = len(key) == self.axis + 1 if isinstance(key, tuple) else self.axis == 0
+        if alone and isinstance(first, slice) and all(k == slice(None) for k in before):
+            found = self._some(first)
+            if found is not None:
+                return found
         return self.solid()[key]
 
     def _some(self, rows: slice) -> Pieces | None:
@@ -264,6 +269,11 @@ def new_variables(shape: Sequence[AnySize]) -> Loops:
         else:
             found.append(None)
     return tuple(found)
+
+
+def components(shape: Sequence[AnySize], loops: Sequence[Variable | None]) -> list[int]:
+    """Lengths of axes in `Array.numbers`."""
+    return [n if v is None and isinstance(n, int) else 1 for n, v in zip(shape, loops, strict=True)]
 
 
 def _bounds(rows: slice, size: AnySize) -> tuple[AnySize, AnySize]:
@@ -305,7 +315,11 @@ def aligned(arrays: Sequence[Array]) -> tuple[list[np.ndarray], Loops]:
     """Numbers of arrays that broadcast, over the same variables."""
     ndim = max(x.numbers.ndim for x in arrays)
     wide = [
-        Array(x.program, x.numbers.reshape((1,) * (ndim - x.numbers.ndim) + x.numbers.shape), (None,) * (ndim - x.numbers.ndim) + x.loops)
+        Array(
+            x.program,
+            x.numbers.reshape((1,) * (ndim - x.numbers.ndim) + x.numbers.shape),
+            (None,) * (ndim - x.numbers.ndim) + x.loops,
+        )
         for x in arrays
     ]
     loops: list[Variable | None] = []
@@ -420,7 +434,7 @@ def _joined_in_memory(pieces: Pieces) -> Array:
     first, merged = pieces.parts[0]
     others = first.shape[:dim] + first.shape[dim + merged :]
     loops = new_variables(others)
-    extents = [n if v is None else 1 for n, v in zip(others, loops, strict=True)]
+    extents = components(others, loops)
     count = int(np.prod(extents, dtype=int))
     kept = sorted([v for v in loops if v is not None], key=program.rank)
     buffer = program.scratch(total * count * product(v.size for v in kept))
@@ -483,9 +497,9 @@ def _replaced(x: Array, d: int, sizes: Sequence[AnySize], where: Callable[[list[
         while isinstance(n, Size) and (Variable(n, number) in others or Variable(n, number) in new):
             number += 1
         new.append(Variable(n, number) if isinstance(n, Size) else None)
-    extents = [1 if w is not None else n for n, w in zip(sizes, new, strict=True)]
+    extents = components(sizes, new)
     blocks = []
-    for k in np.ndindex(*extents):  # pyright: ignore[reportCallIssue, reportArgumentType]
+    for k in np.ndindex(*extents):
         index = where([at(w) if w is not None else place(i) for i, w in zip(k, new, strict=True)])
         blocks.append(x.mapped(lambda some, index=index: x.program.substitute_all(some, {v: index})).numbers)
     shape = x.numbers.shape
@@ -621,7 +635,7 @@ def _expand(x: Any, *shape: Any) -> Array:
 
 def _zeros(program: Program, shape: Sequence[AnySize], number: float = 0.0) -> Array:
     loops = new_variables(shape)
-    extents = [n if v is None else 1 for n, v in zip(shape, loops, strict=True)]
+    extents = components(shape, loops)
     return Array(program, np.full(extents, program.constant(number)), loops)  # pyright: ignore
 
 
@@ -690,7 +704,7 @@ class SegmentSum:
         if self.groups == 0:
             return _zeros(program, (*others[:axis], 0, *others[axis:]))
         loops = new_variables(others)
-        extents = [1 if v is not None else n for n, v in zip(others, loops, strict=True)]
+        extents = components(others, loops)
         count = int(np.prod(extents, dtype=int))
         kept = sorted([v for v in loops if v is not None], key=program.rank)
         each = count * product(v.size for v in kept)
@@ -703,7 +717,8 @@ class SegmentSum:
         start: AnySize = 0
         for x in arrays:
             (v,) = new_variables((x.shape[axis],))
-            assert v is not None and v not in loops
+            assert v is not None
+            assert v not in loops
             x = x.renamed((*loops[:axis], v, *loops[axis:]))
             group = self.table.lookup(at(v).plus(start))
             for k in np.ndindex(*x.numbers.shape):

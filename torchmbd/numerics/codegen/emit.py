@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from torchmbd.numerics.codegen.program import Buffer, Program, Write, product
 from torchmbd.numerics.codegen.schedule import Nest, Schedule, depends
-from torchmbd.numerics.codegen.size import AnySize, Index, Size, Variable, variables
+from torchmbd.numerics.codegen.size import AnySize, Index, Variable, variables
 
 # Numbers that are the same for all lanes (laws, the time, the step) stay doubles until they meet others.
 PRELUDE = """#include <cmath>

@@ -17,9 +17,13 @@ from torchmbd.numerics.scalars import BINARY, TERNARY, UNARY
 class Interpreter:
     """Runs writes for given sizes, tables and inputs."""
 
-    def __init__(self, program: Program, sizes: Mapping[str, int], tables: Mapping[str, Any], inputs: Mapping[str, Any]):
+    def __init__(
+        self, program: Program, sizes: Mapping[str, int], tables: Mapping[str, Any], inputs: Mapping[str, Any]
+    ):
         self.program, self.sizes, self.tables = program, sizes, tables
-        self.memory: dict[str, np.ndarray] = {name: np.asarray(x, dtype=np.float64).ravel() for name, x in inputs.items()}
+        self.memory: dict[str, np.ndarray] = {
+            name: np.asarray(x, dtype=np.float64).ravel() for name, x in inputs.items()
+        }
 
     def run(self, writes: Iterable[Write], outputs: Mapping[str, int]) -> dict[str, np.ndarray]:
         """What outputs of some lengths hold after the writes."""

@@ -144,7 +144,9 @@ class Program(Tape):
 
     def stored(self, numbers: Iterable[int]) -> dict[int, int]:
         """For each number one that is a constant or loaded: what is neither goes through a buffer."""
-        missing = [x for x in dict.fromkeys(numbers) if self.op[x] not in ("constant", "load") and x not in self._stored]
+        missing = [
+            x for x in dict.fromkeys(numbers) if self.op[x] not in ("constant", "load") and x not in self._stored
+        ]
         groups: dict[tuple[Variable, ...], list[int]] = {}
         for x in missing:
             groups.setdefault(tuple(sorted(self.variables(x), key=self.rank)), []).append(x)
@@ -204,7 +206,7 @@ def _matched(write: Write, index: Index) -> dict[Variable, Index] | None:
     """What the variables of a write are where it writes to an index; None: it may not, or not wholly."""
     if write.index.offset != index.offset or len(write.index.terms) != len(index.terms):
         return None
-    wanted = {stride: atom for stride, atom in index.terms}
+    wanted = dict(index.terms)
     found: dict[Variable, Index] = {}
     for stride, atom in write.index.terms:
         other = wanted.get(stride)

@@ -31,7 +31,9 @@ class Nest:
 class Schedule:
     """Nests of a function that makes some writes; `given`: buffers that are there, `aliases`: numbers loaded from them."""
 
-    def __init__(self, program: Program, roots: Iterable[Write], given: set[str], aliases: dict[int, int] | None = None):
+    def __init__(
+        self, program: Program, roots: Iterable[Write], given: set[str], aliases: dict[int, int] | None = None
+    ):
         self.program, self.given, self.aliases = program, given, aliases or {}
         self.nests: list[Nest] = []
         self._loads: dict[int, list[int]] = {}
@@ -97,7 +99,9 @@ class Schedule:
         left: dict[str, int] = {}
         for w in self.writes:
             left[w.buffer] = left.get(w.buffer, 0) + 1
-        waiting = {i: {self.program.args[x][0] for x in self.loads(w.number)} & self.made for i, w in enumerate(self.writes)}
+        waiting = {
+            i: {self.program.args[x][0] for x in self.loads(w.number)} & self.made for i, w in enumerate(self.writes)
+        }
         result, remaining = [], list(range(len(self.writes)))
         while remaining:
             later = []
@@ -126,8 +130,8 @@ class Schedule:
             return False
         if not all(isinstance(a, Variable) and a.size in self.program.inner for a in others):
             return False
-        whole = isinstance(index.offset, int) and index.offset >= 0
-        return whole and not (isinstance(strides[0], int) and index.offset >= strides[0])
+        stride, offset = strides[0], index.offset
+        return isinstance(offset, int) and offset >= 0 and not (isinstance(stride, int) and offset >= stride)
 
     def private(self) -> set[str]:
         """Buffers that one turn of a loop needs no longer than itself: they hold what belongs to one turn."""
