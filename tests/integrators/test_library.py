@@ -191,4 +191,4 @@ def test_a_law_with_branches_in_python_stays_uncompiled(cache: Path) -> None:
     def law(s: torch.Tensor, rate: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
         return -s if float(s.sum()) > 0.0 else -2.0 * s
 
-    refused(sprung(law)(), "a law of a force cannot be compiled: .*tracing")
+    refused(sprung(law).dynamics(), "a law of a force cannot be compiled: .*tracing")
