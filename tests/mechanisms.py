@@ -140,19 +140,14 @@ def soft_slider_crank(angles: Sequence[float] = (30.0, -20.0), modes: int = 2, *
 def spoilt(system: mbd.System, monkeypatch: Any, lane: int = 1) -> None:
     """From now on the reduced stiffness of one lane of a batch is nan."""
 
-    def spoils(own: Any) -> Any:
-        def made(*arguments: Any, **options: Any) -> Any:
-            found = own(*arguments, **options)
-            Kr = found.data["Kr"]
-            first = torch.zeros(value(Kr).shape, dtype=torch.bool)
-            first[0, 0, ..., lane] = True
-            found.data["Kr"] = linear(lambda x: torch.where(first, torch.nan, x), Kr)
-            return found
+    own = system._made
 
-        return made
+    def made(data: dict[str, Any]) -> Any:
+        first = torch.zeros(value(data["Kr"]).shape, dtype=torch.bool)
+        first[0, 0, ..., lane] = True
+        return own(data | {"Kr": linear(lambda x: torch.where(first, torch.nan, x), data["Kr"])})
 
-    for name in ("dynamics", "reduced"):
-        monkeypatch.setattr(system, name, spoils(getattr(system, name)))
+    monkeypatch.setattr(system, "_made", made)
 
 
 def sprung(law: Any = None, kind: str = "quad") -> mbd.System:
