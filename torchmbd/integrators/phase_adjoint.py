@@ -10,9 +10,9 @@ Entry and exit are graphs of torch, made again from what was recorded (`PhaseRec
 differentiable by the implicit function theorem. Regular steps are those of adjoint.py, of all lanes with the same points
 together. Where an event ends a phase, the size h of the last step is that at which its function g vanishes:
 
-    h_bar  ->  mu = -h_bar / g_h  ->  mu g_x', mu g_b'
+    mu = -(cotangent of h) / g_h        cotangents of x and b: mu g_x', mu g_b'
 
-Bars (cotangents) have the rows of the responses first: [rows, ...] of a number [...]. None: zero.
+Cotangents have the rows of the responses first: [rows, ...] of a number [...]. None: zero.
 Cost: about a simulation for the first row and half of one for each further one, whatever the number of design variables.
 Checked in tests/sensitivity/test_phase_adjoint.py.
 """
@@ -22,28 +22,28 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.integrators.adjoint import POOR, Bars, Grid, Sweep
 from torchmbd.integrators.course import Course, PhaseRecord
-from torchmbd.integrators.events import Event, Views
+from torchmbd.integrators.events import Event
 from torchmbd.integrators.history import History
+from torchmbd.integrators.lane_leaves import Key, LaneLeaves, pulled, rows_first, shaped, zeros
 from torchmbd.integrators.one_step import OneStep
+from torchmbd.integrators.pullback import leaf
 from torchmbd.integrators.sized import shortly_after
 from torchmbd.integrators.step import State, Weights
-from torchmbd.integrators.switch import lane_of, marked, pick, together
+from torchmbd.integrators.switch import marked, pick, together
 from torchmbd.system.dynamics import Dynamics
 
-Key = tuple[str, str]  # kind of a leaf, "data", "design" or "shape", and its name
 MARKED = ("x", "Y")  # data that locks change
 
 
 @dataclass
-class PhaseBars:
-    """Bars of what a simulation through phases returns.
+class PhaseCotangents:
+    """Cotangents of what a simulation through phases returns.
 
     motion    of q, v, a, lam [times, n, rows, lanes]
     data      of the data with all marks, by name [component..., rows, lanes]
@@ -57,7 +57,7 @@ class PhaseBars:
 
 @dataclass
 class _Lane:
-    """Bars of one lane on the way: by the leaves, and by what comes next in time."""
+    """Cotangents of one lane on the way: by the leaves, and by what comes next in time."""
 
     lane: int
     by: dict[Key, Tensor] = field(default_factory=dict)
@@ -66,38 +66,20 @@ class _Lane:
     start: list[Tensor] | None = None  # time of the entry, and state after the switch
     arrival: list[Tensor] | None = None  # state at the first point of the grid
 
-    def add(self, keys: Sequence[Key], bars: Sequence[Tensor]) -> None:
-        for key, bar in zip(keys, bars, strict=True):
-            self.by[key] = self.by[key] + bar if key in self.by else bar
-
-
-class _Leaves:
-    """Data, designs and mode shapes of one lane as leaves of a graph; shapes when somebody asks."""
-
-    def __init__(self, views: Views, lane: int, dynamics: Dynamics, wanted: Sequence[str]):
-        self.leaves: dict[Key, Tensor] = {}
-        one = lane_of(dynamics, lane)
-        data = {name: self._leaf("data", name, x) if name in wanted else x for name, x in one.data.items()}
-        self.dynamics = replace(one, data=data)
-        self.views = views.through(
-            lane,
-            lambda name, x: self._leaf("design", name, x),
-            lambda name, x: self._leaf("shape", name, x),
-        )
-
-    def _leaf(self, kind: str, name: str, x: Tensor) -> Tensor:
-        return self.leaves.setdefault((kind, name), leaf(x))
+    def add(self, keys: Sequence[Key], cotangents: Sequence[Tensor]) -> None:
+        for key, cotangent in zip(keys, cotangents, strict=True):
+            self.by[key] = self.by[key] + cotangent if key in self.by else cotangent
 
 
 @dataclass(eq=False)
 class PhaseAdjoint:
     """The adjoint of one course, of values only.
 
-    integrator   that made the steps
-    wanted   names of data by which gradients are wanted
-    failed   lanes whose cotangents are zero
-    sweep    makes a Sweep of a grid
-    error    estimated relative error of the gradients asked for so far [lanes]
+    integrator  that made the steps
+    wanted      names of data by which gradients are wanted
+    failed      lanes whose cotangents are zero
+    sweep       makes a Sweep of a grid
+    error       estimated relative error of the gradients asked for so far [lanes]
     """
 
     course: Course
@@ -115,19 +97,19 @@ class PhaseAdjoint:
         self._leaf_names = [*self.wanted, *(name for name in marks if name not in self.wanted)]
 
     @torch.no_grad()
-    def __call__(self, bars: PhaseBars, rows: int) -> dict[int, dict[Key, Tensor]]:
-        """Bars by data [rows, component..., 1, 1], designs and mode shapes [rows, 1, ...] of each lane."""
+    def __call__(self, cotangents: PhaseCotangents, rows: int) -> dict[int, dict[Key, Tensor]]:
+        """Cotangents by data [rows, component..., 1, 1], designs and mode shapes [rows, 1, ...] of each lane."""
         lanes = [_Lane(lane) for lane in range(len(self.error)) if lane not in self.failed]
         for one in lanes:
-            for name, x in bars.data.items():
+            for name, x in cotangents.data.items():
                 if x is not None:
-                    one.by["data", name] = _rows_first(x, one.lane)
+                    one.by["data", name] = rows_first(x, one.lane)
         for record in reversed(self.course.records):
             for one in lanes:
                 self._exit(record, one, rows)
-            self._steps(record, lanes, bars.motion, rows)
+            self._steps(record, lanes, cotangents.motion, rows)
             for one in lanes:
-                self._entry(record, one, bars, rows)
+                self._entry(record, one, cotangents, rows)
         for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
             warnings.warn(
                 f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
@@ -139,14 +121,14 @@ class PhaseAdjoint:
     def _exit(self, record: PhaseRecord, one: _Lane, rows: int) -> None:
         """From where a lane left a phase to the base of its last step."""
         t, x = record.entry.t[:, [one.lane]], record.start.map(lambda y: pick(y, [one.lane]))
-        one.start, one.end = _zeros(rows, [t, *x]), None
+        one.start, one.end = zeros(rows, [t, *x]), None
         if one.lane not in record.exit:
             return
         assert one.exit is not None
         stage = self.course.stages[record.number]
         k, base = record.base[one.lane]
         with torch.enable_grad():
-            leaves = _Leaves(self.course.views, one.lane, record.dynamics, self._leaf_names)
+            leaves = LaneLeaves(self.course.views, one.lane, record.dynamics, self._leaf_names)
             t, base = leaf(t), base.map(leaf)
             begin = t if k is None else torch.full_like(t, float(self.course.times[k]))
             size = leaf(record.exit[one.lane].t - begin)
@@ -159,7 +141,9 @@ class PhaseAdjoint:
         if g is not None:
             slopes = pulled([g], [torch.ones_like(g)[None]], inputs, 1)
             mu = -found[0].flatten() / slopes[0].flatten()
-            found = [bar + torch.tensordot(mu[:, None], dg, 1) for bar, dg in zip(found, slopes, strict=True)]
+            found = [
+                cotangent + torch.tensordot(mu[:, None], dg, 1) for cotangent, dg in zip(found, slopes, strict=True)
+            ]
         _, by_t, *by_state = found[: 2 + len(base)]
         one.start[0] = one.start[0] + by_t
         one.add(list(leaves.leaves), found[2 + len(base) :])
@@ -168,7 +152,7 @@ class PhaseAdjoint:
         else:
             one.end = by_state
 
-    def _steps(self, record: PhaseRecord, lanes: Sequence[_Lane], bars: Bars, rows: int) -> None:
+    def _steps(self, record: PhaseRecord, lanes: Sequence[_Lane], cotangents: Bars, rows: int) -> None:
         """From the last regular steps of all lanes to their first points of the grid."""
         groups: dict[tuple[int, int], list[_Lane]] = {}
         for one in lanes:
@@ -179,9 +163,9 @@ class PhaseAdjoint:
             if last >= first:
                 groups.setdefault((first, last), []).append(one)
         for (first, last), some in groups.items():
-            self._run(record, range(first, last + 1), some, bars, rows)
+            self._run(record, range(first, last + 1), some, cotangents, rows)
 
-    def _run(self, record: PhaseRecord, points: range, some: list[_Lane], bars: Bars, rows: int) -> None:
+    def _run(self, record: PhaseRecord, points: range, some: list[_Lane], cotangents: Bars, rows: int) -> None:
         """The same for lanes with equal points of the grid."""
         c, lanes = self.course, [one.lane for one in some]
         at, stage = slice(points.start, points.stop), c.stages[record.number]
@@ -192,7 +176,7 @@ class PhaseAdjoint:
             torch.zeros(len(points), n.shape[1], rows, len(lanes), dtype=torch.float64)
             if x is None
             else torch.where(own, (x[:, stage.rows] if i == 3 else x)[at, :, :, lanes], 0.0)
-            for i, (x, n) in enumerate(zip(bars, (q, v, vd, lam), strict=True))
+            for i, (x, n) in enumerate(zip(cotangents, (q, v, vd, lam), strict=True))
         ]
         by_a = torch.zeros_like(given[2][0])
         for i, one in enumerate(some):
@@ -212,13 +196,13 @@ class PhaseAdjoint:
             one.add(list(found), [x[..., [i]].movedim(-2, 0).unsqueeze(-2) for x in found.values()])
 
     def _take(self, given: list[Tensor], k: int, end: list[Tensor], lane: int) -> Tensor:
-        """Add the bars of the state at the point k of one lane; returns those of the algorithmic acceleration at the start.
+        """Add the cotangents of the state at the point k of one lane; returns those of the algorithmic acceleration at first.
 
         That of a point is no number of the motion: a1 = w(v0', v1') + c a0, so it is a sum over all steps before.
         """
         q, v, vd, a, lam = (x[..., 0, 0].T for x in end)
-        for x, bar in zip(given, (q, v, vd, lam), strict=True):
-            x[k, :, :, lane] += bar
+        for x, cotangent in zip(given, (q, v, vd, lam), strict=True):
+            x[k, :, :, lane] += cotangent
         w = self.weights
         powers = (w.a_from_a ** torch.arange(k, dtype=torch.float64).flip(0))[:, None, None] * a
         given[2][:k, :, :, lane] += w.a_from_vd * powers
@@ -226,9 +210,15 @@ class PhaseAdjoint:
         return w.a_from_a**k * a
 
     def _swept(
-        self, record: PhaseRecord, points: range, lanes: list[int], history: History, start: State, bars: list[Tensor]
+        self,
+        record: PhaseRecord,
+        points: range,
+        lanes: list[int],
+        history: History,
+        start: State,
+        cotangents: list[Tensor],
     ) -> tuple[State, dict[Key, Tensor]]:
-        """Bars [..., rows, lanes] of the state at the first point, and by data."""
+        """Cotangents [..., rows, lanes] of the state at the first point, and by data."""
         dynamics = record.dynamics.some(lanes)
         names = {name: dynamics.data[name] for name in self._leaf_names}
         leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
@@ -237,18 +227,18 @@ class PhaseAdjoint:
         times = self.course.times[points.start : points.stop]
         corrections = self.integrator.iterations[1]
         grid = Grid(lanes, history, leaves | state, dynamics, start, self.weights, times, 1, corrections)
-        cotangents, error = self.sweep(grid)(bars)
+        of_steps, error = self.sweep(grid)(cotangents)
         self.error[lanes] = self.error[lanes].maximum(error)
-        found = grid.cotangents(cotangents)
+        found = grid.cotangents(of_steps)
         return State(*(found[name] for name in state)), {("data", name): found[name] for name in leaves}
 
-    def _entry(self, record: PhaseRecord, one: _Lane, bars: PhaseBars, rows: int) -> None:
+    def _entry(self, record: PhaseRecord, one: _Lane, cotangents: PhaseCotangents, rows: int) -> None:
         """From the first point of the grid, and the state after the switch, to the state before it."""
         c, number, lane = self.course, record.number, one.lane
         whole = replace(c.whole, data=c.records[number - 1].dynamics.data if number else c.given)
         stage = c.stages[number]
         with torch.enable_grad():
-            leaves = _Leaves(c.views, lane, whole, self._leaf_names)
+            leaves = LaneLeaves(c.views, lane, whole, self._leaf_names)
             before = record.entry.lane(lane)
             if number:
                 t, x = leaf(before.t), before.x.map(leaf)
@@ -258,15 +248,15 @@ class PhaseAdjoint:
             data = marked(whole.topology, leaves.dynamics.data, x.q, stage.locks)
             dynamics = c.dynamics_of(number, replace(leaves.dynamics, data=data))
             after = c.after(number, leaves.views, 0, dynamics, t, x)
-            outputs, given = self._entered(record, one, dynamics, t, after, bars.motion)
+            outputs, given = self._entered(record, one, dynamics, t, after, cotangents.motion)
             if number:
                 sides = [(number - 1, x), (number, after)]
                 outputs.append(t)
                 for side, y in sides:
                     outputs += [y.q, y.v, y.vd, c.settled(side, data, t, y.q, y.lam)]
-                own = bars.switches[number - 1]
-                given += [None if bar is None else _rows_first(bar, lane) for bar in own]
-                given[len(given) - len(own)] = _as(given[len(given) - len(own)], t)
+                own = cotangents.switches[number - 1]
+                given += [None if y is None else rows_first(y, lane) for y in own]
+                given[len(given) - len(own)] = shaped(given[len(given) - len(own)], t)
         for name in MARKED if stage.locks else ():
             if name in data:
                 outputs.append(data[name])
@@ -279,7 +269,7 @@ class PhaseAdjoint:
     def _entered(
         self, record: PhaseRecord, one: _Lane, dynamics: Dynamics, t: Tensor, after: State, motion: Bars
     ) -> tuple[list[Tensor], list[Tensor | None]]:
-        """What follows from time and state after a switch, with its bars: these, the arrival, points of the grid between."""
+        """What follows from a switch, with its cotangents: time, state after it, the arrival, points of the grid between."""
         c, lane, stage = self.course, one.lane, self.course.stages[record.number]
         assert one.start is not None
         outputs: list[Tensor] = [t, *after]
@@ -293,41 +283,8 @@ class PhaseAdjoint:
         own = c.number[:first, lane] == record.number
         for k in torch.nonzero(own)[:, 0].tolist():
             y = shortly_after(dynamics.topology, after, float(c.times[k]) - t)
-            for i, (part, bar) in enumerate(zip((y.q, y.v, y.vd, y.lam), motion, strict=True)):
-                if bar is not None:
+            for i, (part, cotangent) in enumerate(zip((y.q, y.v, y.vd, y.lam), motion, strict=True)):
+                if cotangent is not None:
                     outputs.append(part)
-                    given.append(_rows_first((bar[:, stage.rows] if i == 3 else bar)[k], lane))
+                    given.append(rows_first((cotangent[:, stage.rows] if i == 3 else cotangent)[k], lane))
         return outputs, given
-
-
-def leaf(x: Tensor) -> Tensor:
-    """A leaf of a graph with the value of x."""
-    return x.detach().clone().requires_grad_()
-
-
-def pulled(
-    outputs: Sequence[Tensor], bars: Sequence[Tensor | None], inputs: Sequence[Tensor], rows: int
-) -> list[Tensor]:
-    """Bars [rows, ...] of the inputs from those of the outputs."""
-    used = [(y, bar) for y, bar in zip(outputs, bars, strict=True) if bar is not None and y.requires_grad]
-    if not used or not inputs:
-        return _zeros(rows, inputs)
-    of = [y for y, _ in used]
-    options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-    found = [torch.autograd.grad(of, list(inputs), [bar[row] for _, bar in used], **options) for row in range(rows)]
-    return [torch.stack(x) for x in zip(*found, strict=True)]
-
-
-def _zeros(rows: int, like: Sequence[Tensor]) -> list[Tensor]:
-    return [x.new_zeros(rows, *x.shape) for x in like]
-
-
-def _rows_first(bar: Tensor, lane: int) -> Tensor:
-    """Bars [component..., rows, lanes] of one lane as [rows, component..., 1, 1]."""
-    own = bar[..., lane] if bar.shape[-1] > 1 else bar[..., 0]
-    return own.movedim(-1, 0)[..., None, None]
-
-
-def _as(bar: Tensor | None, like: Tensor) -> Tensor | None:
-    """Bars of a number in the shape of that number."""
-    return None if bar is None else bar.reshape(len(bar), *like.shape)

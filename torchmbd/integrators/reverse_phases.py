@@ -23,11 +23,12 @@ from torchmbd.integrators.attempts import has_failed, steps_that_fit, validity
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.events import Views
 from torchmbd.integrators.history import History
+from torchmbd.integrators.lane_leaves import Key
 from torchmbd.integrators.library import resolved
 from torchmbd.integrators.motion import Tensors
 from torchmbd.integrators.multiphase import NUMBERS, integrate, numbers_of, switches_of
 from torchmbd.integrators.one_step import OneStep
-from torchmbd.integrators.phase_adjoint import MARKED, Key, PhaseAdjoint, PhaseBars
+from torchmbd.integrators.phase_adjoint import MARKED, PhaseAdjoint, PhaseCotangents
 from torchmbd.integrators.phases import Stage
 from torchmbd.integrators.shapes import DesignShapes
 from torchmbd.integrators.trajectory import Switch
@@ -110,9 +111,9 @@ class ReversePhaseIntegration:
         marks = 5 + len(self.moving)
         switches = [outputs[i : i + NUMBERS] for i in range(marks, len(outputs), NUMBERS)]
         found = self._adjoint(names)(
-            PhaseBars(outputs[:4], dict(zip(self.moving, outputs[5:marks], strict=True)), switches), rows
+            PhaseCotangents(outputs[:4], dict(zip(self.moving, outputs[5:marks], strict=True)), switches), rows
         )
-        data = {name: self._bars(found, ("data", name), self._course.given[name], rows) for name in names}
+        data = {name: self._of_data(found, ("data", name), self._course.given[name], rows) for name in names}
         designs = self._of_designs(found, rows) if any(wanted[len(self.names) :]) else {}
         return [data.get(name) for name in self.names] + [designs.get(name) for name in self.designs]
 
@@ -155,8 +156,8 @@ class ReversePhaseIntegration:
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
         return PhaseAdjoint(self._course, self.integrator, names, failed, compiled_adjoint.sweep)
 
-    def _bars(self, found: dict[int, dict[Key, Tensor]], key: Key, like: Tensor, rows: int) -> Tensor:
-        """Bars [component..., rows, lanes] of data [component..., 1, lanes]; of lanes that failed zero."""
+    def _of_data(self, found: dict[int, dict[Key, Tensor]], key: Key, like: Tensor, rows: int) -> Tensor:
+        """Cotangents [component..., rows, lanes] of data [component..., 1, lanes]; of lanes that failed zero."""
         result = like.new_zeros(*like.shape[:-2], rows, len(self.status))
         for lane, by in found.items():
             if key in by:
@@ -164,7 +165,7 @@ class ReversePhaseIntegration:
         return result
 
     def _of_designs(self, found: dict[int, dict[Key, Tensor]], rows: int) -> dict[str, Tensor]:
-        """Bars of designs [component..., rows, lanes]: their own, and those of the mode shapes through the structure stage."""
+        """Of designs [component..., rows, lanes]: their own, and those of the mode shapes through the structure stage."""
         whole = self._course.views.whole
         lanes = len(self.status)
         kinds = {key for by in found.values() for key in by if key[0] != "data"}
@@ -172,15 +173,15 @@ class ReversePhaseIntegration:
             designs = {name: x.detach().clone().requires_grad_() for name, x in whole.designs.items()}
             shapes = DesignShapes(self.system, designs, lanes)
             outputs = {(k, n): designs[n] if k == "design" else shapes.values(n) for k, n in kinds}
-        bars = {key: x.new_zeros(rows, *x.shape) for key, x in outputs.items()}
+        cotangents = {key: x.new_zeros(rows, *x.shape) for key, x in outputs.items()}
         for lane, by in found.items():
             for key in kinds.intersection(by):
-                bars[key][:, lane : lane + 1] += by[key]
+                cotangents[key][:, lane : lane + 1] += by[key]
         used = [key for key in kinds if outputs[key].requires_grad]
         result = {name: x.new_zeros(rows, *x.shape) for name, x in designs.items()}
         for row in range(rows) if used else ():
             options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-            of, weights = [outputs[key] for key in used], [bars[key][row] for key in used]
+            of, weights = [outputs[key] for key in used], [cotangents[key][row] for key in used]
             for name, x in zip(
                 designs, torch.autograd.grad(of, list(designs.values()), weights, **options), strict=True
             ):
