@@ -32,14 +32,13 @@ from torch import Tensor
 
 from torchmbd.integrators.blocks import moving
 from torchmbd.integrators.history import History
-from torchmbd.integrators.march import nothing
+from torchmbd.integrators.march import March
 from torchmbd.integrators.one_step import OneStep
 from torchmbd.integrators.prepared import prepare
-from torchmbd.integrators.pullback import StepPullback, leaf
+from torchmbd.integrators.pullback import leaf
 from torchmbd.integrators.step import Model, State, Weights
 from torchmbd.numerics.pair import value
-from torchmbd.system.dynamics import Dynamics, regularized
-from torchmbd.system.elimination import Elimination, factored, pays
+from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
 
 # Estimated relative errors of mu. The largest gradient of a response has 100 times that at most, as measured.
@@ -213,9 +212,10 @@ class Sweep:
 
     def __init__(self, grid: Grid):
         self.grid, self.dynamics = grid, grid.dynamics
-        self.diagonal, self.nothing = self.dynamics.diagonal(), nothing(self.dynamics)
-        T = self.dynamics.topology
-        self.factor = Elimination(T) if pays(T) else factored
+        T, lanes = self.dynamics.topology, len(grid.lanes)
+        self.data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
+        model = Model(T, self.dynamics.saddle, grid.weights, self.data)
+        self.stepper = March(self.dynamics, model, (1, grid.corrections), refresh=1)
         self.segments = segments(len(grid.times) - 1)
         self.accelerations = self._accelerations()
 
@@ -237,18 +237,15 @@ class Sweep:
         steps, lanes = self.segments[number], len(self.grid.lanes)
         T = self.dynamics.topology
         schedule = self._schedule(steps)
-        data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
-        model = Model(T, self.dynamics.saddle, self.grid.weights, data)
         states = self._states(number)
-        by: dict[str, Any] = dict.fromkeys(data, 0.0)
+        by: dict[str, Any] = dict.fromkeys(self.data, 0.0)
         laws, error = [], torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(steps))):
-            found = StepPullback(model, states[i], states[i + 1], schedule[i], self.grid.corrections, self.nothing)
-            y, by_data, by_laws, left = found(y, self._factors)
-            y = State(*(a + b for a, b in zip(y, self._taken(bars, steps[i]), strict=True)))
-            by = {name: x + by_data[name] for name, x in by.items()}
-            laws.append(torch.cat(list(by_laws.values())) if by_laws else None)
-            error = error.maximum(left)
+            found = self.stepper.pullback(states[i], states[i + 1], schedule[i], y)
+            y = State(*(a + b for a, b in zip(found.state, self._taken(bars, steps[i]), strict=True)))
+            by = {name: x + found.data[name] for name, x in by.items()}
+            laws.append(torch.cat(list(found.laws.values())) if found.laws else None)
+            error = error.maximum(found.error)
         return Cotangents(by, torch.stack(laws[::-1]) if T.varied else None, y), error
 
     def _schedule(self, steps: range) -> list[Prescribed]:
@@ -284,6 +281,3 @@ class Sweep:
         both = zip(bars, (h.q, h.v, h.vd, h.lam), strict=True)
         q, v, vd, lam = (y.new_zeros(y.shape[1], rows, y.shape[-1]) if x is None else x[i] for x, y in both)
         return State(q, v, vd, torch.zeros_like(vd), lam)
-
-    def _factors(self, K: Tensor) -> Any:
-        return self.factor(regularized(K.mT, self.diagonal))

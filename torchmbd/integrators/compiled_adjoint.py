@@ -59,7 +59,7 @@ class CompiledSweep(Sweep):
         self.values, _ = library.data_blocks(grid.dynamics.values())
         h = grid.history
         self.states = [x.contiguous() for x in (h.q, h.v, h.vd, h.lam)]
-        self.least = blocks(in_all_lanes(self.nothing[None, None], lanes))
+        self.least = blocks(in_all_lanes(self.stepper.nothing[None, None], lanes))
         self.weights = torch.tensor(grid.weights, dtype=torch.float64)
         self._first_known = self._known(self.segments[0])  # most motions are one segment
 
@@ -81,7 +81,15 @@ class CompiledSweep(Sweep):
         arrays = [table, *(x[steps.start :] for x in self.states)]
         arrays += [x if x is None else x[steps.start :] for x in bars]
         arrays += [blocks(in_all_lanes(self.accelerations[number], lanes)), self.values, moved]
-        arrays += [*(self.diagonal or (None, None)), self.least, slopes, moved_slopes, state_slopes, error, room]
+        arrays += [
+            *(self.stepper.diagonal or (None, None)),
+            self.least,
+            slopes,
+            moved_slopes,
+            state_slopes,
+            error,
+            room,
+        ]
         numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
         job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.grid.corrections, self.library.address)
         if self.code.adjoint(ctypes.byref(job)):

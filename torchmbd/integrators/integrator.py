@@ -23,6 +23,7 @@ from torch import Tensor
 
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.history import History
+from torchmbd.integrators.pullback import PulledBack
 from torchmbd.integrators.step import State
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
@@ -65,6 +66,14 @@ class Stepper(Protocol):
 
     def errors(self, history: History, duration: float, numbers: list[int] | None = None) -> dict[str, Tensor]:
         """What the steps to the times of these numbers left to be desired, for statistics [lanes]."""
+        ...
+
+
+class DifferentiableStepper(Stepper, Protocol):
+    """Steps with a pullback, the transpose of their tangents: they serve reverse mode (adjoint.py)."""
+
+    def pullback(self, before: State, after: State, given: Prescribed, y: State) -> PulledBack:
+        """Cotangents of all that a step depends on, from those of the state after it [n, rows, lanes]."""
         ...
 
 

@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrators.history import History, Record
+from torchmbd.integrators.pullback import PulledBack, StepPullback
 from torchmbd.integrators.step import State
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics, regularized
@@ -83,7 +84,8 @@ class March:
 
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
         self.dynamics, self.model, self.refresh = dynamics, model, refresh
-        self.corrections, passes = iterations
+        self.corrections, self.least = iterations
+        passes = self.least
         if any(p.varies for p in dynamics.topology.primitives):
             passes = max(passes, 2)  # the start of a drive kicks the tangents between two looks
         # Corrections of tangents: what a lane gets depends on no other.
@@ -116,6 +118,11 @@ class March:
             x = self._step(first + i, x, given)
             record.put(place + i, x)
         return x
+
+    def pullback(self, before: State, after: State, given: Prescribed, y: State) -> PulledBack:
+        """As of Stepper; the data of the model are leaves of a graph."""
+        step = StepPullback(self.model, before, after, given, self.least, self.nothing)
+        return step(y, lambda K: self.factor(regularized(K.mT, self.diagonal)))
 
     def forget(self) -> None:
         """The state has jumped: the factors kept do not suit it."""

@@ -13,7 +13,7 @@ Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapte
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -24,6 +24,18 @@ from torchmbd.system.topology import Prescribed
 
 MOST = 12  # corrections of mu
 ENOUGH = 1e-8  # estimated relative error of mu that gets no other correction; most steps have it after the first
+
+
+class PulledBack(NamedTuple):
+    """Cotangents [..., rows, lanes] of the state before a step, of data and of laws with design variables, by name.
+
+    error   estimated relative error [lanes]
+    """
+
+    state: State
+    data: dict[str, Tensor]
+    laws: dict[str, Tensor]
+    error: Tensor
 
 
 class StepPullback:
@@ -47,16 +59,16 @@ class StepPullback:
         with torch.no_grad():
             self.matrix = step.matrix(self.z)
 
-    def __call__(self, y: State, factors: Callable[[Tensor], Any]) -> tuple[State, dict, dict, Tensor]:
-        """y before the step, derivatives by data and laws [..., rows, lanes], and what the iteration leaves [lanes]."""
+    def __call__(self, y: State, factors: Callable[[Tensor], Any]) -> PulledBack:
+        """What follows from cotangents y [n, rows, lanes] of the state after the step; factors: of the transposed matrix."""
         H, rows = factors(self.matrix), range(y.q.shape[1])
         found = [self._row(H, y.map(lambda x, row=row: x[:, row : row + 1])) for row in rows]
         states, data, laws, left = (list(x) for x in zip(*found, strict=True))
         before = State(*(torch.cat(x, 1) for x in zip(*states, strict=True)))
         by_data, by_laws = ({k: torch.cat([x[k] for x in some], -2) for k in some[0]} for some in (data, laws))
-        return before, by_data, by_laws, torch.stack(left).amax(0)
+        return PulledBack(before, by_data, by_laws, torch.stack(left).amax(0))
 
-    def _row(self, H: Any, y: State) -> tuple[State, dict, dict, Tensor]:
+    def _row(self, H: Any, y: State) -> PulledBack:
         goal, *known = _pulled(self.end, y, [self.z, *self.x])
         mu, left = self._solved(H, goal)
         names, law_names = list(self.data), list(self.law_values)
@@ -65,7 +77,7 @@ class StepPullback:
         n = len(known)
         state = State(*(a + b for a, b in zip(known, by[:n], strict=True)))
         data = dict(zip(names, by[n : n + len(names)], strict=True))
-        return state, data, dict(zip(law_names, by[n + len(names) :], strict=True)), left
+        return PulledBack(state, data, dict(zip(law_names, by[n + len(names) :], strict=True)), left)
 
     def _solved(self, H: Any, goal: Tensor) -> tuple[Tensor, Tensor]:
         """mu [n, 1, lanes] with R_z' mu = goal, and its estimated relative error [lanes]."""
