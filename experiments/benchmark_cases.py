@@ -136,9 +136,10 @@ def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[T
     """The same, with the gradients of both responses by the adjoint of the steps."""
     moving = {name: x for name, x in dynamics.data.items() if isinstance(x, Pair)}
     data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
-    made = ReverseIntegration(None, replace(dynamics, data={}), tuple(data), duration, steps, GeneralizedAlpha(), True)
+    model = replace(dynamics, data={})
+    made = ReverseIntegration(None, model, tuple(data), duration, False, steps, GeneralizedAlpha(), precise=True)
     outputs: Any = Motion.apply(made, *data.values())
-    q, v, vd, lam = outputs
+    q, v, vd, lam = outputs[:4]
     found = responses_of(
         duration, energy(replace(dynamics, data=data), History(q, v, vd, lam, made.expansion(data)))[0]
     )

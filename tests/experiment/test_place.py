@@ -145,7 +145,7 @@ def copied(tmp_path_factory):
     return package
 
 
-@pytest.mark.parametrize("part", [*PARTS, "errors.py", "cli.py", "integrators/march.cpp"])
+@pytest.mark.parametrize("part", [*PARTS, "errors.py", "cli.py", "integrators/native/march.cpp"])
 def test_the_sources_that_compute_numbers_count(copied, monkeypatch, part):
     """The optimizers, the tracking, the pictures and the command line see an evaluation when it is made."""
     before = place_module._code(place_module._PACKAGE)

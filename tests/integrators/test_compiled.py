@@ -16,7 +16,6 @@ from tests.mechanisms import box, rigid_pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import strung
 from tests.sensitivity.test_law_variables import arm
 from tests.system.test_initial import four_bar
-from torchmbd.integrators import library
 
 pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 ANGLES = mbd.deg([[30, -20, 50], [10, 40, -70], [-15, 80, 5]])
@@ -26,10 +25,9 @@ NAME = "rod.laminate.angles"
 Both = Callable[..., tuple[mbd.Trajectory, mbd.Trajectory]]
 
 
-@pytest.fixture(params=["unrolled", "loops"])
-def both(native: None, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Both:
+@pytest.fixture
+def both(native: None) -> Both:
     """The eager and the compiled motion of `simulate` with its arguments."""
-    monkeypatch.setattr(library, "MOST_UNROLLED", 0 if request.param == "loops" else 150)
 
     def motions(*arguments: Any, **options: Any) -> tuple[mbd.Trajectory, mbd.Trajectory]:
         eager, fast = (mbd.simulate(*arguments, backend=backend, **options) for backend in ("eager", "native"))

@@ -1,12 +1,6 @@
-"""Straight-line code: the same numbers as torch, nothing left of constants, C++ that computes them for eight lanes."""
+"""Straight-line code: the same numbers as torch, nothing left of constants."""
 
 from __future__ import annotations
-
-import ctypes
-import math
-import shutil
-import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +8,6 @@ import torch
 from torch import Tensor
 
 from torchmbd.numerics import rotation
-from torchmbd.numerics.emit import PRELUDE, Emitter
 from torchmbd.numerics.scalars import BINARY, UNARY, Tape, Untraceable
 
 
@@ -86,29 +79,3 @@ def test_an_operator_that_is_not_known_is_named() -> None:
     tape = Tape()
     with pytest.raises(Untraceable, match="argmax"):
         tape.trace(lambda x: x.argmax(0), tape.inputs("x", 3))
-
-
-@pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
-@pytest.mark.parametrize("part", [400, 7])
-def test_compiled_functions_compute_eight_lanes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: int) -> None:
-    """Functions in one part and in many; a nan stays in its lane."""
-    monkeypatch.setattr("torchmbd.numerics.emit.PART", part)
-    tape = Tape()
-    (nodes,) = tape.trace(mixture, tape.inputs("x", 4, 1, 1), tape.inputs("y", 3, 4, 1, 1))
-    emitter = Emitter(tape, {"x": "in.x", "y": "in.y"})
-    code = emitter.function("f", nodes.ravel().tolist())
-    call = f'extern "C" void call(const V* x, const V* y, V* out) {{ In in{{x, y}}; V w[{emitter.room + 1}]; f(in, w, out); }}'
-    file, made = tmp_path / "f.cpp", tmp_path / "f.so"
-    file.write_text("\n".join([PRELUDE, "struct In { const V *x, *y; };", code, call]))
-    options = ["-O1", "-std=c++17", "-march=native", "-shared", "-fPIC"]
-    subprocess.run(["g++", *options, "-o", str(made), str(file)], check=True)
-    x, y = numbers(4, 1, 1, 8, seed=1), numbers(3, 4, 1, 1, 8, seed=2)
-    x[0, ..., 5] = math.nan
-    out = torch.zeros(*nodes.shape, 8, dtype=torch.float64)
-    ctypes.CDLL(str(made)).call(*(ctypes.c_void_p(a.data_ptr()) for a in (x, y, out)))
-    for lane in range(8):
-        expected = mixture(x[..., lane], y[..., lane])
-        if lane == 5:
-            assert bool(torch.isnan(out[..., lane]).any())
-        else:
-            torch.testing.assert_close(out[..., lane], expected, rtol=1e-13, atol=1e-14)

@@ -6,14 +6,11 @@ Checked in tests/integrators/test_compiled.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.layout import distinct, names_of
-from torchmbd.numerics.pair import Pair, linear, value
-from torchmbd.system.dynamics import Dynamics
+from torchmbd.numerics.pair import Pair
 from torchmbd.system.topology import Prescribed, Topology
 
 LANES = 8
@@ -41,47 +38,6 @@ def addresses(arrays: Sequence[Tensor | None]) -> list[int | None]:
 def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
     """A number that holds for all lanes, once for each."""
     return x.expand(*x.shape[:-1], lanes)
-
-
-def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
-    """Distinct data in the order of their names: values [n, 1, lanes] and tangents [n, n_b, lanes].
-
-    Behind them room for what laws with design variables prescribe, `moving`.
-    """
-    lanes, slots = dynamics.lanes, dynamics.tangents
-    parts = [_distinct(name, dynamics.data[name]) for name in names_of(dynamics.data)]
-    T = dynamics.topology
-    room = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
-    parts.append(value(parts[0]).new_zeros(room, 1, 1))
-    values = torch.cat([in_all_lanes(value(x).reshape(-1, 1, value(x).shape[-1]), lanes) for x in parts])
-
-    def tangents(x: Any) -> Tensor:
-        if isinstance(x, Pair):
-            return in_all_lanes(x.tangent.reshape(-1, *x.tangent.shape[-2:]), lanes)
-        return x.new_zeros(x.shape[:-2].numel(), slots, lanes)
-
-    return values, torch.cat([tangents(x) for x in parts])
-
-
-def unflattened(dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
-    """Cotangents of the data [component..., rows, lanes] out of those of the distinct numbers [n, rows, lanes]."""
-    found, start = {}, 0
-    for name in names_of(dynamics.data):
-        shape = tuple(dynamics.data[name].shape[:-2])
-        taken, index, _ = distinct(name, shape)
-        own = by[start : start + len(taken)]
-        start += len(taken)
-        full = by.new_zeros(len(index), *by.shape[1:])
-        full[torch.from_numpy(taken)] = own  # what stands for two numbers: they move together
-        found[name] = full.reshape(*shape, *by.shape[1:])
-    return found
-
-
-def _distinct(name: str, x: Any) -> Any:
-    """The numbers of a datum that are taken [n, slots, lanes]."""
-    taken, index, _ = distinct(name, tuple(x.shape[:-2]))
-    flat = linear(lambda y: y.reshape(-1, *y.shape[-2:]), x)
-    return flat if len(taken) == len(index) else flat.index_select(0, torch.from_numpy(taken).to(value(flat).device))
 
 
 def moving_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, slots: int) -> Tensor:

@@ -1,10 +1,12 @@
-"""Compiled code on disk: one shared library per topology and kind (code.py), built by the C++ compiler of the machine.
+"""Compiled code on disk: one shared library per kind of mechanism and function, built by the C++ compiler of the machine.
 
-A library is valid for one key: topology (bodies, vectors, primitives, modes), the shapes of the data, the source of
-everything that the code is made of, and what every library depends on (numerics/native.py). Step size, spectral radius,
-lanes and design variables are inputs. Laws of drives stay outside: any torch function; laws of forces that are a user's
-own are written out as scalar operations (forces/written.py), which are in the key; where that cannot be done the system
-stays uncompiled.
+    kind       of mechanisms: kinds of joints and forces, not how many, nor of what sizes (native/symbolic.py)
+    function   "step", "adjoint" or "rates" (native/functions.py)
+
+A library is valid for one key: the kind, the function, the source of everything that the code is made of, and what every
+library depends on (numerics/native.py). Counts, tables, step size, lanes and design variables are inputs.
+Laws of drives stay outside: any torch function. Laws of forces that are a user's own are written out as scalar operations
+(forces/written.py), which are in the key; where that cannot be done the system stays uncompiled.
 `resolved` chooses between eager and native steps before the first of them; a library that is missing is built then, once for
 a machine. So the same call gives the same numbers every time.
 Checked in tests/integrators/test_library.py.
@@ -28,10 +30,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, MbdError
 from torchmbd.forces.written import writable
 from torchmbd.integrators import blocks
-from torchmbd.integrators.code import source
-from torchmbd.integrators.layout import Layout
-from torchmbd.integrators.native import data as native_data
-from torchmbd.integrators.native import functions
+from torchmbd.integrators.native import data, functions
 from torchmbd.integrators.native.mechanism import Mechanism
 from torchmbd.numerics import build_cache
 from torchmbd.numerics.native import OPTIONS, SUFFIX, compilation_wanted, compiler, load, surroundings, unavailable
@@ -46,16 +45,12 @@ _SOURCES = (
     "forces",
     "system",
     "integrators/step.py",
-    "integrators/code.py",
-    "integrators/layout.py",
     "numerics/codegen",
     "integrators/native",
 )
 _DRIVERS = ("factors.cpp", "march.cpp", "adjoint.cpp", "rates.cpp")
-_SOURCES += tuple(f"integrators/{folder}{name}" for folder in ("", "native/") for name in _DRIVERS)
-_ASIDE = ("names", "row_names", "own_modes", "attached", "carriers")  # of a topology: what the code does not depend on
+_SOURCES += tuple(f"integrators/native/{name}" for name in _DRIVERS)
 BACKENDS = ("auto", "eager", "native")
-MOST_UNROLLED = 45  # unknowns of a system whose code is unrolled: more take longer to compile than loops are slower
 _loaded: dict[str, ctypes.CDLL] = {}
 _failed: dict[str, str] = {}  # builds that failed, and why
 _said: set[str] = set()
@@ -105,30 +100,24 @@ def wanted(backend: str) -> bool:
 
 @dataclass(frozen=True)
 class Library:
-    """Native code for one system. mechanism: its counts and tables, where the code has loops; None: it is unrolled."""
+    """Native code for one system. mechanism: its counts and tables, as the code takes them."""
 
     code: ctypes.CDLL
     mechanism: Any
 
     @property
-    def address(self) -> int | None:
+    def address(self) -> int:
         """Where the mechanism is."""
-        return None if self.mechanism is None else ctypes.addressof(self.mechanism)
+        return ctypes.addressof(self.mechanism)
 
     def data_blocks(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
         """Data as the code takes them: values [block, 1, n, 8] and tangents [block, n_b, n, 8]."""
-        known = written_out(dynamics)
-        values, tangents = (blocks if self.mechanism is None else native_data).flat_data(known)
+        values, tangents = data.flat_data(written_out(dynamics))
         return blocks.blocks(values), blocks.blocks(tangents)
 
     def unflattened(self, dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
         """Cotangents of the data [component..., rows, lanes] out of those of the numbers that the code takes."""
-        return (blocks if self.mechanism is None else native_data).unflattened(written_out(dynamics), by)
-
-
-def unrolled(T: Topology) -> bool:
-    """Whether the code of a system is straight-line code of its own, rather than loops that serve all of its kind."""
-    return T.n_v + T.rows <= MOST_UNROLLED
+        return data.unflattened(written_out(dynamics), by)
 
 
 def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
@@ -151,9 +140,7 @@ _mechanisms: WeakKeyDictionary[Topology, dict[str, Any]] = WeakKeyDictionary()
 
 
 def _mechanism(T: Topology, known: Dynamics, kind: str, code: ctypes.CDLL) -> Any:
-    """Counts and tables of a system for code with loops, made once for its topology; None for unrolled code."""
-    if unrolled(T):
-        return None
+    """Counts and tables of a system, made once for its topology."""
     own, name = _mechanisms.setdefault(T, {}), key(known, kind)
     if name not in own:
         own[name] = Mechanism(known.topology, known.saddle.blocks.rows, kind != "rates").struct(code)
@@ -196,20 +183,8 @@ def written_out(dynamics: Dynamics) -> Dynamics:
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:
     """Name of the library of a system, for this source, these versions and this processor."""
-    T = dynamics.topology
-    if not unrolled(T):
-        facts = repr(["loops", kind, _facts(native_data.kind_of(dynamics))])
-        return hashlib.sha256(facts.encode() + surroundings(_SOURCES).encode()).hexdigest()[:32]
-    attached = [(a.mount is None, a.is_point) for a in T.attached]
-    facts = [
-        len(T.names),
-        len(T.carriers),
-        attached,
-        _facts({k: v for k, v in vars(bare(T)).items() if k not in _ASIDE}),
-    ]
-    digest = hashlib.sha256(repr([kind, facts, Layout.of(dynamics.data, T)]).encode())
-    digest.update(surroundings(_SOURCES).encode())
-    return digest.hexdigest()[:32]
+    facts = repr([kind, _facts(data.kind_of(dynamics))])
+    return hashlib.sha256(facts.encode() + surroundings(_SOURCES).encode()).hexdigest()[:32]
 
 
 def _facts(x: Any) -> Any:
@@ -225,32 +200,12 @@ def _facts(x: Any) -> Any:
     return (type(x).__qualname__, _facts(vars(x))) if hasattr(x, "__dict__") else repr(x)
 
 
-def bare(T: Topology) -> Topology:
-    """The topology without bodies and laws: what the operations see."""
-    attached = tuple(replace(a, body=None) for a in T.attached)
-    primitives = tuple(type(p)(p.members, () if p.driven else p.data) for p in T.primitives)
-    carriers = tuple(replace(c, law=None) for c in T.carriers)
-    return replace(T, attached=attached, primitives=primitives, carriers=carriers)
-
-
-def text(dynamics: Dynamics, kind: str) -> str:
-    """C++ of a system."""
-    T, zero = dynamics.topology, torch.zeros((), dtype=torch.float64)
-    if not unrolled(T):
-        return functions.source(native_data.kind_of(dynamics), kind)
-    sample = T.prescribed(zero).shared(T.varied) if kind != "rates" else T.law_jets(zero)
-    return source(bare(T), Layout.of(dynamics.data, T), kind, sample)
-
-
 def build(dynamics: Dynamics, kind: str, name: str) -> Path:
     """Write and compile the code of a system; the library appears complete or not at all."""
     with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
         code, made = Path(work) / "code.cpp", Path(work) / "code.so"
-        code.write_text(text(dynamics, kind))
-        effort = ("-O1", "-fexpensive-optimizations") if unrolled(dynamics.topology) else ("-O2",)
-        done = subprocess.run(
-            [compiler(), *effort, *OPTIONS, "-o", str(made), str(code)], capture_output=True, text=True
-        )
+        code.write_text(functions.source(data.kind_of(dynamics), kind))
+        done = subprocess.run([compiler(), "-O2", *OPTIONS, "-o", str(made), str(code)], capture_output=True, text=True)
         if done.returncode:
             names = ", ".join(dynamics.topology.names)
             raise MbdError(f"{compiler()} failed on the {kind} of {names}: {done.stderr[-2000:]}")

@@ -1,7 +1,7 @@
 """One step on the index-3 equations: the operations that one-step integrators are made of (see one_step.py).
 
 Each is a pure function of tensors: no branch on numbers, nothing kept. So each can be written out as it
-stands (code.py), and the eager and the compiled integrator are one text.
+stands (native/functions.py), and the eager and the compiled integrator are one text.
 
     correct   z <- z - H R(z)                              values
     matrix    dR/dz                                        values
@@ -164,7 +164,7 @@ class Step:
 
 
 class Model:
-    """What all steps of a simulation share; makes steps. Of the eager march; code.py writes the same out."""
+    """What all steps of a simulation share; makes steps. Of the eager march; native/functions.py traces the same."""
 
     def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: equations.Data):
         self.T, self.saddle, self.w, self.data = T, saddle, w, data

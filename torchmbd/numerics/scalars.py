@@ -4,7 +4,7 @@
     Tape                         the scalar operations; a constant is folded, an operation that occurs twice is kept once
 
 Multiplications by zero and one, index tables, gathers, reshapes and concatenations leave nothing behind: a body without
-an eccentric mass, a constant direction or a tangent that is absent costs nothing. What remains is emitted as C++ (emit.py).
+an eccentric mass, a constant direction or a tangent that is absent costs nothing. What remains is emitted as C++ (codegen/).
 Only operators of fixed shape without branches can be written out; an operator that is not known is an `Untraceable`.
 Checked in tests/numerics/test_scalars.py.
 """

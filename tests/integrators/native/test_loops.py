@@ -8,13 +8,8 @@ import torch
 import torchmbd as mbd
 from tests.integrators.test_compiled import same
 from tests.mechanisms import box, linked
-from torchmbd.integrators import library
 
-
-@pytest.fixture(autouse=True)
-def loops(native: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also where the code of a mechanism would be unrolled."""
-    monkeypatch.setattr(library, "MOST_UNROLLED", 0)
+pytestmark = pytest.mark.usefixtures("native")
 
 
 def driven_chain() -> mbd.System:

@@ -51,7 +51,7 @@ class Interpreter:
         f: Any = UNARY.get(op) or BINARY.get(op) or TERNARY[op]
         try:
             return f(*(memo[a] for a in args))
-        except ZeroDivisionError:
+        except (ArithmeticError, ValueError):  # as processors have it
             return math.nan
 
     def _buffer(self, name: str) -> np.ndarray:

@@ -16,8 +16,8 @@ import heapq
 from collections.abc import Callable, Mapping
 
 from torchmbd.numerics.codegen.program import Program, Write
+from torchmbd.numerics.codegen.rules import PLAIN, RULES, Conditions, chosen_under, shared
 from torchmbd.numerics.codegen.size import Index, Untraceable, Variable
-from torchmbd.numerics.reverse import PLAIN, RULES, Conditions, chosen_under, shared
 
 Places = frozenset[Variable]
 

@@ -1,20 +1,15 @@
-"""Reverse mode on a tape (scalars.py): the derivative of a weighted sum of numbers by all others, as numbers of the tape.
+"""What operations of a tape (numerics/scalars.py) hand on to their arguments in reverse mode.
 
-    s = sum_k weight_k output_k      ->      ds/dx for each x that is asked for
-
-Each operation hands on what it is worth to its arguments, last operation first: as many operations as a few evaluations,
-however many x there are. The derivatives are operations of the tape again, written out and simplified like all others.
-A branch that is not taken (`where`) is worth zero, and so is what it is made of, though that may be nan.
-Checked in tests/numerics/test_reverse.py.
+Checked in tests/numerics/codegen/test_reverse.py.
 Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, section 3.2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import takewhile
 
-from torchmbd.numerics.scalars import Tape, Untraceable
+from torchmbd.numerics.scalars import Tape
 
 Conditions = tuple[tuple[int, bool], ...]  # numbers, and whether they hold
 PLAIN = ("add", "sub", "neg", "where")  # make nothing but zero of zero
@@ -96,34 +91,6 @@ RULES: dict[str, Rule] = {
 }
 
 
-def pullback(tape: Tape, outputs: Sequence[int], weights: Sequence[int], by: Sequence[int]) -> list[int]:
-    """Derivatives of sum_k weights[k] outputs[k] by the numbers `by`, as numbers of the tape."""
-    found, worth = set(by), {}
-    under: dict[int, Conditions] = {}  # under which alone a number is worth anything
-
-    def give(node: int, bar: int, conditions: Conditions) -> None:
-        if bar != tape.zero:
-            worth[node] = tape.call("add", worth[node], bar) if node in worth else bar
-            under[node] = shared(under.get(node, conditions), conditions)
-
-    for output, weight in zip(outputs, weights, strict=True):
-        give(output, weight, ())
-    moving = _between(tape, outputs, found)
-    for node in sorted(moving, reverse=True):  # results come after their arguments
-        if node not in worth or node in found:
-            continue
-        op, args = tape.op[node], tape.args[node]
-        if op not in RULES:
-            raise Untraceable(f"the operation {op!r} has no derivative in reverse mode")
-        own = [under[node]] * len(args)
-        if op == "where":
-            own = [under[node], (*under[node], (args[0], True)), (*under[node], (args[0], False))]
-        for a, bar, conditions in zip(args, RULES[op](tape, worth[node], node, args), own, strict=True):
-            if a in moving:
-                give(a, bar if op in PLAIN else chosen_under(tape, under[node], bar), conditions)
-    return [worth.get(node, tape.zero) for node in by]
-
-
 def shared(a: Conditions, b: Conditions) -> Conditions:
     """The conditions that both begin with."""
     return tuple(x for x, _ in takewhile(lambda both: both[0] == both[1], zip(a, b, strict=False)))
@@ -134,20 +101,3 @@ def chosen_under(tape: Tape, conditions: Conditions, bar: int) -> int:
     for c, holds in conditions:
         bar = tape.call("where", c, bar, tape.zero) if holds else tape.call("where", c, tape.zero, bar)
     return bar
-
-
-def _between(tape: Tape, outputs: Sequence[int], by: set[int]) -> set[int]:
-    """Operations between the numbers `by` and the outputs, both included: all that derivatives pass through."""
-    needed, stack = set(), list(outputs)
-    while stack:
-        node = stack.pop()
-        if node not in needed:
-            needed.add(node)
-            if tape.op[node] not in ("input", "constant"):
-                stack += tape.args[node]
-    moving: set[int] = set()
-    for node in sorted(needed):
-        leaf = tape.op[node] in ("input", "constant")
-        if node in by or (not leaf and any(a in moving for a in tape.args[node])):
-            moving.add(node)
-    return moving
