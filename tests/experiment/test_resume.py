@@ -162,7 +162,7 @@ def test_killed_at_twenty_random_moments(write, folder, monkeypatch, workers):
     assert Counter(parent for parent in above if parent) == dict.fromkeys(studies, 32)
     assert len(studies) == ended + 1
     assert len(struck) >= 7
-    assert set(struck) > ({"study"} if workers == 1 else {"study", "worker"})
+    assert set(struck) >= ({"study"} if workers == 1 else {"study", "worker"})
     elsewhere = environment | {"TORCHMBD_STORE": str(folder / "undisturbed")}
     undisturbed = subprocess.run(command, env=elsewhere, capture_output=True, text=True).stdout
     assert table(undisturbed) == table(last)

@@ -187,6 +187,7 @@ class MlflowTracker:
     def _deliver(self) -> None:
         """What the thread does."""
         taken: deque[tuple[str, Draft]] = deque()
+        self._closing.wait(_INTERVAL)  # to import MLflow takes seconds of the interpreter, which a study needs to begin
         while True:
             closing = self._closing.is_set()
             taken = taken or self._taken()
