@@ -15,12 +15,14 @@ import pytest
 import torch
 from torch import Tensor
 
+from tests.numerics.codegen.interpreter import Interpreter
 from torchmbd.numerics import rotation
-from torchmbd.numerics.codegen.array import Array, Pieces, SegmentSum, Table
+from torchmbd.numerics.codegen.array import Array, Table
 from torchmbd.numerics.codegen.emit import PRELUDE
-from torchmbd.numerics.codegen.interpreter import Interpreter
 from torchmbd.numerics.codegen.module import Module
+from torchmbd.numerics.codegen.pieces import Pieces
 from torchmbd.numerics.codegen.program import Program, Write
+from torchmbd.numerics.codegen.segment_sum import SegmentSum
 from torchmbd.numerics.codegen.size import Size, Untraceable, at, place
 from torchmbd.numerics.pair import cat, contract, cross, matmul, matvec
 from torchmbd.system.topology import Fold

@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
+from tests.numerics.codegen.interpreter import Interpreter
 from tests.numerics.codegen.test_array import BODY, FUNCTIONS, GROUP, SHAPES, SIZES, Tables, numbers, traced
 from torchmbd.numerics.codegen.array import Array
-from torchmbd.numerics.codegen.interpreter import Interpreter
 from torchmbd.numerics.codegen.program import Program, Write
 from torchmbd.numerics.codegen.reverse import Pullback
 from torchmbd.numerics.codegen.rules import RULES

@@ -9,7 +9,6 @@ struct Mechanism {
   const long* sizes;               // in the order of struct N
   const int* const* tables;        // in the order of struct Tables
   const double* const* constants;  // in the order of point_constants
-  const double* unused;
   long numbers;                    // of the matrix in memory
   const int *order;                // unknown of each pivot
   const int *start;                // where the later unknowns that a pivot meets begin in `beside`; [pivots + 1]

@@ -27,18 +27,17 @@ from torchmbd.integrators.native.symbolic import (
     shapes,
 )
 from torchmbd.integrators.step import Model, State, Weights
-from torchmbd.numerics.codegen.array import Array, Pieces
+from torchmbd.numerics.codegen.array import Array
 from torchmbd.numerics.codegen.emit import PRELUDE, size_text
 from torchmbd.numerics.codegen.module import Module
+from torchmbd.numerics.codegen.pieces import Pieces
 from torchmbd.numerics.codegen.program import Program, Write, product
 from torchmbd.numerics.codegen.reverse import Pullback
 from torchmbd.numerics.codegen.size import AnySize, Index, Lookup, Size, at, place
 from torchmbd.numerics.jet import Jet
-from torchmbd.numerics.pair import Pair, cat, separate, value
+from torchmbd.numerics.pair import Pair, separate, value
 from torchmbd.system import equations
 from torchmbd.system.topology import Prescribed
-
-DRIVERS = {"step": "march.cpp", "adjoint": "adjoint.cpp", "rates": "rates.cpp"}
 
 
 class _Traced:
@@ -101,12 +100,12 @@ class _Traced:
             self.entries = start
         return writes
 
-    def text(self, driver: str, state: AnySize, extra: str = "") -> str:
+    def text(self, driver: str) -> str:
         """The whole C++ text."""
         functions = self.module.text()
         folder = Path(__file__).parent
         drivers = "\n".join((folder / name).read_text() for name in ("factors.cpp", driver))
-        return "\n".join([PRELUDE, self._declarations(), extra, functions, drivers])
+        return "\n".join([PRELUDE, self._declarations(), functions, drivers])
 
     def _declarations(self) -> str:
         """Sizes, tables, and the struct of inputs and outputs."""
@@ -281,7 +280,7 @@ def _step(kind: Kind) -> str:
         residual = s.step.residual(Pair.of(s.z, s.dz)).tangent
         finish = [y.tangent for y in s.step.finish(s.z, s.dz)]
         s.module.moving = {"residual_tangent": s.output("R", [residual]), "finish_tangent": s.output("next", finish)}
-    return s.text("march.cpp", sum(s.sizes, 0))
+    return s.text("march.cpp")
 
 
 def _adjoint(kind: Kind) -> str:
@@ -302,7 +301,7 @@ def _adjoint(kind: Kind) -> str:
             "pull_unknowns": Pullback(p, of_z)(residual, lambda index: p.load("mu", index)),
             "pull_known": Pullback(p, of_state | of_data)(residual, lambda index: p.call("neg", p.load("mu", index))),
         }
-    return s.text("adjoint.cpp", sum(s.sizes, 0))
+    return s.text("adjoint.cpp")
 
 
 def _rates(kind: Kind) -> str:
@@ -337,7 +336,7 @@ def _rates(kind: Kind) -> str:
             "residual_tangent": s.output("R", [residual(z, s.data, q, v).tangent]),
             "kinematics_tangent": s.output("next", [equations.coordinate_rates(T, q, v).tangent]),  # pyright: ignore
         }
-    return s.text("rates.cpp", T.n_q + T.n_v)
+    return s.text("rates.cpp")
 
 
 _KINDS: dict[str, Callable[[Kind], str]] = {"step": _step, "adjoint": _adjoint, "rates": _rates}
@@ -346,6 +345,3 @@ _KINDS: dict[str, Callable[[Kind], str]] = {"step": _step, "adjoint": _adjoint, 
 def source(kind: Kind, function: str) -> str:
     """C++ of a kind of mechanisms: "step", "adjoint" or "rates"."""
     return _KINDS[function](kind)
-
-
-__all__ = ["DRIVERS", "cat", "source"]

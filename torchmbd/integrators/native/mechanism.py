@@ -26,7 +26,6 @@ class _Struct(ctypes.Structure):
         ("sizes", ctypes.c_void_p),
         ("tables", ctypes.c_void_p),
         ("constants", ctypes.c_void_p),
-        ("unused", ctypes.c_void_p),
         ("numbers", ctypes.c_long),
         *((name, ctypes.c_void_p) for name in ("order", "start", "beside", "near", "base", "head", "places")),
         ("fills", ctypes.c_long),
@@ -177,7 +176,7 @@ class Mechanism:
         pointers = np.array([self.tables[name].ctypes.data for name in tables] or [0], dtype=np.uint64)
         numbers = np.array([self.constants[name].ctypes.data for name in constants] or [0], dtype=np.uint64)
         e = self.elimination
-        s = _Struct(given.ctypes.data, pointers.ctypes.data, numbers.ctypes.data, 0, e.numbers)
+        s = _Struct(given.ctypes.data, pointers.ctypes.data, numbers.ctypes.data, e.numbers)
         for name in ("order", "start", "beside", "near", "base", "head", "places", "row", "column"):
             setattr(s, name, getattr(e, name).ctypes.data)
         s.fills, s.products = len(self.matrix["to"]), len(self.matrix["product_to"])

@@ -21,12 +21,14 @@ from torchmbd.forces.control import Links
 from torchmbd.forces.laws import OfTime, Scaled, Spring
 from torchmbd.forces.varied import Varied
 from torchmbd.joints.primitive import Distance, Primitive
-from torchmbd.numerics.codegen.array import Array, SegmentSum, Table
+from torchmbd.numerics.codegen.array import Array, Table
 from torchmbd.numerics.codegen.program import Program
+from torchmbd.numerics.codegen.segment_sum import SegmentSum
 from torchmbd.numerics.codegen.size import AnySize, Size
 from torchmbd.numerics.pair import value
 from torchmbd.system.saddle_blocks import SaddleBlocks
 from torchmbd.system.topology import Topology
+from torchmbd.system.unit_forces import UnitForces
 
 LENGTHS = "~length"  # data: of the Distance primitives
 
@@ -277,6 +279,8 @@ class _SparseMap:
 class _UnitForces:
     """Stands for UnitForces; `letter` R or D."""
 
+    blocks: Any = UnitForces.blocks
+
     def __init__(self, name: str, letter: str, slots: AnySize, flexible: bool):
         bent, pairs, bent_pairs = (Size(f"{letter}{x}") for x in "TPF")
         self.pairs, self.flexible_pairs, self._letter = pairs, bent_pairs if flexible else 0, letter
@@ -302,18 +306,9 @@ class SymbolicBlocks(SaddleBlocks):
         self.T = T
         rows = sum((p.rows * len(p.arguments) * primitive_count(i) for i, p in enumerate(T.primitives)), 0)
         strengths = sum((len(a.arguments) * action_count(i) for i, a in enumerate(T.actions)), 0)
-        self.rows = _with_blocks("row", "R", rows, T.kind.row_flexible)
-        self.actions = _with_blocks("action", "D", strengths, T.kind.action_flexible)
+        self.rows: Any = _UnitForces("row", "R", rows, T.kind.row_flexible)
+        self.actions: Any = _UnitForces("action", "D", strengths, T.kind.action_flexible)
         self._body_fold = SegmentSum(Table("vector_body_only", V), B)
-
-
-def _with_blocks(name: str, letter: str, slots: AnySize, flexible: bool) -> Any:
-    from torchmbd.system.unit_forces import UnitForces
-
-    class Units(_UnitForces):
-        blocks = UnitForces.blocks
-
-    return Units(name, letter, slots, flexible)
 
 
 def data_arrays(program: Program, kind: Kind, prefix: str) -> dict[str, Any]:

@@ -7,3 +7,5 @@ reverse.py   derivatives of a program in reverse mode
 schedule.py  which loops a function is made of, and what they share
 emit.py      C++
 """
+
+from torchmbd.numerics.codegen import operators as operators
