@@ -2,38 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.optimizers.optimizer import Box
 
-
-class Answer(Protocol):
-    """What a problem says of one design."""
-
-    @property
-    def ok(self) -> bool: ...
-    @property
-    def differentiated(self) -> bool:
-        """Whether it comes with gradients."""
-        ...
-
-
-T = TypeVar("T", bound=Answer)
-
-
-class Answering(Box, Protocol[T]):
-    """A problem of any kind of answers."""
-
-    def evaluate(self, X: np.ndarray, gradients: bool) -> list[T]: ...
+T = TypeVar("T")  # Evaluation or Criteria
 
 
 class Archive(Generic[T]):
     """`problem` with a memory, itself a problem; counts designs (`analyses`) and batches."""
 
-    def __init__(self, problem: Answering[T]) -> None:
+    def __init__(self, problem: Any) -> None:
         self.problem = problem
         self.analyses = self.batches = 0
         self.known: dict[bytes, tuple[np.ndarray, T]] = {}  # design and answer by the bytes of x
@@ -60,5 +41,5 @@ class Archive(Generic[T]):
     def _suffices(self, key: bytes, gradients: bool) -> bool:
         if key not in self.known:
             return False
-        answer = self.known[key][1]
+        answer: Any = self.known[key][1]
         return not answer.ok or not gradients or answer.differentiated
