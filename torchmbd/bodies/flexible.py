@@ -273,12 +273,13 @@ class FlexibleBody(nn.Module):
         Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; leading axes are those of the
         laminate's parameters (designs).
         """
+        points = self.assembly.masses()
         try:
-            basis = self.reduction(*matrices(self.assembly))
+            basis = self.reduction(*matrices(self.assembly, points))
         except CutCluster as error:
             raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
         psi = self.assembly.freedoms.expand(basis.vectors)
-        _, mass, rotary, arm = self.assembly.masses()
+        _, mass, rotary, arm = points
         x = self.assembly.places(self.mesh.nodes - self.origin, arm)
         result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi, arm))
         return result | {"Kr": basis.stiffness, "psi": psi}

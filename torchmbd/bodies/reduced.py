@@ -13,16 +13,16 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.elements import Assembly
+from torchmbd.elements import Assembly, MassPoints
 from torchmbd.errors import InputError, unknown
 from torchmbd.numerics.owned import whole
 from torchmbd.numerics.sparse import SparseMatrix
 from torchmbd.reduction import REDUCTIONS, Matrix, Reduction, uncut
 
 
-def matrices(assembly: Assembly) -> tuple[SparseMatrix, Matrix]:
-    """Stiffness and mass of the free freedoms, with the same lanes."""
-    K, M = assembly.stiffness(), assembly.mass()
+def matrices(assembly: Assembly, points: MassPoints | None = None) -> tuple[SparseMatrix, Matrix]:
+    """Stiffness and mass of the free freedoms, with the same lanes; points: what `masses` has found already."""
+    K, M = assembly.stiffness(), assembly.mass(points)
     return K, M.expand(*K.values.shape[:-1], -1) if isinstance(M, Tensor) else M
 
 

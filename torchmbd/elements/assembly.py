@@ -113,9 +113,12 @@ class Assembly:
         arms = [(none if p.arm is None else p.arm).expand(*lanes, len(p.ends), 3) for p in points]
         return MassPoints(self._ends, mass, rotary, torch.cat(arms, dim=-2))
 
-    def mass(self) -> Float[Tensor, "*lanes N"] | SparseMatrix:
-        """M of the free freedoms: its diagonal where all masses are lumped at free nodes, else a sparse matrix."""
-        _, mass, rotary, arm = self.masses()
+    def mass(self, points: MassPoints | None = None) -> Float[Tensor, "*lanes N"] | SparseMatrix:
+        """M of the free freedoms: its diagonal where all masses are lumped at free nodes, else a sparse matrix.
+
+        points: what `masses` has found already
+        """
+        _, mass, rotary, arm = self.masses() if points is None else points
         inertia = _inertia(mass, rotary, arm)  # [..., points, entries]
         if self.diagonal:
             full = mass.new_zeros(*mass.shape[:-1], len(self.mesh.nodes), 6)

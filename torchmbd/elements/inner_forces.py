@@ -91,7 +91,7 @@ class CellForces:
     ) -> Float[Tensor, "*lanes m 13 13"]:
         """C of every cell: from what the states work on the sides and from curvatures, energy per area; c is m, or 1."""
         S = torch.linalg.inv(A)
-        numbers = torch.stack([S[..., i, j] for i, j in SYMMETRIC], dim=-1)[..., None, :]
+        numbers = S.flatten(-2)[..., None, [3 * i + j for i, j in SYMMETRIC]]
         U = (numbers @ self._flexibility).unflatten(-1, (4, 4)).squeeze(-3)
         X = (numbers @ self._sides).unflatten(-1, (4, 2)).squeeze(-3)
         bent = (self._states @ (S @ B)).unflatten(-2, (4, 3)).flatten(-2)
@@ -117,5 +117,5 @@ class CellForces:
 
 def _inverse(X: Float[Tensor, "*any 2 2"]) -> Float[Tensor, "*any 2 2"]:
     """Of symmetric matrices."""
-    a, b, d = X[..., 0, 0], X[..., 0, 1], X[..., 1, 1]
+    a, b, d = X.flatten(-2)[..., [0, 1, 3]].unbind(-1)
     return torch.stack([d, -b, -b, a], dim=-1).unflatten(-1, (2, 2)) / (a * d - b * b)[..., None, None]

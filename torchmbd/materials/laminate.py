@@ -63,7 +63,9 @@ class LaminateStiffness(NamedTuple):
 
     def entries(self) -> Float[Tensor, "*lanes 21"]:
         """Collect the 21 independent numbers in the order of `ENTRIES`: upper triangles of A, B, D, As, row by row."""
-        return torch.stack([getattr(self, name)[..., i, j] for name, i, j in ENTRIES], dim=-1)
+        upper = [0, 1, 2, 4, 5, 8]
+        three = (X.flatten(-2)[..., upper] for X in (self.A, self.B, self.D))
+        return torch.cat([*three, self.As.flatten(-2)[..., [0, 1, 3]]], dim=-1)
 
     @classmethod
     def of(cls, entries: Float[Tensor, "*lanes 21"]) -> LaminateStiffness:
@@ -141,19 +143,18 @@ class Laminate(nn.Module):
     def stiffness(self) -> LaminateStiffness:
         """Integrate the ply stiffnesses through the thickness."""
         Qbar, Gbar = turned_stiffness(self.layer_angles, *self.layer_stiffness)
-        H1, H2, H3 = self._moments()
-        A, B, D = (torch.einsum("...k,...kij->...ij", H, Qbar) for H in (H1, H2, H3))
+        H = self._moments()
+        A, B, D = self._integrals(H, Qbar)
         if isinstance(self.shear_correction, str):
             As = energy_shear_stiffness(shear_shape(Qbar, self.faces, A, B, D), Gbar)
         else:
-            As = self.shear_correction * torch.einsum("...k,...kij->...ij", H1, Gbar)
+            As = self.shear_correction * torch.einsum("...k,...kij->...ij", H[0], Gbar)
         return LaminateStiffness(A, B, D, As)
 
     def shear_shape(self) -> ShearShape:
         """Return how transverse shear forces spread through the thickness."""
         Qbar, _ = turned_stiffness(self.layer_angles, *self.layer_stiffness)
-        A, B, D = (torch.einsum("...k,...kij->...ij", H, Qbar) for H in self._moments())
-        return shear_shape(Qbar, self.faces, A, B, D)
+        return shear_shape(Qbar, self.faces, *self._integrals(self._moments(), Qbar))
 
     @property
     def layer_angles(self) -> Float[Tensor, "*lanes all_layers"]:
@@ -210,6 +211,11 @@ class Laminate(nn.Module):
         """Values of every layer, bottom to top: the mirrored half is appended here."""
         return torch.cat([values, values.flip(layer_axis)], dim=layer_axis) if self.symmetric else values
 
+    @staticmethod
+    def _integrals(H: tuple[Tensor, ...], Qbar: Tensor) -> tuple[Tensor, ...]:
+        """A, B, D."""
+        return (torch.stack(H, -2) @ Qbar.flatten(-2)).unflatten(-1, (3, 3)).unbind(-3)
+
     def _moments(self) -> tuple[Tensor, Tensor, Tensor]:
         """Integrals of 1, z, z^2 over each layer [m, m2, m3], shape [..., layers]."""
         bottom, top = self.faces.unbind(-1)
@@ -229,10 +235,9 @@ def turning(
 ) -> tuple[Float[Tensor, "*lanes layers 3 3"], Float[Tensor, "*lanes layers 2 2"]]:
     """T and R turn strains from plate axes to ply axes: (xx, yy, xy) to (11, 22, 12), (xz, yz) to (13, 23)."""
     c, s = torch.cos(theta), torch.sin(theta)
-    rows = [[c * c, s * s, c * s], [s * s, c * c, -c * s], [-2 * c * s, 2 * c * s, c * c - s * s]]
-    T = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
-    R = torch.stack([torch.stack([c, s], dim=-1), torch.stack([-s, c], dim=-1)], dim=-2)
-    return T, R
+    cc, ss, cs = c * c, s * s, c * s
+    T = torch.stack([cc, ss, cs, ss, cc, -cs, -2 * cs, 2 * cs, cc - ss], dim=-1).unflatten(-1, (3, 3))
+    return T, torch.stack([c, s, -s, c], dim=-1).unflatten(-1, (2, 2))
 
 
 def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:

@@ -11,7 +11,7 @@ parabola and As = 5/6 G h.
 The two states are taken along the axes of the laminate. So As is no exact tensor: a general stack whose axes are turned
 one way and its plies the other differs by up to a sixth of As; axes along the direction of bending are the best choice.
 
-Differentiable, forward and reverse, in angles and thicknesses, with lanes `...` (no linear solver inside).
+Differentiable, forward and reverse, in angles and thicknesses, with lanes `...`.
 Source: R. Rolfes and K. Rohwer, Improved transverse shear stresses in composite finite elements based on first order
 shear deformation theory, Int. J. Numer. Methods Eng. 40 (1997) 51-60; P. Vlachoutsis, Shear correction factors for
 plates and shells, Int. J. Numer. Methods Eng. 33 (1992) 1537-1552, is its case without coupling of directions.
@@ -40,7 +40,7 @@ class ShearShape:
     linear: Float[Tensor, "*lanes layers 2 2"]
     faces: Float[Tensor, "*lanes layers 2"]
 
-    def at(self, share: float) -> Float[Tensor, "*lanes layers 2 2"]:
+    def at(self, share: float | Tensor) -> Float[Tensor, "*lanes layers 2 2"]:
         """F [1/m] in every layer at a share of its thickness: 0 its bottom, 1 its top."""
         start, end = self.faces.unbind(-1)
         return self.bottom + _growth(self.constant, self.linear, start, start + share * (end - start))
@@ -54,10 +54,10 @@ def shear_shape(
     D: Float[Tensor, "*lanes 3 3"],
 ) -> ShearShape:
     """Return F of a laminate: ply stiffness in plate axes, heights of bottom and top of each layer, and its A, B, D."""
-    compliance = inverse3(A) @ B
-    curvature = inverse3(D - B @ compliance)[..., :2]  # columns: of M_xx,x and of M_yy,y
+    compliance = torch.linalg.inv(A) @ B  # not solve: its tangents in a batch of torch.func.vmap are wrong (torch 2.13)
+    curvature = torch.linalg.inv(D - B @ compliance)[..., :2]  # columns: of M_xx,x and of M_yy,y
     strain = -compliance @ curvature
-    constant, linear = (_gradients(Qbar @ x.unsqueeze(-3)) for x in (strain, curvature))
+    constant, linear = _gradients(Qbar.unsqueeze(-4) @ torch.stack([strain, curvature], -3).unsqueeze(-3)).unbind(-4)
     start, end = faces.unbind(-1)
     top = _growth(constant, linear, start, end).cumsum(-3)
     bottom = torch.cat([torch.zeros_like(top[..., :1, :, :]), top[..., :-1, :, :]], dim=-3)
@@ -67,12 +67,10 @@ def shear_shape(
 def energy_shear_stiffness(shape: ShearShape, Gbar: Float[Tensor, "*lanes layers 2 2"]) -> Float[Tensor, "*lanes 2 2"]:
     """Return As [N/m] of the same energy; Gbar: transverse shear stiffness of the plies in plate axes."""
     thickness = shape.faces[..., 1] - shape.faces[..., 0]
-    compliance = inverse2(Gbar)
-    total = torch.zeros((), dtype=Gbar.dtype, device=Gbar.device)
-    for share, weight in _GAUSS:
-        F = shape.at(share)
-        total = total + ((weight * thickness)[..., None, None] * (F.mT @ compliance @ F)).sum(-3)
-    return inverse2(total)
+    share, weight = Gbar.new_tensor(_GAUSS).T[..., None]
+    F = torch.stack([shape.at(x) for x in share], -4)
+    energy = (weight * thickness.unsqueeze(-2))[..., None, None] * (F.mT @ inverse2(Gbar).unsqueeze(-4) @ F)
+    return inverse2(energy.sum((-4, -3)))
 
 
 def _growth(constant: Tensor, linear: Tensor, start: Tensor, end: Tensor) -> Tensor:
@@ -81,19 +79,10 @@ def _growth(constant: Tensor, linear: Tensor, start: Tensor, end: Tensor) -> Ten
 
 def _gradients(stress: Tensor) -> Tensor:
     """What tau_xz,z and tau_yz,z balance, from stresses [..., (xx, yy, xy), (state that varies with x, with y)]."""
-    xx, yy, xy = stress.unbind(-2)
-    return torch.stack([torch.stack([xx[..., 0], xy[..., 1]], -1), torch.stack([xy[..., 0], yy[..., 1]], -1)], dim=-2)
-
-
-def inverse3(X: Float[Tensor, "*lanes 3 3"]) -> Float[Tensor, "*lanes 3 3"]:
-    """Invert by cross products of the columns: plain arithmetic, exact under nested transforms."""
-    a, b, c = X.unbind(-1)
-    rows = torch.stack([torch.linalg.cross(b, c), torch.linalg.cross(c, a), torch.linalg.cross(a, b)], dim=-2)
-    return rows / (a * rows[..., 0, :]).sum(-1)[..., None, None]
+    return stress.flatten(-2)[..., [0, 5, 4, 3]].unflatten(-1, (2, 2))  # xx of the first, xy of the second; xy, yy
 
 
 def inverse2(X: Float[Tensor, "*lanes 2 2"]) -> Float[Tensor, "*lanes 2 2"]:
-    """Invert a 2 x 2 matrix."""
-    (a, b), (c, d) = (row.unbind(-1) for row in X.unbind(-2))
-    adjugate = torch.stack([torch.stack([d, -b], -1), torch.stack([-c, a], -1)], dim=-2)
-    return adjugate / (a * d - b * c)[..., None, None]
+    """Invert 2 x 2 matrices by plain arithmetic: there are many."""
+    a, b, c, d = X.flatten(-2).unbind(-1)
+    return torch.stack([d, -b, -c, a], dim=-1).unflatten(-1, (2, 2)) / (a * d - b * c)[..., None, None]
