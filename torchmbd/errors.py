@@ -29,6 +29,14 @@ def nearest(name: object, allowed: Iterable[object]) -> str:
     return f"; allowed: {', '.join(options) or '(none)'}{hint}"
 
 
+def one_of(kind: str, name: object, allowed: Iterable[object]) -> str:
+    """A name that is one of those allowed; InputError for any other, and for what is no name at all."""
+    options = list(allowed)
+    if not isinstance(name, str) or name not in options:
+        raise unknown(kind, name, options)
+    return name
+
+
 def unknown(kind: str, name: object, allowed: Iterable[object]) -> InputError:
     """Build the error for a name that does not exist, with the nearest that does."""
     return InputError(f"{kind} {name!r} does not exist{nearest(name, allowed)}")

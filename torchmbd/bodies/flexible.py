@@ -44,7 +44,24 @@ from torchmbd.elements import (
 from torchmbd.errors import InputError
 from torchmbd.materials import Laminate
 from torchmbd.mesh import Mesh, MeshFile, read_mesh
+from torchmbd.numerics.owned import whole
 from torchmbd.reduction import CutCluster, inertia_invariants
+
+
+def _is_part(x: Any) -> bool:
+    return all(hasattr(type(x), name) for name in ("pattern", "values", "masses"))
+
+
+def _check_parts(name: str, mesh: Any, parts: Any, modes: Any) -> None:
+    """InputError for arguments of a body that are of another kind."""
+    if not isinstance(mesh, (Mesh, BeamLine)):
+        raise InputError(f"mesh of {name!r} is {mesh!r}; allowed: a Mesh or a BeamLine")
+    if not isinstance(parts, Mapping) or not parts or not all(map(_is_part, parts.values())):
+        raise InputError(
+            f"parts of {name!r} is {parts!r}; allowed: names -> parts, such as Plates or Beams, at least one"
+        )
+    if not whole(modes):
+        raise InputError(f"modes of {name!r} is {modes!r}; allowed: a number of modes")
 
 
 class FlexibleBody(nn.Module):
@@ -83,6 +100,7 @@ class FlexibleBody(nn.Module):
         super().__init__()
         self.name = identifier("flexible body", name)
         self.mesh = mesh
+        _check_parts(name, mesh, parts, modes)
         place(self, position, axes)
         links, self.parts = [*links, *rigid_links(mesh, rigid)], dict(parts)
         joined = merged(self.parts)

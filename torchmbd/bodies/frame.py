@@ -51,7 +51,16 @@ class Frame:
     mount: Mount | None = None
 
     def __post_init__(self) -> None:
+        if not all(hasattr(self.body, name) for name in ("name", "position", "axes", "at")):
+            raise InputError(f"body of a Frame is {self.body!r}; allowed: a body or the ground, as body.at(...) has it")
         refuse_gradients(f"a frame on {self.body.name!r}", (self.point, self.axes))
+        object.__setattr__(self, "point", vector(f"point of a Frame on {self.body.name!r}", self.point))
+        object.__setattr__(self, "axes", rotation(f"axes of a Frame on {self.body.name!r}", self.axes))
+        if hasattr(self.body, "mesh") != isinstance(self.mount, Mount) or not isinstance(
+            self.mount, (Mount, type(None))
+        ):
+            allowed = "nodes of its mesh, as body.at(...) mounts it" if hasattr(self.body, "mesh") else "None"
+            raise InputError(f"mount of a Frame on {self.body.name!r} is {self.mount!r}; allowed: {allowed}")
 
     def axis(self, name: str) -> Tensor:
         """Unit vector "x", "y" or "z" of the frame, in body axes [3]."""

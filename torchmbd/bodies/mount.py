@@ -14,6 +14,7 @@ Checked in tests/bodies/test_mount.py.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -40,9 +41,14 @@ class Mount:
     @classmethod
     def on(cls, nodes: Sequence[int], weights: Sequence[float] | None = None) -> Mount:
         """Mount on nodes with positive weights of any size; None: equal ones."""
-        given = [1.0] * len(nodes) if weights is None else [scalar("weights", w, "positive numbers") for w in weights]
+        allowed = "a positive number for each node"
+        if weights is not None and (
+            isinstance(weights, str) or not isinstance(weights, (Sequence, Tensor, np.ndarray))
+        ):
+            raise InputError(f"weights is {weights!r}; allowed: {allowed}")
+        given = [1.0] * len(nodes) if weights is None else [scalar("weights", w, allowed) for w in weights]
         if len(given) != len(nodes) or not nodes or not all(0.0 < w < float("inf") for w in given):
-            raise InputError(f"weights is {weights!r} for {len(nodes)} nodes; allowed: a positive number for each node")
+            raise InputError(f"weights is {weights!r} for {len(nodes)} nodes; allowed: {allowed}")
         return cls(tuple(nodes), tuple(w / sum(given) for w in given))
 
     def center(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " 3"]:
@@ -94,7 +100,11 @@ def _index(mesh: Any, node: Any) -> int:
 
 
 def _whole(x: Any) -> bool:
-    return hasattr(x, "__index__") and not isinstance(x, list | tuple)
+    try:
+        operator.index(x)  # an array of several has the method, but is no number
+    except TypeError:
+        return False
+    return True
 
 
 def rigid_links(mesh: Any, sets: Sequence[str | Sequence[int]]) -> list[RigidLink]:

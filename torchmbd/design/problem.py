@@ -36,7 +36,7 @@ from torchmbd.integrators.memory import lanes_at_once, require_room
 from torchmbd.integrators.phases import plan
 from torchmbd.integrators.registry import DEFAULT
 from torchmbd.integrators.trajectory import OK
-from torchmbd.numerics.owned import several
+from torchmbd.numerics.owned import real, several
 from torchmbd.optimizers import Evaluation
 from torchmbd.optimizers.optimizer import as_numbers
 from torchmbd.reduction import CutCluster
@@ -116,7 +116,8 @@ class Problem:
                 raise InputError(
                     f"{measure!r} looks at t = {measure.until:g} s; allowed: up to duration={duration:g} s"
                 )
-        if not 0.0 < bound[0] <= bound[1]:
+        two = isinstance(bound, (tuple, list)) and len(bound) == 2 and all(map(real, bound))
+        if not two or not 0.0 < bound[0] <= bound[1]:
             raise InputError(f"bound is {bound!r}; allowed: (start, upper) with 0 < start <= upper")
         self.system, self.duration, self.objective = system, float(duration), minimize
         self.constraints = subject_to

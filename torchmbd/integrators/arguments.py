@@ -15,7 +15,7 @@ import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
 from torch._C._functorch import is_functorch_wrapped_tensor
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.integrators.integrator import Integrator
 from torchmbd.integrators.library import BACKENDS
 from torchmbd.integrators.registry import INTEGRATORS, integrator_of
@@ -41,8 +41,7 @@ def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], ph
 
 def check_gradients(gradients: Any, integrator: Integrator) -> None:
     """Refuse a way to gradients that does not exist, or not for this integrator; InputError says why."""
-    if gradients not in GRADIENTS:
-        raise unknown("gradients", str(gradients), GRADIENTS)
+    one_of("gradients", gradients, GRADIENTS)
     if gradients != "reverse":
         return
     if not integrator.adjoint:
@@ -86,8 +85,7 @@ def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
 
 def check_backend(backend: Any) -> None:
     """InputError for a backend that does not exist."""
-    if backend not in BACKENDS:
-        raise unknown("backend", str(backend), BACKENDS)
+    one_of("backend", backend, BACKENDS)
 
 
 def check_designs(system: System, designs: Any) -> dict[str, Tensor]:
@@ -135,7 +133,4 @@ def check_variables(system: System, variables: Any) -> list[str]:
     own = dict(system.named_parameters())
     if isinstance(variables, str) or not isinstance(variables, Sequence):
         raise InputError(f"variables is {variables!r}; allowed: a list of names of parameters")
-    for name in variables:
-        if name not in own:
-            raise unknown("parameter", name, own)
-    return list(variables)
+    return [one_of("parameter", name, own) for name in variables]

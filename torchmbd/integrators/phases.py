@@ -35,6 +35,7 @@ from torchmbd.joints import Drive, Joint
 from torchmbd.joints.joint import Scribe
 from torchmbd.joints.lock import Lock
 from torchmbd.numerics.gradients import refuse_lost
+from torchmbd.numerics.owned import real
 from torchmbd.system import System
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.selection import selected
@@ -73,12 +74,17 @@ class Phase:
                 raise InputError(f"{key} of a phase is {x!r} s; allowed: {allowed}")
         for key in ("lock", "release"):
             x = getattr(self, key)
-            if isinstance(x, (str, Joint)) or not all(isinstance(j, (str, Joint)) for j in x):
+            if isinstance(x, str) or not isinstance(x, Sequence) or not all(isinstance(j, (str, Joint)) for j in x):
                 raise InputError(f"{key} of a phase is {x!r}; allowed: a list of joints or of their names")
+        if not isinstance(self.laws, Mapping):
+            raise InputError(f"laws of a phase is {self.laws!r}; allowed: names of force elements -> laws")
+        if self.name is not None and not isinstance(self.name, str):
+            raise InputError(f"name of a phase is {self.name!r}; allowed: a string")
         if self.impact is not None and not isinstance(self.until, Event):
             raise InputError(f"impact of a phase is given, but until={self.until!r}; allowed: an Event, its gap")
         refuse_lost("impact of a phase", self.impact, "constant tensors")
-        if isinstance(self.impact, bool) or not (callable(self.impact) or 0.0 <= (self.impact or 0.0) <= 1.0):
+        number = real(self.impact) and 0.0 <= float(self.impact) <= 1.0  # pyright: ignore[reportArgumentType]
+        if self.impact is not None and not callable(self.impact) and not number:
             raise InputError(f"impact of a phase is {self.impact!r}; allowed: from 0 to 1, or a map of the velocities")
 
 

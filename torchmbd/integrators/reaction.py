@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.bodies import Frame, Ground
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, one_of
 from torchmbd.joints.joint import Joint
 from torchmbd.numerics.pair import value
 from torchmbd.numerics.rotation import exponential, rotation_matrix
@@ -47,9 +47,8 @@ def reaction(motion: Trajectory, name: str) -> JointReaction:
 
 def joint_named(system: System, name: str) -> Joint:
     """The one joint of that name; InputError if there is none, or several."""
+    one_of("joint", name, [joint.name for joint in system.joints])
     found = [joint for joint in system.joints if joint.name == name]
-    if not found:
-        raise unknown("joint", name, [joint.name for joint in system.joints])
     if len(found) > 1:
         raise InputError(f"joint name {name!r} is used {len(found)} times; allowed here: a unique name")
     return found[0]

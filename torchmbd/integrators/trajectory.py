@@ -21,7 +21,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, SimulationFailure, unknown
+from torchmbd.errors import InputError, SimulationFailure, one_of
 from torchmbd.forces.action import Action
 from torchmbd.integrators.body_motion import BodyMotion
 from torchmbd.integrators.energies import Energies, energies
@@ -214,9 +214,7 @@ class Trajectory:
 
     def body(self, name: str) -> BodyMotion:
         """The motion of one body."""
-        if name not in self.dynamics.topology.names:
-            raise unknown("body", name, self.dynamics.topology.names)
-        return BodyMotion(self, name)
+        return BodyMotion(self, one_of("body", name, self.dynamics.topology.names))
 
     def reaction(self, joint: str) -> JointReaction:
         """Force and torque of a joint on its second body, in the frame of its first."""
@@ -236,7 +234,8 @@ class Trajectory:
 
     def modes(self, name: str) -> Tensor:
         """Mode shapes [lanes, nodes, 6, modes] of a flexible body: the structure stage of the designs, once more."""
-        return self.shapes.values(name)
+        T = self.dynamics.topology
+        return self.shapes.values(one_of("flexible body", name, T.names[: T.flexible]))
 
     def at_moment(self, lane: int, t: Tensor, moment: Moment) -> Trajectory:
         """One lane at one side of a switch at its time t [], as a motion of one time without sensitivities."""

@@ -46,6 +46,15 @@ def _none(corners: int) -> Tensor:
     return torch.empty(0, corners, dtype=torch.long)
 
 
+def _members(name: str, given: Sequence[int]) -> tuple[int, ...]:
+    found = indices(
+        f"node_sets of a Mesh: {name!r}", list(given) if isinstance(given, (Sequence, set, range)) else given
+    )
+    if found.dim() != 1:
+        raise InputError(f"node_sets of a Mesh: {name!r} is {given!r}; allowed: a list of nodes")
+    return tuple(found.tolist())
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class Mesh:
     """Nodes [n, 3] in m, triangles [m, 3], quads [k, 4] and named node sets; see the module header for what is checked."""
@@ -59,7 +68,9 @@ class Mesh:
     quads: Int[Tensor, "k 4"] = field(default_factory=lambda: _none(4))
 
     def __post_init__(self) -> None:
-        sets = {str(name): tuple(int(k) for k in members) for name, members in self.node_sets.items()}
+        if not isinstance(self.node_sets, Mapping):
+            raise InputError(f"node_sets of a Mesh is {self.node_sets!r}; allowed: names -> lists of nodes")
+        sets = {str(name): _members(name, given) for name, given in self.node_sets.items()}
         object.__setattr__(self, "nodes", reals("nodes of a Mesh", self.nodes))
         object.__setattr__(self, "node_sets", sets)
         for name in ("triangles", "quads", "lines"):

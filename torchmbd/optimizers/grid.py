@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import product
 from typing import Any
 
 import numpy as np
 
 from torchmbd.errors import InputError
+from torchmbd.numerics.owned import reals, scalar
 from torchmbd.optimizers.optimizer import Box
 
 ON = 1e-6  # of the spacing: so near is on a value
@@ -35,7 +36,7 @@ class Grid:
     ) -> None:
         self.admits = admits
         names = list(problem.names)
-        entries = [allowed] * len(names) if allowed is None or _single(allowed) else list(allowed)  # type: ignore[arg-type]
+        entries = [allowed] * len(names) if allowed is None or _single(allowed) else _listed(allowed)
         if len(entries) != len(names):
             raise InputError(f"allowed has {len(entries)} entries for {len(names)} variables ({', '.join(names)})")
         self.values = [_values(*row) for row in zip(names, entries, lower, upper, strict=True)]  # type: ignore[arg-type]
@@ -113,6 +114,12 @@ class Grid:
         return list(moves.values())
 
 
+def _listed(allowed: Any) -> list[Any]:
+    if isinstance(allowed, (str, Mapping)) or not isinstance(allowed, Iterable):
+        raise InputError(f"allowed is {allowed!r}; allowed: an increment, values, or one of these for each variable")
+    return list(allowed)
+
+
 def _within(moves: list[list[tuple[int, float]]], steps: int) -> list[list[tuple[int, float]]]:
     """Return all choices of one move per variable that take `steps` increments at most."""
     if not moves:
@@ -125,7 +132,7 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
     if entry is None:
         return None
     if _single(entry):
-        increment = float(entry)  # type: ignore[arg-type]
+        increment = scalar(f"allowed of {name}", entry, "an increment, or a list of values")
         if not (increment > 0.0 and np.isfinite(high - low)):
             raise InputError(
                 f"allowed of {name} = {entry!r} with bounds [{low:g}, {high:g}]: must be positive, its bounds finite"
@@ -138,7 +145,7 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
         slack = ON * increment
         values = increment * np.arange(np.ceil((low - slack) / increment), np.floor((high + slack) / increment) + 1)
     else:
-        values = np.unique(np.asarray(entry, dtype=float))
+        values = np.unique(reals(f"allowed of {name}", entry).numpy())
         slack = 1e-12 * max(abs(low), abs(high), 1.0) if np.isfinite(high - low) else 0.0
         values = values[(values >= low - slack) & (values <= high + slack)]
     if not values.size or not np.isfinite(values).all():

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from torchmbd.bodies import FlexibleBody, RigidBody
 from torchmbd.bodies.frame import VELOCITIES, vector
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.forces.control import Port
 from torchmbd.forces.controller import VARIABLES as OF_CONTROLLERS
 from torchmbd.forces.force import ForceElement
@@ -127,10 +127,8 @@ class System(nn.Module):
 
     def body(self, name: str) -> Any:
         """The body of that name; InputError names the nearest."""
-        for body in self.bodies:
-            if body.name == name:
-                return body
-        raise unknown("body", name, [body.name for body in self.bodies])
+        named = {body.name: body for body in self.bodies}
+        return named[one_of("body", name, named)]
 
     @exclusive
     def forward(self, part: str | None = None) -> Any:

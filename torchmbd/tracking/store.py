@@ -39,6 +39,8 @@ def store_uri(uri: str | None = None) -> str:
     """Return the store to use, a relative SQLite path made absolute; InputError if it can be none."""
     given = "uri" if uri else "MLFLOW_TRACKING_URI" if os.environ.get("MLFLOW_TRACKING_URI") else "the store"
     chosen = uri or os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{Path.cwd() / 'mlflow.db'}"
+    if not isinstance(chosen, str):
+        raise InputError(f"uri is {chosen!r}; allowed: a store such as sqlite:///mlflow.db")
     if fault := uri_fault(chosen):
         raise InputError(f"{given} = {chosen!r}: {fault}")
     file = sqlite_file(chosen)
