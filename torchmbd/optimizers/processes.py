@@ -15,10 +15,12 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import signal
+import sys
 import threading
 import warnings
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
 from typing import Any
 
 import cloudpickle
@@ -45,6 +47,7 @@ class Processes:
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
         require_problem(problem)
+        _require_script()
         self.problem, self.count = problem, count
         spawn = multiprocessing.get_context("spawn")  # a fork would copy threads' locks in whatever state they are
         begin = (_packed(problem), torch.get_default_dtype(), spawn.Barrier(count))
@@ -101,6 +104,13 @@ class Processes:
                 if begun.done() and not begun.exception():
                     os.kill(begun.result(), signal.SIGTERM)
         self.close()
+
+
+def _require_script() -> None:
+    """InputError where the main script is no file: processes that import it would end at once, and be waited for."""
+    script = getattr(sys.modules["__main__"], "__file__", None)
+    if script is not None and not Path(script).exists():
+        raise InputError(f"the main script is {script!r}, which none can import; allowed: a script that is a file")
 
 
 def _packed(problem: Problem) -> bytes:

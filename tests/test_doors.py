@@ -1,0 +1,118 @@
+"""Arguments of another kind are refused at the door: the error names the argument, its value and what is allowed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.mechanisms import box, laminate, pendulum
+from torchmbd.errors import InputError
+
+SYSTEM = pendulum()
+ROD, BOX, GROUND = SYSTEM.body("rod"), box("b"), mbd.Ground()
+SQUARE = mbd.mesh.rectangle(length=0.3, width=0.1, cells=(2, 2))
+NAMES = np.array(["a", "b"])
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+def simulated(**options: Any) -> mbd.Trajectory:
+    return mbd.simulate(SYSTEM, 0.01, **({"steps": 4} | options))
+
+
+def problem(**options: Any) -> mbd.Problem:
+    return mbd.Problem(SYSTEM, 0.01, mbd.Integral(mbd.StrainEnergy("rod")), steps=4, **options)
+
+
+# What is wrong -> how the message begins.
+CASES: dict[str, tuple[Callable[[], Any], str]] = {
+    "body of a frame": (lambda: mbd.Frame("b", ORIGIN), "body of a Frame is 'b'"),
+    "no body of a frame": (lambda: mbd.Frame(None, ORIGIN), "body of a Frame is None"),
+    "point of a frame": (lambda: mbd.Frame(BOX, "x"), "point of a Frame on 'b' is 'x'"),
+    "point of two numbers": (lambda: mbd.Frame(BOX, torch.zeros(2)), "point of a Frame on 'b' is tensor"),
+    "axes of a frame": (lambda: mbd.Frame(BOX, ORIGIN, axes="x"), "axes of a Frame on 'b' is 'x'"),
+    "mount of a rigid frame": (lambda: mbd.Frame(BOX, ORIGIN, mount=3), "mount of a Frame on 'b' is 3"),
+    "no mount": (lambda: mbd.Frame(ROD, ORIGIN), "mount of a Frame on 'rod' is None"),
+    "until": (lambda: mbd.Phase(until="x"), "until of a phase is 'x'"),
+    "a variable until": (lambda: mbd.Phase(until=mbd.variable(0.1)), "until of a phase is Parameter"),
+    "lock": (lambda: mbd.Phase(lock=None), "lock of a phase is None"),
+    "release": (lambda: mbd.Phase(release=3), "release of a phase is 3"),
+    "release of an array": (lambda: mbd.Phase(release=NAMES), "release of a phase is array"),
+    "laws": (lambda: mbd.Phase(laws=[1]), r"laws of a phase is \[1\]"),
+    "impact": (lambda: mbd.Phase(until=mbd.Event(mbd.Position("b", "z")), impact="x"), "impact of a phase is 'x'"),
+    "impacts": (lambda: mbd.Phase(until=mbd.Event(mbd.Position("b", "z")), impact=[1]), r"impact of a phase is \[1\]"),
+    "name of a phase": (lambda: mbd.Phase(name=NAMES), "name of a phase is array"),
+    "phases": (lambda: simulated(phases=3), "phases is 3"),
+    "weights": (lambda: ROD.at([0, 1], weights=3), "weights is 3"),
+    "weights of letters": (lambda: ROD.at([0, 1], weights="ab"), "weights is 'ab'"),
+    "a weight": (lambda: ROD.at([0, 1], weights=[None, 1]), "weights is None"),
+    "node": (lambda: ROD.at(1.5), "node is 1.5"),
+    "bound": (lambda: problem(bound=[None]), r"bound is \[None\]"),
+    "bound of one number": (lambda: problem(bound=3), "bound is 3"),
+    "constraints": (lambda: problem(subject_to=[None]), "subject_to"),
+    "node sets": (lambda: mbd.Mesh(SQUARE.nodes, SQUARE.triangles, node_sets=[1]), r"node_sets of a Mesh is \[1\]"),
+    "a node set": (
+        lambda: mbd.Mesh(SQUARE.nodes, SQUARE.triangles, node_sets={"a": 3}),
+        "node_sets of a Mesh: 'a' is 3",
+    ),
+    "a set of None": (
+        lambda: mbd.Mesh(SQUARE.nodes, SQUARE.triangles, node_sets={"a": None}),
+        "node_sets of a Mesh: 'a'",
+    ),
+    "nodes": (lambda: mbd.Mesh("x", SQUARE.triangles), "nodes of a Mesh is 'x'"),
+    "uri": (lambda: mbd.load("run", 3), "uri is 3"),
+    "allowed": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), "x"), "allowed of .* is 'x'"),
+    "allowed by name": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), {"a": 1}), "allowed is {'a': 1}"),
+    "an allowed value": (lambda: mbd.optimize_discrete(problem(bounds=(-1.0, 1.0)), [["a"], 0.1]), "allowed of"),
+    "units": (lambda: mbd.FlexibleBody.from_bdf("r", "none.bdf", modes=2, units=3), "units"),
+    "parts": (lambda: mbd.FlexibleBody("r", SQUARE, None, 2), "parts of 'r' is None"),
+    "a part": (lambda: mbd.FlexibleBody("r", SQUARE, {"a": 3}, 2), "parts of 'r' is {'a': 3}"),
+    "no parts": (lambda: mbd.FlexibleBody("r", SQUARE, {}, 2), "parts of 'r' is {}"),
+    "mesh": (lambda: mbd.FlexibleBody.plate("r", None, laminate(), modes=2), "mesh"),
+    "modes": (lambda: mbd.FlexibleBody("r", SQUARE, ROD.parts, "x"), "modes of 'r' is 'x'"),
+    "name of a body": (lambda: mbd.RigidBody(NAMES, 1.0, (1.0, 1.0, 1.0)), "name of the rigid body is array"),
+    "body of a system": (lambda: SYSTEM.body(NAMES), "body array"),
+    "body of a motion": (lambda: simulated().body(["rod"]), r"body \['rod'\]"),
+    "joint of a reaction": (lambda: simulated().reaction(NAMES), "joint array"),
+    "modes of a body": (lambda: simulated().modes(NAMES), "flexible body array"),
+    "modes of a rigid body": (lambda: simulated().modes("arm"), "flexible body 'arm'"),
+    "body of a response": (lambda: mbd.StrainEnergy(NAMES).values(simulated()), "body array"),
+    "variables": (lambda: simulated(variables=[NAMES]), "parameter array"),
+    "method": (lambda: simulated(method=NAMES), "method array"),
+    "gradients": (lambda: simulated(gradients=NAMES), "gradients array"),
+    "backend": (lambda: simulated(backend=NAMES), "backend array"),
+    "name of a joint": (lambda: mbd.Revolute(GROUND.at(), BOX.at(), name=NAMES), "name of a Revolute is array"),
+    "axis": (lambda: mbd.Revolute(GROUND.at(), BOX.at(), axis=NAMES), "axis is array"),
+    "free bodies": (lambda: mbd.System([BOX], free=[NAMES]), "free has array"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_it_is_refused_by_name(case):
+    make, message = CASES[case]
+    with pytest.raises(InputError, match=message) as error:
+        make()
+    assert "allowed" in str(error.value)
+
+
+def test_what_is_right_is_taken_in_any_shape():
+    frame = mbd.Frame(BOX, [0.1, 0, 0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    assert frame.point.tolist() == [0.1, 0.0, 0.0]
+    assert ROD.at(np.array([0, 1]), weights=np.array([1.0, 3.0])).mount.weights == (0.25, 0.75)
+    assert mbd.Mesh(SQUARE.nodes, SQUARE.triangles, {"a": np.array([0, 1])}, quads=SQUARE.quads).node_sets["a"] == (
+        0,
+        1,
+    )
+
+
+def test_processes_of_a_script_that_is_no_file():
+    """They would be waited for without end."""
+    text = "import torchmbd as mbd; from tests.test_doors import problem; mbd.Processes(problem(), None)"
+    done = subprocess.run([sys.executable, "-"], input=text, capture_output=True, text=True, timeout=120, check=False)
+    assert "InputError: the main script is '<stdin>'" in done.stderr
