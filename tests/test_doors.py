@@ -75,7 +75,7 @@ CASES: dict[str, tuple[Callable[[], Any], str]] = {
     "a part": (lambda: mbd.FlexibleBody("r", SQUARE, {"a": 3}, 2), "parts of 'r' is {'a': 3}"),
     "no parts": (lambda: mbd.FlexibleBody("r", SQUARE, {}, 2), "parts of 'r' is {}"),
     "mesh": (lambda: mbd.FlexibleBody.plate("r", None, laminate(), modes=2), "mesh"),
-    "modes": (lambda: mbd.FlexibleBody("r", SQUARE, ROD.parts, "x"), "modes of 'r' is 'x'"),
+    "modes": (lambda: mbd.FlexibleBody.plate("r", SQUARE, laminate(), modes="x"), "modes of 'r' is 'x'"),
     "name of a body": (lambda: mbd.RigidBody(NAMES, 1.0, (1.0, 1.0, 1.0)), "name of the rigid body is array"),
     "body of a system": (lambda: SYSTEM.body(NAMES), "body array"),
     "body of a motion": (lambda: simulated().body(["rod"]), r"body \['rod'\]"),

@@ -44,7 +44,6 @@ from torchmbd.elements import (
 from torchmbd.errors import InputError
 from torchmbd.materials import Laminate
 from torchmbd.mesh import Mesh, MeshFile, read_mesh
-from torchmbd.numerics.owned import whole
 from torchmbd.reduction import CutCluster, inertia_invariants
 
 
@@ -52,7 +51,7 @@ def _is_part(x: Any) -> bool:
     return all(hasattr(type(x), name) for name in ("pattern", "values", "masses"))
 
 
-def _check_parts(name: str, mesh: Any, parts: Any, modes: Any) -> None:
+def _check_parts(name: str, mesh: Any, parts: Any) -> None:
     """InputError for arguments of a body that are of another kind."""
     if not isinstance(mesh, (Mesh, BeamLine)):
         raise InputError(f"mesh of {name!r} is {mesh!r}; allowed: a Mesh or a BeamLine")
@@ -60,8 +59,6 @@ def _check_parts(name: str, mesh: Any, parts: Any, modes: Any) -> None:
         raise InputError(
             f"parts of {name!r} is {parts!r}; allowed: names -> parts, such as Plates or Beams, at least one"
         )
-    if not whole(modes):
-        raise InputError(f"modes of {name!r} is {modes!r}; allowed: a number of modes")
 
 
 class FlexibleBody(nn.Module):
@@ -100,7 +97,7 @@ class FlexibleBody(nn.Module):
         super().__init__()
         self.name = identifier("flexible body", name)
         self.mesh = mesh
-        _check_parts(name, mesh, parts, modes)
+        _check_parts(name, mesh, parts)
         place(self, position, axes)
         links, self.parts = [*links, *rigid_links(mesh, rigid)], dict(parts)
         joined = merged(self.parts)
