@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -109,10 +107,3 @@ def test_what_is_right_is_taken_in_any_shape():
         0,
         1,
     )
-
-
-def test_processes_of_a_script_that_is_no_file():
-    """They would be waited for without end."""
-    text = "import torchmbd as mbd; from tests.test_doors import problem; mbd.Processes(problem(), None)"
-    done = subprocess.run([sys.executable, "-"], input=text, capture_output=True, text=True, timeout=120, check=False)
-    assert "InputError: the main script is '<stdin>'" in done.stderr

@@ -173,3 +173,18 @@ def test_nobody_waits_for_what_is_under_way_after_ctrl_c():
 def test_a_count_that_is_none(count):
     with pytest.raises(mbd.InputError, match=r"count of processes is .*; allowed: a positive integer"):
         Processes(Bowl(0.0), count)
+
+
+@pytest.mark.slow
+def test_a_script_that_no_process_can_import():
+    """One from the standard input: its processes end at once, and nobody waits for what is sent to them."""
+    text = """
+import torchmbd as mbd
+from tests.mechanisms import pendulum
+problem = mbd.Problem(pendulum(), 0.002, mbd.Integral(mbd.StrainEnergy("rod")), steps=4)
+with mbd.Processes(problem, 2) as processes:
+    print(len(processes.evaluate([[0.1, 0.2], [0.3, -0.1]], False)))
+"""
+    done = subprocess.run([sys.executable, "-"], input=text, capture_output=True, text=True, timeout=300, check=True)
+    assert done.stdout.split() == ["2"]
+    assert "a process that evaluates designs ended" in done.stderr

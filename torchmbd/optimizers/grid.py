@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.numerics.owned import reals, scalar
 from torchmbd.optimizers.optimizer import Box
 
 ON = 1e-6  # of the spacing: so near is on a value
@@ -132,7 +131,7 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
     if entry is None:
         return None
     if _single(entry):
-        increment = scalar(f"allowed of {name}", entry, "an increment, or a list of values")
+        increment = float(_numbers(name, entry))
         if not (increment > 0.0 and np.isfinite(high - low)):
             raise InputError(
                 f"allowed of {name} = {entry!r} with bounds [{low:g}, {high:g}]: must be positive, its bounds finite"
@@ -145,12 +144,19 @@ def _values(name: str, entry: Allowed, low: float, high: float) -> np.ndarray | 
         slack = ON * increment
         values = increment * np.arange(np.ceil((low - slack) / increment), np.floor((high + slack) / increment) + 1)
     else:
-        values = np.unique(reals(f"allowed of {name}", entry).numpy())
+        values = np.unique(_numbers(name, entry))
         slack = 1e-12 * max(abs(low), abs(high), 1.0) if np.isfinite(high - low) else 0.0
         values = values[(values >= low - slack) & (values <= high + slack)]
     if not values.size or not np.isfinite(values).all():
         raise InputError(f"allowed of {name}: no value lies in its bounds [{low:g}, {high:g}]")
     return np.clip(values, low, high) + 0.0
+
+
+def _numbers(name: str, entry: Any) -> np.ndarray:
+    try:
+        return np.asarray(entry, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"allowed of {name} is {entry!r}; allowed: an increment, or a list of values") from error
 
 
 def _single(given: Any) -> bool:

@@ -15,7 +15,7 @@ import multiprocessing
 import multiprocessing.connection
 import os
 import signal
-import sys
+import tempfile
 import threading
 import warnings
 from concurrent.futures import ProcessPoolExecutor
@@ -47,10 +47,13 @@ class Processes:
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
         require_problem(problem)
-        _require_script()
         self.problem, self.count = problem, count
         spawn = multiprocessing.get_context("spawn")  # a fork would copy threads' locks in whatever state they are
-        begin = (_packed(problem), torch.get_default_dtype(), spawn.Barrier(count))
+        # By a file: multiprocessing writes its arguments into a pipe, forever where the process has ended and they are many.
+        self._folder = tempfile.TemporaryDirectory(prefix="torchmbd-")
+        file = Path(self._folder.name) / "problem"
+        file.write_bytes(_packed(problem))
+        begin = (file, torch.get_default_dtype(), spawn.Barrier(count))
         self._pool: ProcessPoolExecutor | None = ProcessPoolExecutor(count, spawn, _begin, begin)
         self._begun = [self._pool.submit(_meet) for _ in range(count)]  # they start while the caller goes on
 
@@ -94,6 +97,7 @@ class Processes:
         pool, self._pool = self._pool, None
         if pool is not None:
             pool.shutdown(cancel_futures=True)
+            self._folder.cleanup()
 
     def __enter__(self) -> Processes:
         return self
@@ -106,13 +110,6 @@ class Processes:
         self.close()
 
 
-def _require_script() -> None:
-    """InputError where the main script is no file: processes that import it would end at once, and be waited for."""
-    script = getattr(sys.modules["__main__"], "__file__", None)
-    if script is not None and not Path(script).exists():
-        raise InputError(f"the main script is {script!r}, which none can import; allowed: a script that is a file")
-
-
 def _packed(problem: Problem) -> bytes:
     try:
         return cloudpickle.dumps(problem)
@@ -123,12 +120,12 @@ def _packed(problem: Problem) -> bytes:
         ) from error
 
 
-def _begin(problem: bytes, dtype: torch.dtype, barrier: Any) -> None:
+def _begin(file: Path, dtype: torch.dtype, barrier: Any) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the caller's affair
     threading.Thread(target=_end_with_the_caller, daemon=True).start()
     use_one_thread()
     torch.set_default_dtype(dtype)
-    own = cloudpickle.loads(problem)
+    own = cloudpickle.loads(file.read_bytes())
     _here.update({"problem": own, "all": barrier})
     with contextlib.suppress(Exception):  # it comes again, when the caller asks
         own.evaluate(np.asarray(own.start)[None], True)  # what is made once is made now
