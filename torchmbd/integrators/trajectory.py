@@ -207,7 +207,14 @@ class Trajectory:
         return self
 
     def sound(self, x: Tensor) -> Tensor:
-        """A function [lanes, ...] of the motion, without derivatives in lanes that failed: those of nan would be nan."""
+        """A function [lanes, ...] of the motion, without derivatives in lanes that failed: those of nan would be nan.
+
+        One that depends on no parameter has gradients of zero.
+        """
+        moving = [y for y in self.variables.values() if y.requires_grad]
+        if moving and torch.is_grad_enabled() and not x.requires_grad:
+            nothing = torch.stack([0.0 * y.flatten(1).sum(1) for y in moving]).sum(0)
+            x = x + nothing.reshape(-1, *[1] * (x.dim() - 1))
         if self.good is None or all_true(self.good):
             return x
         return torch.where(self.good.reshape(-1, *[1] * (x.dim() - 1)), x, x.detach())
