@@ -16,6 +16,7 @@ from tests.mechanisms import finished, pendulum, tensor
 from tests.sensitivity.test_events import DRIVEN, DURATION, NAME, PHASES, Falling, bounces, bouncing, driven, tip
 from torchmbd.design.differentiate import differentiate
 from torchmbd.integrators import Trajectory
+from torchmbd.integrators.phases import plan
 from torchmbd.system import equations
 
 TIGHT = {"iterations": (16, 6)}
@@ -155,6 +156,16 @@ def test_a_lane_that_never_gets_there_adds_nothing():
     assert wanted is not None
     assert_close(found[there], wanted[0], rtol=1e-9, atol=0)
     assert float(found[1 - there].abs().max()) == 0.0
+
+
+def test_forces_of_a_phase_act_where_those_of_the_whole_do():
+    """Locks attach vectors of their own, and move the places of those of the forces among all."""
+    system = driven()
+    whole, stages = plan(system, DRIVEN, 0.075)
+    assert len(whole.topology.attached) > len(system.topology.attached)
+    for stage in stages:
+        for kind, own in zip(stage.topology.actions, whole.topology.actions, strict=True):
+            assert [x.tolist() for x in kind.members] == [x.tolist() for x in own.members]
 
 
 def test_native_and_eager_agree(native):

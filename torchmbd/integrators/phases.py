@@ -138,7 +138,7 @@ def plan(system: System, phases: Sequence[Phase], duration: float) -> tuple[Syst
         start = {joint.name for joint in system.joints} - gone
         active = start | {lock.name for lock in locks[k]}
         rows, first = (_rows(whole.topology, some) for some in (active, start))
-        topology = replace(selected(whole.topology, rows), actions=_acting(system, names[k], phase.laws))
+        topology = replace(selected(whole.topology, rows), actions=_acting(whole, names[k], phase.laws))
         stages.append(
             Stage(phase, names[k], topology, Saddle(topology), rows, first, locks[k], whole.topology.row_names)
         )
