@@ -13,7 +13,7 @@ from experiments.slider_crank import build
 from tests.mechanisms import finished, pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
-from torchmbd.integrators import adjoint, pullback
+from torchmbd.integrators import adjoint, history, pullback
 from torchmbd.integrators.compiled_adjoint import CompiledSweep
 from torchmbd.system import System
 
@@ -80,8 +80,8 @@ def test_segments_change_nothing(backend, native, monkeypatch):
     names = [name for name, x in system.named_parameters() if x.requires_grad]
     options = {"steps": steps, "variables": names, "designs": designs_of(system, names), "iterations": (4, 2)}
     found = []
-    for length in (adjoint.SEGMENT, 7):
-        monkeypatch.setattr(adjoint, "SEGMENT", length)
+    for length in (history.SEGMENT, 7):
+        monkeypatch.setattr(history, "SEGMENT", length)
         motion = finished(mbd.simulate(system, duration, gradients="reverse", backend=backend, **options))
         found.append(differentiate(everything, motion).gradient)
     assert_close(found[1], found[0], rtol=1e-11, atol=1e-13 * float(found[0].abs().max()))
@@ -223,3 +223,46 @@ def test_a_problem_takes_the_adjoint_where_that_is_less_work():
 def test_a_problem_refuses_an_adjoint_that_is_not_there():
     with pytest.raises(mbd.InputError, match="method is 'rk4'"):
         energies(2, gradients="reverse", method="rk4")
+
+
+@pytest.mark.parametrize("backend", ["eager", "native"])
+@pytest.mark.parametrize("length", [2000, 15])
+def test_states_between_checkpoints_are_made_again(backend, length, native, monkeypatch):
+    """Values are those of all steps at the kept times, to the bit; so are gradients of what these times have."""
+    monkeypatch.setattr(history, "SEGMENT", length)
+    make, duration, _ = CASES["laws of drives"]
+    system = make()
+    names = [name for name, x in system.named_parameters() if x.requires_grad]
+    options = {"steps": 40, "designs": designs_of(system, names), "backend": backend, "iterations": (4, 2)}
+
+    def kept(motion: mbd.Trajectory) -> Tensor:
+        every = (len(motion.t) - 1) // 8
+        return torch.stack([(motion.q[:, ::every] ** 2).sum((1, 2)), 1e-3 * motion.lam[:, ::every].sum((1, 2))], 1)
+
+    every, thinned = (
+        mbd.simulate(system, duration, gradients="reverse", variables=names, checkpoint=k, **options) for k in (1, 5)
+    )
+    assert_close(thinned.t, every.t[::5], rtol=1e-14, atol=0)
+    assert_close(thinned.q, every.q[:, ::5], rtol=1e-9, atol=1e-12)
+    wanted, found = (differentiate(kept, finished(motion)).gradient for motion in (every, thinned))
+    assert_close(found, wanted, rtol=1e-7, atol=1e-9 * float(wanted.abs().max()))
+    forward = mbd.simulate(system, duration, gradients="forward", variables=names, checkpoint=5, **options)
+    assert_close(differentiate(kept, forward).gradient, wanted, rtol=1e-6, atol=1e-8 * float(wanted.abs().max()))
+
+
+def test_lanes_tried_again_are_made_again_as_they_were(native):
+    """Lanes of which the quick iteration fails, or the step is too long, between checkpoints."""
+    system = build(3, cells=(6, 2), modes=3)
+    angles = system.get_parameter("rod.laminate.angles").detach()
+    designs = {"rod.laminate.angles": torch.stack([angles, angles + 0.3])}
+    measure = mbd.Integral(mbd.StrainEnergy("rod"))
+    found = []
+    for integrator in ({"iterations": (1, 1), "refresh": 7}, {"iterations": (6, 6), "refresh": 0}):
+        motion = mbd.simulate(
+            system, 0.01, steps=40, checkpoint=4, designs=designs, gradients="reverse", backend="native", **integrator
+        )
+        found.append((motion.stats.get("renewed", []), measure.value_and_gradient(finished(motion))))
+    (again, quick), (_, careful) = found
+    assert again
+    for one, other in zip(quick, careful, strict=True):
+        assert_close(one, other, rtol=1e-5, atol=1e-7 * float(other.abs().max()))

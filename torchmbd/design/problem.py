@@ -130,7 +130,9 @@ class Problem:
         check_backend(backend)
         self.gradients = self._way(integrator) if gradients in ("auto", "none") else gradients
         self._tangents = sum(system.get_parameter(name).numel() for name in self.space.variables)
-        require_room(system, 1, steps or FEWEST, self._tangents, self.gradients == "reverse")
+        require_room(
+            system, 1, integrator.kept(steps) if steps else FEWEST, self._tangents, self.gradients == "reverse"
+        )
 
     def _way(self, integrator: Integrator) -> str:
         """The cheaper way to gradients, by counting."""

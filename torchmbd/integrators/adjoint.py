@@ -31,8 +31,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrators.blocks import moving
-from torchmbd.integrators.history import History
-from torchmbd.integrators.march import March
+from torchmbd.integrators.history import History, segments
+from torchmbd.integrators.march import March, resume
 from torchmbd.integrators.one_step import OneStep
 from torchmbd.integrators.prepared import prepare
 from torchmbd.integrators.pullback import leaf
@@ -43,16 +43,10 @@ from torchmbd.system.topology import Prescribed
 
 # Estimated relative errors of mu. The largest gradient of a response has 100 times that at most, as measured.
 POOR = 1e-5  # worth a warning
-SEGMENT = 2000  # steps
 
 
 # What responses take from q, v, a, lam, in this order [times, n, rows, lanes]; None: nothing.
 Bars = Sequence[Tensor | None]
-
-
-def segments(steps: int) -> list[range]:
-    """All steps, in runs of at most SEGMENT."""
-    return [range(i, min(i + SEGMENT, steps)) for i in range(0, steps, SEGMENT)]
 
 
 def rows_of(bars: Bars) -> int:
@@ -68,7 +62,7 @@ class Grid:
     leaves    data of the whole system by which gradients are wanted [component..., 1, lanes]
     dynamics  the equations of what a condensation left, and
     start     the initial state: both functions of the leaves in reverse mode
-    times     of the states [n];  every: steps between two outputs
+    times     of all steps [steps + 1];  every: steps between two outputs
     corrections   of mu, at least
     """
 
@@ -153,7 +147,7 @@ class Adjoint:
         for sweep in self._swept(tuple(names)):
             some = sweep.grid.lanes
             own = bars if len(some) == lanes else [x if x is None else x[..., some] for x in bars]
-            found, error = sweep([x if x is None else _spaced(x, sweep.grid.every) for x in own])
+            found, error = sweep(own)
             for name, x in sweep.grid.cotangents(found).items():
                 result[name][..., some] = x
             self.error[some] = self.error[some].maximum(error)
@@ -182,26 +176,17 @@ class Adjoint:
         return grids
 
     def _grid(self, names: tuple[str, ...], lanes: list[int], history: History, own: list[int], every: int) -> Grid:
-        """Of lanes of the batch, which are `own` in a history."""
+        """Of lanes of the batch, which are `own` in a history that has `every` times as many intervals as there are outputs."""
         some = self.dynamics if len(lanes) == self.dynamics.lanes else self.dynamics.some(lanes)
         leaves = {name: leaf(some.data[name].expand(*some.data[name].shape[:-1], len(lanes))) for name in names}
         with torch.enable_grad():
             _, left, start = prepare(replace(some, data={**some.data, **leaves}))
-        parts = (history.q, history.v, history.vd, history.lam)
-        q, v, vd, lam = (x if x.shape[-1] == len(own) else x[..., own] for x in parts)
-        h = self.duration / (len(history.q) - 1)
-        times = h * torch.arange(len(history.q), dtype=torch.float64)
+        stored = history.between.steps if history.between else 1
+        steps = stored * (len(history.q) - 1)
+        h = self.duration / steps
+        times = h * torch.arange(steps + 1, dtype=torch.float64)
         weights, corrections = self.integrator.weights(h), self.integrator.iterations[1]
-        return Grid(lanes, History(q, v, vd, lam), leaves, left, start, weights, times, every, corrections)
-
-
-def _spaced(x: Tensor, every: int) -> Tensor:
-    """Numbers [times, ...] of outputs among those of all steps, zero in between."""
-    if every == 1:
-        return x
-    result = x.new_zeros(every * (len(x) - 1) + 1, *x.shape[1:])
-    result[::every] = x
-    return result
+        return Grid(lanes, history.lanes(own), leaves, left, start, weights, times, stored * every, corrections)
 
 
 class Sweep:
@@ -216,13 +201,13 @@ class Sweep:
         self.data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
         model = Model(T, self.dynamics.saddle, grid.weights, self.data)
         self.stepper = March(self.dynamics, model, (1, grid.corrections), refresh=1)
-        self.segments = segments(len(grid.times) - 1)
-        self.accelerations = self._accelerations()
+        between = grid.history.between
+        self.segments = segments(len(grid.times) - 1, between.steps if between else 1)
+        self.accelerations = between.a if between else self._accelerations()
 
     def __call__(self, bars: Bars) -> tuple[Cotangents, Tensor]:
-        """Cotangents of the steps, and their estimated relative error [lanes]."""
-        bars = [x if x is None else x.contiguous() for x in bars]
-        y, by, laws = self._taken(bars, -1), {}, []
+        """Cotangents of the steps, from those of the outputs, and their estimated relative error [lanes]."""
+        y, by, laws = self._taken(bars, len(self.grid.times) - 1), {}, []
         error = torch.zeros(len(self.grid.lanes), dtype=torch.float64)
         for number in reversed(range(len(self.segments))):
             found, left = self._segment(number, bars, y)
@@ -237,7 +222,7 @@ class Sweep:
         steps, lanes = self.segments[number], len(self.grid.lanes)
         T = self.dynamics.topology
         schedule = self._schedule(steps)
-        states = self._states(number)
+        states = self._states(self._history(number, schedule))
         by: dict[str, Any] = dict.fromkeys(self.data, 0.0)
         laws, error = [], torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(steps))):
@@ -253,7 +238,7 @@ class Sweep:
         return self.dynamics.topology.schedule(self.grid.times[steps.start + 1 : steps.stop + 1], self.dynamics.data)
 
     def _accelerations(self) -> list[Tensor]:
-        """The algorithmic acceleration [n_v, 1, lanes] at the first state of each segment; it is not recorded.
+        """The algorithmic acceleration [n_v, 1, lanes] at the first state of each segment, where it is not recorded.
 
         a1 = w(v0', v1') + c a0 over a segment is a sum with powers of c.
         """
@@ -267,17 +252,27 @@ class Sweep:
             found.append(new + w.a_from_a ** len(steps) * found[-1])
         return found
 
-    def _states(self, number: int) -> list[State]:
-        """States [n, 1, lanes] at all times of a segment."""
-        h, w, steps = self.grid.history, self.grid.weights, self.segments[number]
-        a, found = self.accelerations[number], []
-        for i in range(steps.start, steps.stop + 1):
+    def _history(self, number: int, schedule: Sequence[Prescribed]) -> tuple[History, Tensor]:
+        """States at all times of a segment, recorded or made again, and the first algorithmic acceleration."""
+        h, steps, a = self.grid.history, self.segments[number], self.accelerations[number]
+        if h.between is None:
+            return h.times(slice(steps.start, steps.stop + 1)), a
+        q, v, vd, lam = (y[steps.start // h.between.steps] for y in (h.q, h.v, h.vd, h.lam))
+        stepper = h.between.integrator.stepper(self.dynamics.values(), float(self.grid.weights.h))
+        return resume(stepper, State(q, v, vd, a, lam), schedule, steps.start)[1], a
+
+    def _states(self, known: tuple[History, Tensor]) -> list[State]:
+        """States [n, 1, lanes] of a history at all its times."""
+        (h, a), w, found = known, self.grid.weights, []
+        for i in range(len(h.q)):
             a = w.a_from_vd * h.vd[i - 1] + w.a_from_a * a + w.share * h.vd[i] if found else a
             found.append(State(h.q[i], h.v[i], h.vd[i], a, h.lam[i]))
         return found
 
     def _taken(self, bars: Bars, i: int) -> State:
-        h, rows = self.grid.history, rows_of(bars)
+        """What the outputs take from the state after i steps."""
+        h, rows, (row, beside) = self.grid.history, rows_of(bars), divmod(i, self.grid.every)
         both = zip(bars, (h.q, h.v, h.vd, h.lam), strict=True)
-        q, v, vd, lam = (y.new_zeros(y.shape[1], rows, y.shape[-1]) if x is None else x[i] for x, y in both)
+        parts = [y.new_zeros(y.shape[1], rows, y.shape[-1]) if x is None or beside else x[row] for x, y in both]
+        q, v, vd, lam = parts
         return State(q, v, vd, torch.zeros_like(vd), lam)

@@ -36,7 +36,10 @@ def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], ph
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
     if steps is not None and not (whole(steps) and steps >= 1):
         raise InputError(f"steps is {steps!r}; allowed: a positive integer")
-    return integrator_of(method, options, phases)
+    integrator = integrator_of(method, options, phases)
+    if steps is not None:
+        integrator.kept(steps)
+    return integrator
 
 
 def check_gradients(gradients: Any, integrator: Integrator) -> None:

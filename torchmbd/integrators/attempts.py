@@ -42,7 +42,7 @@ def run(
     """
     found, again = integrator.integrate(dynamics, duration, steps), integrator.again()
     history, stats = found.history, found.statistics
-    status = status_of(history, duration, steps, stats)
+    status = status_of(history, duration, stats)
     status = [f"failed: {found.failed[i]}" if i in found.failed else reason for i, reason in enumerate(status)]
     poor = [False] * len(status)
     if precise and again is not None and again.steps == 1:
@@ -73,13 +73,13 @@ def run(
 
 
 def _finer(better: History, often: int, cured: list[tuple[int, int]]) -> dict:
-    """Where the smaller steps of lanes are that were `cured` [(place among the failed, lane)]."""
+    """Where the smaller steps of lanes are, or those to be made again, that were `cured` [(place among the failed, lane)]."""
     result = {}
     for i, lane in cured:
         if i in better.finer:
             history, own, every = better.finer[i]
             result[lane] = history, own, every * often
-        elif often > 1:
+        elif often > 1 or better.between:
             result[lane] = better, i, often
     return result
 
@@ -91,15 +91,17 @@ def default_steps(dynamics: Dynamics, duration: float) -> int:
     return max(FEWEST, math.ceil(20.0 * duration * fastest_vibration(dynamics) / (2.0 * math.pi)))
 
 
-def steps_that_fit(system: System | None, dynamics: Dynamics, duration: float, tangents: int) -> int:
+def steps_that_fit(
+    system: System | None, dynamics: Dynamics, duration: float, tangents: int, integrator: Integrator
+) -> int:
     """The default number of steps; InputError where such a motion does not fit into memory."""
-    steps = default_steps(dynamics, duration)
+    steps = integrator.fitting(default_steps(dynamics, duration))
     if system is not None:
-        require_room(system, dynamics.lanes, steps, tangents)
+        require_room(system, dynamics.lanes, integrator.kept(steps), tangents)
     return steps
 
 
-def status_of(history: History, duration: float, steps: int, stats: dict[str, Any]) -> list[str]:
+def status_of(history: History, duration: float, stats: dict[str, Any]) -> list[str]:
     """For each lane: the first time at which it is not finite, or what its steps leave to be desired."""
     # A sum is finite where all its terms are, short of overflow: one pass over the numbers.
     good = torch.stack([torch.isfinite(x.sum((1, 2))) for x in (history.q, history.v, history.vd)]).all(0)
@@ -107,7 +109,8 @@ def status_of(history: History, duration: float, steps: int, stats: dict[str, An
     for lane in range(good.shape[1]):
         bad = torch.nonzero(~good[:, lane])
         if len(bad):
-            result.append(f"failed: the motion is not finite from t = {duration * int(bad[0]) / steps:.6g} s on")
+            time = duration * int(bad[0]) / (len(history.q) - 1)
+            result.append(f"failed: the motion is not finite from t = {time:.6g} s on")
         else:
             result.append(_complaint({name: float(stats[name][lane]) for name in _LOOKED_AT if name in stats}))
     return result

@@ -6,6 +6,7 @@ Checked in tests/integrators/test_simulate.py.
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 
 from torchmbd.integrators.history import History
@@ -16,23 +17,32 @@ GOOD_STEP = 0.01  # estimated error of a step that keeps energies within 1e-3
 _STILL = 1e-12  # [kg^1/2 m] modal coordinates that are rounding only
 
 
-def step_errors(dynamics: Dynamics, history: History, constant: float, h: float) -> dict[str, Tensor]:
-    """Estimated largest error that one step of size h adds, and the number of steps that would make it 1 % [lanes].
+class StepErrors:
+    """Estimated largest error that one step of size h [s] adds, and the number of steps that would make it 1 % [lanes].
 
     h^2 constant |v1' - v0'| of the modal coordinates, relative to the largest of the motion; without flexible bodies, of the
     rotations [rad]. Of a Newmark method the constant is |beta - 1/6|.
     """
-    T = dynamics.topology
-    modes = T.modes * T.flexible
-    accelerations = history.vd[:, :, 0].transpose(0, 1)
-    rows = split_v(T, accelerations)[2 if modes else 1].flatten(0, 1)
-    change = rows[:, 1:] - rows[:, :-1]
-    error = h * h * constant * change.square().sum(0).sqrt().amax(0)
-    if modes:
-        largest = history.q[:, T.n_q - modes :, 0].square().sum(1).sqrt().amax(0)
-        error = error / largest.clamp_min(_STILL)
-    steps = len(history.q) - 1
-    return {"step_error": error, "suggested_steps": (steps * (error / GOOD_STEP).sqrt()).ceil()}
+
+    def __init__(self, dynamics: Dynamics, constant: float, h: float):
+        self.T, self.factor = dynamics.topology, h * h * constant
+        self.modes = self.T.modes * self.T.flexible
+        self.change = self.largest = torch.zeros(dynamics.lanes, dtype=torch.float64)
+
+    def see(self, history: History) -> None:
+        """Go on with states, the first of which was the last before."""
+        T, accelerations = self.T, history.vd[:, :, 0].transpose(0, 1)
+        rows = split_v(T, accelerations)[2 if self.modes else 1].flatten(0, 1)
+        change = rows[:, 1:] - rows[:, :-1]
+        self.change = self.change.maximum(change.square().sum(0).sqrt().amax(0))
+        modal = history.q[:, T.n_q - self.modes :, 0]
+        self.largest = self.largest.maximum(modal.square().sum(1).sqrt().amax(0))
+
+    def statistics(self, steps: int) -> dict[str, Tensor]:
+        """ "step_error" and "suggested_steps" [lanes]."""
+        error = self.factor * self.change
+        error = error / self.largest.clamp_min(_STILL) if self.modes else error
+        return {"step_error": error, "suggested_steps": (steps * (error / GOOD_STEP).sqrt()).ceil()}
 
 
 def turns(dynamics: Dynamics, history: History, h: float) -> Tensor:

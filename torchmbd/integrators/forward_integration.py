@@ -91,7 +91,9 @@ class ForwardIntegration:
     def _plainly(self, designs: dict[str, Tensor]) -> None:
         dynamics = self.system.dynamics(designs, tangents=self.variables)
         self.dynamics = resolved(dynamics, self.backend, self.integrator.kind)
-        self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, len(self.labels))
+        self.steps = self.steps or steps_that_fit(
+            self.system, self.dynamics, self.duration, len(self.labels), self.integrator
+        )
         self.history, self.stats, self.status = run(
             self.integrator, self.dynamics, self.duration, self.steps, precise=self.dynamics.tangents > 0
         )
@@ -100,7 +102,9 @@ class ForwardIntegration:
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
         self.system, stages = plan(self.system, phases, self.duration)
         dynamics = resolved(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
-        self.steps = steps = self.steps or steps_that_fit(self.system, dynamics, self.duration, len(self.labels))
+        self.steps = steps = self.steps or steps_that_fit(
+            self.system, dynamics, self.duration, len(self.labels), self.integrator
+        )
         directions = unit_directions({name: designs[name] for name in self.variables})
         views = Views.of(self.system, dynamics, designs, directions)
 

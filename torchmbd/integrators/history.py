@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -19,10 +20,32 @@ from torchmbd.system.equations import Data
 from torchmbd.system.expansion import Expansion, chosen
 from torchmbd.system.least_norm import LeastNorm
 
+SEGMENT = 2000  # steps
+
+
+class Between(NamedTuple):
+    """Steps between the states of a history.
+
+    steps        between two states
+    a            algorithmic accelerations [n_v, 1, lanes] at the first states of segments
+    integrator   that made them
+    """
+
+    steps: int
+    a: list[Tensor]
+    integrator: Any
+
+    def lanes(self, some: Sequence[int]) -> Between:
+        """Of some lanes."""
+        return self._replace(a=[x[..., some] for x in self.a])
+
 
 @dataclass
 class History:
-    """What was integrated; `expansion` leads to the whole system, None: it is the whole."""
+    """What was integrated; `expansion` leads to the whole system, None: it is the whole.
+
+    between   how the steps between the states are made again; None: there are none between
+    """
 
     q: Tensor
     v: Tensor
@@ -32,6 +55,18 @@ class History:
     times: Tensor | None = None  # [times] [s]; None: equal ones, by the duration
     # Lanes that were integrated with smaller steps: of which history they are which lane, with how many steps for one here.
     finer: dict[int, tuple[History, int, int]] = field(default_factory=dict)
+    between: Between | None = None
+
+    def times(self, some: slice) -> History:
+        """What was left, at some times."""
+        return History(self.q[some], self.v[some], self.vd[some], self.lam[some])
+
+    def lanes(self, some: Sequence[int]) -> History:
+        """What was left, of some lanes, all if there are as many."""
+        if self.q.shape[-1] == len(some):
+            return History(self.q, self.v, self.vd, self.lam, between=self.between)
+        q, v, vd, lam = (x[..., some] for x in (self.q, self.v, self.vd, self.lam))
+        return History(q, v, vd, lam, between=None if self.between is None else self.between.lanes(some))
 
     def rows(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
         """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes]."""
@@ -82,7 +117,18 @@ class Record:
         for part, y in zip(self.parts, (x.q, x.v, x.vd, x.lam), strict=True):
             part[i] = y.full if isinstance(y, Pair) else y
 
+    def put_all(self, i: int, states: History) -> None:
+        """Keep states from time i on."""
+        for part, y in zip(self.parts, (states.q, states.v, states.vd, states.lam), strict=True):
+            part[i : i + len(y)] = y
+
     def history(self, expansion: Expansion | None = None) -> History:
         """What was kept."""
         q, v, vd, lam = self.parts
         return History(q, v, vd, lam, expansion)
+
+
+def segments(steps: int, every: int = 1) -> list[range]:
+    """All steps, in runs of SEGMENT or less, but of at least `every`, of which each is a multiple."""
+    most = every * max(SEGMENT // every, 1)
+    return [range(i, min(i + most, steps)) for i in range(0, steps, most)]

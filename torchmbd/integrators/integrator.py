@@ -119,6 +119,14 @@ class Integrator(ABC):
         Those of x and of the result carry total derivatives: times may depend on the design.
         """
 
+    def kept(self, steps: int) -> int:
+        """How many states of so many steps are kept, but the first; InputError if the steps do not suit the options."""
+        return steps
+
+    def fitting(self, steps: int) -> int:
+        """A number of steps that suits the options, not below the given one."""
+        return steps
+
     def again(self) -> Again | None:
         """What lanes that failed are tried again with; None: nothing more."""
         return None

@@ -193,26 +193,67 @@ class March:
         self.passes = self.passes.maximum((self.passes / share - _EVEN).ceil().clamp_max(MOST))
         self.most = int(self.passes.max())
 
+    def take_sizes(self) -> Tensor:
+        """What the corrections of the last steps left, estimated [lanes, steps]; they are forgotten."""
+        before, last = torch.stack(self.sizes, -1)
+        self.sizes = []
+        return last if self.corrections == 1 else last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
+
     def errors(self, history: History, duration: float, numbers: list[int] | None = None) -> dict[str, Tensor]:
         """Estimated relative errors of the iteration [lanes], and the first time of which it did not converge ("until").
 
         numbers: times to which the steps led; None: 1, 2, 3, ...
-
-        The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the
-        motion, or to the largest rate over the duration: a uniform motion has accelerations of rounding size. Or to what
-        the rounding of coordinates makes of them: a system at rest has nothing else.
         """
-        before, last = torch.stack(self.sizes, -1)
-        left = last if self.corrections == 1 else last * last / before.clamp_min(torch.finfo(last.dtype).tiny)
-        largest, uniform = (x[:, :, 0].abs().amax((0, 1)) for x in (history.vd, history.v))
-        h = duration / (len(history.q) - 1)
-        rounding = _ROUNDING * history.q[0, :, 0].abs().amax(0) / (h * h)
-        largest = largest.maximum(uniform / duration).maximum(rounding)
+        found = IterationErrors(history.q[0, :, 0], duration, duration / (len(history.q) - 1))
+        found.see(history, self.take_sizes(), numbers)
+        return found.statistics() | self.tangent_errors()
+
+    def tangent_errors(self) -> dict[str, Tensor]:
+        """Estimated relative error of tangents [lanes], if there were any."""
+        return {"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {}
+
+
+def resume(stepper: March, x: State, schedule: Sequence[Prescribed], number: int) -> tuple[State, History]:
+    """The last state of steps from x, the first of that number, and all states.
+
+    The stepper forgets its factors: so the steps can be made again as they were.
+    """
+    record = Record(x, len(schedule) + 1)
+    record.put(0, x)
+    stepper.forget()
+    return stepper.run(x, schedule, record, number), record.history()
+
+
+class IterationErrors:
+    """What the iterations of steps of size h [s] left, and the first time of which they did not converge.
+
+    The next correction of values would be |last|^2 / |one before|, relative to the largest acceleration of the motion, or to
+    the largest rate over the duration: a uniform motion has accelerations of rounding size. Or to what the rounding of
+    coordinates q [n, lanes] at the start makes of them: a system at rest has nothing else.
+    """
+
+    def __init__(self, q: Tensor, duration: float, h: float):
+        self.duration, self.rounding = duration, _ROUNDING * q.abs().amax(0) / (h * h)
+        self.scale, self.left = self.rounding, torch.zeros_like(self.rounding)  # the largest so far
+        self.until, self.seen = torch.zeros_like(self.rounding, dtype=torch.long), 0
+
+    def see(self, history: History, left: Tensor, numbers: list[int] | None = None) -> None:
+        """Go on with states at further times, the first of which was the last before, and what steps left [lanes, steps].
+
+        numbers: places in the history to which the steps led; None: 1, 2, 3, ...
+        """
+        largest = (x[:, :, 0].abs().amax(1) for x in (history.vd, history.v))
+        reached, speed = (x.cummax(0).values for x in largest)
         # Up to every time: what comes after a failure is no measure of it.
-        reached, speed = (x[:, :, 0].abs().amax(1).cummax(0).values for x in (history.vd, history.v))
-        scale = reached.maximum(speed / duration).maximum(rounding)
+        scale = self.scale.maximum(reached.maximum(speed / self.duration))
         bad = torch.zeros_like(scale, dtype=torch.bool)
         steps = torch.arange(1, left.shape[-1] + 1) if numbers is None else torch.tensor(numbers)
         bad[steps] = ~(ITERATION_ERROR * scale[steps] >= left.T)
-        found = {"iteration_error": left.amax(-1) / largest, "until": first(bad)}
-        return found | ({"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {})
+        never, shared = self.until == self.seen, min(self.seen, 1)  # not so far; times that were seen before
+        self.until = torch.where(never, self.seen - shared + first(bad), self.until)
+        self.seen += len(history.q) - shared
+        self.scale, self.left = scale[-1], self.left.maximum(left.amax(-1))
+
+    def statistics(self) -> dict[str, Tensor]:
+        """ "iteration_error" and "until" [lanes]."""
+        return {"iteration_error": self.left / self.scale, "until": self.until}

@@ -1,6 +1,6 @@
 """Memory of a motion, estimated before it is made: what does not fit is refused, and batches are cut to what does.
 
-    bytes = steps * STEP + lanes * (structure + motion)
+    bytes = min(steps, SEGMENT) * STEP + lanes * (structure + motion)
     motion    = 3 * 8 * times * (n_q + 2 n_v + rows) * (1 + n_b)                    coordinates, rates, ... and copies of them
     structure = sum over flexible bodies of nodes * (a + b sqrt(nodes) + c modes + n_b (d + e modes))
 
@@ -17,10 +17,11 @@ import os
 from pathlib import Path
 
 from torchmbd.errors import InputError
+from torchmbd.integrators.history import SEGMENT
 from torchmbd.system import System
 
 _COPIES = 3  # of the motion: what is recorded, rows of the whole system, work arrays
-_STEP = 3000.0  # bytes of Python objects for a step, of however many lanes
+_STEP = 3000.0  # bytes of Python objects for a step of a segment, of however many lanes
 _NODE, _FILL, _MODE, _SLOPE, _MODE_SLOPE = 8600.0, 560.0, 600.0, 1000.0, 400.0  # a, b, c, d, e [bytes]
 _SHARE = 0.25  # of the machine's memory for one batch
 _GROUPS = ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes")
@@ -39,9 +40,14 @@ def lane_bytes(system: System, steps: int, tangents: int = 0, adjoint: bool = Fa
     return motion + structure
 
 
+def _shared(steps: int) -> float:
+    """Bytes of what a segment of steps has in common, of however many lanes."""
+    return _STEP * (min(steps, SEGMENT) + 1)
+
+
 def motion_bytes(system: System, lanes: int, steps: int, tangents: int = 0, adjoint: bool = False) -> float:
     """Estimated bytes of a motion of so many lanes."""
-    return _STEP * (steps + 1) + lanes * lane_bytes(system, steps, tangents, adjoint)
+    return _shared(steps) + lanes * lane_bytes(system, steps, tangents, adjoint)
 
 
 def installed() -> float:
@@ -73,22 +79,25 @@ def require_room(system: System, lanes: int, steps: int, tangents: int = 0, adjo
     sizes = f"about {_shown(needed)} of memory, {_shown(room)} are available"
     one = motion_bytes(system, 1, steps, tangents, adjoint)
     if one <= room:
-        most = int((room - _STEP * (steps + 1)) / lane_bytes(system, steps, tangents, adjoint))
+        most = int((room - _shared(steps)) / lane_bytes(system, steps, tangents, adjoint))
         raise InputError(
             f"designs have {lanes} lanes, of {steps} steps: they take {sizes}; allowed: up to {_rounded(most)} lanes at once"
         )
-    fixed = motion_bytes(system, 1, 0, tangents, adjoint)
-    most = int((room - fixed) / (motion_bytes(system, 1, 1, tangents, adjoint) - fixed))
+    fixed, each = (lane_bytes(system, k, tangents, adjoint) for k in (0, 1))
+    most = int((room - _shared(steps) - fixed) / (each - fixed))
     if most < 1:
         raise InputError(
             f"system is too large: one design takes {sizes}; allowed: smaller meshes, fewer modes or variables"
         )
-    raise InputError(f"steps is {steps}: the motion of one design takes {sizes}; allowed: up to {_rounded(most)} steps")
+    raise InputError(
+        f"steps is {steps}: the motion of one design takes {sizes}; allowed: up to {_rounded(most)} states; "
+        "checkpoint=100 keeps every hundredth only"
+    )
 
 
 def lanes_at_once(system: System, steps: int, tangents: int = 0, adjoint: bool = False) -> int:
     """Designs of a batch that leaves most of the machine's memory free, one at least; the same for the same machine."""
-    room = _SHARE * installed() - _STEP * (steps + 1)
+    room = _SHARE * installed() - _shared(steps)
     return max(1, int(min(room / lane_bytes(system, steps, tangents, adjoint), 2.0**30)))
 
 

@@ -34,7 +34,7 @@ def integrate(
     def attempt(integrator: Integrator) -> tuple[Course, dict[str, Any], list[str]]:
         course = Course(dynamics, stages, views, duration, steps)
         stats = integrator.integrate_phases(course)
-        found = status_of(course.history, duration, steps, stats)
+        found = status_of(course.history, duration, stats)
         return course, stats, [own if own != OK else other for own, other in zip(course.status, found, strict=True)]
 
     course, stats, status = attempt(integrator)

@@ -34,14 +34,15 @@ import torch
 from torchmbd.errors import InputError
 from torchmbd.integrators import compiled, phase_loop
 from torchmbd.integrators.course import Course
-from torchmbd.integrators.estimates import step_errors, turns
-from torchmbd.integrators.history import Record
+from torchmbd.integrators.estimates import StepErrors, turns
+from torchmbd.integrators.history import Between, Record, segments
 from torchmbd.integrators.integrator import Again, Integrated, Integrator
-from torchmbd.integrators.march import TURN, March, first
+from torchmbd.integrators.march import TURN, IterationErrors, March, first, resume
 from torchmbd.integrators.prepared import prepare
 from torchmbd.integrators.sized import sized
 from torchmbd.integrators.step import State, Weights
 from torchmbd.numerics.owned import whole
+from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.expansion import Expansion
 
@@ -53,15 +54,18 @@ class OneStep(Integrator):
     iterations  corrections of values, and the least number of corrections of tangents, in every step
     refresh     steps between two inverses of the iteration matrix; 0: a new one before every correction
     halvings    how many times the step of lanes that fail may be halved
+    checkpoint  steps between two states that are kept: the motion has these times alone, and its memory falls so many times.
+                Reverse mode makes the steps between them again
     """
 
     iterations: tuple[int, int] = (3, 1)
     refresh: int = 1
     halvings: int = 1
+    checkpoint: int = 1
     kind: ClassVar[str | None] = "step"
     adjoint: ClassVar[bool] = True
     shortest: ClassVar[float] = 0.05  # index-3 equations do not bear much less
-    not_in_phases: ClassVar[tuple[str, ...]] = ("halvings",)
+    not_in_phases: ClassVar[tuple[str, ...]] = ("halvings", "checkpoint")
 
     def __post_init__(self) -> None:
         counts = self.iterations if isinstance(self.iterations, (tuple, list)) else ()
@@ -72,6 +76,18 @@ class OneStep(Integrator):
             raise InputError(f"refresh is {self.refresh!r}; allowed: a number of steps, or 0 for every correction")
         if not whole(self.halvings) or self.halvings < 0:
             raise InputError(f"halvings is {self.halvings!r}; allowed: a whole number, 0 or more")
+        if not whole(self.checkpoint) or self.checkpoint < 1:
+            raise InputError(f"checkpoint is {self.checkpoint!r}; allowed: a number of steps, 1 or more")
+
+    def kept(self, steps: int) -> int:
+        """As of Integrator."""
+        if steps % self.checkpoint:
+            raise InputError(f"steps is {steps}; allowed: a multiple of checkpoint, {self.checkpoint}")
+        return steps // self.checkpoint
+
+    def fitting(self, steps: int) -> int:
+        """As of Integrator."""
+        return -(-steps // self.checkpoint) * self.checkpoint
 
     @abstractmethod
     def weights(self, h: Any) -> Weights:
@@ -92,23 +108,37 @@ class OneStep(Integrator):
         in their design tangents ("tangent_error"), the estimated error of a step ("step_error"), the number of steps that
         would make it 1 % ("suggested_steps"), and the largest rotation of a body in one step [rad] ("turn").
         """
-        h = duration / steps
+        h, every = duration / steps, self.checkpoint
         whole, left, x = prepare(dynamics)
-        times = h * torch.arange(steps + 1, dtype=torch.float64)
         same = left.topology is whole.topology
+        times = torch.linspace(0.0, duration, steps // every + 1, dtype=torch.float64)
         expansion = None if same else Expansion.of(left.initial.condensation, whole.data, times)
-        schedule = left.topology.schedule(times[1:], left.data)
         stepper = self.stepper(left, h)
-        record = Record(x, steps + 1)
+        record = Record(x, len(times))
         record.put(0, x)
-        stepper.run(x, schedule, record)
-        history = record.history(expansion)
-        turn = turns(left, history, h)
+        iterations = IterationErrors(value(x.q)[:, 0], duration, h)
+        errors = StepErrors(left, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), h)
+        turned, resumed = [], []
+        for some in segments(steps, every):
+            ends = h * torch.arange(some.start + 1, some.stop + 1, dtype=torch.float64)
+            schedule = left.topology.schedule(ends, left.data)
+            if every == 1:
+                x = stepper.run(x, schedule, record, some.start, some.start + 1)
+                part = record.history().times(slice(some.start, some.stop + 1))
+            else:
+                resumed.append(value(x.a))
+                x, part = resume(stepper, x, schedule, some.start)
+                record.put_all(some.start // every + 1, part.times(slice(every, None, every)))
+            iterations.see(part, stepper.take_sizes())
+            errors.see(part)
+            turned.append(turns(left, part, h)[min(some.start, 1) :])
+        turn = torch.cat(turned)
         statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": turn.amax(0)}
-        constant = abs(self.weights(1.0).step_from_new - 1.0 / 6.0)
-        statistics |= step_errors(left, history, constant, h) | stepper.errors(history, duration)
-        statistics["until"] = statistics["until"].minimum(first(turn > TURN).clamp_min(1))
-        return Integrated(history, statistics)
+        statistics |= errors.statistics(steps) | iterations.statistics() | stepper.tangent_errors()
+        until = statistics["until"].minimum(first(turn > TURN).clamp_min(1))
+        statistics["until"] = (until + every - 1) // every  # of the states that are kept
+        between = Between(every, resumed, self) if every > 1 else None
+        return Integrated(replace(record.history(expansion), between=between), statistics)
 
     def integrate_phases(self, course: Course) -> dict[str, Any]:
         """As of Integrator; statistics as of `integrate`, without errors of steps."""

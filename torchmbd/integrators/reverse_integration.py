@@ -67,7 +67,7 @@ class ReverseIntegration:
         if self.timed and inputs[-1].shape[-1] > 1:
             raise InputError("duration is a batch of torch.vmap; allowed: one duration for all designs")
         self.dynamics = resolved(self._with(data), self.backend)
-        self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, 0)
+        self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, 0, self.integrator)
         self.history, self.stats, self.status = run(
             self.integrator, self.dynamics, self.duration, self.steps, self.precise
         )

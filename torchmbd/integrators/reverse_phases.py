@@ -78,7 +78,7 @@ class ReversePhaseIntegration:
         """As of `Integration`."""
         data, designs = self._split(inputs)
         model = resolved(replace(self.model, data=data), self.backend, None)
-        self.steps = self.steps or steps_that_fit(self.system, model, self.duration, 0)
+        self.steps = self.steps or steps_that_fit(self.system, model, self.duration, 0, self.integrator)
         views = Views.of(self.system, model, designs)
         self._course, self.stats, self.status = self._through(model, views)
         self.dynamics, self.history, self.switches = self._course.whole, self._course.history, self._course.switches

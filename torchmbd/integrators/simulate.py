@@ -85,7 +85,7 @@ def simulate(
     variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
     options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
-                halvings (not with phases); torchdiffeq: rtol, atol, options
+                halvings, checkpoint (not with phases); torchdiffeq: rtol, atol, options
 
     A lane that fails is reported in `status`; it is nan from there on and adds nothing to a gradient. So is one whose steps do
     not resolve its vibrations, with all numbers. `stats` says which way gradients come and which backend made the steps.
@@ -112,7 +112,7 @@ def simulate(
             batch = {k: _leaf(x) if k in names and not watched(x) else x for k, x in batch.items()}
         count = sum(x[0].numel() for name, x in batch.items() if name in names)
         lanes = max((len(x) for x in batch.values()), default=1)
-        require_room(system, lanes, steps or FEWEST, count, gradients != "forward")
+        require_room(system, lanes, integrator.kept(steps) if steps else FEWEST, count, gradients != "forward")
         if gradients == "forward" or phases is not None or not integrator.adjoint:
             refuse_dual_level(batch)
         if gradients == "forward" or not isinstance(integrator, OneStep):
