@@ -256,7 +256,7 @@ class Sweep:
         """States at all times of a segment, recorded or made again, and the first algorithmic acceleration."""
         h, steps, a = self.grid.history, self.segments[number], self.accelerations[number]
         if h.between is None:
-            return h.times(slice(steps.start, steps.stop + 1)), a
+            return h.at(slice(steps.start, steps.stop + 1)), a
         q, v, vd, lam = (y[steps.start // h.between.steps] for y in (h.q, h.v, h.vd, h.lam))
         stepper = h.between.integrator.stepper(self.dynamics.values(), float(self.grid.weights.h))
         return resume(stepper, State(q, v, vd, a, lam), schedule, steps.start)[1], a

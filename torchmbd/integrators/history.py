@@ -57,8 +57,8 @@ class History:
     finer: dict[int, tuple[History, int, int]] = field(default_factory=dict)
     between: Between | None = None
 
-    def times(self, some: slice) -> History:
-        """What was left, at some times."""
+    def at(self, some: slice) -> History:
+        """What was left, at some of the times."""
         return History(self.q[some], self.v[some], self.vd[some], self.lam[some])
 
     def lanes(self, some: Sequence[int]) -> History:

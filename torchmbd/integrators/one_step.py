@@ -124,11 +124,11 @@ class OneStep(Integrator):
             schedule = left.topology.schedule(ends, left.data)
             if every == 1:
                 x = stepper.run(x, schedule, record, some.start, some.start + 1)
-                part = record.history().times(slice(some.start, some.stop + 1))
+                part = record.history().at(slice(some.start, some.stop + 1))
             else:
                 resumed.append(value(x.a))
                 x, part = resume(stepper, x, schedule, some.start)
-                record.put_all(some.start // every + 1, part.times(slice(every, None, every)))
+                record.put_all(some.start // every + 1, part.at(slice(every, None, every)))
             iterations.see(part, stepper.take_sizes())
             errors.see(part)
             turned.append(turns(left, part, h)[min(some.start, 1) :])

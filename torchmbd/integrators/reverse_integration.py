@@ -66,6 +66,10 @@ class ReverseIntegration:
         data = inputs[: len(self.names)]
         if self.timed and inputs[-1].shape[-1] > 1:
             raise InputError("duration is a batch of torch.vmap; allowed: one duration for all designs")
+        if self.timed and self.integrator.checkpoint > 1:
+            raise InputError(
+                f"duration requires a gradient and checkpoint is {self.integrator.checkpoint}; allowed: checkpoint=1"
+            )
         self.dynamics = resolved(self._with(data), self.backend)
         self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, 0, self.integrator)
         self.history, self.stats, self.status = run(
