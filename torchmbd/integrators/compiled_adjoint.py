@@ -87,7 +87,15 @@ class CompiledSweep(Sweep):
         arrays = [table, *(x.contiguous() for x in (h.q, h.v, h.vd, h.lam))]
         arrays += [x if x is None else _spaced(x, steps, self.grid.every) for x in bars]
         arrays += [blocks(in_all_lanes(a, lanes)), self.values, moved]
-        arrays += [*(self.stepper.diagonal or (None, None)), self.least, slopes, moved_slopes, state_slopes, error, room]
+        arrays += [
+            *(self.stepper.diagonal or (None, None)),
+            self.least,
+            slopes,
+            moved_slopes,
+            state_slopes,
+            error,
+            room,
+        ]
         numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
         job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.grid.corrections, self.library.address)
         if self.code.adjoint(ctypes.byref(job)):
