@@ -17,9 +17,22 @@ from torchmbd.numerics import panels
 from torchmbd.numerics.native import compiler
 from torchmbd.tracking.store import open_store
 
-# Code compiled by an earlier run would decide which code a test runs; tests of compilation switch it on themselves.
+# Tests run by operators of torch, the reference; tests of compilation switch it on themselves.
 os.environ["TORCHMBD_COMPILE"] = "0"
 torch.set_num_threads(1)
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--native`: the same tests by native code wherever production uses it."""
+    parser.addoption("--native", action="store_true", help="native code wherever production uses it")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Before anything is built."""
+    if config.getoption("--native"):
+        os.environ["TORCHMBD_COMPILE"] = "1"
+
+
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
 

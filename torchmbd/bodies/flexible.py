@@ -48,7 +48,7 @@ from torchmbd.reduction import CutCluster, inertia_invariants
 
 
 def _is_part(x: Any) -> bool:
-    return all(hasattr(type(x), name) for name in ("pattern", "values", "masses"))
+    return not isinstance(x, type) and all(hasattr(x, name) for name in ("pattern", "values", "masses"))
 
 
 def _check_parts(name: str, mesh: Any, parts: Any) -> None:
