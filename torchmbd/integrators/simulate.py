@@ -70,7 +70,7 @@ def simulate(
 
     system      the model; its own parameters are the design where `designs` says nothing
     duration    simulated time [s], positive; a tensor [] is differentiated by: the steps are as many, their size changes
-    method      "generalized_alpha" or a method of torchdiffeq, such as "dopri5" or "rk4"
+    method      "generalized_alpha", "hht_alpha", or a method of torchdiffeq, such as "dopri5" or "rk4"
     steps       equal time steps, and output intervals; default: 20 per period of the fastest retained mode, at least 200.
                 Adaptive methods choose their own steps between the outputs
     designs     parameter name -> values [lanes, ...], or [...] for one lane; others keep their own values
@@ -80,12 +80,12 @@ def simulate(
                 "forward": by tangents of all variables, integrated with the motion: about a quarter of a simulation for each;
                 then the motion has `dq_db` as well. "auto": reverse where there is an adjoint, else forward, by what
                 requires a gradient or is under torch.func. "none": values only
-    backend     what makes the steps: "native" (C++, compiled once for a mechanism), "eager" (operators of torch, the reference)
-                or "auto": native where that is compiled in reasonable time. The same call gives the same numbers every time
+    backend     what makes the steps: "native" (C++, compiled once for kinds of joints and forces), "eager" (operators of torch,
+                the reference) or "auto": native where there is a compiler and all laws can be traced. The same call gives the same numbers every time
     variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
     options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
-                halvings, checkpoint (not with phases); torchdiffeq: rtol, atol, options
+                halvings, and checkpoint=k, which keeps every k-th state (not with phases); torchdiffeq: rtol, atol, options
 
     A lane that fails is reported in `status`; it is nan from there on and adds nothing to a gradient. So is one whose steps do
     not resolve its vibrations, with all numbers. `stats` says which way gradients come and which backend made the steps.
