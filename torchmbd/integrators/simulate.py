@@ -81,7 +81,8 @@ def simulate(
                 then the motion has `dq_db` as well. "auto": reverse where there is an adjoint, else forward, by what
                 requires a gradient or is under torch.func. "none": values only
     backend     what makes the steps: "native" (C++, compiled once for kinds of joints and forces), "eager" (operators of torch,
-                the reference) or "auto": native where there is a compiler and all laws can be traced. The same call gives the same numbers every time
+                the reference) or "auto": native where there is a compiler and all laws can be traced. The same call gives the
+                same numbers every time
     variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
     options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
