@@ -70,7 +70,7 @@ CASES = [
     ("options: {layers: 2}", "options: &a {layers: 2}", "options", "anchors"),
     (TEXT, "", "", "allowed: sections such as model:"),
     ("max_iterations: 2", "max_iterations: 2, kkt: [1]", "optimizer.kkt = [1]", "must be a valid number"),
-    ("max_iterations: 2", "max_iterations: 2, metric: 3", "optimizer.metric = 3", "must be a valid string"),
+    ("max_iterations: 2", "max_iterations: 2, metric: 3", "optimizer.metric", "max_analyses"),
     ("max_iterations: 2", "max_iterations: 2, max_lanes: many", "optimizer.max_lanes = 'many'", "valid integer"),
     ("steps: 60", "steps: 60, method: hht_alpha, alfa: -0.1", "simulate.alfa", "did you mean 'alpha'"),
     ("steps: 60", "steps: 60, method: hht_alpha, alpha: strong", "simulate.alpha = 'strong'", "must be a valid number"),

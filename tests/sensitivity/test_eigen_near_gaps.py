@@ -39,7 +39,8 @@ def relative(found: Tensor, expected: Tensor) -> float:
     return float((torch.linalg.norm(found - expected, dim=-2) / torch.linalg.norm(expected, dim=-2)).max())
 
 
-@pytest.mark.parametrize(("exponent", "tolerance"), [(-7, 1e-10), (-13, 1e-8), (-16, 3e-7)])
+# Rounding of K, 70 eps, over the square of the gap is 7e-5 at the least of them; blocks of eight columns leave 3.5e-7.
+@pytest.mark.parametrize(("exponent", "tolerance"), [(-7, 1e-10), (-13, 1e-8), (-16, 5e-7)])
 @pytest.mark.parametrize("with_mass", [False, True], ids=["", "M"])
 @pytest.mark.parametrize("size", [16, 256], ids=["dense", "krylov"])
 def test_vectors_and_their_derivatives_are_what_the_numbers_tell(size, with_mass, exponent, tolerance):

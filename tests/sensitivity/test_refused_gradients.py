@@ -243,7 +243,6 @@ REFUSED: dict[str, Callable[[Any], Any]] = {
     "function of FunctionMeasure": lambda v: mbd.measure(lambda motion: v * motion.body("b").mass),
     "function of an event": lambda v: mbd.Event(lambda motion: motion.body("b").r[..., 0] - v),
     "impact of a phase": lambda v: mbd.Phase(until=mbd.Event(mbd.Position("b", "z")), impact=lambda m: v * m.v),
-    "duration": lambda v: mbd.simulate(mbd.System([box("b")], free=["b"]), v),
 }
 
 

@@ -3,7 +3,7 @@
     Size    sum of coefficient * product of named sizes; what is no more than a number is an int
     Index   offset + sum of stride * (loop variable, or entry of a table)
 
-Checked in tests/numerics/codegen/test_size.py.
+Checked in tests/numerics/codegen/test_array.py.
 """
 
 from __future__ import annotations
