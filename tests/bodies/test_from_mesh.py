@@ -12,7 +12,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.elements.plate_cases import CARBON, GENERAL
 from torchmbd.errors import InputError
-from torchmbd.mesh import MeshFile
+from torchmbd.mesh.mesh_file import MeshFile
 
 PLATE = mbd.mesh.rectangle(0.3, 0.1, (6, 2), "triangle")
 

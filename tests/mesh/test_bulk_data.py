@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from torchmbd.errors import InputError
-from torchmbd.mesh import BulkData
 from torchmbd.mesh.bulk_cards import parse_cards
+from torchmbd.mesh.bulk_data import BulkData
 
 
 def data(text: str) -> BulkData:

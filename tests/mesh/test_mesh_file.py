@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.mesh import mesh_file, read_mesh
+from torchmbd.mesh import mesh_file
+from torchmbd.mesh.mesh_file import read_mesh
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0], [0, 1, 0], [9, 9, 9]], dtype=float)
 QUADS, TRIANGLES = np.array([[0, 1, 4, 5]]), np.array([[1, 2, 3], [1, 3, 4]])

@@ -21,7 +21,10 @@ from torch import Tensor
 from torchmbd.bodies.bulk_materials import UNITS, Units, laminate_of, section_of, units_of
 from torchmbd.elements import Average, BeamMatrices, Beams, Part, Plates, PointMasses, RigidLink
 from torchmbd.errors import InputError
-from torchmbd.mesh import Bar, BulkData, Mesh, bulk_mesh, read_cards
+from torchmbd.mesh import Mesh
+from torchmbd.mesh.bulk_cards import read_cards
+from torchmbd.mesh.bulk_data import Bar, BulkData
+from torchmbd.mesh.bulk_mesh import bulk_mesh
 
 __all__ = ["UNITS", "BulkBody", "read_bdf"]
 

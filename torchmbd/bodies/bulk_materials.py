@@ -21,7 +21,8 @@ from dataclasses import dataclass
 from torchmbd.elements import GivenSection
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Laminate, Ply, Strength
-from torchmbd.mesh import BulkData, Card
+from torchmbd.mesh.bulk_cards import Card
+from torchmbd.mesh.bulk_data import BulkData
 from torchmbd.numerics.angles import deg
 
 RIGID_IN_SHEAR = 1e6  # in place of infinity: K1 or K2 zero, or blank on a PBAR

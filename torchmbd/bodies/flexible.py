@@ -43,7 +43,8 @@ from torchmbd.elements import (
 )
 from torchmbd.errors import InputError
 from torchmbd.materials import Laminate
-from torchmbd.mesh import Mesh, MeshFile, read_mesh
+from torchmbd.mesh import Mesh
+from torchmbd.mesh.mesh_file import MeshFile, read_mesh
 from torchmbd.reduction import CutCluster, inertia_invariants
 
 

@@ -13,7 +13,7 @@ from torch import Tensor
 from torchmbd.elements import Part, Plates
 from torchmbd.errors import InputError, unknown
 from torchmbd.materials import Laminate
-from torchmbd.mesh import MeshFile
+from torchmbd.mesh.mesh_file import MeshFile
 
 
 def zone_parts(

@@ -36,7 +36,8 @@ from torchmbd.integrators.march import March, resume
 from torchmbd.integrators.one_step import OneStep
 from torchmbd.integrators.prepared import prepare
 from torchmbd.integrators.pullback import leaf
-from torchmbd.integrators.step import Model, State, Weights
+from torchmbd.integrators.state import State
+from torchmbd.integrators.step import Model, Weights
 from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed

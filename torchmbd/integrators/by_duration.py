@@ -18,7 +18,8 @@ from torch import Tensor
 from torchmbd.integrators.adjoint import Grid
 from torchmbd.integrators.one_step import OneStep
 from torchmbd.integrators.sized import converged
-from torchmbd.integrators.step import Model, State, Weights
+from torchmbd.integrators.state import State
+from torchmbd.integrators.step import Model, Weights
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics, regularized
 from torchmbd.system.elimination import factored

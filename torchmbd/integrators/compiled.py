@@ -24,7 +24,8 @@ from torchmbd.integrators.blocks import (
 )
 from torchmbd.integrators.library import Library, library
 from torchmbd.integrators.march import CHECK, March, Record, between_looks
-from torchmbd.integrators.step import Model, State, Weights
+from torchmbd.integrators.state import State
+from torchmbd.integrators.step import Model, Weights
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed

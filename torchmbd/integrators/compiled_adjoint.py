@@ -23,7 +23,7 @@ from torchmbd.integrators.blocks import (
     uniform,
 )
 from torchmbd.integrators.library import Library, library
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.system.topology import Prescribed
 
 _NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")

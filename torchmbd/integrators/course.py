@@ -17,7 +17,7 @@ from torch import Tensor
 from torchmbd.integrators.events import Event, Views
 from torchmbd.integrators.history import History
 from torchmbd.integrators.phases import Stage
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.integrators.switch import (
     Opening,
     accelerations,

@@ -21,7 +21,7 @@ from torchmbd.errors import InputError
 from torchmbd.integrators.shapes import DesignShapes, GivenShapes, OneLane, shape_tangents
 from torchmbd.integrators.signals import Given, Rows, Signals
 from torchmbd.integrators.sized import determined
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.integrators.trajectory import OK, Trajectory
 from torchmbd.numerics.gradients import refuse_lost
 from torchmbd.numerics.pair import Pair, value

@@ -19,7 +19,7 @@ from torch import Tensor
 from torchmbd.integrators.compiled_rates import RightHandSide
 from torchmbd.integrators.history import History
 from torchmbd.integrators.ode import flow
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.integrators.switch import accelerations, at_time, lane_of, pick
 from torchmbd.numerics.pair import Pair, cat, value
 from torchmbd.system.dynamics import Dynamics

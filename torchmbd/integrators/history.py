@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.equations import Data
 from torchmbd.system.expansion import Expansion, chosen

@@ -24,7 +24,7 @@ from torch import Tensor
 from torchmbd.integrators.course import Course
 from torchmbd.integrators.history import History
 from torchmbd.integrators.pullback import PulledBack
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.topology import Prescribed
 

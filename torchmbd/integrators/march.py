@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchmbd.integrators.history import History, Record
 from torchmbd.integrators.pullback import PulledBack, StepPullback
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system.dynamics import Dynamics, regularized
 from torchmbd.system.elimination import Eliminated, Elimination, Factored, factored, pays

@@ -40,7 +40,8 @@ from torchmbd.integrators.integrator import Again, Integrated, Integrator
 from torchmbd.integrators.march import TURN, IterationErrors, March, first, resume
 from torchmbd.integrators.prepared import prepare
 from torchmbd.integrators.sized import sized
-from torchmbd.integrators.step import State, Weights
+from torchmbd.integrators.state import State
+from torchmbd.integrators.step import Weights
 from torchmbd.numerics.owned import whole
 from torchmbd.numerics.pair import value
 from torchmbd.system.dynamics import Dynamics

@@ -34,7 +34,8 @@ from torchmbd.integrators.lane_leaves import Key, LaneLeaves, pulled, rows_first
 from torchmbd.integrators.one_step import OneStep
 from torchmbd.integrators.pullback import leaf
 from torchmbd.integrators.sized import shortly_after
-from torchmbd.integrators.step import State, Weights
+from torchmbd.integrators.state import State
+from torchmbd.integrators.step import Weights
 from torchmbd.integrators.switch import marked, pick, together
 from torchmbd.system.dynamics import Dynamics
 

@@ -25,7 +25,7 @@ from torchmbd.integrators.course import Course, Passage, PhaseRecord
 from torchmbd.integrators.events import Event
 from torchmbd.integrators.integrator import Integrator
 from torchmbd.integrators.sized import narrowed, shortly_after, widened, widened_data
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.integrators.switch import lane_of, pick
 from torchmbd.numerics.pair import Pair, value
 

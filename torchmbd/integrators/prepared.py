@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.numerics.pair import Pair
 from torchmbd.system.dynamics import Dynamics
 

@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.step import Model, State, Step, apply
+from torchmbd.integrators.state import State
+from torchmbd.integrators.step import Model, Step, apply
 from torchmbd.numerics.pair import value
 from torchmbd.system.topology import Prescribed
 

@@ -13,7 +13,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrators.step import Model, State, Step, Weights, apply
+from torchmbd.integrators.state import State
+from torchmbd.integrators.step import Model, Step, Weights, apply
 from torchmbd.numerics.jet import Jet
 from torchmbd.numerics.pair import Pair, value
 from torchmbd.system import equations

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 from torch import Tensor
 
+from torchmbd.integrators.state import State
 from torchmbd.numerics.elementwise import reciprocal
 from torchmbd.numerics.pair import Pair, cat, combine, value
 from torchmbd.system import equations
@@ -27,22 +28,6 @@ from torchmbd.system.dynamics import Dynamics
 from torchmbd.system.elimination import Eliminated, Factored
 from torchmbd.system.saddle import Saddle
 from torchmbd.system.topology import Prescribed, Topology
-
-
-class State(NamedTuple):
-    """q [n_q, ...], v, vd (true), a (algorithmic) [n_v, ...], lam [rows, ...]; tensors or pairs."""
-
-    q: Any
-    v: Any
-    vd: Any
-    a: Any
-    lam: Any
-
-    def map(self, f) -> State:
-        return State(*(f(x) for x in self))
-
-    def values(self) -> State:
-        return self.map(value)
 
 
 class Weights(NamedTuple):

@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrators.events import Event, Views, normal
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.joints.lock import Lock
 from torchmbd.numerics.elementwise import reciprocal
 from torchmbd.numerics.pair import Pair, cat, combine, dot, matvec, matvec_t, value

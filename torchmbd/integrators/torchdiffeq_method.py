@@ -21,7 +21,7 @@ from torchmbd.integrators.history import History
 from torchmbd.integrators.integrator import Integrated, Integrator
 from torchmbd.integrators.ode import DEFAULTS, FIXED, first_step, flow
 from torchmbd.integrators.prepared import initial
-from torchmbd.integrators.step import State
+from torchmbd.integrators.state import State
 from torchmbd.numerics.owned import whole
 from torchmbd.system.dynamics import Dynamics
 

@@ -26,7 +26,8 @@ from torchmbd.integrators.native.symbolic import (
     moving_shapes,
     shapes,
 )
-from torchmbd.integrators.step import Model, State, Weights
+from torchmbd.integrators.state import State
+from torchmbd.integrators.step import Model, Weights
 from torchmbd.numerics.codegen.array import Array
 from torchmbd.numerics.codegen.emit import PRELUDE, size_text
 from torchmbd.numerics.codegen.module import Module
