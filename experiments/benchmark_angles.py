@@ -19,8 +19,8 @@ import torchmbd as mbd
 from experiments.benchmark_cases import compilation, interleaved
 from experiments.benchmark_report import Grid, Result, Settings
 from experiments.slider_crank import CARBON, CRANK, DEPTH, DURATION, ROD, THICKNESS, build
-from torchmbd.elements import Plates
-from torchmbd.numerics.native import unavailable
+from torchmbd.fem.elements import Plates
+from torchmbd.math.codegen.compiler import unavailable
 
 STEPS = 800  # that Exudyn is compared with, at equal accuracy
 

@@ -17,7 +17,7 @@ from experiments import slider_crank
 from experiments.benchmark_cases import compilation, crank3, interleaved
 from experiments.benchmark_report import Cell, Grid, Result, Settings
 from torchmbd.design.response import Measure
-from torchmbd.numerics.native import unavailable
+from torchmbd.math.codegen.compiler import unavailable
 
 FEW, MANY = 1, 32
 DESIGNS, STEPS = 8, 400

@@ -15,15 +15,15 @@ from torch import Tensor
 import torchmbd as mbd
 from experiments import slider_crank
 from torchmbd.design.spline import Spline
-from torchmbd.integrators import library
-from torchmbd.integrators.generalized_alpha import GeneralizedAlpha
-from torchmbd.integrators.history import History
-from torchmbd.integrators.motion import Motion
-from torchmbd.integrators.registry import DEFAULT, integrator_of
-from torchmbd.integrators.reverse_integration import ReverseIntegration
-from torchmbd.numerics.native import unavailable
-from torchmbd.numerics.pair import Pair, value
-from torchmbd.system import Dynamics
+from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
+from torchmbd.integrate.motion import Motion
+from torchmbd.integrate.native import library
+from torchmbd.integrate.registry import DEFAULT, integrator_of
+from torchmbd.integrate.reverse_integration import ReverseIntegration
+from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.math.pair import Pair, value
+from torchmbd.multibody.system import Dynamics
+from torchmbd.results.history import History
 
 LINK, WIDTH = 0.3, 0.03  # of a link of the pendulum chain [m]
 

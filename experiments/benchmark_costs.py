@@ -33,9 +33,9 @@ from experiments.benchmark_cases import (
 )
 from experiments.benchmark_modes import rod
 from experiments.benchmark_report import Cell, Grid, Result, Settings
-from torchmbd.numerics.native import unavailable
-from torchmbd.numerics.pair import Pair
-from torchmbd.system import Dynamics
+from torchmbd.math.codegen.compiler import unavailable
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.system import Dynamics
 
 STEPS, LANES = 500, 32
 TANGENTS = (3, 10)  # numbers of variables between which the cost of one more is taken

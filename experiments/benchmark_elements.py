@@ -25,9 +25,9 @@ from torch.func import functional_call, jvp, vmap
 
 import torchmbd as mbd
 from experiments.shell_problems import PROBLEMS, cantilever
-from torchmbd.elements import ELEMENTS, quad, quad_bending, sides
-from torchmbd.elements.quad_shape import Bilinear
-from torchmbd.materials import IsotropicMean
+from torchmbd.fem.elements import ELEMENTS, quad, quad_bending, sides
+from torchmbd.fem.elements.quad_shape import Bilinear
+from torchmbd.fem.materials import IsotropicMean
 
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
 

@@ -25,12 +25,12 @@ import torch
 from torch import Tensor, nn
 from torch.func import functional_call, jvp, vmap
 
-from torchmbd.bodies.flexible import FlexibleBody
-from torchmbd.elements import PlateMatrices
-from torchmbd.materials import Laminate, Ply
-from torchmbd.mesh import rectangle
-from torchmbd.numerics.sparse import SparseMatrix
-from torchmbd.reduction import modal_basis
+from torchmbd.fem.elements import PlateMatrices
+from torchmbd.fem.materials import Laminate, Ply
+from torchmbd.fem.mesh import rectangle
+from torchmbd.fem.reduction import modal_basis
+from torchmbd.math.sparse import SparseMatrix
+from torchmbd.multibody.bodies.flexible import FlexibleBody
 
 CARBON = Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
 

@@ -21,7 +21,7 @@ import torchmbd as mbd
 from experiments.benchmark_cases import compilation, compiled_ready, measures
 from experiments.benchmark_report import Cell, Grid, Result, Settings, ratio
 from experiments.slider_crank import DURATION, build
-from torchmbd.optimizers import Evaluation
+from torchmbd.optimization import Evaluation
 from torchmbd.process import use_one_thread
 
 ANGLES = "rod.laminate.angles"

@@ -33,15 +33,15 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 
-from torchmbd.experiment.assemble import problem_of, starts_of
-from torchmbd.experiment.farm import LANES, Farm
-from torchmbd.experiment.journal import Journal
-from torchmbd.experiment.load import load_study
-from torchmbd.experiment.place import problem_key
-from torchmbd.experiment.run import run_plan
-from torchmbd.optimizers import multistart
-from torchmbd.optimizers.optimizer import Iterate
+from torchmbd.optimization.multistart import multistart
+from torchmbd.optimization.optimizer import Iterate
 from torchmbd.process import use_one_thread
+from torchmbd.study.assemble import problem_of, starts_of
+from torchmbd.study.dask_evaluator import LANES, Farm
+from torchmbd.study.journal import Journal
+from torchmbd.study.load import load_study
+from torchmbd.study.paths import problem_key
+from torchmbd.study.run import run_plan
 from torchmbd.tracking import MlflowTracker, Record
 from torchmbd.tracking.links import view_link
 from torchmbd.tracking.server import serving

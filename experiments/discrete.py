@@ -26,7 +26,7 @@ import torchmbd as mbd
 from experiments import table3, table4, table5
 from experiments.enumeration import Enumeration, enumerate_all
 from experiments.slider_crank import DURATION, build
-from torchmbd.optimizers import DiscreteResult, optimize_discrete
+from torchmbd.optimization import DiscreteResult, optimize_discrete
 
 TORSION, LEAST = 3, 1100.0  # number of the natural frequency of torsion, and its limit [Hz]
 COARSE: dict[str, Any] = {"cells": (8, 2), "modes": 4, "steps": 150, "kind": "triangle"}

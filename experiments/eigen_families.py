@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.reduction import modal_basis
+from torchmbd.fem.reduction import modal_basis
 
 SPRING = 0.7  # keeps the response of free bodies finite
 

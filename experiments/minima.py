@@ -22,7 +22,7 @@ import torchmbd as mbd
 from experiments.discrete import COARSE, problem_of
 from experiments.enumeration import enumerate_all
 from experiments.table3 import problem
-from torchmbd.optimizers import Study
+from torchmbd.optimization import Study
 
 START, INCREMENT, REFINED = (45.0, -45.0, 45.0), 5.0, 8
 STORED = Path(__file__).parent / "minima_grid.json"

@@ -21,7 +21,7 @@ import torchmbd as mbd
 from experiments.discrete import COARSE, TORSION
 from experiments.enumeration import grid
 from experiments.slider_crank import DURATION, build
-from torchmbd.optimizers import Front
+from torchmbd.optimization import Front
 
 INCREMENT, LANES = 5.0, 512  # of the designs behind the front [deg], and of a batch
 

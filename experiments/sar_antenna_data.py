@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from torchmbd.forces import Pieces, Table
+from torchmbd.multibody.forces import Pieces, Table
 
 IM6: dict[str, Any] = {
     "E1": 177e9,

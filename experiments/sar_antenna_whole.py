@@ -35,7 +35,7 @@ import torchmbd as mbd
 from experiments.sar_antenna import build, phi3, theta, turned
 from experiments.sar_antenna_bodies import Panel, Truss, folded
 from experiments.sar_antenna_data import ANGLES, CRANK, HALF, INTEGRATOR, MIDDLE, ROD_POINT
-from torchmbd.forces import Gap, Spring, Table
+from torchmbd.multibody.forces import Gap, Spring, Table
 
 DRIVER_AT, DRIVER, HANDLE = -1.8, 0.5, 0.2  # X of R1, length of the driver, half width of its handle [m]
 DAMPING = 1.0  # of actuator B [N m s]

@@ -23,7 +23,7 @@ import scipy.sparse.linalg
 import torch
 
 import torchmbd as mbd
-from torchmbd.elements import PlateMatrices
+from torchmbd.fem.elements import PlateMatrices
 
 Place = Callable[[float, float], Sequence[float]]
 Ratios = dict[str, float]

@@ -12,9 +12,9 @@ from hypothesis import settings
 
 import torchmbd as mbd
 from experiments.slider_crank import build
-from torchmbd.integrators import Trajectory
-from torchmbd.numerics import panels
-from torchmbd.numerics.native import compiler
+from torchmbd.integrate import Trajectory
+from torchmbd.math import panels
+from torchmbd.math.codegen.compiler import compiler
 from torchmbd.tracking.store import open_store
 
 # Tests run by operators of torch, the reference; tests of compilation switch it on themselves.

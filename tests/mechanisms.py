@@ -16,7 +16,7 @@ from torch import Tensor
 
 import torchmbd as mbd
 from experiments import slider_crank
-from torchmbd.numerics.pair import linear, value
+from torchmbd.math.pair import linear, value
 
 CARBON = {"E1": 128e9, "E2": 10.1e9, "G12": 5.36e9, "G13": 5.36e9, "G23": 5.36e9, "nu12": 0.23, "density": 1586.0}
 SOFT = {name: x * (1.0 if name in ("nu12", "density") else 1e-3) for name, x in CARBON.items()}

@@ -72,7 +72,7 @@ def test_commands(folder, capsys):
         line.split()[1:] for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()
     ]
     assert [command[0] for command in commands] == ["check", "run", "best", "report", "ui"]
-    for command in commands[:-1]:  # the last one serves until Ctrl-C: tests/experiment/test_browser.py
+    for command in commands[:-1]:  # the last one serves until Ctrl-C: tests/study/test_browser.py
         assert cli.main(command + (COARSE if command[0] in ("check", "run") else [])) == 0
     assert (folder / "overshoot.html").exists()
     study = mbd.load("overshoot", model="arm.py")

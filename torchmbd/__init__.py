@@ -6,7 +6,7 @@ problem = mbd.Problem(system, ...)       what to minimize, subject to what
 result = mbd.optimize(problem)           exact gradients inside
 study = mbd.load(run, model="arm.py")    a tracked study as objects again
 
-The names are those of torchmbd.public, which is imported when the first of them is asked for: torch takes seconds, and
+The names are those of torchmbd.api, which is imported when the first of them is asked for: torch takes seconds, and
 `torchmbd --help`, `torchmbd best` and the processes beside a study do without.
 """
 
@@ -16,17 +16,17 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from torchmbd.public import *  # noqa: F403
+    from torchmbd.api import *  # noqa: F403
 
 __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    public = importlib.import_module("torchmbd.public")
+    public = importlib.import_module("torchmbd.api")
     if name not in (*public.__all__, "__all__"):
         raise AttributeError(f"module 'torchmbd' has no attribute {name!r}")
     return getattr(public, name)
 
 
 def __dir__() -> list[str]:
-    return [*globals(), *importlib.import_module("torchmbd.public").__all__]
+    return [*globals(), *importlib.import_module("torchmbd.api").__all__]

@@ -53,10 +53,10 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
         Forget the evaluations of this problem, and begin anew.
     """
     use_one_thread()
-    from torchmbd.experiment.draw import run_figures
-    from torchmbd.experiment.load import Plan, load
-    from torchmbd.experiment.overrides import combinations
-    from torchmbd.experiment.run import run_plan
+    from torchmbd.study.figures import run_figures
+    from torchmbd.study.load import Plan, load
+    from torchmbd.study.overrides import combinations
+    from torchmbd.study.run import run_plan
 
     console = Console()
     plans = [load(file, chosen) for chosen in combinations(assignments)]  # all are checked before the first runs
@@ -85,9 +85,9 @@ def check(file: Path, /, *assignments: str) -> int:
         Overrides, as in run.
     """
     use_one_thread()
-    from torchmbd.experiment.estimate import print_estimate
-    from torchmbd.experiment.load import load
-    from torchmbd.experiment.overrides import combinations
+    from torchmbd.study.estimate import print_estimate
+    from torchmbd.study.load import load
+    from torchmbd.study.overrides import combinations
 
     console = Console()
     for plan in [load(file, chosen) for chosen in combinations(assignments)]:
@@ -106,7 +106,7 @@ def new(file: Path, /, *, model: str | None = None) -> int:
     model
         Your model, path/to/file.py:function or package.module:function; default: an example beside the file.
     """
-    from torchmbd.experiment.beginning import begin
+    from torchmbd.study.scaffold import begin
 
     for written in begin(file, model):
         print(f"wrote {written}")
@@ -117,7 +117,7 @@ def new(file: Path, /, *, model: str | None = None) -> int:
 @app.command
 def schema() -> int:
     """Print the JSON schema of experiment files, for editors."""
-    from torchmbd.experiment.editor import json_schema
+    from torchmbd.study.json_schema import json_schema
 
     print(json.dumps(json_schema(), indent=1))
     return 0
@@ -134,7 +134,7 @@ def best(run: str | None = None, /, *, count: int = 5, uri: Uri = None) -> int:
     count
         How many.
     """
-    from torchmbd.experiment.compare import print_best
+    from torchmbd.study.compare import print_best
 
     print_best(run, uri, count, Console())
     return 0
@@ -149,7 +149,7 @@ def compare(a: str, b: str, /, *, uri: Uri = None) -> int:
     a, b
         Run ids, their beginnings, or names of studies.
     """
-    from torchmbd.experiment.compare import print_comparison
+    from torchmbd.study.compare import print_comparison
 
     print_comparison(a, b, uri, Console())
     return 0
@@ -166,7 +166,7 @@ def report(run: str, /, *, output: Path | None = None, uri: Uri = None) -> int:
     output
         Name of the file; default: the study's name and run id.
     """
-    from torchmbd.experiment.html_report import write_report
+    from torchmbd.study.html_report import write_report
 
     print(f"wrote {write_report(run, output, uri)}")
     return 0
@@ -181,7 +181,7 @@ def list_(folder: Path | None = None, *, uri: Uri = None) -> int:
     folder
         Where the experiment files are; default: configs.
     """
-    from torchmbd.experiment.listing import print_configs, print_studies
+    from torchmbd.study.listing import print_configs, print_studies
 
     if folder is not None and not folder.is_dir():
         raise InputError(f"folder = {str(folder)!r}: is no folder; allowed: one that exists, default configs")
@@ -200,7 +200,7 @@ def cache(*, clear: bool = False) -> int:
     clear
         Remove them all; other files of the folder stay.
     """
-    from torchmbd.numerics import build_cache
+    from torchmbd.math.codegen import build_cache
     from torchmbd.process import cache_folder
 
     console = Console()
@@ -228,7 +228,7 @@ def ui(
     port
         Port to listen on.
     """
-    from torchmbd.experiment.listing import print_links
+    from torchmbd.study.listing import print_links
     from torchmbd.tracking.server import serving
     from torchmbd.tracking.store import sqlite_file, store_uri
 
@@ -258,7 +258,7 @@ def sync() -> int:
     They run once more with the evaluations that are on disk, and no others.
     """
     use_one_thread()
-    from torchmbd.experiment.sync import send_all
+    from torchmbd.study.sync import send_all
 
     return min(send_all(Console()), 1)
 

@@ -12,7 +12,7 @@ import torch
 
 from experiments.paper import report
 from experiments.paper.parts import PARTS, chosen, run
-from torchmbd.experiment.place import place
+from torchmbd.study.paths import place
 
 
 def main() -> None:

@@ -16,11 +16,11 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import box, plate, random_state, tensor, turned
-from torchmbd.forces import FORCES, Gap, Pieces, Spring, Table
-from torchmbd.forces.action import KINDS, Action
-from torchmbd.numerics.elementwise import slopes
-from torchmbd.numerics.pair import Pair
-from torchmbd.system import equations
+from torchmbd.math.elementwise import slopes
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.forces import FORCES, Gap, Pieces, Spring, Table
+from torchmbd.multibody.forces.action import KINDS, Action
+from torchmbd.multibody.system import equations
 
 COUNT, LANES, TANGENTS = 3, 2, 2
 

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from tests.experiment.rod_model import build
+from tests.study.rod_model import build
 from torchmbd.errors import InputError
-from torchmbd.mesh import rectangle
+from torchmbd.fem.mesh import rectangle
 
 ENERGY = mbd.Integral(mbd.StrainEnergy("rod"))
 PLY = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)

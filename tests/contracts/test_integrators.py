@@ -17,13 +17,13 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import finished, pendulum
-from torchmbd.integrators import METHODS, Trajectory
-from torchmbd.integrators.attempts import run
-from torchmbd.integrators.ode import FIXED
-from torchmbd.integrators.one_step import OneStep
-from torchmbd.integrators.registry import INTEGRATORS, integrator_of
-from torchmbd.integrators.step import Weights
-from torchmbd.numerics.elementwise import reciprocal
+from torchmbd.integrate import METHODS, Trajectory
+from torchmbd.integrate.attempts import run
+from torchmbd.integrate.ode import FIXED
+from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.registry import INTEGRATORS, integrator_of
+from torchmbd.integrate.step import Weights
+from torchmbd.math.elementwise import reciprocal
 
 DURATION = 0.02
 

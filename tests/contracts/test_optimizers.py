@@ -8,18 +8,18 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 
-from tests.optimizers.analytic import Analytic
-from tests.optimizers.counts import error
-from tests.optimizers.hock_schittkowski import hock_schittkowski
-from tests.optimizers.structures import three_bar_truss
+from tests.optimization.analytic import Analytic
+from tests.optimization.counts import error
+from tests.optimization.hock_schittkowski import hock_schittkowski
+from tests.optimization.structures import three_bar_truss
 from torchmbd.errors import InputError
-from torchmbd.optimizers import OPTIMIZERS, STATUSES, Evaluation, optimize
+from torchmbd.optimization import OPTIMIZERS, STATUSES, Evaluation, optimize
 
 # A method with an option that changes it altogether is a case of its own.
 VARIANTS = {
     "mmfd-first-order": ("mmfd", {"second_order": False}),
 }
-GRADIENT_FREE = ["differential_evolution"]  # slow and inexact: tests/optimizers/test_evolution.py
+GRADIENT_FREE = ["differential_evolution"]  # slow and inexact: tests/optimization/methods/test_evolution.py
 PACKAGES = {"ipopt": "cyipopt"}  # has no wheel; every other package is installed for the tests (tests/test_packages.py)
 
 

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 from torch.testing import assert_close
 
-from torchmbd.joints.primitive import KINDS, Angle, Primitive
-from torchmbd.numerics.jet import Jet
-from torchmbd.numerics.pair import Pair
+from torchmbd.math.jet import Jet
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.joints.primitive import KINDS, Angle, Primitive
 
 COUNT, LANES, TANGENTS = 4, 3, 2
 LAWS = tuple(lambda t, k=k: 0.4 * k + torch.sin((1.0 + k) * t) + t * t for k in range(COUNT))

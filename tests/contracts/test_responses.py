@@ -14,6 +14,7 @@ import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES, History, Measure, WeightedSum, history, measure
 from torchmbd.design.angle import Angle
+from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -38,9 +39,8 @@ from torchmbd.design.measures import (
 )
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
-from torchmbd.design.rows import AtPeaks, AtTimes
-from torchmbd.integrators import Trajectory
-from torchmbd.materials import Strength
+from torchmbd.fem.materials import Strength
+from torchmbd.integrate import Trajectory
 
 DURATION, STEPS = 0.04, 30
 WEIGHTS = {-3: -1.0, -2: 9.0, -1: -45.0, 1: 45.0, 2: -9.0, 3: 1.0}

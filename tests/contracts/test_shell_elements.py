@@ -1,6 +1,6 @@
 """Laws that every shell element keeps, on random cells: rigid modes, rotation, numbering, material direction, mass.
 
-Constant states on irregular meshes, mixed ones too: tests/elements/test_plate_patch.py.
+Constant states on irregular meshes, mixed ones too: tests/fem/elements/test_plate_patch.py.
 """
 
 import math
@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from tests.elements.plate_cases import CARBON, GENERAL, KINDS, irregular, moved, rotation, turned
-from torchmbd.elements import ELEMENTS, MASSES, PlateMatrices, Plates
-from torchmbd.elements.facet import facets
-from torchmbd.elements.inner_forces import CellForces
-from torchmbd.materials import IsotropicMean, Laminate
-from torchmbd.mesh import Mesh
+from tests.fem.elements.plate_cases import CARBON, GENERAL, KINDS, irregular, moved, rotation, turned
+from torchmbd.fem.elements import ELEMENTS, MASSES, PlateMatrices, Plates
+from torchmbd.fem.elements.facet import facets
+from torchmbd.fem.elements.inner_forces import CellForces
+from torchmbd.fem.materials import IsotropicMean, Laminate
+from torchmbd.fem.mesh import Mesh
 
 NUMBER = st.floats(-1, 1)
 THICK = Laminate(CARBON, GENERAL.angles.detach(), 50 * GENERAL.thickness.detach())

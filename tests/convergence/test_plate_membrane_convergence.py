@@ -10,9 +10,9 @@ import math
 import numpy as np
 import pytest
 
-from tests.elements.plate_cases import KINDS, boundary, freedoms, irregular, solved, stiffness
-from torchmbd.elements import PlateMatrices
-from torchmbd.materials import Laminate, Ply
+from tests.fem.elements.plate_cases import KINDS, boundary, freedoms, irregular, solved, stiffness
+from torchmbd.fem.elements import PlateMatrices
+from torchmbd.fem.materials import Laminate, Ply
 
 NU = 0.3
 Q = 1.0

@@ -13,7 +13,7 @@ import torch
 
 import torchmbd as mbd
 from tests.mechanisms import soft_slider_crank
-from torchmbd.integrators import Trajectory
+from torchmbd.integrate import Trajectory
 
 DURATION = 0.01
 

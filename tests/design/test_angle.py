@@ -11,7 +11,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import box, tensor, turned
 from torchmbd.design import Angle
-from torchmbd.design.spec import measure_of
+from torchmbd.design.response_spec import measure_of
 
 
 def swing(rate: float, axes: torch.Tensor) -> mbd.Trajectory:

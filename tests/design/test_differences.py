@@ -9,7 +9,7 @@ import torchmbd as mbd
 from tests.mechanisms import pendulum
 from torchmbd.design.differences import Differences, differences
 from torchmbd.errors import InputError
-from torchmbd.optimizers import Evaluation
+from torchmbd.optimization import Evaluation
 
 ENERGY = mbd.StrainEnergy("rod")
 AT = np.radians([[20.0, -50.0], [70.0, 15.0]])

@@ -16,8 +16,19 @@ from torchmbd.design import (
     Velocity,
     WeightedSum,
 )
+from torchmbd.design.response_spec import (
+    HISTORIES,
+    MEASURES,
+    UNITS,
+    SpecError,
+    heading,
+    leaf,
+    measure_of,
+    terms,
+    unit,
+    words,
+)
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
-from torchmbd.design.spec import HISTORIES, MEASURES, UNITS, SpecError, heading, leaf, measure_of, terms, unit, words
 
 ENERGY = mbd.StrainEnergy("rod")
 TWIST = RelativeDisplacement("rod", "left", "right", "z")

@@ -8,7 +8,7 @@ import pytest
 import torchmbd as mbd
 from tests.mechanisms import pendulum
 from torchmbd.errors import InputError
-from torchmbd.optimizers import pareto_front
+from torchmbd.optimization import pareto_front
 
 ENERGY = mbd.StrainEnergy("rod")
 TWIST = mbd.RelativeDisplacement("rod", "corner_right_bottom", "corner_right_top", "z")

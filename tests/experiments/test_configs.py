@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from torchmbd.experiment.load import Plan, load, load_study
-from torchmbd.experiment.run import run_plan
-from torchmbd.experiment.shelf import QUESTION_MISSING, configs
+from torchmbd.study.config_index import QUESTION_MISSING, configs
+from torchmbd.study.load import Plan, load, load_study
+from torchmbd.study.run import run_plan
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 

@@ -7,9 +7,9 @@ import re
 import numpy as np
 
 from experiments.minima import beside_evolution, simulations_to
-from tests.optimizers.analytic import Analytic
-from tests.optimizers.test_evolution import rastrigin
-from torchmbd.optimizers import multistart
+from tests.optimization.analytic import Analytic
+from tests.optimization.methods.test_evolution import rastrigin
+from torchmbd.optimization.multistart import multistart
 
 
 def test_searches_in_lockstep_are_counted_until_the_first_is_there():

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from experiments import pareto, robust
-from tests.optimizers.analytic import Analytic
-from tests.optimizers.test_pareto import two_bowls
-from torchmbd.optimizers import pareto_front
+from tests.optimization.analytic import Analytic
+from tests.optimization.test_pareto import two_bowls
+from torchmbd.optimization import pareto_front
 
 
 def test_samples_of_a_tolerance():

@@ -12,8 +12,8 @@ from rich.console import Console
 import torchmbd as mbd
 from experiments.two_link_arm import build, phases
 from torchmbd.design import Angle
-from torchmbd.experiment.load import load_study
-from torchmbd.experiment.run import run_plan
+from torchmbd.study.load import load_study
+from torchmbd.study.run import run_plan
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from tests.mechanisms import cross_matrix
-from torchmbd.integrators import Trajectory
+from torchmbd.integrate import Trajectory
 
 
 @dataclass

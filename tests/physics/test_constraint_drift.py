@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from torchmbd.integrators import Trajectory
-from torchmbd.system import equations
+from torchmbd.integrate import Trajectory
+from torchmbd.multibody.system import equations
 
 
 def violations(motion: Trajectory) -> tuple[float, float]:

@@ -9,10 +9,10 @@ from torch import Tensor
 
 import torchmbd as mbd
 from tests.mechanisms import box, laminate, pendulum, plate, soft_slider_crank, sprung
+from tests.multibody.system.test_initial import four_bar
 from tests.sensitivity.test_law_variables import arm, waves
-from tests.system.test_initial import four_bar
-from torchmbd.forces import Scaled, Spring
-from torchmbd.system import System
+from torchmbd.multibody.forces import Scaled, Spring
+from torchmbd.multibody.system import System
 
 
 def loose_chain() -> System:

@@ -13,9 +13,10 @@ from experiments.slider_crank import build
 from tests.mechanisms import finished, pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
-from torchmbd.integrators import adjoint, history, pullback
-from torchmbd.integrators.compiled_adjoint import CompiledSweep
-from torchmbd.system import System
+from torchmbd.integrate import adjoint, pullback
+from torchmbd.integrate.native.backward import CompiledSweep
+from torchmbd.multibody.system import System
+from torchmbd.results import history
 
 TIGHT = {"iterations": (6, 6)}
 WAYS = ("forward", "reverse")

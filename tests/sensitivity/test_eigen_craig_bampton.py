@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.func import jacfwd, jacrev, jvp, vmap
 
 from experiments.eigen_families import FAMILIES, Family
-from torchmbd.numerics.sparse import Pattern, SparseMatrix
-from torchmbd.reduction import craig_bampton
+from torchmbd.fem.reduction import craig_bampton
+from torchmbd.math.sparse import Pattern, SparseMatrix
 
 HELD = 3  # interface freedoms, the first ones
 EYE = torch.eye(HELD, dtype=torch.float64)

@@ -10,8 +10,8 @@ from torch.func import functional_call, jvp
 
 import torchmbd as mbd
 from tests.mechanisms import laminate, plate
-from torchmbd.experiment.load import load
-from torchmbd.reduction import CraigBampton, VibrationModes
+from torchmbd.fem.reduction import CraigBampton, VibrationModes
+from torchmbd.study.load import load
 
 ANGLES = mbd.deg([20.0, -50.0, 75.0])
 DIRECTION = torch.tensor([0.7, -0.4, 1.0], dtype=torch.float64)

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 from torch.func import jvp, vmap
 
-from torchmbd.reduction import eigenpair_branches, eigenpairs
+from torchmbd.fem.reduction import eigenpair_branches, eigenpairs
 
 ONE, ZERO = (torch.full((1,), x, dtype=torch.float64) for x in (1.0, 0.0))
 N_MODES = 4

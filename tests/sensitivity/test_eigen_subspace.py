@@ -7,7 +7,7 @@ import torch
 from torch.func import jacfwd, jacrev, jvp, vmap
 
 from experiments.eigen_families import FAMILIES, by_eigh, derivative_errors, gauge_free
-from torchmbd.reduction import modal_basis
+from torchmbd.fem.reduction import modal_basis
 
 CROSSING = next(f for f in FAMILIES if f.name == "not commuting" and f.with_mass)
 

@@ -8,8 +8,8 @@ from torch.func import jvp
 
 from experiments.eigen_families import FAMILIES, Family
 from torchmbd.errors import InputError
-from torchmbd.reduction import eigenpair_branches
-from torchmbd.reduction.branches import UNSPLIT
+from torchmbd.fem.reduction import eigenpair_branches
+from torchmbd.fem.reduction.branches import UNSPLIT
 
 ONE = torch.ones(1, dtype=torch.float64)
 ZERO = torch.zeros(1, dtype=torch.float64)

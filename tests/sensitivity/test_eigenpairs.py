@@ -8,8 +8,8 @@ from torch.func import jacfwd, jacrev, jvp, vmap
 
 from experiments.eigen_families import FAMILIES, Family
 from torchmbd.errors import InputError
-from torchmbd.numerics.sparse import Pattern, SparseMatrix
-from torchmbd.reduction import eigenpairs
+from torchmbd.fem.reduction import eigenpairs
+from torchmbd.math.sparse import Pattern, SparseMatrix
 
 ONE = torch.ones(1, dtype=torch.float64)
 ZERO = torch.zeros(1, dtype=torch.float64)

@@ -9,7 +9,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, pendulum, tensor
-from torchmbd.integrators import Trajectory
+from torchmbd.integrate import Trajectory
 
 HEIGHT, RESTITUTION, DURATION = 1.0, 0.8, 1.5
 STEP, DIRECTION = 1e-4, tensor(1.0, 0.4)  # [rad] of differences; with half of it rounding shows

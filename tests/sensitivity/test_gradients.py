@@ -13,7 +13,7 @@ from torch import Tensor
 import torchmbd as mbd
 from experiments.slider_crank import build
 from tests.mechanisms import soft_slider_crank, sprung
-from torchmbd.integrators import Trajectory
+from torchmbd.integrate import Trajectory
 
 ENERGY = mbd.StrainEnergy("rod")
 MEASURES = {"integral": mbd.Integral(ENERGY), "max": mbd.Max(ENERGY)}

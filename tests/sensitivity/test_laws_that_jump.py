@@ -9,7 +9,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import pendulum, tensor
-from torchmbd.forces import OfTime, Pieces, Spring
+from torchmbd.multibody.forces import OfTime, Pieces, Spring
 
 GROUND, MASS, FIRST, SECOND, BORDER = mbd.Ground(), 2.0, 3.0, -5.0, 0.4
 NAME = "rod.laminate.angles"

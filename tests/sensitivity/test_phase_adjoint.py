@@ -15,9 +15,9 @@ import torchmbd as mbd
 from tests.mechanisms import finished, pendulum, tensor
 from tests.sensitivity.test_events import DRIVEN, DURATION, NAME, PHASES, Falling, bounces, bouncing, driven, tip
 from torchmbd.design.differentiate import differentiate
-from torchmbd.integrators import Trajectory
-from torchmbd.integrators.phases import plan
-from torchmbd.system import equations
+from torchmbd.integrate import Trajectory
+from torchmbd.integrate.phases.phase import plan
+from torchmbd.multibody.system import equations
 
 TIGHT = {"iterations": (16, 6)}
 WAYS = ("forward", "reverse")

@@ -8,8 +8,15 @@ from torch.func import jacfwd, jacrev, jvp, vmap
 
 from experiments.eigen_families import FAMILIES, Family
 from torchmbd.errors import InputError
-from torchmbd.numerics.sparse import Pattern, SparseMatrix
-from torchmbd.reduction import ModalBasis, constraint_modes, craig_bampton, eigenpairs, modal_basis, spectral_function
+from torchmbd.fem.reduction import (
+    ModalBasis,
+    constraint_modes,
+    craig_bampton,
+    eigenpairs,
+    modal_basis,
+    spectral_function,
+)
+from torchmbd.math.sparse import Pattern, SparseMatrix
 
 MEETING = [f for f in FAMILIES if f.name != "free body"]
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from torchmbd.numerics.build_cache import entries
+from torchmbd.math.codegen.build_cache import entries
 from torchmbd.tracking import MlflowTracker, TrackingError
 from torchmbd.tracking.store import open_store, store_uri
 

@@ -17,7 +17,7 @@ import math
 import numpy as np
 import scipy.linalg
 
-from torchmbd.materials import Laminate
+from torchmbd.fem.materials import Laminate
 
 
 class Navier:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.elements.plate_cases import freedoms, frequencies, solved, stiffness
-from torchmbd.elements import PlateMatrices
-from torchmbd.materials import Laminate
-from torchmbd.mesh import Mesh, rectangle
+from tests.fem.elements.plate_cases import freedoms, frequencies, solved, stiffness
+from torchmbd.fem.elements import PlateMatrices
+from torchmbd.fem.materials import Laminate
+from torchmbd.fem.mesh import Mesh, rectangle
 
 
 def supports(mesh: Mesh, support: str) -> np.ndarray:

@@ -10,9 +10,9 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from torchmbd import sections
-from torchmbd.elements import Assembly, BeamLine, Beams, Plates
-from torchmbd.reduction import eigenpairs
+from torchmbd.fem import sections
+from torchmbd.fem.elements import Assembly, BeamLine, Beams, Plates
+from torchmbd.fem.reduction import eigenpairs
 
 PLY = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
 # Slender, for a beam neglects what varies over a width; thin, for the shear layers at the edges are below the mesh.

@@ -1,7 +1,7 @@
 """Frequencies of beams against closed forms: Timoshenko's simply supported beam, and the exact coupled cantilever.
 
 S. P. Timoshenko, On the correction for shear of the differential equation for transverse vibrations of prismatic bars,
-Philos. Mag. 41 (1921) 744-746. Coupled: roots of the end condition of the exact equations (tests/elements/beam_cases.py).
+Philos. Mag. 41 (1921) 744-746. Coupled: roots of the end condition of the exact equations (tests/fem/elements/beam_cases.py).
 The lumped mass converges at second order.
 """
 
@@ -14,9 +14,9 @@ import pytest
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
-from tests.elements.beam_cases import cantilever_residual, coupled_section
-from torchmbd.elements import Assembly, BeamLine, Beams, GivenSection
-from torchmbd.numerics.sparse import SparseMatrix
+from tests.fem.elements.beam_cases import cantilever_residual, coupled_section
+from torchmbd.fem.elements import Assembly, BeamLine, Beams, GivenSection
+from torchmbd.math.sparse import SparseMatrix
 
 E, NU, RHO, B, H, LENGTH = 70e9, 0.33, 2700.0, 0.03, 0.05, 0.4
 

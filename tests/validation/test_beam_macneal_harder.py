@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
-from torchmbd import sections
-from torchmbd.elements import Assembly, BeamLine, Beams
-from torchmbd.sections import Orthotropic
+from torchmbd.fem import sections
+from torchmbd.fem.elements import Assembly, BeamLine, Beams
+from torchmbd.fem.sections import Orthotropic
 
 
 def tip(beams: Beams, line: BeamLine, force: list[float]) -> torch.Tensor:

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import torch
 
-from tests.elements.plate_cases import freedoms, mapped, solved, stiffness
-from torchmbd.elements import PlateMatrices
-from torchmbd.materials import Laminate, Ply
-from torchmbd.mesh import Mesh
+from tests.fem.elements.plate_cases import freedoms, mapped, solved, stiffness
+from torchmbd.fem.elements import PlateMatrices
+from torchmbd.fem.materials import Laminate, Ply
+from torchmbd.fem.mesh import Mesh
 
 
 def tip(n):

@@ -11,11 +11,11 @@ import math
 import numpy as np
 import pytest
 
-from tests.elements.plate_cases import CARBON, freedoms, irregular, mapped, rotation, solved, stiffness, turned
+from tests.fem.elements.plate_cases import CARBON, freedoms, irregular, mapped, rotation, solved, stiffness, turned
 from tests.validation.test_macneal_harder_plates import V, W, tip_displacement, twisted
-from torchmbd.elements import PlateMatrices
-from torchmbd.materials import Laminate, Ply
-from torchmbd.numerics.angles import deg
+from torchmbd.fem.elements import PlateMatrices
+from torchmbd.fem.materials import Laminate, Ply
+from torchmbd.math.angles import deg
 
 
 def deflection(mesh, laminate, direction, held, loads, wanted):

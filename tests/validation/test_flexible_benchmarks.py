@@ -20,8 +20,8 @@ from torch import Tensor
 
 import torchmbd as mbd
 from tests.validation.nonlinear_beam import Law, NonlinearBeam
-from torchmbd.elements import BeamLine, GivenSection
-from torchmbd.integrators import Trajectory
+from torchmbd.fem.elements import BeamLine, GivenSection
+from torchmbd.integrate import Trajectory
 
 NU = 0.3
 GROUND = mbd.Ground()

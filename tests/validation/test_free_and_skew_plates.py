@@ -12,7 +12,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.elements.plate_cases import (
+from tests.fem.elements.plate_cases import (
     boundary,
     freedoms,
     frequencies,
@@ -23,8 +23,8 @@ from tests.elements.plate_cases import (
     stiffness,
     turned,
 )
-from torchmbd.elements import PlateMatrices
-from torchmbd.materials import Laminate, Ply
+from torchmbd.fem.elements import PlateMatrices
+from torchmbd.fem.materials import Laminate, Ply
 
 
 def test_free_square_plate_out_of_plane():

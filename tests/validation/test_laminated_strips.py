@@ -7,8 +7,8 @@ times as fine where they slant, since corners of a clamped end have no simple so
 import pytest
 
 from experiments.shell_problems import cantilever
-from torchmbd.materials import Laminate, Ply
-from torchmbd.numerics.angles import deg
+from torchmbd.fem.materials import Laminate, Ply
+from torchmbd.math.angles import deg
 
 CARBON = Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
 LONG, WIDE, THICK = 3.0, 0.5, 0.01

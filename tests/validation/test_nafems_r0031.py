@@ -16,13 +16,13 @@ import numpy as np
 import pytest
 import torch
 
-from tests.elements.plate_cases import centers, freedoms, mapped, solved, stiffness
+from tests.fem.elements.plate_cases import centers, freedoms, mapped, solved, stiffness
 from tests.validation.navier import Navier
 from tests.validation.simply_supported import supports
-from torchmbd.elements import PlateMatrices, ply_basis, ply_points
-from torchmbd.materials import Laminate, Ply, ply_maps
-from torchmbd.mesh import Mesh, rectangle
-from torchmbd.numerics.angles import deg
+from torchmbd.fem.elements import PlateMatrices, ply_basis, ply_points
+from torchmbd.fem.materials import Laminate, Ply, ply_maps
+from torchmbd.fem.mesh import Mesh, rectangle
+from torchmbd.math.angles import deg
 
 PLY = Ply(E1=100e9, E2=5e9, G12=3e9, G13=3e9, G23=2e9, nu12=0.4, density=1.0)
 LAMINATE = Laminate(PLY, deg([0, 90, 0, 90, 0, 90, 0]), [1e-4] * 3 + [4e-4] + [1e-4] * 3)

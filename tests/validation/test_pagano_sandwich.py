@@ -8,8 +8,8 @@ import pytest
 
 from tests.validation.navier import Navier
 from tests.validation.simply_supported import center_deflection
-from torchmbd.materials import Laminate, Ply
-from torchmbd.numerics.angles import deg
+from torchmbd.fem.materials import Laminate, Ply
+from torchmbd.math.angles import deg
 
 FACE = Ply(E1=25.0, E2=1.0, G12=0.5, G13=0.5, G23=0.2, nu12=0.25, density=1.0)
 CORE = Ply(E1=0.04, E2=0.04, G12=0.016, G13=0.06, G23=0.06, nu12=0.25, density=0.1)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import torch
 
-from tests.elements.plate_cases import centers, solved, stiffness
+from tests.fem.elements.plate_cases import centers, solved, stiffness
 from tests.validation.navier import Navier
 from tests.validation.simply_supported import supports
-from torchmbd.elements import PlateMatrices, ply_basis, ply_points
-from torchmbd.materials import Laminate, Ply, ply_maps
-from torchmbd.mesh import rectangle
-from torchmbd.numerics.angles import deg
+from torchmbd.fem.elements import PlateMatrices, ply_basis, ply_points
+from torchmbd.fem.materials import Laminate, Ply, ply_maps
+from torchmbd.fem.mesh import rectangle
+from torchmbd.math.angles import deg
 
 PAGANO = Ply(E1=25.0, E2=1.0, G12=0.5, G13=0.5, G23=0.2, nu12=0.25, density=1.0)
 #: a/h, sig_xx at the top face, sig_yy at the upper interface to the 0 degree layer (both at the center), tau_xy at a corner

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from tests.elements.plate_cases import CARBON
+from tests.fem.elements.plate_cases import CARBON
 
 
 def first_in_plane(cells, radius):

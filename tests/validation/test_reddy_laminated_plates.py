@@ -12,8 +12,8 @@ import pytest
 
 from tests.validation.navier import Navier
 from tests.validation.simply_supported import center_deflection, plate_frequencies
-from torchmbd.materials import Laminate, Ply
-from torchmbd.numerics.angles import deg
+from torchmbd.fem.materials import Laminate, Ply
+from torchmbd.math.angles import deg
 
 PAGANO = Ply(E1=25.0, E2=1.0, G12=0.5, G13=0.5, G23=0.2, nu12=0.25, density=1.0)
 

@@ -16,11 +16,11 @@ import pytest
 import torch
 from torch.func import functional_call, jvp
 
-from tests.elements.plate_cases import CARBON, freedoms, frequencies
-from torchmbd.elements import PlateMatrices
-from torchmbd.materials import Laminate
-from torchmbd.mesh import rectangle
-from torchmbd.numerics.angles import deg
+from tests.fem.elements.plate_cases import CARBON, freedoms, frequencies
+from torchmbd.fem.elements import PlateMatrices
+from torchmbd.fem.materials import Laminate
+from torchmbd.fem.mesh import rectangle
+from torchmbd.math.angles import deg
 
 LENGTH, WIDTH, HEIGHT = 0.304, 0.04, 0.0075
 

@@ -12,8 +12,8 @@ import pytest
 
 import torchmbd as mbd
 from experiments.slider_crank import CARBON, DEPTH, ROD, THICKNESS, build
-from tests.elements.plate_cases import freedoms, solved, stiffness
-from torchmbd.elements import PlateMatrices
+from tests.fem.elements.plate_cases import freedoms, solved, stiffness
+from torchmbd.fem.elements import PlateMatrices
 
 SERIES = sum(math.tanh(n * math.pi * DEPTH / (2 * THICKNESS)) / n**5 for n in range(1, 60, 2))
 J = DEPTH * THICKNESS**3 / 3 * (1 - 192 * THICKNESS / (math.pi**5 * DEPTH) * SERIES)

@@ -16,8 +16,8 @@ from scipy.sparse import coo_array, eye_array
 from scipy.sparse.linalg import spsolve
 
 import torchmbd as mbd
-from torchmbd import sections
-from torchmbd.sections import Orthotropic
+from torchmbd.fem import sections
+from torchmbd.fem.sections import Orthotropic
 
 STEEL = Orthotropic.isotropic(E=210e9, nu=0.3, density=7850.0)
 G = 210e9 / 2.6

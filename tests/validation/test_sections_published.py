@@ -15,9 +15,9 @@ import pytest
 import torch
 
 import torchmbd as mbd
-from tests.sections import section_cases as cases
-from torchmbd import sections
-from torchmbd.sections import Orthotropic
+from tests.fem.sections import section_cases as cases
+from torchmbd.fem import sections
+from torchmbd.fem.sections import Orthotropic
 
 
 def matrix(section: sections.Section) -> torch.Tensor:

@@ -13,7 +13,7 @@ import pytest
 
 import torchmbd as mbd
 from experiments.slider_crank import DURATION, build
-from torchmbd.integrators import Trajectory
+from torchmbd.integrate import Trajectory
 
 # lay-up [deg]: max U [J], integral of U [J s]
 REFERENCE = {

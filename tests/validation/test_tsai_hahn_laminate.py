@@ -5,8 +5,8 @@ Source: S. W. Tsai and H. T. Hahn, Introduction to Composite Materials (1980), t
 
 import pytest
 
-from torchmbd.materials import IsotropicMean, Laminate, Ply
-from torchmbd.numerics.angles import deg
+from torchmbd.fem.materials import IsotropicMean, Laminate, Ply
+from torchmbd.math.angles import deg
 
 T300 = Ply(E1=181e9, E2=10.3e9, G12=7.17e9, G13=7.17e9, G23=7.17e9, nu12=0.28, density=1600.0)
 

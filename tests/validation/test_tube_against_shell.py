@@ -13,9 +13,9 @@ import scipy.sparse.linalg
 import torch
 
 import torchmbd as mbd
-from tests.elements.plate_cases import freedoms, stiffness
-from torchmbd.elements import PlateMatrices
-from torchmbd.mesh import Mesh, cut_quads
+from tests.fem.elements.plate_cases import freedoms, stiffness
+from torchmbd.fem.elements import PlateMatrices
+from torchmbd.fem.mesh import Mesh, cut_quads
 
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
 RADIUS, LENGTH, AROUND, ALONG, PLY = 0.1, 1.5, 40, 60, 1e-3

@@ -11,10 +11,10 @@ import math
 import numpy as np
 import pytest
 
-from tests.elements.plate_cases import freedoms, solved, stiffness
-from torchmbd.elements import PlateMatrices
-from torchmbd.materials import Laminate, Ply
-from torchmbd.mesh import rectangle
+from tests.fem.elements.plate_cases import freedoms, solved, stiffness
+from torchmbd.fem.elements import PlateMatrices
+from torchmbd.fem.materials import Laminate, Ply
+from torchmbd.fem.mesh import rectangle
 
 LENGTH, B, H, E, NU = 2.0, 0.2, 0.1, 1e7, 0.25
 S = B / H * math.sqrt(2.5)

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 import torch
 
-from torchmbd.bodies import FlexibleBody, Ground, RigidBody
 from torchmbd.errors import InputError
-from torchmbd.integrators import simulate
-from torchmbd.joints import Drive, Prismatic, Revolute, Spherical, Universal
-from torchmbd.materials import Laminate, Ply
-from torchmbd.mesh import rectangle
-from torchmbd.numerics.angles import deg
-from torchmbd.system import System
+from torchmbd.fem.materials import Laminate, Ply
+from torchmbd.fem.mesh import rectangle
+from torchmbd.integrate import simulate
+from torchmbd.math.angles import deg
+from torchmbd.multibody.bodies import FlexibleBody, Ground, RigidBody
+from torchmbd.multibody.joints import Drive, Prismatic, Revolute, Spherical, Universal
+from torchmbd.multibody.system import System
 from torchmbd.viz import animate
 from torchmbd.viz.animation import scene_of
 from torchmbd.viz.film import positions

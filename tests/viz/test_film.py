@@ -8,9 +8,9 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 import torchmbd as mbd
-from tests.elements.beam_cases import coupled_section
-from torchmbd.elements import BeamLine
+from tests.fem.elements.beam_cases import coupled_section
 from torchmbd.errors import InputError
+from torchmbd.fem.elements import BeamLine
 from torchmbd.viz import animate, film
 from torchmbd.viz.animation import scene_of
 from torchmbd.viz.film import positions

@@ -1,6 +1,7 @@
 """Design: responses with gradients, the design space, the optimization problem."""
 
 from torchmbd.design.angle import Angle
+from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.functions import history, measure
 from torchmbd.design.histories import (
     Acceleration,
@@ -29,7 +30,6 @@ from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.problem import Problem
 from torchmbd.design.response import Constraint, History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
-from torchmbd.design.rows import AtPeaks, AtTimes
 from torchmbd.design.space import DesignSpace
 from torchmbd.design.tradeoff import Tradeoff
 from torchmbd.design.weighted import WeightedSum

@@ -20,8 +20,8 @@ from torch import Tensor
 from torchmbd.design.histories import GROUND, Direction, direction
 from torchmbd.design.response import History
 from torchmbd.errors import InputError
-from torchmbd.integrators import Trajectory
-from torchmbd.system import System
+from torchmbd.integrate import Trajectory
+from torchmbd.multibody.system import System
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.optimizers import Evaluation
-from torchmbd.optimizers.optimizer import as_numbers
+from torchmbd.optimization import Evaluation
+from torchmbd.optimization.optimizer import as_numbers
 
 SCHEMES = ("central", "forward")
 

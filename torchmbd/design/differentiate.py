@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrators import Trajectory
-from torchmbd.numerics.called import exclusive
+from torchmbd.integrate import Trajectory
+from torchmbd.math.module_call import exclusive
 
 ROWS = 16  # whose cotangents of a whole motion are in memory at a time
 

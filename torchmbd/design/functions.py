@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchmbd.design.response import History, Measure
 from torchmbd.errors import InputError
-from torchmbd.integrators import Trajectory
+from torchmbd.integrate import Trajectory
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def history(function: Callable[[Any], Tensor]) -> History:
 
     function  motion -> [lanes, times], any unit, written with torch operations: the gradient is that of these, and of what
               has left torch (detach, numpy, float) there is none
-    Of several lanes, or of none; what it looks at is told in torchmbd/integrators/trajectory.py. InputError where it returns
+    Of several lanes, or of none; what it looks at is told in torchmbd/results/trajectory.py. InputError where it returns
     another shape, when it is called.
     """
     return FunctionHistory(function)

@@ -26,9 +26,9 @@ from torch import Tensor
 
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown
-from torchmbd.integrators import Trajectory
-from torchmbd.integrators.reaction import frame_point, joint_named, reaction_on
-from torchmbd.system import System
+from torchmbd.integrate import Trajectory
+from torchmbd.multibody.system import System
+from torchmbd.results.reaction import frame_point, joint_named, reaction_on
 
 GROUND = "ground"
 Direction = str | Sequence[float]

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from torchmbd.errors import InputError
-from torchmbd.numerics.owned import real
+from torchmbd.math.owned import real
 
 DIRECTIONS = (0.0, 90.0, 45.0, -45.0)
 

@@ -28,10 +28,10 @@ from torchmbd.design.histories import flexible
 from torchmbd.design.response import History, Measure
 from torchmbd.design.spline import Jump, Spline, Window, checked
 from torchmbd.errors import InputError
-from torchmbd.integrators import Moment, Switch, Trajectory
-from torchmbd.numerics.owned import scalar
-from torchmbd.reduction import eigenvalues
-from torchmbd.system import System
+from torchmbd.fem.reduction import eigenvalues
+from torchmbd.integrate import Moment, Switch, Trajectory
+from torchmbd.math.owned import scalar
+from torchmbd.multibody.system import System
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,9 @@
 
     Max(PlyFailure("rod")) <= 1         nothing fails during the motion
 
-Of a body of plates and laminated beams it is the larger of both. The criteria are those of materials/strength.py; plies
+Of a body of plates and laminated beams it is the larger of both. The criteria are those of fem/materials/strength.py; plies
 must have a Strength.
-Checked in tests/integrators/test_ply_history.py, tests/integrators/test_section_history.py.
+Checked in tests/results/test_ply_history.py, tests/results/test_section_history.py.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from torch import Tensor
 
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown
-from torchmbd.integrators import Trajectory
-from torchmbd.integrators.ply_history import PlyHistory, require_plies
-from torchmbd.integrators.section_history import SectionHistory, laminated
-from torchmbd.materials import CRITERIA
-from torchmbd.system import System
+from torchmbd.fem.materials import CRITERIA
+from torchmbd.integrate import Trajectory
+from torchmbd.multibody.system import System
+from torchmbd.results.ply_history import PlyHistory, require_plies
+from torchmbd.results.section_history import SectionHistory, laminated
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class PlyFailure(History):
     """Failure index of a laminated body [lanes, times] [-]: below one nothing fails.
 
     body       its name; plies with a Strength
-    criterion  "tsai_wu", "tsai_wu_irf" (grows in proportion to the load) or "max_stress" (materials/strength.py)
+    criterion  "tsai_wu", "tsai_wu_irf" (grows in proportion to the load) or "max_stress" (fem/materials/strength.py)
     """
 
     body: str

@@ -5,7 +5,7 @@
 
 Components are in the axes of the ply: 11 along the fibers, 22 across, 12, 13, 23 shear. Points run over the cells and the
 two faces of every layer, or of one `layer` (0 at the bottom). The derivative is that of the point where the value stands.
-Checked in tests/contracts/test_responses.py, tests/integrators/test_ply_history.py.
+Checked in tests/contracts/test_responses.py, tests/results/test_ply_history.py.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from torch import Tensor
 
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown
-from torchmbd.integrators import Trajectory
-from torchmbd.integrators.ply_history import PlyHistory, require_plies
-from torchmbd.materials import PLY_COMPONENTS
-from torchmbd.system import System
+from torchmbd.fem.materials import PLY_COMPONENTS
+from torchmbd.integrate import Trajectory
+from torchmbd.multibody.system import System
+from torchmbd.results.ply_history import PlyHistory, require_plies
 
 EXTREMES = ("highest", "lowest")
 

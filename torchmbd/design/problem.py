@@ -9,7 +9,7 @@ AtTimes) is the min-max problem (18), solved by an extra variable, the last of t
 
 with y_0 the largest row of the initial design. Max(...) as objective is the same problem directly.
 
-Arrays in, arrays out: optimizers know nothing of mechanics (torchmbd/optimizers/optimizer.py tells what they ask for).
+Arrays in, arrays out: optimizers know nothing of mechanics (torchmbd/optimization/optimizer.py tells what they ask for).
 A batch of designs is one simulation. A design that cannot be simulated is a failed evaluation with its reason; the others
 of the batch are not touched. What is said to be "initial" comes from one simulation of the initial design.
 """
@@ -28,19 +28,19 @@ from torchmbd.design.differentiate import differentiate
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
-from torchmbd.integrators import Phase, Trajectory, simulate
-from torchmbd.integrators.arguments import check, check_backend, check_gradients
-from torchmbd.integrators.attempts import FEWEST, default_steps
-from torchmbd.integrators.integrator import Integrator
-from torchmbd.integrators.memory import lanes_at_once, require_room
-from torchmbd.integrators.phases import plan
-from torchmbd.integrators.registry import DEFAULT
-from torchmbd.integrators.trajectory import OK
-from torchmbd.numerics.owned import real, several
-from torchmbd.optimizers import Evaluation
-from torchmbd.optimizers.optimizer import as_numbers
-from torchmbd.reduction import CutCluster
-from torchmbd.system import System
+from torchmbd.fem.reduction import CutCluster
+from torchmbd.integrate import Phase, Trajectory, simulate
+from torchmbd.integrate.arguments import check, check_backend, check_gradients
+from torchmbd.integrate.attempts import FEWEST, default_steps
+from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.memory import lanes_at_once, require_room
+from torchmbd.integrate.phases.phase import plan
+from torchmbd.integrate.registry import DEFAULT
+from torchmbd.math.owned import real, several
+from torchmbd.multibody.system import System
+from torchmbd.optimization import Evaluation
+from torchmbd.optimization.optimizer import as_numbers
+from torchmbd.results.trajectory import OK
 
 BOUND = "bound"  # name of the extra variable beta
 

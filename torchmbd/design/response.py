@@ -30,9 +30,9 @@ from torch import Tensor
 
 from torchmbd.design.differentiate import Valued, differentiate
 from torchmbd.errors import InputError
-from torchmbd.integrators import Trajectory
-from torchmbd.numerics.gradients import refuse_lost
-from torchmbd.system import System
+from torchmbd.integrate import Trajectory
+from torchmbd.math.gradients import refuse_lost
+from torchmbd.multibody.system import System
 
 
 class _Constant:

@@ -10,6 +10,7 @@ A new response is one small class (response.py) and one line here; the contract 
 from __future__ import annotations
 
 from torchmbd.design.angle import Angle
+from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -35,7 +36,6 @@ from torchmbd.design.measures import (
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.response import History, Measure
-from torchmbd.design.rows import AtPeaks, AtTimes
 
 RESPONSES: dict[str, type[History]] = {
     "strain_energy": StrainEnergy,

@@ -22,8 +22,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.numerics.plausible import check_parameter
-from torchmbd.system import System
+from torchmbd.math.plausible_units import check_parameter
+from torchmbd.multibody.system import System
 
 CONSTANT = "constant"  # key of a link's offset
 

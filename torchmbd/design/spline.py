@@ -8,7 +8,7 @@ five times per period by half a percent, the quintic by a ten thousandth.
 Peaks are located without derivative and evaluated with it: at a maximum the derivative by its time is zero, at an end
 the time does not move (envelope theorem), so value and gradient belong together. The gradient taken at the best sample
 is 2 % off at 500 samples.
-Where a motion passes from phase to phase (integrators/phases.py), a history may jump, at a time that moves with the
+Where a motion passes from phase to phase (integrate/phases/phase.py), a history may jump, at a time that moves with the
 design: a `Jump`. Integrals take both of its sides as further samples, so their derivatives hold what the moving jump adds.
 Checked in tests/design/test_spline.py.
 """

@@ -20,9 +20,9 @@ import numpy as np
 from torchmbd.design.problem import Problem, constraints_of
 from torchmbd.design.response import Constraint, Measure, all_measures
 from torchmbd.errors import InputError
-from torchmbd.integrators import Trajectory
-from torchmbd.optimizers import Criteria
-from torchmbd.system import System
+from torchmbd.integrate import Trajectory
+from torchmbd.multibody.system import System
+from torchmbd.optimization import Criteria
 
 
 class Tradeoff:

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from torchmbd.design.response import Measure, all_measures
 from torchmbd.errors import InputError
-from torchmbd.integrators import Trajectory
-from torchmbd.system import System
+from torchmbd.integrate import Trajectory
+from torchmbd.multibody.system import System
 
 
 @dataclass(frozen=True)

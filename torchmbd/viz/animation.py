@@ -26,7 +26,7 @@ import numpy as np
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.mesh import Mesh, cut_quads
+from torchmbd.fem.mesh import Mesh, cut_quads
 
 _VIEWER = Path(__file__).with_name("viewer.html")
 _NONE = np.empty(0, dtype=int)  # elements of a kind that a body has not

@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.integrators.ply_history import PlyHistory
+from torchmbd.results.ply_history import PlyHistory
 
 _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
 _LINE, _TRIANGLE, _QUAD = 3, 5, 9  # VTK's numbers of cells

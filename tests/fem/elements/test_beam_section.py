@@ -1,0 +1,77 @@
+"""Given sections, sections off the line, and what their doors refuse."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from tests.fem.sections.section_cases import ANBA, general_section
+from torchmbd.errors import InputError
+from torchmbd.fem.elements.beam_section import BeamSection, GivenSection, line_transform
+from torchmbd.fem.sections import Section, SectionMesh
+
+
+def test_both_kinds_keep_the_contract():
+    made = general_section()
+    given = GivenSection(made.stiffness().detach(), made.mass())
+    assert isinstance(made, BeamSection)
+    assert isinstance(given, BeamSection)
+    assert_close(given.stiffness().detach(), made.stiffness().detach(), rtol=1e-9, atol=1e-6)
+    assert not given.matrix.requires_grad
+
+
+def test_isotropic_rectangle():
+    b, h, E, nu = 0.02, 0.03, 210e9, 0.3
+    made = GivenSection.isotropic(E, nu, 7850.0, b * h, b * h**3 / 12, h * b**3 / 12, 1.5e-8)
+    G = E / 2.6
+    wanted = [E * b * h, 5 / 6 * G * b * h, 5 / 6 * G * b * h, G * 1.5e-8, E * b * h**3 / 12, E * h * b**3 / 12]
+    assert made.stiffness().diagonal().tolist() == pytest.approx(wanted)
+    assert made.mass()[3, 3] == pytest.approx(float(made.mass()[4, 4] + made.mass()[5, 5]))
+
+
+def test_a_section_off_the_line_is_the_section_with_moved_nodes():
+    """Offset and twist by W against the analysis of the moved and turned section."""
+    made, offset, twist = general_section(), (0.02, -0.035), 0.6
+    c, s = math.cos(twist), math.sin(twist)
+    R = torch.tensor([[c, -s], [s, c]], dtype=torch.float64)
+    nodes = made.mesh.nodes @ R.T + torch.tensor(offset, dtype=torch.float64)
+    moved = Section(SectionMesh(nodes, made.mesh.elements, made.mesh.layer), ANBA, made.angles.detach())
+    W = line_transform(torch.tensor(offset, dtype=torch.float64), torch.tensor(twist, dtype=torch.float64))
+    for here, there in ((made.stiffness(), moved.stiffness()), (made.mass(), moved.mass())):
+        found, exact = (W @ here @ W.T).detach(), there.detach()
+        d = exact.diagonal().rsqrt()
+        assert float(((found - exact) * d[:, None] * d).abs().max()) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda K: K[:3, :3], ["shape (3, 3)", "6 x 6"]),
+        (lambda K: K * math.nan, ["finite"]),
+        (lambda K: K - torch.diag(torch.tensor([0, 0, 10.0, 0, 0, 0])), ["entry 3,3 is -7.0"]),
+        (lambda K: K + 0.1 * torch.triu(torch.ones(6, 6), 1), ["entries", "equal"]),
+        (lambda K: torch.full((6, 6), 2.0), ["not positive definite"]),
+        (lambda K: "steel", ["'steel'", "6 x 6"]),
+    ],
+)
+def test_bad_matrices_are_named(change, words):
+    K = torch.diag(torch.arange(1.0, 7.0, dtype=torch.float64))
+    with pytest.raises(InputError) as error:
+        GivenSection(change(K), K)
+    for word in ["stiffness of a section", *words]:
+        assert word in str(error.value)
+
+
+def test_bad_numbers_are_named():
+    with pytest.raises(InputError, match=r"J = 0.0; allowed"):
+        GivenSection.isotropic(1.0, 0.3, 1.0, 1.0, 1.0, 1.0, 0.0)
+    with pytest.raises(InputError, match=r"nu = 0.6; allowed"):
+        GivenSection.isotropic(1.0, 0.6, 1.0, 1.0, 1.0, 1.0, 1.0)
+    zero = torch.zeros(1, dtype=torch.float64)
+    with pytest.raises(InputError, match="offset is"):
+        line_transform(torch.full((1, 2), math.nan), zero)
+    with pytest.raises(InputError, match="twist is \\[90"):
+        line_transform(torch.zeros(1, 2), zero + 90.0)

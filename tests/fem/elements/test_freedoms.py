@@ -1,0 +1,67 @@
+"""Held nodes, rigid links and averages: the map T against rigid motions, and T' K T against dense products."""
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from tests.fem.elements.plate_cases import GENERAL, irregular, rotation, turned
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import Average, Freedoms, PlateMatrices, RigidLink
+
+MESH = turned(irregular(0.4, 0.3, (3, 2)), rotation(4))
+LINKS = (RigidLink(0, 5), RigidLink(1, 5), Average(7, (2, 3, 10, 11), (1.0, 2.0, 0.5, 1.0)))
+
+
+def dense(freedoms: Freedoms) -> torch.Tensor:
+    T = torch.zeros(6 * freedoms.nodes, len(freedoms.free), dtype=torch.float64)
+    T[freedoms.rows, freedoms.cols] = freedoms.factor
+    return T
+
+
+def rigid_motion(x: torch.Tensor) -> torch.Tensor:
+    """A general small rigid motion of all nodes [6 n]."""
+    u, phi = torch.tensor([0.3, -0.5, 0.2]), torch.tensor([0.7, 0.4, -0.6])
+    motion = torch.cat([u + torch.linalg.cross(phi.expand_as(x), x.to(phi.dtype)), phi.expand_as(x)], 1)
+    return motion.to(torch.float64).flatten()
+
+
+def test_rigid_motion_passes_through_links_and_averages():
+    """What follows a body that moves rigidly moves with it."""
+    freedoms = Freedoms(MESH.nodes, links=LINKS)
+    motion = rigid_motion(MESH.nodes)
+    found = freedoms.expand(motion[freedoms.free][:, None])
+    assert_close(found.flatten(), motion, rtol=1e-6, atol=1e-7)  # the motion itself is made in single precision
+    assert_close(dense(freedoms) @ motion[freedoms.free], found.flatten(), rtol=1e-12, atol=1e-12)
+    assert len(freedoms.free) == 6 * (len(MESH.nodes) - 3)
+
+
+@pytest.mark.parametrize(("held", "links"), [((4,), ()), ((4, 9), LINKS), ((5,), LINKS)])
+def test_reduced_values_are_those_of_the_product(held, links):
+    """Also where the leader of a link is held: what follows it stands still."""
+    freedoms = Freedoms(MESH.nodes, held, links)
+    plate = PlateMatrices(MESH, GENERAL)
+    values = plate.stiffness(GENERAL.entries().detach()).values
+    K, T = plate.stiffness(GENERAL.entries().detach()).dense(), dense(freedoms)
+    pattern, source, slot, factor = freedoms.reduced(plate.pattern)
+    small = torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, slot, values[source] * factor)
+    found = torch.zeros(pattern.size, pattern.size, dtype=torch.float64)
+    found[pattern.rows, pattern.cols] = small
+    assert_close(found, T.T @ K @ T, rtol=1e-10, atol=1e-12 * float(K.max()))
+    x = torch.randn(len(freedoms.free), 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    assert_close(freedoms.expand(x).flatten(0, 1), T @ x)
+
+
+@pytest.mark.parametrize(
+    ("held", "links", "words"),
+    [
+        ((), (RigidLink(0, 99),), ["99", "0 to 11"]),
+        ((), (RigidLink(0, 5), RigidLink(0, 6)), ["node 0", "2 links"]),
+        ((0,), (RigidLink(0, 5),), ["node 0 is held"]),
+        ((), (RigidLink(0, 5), RigidLink(5, 6)), ["node 5", "no chains"]),
+        ((), (Average(0, (1, 2), (1.0, 1.0)),), ["average at node 0", "one line"]),
+    ],
+)
+def test_what_cannot_be_is_refused(held, links, words):
+    with pytest.raises(InputError) as error:
+        Freedoms(MESH.nodes, held, links)
+    assert all(word in str(error.value) for word in words), str(error.value)

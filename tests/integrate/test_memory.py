@@ -1,0 +1,130 @@
+"""Memory that a motion takes: estimated as it is, refused where it is not there, and batches that fit."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.study.rod_model import build
+from torchmbd.errors import InputError
+from torchmbd.integrate import memory
+
+# A process of its own for each, as the peak never falls: lanes, steps, sensitivities, cells along the rod.
+CASES = [(256, 300, False, 4), (128, 300, True, 4), (48, 2, True, 60), (1, 20_000, False, 4)]
+PEAK = """
+import resource, sys, warnings
+import torch, torchmbd as mbd
+from tests.study.rod_model import build
+from torchmbd.integrate.memory import motion_bytes
+warnings.simplefilter("ignore")
+lanes, steps, slopes, cells = map(int, sys.argv[1:])
+peak = lambda: 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+def motion(system, lanes, steps):
+    angles = torch.linspace(0.1, 1.5, 2 * lanes, dtype=torch.float64).reshape(lanes, 2)
+    designs, way = {"rod.laminate.angles": angles}, "forward" if slopes else "none"
+    found = mbd.simulate(system, 1e-5 * steps, steps=steps, gradients=way, designs=designs)
+    return found.q, found.v, found.lam
+
+motion(build(cells=cells), 8, 60)
+before = peak()
+system = build(cells=cells)
+motion(system, lanes, steps)
+print((peak() - before) / motion_bytes(system, lanes, steps, 2 * slopes))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_the_estimate_is_what_a_motion_takes(case):
+    command = [sys.executable, "-c", PEAK, *(str(int(x)) for x in case)]
+    root = Path(__file__).parents[2]
+    found = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True).stdout
+    assert 0.4 <= float(found) <= 1.5
+
+
+def test_a_motion_of_a_thousand_million_steps_is_refused():
+    system = build()
+    for make in (
+        lambda: mbd.simulate(system, 0.01, steps=10**9),
+        lambda: mbd.simulate(system, 0.01, steps=10**9, phases=[mbd.Phase(until=0.005), mbd.Phase()]),
+        lambda: mbd.simulate(system, 0.01, steps=10**9, method="rk4"),
+        lambda: mbd.Problem(system, 0.01, mbd.Integral(mbd.StrainEnergy("rod")), steps=10**9),
+    ):
+        with pytest.raises(
+            InputError, match=r"steps is 1000000000: .* takes about .* TB .* are available; allowed: up to"
+        ):
+            make()
+
+
+def test_default_steps_that_do_not_fit_are_refused():
+    with pytest.raises(InputError, match=r"steps is \d{10,}: .* of memory"):
+        mbd.simulate(build(), 1e6)
+
+
+def test_what_is_said_to_fit_fits(monkeypatch):
+    monkeypatch.setattr(memory, "available", lambda: 1e9)
+    system = build()
+    with pytest.raises(InputError, match=r"about 1\.. GB of memory, 1 GB are available") as caught:
+        memory.require_room(system, 1, 500_000)
+    most = int(re.search(r"up to (\d+) states", str(caught.value))[1])  # pyright: ignore[reportOptionalSubscript]
+    memory.require_room(system, 1, most)
+    with pytest.raises(InputError):
+        memory.require_room(system, 1, int(1.2 * most))
+
+
+def test_lanes_that_do_not_fit_are_refused(monkeypatch):
+    monkeypatch.setattr(memory, "available", lambda: 1e9)
+    designs = {"rod.laminate.angles": torch.zeros(20_000, 2, dtype=torch.float64)}
+    with pytest.raises(InputError, match=r"designs have 20000 lanes, of 60 steps: .* allowed: up to \d+ lanes at once"):
+        mbd.simulate(build(), 0.01, steps=60, designs=designs)
+
+
+def test_a_body_that_does_not_fit_is_refused(monkeypatch):
+    monkeypatch.setattr(memory, "available", lambda: 1e5)
+    with pytest.raises(InputError, match=r"system is too large: one design takes about .* allowed: smaller meshes"):
+        mbd.simulate(build(), 0.01, steps=60)
+
+
+def test_a_problem_evaluates_any_number_of_designs_in_batches_that_fit(monkeypatch):
+    problem = mbd.Problem(build(), 0.002, mbd.Integral(mbd.StrainEnergy("rod")), steps=24, gradients="forward")
+    X = np.linspace(-1.0, 1.0, 22).reshape(11, 2)
+    expected = problem.evaluate(X, True)
+    one = memory.lane_bytes(problem.system, 24, 2)
+    monkeypatch.setattr(memory, "installed", lambda: 4.0 * (3.5 * one + 25 * 3000))
+    sizes = []
+    simulate = problem.simulate
+    monkeypatch.setattr(problem, "simulate", lambda X, gradients: sizes.append(len(X)) or simulate(X, gradients))
+    found = problem.evaluate(X, True)
+    assert sizes == [3, 3, 3, 2]
+    for a, b in zip(found, expected, strict=True):
+        assert a.objective == pytest.approx(b.objective, rel=1e-9)
+        np.testing.assert_allclose(a.objective_gradient, b.objective_gradient, rtol=1e-6)
+
+
+def test_twenty_thousand_starts_are_never_one_batch(monkeypatch):
+    problem = mbd.Problem(build(), 0.002, mbd.Integral(mbd.StrainEnergy("rod")), bounds=(-1.5, 1.5), steps=8)
+    sizes = []
+
+    def evaluate(X, gradients):
+        sizes.append(len(X))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(problem, "evaluate", evaluate)
+    assert mbd.multistart(problem, starts=mbd.sobol(20_000, seed=1)).interrupted
+    assert sizes == [64]
+
+
+def test_available_memory_is_that_of_this_machine():
+    import psutil
+
+    total = psutil.virtual_memory().total
+    assert memory.installed() <= 1.01 * total
+    assert 0.2 * psutil.virtual_memory().available <= memory.available() <= memory.installed()

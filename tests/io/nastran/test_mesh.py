@@ -1,0 +1,52 @@
+"""From cards to a mesh: nodes in the order of the file, zones by property, directions of the material, names."""
+
+import math
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+from torchmbd.errors import InputError
+from torchmbd.io.nastran.cards import parse_cards
+from torchmbd.io.nastran.data import BulkData
+from torchmbd.io.nastran.mesh import bulk_mesh
+
+GRIDS = "GRID,10,,0.,0.,0.\nGRID,20,,0.,2.,0.\nGRID,30,,0.,2.,2.\nGRID,40,,0.,0.,2.\nGRID,50,,0.,4.,0."
+ELEMENTS = "PSHELL,1,1,.1\nPSHELL,2,1,.1\nCQUAD4,1,2,10,20,30,40,30.\nCTRIA3,2,1,20,50,30,3"
+SYSTEM = "CORD2R,3,0,0.,0.,0.,1.,0.,0.\n,0.,0.,1."
+
+
+def made(text, **given):
+    lines = [(f"line {k}", line) for k, line in enumerate(text.splitlines(), start=1)]
+    return bulk_mesh(BulkData.of(parse_cards(lines)), **given)
+
+
+def test_nodes_zones_directions_and_names():
+    text = f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\nSPC1,5,123456,10,40\nCONM2,9,50,0,1.\nRBE2,8,50,123456,20"
+    found = made(text, length=0.1)
+    mesh = found.mesh
+    assert_close(mesh.nodes[found.index[30]], torch.tensor([0.0, 0.2, 0.2], dtype=torch.float64))
+    assert {number: len(own) for number, own in found.zones.items()} == {1: 1, 2: 1}
+    assert (len(mesh.triangles), len(mesh.quads)) == (1, 1)
+    assert mesh.cell_name(1) == "CQUAD4 1 (line 8)"
+    assert mesh.node_set("spc_5") == (found.index[10], found.index[40])
+    assert mesh.node("conm2_9") == mesh.node("rbe2_8") == mesh.node("grid_50") == found.index[50]
+    assert mesh.lines.tolist() == [[found.index[50], found.index[20]]]
+    # The quadrilateral lies in the y-z plane, normal +x: 30 degrees from its first side (y) towards z.
+    expected = torch.tensor([0.0, math.cos(math.pi / 6), math.sin(math.pi / 6)], dtype=torch.float64)
+    for k in found.zones[2]:
+        assert_close(found.direction[k] / found.direction[k].norm(), expected)
+    assert_close(found.direction[found.zones[1][0]], torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    assert_close(mesh.normals[:, 0], torch.ones(2, dtype=torch.float64))
+
+
+def test_messages_name_cards():
+    with pytest.raises(InputError, match=r"1 orphan grids belong to no element: GRID 60 \(line 6\)"):
+        made(f"{GRIDS}\nGRID,60,,9.,9.,9.\n{ELEMENTS}\n{SYSTEM}")
+    with pytest.raises(InputError, match=r"CTRIA3 2 \(line 9\) and CTRIA3 7 \(line 12\) are duplicates"):
+        made(f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\nCTRIA3,7,1,20,50,30,3")
+    more = "\n".join(f"GRID,{k},,{k}.,{k % 3}.,{k % 2}." for k in (70, 71, 73))
+    with pytest.raises(InputError, match=r"2 disconnected parts \(GRID 70 \(line 12\) is not connected"):
+        made(f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\n{more}\nCTRIA3,7,1,70,71,73,0.")
+    with pytest.raises(InputError, match="no elements that can be read"):
+        made("MAT1,1,1.,,.3,1.")

@@ -1,0 +1,100 @@
+"""Meshes through meshio: zones, node sets, unused points, scale, in three formats; and what is refused."""
+
+import meshio
+import numpy as np
+import pytest
+import torch
+
+from torchmbd.errors import InputError
+from torchmbd.io import mesh_file
+from torchmbd.io.mesh_file import read_mesh
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [2, 1, 0], [1, 1, 0], [0, 1, 0], [9, 9, 9]], dtype=float)
+QUADS, TRIANGLES = np.array([[0, 1, 4, 5]]), np.array([[1, 2, 3], [1, 3, 4]])
+
+
+def written(tmp_path, name, **given):
+    file = tmp_path / name
+    meshio.Mesh(POINTS, [("quad", QUADS), ("triangle", TRIANGLES)], **given).write(file)
+    return file
+
+
+@pytest.mark.parametrize("name", ["plate.vtk", "plate.vtu", "plate.inp"])
+def test_geometry_in_every_format(tmp_path, name):
+    """Point 6 belongs to no element and is left out; millimeters become meters."""
+    mesh, zones = read_mesh(written(tmp_path, name), scale=1e-3)
+    assert len(mesh.nodes) == 6
+    assert (len(mesh.triangles), len(mesh.quads)) == (2, 1)
+    assert float(mesh.areas.sum()) == pytest.approx(2e-6)
+    assert zones == {}
+
+
+ABAQUS = """\
+*NODE
+1, 0., 0., 0.
+2, 1., 0., 0.
+3, 2., 0., 0.
+4, 2., 1., 0.
+5, 1., 1., 0.
+6, 0., 1., 0.
+*ELEMENT, TYPE=S4R, ELSET=web
+10, 1, 2, 5, 6
+*ELEMENT, TYPE=S3, ELSET=flange
+20, 2, 3, 4
+21, 2, 4, 5
+*ELSET, ELSET=skin
+10, 20
+*ELSET, ELSET=both
+web, flange
+*NSET, NSET=tip
+3, 4
+"""
+
+
+def test_sets_of_abaqus(tmp_path):
+    """Sets of elements are zones (a set of sets is not read); triangles are counted first."""
+    file = tmp_path / "plate.inp"
+    file.write_text(ABAQUS)
+    mesh, zones = read_mesh(file)
+    assert mesh.node_set("tip") == (2, 3)
+    assert {name: len(own) for name, own in zones.items()} == {"web": 1, "flange": 2, "skin": 2}
+    assert float(mesh.areas[zones["skin"]].sum()) == pytest.approx(1.5)
+
+
+def test_physical_groups_of_gmsh(tmp_path):
+    """Named surfaces are zones; a named point and a named curve are node sets."""
+    cells = [("vertex", np.array([[3]])), ("line", np.array([[0, 5]])), ("quad", QUADS), ("triangle", TRIANGLES)]
+    tags = [np.array([4]), np.array([3]), np.array([1]), np.array([2, 2])]
+    fields = {"web": np.array([1, 2]), "flange": np.array([2, 2]), "root": np.array([3, 1]), "bolt": np.array([4, 0])}
+    data = {"gmsh:physical": tags, "gmsh:geometrical": tags}
+    file = tmp_path / "plate.msh"
+    meshio.write(file, meshio.Mesh(POINTS[:6], cells, cell_data=data, field_data=fields), file_format="gmsh22")
+    mesh, zones = read_mesh(file)
+    assert {name: len(own) for name, own in zones.items()} == {"web": 1, "flange": 2}
+    assert mesh.node("bolt") == 3
+    assert mesh.node_set("root") == (0, 5)
+    assert zones["web"].tolist() == [2]
+    assert float(mesh.nodes[mesh.quads[0]][..., 0].max()) == 1.0
+
+
+def test_what_cannot_be_read_is_refused(tmp_path):
+    with pytest.raises(InputError, match="allowed: a mesh file that exists"):
+        read_mesh(tmp_path / "none.msh")
+    with pytest.raises(InputError, match=r"scale is 0.0"):
+        read_mesh(written(tmp_path, "plate.vtk"), scale=0.0)
+    solid = meshio.Mesh(POINTS, [("triangle6", np.arange(6)[None])])
+    with pytest.raises(InputError, match=r"elements 'triangle6'; allowed: triangle, quad"):
+        mesh_file.mesh_of(solid)
+    with pytest.raises(InputError, match="no triangles"):
+        mesh_file.mesh_of(meshio.Mesh(POINTS, [("line", np.array([[0, 1]]))]))
+    (tmp_path / "bad.vtu").write_text("<VTKFile")
+    with pytest.raises(InputError, match=r"bad\.vtu: meshio cannot read it"):
+        read_mesh(tmp_path / "bad.vtu")
+    (tmp_path / "bad.xyz").write_text("nothing")
+    with pytest.raises(InputError, match=r"bad\.xyz: meshio cannot read it"):
+        read_mesh(tmp_path / "bad.xyz")
+
+
+def test_a_flat_mesh_of_two_coordinates():
+    mesh, _ = mesh_file.mesh_of(meshio.Mesh(POINTS[:6, :2], [("triangle", TRIANGLES)]))
+    assert torch.equal(mesh.nodes[:, 2], torch.zeros(len(mesh.nodes), dtype=torch.float64))

@@ -1,0 +1,46 @@
+"""The walk through what a law holds: where it ends, and what it finds; the rest is in tests/sensitivity."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from torch import nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.gradients import constants, differentiated, refuse_gradients, refuse_lost
+
+K = nn.Parameter(torch.ones((), dtype=torch.float64))
+
+
+def test_the_walk_ends_where_things_hold_each_other():
+    held: list[Any] = [K.detach()]
+    held.append(held)
+    refuse_lost("law of 'x'", held, "none")
+    held.append({"k": K})
+    with pytest.raises(InputError, match=r"law of 'x' has design variables \(\[2\] \['k'\]\)"):
+        refuse_lost("law of 'x'", held, "none")
+
+    @constants
+    def f(x: Any, y: Any = None) -> Any:
+        return y
+
+    assert f(1, y=K.detach()) is not None
+    with pytest.raises(InputError, match=r"y of .*f carries a gradient"):
+        f(1, {"a": [K]})
+
+
+def test_what_torch_func_differentiates_is_seen_and_constants_made_inside_are_not():
+    def f(x: torch.Tensor) -> torch.Tensor:
+        one = torch.ones(2, dtype=torch.float64)
+        assert (differentiated(x), differentiated(2.0 * x), differentiated(one)) == (True, True, False)
+        refuse_gradients("one", [one])
+        with pytest.raises(InputError, match="x carries a gradient"):
+            refuse_gradients("x", {"a": (x,)})
+        return x.sum()
+
+    x = torch.ones(2, dtype=torch.float64)
+    for transform in (torch.func.grad, torch.func.jacfwd, torch.func.jacrev):
+        transform(f)(x)
+    torch.func.jvp(f, (x,), (x,))

@@ -1,0 +1,48 @@
+"""A linear map and its derivatives, beside the same product written with matrices."""
+
+import torch
+from torch.autograd import gradcheck, gradgradcheck
+from torch.func import jacfwd, jacrev, jvp, vmap
+from torch.testing import assert_close
+
+from torchmbd.math.linear_map import mapped
+
+GENERATOR = torch.Generator().manual_seed(3)
+P, Q, X, Y = (
+    torch.randn(*shape, generator=GENERATOR, dtype=torch.float64) for shape in ((4, 3), (5, 3), (2, 4), (2, 5))
+)
+
+
+class Sum:
+    """x P + y Q."""
+
+    def __call__(self, *x):
+        return x[0] @ P + x[1] @ Q
+
+    def adjoint(self, y):
+        return y @ P.T, y @ Q.T
+
+
+def cubes(x, y):
+    return mapped(Sum(), x**3, (x.sum() * y) ** 2)
+
+
+def plain(x, y):
+    return x**3 @ P + (x.sum() * y) ** 2 @ Q
+
+
+def test_all_modes_of_derivatives():
+    for way in (jacfwd, jacrev):
+        for own, other in zip(way(cubes, (0, 1))(X, Y), way(plain, (0, 1))(X, Y), strict=True):
+            assert_close(own, other)
+    assert_close(jacfwd(jacrev(cubes))(X, Y), jacfwd(jacrev(plain))(X, Y))
+    inputs = [t.clone().requires_grad_() for t in (X, Y)]
+    assert gradcheck(cubes, inputs, check_forward_ad=True)
+    assert gradgradcheck(cubes, inputs)
+
+
+def test_lanes_of_lanes_where_only_one_of_the_two_has_them():
+    several = torch.stack([X, 2 * X, -X])
+    assert_close(vmap(lambda x: cubes(x, Y))(several), torch.stack([plain(x, Y) for x in several]))
+    pushed = vmap(lambda t: jvp(lambda x: cubes(x, Y), (X,), (t,))[1])(several)
+    assert_close(pushed, torch.stack([jvp(lambda x: plain(x, Y), (X,), (t,))[1] for t in several]))

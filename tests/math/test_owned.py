@@ -1,0 +1,47 @@
+"""Arrays of a user become one's own, or are refused by name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from torchmbd.errors import InputError
+from torchmbd.math.owned import indices, positive, reals, scalar
+
+
+@pytest.mark.parametrize("given", [[1, 2], (1.0, 2.0), np.array([1, 2]), torch.tensor([1.0, 2.0]), range(1, 3)])
+def test_kinds(given):
+    for read, dtype in ((reals, torch.float64), (indices, torch.int64)):
+        assert read("x", given).dtype is dtype
+        assert read("x", given).tolist() == [1, 2]
+
+
+def test_a_later_change_of_the_argument_changes_nothing():
+    for given in (np.array([1.0, 2.0]), torch.tensor([1.0, 2.0], dtype=torch.float64)):
+        own = reals("x", given)
+        given[0] = 5.0
+        assert own.tolist() == [1.0, 2.0]
+
+
+def test_what_is_none_is_named():
+    with pytest.raises(InputError, match="x is 'steel'; allowed: numbers"):
+        reals("x", "steel")
+    with pytest.raises(InputError, match=r"x is \[\[1, 2\], \[3\]\]; allowed: whole numbers"):
+        indices("x", [[1, 2], [3]])
+    with pytest.raises(InputError, match=r"x holds 1\.5; allowed: whole numbers"):
+        indices("x", [1.0, 1.5])
+    with pytest.raises(InputError, match=r"x is .*1j.*; allowed: numbers, real ones"):
+        reals("x", [1j])
+    with pytest.raises(InputError, match="x holds nan"):
+        indices("x", [1.0, float("nan")])
+
+
+def test_numbers_that_are_none_are_named():
+    for given in (None, "1", True, [1.0], 1j, float("nan"), torch.ones(2)):
+        with pytest.raises(InputError, match=r"mass of 'rod' is .* kg; allowed: a positive and finite number"):
+            positive("mass of 'rod'", given, "kg")
+    for read in (lambda x: positive("mass", x, "kg"), lambda x: reals("mass", [0.0, x]), lambda x: indices("mass", x)):
+        with pytest.raises(InputError, match="mass carries a gradient"):
+            read(torch.ones((), requires_grad=True))
+    assert (positive("x", torch.tensor(2.0), "m"), scalar("x", -3)) == (2.0, -3.0)

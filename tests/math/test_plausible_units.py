@@ -1,0 +1,160 @@
+"""Degrees are refused and units doubted wherever numbers enter; what some structure has passes without a word."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.mechanisms import CARBON, pendulum
+from torchmbd.fem.materials import Strength
+from torchmbd.fem.sections import Orthotropic
+
+ANGLES, THICKNESS = "rod.laminate.angles", "rod.laminate.thickness"
+ALUMINUM = {"E": 70e9, "nu": 0.33, "density": 2700.0}
+
+
+def degrees(*x: float) -> torch.Tensor:
+    return torch.tensor([x], dtype=torch.float64)
+
+
+def problem(**given):
+    return mbd.Problem(pendulum(), 0.001, mbd.Max(mbd.StrainEnergy("rod")), steps=2, **given)
+
+
+def own_angles(x: float) -> mbd.System:
+    system = pendulum()
+    with torch.no_grad():
+        system.get_parameter(ANGLES).fill_(x)
+    return system
+
+
+REFUSED = {
+    "designs": lambda: mbd.simulate(pendulum(), 0.001, steps=2, designs={ANGLES: degrees(45.0, -45.0)}),
+    "second entry": lambda: mbd.simulate(pendulum(), 0.001, steps=2, designs={ANGLES: degrees(0.3, -45.0)}),
+    "parameter itself": lambda: mbd.simulate(own_angles(45.0), 0.001, steps=2),
+    "bounds": lambda: problem(bounds=(-90.0, 90.0)),
+    "one bound": lambda: problem(bounds=([-1.5, -1.5], [1.5, 90.0])),
+    "bounds by name": lambda: problem(bounds={ANGLES: (-1.5, 90.0)}),
+    "bound beside none": lambda: problem(bounds=(-1.5, [math.inf, 90.0])),
+    "start": lambda: problem(start=[45.0, -45.0]),
+    "a design of the problem": lambda: problem().simulate(np.array([[45.0, -45.0]])),
+    "laminate": lambda: mbd.Laminate(mbd.Ply(**CARBON), angles=[45.0], thickness=1e-3),
+    "section": lambda: mbd.sections.tube(0.02, mbd.Ply(**CARBON), [45.0], 1e-3),
+}
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_degrees_are_refused(name):
+    with pytest.raises(mbd.InputError, match=r"angles.*\[\d\] = -?[49][50]\.0 rad \(degrees\? use mbd\.deg\); allowed"):
+        REFUSED[name]()
+
+
+def test_an_optimizer_is_told_of_degrees_and_goes_on():
+    """A status, not an exception: a line search without bounds may go anywhere."""
+    found = problem().evaluate(np.array([[45.0, -45.0], [0.3, -0.2]]), False)
+    assert "degrees?" in found[0].status
+    assert found[1].ok
+
+
+def test_whole_turns_and_bounds_that_are_none_pass():
+    turn = mbd.deg([360.0, -360.0])
+    assert mbd.simulate(pendulum(), 0.001, steps=2, designs={ANGLES: turn[None]}).ok
+    assert problem(bounds=(-math.inf, turn.abs().numpy())).upper.tolist() == turn.abs().tolist()
+
+
+def tube(**given):
+    return mbd.sections.tube(**({"radius": 0.02, "ply": mbd.Ply(**CARBON), "angles": [0.3], "thickness": 1e-3} | given))
+
+
+def sheet(length: float, width: float, thickness: float, cells: tuple[int, int] = (4, 2)) -> mbd.FlexibleBody:
+    mesh = mbd.mesh.rectangle(length, width, cells)
+    laminate = mbd.Laminate(mbd.Ply(**CARBON), mbd.deg([0, 90]), thickness / 2)
+    return mbd.FlexibleBody.plate("sheet", mesh, laminate, 2)
+
+
+def scaled(factor: float, *names: str) -> mbd.Ply:
+    return mbd.Ply(**{name: x * (factor if name in names else 1.0) for name, x in CARBON.items()})
+
+
+MODULI = ("E1", "E2", "G12", "G13", "G23")
+STRONG = Strength(Xt=1500.0, Xc=1200.0, Yt=40.0, Yc=250.0, S12=70.0)
+DOUBTED = {
+    "GPa": (lambda: scaled(1e-9, *MODULI), "units of Ply: E1? It is 128 Pa; allowed: m, kg, s, N, Pa"),
+    "MPa": (lambda: scaled(1e-6, *MODULI), "Ply: E1? It is 128000 Pa"),
+    "G in GPa": (lambda: scaled(1e-9, "G12", "G13", "G23"), r"Ply: G12\? It is 5.36 Pa"),
+    "too stiff": (lambda: scaled(1e3, *MODULI), r"Ply: E1\? It is 1.28e\+14 Pa"),
+    "g/cm3": (lambda: scaled(1e-3, "density"), r"Ply: density\? It is 1.586 kg/m3; .* usual: 10 to 25000 kg/m3"),
+    "t/mm3": (lambda: scaled(1e-12, "density"), r"density\? It is 1.586e-09 kg/m3"),
+    "strength in MPa": (lambda: mbd.Ply(**CARBON, strength=STRONG), r"strength along the fibre\? It is 1500 Pa"),
+    "aluminum in GPa": (lambda: mbd.Ply.isotropic(70.0, 0.33, 2700.0), r"Ply: E1\? It is 70 Pa"),
+    "solid in GPa": (lambda: Orthotropic.isotropic(70.0, 0.33, 2700.0), r"Orthotropic: E1\? It is 70 Pa"),
+    "mesh in mm": (lambda: mbd.mesh.rectangle(300.0, 100.0, (4, 2)), r"rectangle: length\? It is 300 m"),
+    "width in mm": (lambda: mbd.mesh.rectangle(3.0, 450.0, (4, 2)), r"rectangle: width\? It is 450 m"),
+    "small mesh in mm": (lambda: sheet(100.0, 50.0, 1e-3), r"thickness of 'sheet' by its size\? It is 8.9.*e-06"),
+    "plies in mm": (lambda: sheet(0.3, 0.1, 0.4), r"thickness of 'sheet' by its size\? It is 1.26"),
+    "layer in mm": (lambda: mbd.Laminate(mbd.Ply(**CARBON), [0.0], 2.0), r"Laminate: thickness\? It is 2 m"),
+    "wall in mm": (lambda: tube(radius=20.0, thickness=1.5), r"thickness\? It is 1.5 m"),
+    "radius in mm": (lambda: tube(radius=25.0, thickness=0.1), r"radius\? It is 25 m"),
+    "width of a box": (
+        lambda: mbd.sections.box(40.0, 20.0, mbd.Ply(**CARBON), [0.0], 0.1),
+        r"width\? It is 40 m",
+    ),
+    "line in mm": (lambda: mbd.BeamLine.straight(300.0), r"extent of a BeamLine\? It is 300 m"),
+    "nodes in mm": (lambda: mbd.BeamLine([[0, 0, 0], [0, 250, 0]]), r"extent of a BeamLine\? It is 250 m"),
+    "inertia in kg mm2": (
+        lambda: mbd.RigidBody("arm", 0.7, (3e3, 2e3, 2e3)),
+        r"radius of gyration of 'arm'\? It is 65.* m",
+    ),
+    "thickness as design": (
+        lambda: mbd.simulate(pendulum(), 1e-6, steps=1, designs={THICKNESS: degrees(1.5, 1.5)}),
+        r"design of lane 0: rod.laminate.thickness\? It is 1.5 m",
+    ),
+    "thickness as bound": (
+        lambda: problem(variables=[THICKNESS], bounds=(1e-3, 3.0)),
+        r"upper bound of rod.laminate.thickness\? It is 3 m",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DOUBTED)
+def test_other_units_are_doubted(name):
+    make, words = DOUBTED[name]
+    with pytest.warns(UserWarning, match=words if "\\" in words else words.replace("?", r"\?")):
+        make()
+
+
+LEGITIMATE = {
+    "MEMS plate": lambda: sheet(1e-4, 2e-5, 1e-6),
+    "blade of 100 m": lambda: sheet(100.0, 4.0, 0.04, (10, 2)),
+    "solar blanket": lambda: sheet(10.0, 2.0, 2.5e-4),
+    "thick plate": lambda: sheet(0.3, 0.3, 0.15),
+    "foam": lambda: mbd.Ply.isotropic(1e6, 0.3, 30.0),
+    "heavy foam": lambda: mbd.Ply.isotropic(1e6, 0.3, 200.0),
+    "rubber": lambda: mbd.Ply.isotropic(1e6, 0.49, 1100.0),
+    "honeycomb": lambda: mbd.Ply(E1=1e4, E2=1e4, G12=1e3, G13=3e8, G23=1.5e8, nu12=0.3, density=48.0),
+    "pitch fibre": lambda: mbd.Ply(E1=900e9, E2=6e9, G12=20e9, G13=20e9, G23=2e9, nu12=0.3, density=2200.0),
+    "balsa": lambda: mbd.Ply(E1=3e9, E2=1e8, G12=1.5e8, G13=1.5e8, G23=3e7, nu12=0.3, density=120.0),
+    "diamond": lambda: mbd.Ply.isotropic(1100e9, 0.07, 3500.0),
+    "tungsten": lambda: mbd.Ply.isotropic(400e9, 0.28, 19300.0),
+    "glass": lambda: mbd.Ply.isotropic(70e9, 0.2, 2500.0, strength=Strength(Xt=3e7, Xc=1e9, Yt=3e7, Yc=1e9, S12=3e7)),
+    "tower": lambda: mbd.sections.tube(5.0, mbd.Ply.isotropic(210e9, 0.3, 7850.0), [0.0], 0.05),
+    "needle": lambda: mbd.sections.circle(2.5e-5, mbd.Ply.isotropic(210e9, 0.3, 7850.0)),
+    "line of 120 m": lambda: mbd.BeamLine.straight(120.0),
+    "micro beam": lambda: mbd.BeamLine.straight(1e-4),
+    "satellite": lambda: mbd.RigidBody("bus", 2000.0, (8e3, 9e3, 1e4)),
+    "without inertia": lambda: mbd.RigidBody("dot", 1.0, (0.0, 0.0, 0.0)),
+    "flywheel": lambda: mbd.RigidBody("wheel", 5000.0, (2e4, 1e4, 1e4)),
+    "micro mirror": lambda: mbd.RigidBody("mirror", 1e-9, (1e-16, 1e-16, 2e-16)),
+}
+
+
+@pytest.mark.parametrize("name", LEGITIMATE)
+def test_what_some_structure_has_is_not_doubted(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        LEGITIMATE[name]()

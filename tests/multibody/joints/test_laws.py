@@ -1,0 +1,106 @@
+"""Laws of drives: slopes against automatic differentiation, rest to rest, drives that travel, and laws that go wrong."""
+
+from __future__ import annotations
+
+import pickle
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import box, tensor, turned
+from torchmbd.errors import InputError
+from torchmbd.multibody.joints.laws import ConstantSpeed, Finite, Sine, SmoothStep
+from torchmbd.multibody.joints.primitive import Law, slopes
+
+LAWS = [ConstantSpeed(-2.5), SmoothStep(0.8, 0.5, start=0.2), SmoothStep(-3.0, 2.0), Sine(0.3, 1.7)]
+named = pytest.mark.parametrize("law", LAWS, ids=lambda law: type(law).__name__)
+
+
+@named
+def test_slopes_are_derivatives(law):
+    times = tensor(0.05, 0.21, 0.4, 0.6, 0.9)
+    found = law.slopes(times)
+    for i, t in enumerate(times):
+        for stated, expected in zip(found, slopes(lambda s: law(s), t), strict=True):
+            assert_close(stated[i], expected, rtol=1e-12, atol=1e-12)
+
+
+def test_a_smooth_step_goes_from_rest_to_rest():
+    law = SmoothStep(0.8, 0.5, start=0.2)
+    ends = torch.stack(law.slopes(tensor(0.0, 0.2, 0.7, 5.0)))
+    assert_close(ends, tensor(0, 0, 0.8, 0.8, *[0] * 8).reshape(3, 4), rtol=0, atol=1e-12)
+    assert float(law.slopes(tensor(0.45))[1]) == pytest.approx(1.875 * 0.8 / 0.5)
+
+
+@named
+def test_the_law_of_a_joint_is_the_law(law):
+    times, own = tensor(0.1, 0.35, 0.6), Finite("crank", pickle.loads(pickle.dumps(law)))
+    plain = Finite("crank", lambda t: law(t))  # states no slopes, takes one time
+    for x in (own, plain):
+        assert_close(x(times), law(times))
+        assert_close(x(times[0]), law(times[0]))
+        for t in (times, times[1]):
+            assert_close(torch.stack(x.slopes(t)), torch.stack(law.slopes(t)), rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("key", "x", "method"),
+    [
+        ("velocity", 0.3, "generalized_alpha"),
+        ("position", lambda t: 0.1 * t * t, "generalized_alpha"),
+        ("position", Sine(0.02, 2.0), "rk4"),
+    ],
+)
+def test_a_drive_along_an_axis_travels(key, x, method):
+    """A slider on a guide that leans; the way from the given position is the law, and the ground pulls it: m a."""
+    ground, slider = mbd.Ground(), box("slider", position=(0.3, -0.1, 0.2), axes=turned(0.2, 0.1, -0.4))
+    guide = ground.at(0.1, 0.2, 0.3, axes=turned(0.5, -0.3, 0.9))
+    joints = [
+        mbd.Prismatic(ground.at(0.3, -0.1, 0.2, axes=guide.axes), slider.at(), axis="y"),
+        mbd.Drive(guide, slider.at(), axis="y", name="push", **{key: x}),
+    ]
+    steps = 100 if method == "generalized_alpha" else 200
+    options = {"spectral_radius": 0.2} if method == "generalized_alpha" else {}
+    motion = mbd.simulate(mbd.System([slider], joints), 0.5, method=method, steps=steps, **options).require_ok()
+    law: Law = ConstantSpeed(x) if key == "velocity" else x
+    way = Finite("", law)(motion.t)[:, None] * guide.axis("y")
+    assert_close(motion.body("slider").r[0], tensor(0.3, -0.1, 0.2) + way, rtol=0, atol=1e-6)
+    row = next(i for i, name in enumerate(motion.dynamics.topology.row_names) if name == "push: travel")
+    pull = -0.7 * Finite("", law).slopes(motion.t)[2]
+    # The stabilization of an ODE method multiplies errors of the position by 1 / (5e-3 s)^2.
+    assert_close(motion.lam[0, :, row], pull, rtol=0, atol=5e-3 if method == "rk4" else 1e-9)
+
+
+def hinged(**law) -> mbd.System:
+    ground, disk = mbd.Ground(), mbd.RigidBody("disk", 1.0, (1.0, 1.0, 1.0))
+    return mbd.System([disk], [mbd.Revolute(ground.at(), disk.at()), mbd.Drive(ground, disk, name="motor", **law)])
+
+
+@pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
+def test_a_law_that_turns_nan_is_named_with_its_time(method):
+    system = hinged(angle=lambda t: torch.sqrt(0.25 - t) - 0.5)
+    with pytest.raises(InputError, match=r"law of 'motor'.* not finite at t = 0\.2[56].*allowed: a finite number"):
+        mbd.simulate(system, 0.5, method=method, steps=50)
+
+
+@pytest.mark.parametrize(
+    ("law", "message"),
+    [
+        ({}, "'motor' has no law; allowed: exactly one of speed, angle, velocity, position"),
+        ({"speed": 1.0, "position": lambda t: t}, "allowed: exactly one of"),
+        ({"speed": float("nan")}, "speed of 'motor' is nan; allowed: a finite number"),
+        ({"velocity": "fast"}, "velocity of 'motor' is 'fast'; allowed: a finite number"),
+        ({"angle": 0.3}, "angle of 'motor' gives 0.3 at t = 0; allowed: a torch function of time"),
+        ({"position": lambda t: t * float("nan")}, r"position of 'motor' gives .*nan.*finite \[\] \[m\]"),
+    ],
+)
+def test_a_drive_refuses_laws_that_are_none(law, message):
+    with pytest.raises(InputError, match=message):
+        hinged(**law)
+
+
+def test_a_step_refuses_a_duration_of_zero():
+    with pytest.raises(InputError, match="duration is 0 s; allowed: a positive number"):
+        SmoothStep(1.0, 0)

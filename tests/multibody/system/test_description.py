@@ -1,0 +1,84 @@
+"""What a system says of itself: rows, rank, redundant rows by name, freedoms, mass, frequencies; bodies that are left out."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+import torchmbd as mbd
+from experiments.slider_crank import build
+from tests.mechanisms import box
+from tests.multibody.system.test_initial import four_bar
+from torchmbd.errors import InputError
+
+
+def test_a_four_bar_of_hinges():
+    found = four_bar().describe()
+    assert (found.rows, found.rank, found.freedoms, found.mobility) == (20, 17, 1, 1)
+    assert len(found.redundant) == 3
+    assert len(set(found.redundant)) == 3
+    assert found.mass == 3.0
+    assert found.separate == ()
+    text = str(found)
+    assert "rows        20, rank 17" in text
+    assert "revolute_ground_left   Revolute  5     ground.at(0, 0, 0) - left.at(0, 0, 0)" in text
+
+
+def test_the_slider_crank_of_the_paper():
+    found = build(1, [30.0], cells=(6, 2), modes=2).describe()
+    assert (found.rows, found.rank, found.redundant, found.freedoms, found.mobility) == (18, 18, (), 2, 0)
+    assert [(entry.name, entry.kind, entry.numbers["modes"]) for entry in found.bodies] == [
+        ("crank", "rigid", 0),
+        ("rod", "flexible", 2),
+        ("slider", "rigid", 0),
+    ]
+    assert len(found.frequencies) == 2
+    assert 0.0 < found.frequencies[0] < found.frequencies[1]
+
+
+def test_frequencies_of_a_pendulum():
+    arm = mbd.RigidBody("arm", 2.0, (0.2, 0.1, 0.3), center=(0.0, -0.5, 0.0))
+    system = mbd.System([arm], [mbd.Revolute(mbd.Ground().at(), arm.at())], gravity=(0.0, -9.81, 0.0))
+    wanted = math.sqrt(2.0 * 9.81 * 0.5 / (0.3 + 2.0 * 0.25)) / (2.0 * math.pi)
+    assert system.describe().frequencies == pytest.approx((wanted,), rel=1e-12)
+
+
+def test_groups_that_fly_are_named():
+    a, b, c = box("a"), box("b"), box("c")
+    system = mbd.System([a, b, c], [mbd.Revolute(a.at(), b.at())], free=["c"])
+    found = system.describe()
+    assert found.separate == (("a", "b"), ("c",))
+    assert found.freedoms == 13
+    assert "a, b: no joint to the ground" in str(found)
+
+
+def test_a_free_body_has_no_joints_to_print():
+    found = mbd.System([box("a")]).describe()
+    assert (found.rows, found.rank, found.freedoms) == (0, 0, 6)
+    assert "no joint" in str(found)
+
+
+def test_a_body_left_unconnected_is_named():
+    a, b, c = box("a"), box("b"), box("c")
+    joints = [mbd.Revolute(mbd.Ground().at(), a.at())]
+    with pytest.raises(InputError, match=r"no joint and no force holds 'b', 'c'; allowed: .* free=\['b', 'c'\]"):
+        mbd.System([a, b, c], joints)
+    with pytest.raises(InputError, match=r"free names \['d'\]; allowed: names of bodies, \['a', 'b', 'c'\]"):
+        mbd.System([a, b, c], joints, free=["b", "c", "d"])
+
+
+def test_a_drive_on_a_motion_that_joints_hold_is_named():
+    a = box("a")
+    ground = mbd.Ground()
+    held = mbd.System([a], [mbd.Fixed(ground.at(), a.at()), mbd.Drive(ground, a, speed=1.0, name="motor")])
+    for run in (held.describe, lambda: mbd.simulate(held, 0.1, steps=5)):
+        with pytest.raises(InputError, match=r"'motor: angle': the other joints leave no freedom for this"):
+            run()
+
+
+def test_two_drives_of_one_motion_are_named():
+    a, ground = box("a"), mbd.Ground()
+    joints = [mbd.Revolute(ground.at(), a.at()), *(mbd.Drive(ground, a, speed=s, name=f"motor_{s}") for s in (1, 2))]
+    with pytest.raises(InputError, match=r"'motor_1: angle', 'motor_2: angle'"):
+        mbd.System([a], joints).describe()

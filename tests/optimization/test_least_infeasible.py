@@ -1,0 +1,82 @@
+"""Contradictions of known size: where they are least, and who takes part in them."""
+
+import numpy as np
+import pytest
+
+from tests.optimization.analytic import Analytic
+from torchmbd.optimization import optimize
+from torchmbd.optimization.least_infeasible import least_infeasible
+from torchmbd.optimization.search import Search
+
+
+def least_of(problem: Analytic):
+    equalities = getattr(problem, "equalities", None)
+    search = Search(problem.evaluate, problem.start, problem.lower, problem.upper, equalities=equalities)
+    search.begin()
+    return least_infeasible(search, search.start), problem
+
+
+def test_two_disks_apart():
+    """Unit disks around (-2, 0) and (2, 0): the same violation 3 at the origin; a third constraint stays out of it."""
+    problem = Analytic(
+        "disks",
+        [1.0, 1.5],
+        lambda x: x[1],
+        lambda x: [(x[0] + 2) ** 2 + x[1] ** 2 - 1, (x[0] - 2) ** 2 + x[1] ** 2 - 1, x[0] - 3],
+        lower=-5,
+        upper=5,
+    )
+    least, _ = least_of(problem)
+    assert least.violation == pytest.approx(3.0, abs=1e-5)
+    assert np.allclose(least.y, 0.0, atol=1e-3)
+    assert least.fighting == [0, 1]
+    assert problem.functions <= 15
+
+
+def test_one_constraint_against_a_bound():
+    least, _ = least_of(
+        Analytic("bound", [0.5, 0.0], lambda x: x[0], lambda x: [3 - x[0] + x[1] ** 2], lower=-1, upper=1)
+    )
+    assert least.violation == pytest.approx(2.0, abs=1e-6)
+    assert least.fighting == [0]
+
+
+def test_equality_against_inequality():
+    problem = Analytic(
+        "line", [2.0, 0.0], lambda x: x[0], lambda x: [x[0] + x[1] - 4, x[0] + x[1] - 1], lower=-5, upper=5
+    )
+    problem.equalities = [0]
+    least, _ = least_of(problem)
+    assert least.violation == pytest.approx(1.5, abs=1e-6)  # halfway between 1 and 4
+    assert least.fighting == [0, 1]
+
+
+def test_a_feasible_design_ends_the_search_for_one():
+    problem = Analytic("disk", [4.0, 4.0], lambda x: x[0], lambda x: [x[0] ** 2 + x[1] ** 2 - 1], lower=-5, upper=5)
+    least, _ = least_of(problem)
+    assert least.violation == 0.0
+
+
+def test_a_method_that_gave_up_goes_on_from_the_feasible_design(monkeypatch):
+    """A method that says "infeasible" once, without trying: the door finds a feasible design and calls it again."""
+    from torchmbd.optimization import OPTIMIZERS
+    from torchmbd.optimization.optimizer import Ending
+
+    calls = []
+
+    def lazy(search, max_iterations):
+        search.begin()
+        calls.append(max_iterations)
+        return (
+            Ending(search.start, "infeasible", "no idea")
+            if len(calls) == 1
+            else OPTIMIZERS["mmfd"](search, max_iterations)
+        )
+
+    monkeypatch.setitem(OPTIMIZERS, "lazy", lazy)
+    problem = Analytic("disk", [4.0, 4.0], lambda x: x[0] + 3, lambda x: [x[0] ** 2 + x[1] ** 2 - 1], lower=-5, upper=5)
+    result = optimize(problem, "lazy")
+    assert result.status == "converged"
+    assert result.value == pytest.approx(2.0, abs=1e-5)
+    assert [i.iteration for i in result.history] == list(range(len(result.history)))
+    assert len(calls) == 2

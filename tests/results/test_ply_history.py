@@ -1,0 +1,131 @@
+"""Plies along a motion: against direct recovery, and the gradient of the failure index against differences."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import SOFT, pendulum
+from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.ply_stress import PlyStress
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import ply_basis
+from torchmbd.fem.materials import CRITERIA, Ply, Strength
+from torchmbd.integrate import Trajectory
+from torchmbd.results.ply_history import PlyHistory
+
+STRENGTH = Strength(Xt=1.5e6, Xc=1.2e6, Yt=4e4, Yc=2.5e5, S12=7e4, S13=6e4, S23=5e4)
+STEP = 1e-5
+
+
+def system() -> mbd.System:
+    """The pendulum with a strength given to its plies, upper and lower one different."""
+    made = pendulum()
+    laminate = made.body("rod").laminate
+    weaker = dataclasses.replace(STRENGTH, Yt=3e4)
+    laminate.plies = (Ply(**SOFT, strength=STRENGTH), Ply(**SOFT, strength=weaker))
+    return made
+
+
+@pytest.fixture(scope="module")
+def motions() -> tuple[Trajectory, Trajectory]:
+    """Two designs with sensitivities, and their neighbors as lanes."""
+    made, options = system(), {"steps": 40, "iterations": (6, 6), "refresh": 1}
+    angles = mbd.deg([[20.0, -50.0], [70.0, 15.0]])
+    steps = STEP * torch.eye(2, dtype=torch.float64)
+    near = torch.cat([angles[:, None] + steps, angles[:, None] - steps], 1).flatten(0, 1)
+    return tuple(
+        mbd.simulate(made, 0.04, gradients=way, designs={"rod.laminate.angles": x}, **options).require_ok()
+        for way, x in (("forward", angles), ("none", near))
+    )
+
+
+def test_the_basis_gives_the_plies_of_the_displacements(motions):
+    """Stress by the modal basis is the stress of the deformed mesh, in a lane with its own angles."""
+    motion, lane, time = motions[0], 1, 17
+    plies, view = PlyHistory(motion, "rod"), motion.body("rod")
+    body = motion.system.body("rod")
+    field = torch.einsum("nim,m->ni", view.psi[lane], view.w[lane, time])[..., None]
+    own = pendulum(torch.rad2deg(motion.designs["rod.laminate.angles"][lane]).tolist()).body("rod").laminate
+    direct = ply_basis(body.matrices, own, field)
+    scale = float(direct.stress.detach().abs().max())
+    assert scale > 0
+    assert_close(plies.stress()[lane, time], direct.stress[..., 0].detach(), rtol=1e-9, atol=1e-9 * scale)
+    assert_close(plies.stress(slice(15, 20))[lane, 2], plies.stress()[lane, time])
+    assert_close(plies.strain()[lane, time], direct.strain[..., 0].detach(), rtol=1e-9, atol=1e-18)
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_the_failure_index_is_the_largest_of_all_points(criterion, motions):
+    plies = PlyHistory(motions[0], "rod")
+    everywhere = CRITERIA[criterion](plies.stress(), plies.strength)
+    assert_close(plies.indices(criterion, slice(3, 5)), everywhere[:, 3:5])
+    assert_close(plies.failure(criterion), everywhere.amax(-1), rtol=1e-12, atol=1e-15)
+    place = plies.critical(criterion)
+    assert plies.points[place].shape == (2, 41, 3)
+    assert float(everywhere.amax()) > 0.1
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_gradient_of_the_history_against_differences(criterion, motions):
+    """Where the critical point is the same on both sides; elsewhere the index has a kink."""
+    history = PlyFailure("rod", criterion)
+    value, gradient = history.series(motions[0])
+    up, down = history.values(motions[1]).unflatten(0, (2, 2, 2)).unbind(1)
+    expected = ((up - down) / (2 * STEP)).movedim(1, -1)
+    place = PlyHistory(motions[1], "rod").critical(criterion).unflatten(0, (2, 4))
+    unique = (place == place[:, :1]).all(1)
+    assert float(unique.double().mean()) > 0.9
+    scale = float(expected[unique].abs().max())
+    assert scale > 1e-3
+    assert_close(gradient[unique], expected[unique], rtol=0, atol=1e-6 * scale)
+    assert value.shape == (2, 41)
+
+
+def test_extreme_stresses_are_those_of_all_points(motions):
+    motion = motions[0]
+    plies = PlyHistory(motion, "rod")
+    along, shear = plies.stress()[..., 0], plies.stress()[..., 2]
+    upper = plies.points[:, 1] == 1
+    assert_close(PlyStress("rod", "11").values(motion), along.amax(-1), rtol=1e-12, atol=0)
+    lowest = PlyStress("rod", "12", layer=1, extreme="lowest").values(motion)
+    assert_close(lowest, shear[..., upper].amin(-1), rtol=1e-12, atol=0)
+    assert (lowest < 0.0).any()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"component": "33"}, r"stress component '33' does not exist; allowed: .*did you mean"),
+        ({"component": "11", "extreme": "high"}, r"extreme 'high' does not exist.*did you mean 'highest'"),
+        ({"component": "11", "layer": 2}, r"layer is 2; allowed: 0 to 1"),
+        ({"component": "11", "layer": True}, r"layer is True; allowed: 0 to 1"),
+    ],
+)
+def test_stresses_that_are_not_there_are_named(given, words, motions):
+    with pytest.raises(InputError, match=words):
+        PlyStress("rod", **given).check(motions[0].system)
+
+
+def test_a_constraint_on_the_peak(motions):
+    measure = mbd.Max(PlyFailure("rod", "tsai_wu_irf"))
+    value, gradient = measure.value_and_gradient(motions[0])
+    up, down = measure.value(motions[1]).unflatten(0, (2, 2, 2)).unbind(1)
+    expected = ((up - down) / (2 * STEP)).movedim(1, -1)
+    assert_close(gradient, expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
+    assert float(value.min()) > 0
+
+
+def test_the_door_names_what_is_missing(motions):
+    with pytest.raises(InputError, match=r"criterion 'tsai_wo' does not exist.*did you mean 'tsai_wu'"):
+        PlyFailure("rod", "tsai_wo").check(motions[0].system)
+    with pytest.raises(InputError, match=r"body 'arm' has no plies; allowed here: a plate"):
+        PlyFailure("arm").check(motions[0].system)
+    with pytest.raises(InputError, match=r"a ply of body 'rod' has no strength"):
+        PlyFailure("rod").check(pendulum())
+    with pytest.raises(InputError, match=r"criterion 'x' does not exist"):
+        PlyHistory(motions[0], "rod").failure("x")

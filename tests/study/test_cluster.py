@@ -1,0 +1,143 @@
+"""Cluster files: what is submitted to SLURM, what is refused, and a study on jobs that a stand-in for sbatch starts."""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+
+from torchmbd import cli
+from torchmbd.errors import InputError
+from torchmbd.study.cluster import load_cluster
+from torchmbd.study.dask_evaluator import LANES, Farm
+from torchmbd.study.file_errors import StudyError
+from torchmbd.study.load import load_study
+
+SHIPPED = Path(__file__).parents[2] / "configs/cluster"
+SMALL = {"time": "00:10:00", "workers_per_job": 2, "memory_per_worker": "1 GB", "interface": "lo"}
+
+
+@pytest.fixture
+def slurm(tmp_path, monkeypatch):
+    """A place for studies, and commands that submit a job by starting it here, and cancel it by killing it."""
+    monkeypatch.setenv("TORCHMBD_STORE", str(tmp_path / "place"))
+    commands = {
+        "sbatch": f'cp "$1" {tmp_path}/job.$$.sh; setsid bash {tmp_path}/job.$$.sh > {tmp_path}/job.log 2>&1 &\n'
+        'echo "Submitted batch job $!"',
+        "scancel": f'echo "$1" >> {tmp_path}/cancelled; kill -- -"$1"',
+    }
+    (tmp_path / "bin").mkdir()
+    for name, text in commands.items():
+        file = tmp_path / "bin" / name
+        file.write_text(f"#!/bin/bash\n{text}\n")
+        file.chmod(file.stat().st_mode | stat.S_IXUSR)
+    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
+    return tmp_path
+
+
+def write(folder, **keys):
+    file = folder / "slurm.yaml"
+    file.write_text(yaml.safe_dump(SMALL | keys))
+    return file
+
+
+@pytest.mark.parametrize("file", sorted(SHIPPED.glob("*.yaml")), ids=lambda file: file.stem)
+def test_the_shipped_files_are_valid(file):
+    told = load_cluster(file)
+    assert told.gpus_per_worker == ("gpu" in file.stem)
+
+
+def test_what_is_submitted(slurm, monkeypatch):
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")  # no sbatch: nothing can be submitted here
+    told = load_cluster(
+        write(slurm, partition="cpu", account="me", setup=["module load gcc"], directives=["--constraint=avx512"])
+    )
+    monkeypatch.setattr("dask_jobqueue.core.JobQueueCluster.scale", lambda self, jobs: setattr(self, "asked", jobs))
+    cluster = told.start(5)
+    try:
+        script = cluster.job_script()
+        assert cluster.asked == 3  # jobs of two workers
+    finally:
+        cluster.close()
+    for line in ("-p cpu", "-A me", "--cpus-per-task=2", "--mem=2G", "-t 00:10:00", "--constraint=avx512"):
+        assert f"#SBATCH {line}" in script
+    lines = script.splitlines()
+    command = lines.index(next(line for line in lines if "dask_worker" in line))
+    assert lines.index("export OMP_NUM_THREADS=1") < lines.index("module load gcc") < command
+    assert "--nworkers 2" in lines[command]
+    assert "--nthreads 1" in lines[command]
+    assert "--protocol tls://" in lines[command]
+    [key] = re.findall(r"--tls-key (\S+)", lines[command])
+    assert Path(key).parent == slurm / "place"
+    assert stat.S_IMODE(Path(key).stat().st_mode) == 0o600  # the user's own
+
+
+def test_a_gpu_for_every_worker(slurm, monkeypatch):
+    monkeypatch.setattr("dask_jobqueue.core.JobQueueCluster.scale", lambda self, jobs: None)
+    cluster = load_cluster(write(slurm, workers_per_job=1, gpus_per_worker=1)).start(2)
+    try:
+        assert "#SBATCH --gpus-per-task=1" in cluster.job_script()
+    finally:
+        cluster.close()
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"time": "4 hours"}, "line 3: time = '4 hours'"),
+        ({"partion": "cpu"}, "did you mean 'partition'"),
+        ({"workers_per_job": 0}, "workers_per_job = 0: must be greater than 0"),
+        ({"workers_per_job": 4, "gpus_per_worker": 1}, "allowed: workers_per_job = 1"),
+        ({"account": "me\n#SBATCH --uid=0"}, "account = "),
+        ({"setup": ["true\nrm -rf ."]}, "setup.0 = "),
+        ({"memory_per_worker": "lots"}, "memory_per_worker = 'lots'"),
+    ],
+)
+def test_what_is_wrong_is_named(slurm, keys, message):
+    with pytest.raises(StudyError) as caught:
+        load_cluster(write(slurm, **keys))
+    assert message in str(caught.value)
+
+
+def test_workers_must_be_asked_for(slurm, folder, monkeypatch, capsys):
+    (folder / "study.yaml").write_text(Path(__file__).with_name("study.yaml").read_text())
+    monkeypatch.chdir(folder)
+    plan = load_study("study.yaml")
+    with pytest.raises(InputError, match="workers = 0: must be 1 or more"):
+        Farm(plan, "", 1, 0, str(write(slurm)))
+    assert Farm(plan, "", 1, 3, str(write(slurm))).lanes == 3 * LANES
+    assert cli.main(["run", "study.yaml", "--scheduler", str(write(slurm, time=3))]) == 2
+    assert "time = 3" in capsys.readouterr().err
+    assert not (folder / "mlflow.db").exists()
+
+
+@pytest.mark.slow
+def test_a_study_runs_on_jobs(slurm, folder, monkeypatch, capsys):
+    (folder / "study.yaml").write_text(Path(__file__).with_name("study.yaml").read_text())
+    monkeypatch.chdir(folder)
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[2]))
+    command = ["run", "study.yaml", "simulate.duration=0.002", "simulate.steps=8", "starts.count=6"]
+    assert cli.main([*command, "--scheduler", str(write(slurm)), "--workers", "2"]) == 0
+    output = capsys.readouterr().out
+    assert "6 starts" in output
+    assert "evaluations known" not in output
+    [job] = re.findall(r"\d+", (slurm / "cancelled").read_text())  # nothing is left in the queue
+    for _ in range(300):
+        if _over(job):
+            break
+        time.sleep(0.1)
+    assert _over(job)
+    assert cli.main(command) == 0  # and here: everything is known
+    found = re.findall(r"(\d+) of (\d+) evaluations known", capsys.readouterr().out)
+    assert found
+    assert found[0][0] == found[0][1]
+
+
+def _over(process: str) -> bool:
+    status = Path(f"/proc/{process}/stat")
+    return not status.exists() or status.read_text().rpartition(") ")[2].startswith("Z")

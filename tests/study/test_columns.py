@@ -1,0 +1,52 @@
+"""Names of design variables as people read them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import torch
+
+from torchmbd.optimization import Evaluation
+from torchmbd.study.columns import Columns
+from torchmbd.study.schema import Variable
+from torchmbd.study.sweep import _criteria
+
+
+def columns(**shapes: tuple[int, ...]) -> Columns:
+    own = {name.replace("__", "."): torch.zeros(shape) for name, shape in shapes.items()}
+    system = SimpleNamespace(named_parameters=own.items)
+    kinds = {name: "deg" if name.endswith("angles") else "none" for name in own}
+    return Columns.of(
+        {name: cast(Variable, SimpleNamespace(unit=unit)) for name, unit in kinds.items()}, cast(Any, system)
+    )
+
+
+def test_numbers_tell_the_entries_of_a_parameter_apart():
+    found = columns(rod__laminate__angles=(2,), spring__stiffness=())
+    assert found.names == ("angle_1_deg", "angle_2_deg", "stiffness")
+    assert found.headings == ["angle 1 [deg]", "angle 2 [deg]", "stiffness"]
+    assert found.labels == ("rod.laminate.angles[0]", "rod.laminate.angles[1]", "spring.stiffness[0]")
+    np.testing.assert_allclose(found.si(np.array([180.0, 90.0, 3.0])), [np.pi, np.pi / 2, 3.0])
+
+
+def test_the_body_is_named_where_two_share_a_word():
+    found = columns(inner__laminate__angles=(1,), outer__laminate__angles=(1,))
+    assert found.names == ("inner_angle_1_deg", "outer_angle_1_deg")
+
+
+def test_criteria_of_two_bodies_are_named_by_them():
+    """In a sweep: constraints on another body than the objective's are criteria of their own."""
+    measures = [{"integral": {"strain_energy": body}} for body in ("inner", "outer")]
+    study = SimpleNamespace(minimize=measures[0], subject_to=[SimpleNamespace(measure=measures[1])])
+    reference = SimpleNamespace(scale=np.ones(1))
+    constraint = SimpleNamespace(measure=SimpleNamespace(rows=1))
+    problem = SimpleNamespace(constraints=[constraint], reference=reference, limits=np.array([2.0]))
+    first, other = Evaluation(4.0, np.array([0.0])), Evaluation(2.0, np.array([1.0]))
+    found = _criteria(cast(Any, SimpleNamespace(study=study)), cast(Any, problem), first, [other])
+    assert found == {"integral of strain energy of inner": [0.5], "integral of strain energy of outer": [1.5]}
+    study.subject_to, problem.constraints = [], []
+    assert list(_criteria(cast(Any, SimpleNamespace(study=study)), cast(Any, problem), first, [other])) == [
+        "integral of strain energy"
+    ]

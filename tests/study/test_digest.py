@@ -1,0 +1,190 @@
+"""Digests: what changes a number changes the digest; names of variables' places, comments and the process do not."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import math
+import shutil
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.sparse
+import torch
+
+import torchmbd as mbd
+from torchmbd.study.digest import digest, sources
+
+PACKAGE = Path(mbd.__file__).parent
+
+
+@dataclass
+class Law:
+    k: float
+    table: torch.Tensor
+
+    def __call__(self, t):
+        return self.k * t
+
+
+def module(folder: Path, text: str, name: str = "law"):
+    """A user's module of that text."""
+    file = folder / f"{name}.py"
+    file.write_text(text)
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    sys.modules[name] = made
+    exec(compile(text, str(file), "exec"), vars(made))  # no bytecode of an earlier text
+    return made
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (1.0, 1),
+        (0.1, np.nextafter(0.1, 1.0)),
+        (torch.tensor([0.1]), torch.tensor([0.1 + 1e-8])),
+        (torch.zeros(2, dtype=torch.float64), torch.zeros(2)),
+        (torch.zeros(2, 3), torch.zeros(3, 2)),
+        (np.arange(3), np.arange(3.0)),
+        (torch.eye(2).to_sparse(), (2 * torch.eye(2)).to_sparse()),
+        (scipy.sparse.eye_array(2).tocsc(), 2 * scipy.sparse.eye_array(2).tocsc()),
+        ([1, [2]], [[1], 2]),
+        ({"a": 1}, {"a": 2}),
+        ({1, 2}, {1, 3}),
+        (Law(1.0, torch.zeros(2)), Law(2.0, torch.zeros(2))),
+        (Law(1.0, torch.zeros(2)), Law(1.0, torch.ones(2))),
+        (functools.partial(max, 1), functools.partial(max, 2)),
+        (math.sin, math.cos),
+        (np.sin, np.cos),
+        (torch.sin, torch.cos),
+        ([1.0].count, [2.0].count),
+        (b"a", "a"),
+    ],
+)
+def test_other_contents_have_another_digest(one, other):
+    assert digest(one) == digest(one)
+    assert digest(one) != digest(other)
+
+
+def test_a_part_that_two_share_is_not_two_equal_parts():
+    a, b = torch.ones(2), torch.ones(2)
+    assert digest([a, a]) != digest([a, b])
+
+
+def test_numbers_that_are_set_aside_do_not_count_but_their_shape_does():
+    a, b, c = torch.ones(2), torch.zeros(2), torch.zeros(3)
+    assert digest([a], aside=[a]) == digest([b], aside=[b])
+    assert digest([b], aside=[b]) != digest([c], aside=[c])
+
+
+def test_what_was_worked_out_and_kept_does_not_count():
+    class Beam:
+        def __init__(self):
+            self.length = 2.0
+
+        @functools.cached_property
+        def mass(self):
+            return self.length * 3
+
+    fresh, used = Beam(), Beam()
+    assert used.mass == 6.0
+    assert digest(fresh) == digest(used)
+
+
+LAW = """
+import math
+import helper
+RATE = 2.0
+def inner(t):
+    return helper.gain(t)
+class Spring:
+    stiffness = 3.0
+    def force(self, t):
+        return self.stiffness * t
+def make(offset):
+    def law(t, scale=1.5):
+        return RATE * inner(t) + Spring().force(t) + offset * scale + math.sin(t)
+    return law
+"""
+HELPER = "FACTOR = 4.0\ndef gain(t):\n    return FACTOR * t\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "same"),
+    [
+        ("RATE = 2.0", "RATE = 2.5", False),
+        ("stiffness = 3.0", "stiffness = 3.5", False),
+        ("self.stiffness * t", "self.stiffness + t", False),
+        ("scale=1.5", "scale=1.6", False),
+        ("math.sin(t)", "math.cos(t)", False),
+        ("return helper.gain(t)", "return -helper.gain(t)", False),
+        ("FACTOR = 4.0", "FACTOR = 5.0", False),
+        ("FACTOR * t", "FACTOR + t", False),
+        ("RATE = 2.0", "# the rate\n\nRATE  =  2.0  # [1/s]", True),
+        ("    def law", "    # a law\n    def law", True),
+        ("FACTOR = 4.0", "# in between\nFACTOR = 4.0", True),
+    ],
+)
+def test_the_code_of_a_law_and_what_it_names_count(tmp_path, old, new, same):
+    def made(text, helper, offset=1.0):
+        module(tmp_path, helper, "helper")
+        return digest(module(tmp_path, text).make(offset))
+
+    before = made(LAW, HELPER)
+    assert made(LAW, HELPER) == before
+    assert made(LAW, HELPER, 2.0) != before
+    assert (LAW + HELPER).count(old) == 1
+    assert (made(LAW.replace(old, new), HELPER.replace(old, new)) == before) is same
+
+
+def test_what_cannot_be_compared_is_said():
+    with pytest.warns(UserWarning, match=r"_thread.lock .* cannot be compared"):
+        digest(__import__("threading").Lock())
+
+
+@pytest.mark.parametrize("file", ["a.py", "sub/a.cpp", "sub/a.cu", "sub/notes.txt"])
+def test_sources_count(tmp_path, file):
+    (tmp_path / "sub").mkdir()
+    for name in ("a.py", "sub/a.cpp", "sub/a.cu", "sub/notes.txt"):
+        (tmp_path / name).write_text("x = 1;\n")
+    before = sources(tmp_path, ["a.py", "sub"])
+    (tmp_path / file).write_text("x = 2;\n")
+    assert (sources(tmp_path, ["a.py", "sub"]) == before) is file.endswith(".txt")
+
+
+def test_two_processes_have_one_digest(tmp_path):
+    """Sets and dictionaries of words come in another order with every seed of Python's hashes."""
+    script = (
+        "from torchmbd.study.digest import digest\n"
+        "words = {'a', 'b', 'c', 'd', 'e'}\n"
+        "def law(x):\n    return x in {'a', 'b', 'c', 'd'}\n"
+        "print(digest(words, dict.fromkeys(words), law))"
+    )
+    found = {
+        subprocess.run(
+            [sys.executable, "-c", script], env={"PYTHONHASHSEED": seed}, capture_output=True, text=True, check=True
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(found) == 1
+
+
+def test_the_digest_of_all_sources_is_cheap():
+    began = time.process_time()
+    sources(PACKAGE, sorted(path.name for path in PACKAGE.iterdir()))
+    assert time.process_time() - began < 0.2
+
+
+def test_a_copy_of_the_package_has_its_digest(tmp_path):
+    parts = ("design", "integrators")
+    for part in parts:
+        shutil.copytree(PACKAGE / part, tmp_path / part)
+    assert sources(tmp_path, parts) == sources(PACKAGE, parts)

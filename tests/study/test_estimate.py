@@ -1,0 +1,51 @@
+"""What `torchmbd check` says a study will cost: counted, and compared with a batch that is really run."""
+
+from __future__ import annotations
+
+import io
+import time
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from torchmbd.study.assemble import problem_of
+from torchmbd.study.estimate import estimate, print_estimate
+from torchmbd.study.load import load_study
+
+
+def test_simulations_are_counted(write):
+    plan = load_study(
+        write(starts={"sampler": "sobol", "count": 70, "seed": 1}, simulate={"duration": 1e-3, "steps": 4})
+    )
+    cost = estimate(plan, problem_of(plan))
+    assert (cost.simulations, cost.lanes) == (70 * 3, 64)
+    assert cost.seconds == pytest.approx(3 * 2 * cost.batch_seconds)
+    sweep = {"rod.laminate.angles[0]": {"from": 0, "to": 1, "count": 9}}
+    plan = load_study(write(sweep=sweep, starts=None, optimizer=None, simulate={"duration": 1e-3, "steps": 4}))
+    assert estimate(plan, problem_of(plan)).simulations == 10  # with the start design
+
+
+def test_the_time_is_that_of_a_batch_within_a_factor_of_three(write):
+    """On a busy machine one of several tries must do."""
+    plan = load_study(write(simulate={"duration": 0.01, "steps": 60}))
+    problem = problem_of(plan)
+    ratios = []
+    for _ in range(5):
+        cost = estimate(plan, problem)
+        began = time.perf_counter()
+        motion = problem.simulate(np.tile(problem.start, (2, 1)), True)
+        ratios.append(cost.batch_seconds / (time.perf_counter() - began))
+        if 1 / 3 < ratios[-1] < 3:
+            break
+    else:
+        pytest.fail(f"estimates over seconds: {ratios}")
+    assert cost.memory > 3 * 2 * motion.q[0].numel() * 8
+
+
+def test_a_valid_file_is_told_with_its_cost(write):
+    output = io.StringIO()
+    print_estimate(load_study(write(simulate={"duration": 1e-3, "steps": 4})), Console(file=output, width=200))
+    text = output.getvalue()
+    assert "is valid: integral of strain energy of rod, 2 design variables, 1 constraint" in text
+    assert "at most about 6 simulations in batches of 2" in text

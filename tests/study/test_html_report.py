@@ -1,0 +1,74 @@
+"""The report: one file, everything in it, nothing in it executed that is not ours."""
+
+from __future__ import annotations
+
+import base64
+import re
+from html.parser import HTMLParser
+
+import pytest
+
+from torchmbd.errors import InputError
+from torchmbd.study.html_report import write_report
+from torchmbd.tracking.catalog import children, find
+
+
+class Tags(HTMLParser):
+    """The tags of a page, in order, and its text."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.text = [], ""
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def test_the_report_shows_the_study(finished, tmp_path):
+    path = write_report(finished.runs[0], tmp_path / "r.html", finished.uri)
+    page = path.read_text()
+    read = Tags(page)
+    assert "What is the best lay-up of the test rod?" in read.text
+    entry = find(finished.uri, finished.runs[0])
+    for child in children(finished.uri, entry):
+        assert f"{child.metrics['objective']:.6g}" in read.text
+    assert f"{entry.metrics['reduction_percent']:.2f}" in read.text
+    images = [attrs["src"] for tag, attrs in read.tags if tag == "img"]
+    assert len(images) == 3  # convergence, energy, map of the design space
+    assert all(base64.b64decode(src.partition(",")[2]).startswith(b"\x89PNG") for src in images)
+    (frame,) = [attrs for tag, attrs in read.tags if tag == "iframe"]
+    assert frame["sandbox"] == "allow-scripts"
+    assert "const S = JSON.parse" in frame["srcdoc"]
+    assert "model: rod_model.py:build" in read.text
+    assert entry.tags["version.torch"] in read.text
+
+
+def test_the_report_needs_no_network(finished, tmp_path):
+    page = write_report("short", tmp_path / "r.html", finished.uri).read_text()
+    assert not re.search(r"""(src|href)=["'](?!data:)""", page)
+
+
+def test_text_of_the_store_is_no_markup(finished, tmp_path):
+    finished.client.set_tag(finished.runs[1], "mlflow.note.content", "<script>alert(1)</script>")
+    entry = find(finished.uri, finished.runs[1])
+    start, mark = children(finished.uri, entry)[0], "<b>from the store</b>"
+    old = start.tags["status"]
+    finished.client.set_tag(start.run_id, "status", mark)
+    finished.client.update_run(start.run_id, name="<i>a start</i>")
+    try:
+        read = Tags(write_report(finished.runs[1], tmp_path / "r.html", finished.uri).read_text())
+    finally:
+        finished.client.set_tag(start.run_id, "status", old)
+        finished.client.update_run(start.run_id, name=start.name)
+    assert not {"script", "b", "i"} & {tag for tag, _ in read.tags}
+    for text in ("<script>alert(1)</script>", mark, "<i>a start</i>"):
+        assert text in read.text
+
+
+def test_a_bad_name_is_refused(finished, tmp_path):
+    with pytest.raises(InputError, match=r"ends in \.html"):
+        write_report("short", tmp_path / "r.txt", finished.uri)

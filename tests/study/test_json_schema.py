@@ -1,0 +1,45 @@
+"""The JSON schema: it accepts the shipped files and marks what an editor should mark."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import jsonschema
+import pytest
+import yaml
+
+from torchmbd.study.config_index import configs
+from torchmbd.study.json_schema import json_schema
+from torchmbd.study.yaml_file import read_yaml
+
+FILES = [Path(__file__).with_name("study.yaml"), *configs(Path(__file__).parents[2] / "configs")]
+VALID = yaml.safe_load(FILES[0].read_text())
+
+
+@pytest.fixture(scope="module")
+def validator():
+    jsonschema.Draft202012Validator.check_schema(json_schema())
+    return jsonschema.Draft202012Validator(json_schema())
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: file.stem)
+def test_valid_files_are_valid(validator, file):
+    validator.validate(read_yaml(file).data)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"modl": "x"},
+        {"optimizer": {"name": "mmdf"}},
+        {"design": {"a": {"lower": 0, "upper": 1, "unit": "degree"}}},
+        {"starts": {"sampler": "sobel"}},
+        {"simulate": {"duration": -1}},
+        {"simulate": {"duration": 1.0, "method": "hht_alpha", "alpha": "strong"}},
+        {"simulate": {"duration": 1.0, "iterations": [3, "x"]}},
+        {"subject_to": [{"max": {"strain_energy": "rod"}}]},
+        {"figures": "a:b"},
+    ],
+)
+def test_invalid_files_are_marked(validator, change):
+    assert not validator.is_valid(VALID | change)

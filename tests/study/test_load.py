@@ -1,0 +1,247 @@
+"""Files at the door: what is right becomes a plan, what is wrong is named, all of it at once."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from torchmbd.study.assemble import problem_of
+from torchmbd.study.file_errors import StudyError
+from torchmbd.study.load import load
+from torchmbd.study.schema import Study
+from torchmbd.study.yaml_file import parse_yaml
+
+
+def faults(file, *overrides):
+    with pytest.raises(StudyError) as caught:
+        load(file, overrides)
+    return caught.value.faults
+
+
+def test_a_valid_file_becomes_a_plan(write):
+    plan = load(write())
+    assert plan.name == "study"
+    assert plan.columns.labels == ("rod.laminate.angles[0]", "rod.laminate.angles[1]")
+    assert plan.columns.names == ("angle_1_deg", "angle_2_deg")
+    assert plan.columns.heading(1) == "angle 2 [deg]"
+    x = plan.columns.si(np.array([180.0, -45.0]))
+    np.testing.assert_allclose(x, [math.pi, -math.pi / 4])
+    assert plan.columns.shown(x) == pytest.approx({"angle_1_deg": 180.0, "angle_2_deg": -45.0})
+
+
+def test_the_resolved_file_is_a_file_again(write):
+    """Defaults filled in, in the form of the file: what MLflow keeps can be run."""
+    plan = load(write(optimizer=None, tracking=None))
+    resolved = plan.study.resolved()
+    assert resolved["optimizer"] == {"name": "mmfd", "max_iterations": 60}
+    assert resolved["simulate"]["method"] == "generalized_alpha"
+    assert resolved["subject_to"] == [{"max": {"strain_energy": "rod"}, "at_most": "initial"}]
+    again = Study.model_validate(resolved)
+    assert again.resolved() == resolved
+
+
+@pytest.mark.parametrize("way", ["forward", "reverse"])
+def test_which_way_gradients_come_can_be_told(write, way):
+    simulate = {"duration": 0.002, "steps": 20}
+    told = problem_of(load(write(simulate=simulate | {"gradients": way})))
+    assert told.simulate(told.start[None], gradients=True).stats["gradients"] == way
+    assert load(write(simulate=simulate)).study.resolved()["simulate"]["gradients"] == "auto"
+
+
+def test_phases_come_from_a_function(write):
+    """A motion in two phases of one mechanism is that of one."""
+    simulate = {"duration": 0.01, "steps": 60}
+    whole, halved = (
+        problem_of(load(write(simulate=simulate | more))) for more in ({}, {"phases": "rod_model.py:in_two"})
+    )
+    assert [phase.until for phase in halved.simulation["phases"]] == [0.004, None]
+    values = [p.evaluate(p.start[None], gradients=False)[0].objective for p in (whole, halved)]
+    assert values[0] == pytest.approx(values[1], rel=1e-4)
+    assert "phases" in load(write(simulate=simulate | {"phases": "rod_model.py:in_two"})).study.resolved()["simulate"]
+    for name, said in (
+        ("too_long", "allowed: increasing times before duration"),
+        ("no_phases", "allowed: a list of mbd.Phase"),
+        ("build", "allowed: a function annotated with -> list"),
+        ("in_too", "did you mean 'in_two'"),
+    ):
+        [fault] = faults(write(simulate=simulate | {"phases": f"rod_model.py:{name}"}))
+        assert fault.path == ("simulate", "phases")
+        assert said in fault.text
+
+
+def test_an_override_changes_the_plan(write):
+    plan = load(write(), ["optimizer.max_iterations=5", "options.cells=3"])
+    assert plan.study.optimizer.max_iterations == 5
+    assert len(plan.system.body("rod").mesh.nodes) == (3 + 1) * (2 + 1)
+
+
+WRONG = """
+modl: rod_model.py:build
+options: [3]
+design:
+  rod.laminate.angles: {start: [45, x], lower: -90, uper: 90, unit: degree}
+  other: 3
+simulate: {duration: -1, method: generalised_alpha, steps: 1.5}
+minimize: {integrl: {strain_energy: rod}}
+subject_to:
+  - {max: {strain_energi: rod}, at_most: first}
+  - {max: {strain_energy: rod}}
+optimizer: {name: mmdf, max_iterations: true}
+starts: {sampler: sobol, seed: -1}
+tracking: {experiment: "", uri: foo}
+"""
+
+
+def test_everything_that_is_wrong_is_named_at_once(write):
+    texts = [str(fault) for fault in faults(write(WRONG))]
+    expected = [
+        "line 2: modl unknown key; allowed: model, options, design",
+        "line 3: options = [3]: must be a mapping",
+        "line 5: design.rod.laminate.angles.start.1 = 'x': must be a valid number",
+        "line 5: design.rod.laminate.angles.upper is missing",
+        "line 5: design.rod.laminate.angles.uper unknown key; allowed: start, lower, upper, unit, tolerance, step; "
+        "did you mean 'upper'",
+        "line 5: design.rod.laminate.angles.unit = 'degree': allowed: deg, rad, m, mm, none; did you mean 'deg'?",
+        "line 6: design.other = 3: must be a mapping",
+        "line 7: simulate.duration = -1: must be greater than 0",
+        "did you mean 'generalized_alpha'?",
+        "line 7: simulate.steps = 1.5: must be a valid integer",
+        "line 8: minimize.integrl unknown name; allowed: ",
+        "did you mean 'integral'?",
+        "line 10: subject_to.0.max.strain_energi unknown name; allowed: ",
+        "line 10: subject_to.0.at_most = 'first': must be 'initial'; or must be a valid number",
+        "line 11: subject_to.1: has no limit; must have exactly one of at_most, at_least, equal",
+        "line 12: optimizer.name = 'mmdf': allowed: ",
+        "did you mean 'mmfd'?",
+        "line 12: optimizer.max_iterations = true: must be a valid integer",
+        "line 13: starts.seed = -1: must be greater than or equal to 0",
+        "line 14: tracking.experiment = ''",
+        "line 14: tracking.uri = 'foo': a store is one of sqlite:",
+        "model is missing",
+    ]
+    for text in expected:
+        assert any(text in found for found in texts), text
+
+
+@pytest.mark.parametrize(
+    ("sections", "path", "message"),
+    [
+        ({"options": {"layrs": 2}}, "options.layrs", "unknown option; allowed: layers, cells; did you mean 'layers'?"),
+        ({"options": {"cells": 0}}, "options", "cells"),
+        ({"model": "rod_model.py:buld"}, "model", "has no function 'buld'; allowed: "),
+        ({"model": "../rod_model.py:build"}, "model", "lies outside the folder of the experiment file"),
+        ({"model": "os:system", "options": {"command": "true"}}, "model", "os has no function 'system'"),
+        ({"model": "json:dumps", "options": {}}, "model", "says nothing about what it returns"),
+        ({"model": "missing.py:build"}, "model", "missing.py does not exist"),
+        ({"model": "no.such.module:build"}, "model", "module 'no.such.module' cannot be imported"),
+        ({"model": "build"}, "model", "pattern"),
+        ({"model": "rod_model.py:no_system", "options": {}}, "model", "the function says -> int about what it returns"),
+        ({"model": "rod_model.py:broken", "options": {}}, "options", "ZeroDivisionError in"),
+        ({"simulate": {"duration": 0.1, "rtoll": 1}}, "simulate.rtoll", "unknown key for method 'generalized_alpha'"),
+        ({"simulate": {"duration": 0.1, "method": "dopri5", "refresh": 1}}, "simulate.refresh", "for method 'dopri5'"),
+        ({"optimizer": {"name": "mmfd", "ctt": 1}}, "optimizer.ctt", "unknown key for method 'mmfd'"),
+        ({"minimize": {"integral": {"strain_energy": "crank"}}}, "minimize.integral.strain_energy", "allowed: rod"),
+        ({"minimize": {}}, "minimize", "has 0 keys; must have exactly one"),
+        ({"minimize": {"max": {"strain_energy": "rod"}, "windw": [0, 1]}}, "minimize.windw", "did you mean 'window'?"),
+        ({"minimize": {"max": {"position": {"body": "rod"}}}}, "minimize.max.position", "needs 'axis'"),
+        (
+            {"minimize": {"weighted_sum": [{"weight": 1, "mass": "rod"}, {"weight": 2, "mass": "rodd"}]}},
+            "minimize.weighted_sum.1.mass",
+            "did you mean 'rod'?",
+        ),
+        (
+            {"minimize": {"max": {"strain_energy": "rod"}, "window": [0.1, 9]}},
+            "minimize",
+            "looks at t = 9 s; allowed: up to simulate.duration",
+        ),
+        ({"starts": {"sampler": "sobol"}}, "starts", "sampler 'sobol' needs 'count'"),
+        ({"starts": {"sampler": "none", "count": 3}}, "starts", "sampler 'none' takes no 'count'"),
+        ({"starts": {"sampler": "none", "include_initial": False}}, "starts", "leaves no start"),
+        ({"starts": {"sampler": "given", "points": [[1]]}}, "starts.points.0", "has 1 values; allowed: 2"),
+        ({"starts": {"sampler": "given", "points": [[1, 91]]}}, "starts.points.0", "must lie between"),
+        ({"sweep": {"rod.laminate.angles[0]": {"from": 0, "to": 1, "count": 2}}}, "", "sweep and optimizer and starts"),
+        ({"design": {}}, "design", "is empty; must have at least one"),
+    ],
+)
+def test_each_fault_has_its_path_and_what_is_allowed(write, sections, path, message):
+    (fault,) = faults(write(**sections))
+    assert ".".join(map(str, fault.path)) == path
+    assert message in fault.text
+
+
+@pytest.mark.parametrize(
+    ("variable", "path", "message"),
+    [
+        ({"start": [1, 2, 3]}, "start", "has 3 values; allowed: 2, or one number for all"),
+        ({"start": [1, 95]}, "start", "must lie between"),
+        ({"lower": 90}, "lower", "must be below upper"),
+        ({"upper": [90, float("nan")]}, "upper.1", "= '.nan': must be a valid number"),
+    ],
+)
+def test_sizes_and_ranges_of_the_design(write, variable, path, message):
+    design = {"rod.laminate.angles": {"start": [45, -45], "lower": -90, "upper": 90, "unit": "deg"} | variable}
+    (fault,) = faults(write(design=design))
+    assert fault.path == ("design", "rod.laminate.angles", *[int(p) if p.isdigit() else p for p in path.split(".")])
+    assert message in fault.text
+
+
+@pytest.mark.parametrize("unit", ["rad", "none"])
+def test_degrees_that_are_said_to_be_radians_are_named(write, unit):
+    found = faults(write(design={"rod.laminate.angles": {"start": [45, 1], "lower": -90, "upper": 90, "unit": unit}}))
+    assert {fault.path[-1] for fault in found} == {"start", "lower", "upper"}
+    for fault in found:
+        assert f"with unit: {unit}" in fault.text
+        assert "rad (degrees? use mbd.deg); allowed: -2 pi to 2 pi" in fault.text
+
+
+def test_millimeters_that_are_said_to_be_meters_are_doubted(write):
+    with pytest.warns(UserWarning, match=r"units of upper rod.laminate.thickness\? It is 3 m"):
+        load(write(design={"rod.laminate.thickness": {"lower": 1e-3, "upper": 3, "unit": "m"}}))
+
+
+def test_a_parameter_that_does_not_exist_has_a_nearest(write):
+    design = {"rod.laminate.angle": {"lower": -90, "upper": 90, "unit": "deg"}}
+    (fault,) = faults(write(design=design))
+    assert "did you mean 'rod.laminate.angles'?" in fault.text
+
+
+def test_names_of_the_model_are_checked_beside_faults_of_the_schema(write):
+    """A negative duration must not hide a misspelt body."""
+    found = faults(write(simulate={"duration": -1}, minimize={"integral": {"strain_energy": "rood"}}))
+    assert sorted(fault.path[0] for fault in found) == ["minimize", "simulate"]
+
+
+def test_a_fault_of_an_override_names_the_override(write):
+    (fault,) = faults(write(), "optimizer.max_iterations=many")
+    assert str(fault).startswith("in override 'optimizer.max_iterations=many': optimizer.max_iterations = 'many'")
+
+
+@pytest.mark.parametrize("text", ["", "[]", "3", "text", "- a", "null"])
+def test_what_is_no_file_of_sections(write, text):
+    (fault,) = faults(write(text))
+    assert "allowed: sections such as model:" in fault.text
+
+
+keys = st.sampled_from(list(Study.model_fields))
+words = st.sampled_from(["rod", "deg", "initial", "mmfd", "sobol", "max", "integral", "strain_energy", "x", ""])
+scraps = st.recursive(
+    st.none() | st.booleans() | st.integers(-100, 100) | st.floats(allow_nan=False, allow_infinity=False) | words,
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(words | keys, inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from([name for name in Study.model_fields if name != "model"]), scraps)
+def test_any_section_is_accepted_or_refused_with_its_path(write, section, scrap):
+    """No scrap of data in any section ends in another exception than StudyError."""
+    try:
+        plan = load(write(**{section: scrap}))
+    except StudyError as error:
+        assert any(fault.path[:1] in ((section,), ()) for fault in error.faults)  # noqa: PT017
+    else:
+        assert parse_yaml(plan.file.read_text()).data.get(section) == scrap

@@ -1,0 +1,199 @@
+"""Keys: what changes a number changes the key of the problem, what changes the course changes the key of the study."""
+
+from __future__ import annotations
+
+import io
+import re
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from rich.console import Console
+
+from tests.multibody.bodies.bdf_models import model as bdf_model
+from torchmbd.fem.mesh import rectangle
+from torchmbd.study import paths as place_module
+from torchmbd.study.assemble import problem_of
+from torchmbd.study.load import load_study
+from torchmbd.study.paths import evaluations_file, place, problem_key, study_key
+from torchmbd.study.run import run_plan
+
+
+def keys(file, *overrides):
+    plan = load_study(file, overrides)
+    return problem_key(plan), study_key(plan, "sqlite:///runs.db")
+
+
+@pytest.mark.parametrize(
+    ("override", "problem", "study"),
+    [
+        ("optimizer.max_iterations=9", False, True),
+        ("starts.seed=8", False, True),
+        ("design.rod.laminate.angles.upper=80", False, True),
+        ("tracking.experiment=other", False, True),
+        ("design.rod.laminate.angles.start=[40, -45]", True, True),
+        ("simulate.steps=61", True, True),
+        ("options.layers=2", False, False),  # as in the file
+        ("subject_to.0.at_most=1.5", True, True),
+        ("minimize={max: {strain_energy: rod}}", True, True),
+    ],
+)
+def test_which_keys_change(write, override, problem, study):
+    before = keys(write())
+    after = keys(write(), override)
+    assert (before[0] != after[0], before[1] != after[1]) == (problem, study)
+
+
+def test_another_model_in_the_same_file_is_another_problem(write, folder):
+    before = keys(write())
+    model = folder / "rod_model.py"
+    model.write_text(model.read_text().replace("modes=4", "modes=3"))
+    after = keys(write())
+    assert before[0] != after[0]
+    assert before[1] != after[1]
+
+
+MODEL = """
+from pathlib import Path
+import numpy as np
+import torchmbd as mbd
+from masses import crank
+HERE = Path(__file__).parent
+def build(layers: int = 2) -> mbd.System:
+    ply = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
+    laminate = mbd.Laminate(ply, angles=mbd.deg([45.0, -45.0]), thickness=7.5e-3 / layers)
+    mesh = HERE / "rod.inp"
+    rod = mbd.FlexibleBody.from_mesh("rod", mesh, laminate, 2, reference="left", axes=[[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    plate = mbd.FlexibleBody.from_bdf("plate", HERE / "plate.bdf", 1)
+    ground = mbd.Ground()
+    push = float(np.loadtxt(HERE / "push.txt"))
+    joints = [mbd.Fixed(ground.at(), rod.at("left")), mbd.Fixed(rod.at("right"), plate.at(0))]
+    return mbd.System([rod, plate], joints, [mbd.Force(plate.at(5), (0, 0, crank() * push))])
+"""
+
+
+@pytest.fixture
+def study(write, folder):
+    """A model that reads a mesh, a BDF file, a table of numbers and a module, all beside it."""
+    import meshio
+
+    mesh = rectangle(length=0.3, width=0.04, cells=(4, 2))
+    sets = {name: torch.tensor(mesh.node_set(f"{name}_edge")).numpy() for name in ("left", "right")}
+    points, cells = mesh.nodes.numpy(), [("quad", mesh.quads.numpy())]
+    meshio.Mesh(points, cells, point_sets=sets).write(folder / "rod.inp")
+    (folder / "plate.bdf").write_text(bdf_model((2, 1)))
+    (folder / "push.txt").write_text("10.0\n")
+    (folder / "masses.py").write_text("def crank():\n    return 2.0\n")
+    (folder / "files.py").write_text(MODEL)
+    brief = {"duration": 0.002, "steps": 4}
+    design = {"rod.laminate.angles": {"lower": -90, "upper": 90, "unit": "deg"}}
+    return write(model="files.py:build", simulate=brief, design=design, subject_to=None, starts=None)
+
+
+def known(file: Path, tracker) -> tuple[int, str]:
+    """How many evaluations a run has found in the store, and its table."""
+    output = io.StringIO()
+    run_plan(load_study(file), Console(file=output, width=120), tracker)
+    found = re.search(r"(\d+) of \d+ evaluations known", output.getvalue())
+    return int(found[1]) if found else 0, re.findall(r"^ +0 +([\d.e-]+)", output.getvalue(), re.MULTILINE)[-1]
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "same"),
+    [
+        ("masses.py", "2.0", "3.0", False),
+        ("push.txt", "10.0", "11.0", False),
+        ("rod.inp", "7.4999999999999997e-02", "7.4e-02", False),
+        ("plate.bdf", ",.23,", ",.24,", False),
+        ("masses.py", "def", "# of the crank\n\ndef", True),
+        ("files.py", "def", "# of the rod\n\ndef", True),
+        ("plate.bdf", "ENDDATA", "$ a comment\nENDDATA", True),
+    ],
+)
+def test_what_a_model_reads_counts_and_comments_do_not(study, folder, monkeypatch, name, old, new, same):
+    """One number elsewhere makes another study, with another table; a comment leaves all evaluations known."""
+    monkeypatch.setenv("TORCHMBD_STORE", str(folder / "store"))
+    first = known(study, Silent())
+    assert first[0] == 0
+    assert known(study, Silent())[0] > 0
+    file = folder / name
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+    second = known(study, Silent())
+    assert (second[0] > 0, second[1] == first[1]) == (same, same)
+
+
+class Silent:
+    """A tracker that hears nothing."""
+
+    trouble = None
+
+    def __getattr__(self, name):
+        return lambda *arguments, **options: None
+
+
+PARTS = sorted(p.name for p in place_module._PACKAGE.iterdir() if p.is_dir() and p.name != "__pycache__")
+
+
+@pytest.fixture(scope="module")
+def copied(tmp_path_factory):
+    """A copy of the package's sources."""
+    package = tmp_path_factory.mktemp("copied") / "torchmbd"
+    shutil.copytree(place_module._PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
+    return package
+
+
+@pytest.mark.parametrize("part", [*PARTS, "errors.py", "cli.py", "integrate/native/steps.cpp"])
+def test_the_sources_that_compute_numbers_count(copied, monkeypatch, part):
+    """The optimizers, the tracking, the pictures and the command line see an evaluation when it is made."""
+    before = place_module._code(place_module._PACKAGE)
+    folder = copied / part
+    for file in sorted(folder.glob("*.py"))[-2:] if folder.is_dir() else [folder]:
+        text = file.read_text()
+        counts = part not in ("cli.py", "experiment", "tracking", "viz", "optimizers")
+        for more, changed in (("", False), ("\nx = 1;\n", counts)):
+            file.write_text(text + more)
+            place_module._code.cache_clear()
+            assert (place_module._code(copied) != before) is changed, file
+        file.write_text(text)
+
+
+def test_the_sources_count_in_both_keys(write, copied, monkeypatch):
+    before = keys(write())
+    file = copied / "design" / "measures.py"
+    text = file.read_text()
+    file.write_text(text + "\nx = 1\n")
+    place_module._code.cache_clear()
+    monkeypatch.setattr(place_module, "_PACKAGE", copied)
+    after = keys(write())
+    file.write_text(text)
+    place_module._code.cache_clear()
+    assert before[0] != after[0]
+    assert before[1] != after[1]
+
+
+def test_another_torch_is_another_problem(write, monkeypatch):
+    before = keys(write())
+    monkeypatch.setattr(torch, "__version__", "2.0.0")
+    after = keys(write())
+    assert before[0] != after[0]
+    assert before[1] != after[1]
+
+
+def test_an_evaluation_leaves_the_key_as_it_is(write):
+    """What a system works out when it is first used is no change of it."""
+    plan = load_study(write(), ["simulate.duration=0.001", "simulate.steps=4"])
+    before = problem_key(plan)
+    problem = problem_of(plan)
+    problem.evaluate(problem.start[None], True)
+    assert problem_key(plan) == before
+
+
+def test_the_place_is_in_the_working_directory(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("TORCHMBD_STORE")
+    assert place() == tmp_path / ".torchmbd"
+    monkeypatch.setenv("TORCHMBD_STORE", str(tmp_path / "there"))
+    assert evaluations_file() == tmp_path / "there" / "evaluations.db"

@@ -1,0 +1,64 @@
+"""`torchmbd new`: what it writes is valid and runs."""
+
+from __future__ import annotations
+
+import io
+import shutil
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from torchmbd.errors import InputError
+from torchmbd.optimization import OPTIMIZERS
+from torchmbd.study.config_index import question
+from torchmbd.study.load import load_study
+from torchmbd.study.run import run_plan
+from torchmbd.study.scaffold import EXAMPLE_PARTS, TEXT, begin, parts_of
+from torchmbd.tracking.mlflow_tracker import MlflowTracker
+
+
+def test_the_example_runs(tmp_path, empty_store):
+    file, model = begin(tmp_path / "arm.yaml")
+    assert model.name == "arm_model.py"
+    assert "?" in question(file)
+    overrides = ["simulate.duration=0.01", "simulate.steps=20", "optimizer.max_iterations=1", "starts.count=1"]
+    plan = load_study(file, overrides)
+    assert plan.columns.names == ("angle_1_deg", "angle_2_deg")
+    tracker = MlflowTracker("new", f"sqlite:///{shutil.copy(empty_store, tmp_path)}")
+    assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
+
+
+def test_what_is_written_of_the_example_is_so(tmp_path):
+    begin(tmp_path / "arm.yaml")
+    built = parts_of("arm_model.py:build", tmp_path)
+    assert (built.body, built.options) == (EXAMPLE_PARTS.body, EXAMPLE_PARTS.options)
+    np.testing.assert_equal(built.parameters, EXAMPLE_PARTS.parameters)
+    named = TEXT.partition("name: mmfd")[2].partition("or ")[2].partition("\n")[0]
+    assert {"mmfd", *named.split(", ")} == set(OPTIMIZERS)
+
+
+def test_a_model_of_the_users_names_its_own_parts(folder):
+    (file,) = begin(folder / "mine.yaml", "rod_model.py:build")
+    plan = load_study(file)
+    assert plan.study.minimize == {"integral": {"strain_energy": "rod"}}
+    assert plan.study.options == {"layers": 2, "cells": 4}
+    assert plan.study.design["rod.laminate.angles"].start == [45.0, -45.0]
+
+
+def test_nothing_is_overwritten(folder):
+    begin(folder / "mine.yaml", "rod_model.py:build")
+    with pytest.raises(InputError, match="exists already"):
+        begin(folder / "mine.yaml", "rod_model.py:build")
+    with pytest.raises(InputError, match=r"ends in \.yaml"):
+        begin(folder / "mine.txt")
+    with pytest.raises(InputError, match="has no function 'buld'"):
+        begin(folder / "other.yaml", "rod_model.py:buld")
+    assert not (folder / "other.yaml").exists()
+
+
+def test_a_model_that_cannot_be_named_so_is_told_with_what_can(folder):
+    with pytest.raises(InputError, match=r"^model = 'rod_model': allowed: package\.module:function or path"):
+        begin(folder / "other.yaml", "rod_model")
+    with pytest.raises(InputError, match=r"^model module 'nothing' cannot be imported"):
+        begin(folder / "other.yaml", "nothing:build")

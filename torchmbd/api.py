@@ -1,0 +1,232 @@
+"""Every public name, in one place: what `mbd.` offers. `import torchmbd` alone loads none of it, see there.
+
+Checked in tests/test_api.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from torchmbd import viz
+from torchmbd.design import (
+    RMS,
+    Acceleration,
+    Angle,
+    AtPeaks,
+    AtTime,
+    AtTimes,
+    Constraint,
+    DesignSpace,
+    Displacement,
+    Final,
+    Frequencies,
+    Frequency,
+    Integral,
+    Mass,
+    Max,
+    Mean,
+    Min,
+    Position,
+    Problem,
+    Reaction,
+    RelativeDisplacement,
+    SmoothMax,
+    StrainEnergy,
+    Tradeoff,
+    Velocity,
+    WeightedSum,
+    history,
+    measure,
+)
+from torchmbd.design.differences import Differences
+from torchmbd.design.lamination import LaminationRules
+from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.ply_stress import PlyStress
+from torchmbd.errors import InputError, MbdError, SimulationFailure
+from torchmbd.fem import mesh, sections
+from torchmbd.fem.elements import BeamLine, GivenSection
+from torchmbd.fem.materials import Laminate, Ply, Strength
+from torchmbd.fem.mesh import Mesh
+from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
+from torchmbd.integrate import Event, Phase, Trajectory, simulate
+from torchmbd.math.angles import deg
+from torchmbd.math.variable import variable
+from torchmbd.multibody import forces
+from torchmbd.multibody.bodies import FlexibleBody, Frame, Ground, RigidBody
+from torchmbd.multibody.forces import (
+    AxialSpringDamper,
+    Bushing,
+    ControlHistory,
+    Controller,
+    Force,
+    Pressure,
+    RotationalSpringDamper,
+    SpringDamper,
+    Torque,
+    signals,
+)
+from torchmbd.multibody.joints import (
+    ConstantSpeed,
+    Cylindrical,
+    Distance,
+    Drive,
+    Fixed,
+    Planar,
+    PointOnPlane,
+    Prismatic,
+    Revolute,
+    Sine,
+    SmoothStep,
+    Spherical,
+    Universal,
+)
+from torchmbd.multibody.system import Dynamics, System, equilibrium
+from torchmbd.optimization import (
+    OptimizationResult,
+    Processes,
+    RobustProblem,
+    latin_hypercube,
+    optimize,
+    optimize_discrete,
+    pareto_front,
+    sobol,
+)
+from torchmbd.optimization.multistart import multistart
+from torchmbd.results.ply_history import PlyHistory
+from torchmbd.results.section_history import SectionHistory
+
+if TYPE_CHECKING:
+    from torchmbd.study.stored_run import LoadedStudy
+
+
+def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Path] = ()) -> LoadedStudy:
+    """Load a study of the tracking store: system, best design, motion; see torchmbd.study.stored_run.
+
+    run    run id, its beginning, or the name of a study (its latest run)
+    uri    the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
+    model  the Python file, or module, of the model. It is executed, and nothing else that the store may name:
+           "studies/arm.py", "package.module"; several where the phases come from another
+    """
+    from torchmbd.study.stored_run import load_run  # the experiment floor is imported when a study is wanted
+
+    return load_run(run, uri, model)
+
+
+def problem_of(file: str | Path, *assignments: str) -> Problem:
+    """The problem of an experiment file, for whatever a file has no keys for, such as other criteria of the same motion.
+
+    file         the experiment file (YAML)
+    assignments  overrides of single values, as at the command line: "options.layers=2"
+
+    Tolerances and steps of the file are left to the caller (RobustProblem, optimize_discrete), and nothing is tracked.
+    Raises InputError with every fault of the file.
+    """
+    from torchmbd.study.assemble import problem_of
+    from torchmbd.study.load import load_study
+
+    return problem_of(load_study(file, assignments))
+
+
+__all__ = [
+    "RMS",
+    "Acceleration",
+    "Angle",
+    "AtPeaks",
+    "AtTime",
+    "AtTimes",
+    "AxialSpringDamper",
+    "BeamLine",
+    "Bushing",
+    "ConstantSpeed",
+    "Constraint",
+    "ControlHistory",
+    "Controller",
+    "Cylindrical",
+    "DesignSpace",
+    "Differences",
+    "Displacement",
+    "Distance",
+    "Drive",
+    "Dynamics",
+    "Event",
+    "Final",
+    "Fixed",
+    "FlexibleBody",
+    "Force",
+    "Frame",
+    "Frequencies",
+    "Frequency",
+    "GivenSection",
+    "Ground",
+    "InputError",
+    "Integral",
+    "Laminate",
+    "LaminationRules",
+    "Mass",
+    "Max",
+    "MbdError",
+    "Mean",
+    "Mesh",
+    "Min",
+    "OptimizationResult",
+    "Phase",
+    "Planar",
+    "Ply",
+    "PlyFailure",
+    "PlyHistory",
+    "PlyStress",
+    "PointOnPlane",
+    "Position",
+    "Pressure",
+    "Prismatic",
+    "Problem",
+    "Processes",
+    "Reaction",
+    "RelativeDisplacement",
+    "Revolute",
+    "RigidBody",
+    "RobustProblem",
+    "RotationalSpringDamper",
+    "SectionHistory",
+    "SimulationFailure",
+    "Sine",
+    "SmoothMax",
+    "SmoothStep",
+    "Spherical",
+    "SpringDamper",
+    "StrainEnergy",
+    "Strength",
+    "System",
+    "Torque",
+    "Tradeoff",
+    "Trajectory",
+    "Universal",
+    "Velocity",
+    "WeightedSum",
+    "craig_bampton",
+    "deg",
+    "eigenpair_branches",
+    "eigenpairs",
+    "equilibrium",
+    "forces",
+    "history",
+    "latin_hypercube",
+    "load",
+    "measure",
+    "mesh",
+    "modal_basis",
+    "multistart",
+    "optimize",
+    "optimize_discrete",
+    "pareto_front",
+    "problem_of",
+    "sections",
+    "signals",
+    "simulate",
+    "sobol",
+    "spectral_function",
+    "variable",
+    "viz",
+]

@@ -1,0 +1,1 @@
+"""Finite elements: materials, meshes, elements, sections, and reduction to modes. Knows no motion."""

@@ -1,0 +1,160 @@
+"""What a flexible body is made of: parts with stiffness and mass on common nodes, and the freedoms that are free.
+
+    K(b) = sum_parts values_p(b)        on the free freedoms, one sparsity pattern
+    M(b) = sum of mass points: at nodes (lumped; diagonal where they need no arms) or halfway between two nodes
+
+A part knows its pattern over all freedoms 6 * node + i of the mesh, made once, and gives its values for the present
+design. A new kind of element is one class that keeps this contract (`Part`).
+
+Mass points: mass m and isotropic rotary inertia mu at a node, eq. (2), or at the middle of two nodes, which moves with
+their mean; or at the end of a rigid arm on them. With three such points at the middles of its sides a triangle has its
+consistent mass, exact for linear shape functions; with four on arms in its plane a beam's section has any inertia; an
+arm along its normal takes a laminate's mass off its middle surface, by the first moment of its density.
+Differentiable, forward and reverse, in the parameters of the parts, with lanes.
+Checked in tests/fem/elements/test_assembly.py, tests/fem/elements/test_beams.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Protocol
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.fem.elements.freedoms import Average, Freedoms, RigidLink
+from torchmbd.fem.elements.part import MassPoints, Part
+from torchmbd.math.sparse import Pattern, SparseMatrix
+
+
+class Meshed(Protocol):
+    """What an assembly asks of a mesh."""
+
+    @property
+    def nodes(self) -> Float[Tensor, "n 3"]: ...
+
+
+class Assembly:
+    """Parts on the nodes of one mesh, some of them held or linked.
+
+    mesh    whose nodes carry the freedoms
+    parts   name -> part
+    held    nodes that are fixed
+    links   nodes that follow others
+    """
+
+    def __init__(
+        self,
+        mesh: Meshed,
+        parts: Mapping[str, Part],
+        held: Sequence[int] = (),
+        links: Sequence[RigidLink | Average] = (),
+    ) -> None:
+        self.mesh, self.parts = mesh, dict(parts)
+        self.freedoms = Freedoms(mesh.nodes, held, links)
+        points = [part.masses() for part in self.parts.values()]
+        self._ends = torch.cat([p.ends for p in points])
+        self._lumped = bool((self._ends[:, 0] == self._ends[:, 1]).all())
+        self._prepare_stiffness()
+        arms = any(p.arm is not None for p in points)
+        self.diagonal = self._lumped and self.freedoms.plain and not arms
+        self._entries = torch.arange(36) if arms else 7 * torch.arange(6)  # of a point's 6 x 6 inertia
+        if not self.diagonal:
+            self._prepare_mass()
+
+    def _prepare_stiffness(self) -> None:
+        """Where the values of every part go in the common pattern of the free freedoms: (source, slot, factor)."""
+        reduced = [self.freedoms.reduced(part.pattern) for part in self.parts.values()]
+        if len(reduced) == 1:
+            self.pattern, slots = reduced[0][0], [torch.arange(reduced[0][0].nnz)]
+        else:
+            rows, cols = (torch.cat([getattr(pattern, name) for pattern, *_ in reduced]) for name in ("rows", "cols"))
+            self.pattern, slot = Pattern.gather(rows, cols, len(self.freedoms.free))
+            slots = list(slot.split([pattern.nnz for pattern, *_ in reduced]))
+        self._places = [
+            (source, place[slot], factor) for (_, source, slot, factor), place in zip(reduced, slots, strict=True)
+        ]
+
+    def _prepare_mass(self) -> None:
+        """Where each mass point goes in M: a quarter of its inertia to the four corners of its pair."""
+        i, j = torch.div(self._entries, 6, rounding_mode="floor"), self._entries % 6
+        ends = self._ends
+        pairs = torch.stack([ends[:, [0, 0, 1, 1]], ends[:, [0, 1, 0, 1]]], dim=-1)  # [points, 4, 2]
+        rows, cols = (6 * pairs[..., k, None] + local for k, local in ((0, i), (1, j)))  # [points, 4, entries]
+        pattern, entry = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(self.mesh.nodes))
+        self.mass_pattern, source, slot, factor = self.freedoms.reduced(pattern)
+        # M values = sum over (point, corner, entry) with the weight 1/4, then through T.
+        self._mass_entry, self._mass_size = entry, pattern.nnz
+        self._mass_source, self._mass_slot, self._mass_factor = source, slot, factor
+
+    def stiffness(self) -> SparseMatrix:
+        """K of the free freedoms."""
+        values = [part.values(source) for part, (source, *_) in zip(self.parts.values(), self._places, strict=True)]
+        if len(values) == 1 and self.freedoms.plain:
+            return SparseMatrix(self.pattern, values[0], symmetric=True)
+        lanes = np.broadcast_shapes(*(v.shape[:-1] for v in values))
+        total = values[0].new_zeros(*lanes, self.pattern.nnz)
+        for (_, slot, factor), v in zip(self._places, values, strict=True):
+            total = total.index_add(-1, slot, (v * factor).expand(*lanes, -1))
+        return SparseMatrix(self.pattern, total, symmetric=True)
+
+    def masses(self) -> MassPoints:
+        """All mass points."""
+        points = [part.masses() for part in self.parts.values()]
+        lanes = np.broadcast_shapes(*(p.mass.shape[:-1] for p in points), *(p.rotary.shape[:-1] for p in points))
+        mass, rotary = (
+            torch.cat([getattr(p, name).expand(*lanes, -1) for p in points], dim=-1) for name in ("mass", "rotary")
+        )
+        if all(p.arm is None for p in points):
+            return MassPoints(self._ends, mass, rotary)
+        none = self.mesh.nodes.new_zeros(1, 3)
+        arms = [(none if p.arm is None else p.arm).expand(*lanes, len(p.ends), 3) for p in points]
+        return MassPoints(self._ends, mass, rotary, torch.cat(arms, dim=-2))
+
+    def mass(self, points: MassPoints | None = None) -> Float[Tensor, "*lanes N"] | SparseMatrix:
+        """M of the free freedoms: its diagonal where all masses are lumped at free nodes, else a sparse matrix.
+
+        points: what `masses` has found already
+        """
+        _, mass, rotary, arm = self.masses() if points is None else points
+        inertia = _inertia(mass, rotary, arm)  # [..., points, entries]
+        if self.diagonal:
+            full = mass.new_zeros(*mass.shape[:-1], len(self.mesh.nodes), 6)
+            return full.index_add(-2, self._ends[:, 0], inertia).flatten(-2)[..., self.freedoms.free]
+        corners = (inertia[..., None, :] / 4.0).expand(*inertia.shape[:-1], 4, -1).flatten(-3)
+        values = mass.new_zeros(*mass.shape[:-1], self._mass_size).index_add(-1, self._mass_entry, corners)
+        small = mass.new_zeros(*mass.shape[:-1], self.mass_pattern.nnz)
+        small = small.index_add(-1, self._mass_slot, values[..., self._mass_source] * self._mass_factor)
+        return SparseMatrix(self.mass_pattern, small)
+
+    def places(self, x: Float[Tensor, "n 3"], arm: Tensor | None) -> Float[Tensor, "*lanes points 3"]:
+        """Positions of the mass points on these arms, from those of the nodes."""
+        middles = self._middles(x, -2)
+        return middles if arm is None else middles + arm
+
+    def motion(self, psi: Float[Tensor, "*lanes n 6 k"], arm: Tensor | None) -> Float[Tensor, "*lanes points 6 k"]:
+        """Displacements and rotations of the mass points on these arms, from those of the nodes."""
+        at = self._middles(psi, -3)
+        if arm is None:
+            return at
+        moved, turned = at.split(3, dim=-2)
+        return torch.cat([moved + torch.linalg.cross(turned, arm[..., None].expand_as(turned), dim=-2), turned], dim=-2)
+
+    def _middles(self, field: Tensor, axis: int) -> Tensor:
+        one = field.index_select(axis, self._ends[:, 0])
+        return one if self._lumped else 0.5 * (one + field.index_select(axis, self._ends[:, 1]))
+
+
+def _inertia(mass: Tensor, rotary: Tensor, arm: Tensor | None) -> Float[Tensor, "*lanes points entries"]:
+    """Inertia of mass points about their nodes: the diagonals of 6 x 6 matrices, or with arms the whole of them."""
+    if arm is None:
+        return torch.stack([mass] * 3 + [rotary] * 3, dim=-1)
+    x, y, z = arm.unbind(-1)
+    o = torch.zeros_like(x)
+    lever = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).unflatten(-1, (3, 3))  # lever @ phi = arm x phi
+    eye = torch.eye(3, dtype=arm.dtype).expand_as(lever)
+    at_node = torch.cat([torch.cat([eye, -lever], dim=-1), torch.cat([lever, lever.mT @ lever], dim=-1)], dim=-2)
+    turning = torch.diag(arm.new_tensor([0.0, 0.0, 0.0, 1.0, 1.0, 1.0]))
+    return (mass[..., None, None] * at_node + rotary[..., None, None] * turning).flatten(-2)

@@ -1,0 +1,212 @@
+"""Stiffness and lumped mass of shear-flexible beams in space with full 6 x 6 sections.
+
+The element is made from equilibrium, not from shape functions. With f the force and moment at its end (the rest of the
+structure on the element), those of the section at d before the end are C f: M += d cross F, then turned into its axes, so
+
+    F = integral of C' S C ds                                 flexibility of the end, by Gauss's rule
+    f = F^-1 (u_2 - A' u_1),   A: M += c cross F              stiffness
+
+S        compliance of the section about the line of the nodes, at the stations of the rule
+c        the chord, from the start to the end
+u_1, u_2 displacements and rotations of the ends, in the axes of the chord
+
+Exact for beams loaded at their nodes, whatever the couplings: no locking, no dependence on the number of elements; two
+stations for a prismatic element, more for one that is twisted by itself or an arc (beam_curve.py; the section is that of
+the straight beam: depth over radius is small). Rigid motions are exact.
+Mass: half of each element's at its ends, as four particles in the plane of the section that have its mass, center and
+inertia; so products of inertia and eccentric centers need no special case in the motion.
+Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units. Differentiable, forward and
+reverse, in the sections' stiffness, with lanes.
+Source: the flexibility (force) method, J. S. Przemieniecki, Theory of Matrix Structural Analysis (1968), chapter 8;
+W. Carnegie, J. Thomas, E. Dokumaci, Aeronaut. Q. 20 (1969), for the shear-flexible element that this one contains.
+Checked in tests/elements/test_beam_*.py, tests/validation/test_beam_*.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements.beam_curve import Curves
+from torchmbd.fem.elements.facet import STEEPNESS
+from torchmbd.math.inverse import balanced_inverse
+from torchmbd.math.owned import reals
+from torchmbd.math.sparse import Pattern, SparseMatrix
+
+
+class Line(Protocol):
+    """Nodes [n, 3] and two-node elements [m, 2]: a BeamLine, or the beams of a larger mesh; middles of arcs [m, 3]."""
+
+    nodes: Tensor
+    elements: Tensor
+    middles: Tensor | None
+
+
+class Particles(NamedTuple):
+    """Point masses [kg] on rigid arms [m], carried by the middles of node pairs; a pair (k, k) is node k."""
+
+    ends: Int[Tensor, "p 2"]
+    arm: Float[Tensor, "p 3"]
+    mass: Float[Tensor, " p"]
+
+
+class BeamMatrices:
+    """What a line contributes to stiffness and mass, made once per mesh.
+
+    pattern   where K is not zero
+    axes      rows e_x, e_y, e_z of each element (of its chord) in mesh axes   [m, 3, 3]
+    length    of each element, along its arc                    [m], m
+    stations  where the section is asked, in parts of the length from the start    [g]
+
+    orientation   the sections' y-axis in mesh axes, projected across each element, of an arc across its tangents: [3], or
+                  one for each element of the mesh [m, 3]
+    members       indices of the elements in question; None: all of the mesh. `elements` keeps their nodes
+    stations      how many; two are exact for prismatic elements
+    """
+
+    def __init__(
+        self,
+        mesh: Line,
+        orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
+        members: Sequence[int] | Tensor | None = None,
+        stations: int = 2,
+    ) -> None:
+        self.mesh = mesh
+        self.members = torch.arange(len(mesh.elements)) if members is None else torch.as_tensor(members)
+        self.elements = mesh.elements[self.members]
+        start, end = mesh.nodes[self.elements].unbind(1)
+        self.curves = Curves.through(start, end, None if mesh.middles is None else mesh.middles[self.members])
+        self.length = self.curves.length
+        self._orientation = orientation
+        span = end - start
+        chord = span.norm(dim=1)
+        self.axes = self._frames((span / chord[:, None])[:, None])[:, 0]
+        freedoms = (6 * self.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
+        rows, cols = freedoms[:, :, None].expand(-1, 12, 12), freedoms[:, None, :].expand(-1, 12, 12)
+        self.pattern, self._slot = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
+        turn = torch.zeros(len(span), 6, 6, dtype=torch.float64)
+        turn[:, :3, :3] = turn[:, 3:, 3:] = self.axes
+        along = torch.stack([chord, torch.zeros_like(chord), torch.zeros_like(chord)], dim=-1)
+        self._whole = _transport(along, torch.eye(3, dtype=torch.float64))
+        self._ends = torch.cat([-self._whole.mT @ turn, turn], dim=-1)  # u_2 - A u_1 in local axes  [m, 6, 12]
+        points, weights = (torch.from_numpy(x) / 2.0 for x in np.polynomial.legendre.leggauss(stations))
+        self.stations, self._weights = 0.5 + points, weights
+        place, tangent = self.curves.at(self.stations)
+        before = (end[:, None] - place) @ self.axes.mT  # d of the header, in the axes of the chord
+        self._carry = _transport(before, self._frames(tangent) @ self.axes[:, None].mT)  # [m, g, 6, 6]
+
+    def values(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> Float[Tensor, "*lanes nnz"]:
+        """K values on the pattern, from the section stiffness at each station (m and g may be 1 where it is the same)."""
+        k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
+        element = (self._ends.mT @ k @ self._ends).flatten(-3)
+        result = element.new_zeros(*element.shape[:-1], self.pattern.nnz)
+        return result.index_add(-1, self._slot, element)
+
+    def stiffness(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> SparseMatrix:
+        """K of one design or of a batch."""
+        return SparseMatrix(self.pattern, self.values(stiffness))
+
+    def flexibility(self, compliance: Float[Tensor, "*lanes m g 6 6"]) -> Float[Tensor, "*lanes m 6 6"]:
+        """F of the module header."""
+        weight = self.length[:, None] * self._weights
+        return (weight[..., None, None] * (self._carry.mT @ compliance @ self._carry)).sum(-3)
+
+    def forces(
+        self, stiffness: Float[Tensor, "*lanes m g 6 6"], motion: Float[Tensor, "*lanes n 6 k"]
+    ) -> Float[Tensor, "*lanes m 2 6 k"]:
+        """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, in its axes there, for k motions of the nodes."""
+        k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
+        end = k @ (self._ends @ motion[..., self.elements, :, :].flatten(-3, -2))
+        turned = self.frames(torch.tensor([0.0, 1.0], dtype=torch.float64)) @ self.axes[:, None].mT
+        here = _transport(end.new_zeros(len(self.length), 2, 3), turned)
+        return here @ torch.stack([self._whole @ end, end], dim=-3)
+
+    def frames(self, t: Float[Tensor, " g"]) -> Float[Tensor, "m g 3 3"]:
+        """Axes of the sections at parts t of the lengths, rows, mesh axes."""
+        return self._frames(self.curves.at(t)[1])
+
+    def _frames(self, tangent: Float[Tensor, "m g 3"]) -> Float[Tensor, "m g 3 3"]:
+        count = tangent.shape[1]
+        members = self.members.repeat_interleave(count)
+        return _axes(tangent.flatten(0, 1), self._orientation, members, len(self.mesh.elements)).unflatten(
+            0, (-1, count)
+        )
+
+    def particles(self, mass: Float[Tensor, "m places 6 6"], consistent: bool = False) -> Particles:
+        """Four particles at each place of each element, from the section mass there (m and places may be 1).
+
+        Places: both ends, half of the mass each; or consistent with linear shape functions (Simpson's rule): a sixth at
+        each end, two thirds at the middle, which moves with the mean of the ends.
+        """
+        m = len(self.length)
+        i, j = self.elements.unbind(1)
+        pairs, shares = ((i, i), (j, j)), (0.5, 0.5)
+        if consistent:
+            pairs, shares = (*pairs, (i, j)), (1 / 6, 1 / 6, 2 / 3)
+        shape = (m, len(pairs), 4)
+        ends = torch.stack([torch.stack(pair, dim=-1) for pair in pairs], dim=1)  # [m, places, 2]
+        per_length, at = section_particles(mass.expand(m, len(pairs), 6, 6).flatten(0, 1))
+        frames = self.frames(torch.tensor([0.0, 1.0, 0.5], dtype=torch.float64)[: len(pairs)])
+        arm = at.unflatten(0, shape[:2]) @ frames[:, :, 1:]
+        arm[:, 2:] += self.curves.arrow[:, None, None]  # the middle of the arc, from that of the chord
+        whole = (
+            per_length.unflatten(0, shape[:2]) * self.length[:, None, None] * self.length.new_tensor(shares)[:, None]
+        )
+        return Particles(ends[:, :, None].expand(*shape, 2).reshape(-1, 2), arm.reshape(-1, 3), whole.flatten())
+
+
+def section_particles(mass: Float[Tensor, "m 6 6"]) -> tuple[Float[Tensor, "m 4"], Float[Tensor, "m 4 2"]]:
+    """Four equal particles in the section's plane with its mass, center and second moments: kg/m, places (y, z) [m]."""
+    mu = mass[:, 0, 0]
+    center = torch.stack([-mass[:, 0, 5], mass[:, 0, 4]], dim=-1) / mu[:, None]
+    second = torch.stack(
+        [torch.stack([mass[:, 5, 5], -mass[:, 4, 5]], -1), torch.stack([-mass[:, 4, 5], mass[:, 4, 4]], -1)], dim=-2
+    )
+    central = second / mu[:, None, None] - center[:, :, None] * center[:, None, :]
+    polar = mass[:, 3, 3] / (mass[:, 4, 4] + mass[:, 5, 5]) - 1.0
+    values, directions = torch.linalg.eigh(central)
+    if (polar.abs() > 0.01).any() or (values <= 0).any():
+        k = int(((polar.abs() > 0.01) | (values <= 0).any(1)).nonzero()[0])
+        raise InputError(
+            f"mass of section {k}: inertias {mass[k].diagonal()[3:].tolist()} kg m with its center at "
+            f"{center[k].tolist()} m; allowed: those of a plane section, the polar one the sum of the other two "
+            "and all of them about the center positive"
+        )
+    arms = (2.0 * values).sqrt()[:, None, :] * directions  # columns: along the principal axes
+    at = center[:, None] + torch.cat([arms, -arms], dim=-1).mT
+    return (mu / 4.0)[:, None].expand(-1, 4), at
+
+
+def _transport(d: Float[Tensor, "*n 3"], turn: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 6 6"]:
+    """C of the module header: turn [F; M + d cross F]."""
+    x, y, z = d.unbind(-1)
+    o = torch.zeros_like(x)
+    arm = torch.stack([o, -z, y, z, o, -x, -y, x, o], dim=-1).unflatten(-1, (3, 3))
+    turn = turn.expand(arm.shape)
+    return torch.cat([torch.cat([turn, torch.zeros_like(turn)], -1), torch.cat([turn @ arm, turn], -1)], -2)
+
+
+def _axes(e_x: Tensor, orientation: Sequence[float] | Tensor, members: Tensor, count: int) -> Float[Tensor, "m 3 3"]:
+    d = reals("orientation", orientation)
+    if d.shape not in ((3,), (count, 3)) or not torch.isfinite(d).all():
+        raise InputError(
+            f"orientation has shape {tuple(d.shape)}; allowed: [3], or one for each element [m, 3], finite"
+        )
+    d = d.expand_as(e_x) if d.ndim == 1 else d[members]
+    e_y = d - (d * e_x).sum(1, keepdim=True) * e_x
+    size = e_y.norm(dim=1, keepdim=True)
+    steep = (~(size > STEEPNESS * d.norm(dim=1, keepdim=True))).flatten().nonzero().flatten()
+    if len(steep):
+        k = int(steep[0])
+        raise InputError(
+            f"orientation {d[k].tolist()} lies along element {int(members[k])}, direction {e_x[k].tolist()}; "
+            "allowed: a direction across the beam, to which the section's y-axis is turned"
+        )
+    e_y = e_y / size
+    return torch.stack([e_x, e_y, torch.linalg.cross(e_x, e_y)], dim=1)

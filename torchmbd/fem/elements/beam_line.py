@@ -1,0 +1,172 @@
+"""The mesh of a beam: nodes on a line in space, two-node elements between them, names for nodes.
+
+nodes      positions in the axes of the body   [n, 3], m
+elements   node indices (start, end)           [m, 2]
+node_sets  name -> node indices; a set of one node is a named node
+middles    of elements that are arcs of circles, on their arcs halfway   [m, 3], m; None: all are straight
+
+An element's x-axis runs from its start to its end, along the tangent of an arc. Branches and closed loops are allowed;
+parts must hang together.
+Checked in tests/fem/elements/test_beam_line.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.math.gradients import constants
+from torchmbd.math.owned import indices, reals
+from torchmbd.math.plausible_units import EXTENT, doubt
+
+
+class BeamLine:
+    """Nodes [n, 3] in m, elements [m, 2] (default: each node with the next), named node sets, middles of arcs [m, 3]."""
+
+    nodes: Float[Tensor, "n 3"]
+    elements: Int[Tensor, "m 2"]
+    node_sets: Mapping[str, Sequence[int]]
+    middles: Float[Tensor, "m 3"] | None
+
+    def __init__(
+        self,
+        nodes: ArrayLike | Tensor,
+        elements: ArrayLike | Tensor | None = None,
+        node_sets: Mapping[str, Sequence[int]] | None = None,
+        middles: ArrayLike | Tensor | None = None,
+    ) -> None:
+        self.nodes = reals("nodes of a BeamLine", nodes)
+        _check_nodes(self.nodes)
+        chain = np.array(list(pairwise(range(len(self.nodes)))))
+        self.elements = indices("elements of a BeamLine", chain if elements is None else elements)
+        _check_elements(self.nodes, self.elements)
+        self.middles = None if middles is None else reals("middles of a BeamLine", middles)
+        if self.middles is not None:
+            _check_middles(self.nodes[self.elements], self.middles)
+        if node_sets is None:
+            node_sets = {"start": [0], "end": [len(self.nodes) - 1]} if elements is None else {}
+        self.node_sets = {str(name): tuple(int(k) for k in members) for name, members in node_sets.items()}
+        for name, members in self.node_sets.items():
+            for k in members:
+                if not 0 <= k < len(self.nodes):
+                    raise InputError(f"BeamLine: node_sets[{name!r}] has node {k}; allowed: 0 to {len(self.nodes) - 1}")
+
+    @classmethod
+    @constants
+    def straight(cls, length: float, elements: int = 16, direction: Sequence[float] = (1.0, 0.0, 0.0)) -> BeamLine:
+        """From the origin along `direction`, equal elements. Nodes "start", "end", and "center" where there is one."""
+        if not 0.0 < length < float("inf"):
+            raise InputError(f"BeamLine: length = {length!r} m; allowed: a finite number > 0")
+        if not isinstance(elements, int) or isinstance(elements, bool) or elements < 1:
+            raise InputError(f"BeamLine: elements = {elements!r}; allowed: an integer >= 1")
+        d = np.asarray(direction, dtype=float)
+        if d.shape != (3,) or not np.isfinite(d).all() or not d.any():
+            raise InputError(f"BeamLine: direction = {direction!r}; allowed: three finite numbers, not all zero")
+        nodes = np.linspace(0.0, length, elements + 1)[:, None] * d / np.linalg.norm(d)
+        sets = {"start": [0], "end": [elements]} | ({"center": [elements // 2]} if elements % 2 == 0 else {})
+        return cls(nodes, node_sets=sets)
+
+    @classmethod
+    @constants
+    def arc(cls, radius: float, angle: float, elements: int = 16) -> BeamLine:
+        """Arc of a circle in the x-y plane, from the origin along +x, bending to +y. Nodes "start", "end", "center".
+
+        radius   [m]
+        angle    from the first tangent to the last [rad], less than a whole turn; an element takes half a turn at most
+        """
+        if not 0.0 < radius < float("inf"):
+            raise InputError(f"BeamLine: radius = {radius!r} m; allowed: a finite number > 0")
+        if not 0.0 < angle < 2.0 * np.pi:
+            raise InputError(f"BeamLine: angle = {angle!r} rad; allowed: 0 to 2 pi")
+        if not isinstance(elements, int) or isinstance(elements, bool) or elements < 1 or angle > np.pi * elements:
+            raise InputError(f"BeamLine: elements = {elements!r}; allowed: an integer >= 1, one for each half turn")
+        at = np.linspace(0.0, angle, 2 * elements + 1)
+        places = radius * np.stack([np.sin(at), 1.0 - np.cos(at), 0.0 * at], axis=1)
+        sets = {"start": [0], "end": [elements]} | ({"center": [elements // 2]} if elements % 2 == 0 else {})
+        return cls(places[::2], node_sets=sets, middles=places[1::2])
+
+    def node(self, name: str) -> int:
+        """Return the index of a named single node."""
+        members = self.node_set(name)
+        if len(members) != 1:
+            raise InputError(f"BeamLine: node set {name!r} has {len(members)} nodes; a single named node is needed")
+        return members[0]
+
+    def node_set(self, name: str) -> tuple[int, ...]:
+        """Return the node indices of a named set."""
+        if name not in self.node_sets:
+            raise unknown("node", name, self.node_sets)
+        return tuple(self.node_sets[name])
+
+
+def _check_nodes(nodes: Tensor) -> None:
+    if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:
+        raise InputError(f"BeamLine: nodes has shape {tuple(nodes.shape)}; allowed: [n, 3] with n >= 2")
+    bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
+    if len(bad):
+        raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
+    doubt("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT, stacklevel=4)
+    twin = _repeated(nodes.numpy())
+    if twin:
+        raise InputError(
+            f"BeamLine: nodes {twin[0]} and {twin[1]} share one place {nodes[twin[1]].tolist()}; merge them"
+        )
+
+
+def _check_elements(nodes: Tensor, elements: Tensor) -> None:
+    n = len(nodes)
+    if elements.ndim != 2 or elements.shape[1] != 2 or len(elements) == 0:
+        raise InputError(f"BeamLine: elements has shape {tuple(elements.shape)}; allowed: [m, 2] with m >= 1")
+    bad = ((elements < 0) | (elements >= n)).any(dim=1).nonzero().flatten()
+    if len(bad):
+        raise InputError(
+            f"BeamLine: element {int(bad[0])} has nodes {elements[bad[0]].tolist()}; allowed: 0 to {n - 1}"
+        )
+    twin = _repeated(np.sort(elements.numpy(), axis=1))
+    if twin:
+        raise InputError(
+            f"BeamLine: elements {twin[0]} and {twin[1]} are duplicates, nodes {elements[twin[1]].tolist()}"
+        )
+    length = (nodes[elements[:, 1]] - nodes[elements[:, 0]]).norm(dim=1)
+    short = (length <= 1e-9 * length.max()).nonzero().flatten()
+    if len(short):
+        k = int(short[0])
+        raise InputError(f"BeamLine: element {k}, nodes {elements[k].tolist()}, has no length; merge its nodes")
+    tail, head = elements.numpy().T
+    parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)
+    if parts > 1:
+        stray = int(np.flatnonzero(label != label[0])[0])
+        raise InputError(
+            f"BeamLine: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
+        )
+
+
+def _check_middles(ends: Tensor, middles: Tensor) -> None:
+    if middles.shape != (len(ends), 3) or not torch.isfinite(middles).all():
+        raise InputError(f"BeamLine: middles has shape {tuple(middles.shape)}; allowed: finite, [{len(ends)}, 3]")
+    start, end = ends.unbind(1)
+    chord, arrow = end - start, middles - 0.5 * (start + end)
+    c, b = chord.norm(dim=1), arrow.norm(dim=1)
+    wrong = (((chord * arrow).sum(1).abs() > 1e-6 * c**2) | (b > 0.5 * (1 + 1e-9) * c)).nonzero().flatten()
+    if len(wrong):
+        k = int(wrong[0])
+        raise InputError(
+            f"BeamLine: middle of element {k} is at {middles[k].tolist()}; allowed: as far from its start as from its end, "
+            "on an arc of at most half a turn"
+        )
+
+
+def _repeated(rows: np.ndarray) -> tuple[int, int] | None:
+    """The first row that repeats an earlier one, and that one."""
+    _, first, inverse = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    again = np.flatnonzero(first[inverse.ravel()] != np.arange(len(rows)))
+    return (int(first[inverse.ravel()[again[0]]]), int(again[0])) if len(again) else None

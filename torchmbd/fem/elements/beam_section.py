@@ -1,0 +1,126 @@
+"""What a beam asks of its section, sections given by numbers, and sections moved off the line of the nodes.
+
+    stiffness   (N, V_y, V_z, T, M_y, M_z) = K (eps, gamma_y, gamma_z, kappa_x, kappa_y, kappa_z)   N, N m, N m2
+    mass        inertia per length of (v, omega) of the section's axes                              kg/m, kg, kg m
+
+`torchmbd.fem.sections.Section` is one; `GivenSection` holds two matrices, of another code or of a closed form.
+
+A section whose origin lies at `offset` from the line of the nodes and whose y-axis is turned by `twist` from the beam's
+acts on the line by the same forces, and by moments with an arm: f_line = W f_section, so K_line = W K W', and the same
+for the mass.
+Checked in tests/fem/elements/test_beam_section.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol, runtime_checkable
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.gradients import constants, refuse_gradients
+
+
+@runtime_checkable
+class BeamSection(Protocol):
+    """A module with a stiffness, which may depend on parameters and carry lanes, and a constant mass."""
+
+    def stiffness(self) -> Float[Tensor, "*lanes 6 6"]: ...
+
+    def mass(self) -> Float[Tensor, "6 6"]: ...
+
+
+class GivenSection(nn.Module):
+    """A section of known matrices. `.matrix` is a parameter; it asks for no gradient by default.
+
+    stiffness   6 x 6, symmetric and positive definite
+    mass        6 x 6, symmetric and positive definite, of a plane section (polar inertia = sum of the other two)
+    """
+
+    matrix: Tensor
+    inertia: Tensor
+
+    def __init__(self, stiffness: Sequence | Tensor, mass: Sequence | Tensor) -> None:
+        super().__init__()
+        self.matrix = nn.Parameter(checked("stiffness", stiffness), requires_grad=False)
+        self.register_buffer("inertia", checked("mass", mass), persistent=False)
+
+    @classmethod
+    @constants
+    def isotropic(
+        cls,
+        E: float,
+        nu: float,
+        density: float,
+        area: float,
+        Iyy: float,
+        Izz: float,
+        J: float,
+        shear_y: float = 5.0 / 6.0,
+        shear_z: float = 5.0 / 6.0,
+    ) -> GivenSection:
+        """A metal about its principal axes: area [m2], second moments and torsion constant [m4], shear corrections."""
+        given = {"E": E, "density": density, "area": area, "Iyy": Iyy, "Izz": Izz, "J": J}
+        for name, value in (given | {"shear_y": shear_y, "shear_z": shear_z}).items():
+            if not 0.0 < value < float("inf"):
+                raise InputError(f"GivenSection: {name} = {value!r}; allowed: a finite number > 0")
+        if not -1.0 < nu <= 0.5:
+            raise InputError(f"GivenSection: nu = {nu!r}; allowed: -1 < nu <= 0.5")
+        G = E / (2.0 * (1.0 + nu))
+        K = torch.tensor(
+            [E * area, G * area * shear_y, G * area * shear_z, G * J, E * Iyy, E * Izz], dtype=torch.float64
+        )
+        M = density * torch.tensor([area, area, area, Iyy + Izz, Iyy, Izz], dtype=torch.float64)
+        return cls(torch.diag(K), torch.diag(M))
+
+    def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
+        """Stiffness matrix of the section."""
+        return self.matrix
+
+    def mass(self) -> Float[Tensor, "6 6"]:
+        """Mass matrix of the section, per length."""
+        return self.inertia
+
+
+def line_transform(offset: Float[Tensor, "*n 2"], twist: Float[Tensor, "*n"]) -> Float[Tensor, "*n 6 6"]:
+    """W: forces of the section about the line of the nodes, in the beam's axes. offset: (y, z) [m]; twist [rad]."""
+    if not torch.isfinite(offset).all():
+        raise InputError(f"offset is {offset.tolist()}; allowed: finite numbers, y and z [m]")
+    if not (twist.abs() <= 2 * torch.pi).all():
+        raise InputError(f"twist is {twist.tolist()}; allowed: -2 pi to 2 pi [rad]")
+    y, z, twist = torch.broadcast_tensors(*offset.unbind(-1), twist)
+    c, s = torch.cos(twist), torch.sin(twist)
+    o, one = torch.zeros_like(c), torch.ones_like(c)
+    turn = _matrix([[one, o, o], [o, c, -s], [o, s, c]])
+    arm = _matrix([[o, -z, y], [z, o, o], [-y, o, o]])
+    return torch.cat([torch.cat([turn, torch.zeros_like(turn)], -1), torch.cat([arm @ turn, turn], -1)], -2)
+
+
+def _matrix(rows: Sequence[Sequence[Tensor]]) -> Tensor:
+    return torch.stack([torch.stack(list(row), dim=-1) for row in rows], dim=-2)
+
+
+def checked(name: str, matrix: Sequence | Tensor) -> Tensor:
+    """Read a symmetric positive definite 6 x 6 matrix; InputError names the entry or the eigenvalue."""
+    refuse_gradients(f"{name} of a section", matrix, "a 6 x 6 matrix")
+    try:
+        A = torch.as_tensor(matrix, dtype=torch.float64).detach().clone()
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"{name} of a section is {matrix!r}; allowed: a 6 x 6 matrix") from error
+    if A.shape != (6, 6) or not torch.isfinite(A).all():
+        raise InputError(f"{name} of a section has shape {tuple(A.shape)}; allowed: a 6 x 6 matrix of finite numbers")
+    diagonal = A.diagonal()
+    if not (diagonal > 0).all():
+        k = int((~(diagonal > 0)).nonzero()[0])
+        raise InputError(f"{name} of a section: entry {k + 1},{k + 1} is {float(diagonal[k])!r}; allowed: > 0")
+    unit = A / (diagonal[:, None] * diagonal).sqrt()
+    if float((unit - unit.T).abs().max()) > 1e-6:
+        i, j = divmod(int((unit - unit.T).abs().argmax()), 6)
+        pair = (float(A[i, j]), float(A[j, i]))
+        raise InputError(f"{name} of a section: entries {i + 1},{j + 1} and {j + 1},{i + 1} are {pair}; allowed: equal")
+    if not float(torch.linalg.eigvalsh(unit).min()) > 1e-12:
+        raise InputError(f"{name} of a section is not positive definite: it does no work in some motion")
+    return (A + A.T) / 2

@@ -1,0 +1,111 @@
+"""Part of an assembly: beams of one section on some elements of a line.
+
+Checked in tests/fem/elements/test_beams.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.fem.elements.beam import BeamMatrices, Line
+from torchmbd.fem.elements.beam_section import BeamSection, line_transform
+from torchmbd.fem.elements.part import MassPoints
+from torchmbd.fem.elements.plates import MASSES
+from torchmbd.math.owned import reals
+
+#: Stations of an element that is twisted by itself or an arc: its flexibility is exact to 1e-10 up to a quarter turn.
+TURNING = 8
+
+
+class Beams:
+    """One section on elements of a line (default: all).
+
+    section       a Section or GivenSection; its parameters are the design
+    orientation   the section's y-axis in mesh axes, projected across each element: [3], or one for each [m, 3]
+    offset        of the section's origin from the line of the nodes, along the beam's y and z [m]: [2], or [m, 2]
+    twist         of the section's y-axis from `orientation`, about the beam's axis [rad]: one, one for each element [m], or
+                  those at the start and the end of each [m, 2]; between them it grows evenly
+    mass          "lumped", half of each element at its ends; "consistent", with linear shape functions, for comparison
+    elements      indices of the elements that are made of it; orientation, offset, twist count all elements of the mesh
+    """
+
+    def __init__(
+        self,
+        mesh: Line,
+        section: BeamSection,
+        orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
+        offset: Sequence[float] | Tensor = (0.0, 0.0),
+        twist: float | Sequence | Tensor = 0.0,
+        elements: Sequence[int] | Tensor | None = None,
+        mass: str = "lumped",
+    ) -> None:
+        if mass not in MASSES:
+            raise unknown("mass", mass, MASSES)
+        if not (isinstance(section, nn.Module) and isinstance(section, BeamSection)):
+            raise InputError(f"section is {section!r}; allowed: a Section or a GivenSection")
+        self.section = section
+        at, turn = _placed(offset, twist, len(mesh.elements), elements)
+        turning = turn.shape[1] == 2 or mesh.middles is not None
+        self.matrices = BeamMatrices(mesh, orientation, elements, TURNING if turning else 2)
+        self.pattern = self.matrices.pattern
+        self._to_line = line_transform(at, _along(turn, self.matrices.stations))
+        places = line_transform(at, _along(turn, torch.tensor([0.0, 1.0, 0.5])))  # start, end, middle
+        self._to_ends = places[:, :2]
+        massive = places if mass == "consistent" else places[:, :2]
+        at_line = massive @ section.mass() @ massive.mT
+        ends, arm, particles = self.matrices.particles(at_line, mass == "consistent")
+        self._points = MassPoints(ends, particles, torch.zeros_like(particles), arm)
+
+    def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
+        """K of the present design, or only some entries of it."""
+        found = self.matrices.values(self._stiffness())
+        return found if entries is None else found[..., entries]
+
+    def modules(self) -> dict[str, nn.Module]:
+        """The section."""
+        return {"section": self.section}  # pyright: ignore[reportReturnType]
+
+    def masses(self) -> MassPoints:
+        """Particles at the ends (and middles) of the elements; they do not depend on the design."""
+        return self._points
+
+    def section_forces(self, motion: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 2 6 k"]:
+        """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, about the section's own axes, for k motions."""
+        return torch.linalg.inv(self._to_ends) @ self.matrices.forces(self._stiffness(), motion)
+
+    @property
+    def ends(self) -> Int[Tensor, "places 2"]:
+        """Element and end (0 start, 1 end) of all section forces, in their order."""
+        return torch.cartesian_prod(self.matrices.members, torch.arange(2))
+
+    def _stiffness(self) -> Float[Tensor, "*lanes m g 6 6"]:
+        return self._to_line @ self.section.stiffness()[..., None, None, :, :] @ self._to_line.mT
+
+
+def _placed(
+    offset: Sequence[float] | Tensor,
+    twist: float | Sequence | Tensor,
+    count: int,
+    elements: Sequence[int] | Tensor | None,
+) -> tuple[Float[Tensor, "m 1 2"], Float[Tensor, "m e"]]:
+    """Offset and twist of the elements in question; m is 1 where all have the same, e is 2 where the twist grows."""
+    at, turn = reals("offset", offset), reals("twist", twist)
+    if at.shape not in ((2,), (count, 2)):
+        raise InputError(f"offset has shape {tuple(at.shape)}; allowed: [2], or one for each element [{count}, 2]")
+    if turn.shape not in ((), (count,), (count, 2)):
+        allowed = f"one angle, one for each element [{count}], or two, at its start and end [{count}, 2]"
+        raise InputError(f"twist has shape {tuple(turn.shape)}; allowed: {allowed}")
+    members = slice(None) if elements is None else torch.as_tensor(elements)
+    at = at[None] if at.ndim == 1 else at[members]
+    turn = turn[None, None] if turn.ndim == 0 else turn[members].reshape(-1, turn[0].numel())
+    return at[:, None], turn
+
+
+def _along(twist: Float[Tensor, "m e"], place: Float[Tensor, " g"]) -> Float[Tensor, "m g"]:
+    """Twist at parts of the length of each element."""
+    return twist[:, :1] + place * (twist[:, -1:] - twist[:, :1])

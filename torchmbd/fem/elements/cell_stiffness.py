@@ -1,0 +1,123 @@
+"""Stiffness of single cells of one kind: only of those that differ in their shape or in their laminate.
+
+    K_cell = sum_i s_i K_i + area J' C(A, B) J,     K_i = sum_points weight E' C_i E
+
+C_i   the pattern of entry i in the 8 x 8 law (N, M, Q) = C (eps, kappa, gamma)
+E     strains of the shape (strains.py)
+J, C  membrane forces that vary over a quadrilateral (inner_forces.py)
+
+A variant is a shape with a laminate of its own. The cells of a mesh of rectangles have nine shapes, by what lies at their
+sides. Matrices are symmetric: their upper triangles, row by row, are the h numbers of a variant.
+Checked in tests/fem/elements/test_plate_matrices.py, tests/fem/elements/test_inner_forces.py.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchmbd.fem.elements.facet import Facets
+from torchmbd.fem.elements.inner_forces import CellForces, InnerForces
+from torchmbd.fem.elements.strains import Strains
+from torchmbd.fem.materials import ENTRIES
+
+_FIRST_ROW = {"A": (0, 0), "B": (0, 3), "D": (3, 3), "As": (6, 6)}
+_SAME = 1e-12  # of the largest number: cells that differ by less have one shape
+
+
+def shapes_of(plane: Facets) -> tuple[Int[Tensor, " shapes"], Int[Tensor, " m"]]:
+    """One cell of each shape, and the shape of every cell: all that strains are made of, but for rounding."""
+    columns = []
+    for x in vars(plane).values():
+        flat = x.to(torch.float64).flatten(1) if x.dim() > 1 else x[:, None]
+        columns.append((flat / (_SAME * flat.abs().max()).clamp_min(torch.finfo(flat.dtype).tiny)).round())
+    shapes, shape = torch.unique(torch.cat(columns, 1), dim=0, return_inverse=True)
+    order = torch.arange(len(shape))
+    return order.new_full((len(shapes),), len(shape)).scatter_reduce(0, shape, order, "amin"), shape
+
+
+class CellStiffness:
+    """The linear map (linear_map.py) from the laminates of all variants to the numbers of their matrices.
+
+    strains    of the shapes
+    variants   shape and laminate of each, sorted by shape [variants, 2]
+    laminates  how many there are
+    place      where each entry of a matrix is among its h numbers [f, f]
+    """
+
+    def __init__(self, strains: Strains, variants: Int[Tensor, "variants 2"], laminates: int) -> None:
+        shape, self.laminate = variants.unbind(1)
+        f = strains.at.shape[-1]
+        self.upper, self.laminates = torch.triu_indices(f, f), laminates
+        place = torch.zeros(f, f, dtype=torch.long)
+        place[self.upper[0], self.upper[1]] = torch.arange(self.upper.shape[1])
+        self.place = place.maximum(place.mT)
+        self.basis = _basis(strains)[:, :, self.upper[0], self.upper[1]]
+        self.counts = torch.bincount(shape, minlength=len(self.basis)).tolist()
+        forces = strains.forces
+        self.inner = None
+        if forces is not None:
+            own = {name: x[:, shape] if name == "sides" else x[shape] for name, x in forces._asdict().items()}
+            self.inner = CellForces(InnerForces(**own))
+
+    @property
+    def each(self) -> int:
+        """How many numbers a variant has: h."""
+        return self.basis.shape[-1]
+
+    @property
+    def numbers(self) -> int:
+        """Of all variants."""
+        return len(self.laminate) * self.each
+
+    @property
+    def laws(self) -> int:
+        """How many laws of inner forces there are: one, or none."""
+        return int(self.inner is not None)
+
+    def law(self, A: Float[Tensor, "lanes z 3 3"], B: Float[Tensor, "lanes z 3 3"]) -> list[Tensor]:
+        """The laws of inner forces of all variants, if there are any."""
+        if self.inner is None:
+            return []
+        return [self.inner.law(*((X if self.laminates == 1 else X[:, self.laminate]) for X in (A, B)))]
+
+    def __call__(self, entries: Float[Tensor, "lanes z 21"], *law: Tensor) -> Float[Tensor, "lanes numbers"]:
+        """Numbers of all variants."""
+        if self.laminates == 1:
+            found = (entries[:, 0] @ self.basis.transpose(0, 1).flatten(1)).unflatten(1, (len(self.basis), -1))
+        else:
+            parts = zip(entries[:, self.laminate].split(self.counts, 1), self.basis, strict=True)
+            found = torch.cat([own @ basis for own, basis in parts], 1)
+        if self.inner is not None:
+            found = found + self.inner.stiffness(law[0])[..., self.upper[0], self.upper[1]]
+        return found.flatten(1)
+
+    def adjoint(self, y: Float[Tensor, "lanes numbers"]) -> list[Tensor]:
+        """Back to entries and law."""
+        y = y.unflatten(1, (len(self.laminate), -1))
+        if self.laminates == 1:
+            entries = (y.flatten(1) @ self.basis.transpose(0, 1).flatten(1).mT)[:, None]
+        else:
+            parts = zip(y.split(self.counts, 1), self.basis, strict=True)
+            each = torch.cat([own @ basis.mT for own, basis in parts], 1)
+            entries = each.new_zeros(len(y), self.laminates, len(ENTRIES)).index_add(1, self.laminate, each)
+        if self.inner is None:
+            return [entries]
+        f = int(self.upper[0, -1]) + 1
+        full = y.new_zeros(*y.shape[:2], f, f)
+        full[..., self.upper[0], self.upper[1]] = y
+        return [entries, self.inner.adjoint(full)]
+
+
+def _basis(strains: Strains) -> Float[Tensor, "shapes 21 f f"]:
+    """sum_points weight E' C_i E of every entry i."""
+    weighted = strains.at * strains.weight[..., None, None]
+    rows = []
+    for name, i, j in ENTRIES:
+        p0, q0 = _FIRST_ROW[name]
+        pairs = sorted({(p0 + i, q0 + j), (p0 + j, q0 + i)})  # two, where i differs from j
+        left, right = [p for p, _ in pairs], [q for _, q in pairs]
+        own = weighted[:, :, left].flatten(1, 2).mT @ strains.at[:, :, right].flatten(1, 2)
+        rows.append(own + own.mT if name == "B" else own)  # B stands in C twice, above and below the diagonal
+    return torch.stack(rows, 1)

@@ -1,0 +1,116 @@
+"""Local axes of the cells of a mesh, laid along the material direction; a warped quadrilateral gets its mean plane.
+
+    e3 = normal (right-hand rule),   e1 = direction - (direction . e3) e3, normalized,   e2 = e3 x e1
+
+axes     rows e1, e2, e3 of each cell: local = axes @ global     [m, 3, 3]
+corners  x, y of the corners from their mean, local axes         [m, corners, 2], m
+height   of the corners over the plane: 0 for triangles; of a quadrilateral +d, -d, +d, -d     [m, corners], m
+area     [m], m2
+cell     mean area of the cells that share each side 12, 23, ...                   [m, corners], m2
+mixed    whether cells of different kinds share the side                           [m, corners]
+alone    whether no other cell lies at the side                                    [m, corners]
+tilt     to the smooth shell that the facets stand for, at the worst corner (shell_normals.py)   [m], rad; 0: flat plate
+
+The laminate's x-axis *is* e1, so strains come out in laminate axes and the laminate needs no turning.
+Checked in tests/fem/elements/test_facet.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements.shell_normals import corner_normals
+from torchmbd.fem.mesh import Mesh
+from torchmbd.math.owned import reals
+
+#: A material direction nearer to the normal than this (sine of the angle) has no reliable projection.
+STEEPNESS = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Facets:
+    """Cells of one kind in their own planes; see the module header."""
+
+    axes: Float[Tensor, "m 3 3"]
+    corners: Float[Tensor, "m corners 2"]
+    height: Float[Tensor, "m corners"]
+    area: Float[Tensor, " m"]
+    cell: Float[Tensor, "m corners"]
+    mixed: Bool[Tensor, "m corners"]
+    alone: Bool[Tensor, "m corners"]
+    tilt: Float[Tensor, " m"]
+
+
+def facets(
+    mesh: Mesh,
+    direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
+    members: Tensor | None = None,
+    kind: str = "triangle",
+) -> Facets:
+    """Lay the cells of one kind, or those named by `members` (numbers within the kind), into their planes.
+
+    direction: the laminate's x-axis in mesh axes, projected into every cell, [3] or one for each cell of the
+    mesh [m, 3].
+    Raises InputError where it is zero or normal to a cell.
+    """
+    d = laid(mesh, direction)
+    members = torch.arange(len(mesh.cells[kind])) if members is None else members
+    own = mesh.first(kind) + members
+    e3 = mesh.normals[own]
+    axes = _axes(mesh, own, e3, d[own])
+    p = mesh.nodes[mesh.cells[kind][members]]
+    local = (p - p.mean(dim=1, keepdim=True)) @ axes.mT
+    tilt = (corner_normals(mesh)[kind][members] - e3[:, None]).norm(dim=2).amax(1)
+    cell, mixed, alone = (of_kind[kind][members] for of_kind in _sides(mesh))
+    return Facets(axes, local[..., :2].contiguous(), local[..., 2], mesh.areas[own], cell, mixed, alone, tilt)
+
+
+def laid(mesh: Mesh, direction: Sequence[float] | Tensor) -> Float[Tensor, "m 3"]:
+    """The direction for each cell of the mesh. Raises InputError where its shape is wrong."""
+    d = reals("direction", direction)
+    if d.shape not in ((3,), (mesh.cell_count, 3)):
+        raise InputError(
+            f"direction has shape {tuple(d.shape)}; allowed: [3], or one for each cell [{mesh.cell_count}, 3]"
+        )
+    return d.expand(mesh.cell_count, 3)
+
+
+def _axes(mesh: Mesh, own: Tensor, e3: Tensor, d: Tensor) -> Float[Tensor, "m 3 3"]:
+    length = d.norm(dim=1, keepdim=True)
+    e1 = d - (d * e3).sum(1, keepdim=True) * e3
+    steep = ((e1.norm(dim=1, keepdim=True) > STEEPNESS * length).logical_not()).flatten().nonzero().flatten()
+    if len(steep):
+        k = int(steep[0])
+        raise InputError(
+            f"direction {d[k].tolist()} has no projection into {mesh.cell_name(int(own[k]))}, normal {e3[k].tolist()}; "
+            "allowed: a direction that is not normal to any cell (or one for each cell)"
+        )
+    e1 = e1 / e1.norm(dim=1, keepdim=True)
+    return torch.stack([e1, torch.linalg.cross(e3, e1), e3], dim=1)
+
+
+def _sides(mesh: Mesh) -> tuple[dict[str, Tensor], ...]:
+    """For every side of the cells of each kind: the mean area of the cells there, whether they differ in kind, or are but one.
+
+    One cell lies at an edge of the mesh, two inside, more where plates branch.
+    """
+    numbers = []
+    for corners in mesh.cells.values():
+        tail, head = corners, corners.roll(-1, dims=1)
+        numbers.append((torch.minimum(tail, head) * len(mesh.nodes) + torch.maximum(tail, head)).flatten())
+    _, place, count = torch.unique(torch.cat(numbers), return_inverse=True, return_counts=True)
+    width = [corners.shape[1] for corners in mesh.cells.values()]
+    per_kind = [len(corners) for corners in mesh.cells.values()]
+    areas = torch.cat([a.repeat_interleave(w) for a, w in zip(mesh.areas.split(per_kind), width, strict=True)])
+    kind = torch.cat([areas.new_full((len(n),), float(k)) for k, n in enumerate(numbers)])
+    mean, there = ((x.new_zeros(len(count)).index_add(0, place, x) / count)[place] for x in (areas, kind))
+    mixed = there != kind  # the mean of equal whole numbers is that number
+    result = [x.split([len(n) for n in numbers]) for x in (mean, mixed, (count == 1)[place])]
+    kinds = list(zip(mesh.cells, width, strict=True))
+    return tuple({k: x.unflatten(0, (-1, w)) for (k, w), x in zip(kinds, xs, strict=True)} for xs in result)

@@ -1,0 +1,154 @@
+"""Which freedoms of a body are free, and how the others follow: held nodes, rigid links, averages.
+
+    u = T u_free        u: all freedoms of all nodes [6 n],  T: sparse, constant
+
+held node     u = 0
+rigid link    u_s = u_m + phi_m x d,  phi_s = phi_m       node s follows node m, d from m to s        (RBE2)
+average       the rigid motion that fits weighted nodes best, in the sense of least squares           (RBE3)
+
+So K_free = T' K T has values that are linear in those of K: `reduced` tells how, once per mesh.
+Checked in tests/fem/elements/test_freedoms.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.math.sparse import Pattern
+
+
+@dataclass(frozen=True)
+class RigidLink:
+    """Node `node` moves with node `leader` as parts of one rigid body."""
+
+    node: int
+    leader: int
+
+
+@dataclass(frozen=True)
+class Average:
+    """Node `node` carries the mean motion of other nodes, with weights; it has no stiffness of its own."""
+
+    node: int
+    nodes: tuple[int, ...]
+    weights: tuple[float, ...]
+
+
+class Freedoms:
+    """The free freedoms of the nodes x [n, 3] and the map T; see the module header.
+
+    free                freedom number 6 * node + i of each free freedom [N], ascending
+    rows, cols, factor  the entries of T, sorted by rows
+    plain               whether T only selects: no links
+    """
+
+    def __init__(
+        self, x: Float[Tensor, "n 3"], held: Sequence[int] = (), links: Sequence[RigidLink | Average] = ()
+    ) -> None:
+        self.nodes = len(x)
+        dependent = [link.node for link in links]
+        _check(self.nodes, list(held), links)
+        bound = torch.zeros(self.nodes, dtype=torch.bool)
+        bound[torch.tensor([*held, *dependent], dtype=torch.long)] = True
+        self.free = torch.nonzero(~bound.repeat_interleave(6))[:, 0]
+        self.plain = not links
+        column = torch.full((6 * self.nodes,), -1, dtype=torch.long)
+        column[self.free] = torch.arange(len(self.free))
+        rows, cols, factor = [self.free], [torch.arange(len(self.free))], [torch.ones(len(self.free), dtype=x.dtype)]
+        for link in links:
+            blocks = (
+                [(link.leader, _rigid(x[link.node] - x[link.leader]))]
+                if isinstance(link, RigidLink)
+                else _mean(x, link)
+            )
+            for leader, block in blocks:
+                i, j = torch.nonzero(block, as_tuple=True)
+                target = column[6 * leader + j]
+                kept = target >= 0  # what follows a held node stands still
+                rows.append(6 * link.node + i[kept])
+                cols.append(target[kept])
+                factor.append(block[i, j][kept])
+        order = torch.argsort(torch.cat(rows), stable=True)
+        self.rows, self.cols, self.factor = (torch.cat(part)[order] for part in (rows, cols, factor))
+
+    def reduced(self, pattern: Pattern) -> tuple[Pattern, Tensor, Tensor, Tensor]:
+        """Return the pattern of T' K T, and (source, slot, factor): values[slot] sum up factor * values_of_K[source]."""
+        if self.plain:
+            small, source = pattern.restrict(self.free)
+            return small, source, torch.arange(small.nnz), self.factor.new_ones(small.nnz)
+        count = torch.bincount(self.rows, minlength=6 * self.nodes)
+        first = count.cumsum(0) - count
+        pairs = count[pattern.rows] * count[pattern.cols]
+        source = torch.repeat_interleave(pairs)
+        within = torch.arange(len(source)) - (pairs.cumsum(0) - pairs)[source]
+        r, c = pattern.rows[source], pattern.cols[source]
+        left = first[r] + torch.div(within, count[c], rounding_mode="floor")
+        right = first[c] + within % count[c]
+        small, slot = Pattern.gather(self.cols[left], self.cols[right], len(self.free))
+        return small, source, slot, self.factor[left] * self.factor[right]
+
+    def expand(self, vectors: Float[Tensor, "*lanes N k"]) -> Float[Tensor, "*lanes n 6 k"]:
+        """Return T times columns: the motion of all nodes."""
+        full = vectors.new_zeros(*vectors.shape[:-2], 6 * self.nodes, vectors.shape[-1])
+        if self.plain:
+            full = full.index_copy(-2, self.free, vectors)
+        else:
+            full = full.index_add(-2, self.rows, vectors[..., self.cols, :] * self.factor[:, None])
+        return full.unflatten(-2, (self.nodes, 6))
+
+
+def _rigid(d: Tensor) -> Float[Tensor, "6 6"]:
+    """Motion at d from a point, from the motion of the point: u + phi x d, phi."""
+    block = torch.eye(6, dtype=d.dtype)
+    block[:3, 3:] = -_cross(d)
+    return block
+
+
+def _mean(x: Tensor, link: Average) -> list[tuple[int, Tensor]]:
+    """Blocks of the rigid motion at the node that fits the displacements of the others best."""
+    at, w = x[link.node], x.new_tensor(link.weights) / sum(link.weights)
+    fields = torch.stack([_rigid(x[node] - at)[:3] for node in link.nodes])  # displacement of each for a rigid motion
+    normal = torch.einsum("k,kij,kil->jl", w, fields, fields)
+    size = fields[..., 3:].abs().amax()
+    scale = torch.cat([x.new_ones(3), (1.0 / size).repeat(3)]) if size > 0 else x.new_ones(6)
+    values = torch.linalg.eigvalsh(normal * scale * scale[:, None])
+    if float(values[0]) < 1e-10 * float(values[-1]):
+        raise InputError(
+            f"average at node {link.node}: nodes {list(link.nodes)} lie on one line, "
+            "so they tell no rotation about it; allowed: nodes that span a plane"
+        )
+    inverse = torch.linalg.inv(normal)
+    blocks = []
+    for weight, node, field in zip(w, link.nodes, fields, strict=True):
+        block = x.new_zeros(6, 6)
+        block[:, :3] = weight * inverse @ field.T
+        blocks.append((node, block))
+    return blocks
+
+
+def _cross(d: Tensor) -> Tensor:
+    zero = d.new_zeros(())
+    return torch.stack([zero, -d[2], d[1], d[2], zero, -d[0], -d[1], d[0], zero]).reshape(3, 3)
+
+
+def _check(n: int, held: list[int], links: Sequence[RigidLink | Average]) -> None:
+    dependent = [link.node for link in links]
+    leaders = [k for link in links for k in ((link.leader,) if isinstance(link, RigidLink) else link.nodes)]
+    for k in [*held, *dependent, *leaders]:
+        if not 0 <= k < n:
+            raise InputError(f"a link or a held node is {k}; allowed: 0 to {n - 1}")
+    for k in dependent:
+        if dependent.count(k) > 1:
+            raise InputError(f"node {k} follows by {dependent.count(k)} links; allowed: one")
+        if k in held:
+            raise InputError(
+                f"node {k} is held and follows other nodes by a link; allowed: hold the node that leads it"
+            )
+        if k in leaders:
+            raise InputError(f"node {k} follows other nodes and leads one; allowed: no chains of links")

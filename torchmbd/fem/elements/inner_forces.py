@@ -1,0 +1,121 @@
+"""Membrane forces that vary inside a cell and follow the laminate: the part of a stiffness that is not linear in it.
+
+    N(x) = N_mean + sum_b c_b sigma_b(x),     eps - eps_mean = S (N - N_mean) - S B (kappa - kappa_mean),     S = A^-1
+
+sigma_b   four states in equilibrium, without mean (quad_states.py), of any laminate; b of them are bending of fibers along the
+          two medians, n the others
+w_b       what these states work on the sides of the cell, and on what bending does to the mid-surface:
+          w = W u + mean sigma' S B (kappa - kappa_mean)
+U         mean sigma' S sigma
+X         what the states work on sides that stretch linearly in bending of unit amounts. These lack the parabolas of bending,
+          which the other states would take for their own; so with the amounts c of bending, and what they leave of the work,
+
+              c = U_bb^-1 w_b,     r = w - X c,     r_n' = r_n - U_nb U_bb^-1 r_b
+              energy / area = 1/2 w_b' U_bb^-1 w_b + 1/2 r_n' (U_nn - U_nb U_bb^-1 U_bn)^-1 r_n'
+
+So the mid-surface of a cell gives way to bending and to forces as any stack asks for, with no freedoms but the corners' own.
+Since the variation of kappa meets D - B S B instead of D, a cell's stiffness is its linear part (plate.py) and
+
+    K = J' C(A, B) J,     J: W and kappa - kappa_mean   [13, freedoms]
+
+C is quadratic in w less B S B. Whatever varies is told by its amounts of three functions over the cell, without mean and
+orthonormal in the mean. Exact derivatives come through the inverses of 3 x 3 and 2 x 2 matrices.
+Source: T. H. H. Pian and P. Tong, Int. J. Numer. Methods Eng. 1 (1969) 3-28 (assumed stresses); quad_membrane.py.
+Checked in tests/fem/elements/test_inner_forces.py, tests/contracts/test_shell_elements.py,
+tests/validation/test_laminated_strips.py.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+class InnerForces(NamedTuple):
+    """What a cell has of them; freedoms as in strains.py.
+
+    area        of the cell [m2]
+    states      sigma: amounts of the three functions, components, bending first [m, 3, 3, 4]
+    work        W [m, 4, freedoms]
+    sides       X of unit compliances, in the order of `SYMMETRIC` [6, m, 4, 2]
+    curvature   kappa - kappa_mean: amounts of the three functions, components [m, 3, 3, freedoms]
+    """
+
+    area: Float[Tensor, " m"]
+    states: Float[Tensor, "m 3 3 4"]
+    work: Float[Tensor, "m 4 f"]
+    sides: Float[Tensor, "6 m 4 2"]
+    curvature: Float[Tensor, "m 3 3 f"]
+
+
+#: Rows and columns of the upper triangle of a symmetric 3 x 3 law.
+SYMMETRIC = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+
+
+def unit_laws() -> Float[Tensor, "6 3 3"]:
+    """Symmetric matrices with one number 1, in the order of `SYMMETRIC`: S = sum_k S_k unit_k."""
+    unit = torch.zeros(6, 3, 3, dtype=torch.float64)
+    for k, (i, j) in enumerate(SYMMETRIC):
+        unit[k, i, j] = unit[k, j, i] = 1.0
+    return unit
+
+
+def varying(weight: Float[Tensor, "m 4"]) -> Float[Tensor, "m 3 4"]:
+    """What four values at points of these areas have of three functions that are orthonormal in the mean, without mean.
+
+    A reflection that takes the roots of the points' shares to the first axis.
+    """
+    root = (weight / weight.sum(1, keepdim=True)).sqrt()
+    mirror = root + torch.eye(4, dtype=root.dtype)[0]
+    mirror = mirror / mirror.norm(dim=1, keepdim=True)
+    reflection = torch.eye(4, dtype=root.dtype) - 2.0 * mirror[:, :, None] * mirror[:, None]
+    return reflection[:, 1:] * root[:, None]
+
+
+class CellForces:
+    """The inner forces of all cells of a kind, ready for any laminate."""
+
+    def __init__(self, given: InnerForces) -> None:
+        self.given = given
+        self.rows = torch.cat([given.work, given.curvature.flatten(1, 2)], dim=1)  # J
+        sigma = given.states
+        self._flexibility = torch.einsum("mesa,kst,metb->mkab", sigma, unit_laws(), sigma).flatten(2)
+        self._sides = given.sides.transpose(0, 1).flatten(2)
+        self._states = sigma.permute(0, 3, 1, 2).flatten(1, 2)  # [m, state and function, component]
+
+    def law(
+        self, A: Float[Tensor, "*lanes c 3 3"], B: Float[Tensor, "*lanes c 3 3"]
+    ) -> Float[Tensor, "*lanes m 13 13"]:
+        """C of every cell: from what the states work on the sides and from curvatures, energy per area; c is m, or 1."""
+        S = torch.linalg.inv(A)
+        numbers = S.flatten(-2)[..., None, [3 * i + j for i, j in SYMMETRIC]]
+        U = (numbers @ self._flexibility).unflatten(-1, (4, 4)).squeeze(-3)
+        X = (numbers @ self._sides).unflatten(-1, (4, 2)).squeeze(-3)
+        bent = (self._states @ (S @ B)).unflatten(-2, (4, 3)).flatten(-2)
+        w = torch.cat([torch.eye(4, dtype=A.dtype).expand(*bent.shape[:-1], 4), bent], dim=-1)
+        F, coupling = _inverse(U[..., :2, :2]), U[..., 2:, :2]
+        lean = coupling @ F
+        c = F @ w[..., :2, :]
+        r = w - X @ c
+        left = r[..., 2:, :] - lean @ r[..., :2, :]
+        stiff = _inverse(U[..., 2:, 2:] - lean @ coupling.mT)
+        relief = torch.einsum("ef,...st->...esft", torch.eye(3, dtype=A.dtype), B @ S @ B).flatten(-2).flatten(-3, -2)
+        strains, forces = torch.cat([w[..., :2, :], left], dim=-2), torch.cat([c, stiff @ left], dim=-2)
+        return strains.mT @ forces - torch.nn.functional.pad(relief, (4, 0, 4, 0))
+
+    def stiffness(self, C: Float[Tensor, "lanes m 13 13"]) -> Float[Tensor, "lanes m f f"]:
+        """Area J' C J of all cells."""
+        return (self.given.area[:, None, None] * self.rows).mT @ (C @ self.rows)
+
+    def adjoint(self, K: Float[Tensor, "lanes m f f"]) -> Float[Tensor, "lanes m 13 13"]:
+        """What has the same product with C as these have with `stiffness(C)`."""
+        return (self.given.area[:, None, None] * self.rows) @ K @ self.rows.mT
+
+
+def _inverse(X: Float[Tensor, "*any 2 2"]) -> Float[Tensor, "*any 2 2"]:
+    """Of symmetric matrices."""
+    a, b, d = X.flatten(-2)[..., [0, 1, 3]].unbind(-1)
+    return torch.stack([d, -b, -b, a], dim=-1).unflatten(-1, (2, 2)) / (a * d - b * b)[..., None, None]

@@ -1,0 +1,41 @@
+"""What an assembly asks of its parts (assembly.py tells how they make up a body)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from torchmbd.math.sparse import Pattern
+
+
+class MassPoints(NamedTuple):
+    """Point masses [kg] and rotary inertias [kg m2] at the middles of node pairs; a pair (k, k) is node k.
+
+    arm: from there to the point [m], rigid, in mesh axes; it may depend on the design. None: no arms, in any design
+    """
+
+    ends: Int[Tensor, "points 2"]
+    mass: Float[Tensor, "*lanes points"]
+    rotary: Float[Tensor, "*lanes points"]
+    arm: Float[Tensor, "*lanes points 3"] | None = None
+
+
+class Part(Protocol):
+    """What an assembly asks of a part. `pattern`: of its stiffness, size 6 * nodes of the mesh."""
+
+    @property
+    def pattern(self) -> Pattern: ...
+
+    def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
+        """K of the present design on the pattern, or only some entries of it."""
+        ...
+
+    def masses(self) -> MassPoints:
+        """Masses of the present design."""
+        ...
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Whose parameters are the design: the body registers them under these names."""
+        ...

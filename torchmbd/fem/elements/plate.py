@@ -1,0 +1,219 @@
+"""Stiffness of a laminated plate or faceted shell: linear in the laminate's 21 entries, but for inner forces of the cells.
+
+    K(b) = sum_cells K_cell(s(b))      s = laminate.entries() [..., 21]
+
+Cells of one shape and one laminate have one matrix (cell_stiffness.py): a new design costs their products and one sum over
+all cells, and derivatives in the design are exact.
+Two numbers enter the strains of a cell (strains.py, shell_elements.py) from the laminate: mean Poisson's ratio and
+shear length (IsotropicMean). They are constants under
+any change of ply angle. When *thickness* is a design variable they stay those of the laminate given here: still a
+converging element with the exact gradient of what it computes, tuned to a neighboring thickness. A fifth more or less
+moves frequencies of a mesh by 0.2 % beside the element tuned anew, half or twice the thickness by 0.5 and 2 %; make the
+body anew after larger changes.
+Global freedom index = 6 * node + freedom (u1 u2 u3 phi1 phi2 phi3), in mesh axes, SI units.
+Source: eqs. (10)-(13) of the paper; the elements name their own.
+Checked in tests/elements/test_plate_*.py, tests/fem/elements/test_thickness.py, tests/convergence/test_plate*.py,
+tests/validation/test_*plate*.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements.cell_stiffness import CellStiffness, shapes_of
+from torchmbd.fem.elements.facet import Facets, facets
+from torchmbd.fem.elements.shell_elements import ELEMENTS
+from torchmbd.fem.elements.strains import Strains
+from torchmbd.fem.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness
+from torchmbd.fem.mesh import Mesh, directed_area
+from torchmbd.math.linear_map import mapped
+from torchmbd.math.sparse import Pattern, SparseMatrix
+from torchmbd.math.sums import Sums
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Cells of one kind: their corners and planes, the shape of each, and the strains of the shapes."""
+
+    corners: Int[Tensor, "m c"]
+    facets: Facets
+    shape: Int[Tensor, " m"]
+    strains: Strains
+
+    @classmethod
+    def of(cls, kind: str, corners: Int[Tensor, "m c"], plane: Facets, mean: IsotropicMean) -> Cells:
+        """Cells in their planes."""
+        one, shape = shapes_of(plane)
+        return cls(corners, plane, shape, ELEMENTS[kind](Facets(*(x[one] for x in vars(plane).values())), mean))
+
+
+class _Numbers(NamedTuple):
+    """The numbers of K, a linear map of entries and of the laws of inner forces (linear_map.py)."""
+
+    cells: list[CellStiffness]
+    sums: Sums
+
+    def __call__(self, *x: Tensor) -> Float[Tensor, "lanes numbers"]:
+        """Of entries [lanes, laminates, 21] and laws [lanes, variants, 13, 13]."""
+        laws = iter(x[1:])
+        return self.sums(torch.cat([own(x[0], *(next(laws) for _ in range(own.laws))) for own in self.cells], 1))
+
+    def adjoint(self, y: Float[Tensor, "lanes numbers"]) -> tuple[Tensor, ...]:
+        """Back to entries and laws."""
+        parts = self.sums.adjoint(y).split([own.numbers for own in self.cells], 1)
+        found = [own.adjoint(part) for own, part in zip(self.cells, parts, strict=True)]
+        return torch.stack([entries for entries, *_ in found]).sum(0), *(law for _, *laws in found for law in laws)
+
+
+class PlateMatrices:
+    """What a mesh contributes to stiffness and mass, made once per mesh.
+
+    pattern   where K is not zero
+    area      [n] tributary area of each node [m2]: lumped mass = mass_per_area * area,
+              nodal rotary inertia = rotary_inertia_per_area * area
+    kinds     the cells of each kind that there are
+    members   the numbers of the cells, by kind
+    zones     the laminate of each of these
+
+    laminate    the laminate, of which only the mean properties enter here; or these
+    direction   the laminate's x-axis in mesh axes, projected into each cell: [3], or one for each cell of the mesh [m, 3]
+    cells       numbers of the cells that are made of it; None: all of the mesh
+    zones       which of several laminates, of the same mean, each of these cells is made of; None: one laminate
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        laminate: Laminate | IsotropicMean,
+        direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
+        cells: Sequence[int] | Tensor | None = None,
+        zones: Int[Tensor, " cells"] | None = None,
+    ) -> None:
+        if not isinstance(mesh, Mesh):
+            raise InputError(f"mesh of a plate is {mesh!r}; allowed: a Mesh, such as mbd.mesh.rectangle(...)")
+        if not isinstance(laminate, (Laminate, IsotropicMean)):
+            raise InputError(f"laminate of a plate is {laminate!r}; allowed: a Laminate")
+        self.mesh = mesh
+        chosen = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
+        self.mean = laminate if isinstance(laminate, IsotropicMean) else IsotropicMean.of(laminate)
+        self.kinds: dict[str, Cells] = {}
+        members = []
+        for kind, corners in mesh.cells.items():
+            own = chosen - mesh.first(kind)
+            own = own[(own >= 0) & (own < len(corners))]
+            if len(own):
+                self.kinds[kind] = Cells.of(kind, corners[own], facets(mesh, direction, own, kind), self.mean)
+                members.append(mesh.first(kind) + own)
+        self.members = torch.cat(members)
+        self.several = zones is not None
+        of_cell = chosen.new_zeros(mesh.cell_count)
+        self.zones = (of_cell if zones is None else of_cell.index_copy(0, chosen, zones))[self.members]
+        self.laminates = 1 + int(self.zones.max())
+        self.area = self._tributary()
+        self._whole = self._picked = self._numbers()
+        self._chosen: Tensor | None = None
+
+    def _numbers(self) -> _Numbers:
+        """Numbers of K on the pattern, which is found here."""
+        self.pattern, slots = _block_pattern([own.corners for own in self.kinds.values()], len(self.mesh.nodes))
+        made, sources, count = [], [], 0
+        laminates = self.zones.split([len(own.shape) for own in self.kinds.values()])
+        for own, laminate in zip(self.kinds.values(), laminates, strict=True):
+            variants, variant = torch.unique(torch.stack([own.shape, laminate], 1), dim=0, return_inverse=True)
+            cell = CellStiffness(own.strains, variants, self.laminates)
+            sources.append((count + variant[:, None] * cell.each + cell.place.flatten()).flatten())
+            made.append(cell)
+            count += cell.numbers
+        slot = torch.cat([x.flatten() for x in slots])
+        return _Numbers(made, Sums.of(slot, torch.cat(sources), (self.pattern.nnz, count)))
+
+    @property
+    def axes(self) -> Float[Tensor, "m 3 3"]:
+        """Axes of the laminate in each cell, rows, mesh axes."""
+        return torch.cat([own.facets.axes for own in self.kinds.values()])
+
+    @property
+    def pieces(
+        self,
+    ) -> tuple[Int[Tensor, "pieces 3"], Float[Tensor, " pieces"], Float[Tensor, "pieces 3"], Int[Tensor, " pieces"]]:
+        """Triangles that cover the cells (mesh.py): the area that each counts with [m2], its cell's normal and laminate."""
+        nodes, share, cell = self.mesh.pieces
+        chosen = torch.isin(cell, self.members)
+        nodes, share, cell = nodes[chosen], share[chosen], cell[chosen]
+        zone = self.zones.new_zeros(self.mesh.cell_count).index_copy(0, self.members, self.zones)
+        area = share * directed_area(self.mesh.nodes[nodes]).norm(dim=1)
+        return nodes, area, self.mesh.normals[cell], zone[cell]
+
+    def stiffness(self, entries: Float[Tensor, "*lanes 21"]) -> SparseMatrix:
+        """Return K of one laminate or of a batch; of several laminates entries are [*lanes, laminates, 21]."""
+        if entries.shape[-1] != len(ENTRIES):
+            raise InputError(f"entries has shape {tuple(entries.shape)}; allowed: [..., {len(ENTRIES)}]")
+        return SparseMatrix(self.pattern, self.values(entries))
+
+    def values(
+        self, entries: Float[Tensor, "*lanes 21"], chosen: Int[Tensor, " k"] | None = None
+    ) -> Float[Tensor, "*lanes nnz"]:
+        """Return the numbers of K on the pattern, or only chosen ones: where they are is found once."""
+        if chosen is not None and chosen is not self._chosen:
+            self._chosen, self._picked = chosen, self._whole._replace(sums=self._whole.sums.chosen(chosen))
+        picked = self._whole if chosen is None else self._picked
+        lanes = entries.shape[: -2 if self.several else -1]
+        numbers = entries.reshape(-1, self.laminates, len(ENTRIES))
+        law = LaminateStiffness.of(numbers)
+        laws = [x for own in picked.cells for x in own.law(law.A, law.B)]
+        return mapped(picked, numbers, *laws).reshape(*lanes, -1)
+
+    def section_strains(self, displacements: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 8 k"]:
+        """Return eps, kappa, gamma at the middle of each cell for k fields of nodal displacements, such as modes."""
+        found = []
+        for own in self.kinds.values():
+            at = displacements[..., own.corners, :, :].flatten(-3, -2)
+            found.append(torch.einsum("msf,...mfk->...msk", own.strains.center[own.shape], at))
+        return torch.cat(found, dim=-3)
+
+    def lumped_mass(
+        self, mass_per_area: Float[Tensor, "*lanes"], rotary_inertia_per_area: Float[Tensor, "*lanes"]
+    ) -> Float[Tensor, "*lanes freedoms"]:
+        """Diagonal of the mass matrix: m, m, m, mu, mu, mu of each node [kg, kg m2], eqs. (2) and (13).
+
+        Of laminates whose mass lies about the middle surface (`laminate.centered`); others: `Plates`.
+        """
+        per_area = torch.stack([mass_per_area] * 3 + [rotary_inertia_per_area] * 3, dim=-1)
+        return (self.area[:, None] * per_area[..., None, :]).flatten(-2)
+
+    def _tributary(self) -> Float[Tensor, " n"]:
+        nodes, area, *_ = self.pieces
+        thirds = (area / 3.0)[:, None].expand(-1, 3).reshape(-1)
+        return area.new_zeros(len(self.mesh.nodes)).index_add(0, nodes.flatten(), thirds)
+
+
+def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
+    """Pattern of 6 x 6 blocks between nodes that share a cell, and for each kind the slots of every cell's numbers.
+
+    The place of a number follows from the place of its block, so only the node pairs are sorted, not all coordinates.
+    """
+    pairs = [(corners[:, :, None] * n + corners[:, None, :]).flatten() for corners in kinds]
+    pair, block = torch.unique(torch.cat(pairs), sorted=True, return_inverse=True)
+    row, col = torch.div(pair, n, rounding_mode="floor"), pair % n
+    degree = torch.bincount(row, minlength=n)
+    first = degree.cumsum(0) - degree
+    place = torch.arange(len(pair)) - first[row]  # of the block in its row of blocks
+    six = torch.arange(6)
+    # [block, r, c]: all blocks of the rows before, then r whole rows of this row of blocks, then the blocks before.
+    start = 36 * first[row, None, None] + 6 * degree[row, None, None] * six[:, None]
+    slots = start + 6 * place[:, None, None] + six
+    rows, cols = torch.empty(slots.numel(), dtype=torch.long), torch.empty(slots.numel(), dtype=torch.long)
+    rows[slots.flatten()] = (6 * row[:, None, None] + six[:, None]).expand_as(slots).flatten()
+    cols[slots.flatten()] = (6 * col[:, None, None] + six).expand_as(slots).flatten()
+    cells = []
+    for corners, own in zip(kinds, block.split([len(p) for p in pairs]), strict=True):
+        m, c = corners.shape
+        cells.append(slots[own].reshape(m, c, c, 6, 6).transpose(2, 3).reshape(m, 6 * c, 6 * c))
+    return Pattern(rows, cols, 6 * n), cells

@@ -1,0 +1,173 @@
+"""Parts of an assembly: laminated plates on some cells of a mesh, and point masses.
+
+mass of a plate     "lumped": a third of each triangle at its corners, eqs. (2) and (13);
+                    "consistent": at the middles of its sides, that is with linear shape functions, for comparison
+                    (quadrilaterals: the mean of both ways to cut them)
+
+    m = rho_0 area     at the height z_s = rho_1 / rho_0 along the normal n     mu = (rho_2 - rho_0 z_s^2 n.n) area
+
+rho_0, rho_1, rho_2   moments of the laminate's density through its thickness [kg/m2, kg/m, kg]
+n                     mean of the normals of the cells around the point, weighted with their areas (flat plate: n.n = 1)
+
+So translations are coupled with rotations by rho_1, and rotations have the inertia rho_2 about the middle surface.
+Checked in tests/fem/elements/test_assembly.py, tests/multibody/bodies/test_mass_off_middle.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.fem.elements.facet import laid
+from torchmbd.fem.elements.part import MassPoints, Part
+from torchmbd.fem.elements.plate import PlateMatrices
+from torchmbd.fem.materials import Laminate
+from torchmbd.fem.mesh import Mesh
+from torchmbd.math.gradients import constants
+from torchmbd.math.sparse import Pattern
+
+MASSES = ("lumped", "consistent")
+
+
+class Plates:
+    """One laminate on cells of a mesh (default: all), or several of the same plies, each on its own cells.
+
+    direction   the laminate's x-axis in mesh axes: [3], or one for each cell of the mesh [m, 3]
+    cells       numbers of the cells that are made of it
+    mass        "lumped" or "consistent"
+    zones       which of several laminates each of the cells is made of
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        laminate: Laminate | Sequence[Laminate],
+        direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
+        cells: Sequence[int] | Tensor | None = None,
+        mass: str = "lumped",
+        zones: Int[Tensor, " cells"] | None = None,
+    ) -> None:
+        if mass not in MASSES:
+            raise unknown("mass", mass, MASSES)
+        several = isinstance(laminate, Sequence)
+        self.laminates, self.mass, self.direction = tuple(laminate) if several else (laminate,), mass, direction
+        if not isinstance(mesh, Mesh):
+            raise InputError(f"mesh of a plate is {mesh!r}; allowed: a Mesh, such as mbd.mesh.rectangle(...)")
+        for one in self.laminates:
+            if not isinstance(one, Laminate):
+                raise InputError(f"laminate of a plate is {one!r}; allowed: a Laminate")
+        self.mesh, self._zones = mesh, zones
+        self.cells = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
+
+    @property
+    def laminate(self) -> Laminate:
+        """The only laminate, or all of them side by side."""
+        return self.laminates[0] if self._zones is None else Laminate.side_by_side(self.laminates)
+
+    @property
+    def kind(self) -> tuple:
+        """What plates have in common that may be one part."""
+        return id(self.mesh), self.mass, *(laminate.kin for laminate in self.laminates)
+
+    @cached_property
+    def matrices(self) -> PlateMatrices:
+        """What the cells contribute."""
+        return PlateMatrices(self.mesh, self.laminates[0], self.direction, self.cells, self._zones)
+
+    @property
+    def pattern(self) -> Pattern:
+        """Where K is not zero."""
+        return self.matrices.pattern
+
+    def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
+        """K of the present design, or only some entries of it."""
+        return self.matrices.values(self.laminate.entries(), entries)
+
+    def modules(self) -> dict[str, nn.Module]:
+        """The laminate."""
+        return {"laminate": self.laminates[0]}
+
+    @cached_property
+    def _points(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        return _points(self.matrices, self.mass == "consistent")
+
+    def masses(self) -> MassPoints:
+        """Mass points of the present design."""
+        ends, zone, area, normal = self._points
+        laminate = self.laminate
+
+        def of_points(x: Tensor) -> Tensor:
+            return x[..., None] if self._zones is None else x[..., zone]
+
+        mass, rotary = (of_points(x) * area for x in (laminate.mass_per_area, laminate.rotary_inertia_per_area))
+        if laminate.centered:
+            return MassPoints(ends, mass, rotary)
+        height = of_points(laminate.first_moment_per_area / laminate.mass_per_area)
+        arm = height[..., None] * normal
+        return MassPoints(ends, mass, rotary - mass * (arm * arm).sum(-1), arm)
+
+
+def merged(parts: Mapping[str, Part]) -> dict[str, Part]:
+    """The parts, plates whose laminates differ in their angles only as one: a design costs little more than of one laminate."""
+    groups: dict[Any, dict[str, Any]] = {}
+    for name, part in parts.items():
+        groups.setdefault(part.kind if isinstance(part, Plates) else id(part), {})[name] = part
+    return {name: part for group in groups.values() for name, part in _joined(group).items()}
+
+
+def _joined(group: dict[str, Any]) -> dict[str, Part]:
+    """Plates of one kind as one part; where two lie on one cell, as they are."""
+    first, *others = group.values()
+    if not others:
+        return group
+    cells = [part.cells for part in (first, *others)]
+    if len(torch.cat(cells).unique()) < sum(map(len, cells)):
+        return group
+    direction = torch.zeros(first.mesh.cell_count, 3, dtype=torch.float64)
+    for part in (first, *others):
+        direction[part.cells] = laid(first.mesh, part.direction)[part.cells]
+    zones = torch.repeat_interleave(torch.tensor([len(x) for x in cells]))
+    laminates = [part.laminates[0] for part in (first, *others)]
+    return {next(iter(group)): Plates(first.mesh, laminates, direction, torch.cat(cells), first.mass, zones)}
+
+
+class PointMasses:
+    """Masses [kg] with isotropic rotary inertias [kg m2] at nodes; no stiffness."""
+
+    @constants
+    def __init__(self, mesh: Mesh, nodes: Sequence[int], mass: Sequence[float], rotary: Sequence[float]) -> None:
+        none = torch.empty(0, dtype=torch.long)
+        self.pattern = Pattern(none, none, 6 * len(mesh.nodes))
+        self._nodes = torch.tensor(list(nodes), dtype=torch.long)
+        self._mass, self._rotary = (torch.tensor(list(x), dtype=torch.float64) for x in (mass, rotary))
+
+    def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, " 0"]:
+        """No stiffness."""
+        return torch.zeros(0, dtype=torch.float64)
+
+    def modules(self) -> dict[str, nn.Module]:
+        """Nothing to design."""
+        return {}
+
+    def masses(self) -> MassPoints:
+        """The masses."""
+        return MassPoints(self._nodes[:, None].expand(-1, 2), self._mass, self._rotary)
+
+
+def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Node pairs of the mass points, the laminate and the area of each, and the mean normal there."""
+    corners, area, normals, zone = matrices.pieces
+    other = corners.roll(-1, dims=1) if consistent else corners
+    pairs = torch.stack([corners, other], dim=-1).flatten(0, 1).sort(dim=1).values
+    points, place = torch.unique(torch.cat([pairs, zone.repeat_interleave(3)[:, None]], 1), dim=0, return_inverse=True)
+    thirds = (area / 3.0).repeat_interleave(3)
+    whole = thirds.new_zeros(len(points)).index_add(0, place, thirds)
+    normal = torch.zeros(len(points), 3, dtype=area.dtype)
+    normal.index_add_(0, place, thirds[:, None] * normals.repeat_interleave(3, dim=0))
+    return points[:, :2], points[:, 2], whole, normal / whole[:, None]

@@ -1,0 +1,74 @@
+"""What cells of any kind do alike at their sides, so that neighbours fit: the lumping of membrane stress, gaps and their share.
+
+Sides k = ij run 12, 23, ... around the cell; tangent t_k, outward normal n_k, length L_k.
+
+lumping   a constant membrane stress acts on the corners of a side as half its traction each, and as moments of the normal
+          traction alpha L_k^2 / 12 (-, +): the mean strain is what these forces do work on,
+
+              mean eps = 1 / area sum_k sym n_k o (L_k (u_i + u_j) / 2 + alpha L_k^2 / 12 (theta_j - theta_i) n_k)
+
+          alpha = 1: the sides bend as beams; alpha is free, but the two cells of a side must have the same
+gap       mean shear strain of a side with linear rotations,  g_k = (w_j - w_i) / L_k + t_k . (beta_i + beta_j) / 2,
+          shared between bending and shear as in a strip of plate under linear moment:
+
+              Delta_k = -3/2 g_k / (1 + phi_k),     gamma_k = g_k phi_k / (1 + phi_k),     phi_k = shear_length^2 / size_k^2
+
+          Delta_k: the quadratic part of the rotation along the side (dkmt_bending.py)
+size_k    1 / size^2 = 1 / L_k^2 + (L_k / cell)^2 of quadrilaterals: a gap is closed by bending along the side, or by twist
+          across the cell (cell: mean area at this side [m2])   [m]
+Source: C. A. Felippa (2003), see opt_membrane.py; I. Katili (1993), see dkmt_bending.py.
+Checked in tests/fem/elements/test_opt_membrane.py, tests/fem/elements/test_dkmt_bending.py, tests/fem/elements/test_plate_patch.py.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def mean_strain(
+    corners: Float[Tensor, "m c 2"], area: Float[Tensor, " m"], alpha: Float[Tensor, "m c"]
+) -> Float[Tensor, "m 3 f"]:
+    """Mean (eps_xx, eps_yy, gamma_xy) from (u, v, theta_z) of the corners; alpha of every side."""
+    m, count, _ = corners.shape
+    side = corners.roll(-1, dims=1) - corners
+    nx, ny = side[..., 1], -side[..., 0]  # times the length
+    zero = torch.zeros_like(nx)
+    push = torch.stack([torch.stack([nx, zero, ny], -1), torch.stack([zero, ny, nx], -1)], -1)  # [m, k, 3, (u, v)]
+    bulge = alpha[..., None] / 12.0 * torch.stack([nx * nx, ny * ny, 2.0 * nx * ny], -1)
+    strain = corners.new_zeros(m, 3, count, 3)
+    for k in range(count):
+        i, j = k, (k + 1) % count
+        strain[:, :, i, :2] += 0.5 * push[:, k]
+        strain[:, :, j, :2] += 0.5 * push[:, k]
+        strain[:, :, i, 2] -= bulge[:, k]
+        strain[:, :, j, 2] += bulge[:, k]
+    return strain.flatten(-2) / area[:, None, None]
+
+
+def gaps(
+    corners: Float[Tensor, "m c 2"],
+) -> tuple[Float[Tensor, "m c f"], Float[Tensor, "m c 2"], Float[Tensor, "m c"]]:
+    """Gap of each side from (w, beta_x, beta_y) of the corners; tangents and lengths of the sides."""
+    m, count, _ = corners.shape
+    side = corners.roll(-1, dims=1) - corners
+    length = side.norm(dim=-1)
+    tangent = side / length[..., None]
+    gap = corners.new_zeros(m, count, 3 * count)
+    for k in range(count):
+        i, j = k, (k + 1) % count
+        gap[:, k, 3 * i], gap[:, k, 3 * j] = -1.0 / length[:, k], 1.0 / length[:, k]
+        gap[:, k, 3 * i + 1 : 3 * i + 3] = gap[:, k, 3 * j + 1 : 3 * j + 3] = 0.5 * tangent[:, k]
+    return gap, tangent, length
+
+
+def shared(gap: Tensor, shear_length: float, size2: Float[Tensor, "m c"]) -> tuple[Tensor, Tensor]:
+    """Delta_k and gamma_k of every side, as rows on the freedoms of the gap."""
+    phi = shear_length**2 / size2
+    return (-1.5 / (1.0 + phi))[..., None] * gap, (phi / (1.0 + phi))[..., None] * gap
+
+
+def crossed_size2(length: Float[Tensor, "m c"], cell: Float[Tensor, "m c"]) -> Float[Tensor, "m c"]:
+    """size_k^2 at the sides of quadrilaterals [m2]."""
+    return 1.0 / (1.0 / length**2 + (length / cell) ** 2)

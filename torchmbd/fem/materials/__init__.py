@@ -1,0 +1,25 @@
+"""Plies and laminates: from elastic constants and angles to plate stiffness, ply stresses and failure."""
+
+from torchmbd.fem.materials.failure_forms import FailureForms
+from torchmbd.fem.materials.isotropic_mean import IsotropicMean
+from torchmbd.fem.materials.laminate import ENTRIES, Laminate, LaminateStiffness
+from torchmbd.fem.materials.ply import Ply
+from torchmbd.fem.materials.ply_maps import PlyMaps, ply_maps
+from torchmbd.fem.materials.strength import CRITERIA, PLY_COMPONENTS, Strength, max_stress, tsai_wu, tsai_wu_irf
+
+__all__ = [
+    "CRITERIA",
+    "ENTRIES",
+    "PLY_COMPONENTS",
+    "FailureForms",
+    "IsotropicMean",
+    "Laminate",
+    "LaminateStiffness",
+    "Ply",
+    "PlyMaps",
+    "Strength",
+    "max_stress",
+    "ply_maps",
+    "tsai_wu",
+    "tsai_wu_irf",
+]  # fmt: skip

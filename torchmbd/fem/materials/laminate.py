@@ -1,0 +1,285 @@
+"""Classical lamination with first-order shear: from plies to the plate stiffness A, B, D, As.
+
+Plies are listed from the bottom face z = -h/2 to the top face z = +h/2.
+
+    N = A eps + B kappa        membrane forces     [N/m]
+    M = B eps + D kappa        moments             [N]
+    Q = As gamma               shear forces        [N/m]
+
+    (A, B, D) = sum_k Qbar_k (z_k+1 - z_k,  (z_k+1^2 - z_k^2) / 2,  (z_k+1^3 - z_k^3) / 3)
+    As        from the energy of the shear stresses in equilibrium (transverse_shear.py), or, with a number given,
+                shear_correction * sum_k Gbar_k (z_k+1 - z_k), which is wrong for sandwiches: 5/6 is 30 % too stiff for
+                the plate of NAFEMS R0031/3
+
+eps     eps_xx, eps_yy, gamma_xy of the mid-surface
+kappa   curvatures: the strain at height z is eps + z kappa  [1/m]
+gamma   gamma_xz, gamma_yz
+theta   ply angle about +z from the plate x-axis             [rad]
+z       heights of the n + 1 ply interfaces                  [m]
+
+Differentiable, forward and reverse, in angles and thicknesses; both may carry leading lanes `...`
+(one laminate per lane) when they are given through torch.func.functional_call.
+Assumed: perfect bond, small strains, plane stress in each ply.
+Source: eqs. (11)-(12) of the paper (the paper's H_2 and H_3 carry z and z^2); Jones, Mechanics of Composite Materials,
+chapter 4; Reddy, Mechanics of Laminated Composite Plates and Shells, section 3.4.
+Checked in tests/fem/materials/test_laminate.py.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import ClassVar, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.fem.materials.ply import Ply
+from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
+from torchmbd.math.owned import parameter, real
+from torchmbd.math.plausible_units import THICKNESS, check_angles, doubt
+
+_UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_UPPER2 = ((0, 0), (0, 1), (1, 1))
+
+#: What each of the 21 numbers of `Laminate.entries()` is: (matrix, row, column), rows counted from 0.
+ENTRIES: tuple[tuple[str, int, int], ...] = (
+    *(("A", i, j) for i, j in _UPPER3),
+    *(("B", i, j) for i, j in _UPPER3),
+    *(("D", i, j) for i, j in _UPPER3),
+    *(("As", i, j) for i, j in _UPPER2),
+)
+
+
+class LaminateStiffness(NamedTuple):
+    """Plate stiffness: A [N/m], B [N], D [N m] of shape [..., 3, 3], As [N/m] of shape [..., 2, 2]."""
+
+    A: Float[Tensor, "*lanes 3 3"]
+    B: Float[Tensor, "*lanes 3 3"]
+    D: Float[Tensor, "*lanes 3 3"]
+    As: Float[Tensor, "*lanes 2 2"]
+
+    def entries(self) -> Float[Tensor, "*lanes 21"]:
+        """Collect the 21 independent numbers in the order of `ENTRIES`: upper triangles of A, B, D, As, row by row."""
+        upper = [0, 1, 2, 4, 5, 8]
+        three = (X.flatten(-2)[..., upper] for X in (self.A, self.B, self.D))
+        return torch.cat([*three, self.As.flatten(-2)[..., [0, 1, 3]]], dim=-1)
+
+    @classmethod
+    def of(cls, entries: Float[Tensor, "*lanes 21"]) -> LaminateStiffness:
+        """Spread the 21 numbers out again."""
+        numbers = entries.split([6, 6, 6, 3], dim=-1)
+        three, two = [0, 1, 2, 1, 3, 4, 2, 4, 5], [0, 1, 1, 2]
+        A, B, D = (own[..., three].unflatten(-1, (3, 3)) for own in numbers[:3])
+        return cls(A, B, D, numbers[3][..., two].unflatten(-1, (2, 2)))
+
+
+class Laminate(nn.Module):
+    """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
+
+    A torch.nn.Parameter that is given is itself registered, not copied; computed tensors that require gradients are refused.
+
+    ply               one Ply, or one per given layer
+    angles            [layers] rad, from bottom to top
+    thickness         of every layer, or one per given layer [m]; numbers become a parameter that requires no gradient
+    symmetric         the given layers are the lower half, mirrored about the mid-plane
+    shear_correction  "energy": the transverse shear stiffness of equal energy, a full matrix that follows the stack
+                      (5/6 of G h if it is homogeneous); or a number that multiplies the sum of the plies' G t
+    """
+
+    positive: ClassVar[tuple[str, ...]] = ("thickness",)  # parameters that are, whatever the design
+    angles: Tensor
+    thickness: Tensor
+    _Q: Tensor
+    _G: Tensor
+    _density: Tensor
+
+    def __init__(
+        self,
+        ply: Ply | Sequence[Ply],
+        angles: Sequence[float] | Tensor,
+        thickness: float | Sequence[float] | Tensor,
+        symmetric: bool = False,
+        shear_correction: float | str = "energy",
+    ) -> None:
+        super().__init__()
+        self.angles = _checked_angles(angles)
+        layers = self.angles.numel()
+        plies = _checked_plies(ply, layers)
+        self.symmetric = bool(symmetric)
+        self.plies = tuple(plies)
+        self.shear_correction = _checked_correction(shear_correction)
+        self.thickness = _checked_thickness(thickness, layers)
+        self.register_buffer("_Q", torch.stack([p.plane_stiffness() for p in plies]), persistent=False)
+        self.register_buffer("_G", torch.stack([p.shear_stiffness() for p in plies]), persistent=False)
+        density = torch.tensor([p.density for p in plies], dtype=torch.float64)
+        self.register_buffer("_density", density, persistent=False)
+
+    @property
+    def kin(self) -> tuple:
+        """What laminates have in common that differ in their angles only."""
+        return self.plies, self.symmetric, self.shear_correction, tuple(self.thickness.tolist())
+
+    @staticmethod
+    def side_by_side(laminates: Sequence[Laminate]) -> Laminate:
+        """Laminates with the same plies as one, whose parameters have an axis more: [*lanes, laminates, layers]."""
+        result = copy.copy(laminates[0])
+        result._parameters = {}  # of the copy, which has tensors instead
+        for name in ("angles", "thickness"):
+            own = torch.broadcast_tensors(*(getattr(laminate, name) for laminate in laminates))
+            vars(result)[name] = torch.stack(own, -2)
+        return result
+
+    def forward(self) -> Float[Tensor, "*lanes 21"]:
+        """Return `entries()`: the form in which torch.func.functional_call asks for the laminate."""
+        return self.entries()
+
+    def entries(self) -> Float[Tensor, "*lanes 21"]:
+        """Return the 21 independent stiffness numbers, in the order of `ENTRIES`."""
+        return self.stiffness().entries()
+
+    def stiffness(self) -> LaminateStiffness:
+        """Integrate the ply stiffnesses through the thickness."""
+        Qbar, Gbar = turned_stiffness(self.layer_angles, *self.layer_stiffness)
+        H = self._moments()
+        A, B, D = self._integrals(H, Qbar)
+        if isinstance(self.shear_correction, str):
+            As = energy_shear_stiffness(shear_shape(Qbar, self.faces, A, B, D), Gbar)
+        else:
+            As = self.shear_correction * torch.einsum("...k,...kij->...ij", H[0], Gbar)
+        return LaminateStiffness(A, B, D, As)
+
+    def shear_shape(self) -> ShearShape:
+        """Return how transverse shear forces spread through the thickness."""
+        Qbar, _ = turned_stiffness(self.layer_angles, *self.layer_stiffness)
+        return shear_shape(Qbar, self.faces, *self._integrals(self._moments(), Qbar))
+
+    @property
+    def layer_angles(self) -> Float[Tensor, "*lanes all_layers"]:
+        """Angle of every layer, both halves of a symmetric stack [rad]."""
+        return self._stack(self.angles)
+
+    @property
+    def layer_plies(self) -> tuple[Ply, ...]:
+        """Ply of every layer, both halves of a symmetric stack."""
+        return self.plies + self.plies[::-1] if self.symmetric else self.plies
+
+    @property
+    def layer_stiffness(self) -> tuple[Float[Tensor, "all_layers 3 3"], Float[Tensor, "all_layers 2 2"]]:
+        """Stiffness of every layer in its own axes, in plane and in transverse shear [Pa]."""
+        return self._stack(self._Q, -3), self._stack(self._G, -3)
+
+    @property
+    def faces(self) -> Float[Tensor, "*lanes all_layers 2"]:
+        """Heights of the bottom and the top of every layer [m]."""
+        t = self._stack(self.thickness)
+        top = t.cumsum(-1) - 0.5 * t.sum(-1, keepdim=True)
+        return torch.stack([top - t, top], dim=-1)
+
+    @property
+    def total_thickness(self) -> Float[Tensor, "*lanes"]:
+        """Height h of the whole stack, both halves of a symmetric one [m]."""
+        return self._stack(self.thickness).sum(-1)
+
+    @property
+    def mass_per_area(self) -> Float[Tensor, "*lanes"]:
+        """Mass per area of the mid-surface, sum of density times thickness [kg/m2]."""
+        return (self._stack(self._density) * self._moments()[0]).sum(-1)
+
+    @property
+    def first_moment_per_area(self) -> Float[Tensor, "*lanes"]:
+        """First moment of the density about the mid-surface, along its normal [kg/m]."""
+        return (self._stack(self._density) * self._moments()[1]).sum(-1)
+
+    @property
+    def centered(self) -> bool:
+        """Whether the first moment is zero whatever the thicknesses: a symmetric stack, or one density."""
+        return self.symmetric or bool((self._density == self._density[0]).all())
+
+    @property
+    def rotary_inertia_per_area(self) -> Float[Tensor, "*lanes"]:
+        """Second moment of the density about the mid-surface [kg]."""
+        return (self._stack(self._density) * self._moments()[2]).sum(-1)
+
+    def extra_repr(self) -> str:
+        degrees = ", ".join(f"{a:g}" for a in torch.rad2deg(self.angles.detach()).flatten().tolist())
+        return f"angles=[{degrees}] deg, symmetric={self.symmetric}"
+
+    def _stack(self, values: Tensor, layer_axis: int = -1) -> Tensor:
+        """Values of every layer, bottom to top: the mirrored half is appended here."""
+        return torch.cat([values, values.flip(layer_axis)], dim=layer_axis) if self.symmetric else values
+
+    @staticmethod
+    def _integrals(H: tuple[Tensor, ...], Qbar: Tensor) -> tuple[Tensor, ...]:
+        """A, B, D."""
+        return (torch.stack(H, -2) @ Qbar.flatten(-2)).unflatten(-1, (3, 3)).unbind(-3)
+
+    def _moments(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Integrals of 1, z, z^2 over each layer [m, m2, m3], shape [..., layers]."""
+        bottom, top = self.faces.unbind(-1)
+        return self._stack(self.thickness), (top**2 - bottom**2) / 2.0, (top**3 - bottom**3) / 3.0
+
+
+def turned_stiffness(
+    theta: Float[Tensor, "*lanes layers"], Q: Float[Tensor, "layers 3 3"], G: Float[Tensor, "layers 2 2"]
+) -> tuple[Float[Tensor, "*lanes layers 3 3"], Float[Tensor, "*lanes layers 2 2"]]:
+    """Ply stiffnesses in plate axes: T' Q T and R' G R."""
+    T, R = turning(theta)
+    return T.mT @ Q @ T, R.mT @ G @ R
+
+
+def turning(
+    theta: Float[Tensor, "*lanes layers"],
+) -> tuple[Float[Tensor, "*lanes layers 3 3"], Float[Tensor, "*lanes layers 2 2"]]:
+    """T and R turn strains from plate axes to ply axes: (xx, yy, xy) to (11, 22, 12), (xz, yz) to (13, 23)."""
+    c, s = torch.cos(theta), torch.sin(theta)
+    cc, ss, cs = c * c, s * s, c * s
+    T = torch.stack([cc, ss, cs, ss, cc, -cs, -2 * cs, 2 * cs, cc - ss], dim=-1).unflatten(-1, (3, 3))
+    return T, torch.stack([c, s, -s, c], dim=-1).unflatten(-1, (2, 2))
+
+
+def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
+    theta = parameter("angles of a Laminate", angles)
+    if theta.ndim != 1 or theta.numel() == 0:
+        raise InputError(f"Laminate: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
+    check_angles("angles", theta.tolist(), "Laminate: ")
+    return theta
+
+
+def _checked_plies(ply: Ply | Sequence[Ply], layers: int) -> list[Ply]:
+    if not isinstance(ply, (Ply, Sequence)) or isinstance(ply, str):
+        raise InputError(f"Laminate: ply = {ply!r}; allowed: a Ply, or one Ply per layer")
+    plies = [ply] * layers if isinstance(ply, Ply) else list(ply)
+    for k, p in enumerate(plies):
+        if not isinstance(p, Ply):
+            raise InputError(f"Laminate: ply[{k}] = {p!r}; allowed: a Ply, or one Ply per layer")
+    if len(plies) != layers:
+        raise InputError(f"Laminate: {len(plies)} plies for {layers} angles; allowed: one Ply, or one per angle")
+    return plies
+
+
+def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> nn.Parameter:
+    t = parameter("thickness of a Laminate", thickness)
+    if t is not thickness:  # numbers
+        t = nn.Parameter(t.detach().repeat(layers) if t.ndim == 0 else t.detach(), requires_grad=False)
+    if t.shape != (layers,):
+        raise InputError(
+            f"Laminate: {t.numel()} thicknesses for {layers} angles; allowed: one number, or one per angle [m]"
+        )
+    for k, value in enumerate(t.tolist()):
+        if not 0.0 < value < float("inf"):
+            raise InputError(f"Laminate: thickness[{k}] = {value!r} m; allowed: a finite number > 0")
+    doubt("Laminate: thickness", float(t.detach().max()), "m", THICKNESS, stacklevel=4)
+    return t
+
+
+def _checked_correction(value: float | str) -> float | str:
+    if value == "energy":
+        return "energy"
+    if isinstance(value, str) or not real(value) or not 0.0 < value <= 1.0:
+        raise InputError(
+            f"Laminate: shear_correction = {value!r}; allowed: 0 < shear_correction <= 1, or the word 'energy'"
+        )
+    return float(value)

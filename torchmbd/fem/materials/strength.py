@@ -1,0 +1,114 @@
+"""Strength of a unidirectional ply, and criteria of its failure.
+
+    tsai_wu       F1 s1 + F2 s2 + F11 s1^2 + F22 s2^2 + 2 F12 s1 s2 + t12^2 / S12^2 + t13^2 / S13^2 + t23^2 / S23^2
+                  F1 = 1 / Xt - 1 / Xc,  F11 = 1 / (Xt Xc),  F2, F22 likewise,  F12 = interaction sqrt(F11 F22)
+    tsai_wu_irf   inverse reserve factor 1 / R: the Tsai-Wu index of R times the stress is one; grows in proportion to
+                  the load, so it is the better scaled one for a constraint
+    max_stress    largest of s1 / Xt, -s1 / Xc, s2 / Yt, -s2 / Yc, |t12| / S12, |t13| / S13, |t23| / S23
+
+Each is below one where the ply holds, and all three are one together under a single stress component that fails.
+stress   s11, s22, t12, t13, t23 in ply axes     [..., 5]  Pa
+Differentiable in the stress (a sub-gradient where two terms of max_stress are equal, or the stress is zero).
+Source: S. W. Tsai and E. M. Wu, A general theory of strength for anisotropic materials, J. Compos. Mater. 5 (1971);
+R. M. Jones, Mechanics of Composite Materials, 2nd ed., section 2.9.
+Checked in tests/fem/materials/test_strength.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+
+#: The stresses and strains of a ply, in this order; 1 = fibre, 3 = thickness. Shear strains are engineering strains.
+PLY_COMPONENTS = ("11", "22", "12", "13", "23")
+
+
+@dataclass(frozen=True)
+class Strength:
+    """Strengths of one ply [Pa], all positive.
+
+    Xt, Xc        tension and compression along the fibre
+    Yt, Yc        across it
+    S12           shear in the plane
+    S13, S23      infinite by default: transverse shear stresses do not count
+    interaction   F12 / sqrt(F11 F22) of Tsai-Wu, in (-1, 1)
+    """
+
+    Xt: float
+    Xc: float
+    Yt: float
+    Yc: float
+    S12: float
+    S13: float = math.inf
+    S23: float = math.inf
+    interaction: float = -0.5
+
+    def __post_init__(self) -> None:
+        for name in ("Xt", "Xc", "Yt", "Yc", "S12", "S13", "S23"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+                raise InputError(f"Strength: {name} = {value!r} Pa; allowed: a number > 0")
+        if isinstance(self.interaction, bool) or not -1.0 < self.interaction < 1.0:
+            raise InputError(f"Strength: interaction = {self.interaction!r}; allowed: -1 < interaction < 1")
+
+    def numbers(self) -> Float[Tensor, " 8"]:
+        """Collect Xt, Xc, Yt, Yc, S12, S13, S23, interaction: the form in which the criteria take them."""
+        names = ("Xt", "Xc", "Yt", "Yc", "S12", "S13", "S23", "interaction")
+        return torch.tensor([getattr(self, name) for name in names], dtype=torch.float64)
+
+
+def tsai_wu(stress: Float[Tensor, "*n 5"], strength: Float[Tensor, "*n 8"]) -> Float[Tensor, "*n"]:
+    """Tsai-Wu index; `strength` are `Strength.numbers()`, one row for all points or one for each."""
+    linear, quadratic = _tsai_wu_parts(stress, strength)
+    return linear + quadratic
+
+
+def tsai_wu_irf(stress: Float[Tensor, "*n 5"], strength: Float[Tensor, "*n 8"]) -> Float[Tensor, "*n"]:
+    """Inverse reserve factor of Tsai-Wu, the positive root of x^2 - linear x - quadratic = 0."""
+    return inverse_reserve_factor(*_tsai_wu_parts(stress, strength))
+
+
+def inverse_reserve_factor(linear: Float[Tensor, "*n"], quadratic: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
+    """The positive root x of x^2 - linear x - quadratic = 0."""
+    square = linear**2 + 4.0 * quadratic
+    loaded = square > 0.0
+    return torch.where(loaded, 0.5 * (linear + torch.where(loaded, square, 1.0).sqrt()), 0.0 * square)
+
+
+def max_stress(stress: Float[Tensor, "*n 5"], strength: Float[Tensor, "*n 8"]) -> Float[Tensor, "*n"]:
+    """Index of maximum stress."""
+    Xt, Xc, Yt, Yc, S12, S13, S23, _ = strength.unbind(-1)
+    s1, s2, t12, t13, t23 = stress.unbind(-1)
+    parts = (s1 / Xt, -s1 / Xc, s2 / Yt, -s2 / Yc, t12.abs() / S12, t13.abs() / S13, t23.abs() / S23)
+    return torch.stack(parts, dim=-1).amax(-1)
+
+
+def tsai_wu_forms(strength: Float[Tensor, "*n 8"]) -> tuple[Float[Tensor, "*n 5"], Float[Tensor, "*n 5 5"]]:
+    """The linear form of Tsai-Wu in the stress, and the matrix of the quadratic one."""
+    Xt, Xc, Yt, Yc, S12, S13, S23, interaction = strength.unbind(-1)
+    F11, F22 = 1.0 / (Xt * Xc), 1.0 / (Yt * Yc)
+    none = torch.zeros_like(Xt)
+    linear = torch.stack([1.0 / Xt - 1.0 / Xc, 1.0 / Yt - 1.0 / Yc, none, none, none], dim=-1)
+    quadratic = torch.diag_embed(torch.stack([F11, F22, S12**-2, S13**-2, S23**-2], dim=-1))
+    quadratic[..., 0, 1] = quadratic[..., 1, 0] = interaction * (F11 * F22).sqrt()
+    return linear, quadratic
+
+
+def _tsai_wu_parts(stress: Tensor, strength: Tensor) -> tuple[Tensor, Tensor]:
+    """The parts that are linear and quadratic in the stress."""
+    f, F = tsai_wu_forms(strength)
+    return (f * stress).sum(-1), (stress * (F @ stress[..., None])[..., 0]).sum(-1)
+
+
+CRITERIA: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
+    "tsai_wu": tsai_wu,
+    "tsai_wu_irf": tsai_wu_irf,
+    "max_stress": max_stress,
+}

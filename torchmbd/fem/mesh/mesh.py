@@ -1,0 +1,162 @@
+"""A mesh of cells and lines in space, checked once, with names for nodes.
+
+nodes       positions in the axes of the body   [n, 3], m
+triangles   node indices, counted from 0        [m, 3]
+quads       quadrilaterals, convex, four corners in turn, flat or a little warped   [k, 4]
+lines       node pairs: beams, rigid links      [k, 2]
+node_sets   name -> node indices; a set of one node is a named node
+labels      what messages call the nodes and cells: a reader names the cards of its file
+
+Cells are counted through: all triangles, then all quadrilaterals. A directed area has the size and the normal of a cell,
+
+    a = 1/2 sum_i (x_i - x_0) x (x_i+1 - x_0)
+
+The winding of a cell (right-hand rule) gives its normal, and so which ply is the bottom one: neighbours must be
+wound in the same sense.
+Bad input is refused at the door (mesh_checks.py), and named by element: an InputError tells which cell or node.
+Checked in tests/fem/mesh/test_mesh.py.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.fem.mesh.mesh_checks import check, directed_area
+from torchmbd.math.gradients import constants
+from torchmbd.math.owned import indices, reals
+
+
+class Pieces(NamedTuple):
+    """Triangles that cover every cell, some of them twice: nodes, share that each counts with, and its cell."""
+
+    nodes: Int[Tensor, "pieces 3"]
+    share: Float[Tensor, " pieces"]
+    cell: Int[Tensor, " pieces"]
+
+
+def _none(corners: int) -> Tensor:
+    return torch.empty(0, corners, dtype=torch.long)
+
+
+def _members(name: str, given: Sequence[int]) -> tuple[int, ...]:
+    found = indices(
+        f"node_sets of a Mesh: {name!r}", list(given) if isinstance(given, (Sequence, set, range)) else given
+    )
+    if found.dim() != 1:
+        raise InputError(f"node_sets of a Mesh: {name!r} is {given!r}; allowed: a list of nodes")
+    return tuple(found.tolist())
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Mesh:
+    """Nodes [n, 3] in m, triangles [m, 3], quads [k, 4] and named node sets; see the module header for what is checked."""
+
+    nodes: Float[Tensor, "n 3"]
+    triangles: Int[Tensor, "m 3"] = field(default_factory=lambda: _none(3))
+    node_sets: Mapping[str, Sequence[int]] = field(default_factory=dict)
+    lines: Int[Tensor, "k 2"] = field(default_factory=lambda: _none(2))
+    node_labels: Sequence[str] = ()
+    cell_labels: Sequence[str] = ()
+    quads: Int[Tensor, "k 4"] = field(default_factory=lambda: _none(4))
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.node_sets, Mapping):
+            raise InputError(f"node_sets of a Mesh is {self.node_sets!r}; allowed: names -> lists of nodes")
+        sets = {str(name): _members(name, given) for name, given in self.node_sets.items()}
+        object.__setattr__(self, "nodes", reals("nodes of a Mesh", self.nodes))
+        object.__setattr__(self, "node_sets", sets)
+        for name in ("triangles", "quads", "lines"):
+            own = indices(f"{name} of a Mesh", getattr(self, name))
+            object.__setattr__(self, name, own)
+        check(self)
+
+    def __repr__(self) -> str:
+        quads = f"{len(self.quads)} quadrilaterals, " if len(self.quads) else ""
+        return f"Mesh({len(self.nodes)} nodes, {len(self.triangles)} triangles, {quads}{len(self.lines)} lines)"
+
+    def node(self, name: str) -> int:
+        """Return the index of a named single node."""
+        members = self.node_set(name)
+        if len(members) != 1:
+            raise InputError(f"Mesh: node set {name!r} has {len(members)} nodes; a single named node is needed")
+        return members[0]
+
+    def node_set(self, name: str) -> tuple[int, ...]:
+        """Return the node indices of a named set."""
+        if name not in self.node_sets:
+            names = list(self.node_sets)
+            shown = names if len(names) <= 30 else difflib.get_close_matches(str(name), names, n=8, cutoff=0.0)
+            raise unknown("node", name, shown)
+        return tuple(self.node_sets[name])
+
+    @constants
+    def within(self, radius: float, point: str | Sequence[float] = "center") -> tuple[int, ...]:
+        """Return the nodes at most `radius` [m] from a named node or a place [m]: a patch of one size on every mesh."""
+        place = self.nodes[self.node(point)] if isinstance(point, str) else self.nodes.new_tensor(point)
+        if place.shape != (3,) or not radius > 0:
+            raise InputError(f"Mesh: within({radius!r}, {point!r}); allowed: a radius > 0, and a node or three numbers")
+        near = ((self.nodes - place).norm(dim=1) <= radius * (1.0 + 1e-9)).nonzero().flatten()
+        if not len(near):
+            raise InputError(f"Mesh: no node within {radius!r} m of {point!r}; allowed: a larger radius")
+        return tuple(near.tolist())
+
+    def node_name(self, k: int) -> str:
+        """What messages call a node."""
+        return self.node_labels[k] if self.node_labels else f"node {k}"
+
+    def cell_name(self, k: int) -> str:
+        """What messages call a cell."""
+        if self.cell_labels:
+            return self.cell_labels[k]
+        return f"triangle {k}" if k < len(self.triangles) else f"quad {k - len(self.triangles)}"
+
+    @property
+    def cells(self) -> dict[str, Int[Tensor, "m corners"]]:
+        """The corners of the cells of each kind, in the order in which cells are counted."""
+        return {"triangle": self.triangles, "quad": self.quads}
+
+    def first(self, kind: str) -> int:
+        """The number of the first cell of a kind."""
+        return {"triangle": 0, "quad": len(self.triangles)}[kind]
+
+    @property
+    def cell_count(self) -> int:
+        """How many cells there are."""
+        return len(self.triangles) + len(self.quads)
+
+    @property
+    def pieces(self) -> Pieces:
+        """Triangles that cover the cells: every quadrilateral in the mean of the two ways to cut it.
+
+        So a third of the directed area of each, at its corners, is the integral of the bilinear shape functions.
+        """
+        corners = [self.quads.roll(1 - i, dims=1)[:, :3] for i in range(4)]
+        number = torch.arange(self.cell_count)
+        share = torch.ones(len(self.triangles) + 4 * len(self.quads), dtype=torch.float64)
+        share[len(self.triangles) :] = 0.5
+        cell = torch.cat([number[: len(self.triangles)], number[len(self.triangles) :].repeat(4)])
+        return Pieces(torch.cat([self.triangles, *corners]), share, cell)
+
+    @property
+    def directed_areas(self) -> Float[Tensor, "cells 3"]:
+        """Areas of the cells [m2] along their normals."""
+        return torch.cat([directed_area(self.nodes[corners]) for corners in self.cells.values()])
+
+    @property
+    def normals(self) -> Float[Tensor, "cells 3"]:
+        """Unit normals of the cells, by the right-hand rule of their winding."""
+        a = self.directed_areas
+        return a / a.norm(dim=1, keepdim=True)
+
+    @property
+    def areas(self) -> Float[Tensor, " cells"]:
+        """Areas of the cells [m2], of a warped one seen along its normal."""
+        return self.directed_areas.norm(dim=1)

@@ -1,0 +1,175 @@
+"""What a mesh is refused for, named by cell and node: an InputError for each.
+
+Nodes that are not finite or share one place; cells with unknown, repeated or collinear corners, concave or strongly warped;
+duplicates; nodes of no element; neighbours wound in opposite senses; disconnected parts; node sets outside of the mesh.
+Checked in tests/fem/mesh/test_mesh.py.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from torchmbd.errors import InputError
+
+if TYPE_CHECKING:
+    from torchmbd.fem.mesh.mesh import Mesh
+
+#: A cell is collapsed when a corner's height over the longest side is less than this part of that side.
+FLATNESS = 1e-6
+
+#: Nodes nearer to each other than this part of the mesh's size share one place: a seam that was not merged.
+SEPARATION = 1e-7
+
+#: A quadrilateral whose corners lean by more than this to its normal is no plate any more [rad].
+WARP = math.radians(40.0)
+
+
+def directed_area(p: Float[Tensor, "m corners 3"]) -> Float[Tensor, "m 3"]:
+    """Area of polygons along their normals [m2]; of a triangle half the cross product of two sides, to the last digit."""
+    arms = p - p[:, :1]
+    return torch.linalg.cross(arms[:, 1:-1], arms[:, 2:]).sum(1) / 2.0
+
+
+def check(mesh: Mesh) -> None:
+    """Raise InputError for the first fault of a mesh."""
+    _check_nodes(mesh)
+    _check_shapes(mesh)
+    for kind, corners in mesh.cells.items():
+        _check_cells(mesh, corners, mesh.first(kind))
+    _check_orphans(mesh)
+    _check_lines(mesh)
+    _check_winding(mesh)
+    _check_connected(mesh)
+    for name, members in mesh.node_sets.items():
+        for k in members:
+            if not 0 <= k < len(mesh.nodes):
+                raise InputError(f"Mesh: node_sets[{name!r}] has node {k}; allowed: 0 to {len(mesh.nodes) - 1}")
+
+
+def _check_nodes(mesh: Mesh) -> None:
+    nodes = mesh.nodes
+    if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:
+        raise InputError(f"Mesh: nodes has shape {tuple(nodes.shape)}; allowed: [n, 3] with n >= 2")
+    bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
+    if len(bad):
+        k = int(bad[0])
+        raise InputError(f"Mesh: {mesh.node_name(k)} is at {nodes[k].tolist()}; allowed: finite coordinates")
+    size = float((nodes.amax(0) - nodes.amin(0)).norm())
+    twins = KDTree(nodes.numpy()).query_pairs(SEPARATION * size, output_type="ndarray")
+    plates = {k for corners in mesh.cells.values() for k in corners.flatten().tolist()}
+    for other, k in sorted(twins.tolist()):
+        if {k, other} <= plates or not len(mesh.lines):  # the node of a rigid link may lie on a node of the plate
+            raise InputError(
+                f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)} share one place {nodes[k].tolist()}; merge them"
+            )
+
+
+def _check_shapes(mesh: Mesh) -> None:
+    for name, corners, width in (("triangles", mesh.triangles, 3), ("quads", mesh.quads, 4)):
+        if corners.ndim != 2 or corners.shape[1] != width:
+            raise InputError(f"Mesh: {name} has shape {tuple(corners.shape)}; allowed: [m, {width}]")
+    if mesh.cell_count + len(mesh.lines) == 0:
+        raise InputError("Mesh: it has no triangles, no quads and no lines; allowed: at least one")
+
+
+def _check_cells(mesh: Mesh, corners: Tensor, start: int) -> None:
+    """Check the cells of one kind; `start` is the number of the first."""
+    n = len(mesh.nodes)
+    bad = ((corners < 0) | (corners >= n)).any(dim=1).nonzero().flatten()
+    if len(bad):
+        k = int(bad[0])
+        raise InputError(f"Mesh: {mesh.cell_name(start + k)} has nodes {corners[k].tolist()}; allowed: 0 to {n - 1}")
+    ordered = np.sort(corners.numpy(), axis=1)
+    _, first, inverse = np.unique(ordered, axis=0, return_index=True, return_inverse=True)
+    twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(ordered)))
+    if len(twin):
+        k = int(twin[0])
+        one, two = mesh.cell_name(start + int(first[inverse.ravel()[k]])), mesh.cell_name(start + k)
+        raise InputError(f"Mesh: {one} and {two} are duplicates, nodes {corners[k].tolist()}")
+    p = mesh.nodes[corners]
+    ahead, back, area = p.roll(-1, dims=1) - p, p.roll(1, dims=1) - p, directed_area(p)
+    height = torch.linalg.cross(ahead, back)  # of every corner: twice its triangle's directed area
+    along = (height * (area / area.norm(dim=1, keepdim=True))[:, None]).sum(2)
+    open = (along > FLATNESS * ahead.norm(dim=2).amax(dim=1, keepdim=True) ** 2).all(1)
+    flat = (along > math.cos(WARP) * height.norm(dim=2)).all(1)
+    for fine, word in (
+        (open, _collapsed(corners.shape[1])),
+        (flat, "is warped by more than 40 degrees; cut it in two"),
+    ):
+        wrong = (~fine).nonzero().flatten()
+        if len(wrong):
+            k = int(wrong[0])
+            raise InputError(f"Mesh: {mesh.cell_name(start + k)}, nodes {corners[k].tolist()}, {word}")
+
+
+def _collapsed(corners: int) -> str:
+    if corners == 3:
+        return "is collapsed (its corners are on a line)"
+    return "is collapsed, concave or crosses itself; allowed: convex, corners in turn"
+
+
+def _check_orphans(mesh: Mesh) -> None:
+    n = len(mesh.nodes)
+    used = torch.zeros(n, dtype=torch.bool)
+    for own in (*mesh.cells.values(), mesh.lines.clamp(0, n - 1)):
+        used[own.flatten()] = True
+    if not used.all():
+        orphans = (~used).nonzero().flatten().tolist()
+        names = ", ".join(mesh.node_name(k) for k in orphans[:8])
+        raise InputError(f"Mesh: {len(orphans)} orphan nodes belong to no element: {names}; remove them")
+
+
+def _check_lines(mesh: Mesh) -> None:
+    lines, n = mesh.lines, len(mesh.nodes)
+    if lines.ndim != 2 or lines.shape[1] != 2:
+        raise InputError(f"Mesh: lines has shape {tuple(lines.shape)}; allowed: [k, 2]")
+    bad = ((lines < 0) | (lines >= n)).any(dim=1) | (lines[:, 0] == lines[:, 1])
+    if bad.any():
+        k = int(bad.nonzero()[0])
+        raise InputError(f"Mesh: line {k} has nodes {lines[k].tolist()}; allowed: two different ones of 0 to {n - 1}")
+
+
+def _sides(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First and second node of every side, and its cell."""
+    kinds = [corners.numpy() for corners in mesh.cells.values()]
+    tail = np.concatenate([c.ravel() for c in kinds])
+    head = np.concatenate([np.roll(c, -1, axis=1).ravel() for c in kinds])
+    owner = np.repeat(np.arange(mesh.cell_count), np.concatenate([np.full(len(c), c.shape[1]) for c in kinds]))
+    return tail, head, owner
+
+
+def _check_winding(mesh: Mesh) -> None:
+    """Refuse an edge that two cells run through in the same direction: one of them is inverted."""
+    tail, head, owner = _sides(mesh)
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    _, inverse, count = np.unique(np.stack([low, high]), axis=1, return_inverse=True, return_counts=True)
+    sense = np.bincount(inverse.ravel(), weights=np.where(tail < head, 1.0, -1.0))
+    wrong = np.flatnonzero((count == 2) & (sense != 0.0))  # at a branch of three or more plates no sense is right
+    if len(wrong):
+        nodes = [row for corners in mesh.cells.values() for row in corners.tolist()]
+        a, b = owner[inverse.ravel() == wrong[0]].tolist()
+        raise InputError(
+            f"Mesh: {mesh.cell_name(a)}, nodes {nodes[a]}, and {mesh.cell_name(b)}, nodes "
+            f"{nodes[b]}, are wound in opposite senses: one of them is inverted"
+        )
+
+
+def _check_connected(mesh: Mesh) -> None:
+    (tail, head, _), lines, n = _sides(mesh), mesh.lines.numpy(), len(mesh.nodes)
+    tail, head = np.concatenate([tail, lines[:, 0]]), np.concatenate([head, lines[:, 1]])
+    parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)
+    if parts > 1:
+        stray = int(np.flatnonzero(label != label[0])[0])
+        raise InputError(
+            f"Mesh: {parts} disconnected parts ({mesh.node_name(stray)} is not connected with {mesh.node_name(0)}); "
+            "allowed: one"
+        )

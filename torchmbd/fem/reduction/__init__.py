@@ -1,0 +1,31 @@
+"""Reduction of a flexible body: modes, their derivatives, inertia invariants. Knows matrices and nodes, no element."""
+
+from torchmbd.fem.reduction.basis import CutCluster, Matrix, ModalBasis, modal_basis
+from torchmbd.fem.reduction.branches import Branches, eigenpair_branches
+from torchmbd.fem.reduction.constraint_modes import constraint_modes
+from torchmbd.fem.reduction.craig_bampton import craig_bampton
+from torchmbd.fem.reduction.eigenpairs import Eigenpairs, eigenpairs
+from torchmbd.fem.reduction.invariants import inertia_invariants
+from torchmbd.fem.reduction.registry import REDUCTIONS, CraigBampton, Reduction, VibrationModes, uncut
+from torchmbd.fem.reduction.spectral import eigenvalues, spectral_function
+
+__all__ = [
+    "REDUCTIONS",
+    "Branches",
+    "CraigBampton",
+    "CutCluster",
+    "Eigenpairs",
+    "Matrix",
+    "ModalBasis",
+    "Reduction",
+    "VibrationModes",
+    "constraint_modes",
+    "craig_bampton",
+    "eigenpair_branches",
+    "eigenpairs",
+    "eigenvalues",
+    "inertia_invariants",
+    "modal_basis",
+    "spectral_function",
+    "uncut",
+]

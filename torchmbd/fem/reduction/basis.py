@@ -1,0 +1,198 @@
+"""The modal basis that the motion uses: the retained modes, and the reduced stiffness as a full matrix.
+
+    K Psi = M Psi Kr,     Psi' M Psi = 1,     Kr = Psi' K Psi
+
+K, M     stiffness and mass of all freedoms        [..., N, N]
+Psi      the n lowest modes                        [..., N, n]
+Kr       reduced stiffness                         [..., n, n]
+
+Only the retained *subspace* enters a motion; transport.py derives the derivative that follows from this, and why
+eigenvalues may cross or repeat inside the retained set. The one gap that matters is the gap to the first discarded
+mode. A cluster is therefore never cut there: the basis has as many modes as were asked for (the same number for each
+lane of a batch), or is refused.
+
+Differentiable once, forward and reverse, under vmap and jacfwd, in the values of K and M. All directions share one
+factorization. Assumed: K symmetric (it may be singular: a free body), M symmetric and positive definite, and so are
+their derivatives symmetric. Source: section 4.2 and eqs. (34)-(36) of the paper; design notes of transport.py.
+Checked in tests/fem/reduction/test_modal_basis.py and tests/sensitivity/test_eigen_subspace.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.reduction.dense import DenseModes
+from torchmbd.fem.reduction.forms import check, check_positive_diagonal, lane_name, recognize
+from torchmbd.fem.reduction.signs import signs
+from torchmbd.fem.reduction.sparse_modes import SparseModes
+from torchmbd.fem.reduction.transport import Cotangent, Pencil, Tangent
+from torchmbd.math.sparse import SparseMatrix
+
+Matrix = Tensor | SparseMatrix
+CLUSTER = 1e-6
+ROUNDING = 16 * torch.finfo(torch.float64).eps  # of an eigenvalue, relative to the largest K_ii / M_ii
+SMALL = 150  # freedoms; below, all modes by a dense method cost no more
+
+
+class CutCluster(InputError):
+    """n cuts a cluster.
+
+    lanes   where, leading dimensions flattened; the others can be reduced
+    beyond  the least n, as far as is known, that may not cut it
+    """
+
+    def __init__(self, message: str, lanes: tuple[int, ...], beyond: int) -> None:
+        super().__init__(message)
+        self.lanes, self.beyond = lanes, beyond
+
+
+class ModalBasis(NamedTuple):
+    """M-orthonormal modes [..., N, n], of the signs of signs.py, and the reduced stiffness [..., n, n]; see the header."""
+
+    vectors: Float[Tensor, "*lanes freedoms modes"]
+    stiffness: Float[Tensor, "*lanes modes modes"]
+
+
+def modal_basis(K: Matrix, M: Matrix, n: int, cluster: float = CLUSTER, updated: bool = True) -> ModalBasis:
+    """Reduce to the n lowest modes.
+
+    K: dense [..., N, N] or SparseMatrix. M: the same, or a vector [..., N], the diagonal of a lumped mass. Leading
+    lanes broadcast. cluster: smallest gap to the first discarded mode that is accepted, relative to its eigenvalue.
+    updated: True, derivatives of the modes are part of all derivatives; False, modes are held fixed and only Kr has a
+    derivative, Psi' dK Psi (eq. 36; for comparison, it is wrong in general).
+    Raises InputError: entries not finite, K or M not symmetric, M not positive definite, n out of range; CutCluster, an
+    InputError that knows its lanes, where n cuts a cluster.
+    """
+    if not updated:
+        return fixed_modes(K, M, lambda K, M: modal_basis(K, M, n, cluster))
+    pencil, K_values, M_values, lanes = open_pencil(K, M, n)
+    vectors, stiffness = _Basis.apply(pencil, n, cluster, K_values, M_values)
+    return ModalBasis(vectors.reshape(*lanes, *vectors.shape[1:]), stiffness.reshape(*lanes, n, n))
+
+
+def fixed_modes(K: Matrix, M: Matrix, reduce: Callable[[Matrix, Matrix], ModalBasis]) -> ModalBasis:
+    """The basis that `reduce` finds, held fixed: only Kr has a derivative, Psi' dK Psi (eq. 36)."""
+    with torch.no_grad():
+        vectors = reduce(_detached(K), _detached(M)).vectors
+    return ModalBasis(vectors, vectors.mT @ (K @ vectors))
+
+
+def _detached(matrix: Matrix) -> Matrix:
+    return (
+        SparseMatrix(matrix.pattern, matrix.values.detach(), matrix.symmetric)
+        if isinstance(matrix, SparseMatrix)
+        else matrix.detach()
+    )
+
+
+def open_pencil(K: Matrix, M: Matrix, n: int) -> tuple[Pencil, Tensor, Tensor, tuple[int, ...]]:
+    """Recognize the forms and flatten all leading dimensions into one lane dimension."""
+    K_form, K_values = recognize("K", K)
+    M_form, M_values = recognize("M", M, K_form.size)
+    if isinstance(n, bool) or not isinstance(n, int) or not 1 <= n <= K_form.size:
+        raise InputError(f"n = {n!r} modes of a problem with {K_form.size} freedoms; 1 ... {K_form.size} are allowed")
+    K_lanes, M_lanes = K_values.shape[: -K_form.entry_dims], M_values.shape[: -M_form.entry_dims]
+    try:
+        lanes = np.broadcast_shapes(K_lanes, M_lanes)
+    except ValueError:
+        raise InputError(
+            f"K has lanes {tuple(K_lanes)} and M has {tuple(M_lanes)}; lanes that broadcast are needed"
+        ) from None
+    K_entry, M_entry = K_values.shape[len(K_lanes) :], M_values.shape[len(M_lanes) :]
+    flat_K = K_values.expand(*lanes, *K_entry).reshape(-1, *K_entry)
+    flat_M = M_values.expand(*lanes, *M_entry).reshape(-1, *M_entry)
+    return Pencil(K_form, M_form), flat_K, flat_M, lanes
+
+
+def solve(pencil: Pencil, n: int, K: Tensor, M: Tensor, cluster: float) -> tuple[Tensor, Tensor]:
+    """Check the numbers, solve, refuse to cut a cluster: eigenvalues [lane, n], vectors [lane, N, n] with their signs."""
+    check("K", pencil.K_form, K)
+    check("M", pencil.M_form, M)
+    check_positive_diagonal("M", pencil.M_form, M)
+    pencil.modes = modes = _modes(pencil, n, K, M)
+    values, vectors = modes.lowest()
+    _check_gap(values, n, cluster, rounding(pencil, K, M).maximum(ROUNDING * modes.shift.abs()))
+    return values[:, :n], vectors * signs(vectors)
+
+
+def rounding(pencil: Pencil, K: Tensor, M: Tensor) -> Tensor:
+    """How well an eigenvalue can be known at all [...]."""
+    return ROUNDING * (pencil.K_form.diagonal(K).abs() / pencil.M_form.diagonal(M)).amax(-1)
+
+
+def _modes(pencil: Pencil, n: int, K: Tensor, M: Tensor) -> DenseModes | SparseModes:
+    if pencil.K_form.size > max(SMALL, 12 * n):
+        modes = SparseModes(pencil.K_form, pencil.M_form, K, M, n)
+        if not modes.exhausted:
+            return modes
+    return DenseModes(pencil.K_form, pencil.M_form, K, M, n)
+
+
+def _check_gap(values: Tensor, n: int, cluster: float, rounding: Tensor) -> None:
+    """Refuse to cut a cluster between the last retained and the first discarded mode."""
+    apart = values.diff(dim=1) > torch.maximum(cluster * values[:, 1:].abs(), rounding[:, None])
+    if values.shape[1] == n or apart[:, n - 1].all():
+        return
+    cut = (~apart[:, n - 1]).nonzero().squeeze(-1).tolist()
+    lane = cut[0]
+    ends = (apart[lane].nonzero().squeeze(-1) + 1).tolist()  # the numbers of modes after which there is a gap
+    below, beyond = max((e for e in ends if e < n), default=0), next((e for e in ends if e > n), 0)
+    allowed = [f"n = {end}" for end in (below, beyond) if end]
+    also = f" (and of lanes {', '.join(map(str, cut[1:]))})" if len(cut) > 1 else ""
+    raise CutCluster(
+        f"n = {n} cuts a cluster{lane_name(lane, len(values))}{also}: eigenvalues {n} and {n + 1} are "
+        f"{values[lane, n - 1]:.10g} and {values[lane, n]:.10g}, closer than cluster = {cluster:g} relative; "
+        f"take {' or '.join(allowed) or 'more modes'}",
+        tuple(cut),
+        beyond or values.shape[1],
+    )
+
+
+class _Basis(torch.autograd.Function):
+    """Psi [lane, N, n] and Kr [lane, n, n]; derivatives through transport.py."""
+
+    @staticmethod
+    def forward(pencil: Pencil, n: int, cluster: float, K: Tensor, M: Tensor) -> tuple[Tensor, Tensor]:
+        values, vectors = solve(pencil, n, K, M, cluster)
+        return vectors, torch.diag_embed(values)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
+        ctx.pencil = inputs[0]
+        ctx.set_materialize_grads(False)
+        ctx.save_for_forward(*output)
+        ctx.save_for_backward(*output)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, pencil: Pencil, n: int, cluster: float, K: Tensor, M: Tensor) -> tuple:
+        K, M = (
+            v.expand(info.batch_size, *v.shape) if dim is None else v.movedim(dim, 0)
+            for v, dim in ((K, in_dims[3]), (M, in_dims[4]))
+        )
+        vectors, stiffness = _Basis.apply(pencil, n, cluster, K.flatten(0, 1), M.flatten(0, 1))
+        lanes = (info.batch_size, K.shape[1])
+        return (vectors.unflatten(0, lanes), stiffness.unflatten(0, lanes)), (0, 0)
+
+    @staticmethod
+    def jvp(ctx: Any, _pencil: Any, _n: Any, _cluster: Any, dK: Tensor | None, dM: Tensor | None) -> Any:
+        vectors, stiffness = ctx.saved_tensors
+        values = stiffness.diagonal(dim1=-2, dim2=-1)
+        dK, dM = (None if d is None else d.unsqueeze(1) for d in (dK, dM))
+        dPsi, dKr = Tangent.apply(ctx.pencil, values, vectors, dK, dM)
+        return dPsi.squeeze(1), dKr.squeeze(1)
+
+    @staticmethod
+    def backward(ctx: Any, G: Tensor | None, H: Tensor | None) -> Any:
+        vectors, stiffness = ctx.saved_tensors
+        values = stiffness.diagonal(dim1=-2, dim2=-1)
+        G = torch.zeros_like(vectors) if G is None else G
+        H = torch.zeros_like(stiffness) if H is None else H
+        K_bar, M_bar = Cotangent.apply(ctx.pencil, values, vectors, G.unsqueeze(1), H.unsqueeze(1))
+        return None, None, None, K_bar.squeeze(1), M_bar.squeeze(1)

@@ -1,0 +1,212 @@
+"""Constraint modes: how a body follows when one interface freedom moves by one and all others are held.
+
+    K = | K_ii  K_io |        T = |         1        |        S = T' K T = K_ii - K_io K_oo^-1 K_oi
+        | K_oi  K_oo |            | -K_oo^-1 K_oi    |
+
+i, o     interface and interior freedoms
+T        constraint modes                           [..., N, i]
+S        stiffness condensed to the interface       [..., i, i]
+
+K T has no interior rows, so a change of T in its interior rows does no work on it:
+
+    dT_o = -K_oo^-1 (dK T)_o,      dS = T' dK T                                                            (1)
+
+Reverse mode is the transpose. For cotangents G of T and H of S, with Y_o = K_oo^-1 G_o and Y_i = 0,
+
+    <G, dT> + <H, dS> = <(T H - Y) T', dK>                                                                 (2)
+
+Differentiable once in the values of K, forward and reverse, under vmap and jacfwd; one factorization of K_oo serves all.
+Assumed: K symmetric, K_oo positive definite. Source: Craig and Bampton, AIAA J. 6 (1968) 1313-1319; (1), (2) derived here.
+Checked in tests/fem/reduction/test_craig_bampton.py and tests/sensitivity/test_eigen_craig_bampton.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache, partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.reduction.basis import Matrix, open_pencil
+from torchmbd.fem.reduction.blocks import BlockFactor, storage
+from torchmbd.fem.reduction.forms import Dense, Diagonal, Form, Sparse, check, check_positive_diagonal, lane_name
+from torchmbd.fem.reduction.partition import partition
+from torchmbd.fem.reduction.shift import SAFE_PIVOT
+from torchmbd.fem.reduction.slices import by_slices
+from torchmbd.fem.reduction.transport import Pencil, batched
+from torchmbd.math.first_derivative import FirstDerivative
+from torchmbd.math.sparse import Pattern, SparseMatrix
+
+
+def constraint_modes(K: Matrix, M: Matrix, interface: Sequence[int]) -> tuple[Tensor, Tensor]:
+    """T [..., N, i] and S [..., i, i] of the interface freedoms, in their order.
+
+    M is checked only, with the numbers of its rows in the whole matrix. Raises InputError: entries not finite, K or M not
+    symmetric, a diagonal entry of M not positive, interface freedoms out of range or repeated, K_oo not positive definite.
+    """
+    pencil, K_values, M_values, lanes = open_pencil(K, M, 1)
+    size = pencil.K_form.size
+    split = Split(pencil, interface_freedoms(interface, size))
+    T, S = _ConstraintModes.apply(split, K_values, M_values)
+    return T.reshape(*lanes, *T.shape[1:]), S.reshape(*lanes, *S.shape[1:])
+
+
+def interface_freedoms(interface: Sequence[int], size: int) -> tuple[int, ...]:
+    """Interface freedoms as integers; InputError where they are out of range, repeated, none or all."""
+    found = tuple(int(i) for i in interface)
+    for i in found:
+        if not 0 <= i < size:
+            raise InputError(f"interface has the freedom {i}; allowed: 0 ... {size - 1}")
+        if found.count(i) > 1:
+            raise InputError(f"interface has the freedom {i} more than once; allowed: each at most once")
+    if not 0 < len(found) < size:
+        raise InputError(f"interface has {len(found)} of {size} freedoms; allowed: at least one, and not all")
+    return found
+
+
+@lru_cache(maxsize=64)
+def interior_freedoms(interface: tuple[int, ...], size: int) -> Tensor:
+    """The other freedoms, in rising order."""
+    held = torch.zeros(size, dtype=torch.bool)
+    held[list(interface)] = True
+    return (~held).nonzero().squeeze(-1)
+
+
+@lru_cache(maxsize=64)
+def _restricted(pattern: Pattern, interface: tuple[int, ...]) -> tuple[Pattern, Tensor]:
+    return pattern.restrict(interior_freedoms(interface, pattern.size))
+
+
+def interior(matrix: Matrix, interface: tuple[int, ...], size: int) -> Matrix:
+    """The interior rows and columns of a matrix in any form that modal_basis takes."""
+    if isinstance(matrix, SparseMatrix):
+        pattern, slots = _restricted(matrix.pattern, interface)
+        return SparseMatrix(pattern, matrix.values[..., slots])
+    keep = interior_freedoms(interface, size)
+    diagonal = matrix.dim() == 1 or matrix.shape[-2] != size
+    return matrix[..., keep] if diagonal else matrix[..., keep, :][..., keep]
+
+
+class Split:
+    """The static part: the form of K, which freedoms are interior; and, once it is solved, the factor of K_oo."""
+
+    factor: BlockFactor
+
+    def __init__(self, pencil: Pencil, interface: tuple[int, ...]) -> None:
+        self.pencil, self.interface = pencil, interface
+        self.interior = interior_freedoms(interface, pencil.K_form.size)
+
+    def factorize(self, K: Tensor) -> None:
+        form: Form
+        if isinstance(self.pencil.K_form, Sparse):
+            pattern, slots = _restricted(self.pencil.K_form.pattern, self.interface)
+            form, values = Sparse(pattern), K[:, slots]
+        else:
+            form, values = Dense(len(self.interior)), K[:, self.interior][:, :, self.interior]
+        self.layout = partition(form, Diagonal(form.size))
+        self.factor = BlockFactor(self.layout, storage(self.layout, form, values))
+        weak = self.factor.pivot <= SAFE_PIVOT
+        if weak.any():
+            lane = lane_name(int(weak.nonzero()[0]), len(K))
+            raise InputError(
+                f"K{lane} is not positive definite with the interface held: the rest can move without "
+                "stiffness, or against it; hold more freedoms"
+            )
+
+    def solve(self, F: Tensor) -> Tensor:
+        """K_oo^-1 F_o for columns F [lane, T, N, k], with zeros in the interface rows."""
+        columns = F[:, :, self.interior].movedim(1, 2)
+        flat = columns.flatten(2)[:, self.layout.order]
+        solved = self.factor.solve(flat)[:, self.layout.inverse].reshape(columns.shape).movedim(2, 1)
+        return torch.zeros_like(F).index_copy(2, self.interior, solved)
+
+
+class _ConstraintModes(torch.autograd.Function):
+    """T [lane, N, i] and S [lane, i, i]."""
+
+    @staticmethod
+    def forward(split: Split, K: Tensor, M: Tensor) -> tuple[Tensor, Tensor]:
+        pencil = split.pencil
+        check("K", pencil.K_form, K)
+        check("M", pencil.M_form, M)
+        check_positive_diagonal("M", pencil.M_form, M)
+        split.factorize(K)
+        held = list(split.interface)
+        unit = K.new_zeros(len(K), 1, pencil.K_form.size, len(held))
+        unit[:, :, held, range(len(held))] = 1.0
+        T = unit - split.solve(pencil.K_form.multiply(K[:, None], unit))
+        S = pencil.K_form.multiply(K, T[:, 0])[:, held]
+        return T[:, 0], (S + S.mT) / 2
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
+        ctx.split = inputs[0]
+        ctx.set_materialize_grads(False)
+        ctx.save_for_forward(output[0])
+        ctx.save_for_backward(output[0])
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, split: Split, K: Tensor, M: Tensor) -> tuple:
+        K, M = (
+            v.expand(info.batch_size, *v.shape) if dim is None else v.movedim(dim, 0)
+            for v, dim in ((K, in_dims[1]), (M, in_dims[2]))
+        )
+        outputs = _ConstraintModes.apply(split, K.flatten(0, 1), M.flatten(0, 1))
+        return tuple(o.unflatten(0, (info.batch_size, K.shape[1])) for o in outputs), (0, 0)
+
+    @staticmethod
+    def jvp(ctx: Any, _split: Any, dK: Tensor | None, _dM: Any) -> Any:
+        (T,) = ctx.saved_tensors
+        if dK is None:
+            return torch.zeros_like(T), T.new_zeros(len(T), T.shape[-1], T.shape[-1])
+        dT, dS = _Tangent.apply(ctx.split, T, dK.unsqueeze(1))
+        return dT.squeeze(1), dS.squeeze(1)
+
+    @staticmethod
+    def backward(ctx: Any, G: Tensor | None, H: Tensor | None) -> Any:
+        (T,) = ctx.saved_tensors
+        columns = torch.zeros_like(T) if G is None else G
+        small = torch.zeros_like(T[:, : T.shape[-1]]) if H is None else H
+        return None, _Cotangent.apply(ctx.split, T, columns.unsqueeze(1), small.unsqueeze(1)).squeeze(1), None
+
+
+class _Tangent(FirstDerivative):
+    """dT [lane, T, N, i] and dS [lane, T, i, i] from dK [lane, T, *entry] by (1)."""
+
+    of = "modes"
+
+    @staticmethod
+    def forward(split: Split, T: Tensor, dK: Tensor) -> tuple[Tensor, Tensor]:
+        return by_slices(partial(_tangent, split), T, dK)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, split: Split, *tensors: Tensor | None) -> tuple:
+        return batched(_Tangent, info, in_dims, split, tensors, state=1)
+
+
+class _Cotangent(FirstDerivative):
+    """The cotangent of K [lane, T, *entry] from those of T [lane, T, N, i] and S [lane, T, i, i] by (2)."""
+
+    of = "modes"
+
+    @staticmethod
+    def forward(split: Split, T: Tensor, G: Tensor, H: Tensor) -> Tensor:
+        return by_slices(partial(_cotangent, split), T, G, H)[0]
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, split: Split, *tensors: Tensor | None) -> tuple:
+        (K_bar,), (dim,) = batched(_Cotangent, info, in_dims, split, tensors, state=1)
+        return K_bar, dim
+
+
+def _tangent(split: Split, T: Tensor, dK: Tensor, *_: None) -> tuple[Tensor, Tensor]:
+    F = split.pencil.K_form.multiply(dK, T[:, None])
+    return -split.solve(F), T.mT[:, None] @ F
+
+
+def _cotangent(split: Split, T: Tensor, G: Tensor, H: Tensor, _: None) -> tuple[Tensor, Tensor]:
+    columns = T[:, None]
+    return split.pencil.K_form.pair(columns @ H - split.solve(G), columns), T.new_zeros(0)

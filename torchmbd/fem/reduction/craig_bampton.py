@@ -1,0 +1,86 @@
+"""Craig-Bampton reduction: interface freedoms kept, the interior moves by fixed-interface modes.
+
+    x = T y,     T = | 1        0     |        K_oo Phi_o = M_oo Phi_o Lambda_o
+                     | T_o      Phi_o |
+
+y        interface freedoms, then amplitudes of the n lowest fixed-interface modes       [m = i + n]
+T_o      constraint modes, -K_oo^-1 K_oi (constraint_modes.py)
+
+The equations of motion take bases that are orthonormal in M. Nothing but the span of T matters to them
+(transport.py), so the basis may be chosen inside it. With all m modes of the small problem
+
+    (T' K T) A = (T' M T) A Kr,     A' (T' M T) A = 1,      Psi = T A                                         (1)
+
+Psi' M Psi = 1 and Psi' K Psi = Kr: the reduced mass is the identity as before, and Kr a full matrix that is diagonal at
+the design at hand. Statics under interface loads stay exact, for T is in the span. By K T_c = 0 in the interior and Phi = 0 at
+the interface, T' K T = diag(S, Lambda_o): no cancellation between the two families.
+
+**Derivatives** are those of the composition, each part in its own right transport:
+
+    T_o     one solve with the factor of K_oo, no gap at all
+    Phi_o   modal_basis of the interior: only gaps to discarded fixed-interface modes
+    A       modal_basis of (1) with all m modes: none is discarded, so no gap, dA = -1/2 A A' d(T' M T) A
+
+dPsi = dT A + T dA has a part inside the span, the skew part of Psi' M dT A: it turns the basis in itself at a bounded
+rate, and the derivative of Kr turns with it. All responses are those of the span and do not notice. Crossings among
+fixed-interface modes, among the modes of (1), or between both need no special case; a cluster of *fixed-interface*
+modes is not cut at n. Checked in tests/fem/reduction/test_craig_bampton.py, tests/sensitivity/test_eigen_craig_bampton.py.
+
+Source: Craig and Bampton, AIAA J. 6 (1968) 1313-1319.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.reduction.basis import CLUSTER, Matrix, ModalBasis, fixed_modes, modal_basis
+from torchmbd.fem.reduction.constraint_modes import constraint_modes, interface_freedoms, interior, interior_freedoms
+from torchmbd.math.sparse import SparseMatrix
+
+
+def craig_bampton(
+    K: Matrix,
+    M: Matrix,
+    n: int,
+    interface: Sequence[int],
+    cluster: float = CLUSTER,
+    updated: bool = True,
+) -> ModalBasis:
+    """Reduce to the interface freedoms and the n lowest fixed-interface modes: m = len(interface) + n modes.
+
+    K, M, cluster, updated: as for modal_basis. interface: rows of K, each once. n = 0: static condensation.
+    Raises InputError as modal_basis does, when the interface is none, and when K is singular with the interface held.
+    """
+    if not updated:
+        return fixed_modes(K, M, lambda K, M: craig_bampton(K, M, n, interface, cluster))
+    T, stiffness = constraint_modes(K, M, interface)
+    size = T.shape[-2]
+    held = interface_freedoms(interface, size)
+    if isinstance(n, bool) or not isinstance(n, int) or not 0 <= n <= size - len(held):
+        raise InputError(f"n = {n!r} fixed-interface modes; allowed: 0 ... {size - len(held)}, the interior freedoms")
+    if n:
+        inner = modal_basis(interior(K, held, size), interior(M, held, size), n, cluster)
+        Phi = inner.vectors.new_zeros(*inner.vectors.shape[:-2], size, n)
+        Phi = Phi.index_copy(-2, interior_freedoms(held, size), inner.vectors)
+        T = torch.cat([T, Phi], -1)
+        stiffness = _block_diagonal(stiffness, inner.stiffness)
+    mass = T.mT @ _times(M, T)
+    small = modal_basis(stiffness, (mass + mass.mT) / 2, T.shape[-1])
+    return ModalBasis(T @ small.vectors, small.stiffness)
+
+
+def _block_diagonal(A: Tensor, B: Tensor) -> Tensor:
+    """[..., i, i] and [..., n, n] -> [..., i + n, i + n]."""
+    i, n = A.shape[-1], B.shape[-1]
+    return torch.cat([torch.nn.functional.pad(A, (0, n)), torch.nn.functional.pad(B, (i, 0))], -2)
+
+
+def _times(M: Matrix, X: Tensor) -> Tensor:
+    """M X [..., N, k]."""
+    if isinstance(M, SparseMatrix):
+        return M @ X
+    return M @ X if M.dim() > 1 and M.shape[-2] == X.shape[-2] else M[..., None] * X

@@ -1,0 +1,116 @@
+"""A block-tridiagonal view of a sparse pattern: an order of the rows and where to cut it into blocks.
+
+After reordering, rows of block i are coupled with those of blocks i - 1, i and i + 1 only. A plate numbered along its
+long side falls into one block for each line of nodes, without a single zero row of padding. Blocks are what makes a
+factorization fast here: small dense products over all designs and all right-hand sides at once. Made once per pair of
+patterns (of K and M) and kept. Checked in tests/fem/reduction/test_sparse_modes.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import torch
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
+from torch import Tensor
+
+from torchmbd.fem.reduction.forms import Dense, Form, Sparse
+from torchmbd.math.sparse import Pattern
+from torchmbd.math.sums import Sums
+
+SMALLEST_BLOCK = 24  # smaller ones cost more in calls than they save in arithmetic
+
+
+@dataclass(frozen=True, eq=False)
+class Partition:
+    """The order (new row -> old row, and back) and the first row of each block, with the end appended."""
+
+    order: Tensor
+    inverse: Tensor
+    bounds: tuple[int, ...]
+
+    @property
+    def sizes(self) -> list[int]:
+        return [end - start for start, end in zip(self.bounds, self.bounds[1:], strict=False)]
+
+    def slots(self, rows: Tensor, cols: Tensor) -> tuple[Tensor, Tensor, int]:
+        """Where entries go in the storage D_0, D_1, ..., B_1, B_2, ... of diagonal and lower blocks, row by row.
+
+        Returns the entries that are stored (those of lower blocks), their slots, and the length of the storage.
+        """
+        bounds = torch.tensor(self.bounds)
+        size = bounds.diff()
+        start_D = torch.cat([torch.zeros(1, dtype=torch.long), (size * size).cumsum(0)])
+        start_B = start_D[-1] + torch.cat([torch.zeros(1, dtype=torch.long), (size[1:] * size[:-1]).cumsum(0)])
+        r, c = self.inverse[rows], self.inverse[cols]
+        block_r, block_c = (torch.searchsorted(bounds, x, right=True) - 1 for x in (r, c))
+        stored = (block_r >= block_c).nonzero().squeeze(-1)
+        r, c, block_r, block_c = (x[stored] for x in (r, c, block_r, block_c))
+        start = torch.where(block_r == block_c, start_D[block_r], start_B[(block_r - 1).clamp_min(0)])
+        return stored, start + (r - bounds[block_r]) * size[block_c] + c - bounds[block_c], int(start_B[-1])
+
+
+def partition(K_form: Form, M_form: Form) -> Partition:
+    """Choose the cheaper of the given numbering and reverse Cuthill-McKee; a dense matrix is one block."""
+    if isinstance(K_form, Dense) or isinstance(M_form, Dense):
+        everything = torch.arange(K_form.size)
+        return Partition(everything, everything, (0, K_form.size))
+    patterns = [form.pattern for form in (K_form, M_form) if isinstance(form, Sparse)]
+    if not patterns:
+        patterns = [Pattern(torch.arange(K_form.size), torch.arange(K_form.size), K_form.size)]
+    return _of_patterns(tuple(patterns))
+
+
+@lru_cache(maxsize=64)
+def _of_patterns(patterns: tuple[Pattern, ...]) -> Partition:
+    size = patterns[0].size
+    rows = np.concatenate([p.rows.numpy() for p in patterns])
+    cols = np.concatenate([p.cols.numpy() for p in patterns])
+    graph = coo_array((np.ones(len(rows)), (rows, cols)), shape=(size, size)).tocsr()
+    candidates = []
+    for order in (np.arange(size), reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)):
+        inverse = np.empty(size, dtype=np.int64)
+        inverse[order] = np.arange(size)
+        bounds = _cut(inverse[rows], inverse[cols], size)
+        candidates.append((_cost(bounds), order, inverse, bounds))
+    _, order, inverse, bounds = min(candidates, key=lambda candidate: candidate[0])
+    return Partition(torch.from_numpy(order), torch.from_numpy(inverse), tuple(bounds))
+
+
+def _cost(bounds: list[int]) -> float:
+    """Arithmetic of one solve, and the overhead of the calls for each block in the same unit."""
+    sizes = np.diff(bounds)
+    return float((sizes**2 + SMALLEST_BLOCK**2).sum())
+
+
+def _cut(rows: np.ndarray, cols: np.ndarray, size: int) -> list[int]:
+    """The best bounds for this order: each block reaches just as far as its forerunner is coupled."""
+    reach = np.arange(size)
+    np.maximum.at(reach, rows, cols)
+    reach = np.maximum.accumulate(reach) + 1
+    band = int((reach - np.arange(size)).max())
+    best: list[int] = [0, size]
+    for first in range(1, min(size, 2 * band) + 1):
+        bounds = [0, first]
+        while bounds[-1] < size:
+            smallest = min(bounds[-1] + SMALLEST_BLOCK, size)
+            bounds.append(max(int(reach[bounds[-1] - 1]), smallest))
+        if _cost(bounds) < _cost(best):
+            best = bounds
+    return best
+
+
+@lru_cache(maxsize=64)
+def form_sums(layout: Partition, form: Form) -> Sums:
+    """From the values of a form, flattened to one dimension, to the storage: `Partition.slots`."""
+    if isinstance(form, Sparse):
+        rows, cols = form.pattern.rows, form.pattern.cols
+    else:
+        every = torch.arange(form.size)
+        dense = isinstance(form, Dense)
+        rows, cols = (every.repeat_interleave(form.size), every.repeat(form.size)) if dense else (every, every)
+    stored, slots, length = layout.slots(rows, cols)
+    return Sums.of(slots, stored, (length, len(rows)))

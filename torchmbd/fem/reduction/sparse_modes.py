@@ -1,0 +1,137 @@
+"""Modes of large sparse problems, and their deflated solves, from one factorization.
+
+With a shift sigma below the spectrum and M = G G', the operator
+
+    H = G' (K - sigma M)^-1 G,      H u_j = mu_j u_j,      mu_j = 1 / (lambda_j - sigma),      psi_j = G'^-1 u_j
+
+is symmetric, and block Lanczos finds its largest mu. The deflated solve (K - lambda_i M) z = f becomes, with z =
+G'^-1 y,
+
+    (1 - H / mu_i) y = c,      c = G' (K - sigma M)^-1 f,      y and c orthogonal to the retained u
+
+Its eigenvalues 1 - mu_j / mu_i lie in (0, 1] for the discarded modes j > n and crowd at 1: conjugate gradients
+converge in a few steps, faster still from the solution in those discarded modes that the eigenproblem has come to
+know on its way. All directions and all modes are columns of the same products with the same H.
+Works on [lane, ...] tensors, no autograd inside. Checked in tests/fem/reduction/test_sparse_modes.py.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import SimulationFailure
+from torchmbd.fem.reduction.blocks import BlockFactor, storage
+from torchmbd.fem.reduction.forms import Form
+from torchmbd.fem.reduction.lanczos import Recurrence, Ritz, lanczos
+from torchmbd.fem.reduction.mass import BlockRoot, DiagonalRoot, mass_root
+from torchmbd.fem.reduction.partition import partition
+from torchmbd.fem.reduction.shift import choose_shift, comparable_shift, too_near
+from torchmbd.math.panels import panels
+
+TOLERANCE = 1e-12  # of the modes, relative to mu
+DERIVATIVE_TOLERANCE = 5e-12  # of their derivatives, relative to c
+KNOWN = 1e-2  # residual of a discarded mode that is worth starting from
+STAYS = 1e-2  # of what is asked: a column that has so little left goes on no more, for only rounding would be divided
+MOST_STEPS = 300
+NO_CONVERGENCE = f"derivatives of modes did not converge in {MOST_STEPS} steps; is K nearly singular?"
+
+
+class SparseModes:
+    """Modes of a batch of problems on one pattern. `exhausted` when the Krylov space grew too large: use DenseModes."""
+
+    def __init__(self, K_form: Form, M_form: Form, K: Tensor, M: Tensor, n: int) -> None:
+        self.n, self.layout = n, partition(K_form, M_form)
+        self.root = mass_root(self.layout, M_form, M)
+
+        def factorize(shift: Tensor) -> tuple[BlockFactor, Tensor]:
+            flat = storage(self.layout, K_form, K)
+            if shift.any():
+                flat -= shift[:, None] * storage(self.layout, M_form, M)
+            factor = BlockFactor(self.layout, flat)
+            return factor, factor.pivot
+
+        self.shift, self.factor = choose_shift(K_form.diagonal(K), M_form.diagonal(M), factorize)
+        ritz = self._iterate(len(K), 1e-3 if self.shift.any() else TOLERANCE)
+        if ritz is not None and (near := too_near(self.shift, ritz.mu[:, : n + 1])).any():
+            self.shift = comparable_shift(near, self.shift, self.shift[:, None] + 1 / ritz.mu[:, : n + 1])
+            self.factor, _ = factorize(self.shift)
+            ritz = self._iterate(len(K), TOLERANCE)
+        self.exhausted = ritz is None
+        if ritz is not None:
+            known = int((ritz.residuals() < KNOWN).sum(1).min())
+            vectors = ritz.Q @ ritz.V[..., : max(known, n + 1)]
+            self.ritz, self.U, self.known = ritz, vectors[..., :n], vectors[..., n:]
+
+    def _iterate(self, lanes: int, tolerance: float) -> Ritz | None:
+        return lanczos(self._apply, lanes, self.layout.bounds[-1], self.n, tolerance, self.shift.device, self._go_on)
+
+    def _go_on(self, found: Recurrence, steps: int) -> None:
+        """`Recurrence.go_on`, by compiled code where there is some."""
+        if isinstance(self.root, BlockRoot) or (code := panels(found.X)) is None:
+            return found.go_on(self._apply, steps)
+        code.lanczos(self.factor.compiled, self.root.G, found.steps, steps, found.Q, found.T, found.X, found.R)
+        found.steps = steps
+
+    def _apply(self, X: Tensor) -> Tensor:
+        return self.root.upper(self.factor.solve(self.root.lower(X)))
+
+    def lowest(self) -> tuple[Tensor, Tensor]:
+        """Eigenvalues [lane, more than n], those after n + 1 roughly, and the vectors [lane, N, n] of the lowest."""
+        values = self.shift[:, None] + 1 / self.ritz.mu[:, : self.n + self.known.shape[2]]
+        return values, self.root.upper_inverse(self.U)[:, self.layout.inverse]
+
+    def deflated_solve(self, F: Tensor) -> Tensor:
+        """Solve (K - lambda_i M) z_i = f_i within the discarded modes; F, Z [lane, N, T, n]."""
+        columns = F[:, self.layout.order].flatten(2)
+        c = self.root.upper(self.factor.solve(columns))
+        inverse_mu = (1 / self.ritz.mu[:, None, : self.n]).repeat(1, 1, F.shape[2])
+        y = self._conjugate_gradients(c, inverse_mu)
+        return self.root.upper_inverse(y)[:, self.layout.inverse].unflatten(2, F.shape[2:])
+
+    def _discard(self, X: Tensor) -> Tensor:
+        """Take the components along the retained modes out, in place."""
+        return X.baddbmm_(self.U, self.U.mT @ X, alpha=-1)
+
+    def _known_solution(self, c: Tensor, inverse_mu: Tensor) -> tuple[Tensor, Tensor]:
+        """The Galerkin solution in the discarded modes that the eigenproblem has come to know, and its residual."""
+        ritz, W, p = self.ritz, self.known, self.ritz.R.shape[-1]
+        here = slice(self.n, self.n + W.shape[2])
+        inside = W.mT @ c
+        solution = inside / (1 - inverse_mu * ritz.mu[:, here, None])
+        residual = torch.baddbmm(c, W, inside, alpha=-1)
+        residual.addcmul_(inverse_mu, ritz.X @ (ritz.R @ (ritz.V[:, -p:, here] @ solution)))
+        return W @ solution, residual
+
+    def _conjugate_gradients(self, c: Tensor, inverse_mu: Tensor) -> Tensor:
+        rounding = 4 * torch.finfo(c.dtype).eps * torch.linalg.vector_norm(c, dim=1, keepdim=True)
+        c = self._discard(self._discard(c))  # once more, for columns of which nearly nothing is left
+        target = DERIVATIVE_TOLERANCE * torch.linalg.vector_norm(c, dim=1, keepdim=True) + rounding
+        y, r = self._known_solution(c, inverse_mu)
+        if isinstance(self.root, DiagonalRoot) and (code := panels(y)) is not None:
+            shape = (len(y), 1, y.shape[2])
+            limits = inverse_mu.expand(shape), target.expand(shape)
+            if not code.conjugate_gradients(self.factor.compiled, self.root.G, self.U, *limits, y, r, MOST_STEPS):
+                raise SimulationFailure(NO_CONVERGENCE)
+            return self._discard(y)
+        tiny = torch.finfo(y.dtype).tiny
+        result, columns = torch.empty_like(y), torch.arange(y.shape[2], device=y.device)
+        d, square = r.clone(), (r * r).sum(1, keepdim=True)
+        for _ in range(MOST_STEPS):
+            open_ = (square.sqrt() > target).any(0)[0].nonzero().squeeze(-1)
+            if len(open_) <= 0.75 * len(columns):  # columns that are done in all lanes leave the products
+                result[:, :, columns] = y
+                columns = columns[open_]
+                y, r, d, square, target, inverse_mu = (v[..., open_] for v in (y, r, d, square, target, inverse_mu))
+            if len(columns) == 0:
+                return self._discard(result)
+            Hd = self._discard(torch.addcmul(d, inverse_mu, self._apply(d), value=-1))
+            step = square / (d * Hd).sum(1, keepdim=True).clamp_min(tiny)
+            step = torch.where(
+                square.sqrt() > target, step, 0.0
+            )  # what is done stays: there is only rounding to divide
+            y.addcmul_(step, d)
+            r.addcmul_(step, Hd, value=-1)
+            before, square = square, (r * r).sum(1, keepdim=True)
+            d.mul_(square / before.clamp_min(tiny)).add_(r)
+        raise SimulationFailure(NO_CONVERGENCE)

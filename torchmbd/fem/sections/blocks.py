@@ -1,0 +1,73 @@
+"""Structured patches of a section, and how they are joined to a mesh.
+
+A patch is a grid of points [I, J, 2]: quadrilaterals between neighbours, counterclockwise where J lies to the left of I.
+With order 2 each element spans two steps of the grid (8 nodes; the middle point is left out). The wall's tangent is I.
+Checked in tests/fem/sections/test_section_generators.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from torchmbd.fem.sections.mesh import SectionMesh
+
+_STEPS = {1: ((0, 0), (1, 0), (1, 1), (0, 1)), 2: ((0, 0), (2, 0), (2, 2), (0, 2), (1, 0), (2, 1), (1, 2), (0, 1))}
+
+
+@dataclass(frozen=True)
+class Patch:
+    """A grid of points [I, J, 2] of one layer."""
+
+    points: NDArray[np.float64]
+    layer: int
+
+
+def joined(patches: Sequence[Patch], order: int, plane_angle: float | None = None) -> SectionMesh:
+    """Merge the points that patches share and number what is left; plane_angle: of all elements, or None."""
+    elements, layer, start = [], [], 0
+    for patch in patches:
+        rows, columns = patch.points.shape[:2]
+        i, j = np.meshgrid(np.arange(0, rows - 1, order), np.arange(0, columns - 1, order), indexing="ij")
+        block = np.stack([start + (i + a) * columns + (j + b) for a, b in _STEPS[order]], axis=-1)
+        elements.append(block.reshape(-1, block.shape[-1]))
+        layer.append(np.full(i.size, patch.layer))
+        start += rows * columns
+    nodes = np.concatenate([patch.points.reshape(-1, 2) for patch in patches])
+    nodes, connectivity = _merged(nodes, np.concatenate(elements))
+    return SectionMesh(nodes, connectivity, np.concatenate(layer), plane_angle)
+
+
+def line(start: float, end: float, cells: int, order: int) -> NDArray[np.float64]:
+    """Equally spaced places of the nodes of so many elements."""
+    return np.linspace(start, end, cells * order + 1)
+
+
+def graded(start: float, end: float, cells: int, order: int) -> NDArray[np.float64]:
+    """Places of the nodes of so many elements that become short towards both ends: warping bends most near corners."""
+    ends = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, cells + 1))
+    share = ends if order == 1 else np.insert(ends, np.arange(1, cells + 1), (ends[1:] + ends[:-1]) / 2)
+    return start + (end - start) * share
+
+
+def grid(y: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points [I, J, 2] at y[i], z[j]."""
+    return np.stack(np.meshgrid(y, z, indexing="ij"), axis=-1)
+
+
+def between(low: NDArray[np.float64], high: NDArray[np.float64], cells: int, order: int) -> NDArray[np.float64]:
+    """Points [I, J, 2] on the straight lines from low [I, 2] to high [I, 2]."""
+    t = np.linspace(0.0, 1.0, cells * order + 1)[None, :, None]
+    return low[:, None] * (1 - t) + high[:, None] * t
+
+
+def _merged(nodes: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """One node for each place (places that agree to a millionth of the smallest element)."""
+    corners = nodes[elements]
+    size = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1).min()
+    _, first, inverse = np.unique(np.round(nodes / (1e-6 * size)), axis=0, return_index=True, return_inverse=True)
+    used, connectivity = np.unique(inverse.ravel()[elements], return_inverse=True)
+    return nodes[first[used]], connectivity.reshape(elements.shape)

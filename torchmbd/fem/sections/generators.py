@@ -1,0 +1,264 @@
+"""Sections by dimension: rectangle and strip, box, tube and circle, I.
+
+Plies are listed along the wall's normal n: strip, rectangle and flanges and web of an I from bottom (left) to top
+(right), box and tube from inside to outside. The wall's tangent s = n cross x then runs clockwise around a box or a tube
+(seen from the tip of x with y to the right and z up), and the ply angle is counted from x to s. So the upper wall of a box
+is a plate in the x-y plane with normal z, and equal angles in all walls wind around it like a helix.
+Elements of strip, box and I become short towards corners and edges, where warping bends most; those of a rectangle are equal.
+All lengths in m, angles in rad; the origin of the section's axes is the center of the outer dimensions.
+Rounding of corners is left out. Plies of a box meet on the diagonals of its corners.
+Checked in tests/fem/sections/test_section_generators.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.fem.materials import Ply
+from torchmbd.fem.sections.blocks import Patch, between, graded, grid, joined, line
+from torchmbd.fem.sections.orthotropic import Orthotropic
+from torchmbd.fem.sections.section import Section
+from torchmbd.math.gradients import constants
+from torchmbd.math.owned import positive
+from torchmbd.math.plausible_units import DIMENSION, THICKNESS, doubt
+
+Plies = Ply | Orthotropic | Sequence[Ply | Orthotropic]
+Angles = Sequence[float] | Tensor
+WALLS = ("top", "right", "bottom", "left")
+
+
+@constants
+def strip(
+    width: float,
+    ply: Plies,
+    angles: Angles,
+    thickness: float | Sequence[float] | Tensor,
+    cells: tuple[int, int] = (20, 1),
+    order: int = 2,
+) -> Section:
+    """A laminate as a beam: width along y, plies stacked along z; cells across the width and through each ply."""
+    _positive(width=width)
+    _check_cells(cells, 2, order)
+    return _stack(graded(-width / 2, width / 2, cells[0], order), ply, angles, thickness, cells[1], order)
+
+
+@constants
+def rectangle(
+    width: float,
+    height: float,
+    ply: Plies,
+    angles: Angles = (0.0,),
+    cells: tuple[int, int] = (8, 8),
+    order: int = 2,
+) -> Section:
+    """Width along y, height along z, shared equally by the plies; cells over the whole width and height."""
+    _positive(width=width, height=height)
+    _check_cells(cells, 2, order)
+    each = max(1, round(cells[1] / _layers(angles)))
+    return _stack(line(-width / 2, width / 2, cells[0], order), ply, angles, height / _layers(angles), each, order)
+
+
+@constants
+def box(
+    width: float,
+    height: float,
+    ply: Plies,
+    angles: Angles | Mapping[str, Angles],
+    thickness: float | Sequence[float] | Tensor,
+    cells: tuple[int, int, int] = (20, 12, 1),
+    order: int = 2,
+) -> Section:
+    """Outer width along y and height along z.
+
+    angles   of the plies from inside to outside, in all walls; or {"top": ..., "right": ..., "bottom": ..., "left": ...},
+             which makes the section's angles those of top, right, bottom, left, one after the other
+    thickness of every ply, or one for each ply of a wall
+    cells    along the width, along the height, through each ply
+    """
+    _positive(width=width, height=height)
+    _check_cells(cells, 3, order)
+    walls = _walls(angles)
+    layers = _layers(walls["top"])
+    t = _thicknesses(thickness, layers)
+    if not 2 * t.sum() < min(width, height):
+        raise InputError(f"box: walls of {t.sum():g} m in {width:g} m x {height:g} m; allowed: less than half of both")
+    depth = t.sum() - np.concatenate([[0.0], np.cumsum(t)])
+    shared = not isinstance(angles, Mapping)
+    patches = []
+    for w, wall in enumerate(WALLS):
+        count = cells[w % 2]
+        for k in range(layers):
+            along = graded(0.0, 1.0, count, order)
+            inner, outer = (_edge(wall, width / 2 - d, height / 2 - d, along) for d in depth[k : k + 2])
+            points = between(inner, outer, cells[2], order)
+            patches.append(Patch(points, k if shared else w * layers + k))
+    plies = ply if shared or isinstance(ply, Ply | Orthotropic) else list(ply) * (4 if len(ply) == layers else 1)
+    return Section(
+        joined(patches, order),
+        plies,
+        np.concatenate([np.asarray(walls[w]) for w in WALLS[: 1 if shared else 4]]).tolist(),
+    )
+
+
+@constants
+def tube(
+    radius: float,
+    ply: Plies,
+    angles: Angles,
+    thickness: float | Sequence[float] | Tensor,
+    cells: tuple[int, int] = (48, 1),
+    order: int = 2,
+) -> Section:
+    """A hollow circle of this outer radius; plies from inside to outside; cells around and through each ply."""
+    _positive(radius=radius)
+    _check_cells(cells, 2, order)
+    t = _thicknesses(thickness, _layers(angles))
+    if not t.sum() < radius:
+        raise InputError(f"tube: thickness {t.sum():g} m of radius {radius:g} m; allowed: less than the radius")
+    radii = radius - t.sum() + np.concatenate([[0.0], np.cumsum(t)])
+    around = line(math.pi / 2, -1.5 * math.pi, cells[0], order)  # clockwise from the top
+    directions = np.stack([np.cos(around), np.sin(around)], axis=-1)
+    patches = [
+        Patch(between(directions * low, directions * high, cells[1], order), layer)
+        for layer, (low, high) in enumerate(pairwise(radii))
+    ]
+    return Section(joined(patches, order), ply, angles)
+
+
+@constants
+def circle(
+    radius: float, ply: Ply | Orthotropic, angle: float = 0.0, cells: tuple[int, int] = (6, 4), order: int = 2
+) -> Section:
+    """A solid circle of one material, its plies parallel to the x-y plane.
+
+    cells   along each side of the square in its middle, and from there to the rim
+    """
+    _positive(radius=radius)
+    _check_cells(cells, 2, order)
+    half = 0.5 * radius
+    square = line(-half, half, cells[0], order)
+    patches = [Patch(grid(square, square), 0)]
+    for w in range(4):
+        inner = _edge(WALLS[w], half, half, line(0.0, 1.0, cells[0], order))
+        rim = line(0.75 * math.pi, 0.25 * math.pi, cells[0], order) - w * math.pi / 2
+        outer = radius * np.stack([np.cos(rim), np.sin(rim)], axis=-1)
+        patches.append(Patch(between(inner, outer, cells[1], order), 0))
+    return Section(joined(patches, order, plane_angle=0.0), ply, (angle,))
+
+
+@constants
+def i_section(
+    width: float,
+    height: float,
+    ply: Plies,
+    angles: Mapping[str, Angles],
+    thickness: float | Sequence[float] | Tensor,
+    cells: tuple[int, int, int] = (8, 20, 1),
+    order: int = 2,
+) -> Section:
+    """Flanges of this width along y, whole height along z.
+
+    angles     {"top": ..., "web": ..., "bottom": ...}: plies of the flanges from bottom to top, of the web from left to
+               right (its normal is y, its tangent -z); the section's angles are those of top, web, bottom, one after the
+               other. All three have as many plies
+    thickness  of every ply, or one for each ply of a wall
+    cells      along each half of a flange, along the web, through each ply
+    """
+    _positive(width=width, height=height)
+    _check_cells(cells, 3, order)
+    names = ("top", "web", "bottom")
+    _check_names(angles, names)
+    layers = _layers(angles["top"])
+    t = _thicknesses(thickness, layers)
+    if not (2 * t.sum() < height and t.sum() < width):
+        raise InputError(f"i_section: walls of {t.sum():g} m do not fit into {width:g} m x {height:g} m")
+    stack = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2  # across a wall
+    across = [line(a, b, cells[2], order) for a, b in pairwise(stack)]  # of the web, and of the flanges above it
+    free = [graded(-width / 2, stack[0], cells[0], order), graded(stack[-1], width / 2, cells[0], order)]
+    patches = []
+    for block, middle in ((0, (height - t.sum()) / 2), (2, (t.sum() - height) / 2)):
+        for k in range(layers):
+            z = line(middle + stack[k], middle + stack[k + 1], cells[2], order)
+            patches += [Patch(grid(y, z), block * layers + k) for y in (*free, *across)]
+    web = graded(height / 2 - t.sum(), t.sum() - height / 2, cells[1], order)
+    for k in range(layers):
+        patches.append(Patch(grid(across[k], web).transpose(1, 0, 2), layers + k))
+    plies = ply if isinstance(ply, Ply | Orthotropic) else list(ply) * (3 if len(ply) == layers else 1)
+    return Section(joined(patches, order), plies, np.concatenate([np.asarray(angles[n]) for n in names]).tolist())
+
+
+def _stack(
+    y: np.ndarray, ply: Plies, angles: Angles, thickness: float | Sequence[float] | Tensor, each: int, order: int
+) -> Section:
+    """Plies across the places y, each of so many elements through its thickness."""
+    t = _thicknesses(thickness, _layers(angles))
+    faces = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2
+    patches = [Patch(grid(y, line(a, b, each, order)), layer) for layer, (a, b) in enumerate(pairwise(faces))]
+    return Section(joined(patches, order), ply, angles)
+
+
+def _edge(wall: str, y: float, z: float, along: np.ndarray) -> np.ndarray:
+    """Points at shares `along` of one side of a rectangle of these half dimensions, clockwise."""
+    corners = {"top": ((-y, z), (y, z)), "right": ((y, z), (y, -z)), "bottom": ((y, -z), (-y, -z))}
+    start, end = corners.get(wall, ((-y, -z), (-y, z)))
+    return np.array(start) + along[:, None] * (np.array(end) - np.array(start))
+
+
+def _walls(angles: Angles | Mapping[str, Angles]) -> Mapping[str, Angles]:
+    if not isinstance(angles, Mapping):
+        return dict.fromkeys(WALLS, angles)
+    _check_names(angles, WALLS)
+    return angles
+
+
+def _layers(angles: Any) -> int:
+    """How many plies there are; InputError for what is no list of angles."""
+    if isinstance(angles, str) or not hasattr(angles, "__len__") or getattr(angles, "ndim", 1) != 1:
+        raise InputError(f"angles is {angles!r}; allowed: one angle per ply, such as mbd.deg([45, -45]) [rad]")
+    return len(angles)
+
+
+def _check_names(angles: Mapping[str, Angles], names: Sequence[str]) -> None:
+    if not isinstance(angles, Mapping):
+        raise InputError(f"angles is {angles!r}; allowed: a mapping with {', '.join(names)}")
+    for name in angles:
+        if name not in names:
+            raise unknown("wall", name, names)
+    counts = {name: _layers(angles[name]) if name in angles else 0 for name in names}
+    if len(set(counts.values())) > 1 or 0 in counts.values():
+        raise InputError(f"angles give {counts} plies; allowed: as many plies in {', '.join(names)}")
+
+
+def _thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np.ndarray:
+    t = np.asarray(thickness, dtype=float)
+    t = np.repeat(t, layers) if t.ndim == 0 else t
+    if t.shape != (layers,) or layers == 0:
+        raise InputError(f"{t.size} thicknesses for {layers} plies; allowed: one number, or one per ply [m]")
+    if not (np.isfinite(t) & (t > 0)).all():
+        raise InputError(f"thickness = {thickness!r}; allowed: finite numbers > 0 [m]")
+    doubt("thickness", float(t.max()), "m", THICKNESS, stacklevel=4)
+    return t
+
+
+def _positive(**lengths: float) -> None:
+    for name, value in lengths.items():
+        doubt(name, positive(name, value, "m"), "m", DIMENSION, stacklevel=4)
+
+
+def _check_cells(cells: Sequence[int], count: int, order: int) -> None:
+    good = (
+        isinstance(cells, Sequence)
+        and len(cells) == count
+        and all(isinstance(c, int) and not isinstance(c, bool) and c >= 1 for c in cells)
+    )
+    if not good:
+        raise InputError(f"cells = {cells!r}; allowed: {count} integers >= 1")
+    if order not in (1, 2):
+        raise InputError(f"order = {order!r}; allowed: 1 (linear elements) or 2 (quadratic)")

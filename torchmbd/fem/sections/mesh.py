@@ -1,0 +1,183 @@
+"""The mesh of a cross-section: triangles and quadrilaterals in the y-z plane, each with its layer and its wall's angle.
+
+nodes         y, z in section axes                                                              [n, 2], m
+elements      node indices, counterclockwise seen from +x: 3, 4 (corners), 6 or 8 nodes (corners, then middles of the
+              sides 12, 23, ...); one array, or several of different kinds                      [m, k]
+layer         which entry of the section's angles and plies an element belongs to               [m]
+plane_angle   from y to the wall's tangent s, about +x; None: s runs along the element from node 1 to node 2, also
+              where the element is curved                                                       [m], rad
+
+Wall axes are x (along the beam), s = (cos, sin)(plane_angle) and the wall's normal n = x cross s, in which plies are
+stacked. At plane_angle 0, (x, s, n) = (x, y, z): a wall is then a plate in the x-y plane, laminate and all.
+Bad input is refused here, at the door, and named by element.
+Checked in tests/fem/sections/test_section_mesh.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.sections.shapes import rule, shape
+from torchmbd.math.owned import indices, reals
+
+KINDS = (3, 4, 6, 8)
+
+
+class SectionMesh:
+    """See the module header. `elements` becomes a tuple of arrays, one for each kind, in the order given."""
+
+    nodes: Float[Tensor, "n 2"]
+    elements: tuple[Int[Tensor, "m k"], ...]
+    layer: Int[Tensor, " m"]
+    plane_angle: Float[Tensor, " m"] | None
+
+    def __init__(
+        self,
+        nodes: ArrayLike | Tensor,
+        elements: ArrayLike | Tensor | Sequence[ArrayLike | Tensor],
+        layer: ArrayLike | Tensor = 0,
+        plane_angle: ArrayLike | Tensor | None = None,
+    ) -> None:
+        self.nodes = reals("nodes of a SectionMesh", nodes)
+        self.elements = tuple(indices("elements of a SectionMesh", block) for block in _blocks(elements))
+        count = sum(len(block) for block in self.elements)
+        self.layer = _per_element("layer", indices("layer of a SectionMesh", layer), count)
+        self.plane_angle = None
+        if plane_angle is not None:
+            self.plane_angle = _per_element("plane_angle", reals("plane_angle of a SectionMesh", plane_angle), count)
+        self._check_nodes()
+        self._check_elements()
+        self._check_connected()
+        self._check_conforming()
+
+    @property
+    def layers(self) -> int:
+        return int(self.layer.max()) + 1
+
+    def _check_nodes(self) -> None:
+        if self.nodes.ndim != 2 or self.nodes.shape[1] != 2 or len(self.nodes) < 3:
+            raise InputError(f"SectionMesh: nodes has shape {tuple(self.nodes.shape)}; allowed: [n, 2] with n >= 3")
+        bad = (~torch.isfinite(self.nodes)).any(dim=1).nonzero().flatten()
+        if len(bad):
+            raise InputError(
+                f"SectionMesh: node {int(bad[0])} is at {self.nodes[bad[0]].tolist()}; allowed: finite coordinates"
+            )
+        _, first, inverse = np.unique(self.nodes.numpy(), axis=0, return_index=True, return_inverse=True)
+        twin = np.flatnonzero(first[inverse.ravel()] != np.arange(len(self.nodes)))
+        if len(twin):
+            pair = (int(first[inverse.ravel()[twin[0]]]), int(twin[0]))
+            raise InputError(f"SectionMesh: nodes {pair[0]} and {pair[1]} share one place; merge them")
+        if self.plane_angle is not None and not torch.isfinite(self.plane_angle).all():
+            raise InputError("SectionMesh: plane_angle holds numbers that are not finite; allowed: finite, in rad")
+        if self.layer.min() < 0:
+            raise InputError(f"SectionMesh: layer {int(self.layer.min())}; allowed: 0 and up")
+
+    def _check_elements(self) -> None:
+        start, n = 0, len(self.nodes)
+        used = torch.zeros(n, dtype=torch.bool)
+        for block in self.elements:
+            if block.ndim != 2 or block.shape[1] not in KINDS or len(block) == 0:
+                raise InputError(f"SectionMesh: elements of shape {tuple(block.shape)}; allowed: [m, k], k in {KINDS}")
+            outside = ((block < 0) | (block >= n)).any(dim=1).nonzero().flatten()
+            if len(outside):
+                k = int(outside[0])
+                raise InputError(
+                    f"SectionMesh: element {start + k} has nodes {block[k].tolist()}; allowed: 0 to {n - 1}"
+                )
+            points = torch.cat([rule(block.shape[1])[0], _corners(block.shape[1])])
+            jacobian = torch.einsum("gki,mkj->mgij", shape(block.shape[1], points)[1], self.nodes[block])
+            area = jacobian[..., 0, 0] * jacobian[..., 1, 1] - jacobian[..., 0, 1] * jacobian[..., 1, 0]
+            size = (self.nodes[block].amax(1) - self.nodes[block].amin(1)).amax(1)
+            wrong = (area <= 1e-9 * size[:, None] ** 2).any(dim=1).nonzero().flatten()
+            if len(wrong):
+                k = int(wrong[0])
+                raise InputError(
+                    f"SectionMesh: element {start + k}, nodes {block[k].tolist()}, is inverted or collapsed; "
+                    "allowed: counterclockwise elements (seen from +x, y to the right) with convex corners"
+                )
+            used[block.flatten()] = True
+            start += len(block)
+        if not used.all():
+            orphans = (~used).nonzero().flatten().tolist()
+            raise InputError(f"SectionMesh: {len(orphans)} nodes belong to no element: {orphans[:8]}; remove them")
+
+    def _check_connected(self) -> None:
+        tail = np.concatenate([block.numpy().ravel() for block in self.elements])
+        head = np.concatenate([np.roll(block.numpy(), -1, axis=1).ravel() for block in self.elements])
+        graph = coo_array((np.ones(len(tail)), (tail, head)), shape=(len(self.nodes),) * 2)
+        parts, label = connected_components(graph, directed=False)
+        if parts > 1:
+            stray = int(np.flatnonzero(label != label[0])[0])
+            raise InputError(
+                f"SectionMesh: {parts} disconnected parts (node {stray} is not connected with node 0); allowed: one"
+            )
+
+    def _check_conforming(self) -> None:
+        """Refuse a node in the middle of a side to which it does not belong: the parts would move independently."""
+        sides, owner = _sides(self.elements)
+        _, inverse, count = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True, return_counts=True)
+        rim = np.flatnonzero(count[inverse.ravel()] == 1)
+        x, (a, b) = self.nodes.numpy(), sides[rim].T
+        outer = np.unique(sides[rim])
+        span = x[b] - x[a]
+        length = np.linalg.norm(span, axis=1)
+        near = KDTree(x[outer]).query_ball_point((x[a] + x[b]) / 2, length * (0.5 - 1e-4))
+        k = np.repeat(np.arange(len(rim)), [len(hits) for hits in near])
+        node = outer[np.concatenate([np.asarray(hits, dtype=np.int64) for hits in near])]
+        offset = x[node] - x[a[k]]
+        away = np.abs(span[k, 0] * offset[:, 1] - span[k, 1] * offset[:, 0]) / length[k]
+        wrong = np.flatnonzero((away < 1e-6 * length[k]) & (node != a[k]) & (node != b[k]))
+        if len(wrong):
+            element, stray = int(owner[rim[k[wrong[0]]]]), int(node[wrong[0]])
+            raise InputError(
+                f"SectionMesh: node {stray} lies on a side of element {element} and is none of its nodes; "
+                "allowed: neighbors that share their sides"
+            )
+
+
+def _sides(elements: Sequence[Tensor]) -> tuple[np.ndarray, np.ndarray]:
+    """Node pairs along the sides of all elements (halves of quadratic sides), and the elements that own them."""
+    pairs, owner, start = [], [], 0
+    for block in elements:
+        nodes, k = block.numpy(), block.shape[1]
+        ring = nodes if k < 6 else nodes[:, np.arange(k).reshape(2, -1).T.ravel()]  # corner, middle, corner, ...
+        pairs.append(np.stack([ring, np.roll(ring, -1, axis=1)], axis=-1).reshape(-1, 2))
+        owner.append(np.repeat(np.arange(start, start + len(nodes)), k))
+        start += len(nodes)
+    return np.concatenate(pairs), np.concatenate(owner)
+
+
+def _blocks(elements: ArrayLike | Tensor | Sequence[ArrayLike | Tensor]) -> Sequence[ArrayLike | Tensor]:
+    """One array for each kind of element: a list whose first item is itself a list of rows, or one array alone."""
+    if isinstance(elements, list | tuple) and elements and not _is_row(elements[0]):
+        return elements
+    return [elements]  # pyright: ignore[reportReturnType]
+
+
+def _is_row(given: Any) -> bool:
+    """Whether a list starts with one element's nodes, not with an array of elements."""
+    return given.ndim == 1 if hasattr(given, "ndim") else not (len(given) and hasattr(given[0], "__len__"))
+
+
+def _per_element(name: str, given: Tensor, count: int) -> Tensor:
+    if given.shape not in ((), (count,)):
+        shape = tuple(given.shape)
+        raise InputError(f"SectionMesh: {name} has shape {shape}; allowed: one number, or one for each element")
+    return given.expand(count).clone()
+
+
+def _corners(nodes: int) -> Tensor:
+    if nodes in (3, 6):
+        return torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=torch.float64)
+    return torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]], dtype=torch.float64)

@@ -1,0 +1,129 @@
+"""An orthotropic solid: nine constants, for sections that know no plane stress.
+
+    (eps_11, eps_22, eps_33, gamma_23, gamma_13, gamma_12) = C^-1 (sig_11, sig_22, sig_33, tau_23, tau_13, tau_12)
+
+E1, E2, E3         moduli along the fibre (1), across it in the ply (2), through the ply (3)   [Pa]
+G12, G13, G23      shear moduli                                                                [Pa]
+nu12, nu13, nu23   nu_ij: strain along j for a stress along i, with a minus sign
+density            [kg/m3]
+strength           of the ply that it is, or None
+
+A `Ply` lacks what plane stress does not need. It is completed as transversely isotropic: E3 = E2, nu13 = nu12,
+nu23 = E2 / (2 G23) - 1.
+Assumed: linear elastic, positive strain energy.
+Source: R. M. Jones, Mechanics of Composite Materials, 2nd ed., section 2.4.
+Checked in tests/fem/sections/test_orthotropic.py.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.materials import Ply, Strength
+from torchmbd.math.plausible_units import doubt_material
+
+
+@dataclass(frozen=True)
+class Orthotropic:
+    """Elastic constants [Pa] and density [kg/m3] of a solid in its own axes (1 = fibre, 3 = through the ply)."""
+
+    E1: float
+    E2: float
+    E3: float
+    G12: float
+    G13: float
+    G23: float
+    nu12: float
+    nu13: float
+    nu23: float
+    density: float
+    strength: Strength | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("E1", "E2", "E3", "G12", "G13", "G23", "density"):
+            value = getattr(self, name)
+            if not (_is_number(value) and math.isfinite(value) and value > 0):
+                raise InputError(f"Orthotropic: {name} = {value!r}; allowed: a finite number > 0")
+        for name in ("nu12", "nu13", "nu23"):
+            value = getattr(self, name)
+            if not (_is_number(value) and math.isfinite(value)):
+                raise InputError(f"Orthotropic: {name} = {value!r}; allowed: a finite number")
+        normal = self._compliance()[:3, :3]
+        scale = normal.diagonal().rsqrt()
+        if not float(torch.linalg.eigvalsh(scale[:, None] * normal * scale).min()) > 1e-9:
+            raise InputError(
+                f"Orthotropic: nu12 = {self.nu12!r}, nu13 = {self.nu13!r}, nu23 = {self.nu23!r} make the compliance "
+                "not positive definite; allowed: |nu_ij| < sqrt(E_i / E_j), "
+                "and the determinant of the three normal strains positive"
+            )
+        moduli = {name: getattr(self, name) for name in ("E1", "E2", "E3", "G12", "G13", "G23")}
+        doubt_material("Orthotropic", moduli, self.density, self.strength.Xt if self.strength else None)
+
+    @classmethod
+    def isotropic(cls, E: float, nu: float, density: float) -> Orthotropic:
+        """Make a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5), density [kg/m3]."""
+        if not (_is_number(nu) and -1.0 < nu < 0.5):
+            raise InputError(f"Orthotropic.isotropic: nu = {nu!r}; allowed: -1 < nu < 0.5")
+        G = E / (2.0 * (1.0 + nu))
+        return cls(E, E, E, G, G, G, nu, nu, nu, density)
+
+    @classmethod
+    def of(cls, ply: Ply | Orthotropic) -> Orthotropic:
+        """Complete a ply as transversely isotropic; InputError where its G23 admits no such solid."""
+        if isinstance(ply, Orthotropic):
+            return ply
+        if not isinstance(ply, Ply):
+            raise InputError(f"ply is {ply!r}; allowed: a Ply or an Orthotropic")
+        nu23 = ply.E2 / (2.0 * ply.G23) - 1.0
+        try:
+            moduli = (ply.E1, ply.E2, ply.E2, ply.G12, ply.G13, ply.G23)
+            return cls(*moduli, ply.nu12, ply.nu12, nu23, ply.density, ply.strength)
+        except InputError as error:
+            raise InputError(
+                f"ply with E2 = {ply.E2!r}, G23 = {ply.G23!r} is no transversely isotropic solid "
+                f"(nu23 = E2 / (2 G23) - 1 = {nu23:.4g}); give all nine constants as Orthotropic"
+            ) from error
+
+    def stiffness(self) -> Float[Tensor, "6 6"]:
+        """C [Pa] for strains (11, 22, 33, 23, 13, 12), shear strains gamma."""
+        return torch.linalg.inv(self._compliance())
+
+    def _compliance(self) -> Tensor:
+        s12, s13, s23 = -self.nu12 / self.E1, -self.nu13 / self.E1, -self.nu23 / self.E2
+        S = torch.zeros(6, 6, dtype=torch.float64)
+        for i, modulus in enumerate((self.E1, self.E2, self.E3, self.G23, self.G13, self.G12)):
+            S[i, i] = 1.0 / modulus
+        for i, j, value in ((0, 1, s12), (0, 2, s13), (1, 2, s23)):
+            S[i, j] = S[j, i] = value
+        return S
+
+
+def turned(C: Float[Tensor, "layers 6 6"], theta: Float[Tensor, "*lanes layers"]) -> Float[Tensor, "*lanes layers 6 6"]:
+    """Stiffness in wall axes (x, s, n) of plies whose fibre lies at theta from x to s: T' C T."""
+    T = strain_rotation(theta)
+    return T.mT @ C @ T
+
+
+def strain_rotation(theta: Float[Tensor, "*lanes layers"]) -> Float[Tensor, "*lanes layers 6 6"]:
+    """T: strains (xx, ss, nn, sn, xn, xs) of the wall -> (11, 22, 33, 23, 13, 12) of the ply."""
+    c, s = torch.cos(theta), torch.sin(theta)
+    o, one = torch.zeros_like(c), torch.ones_like(c)
+    rows = [
+        [c * c, s * s, o, o, o, c * s],
+        [s * s, c * c, o, o, o, -c * s],
+        [o, o, one, o, o, o],
+        [o, o, o, c, -s, o],
+        [o, o, o, s, c, o],
+        [-2 * c * s, 2 * c * s, o, o, o, c * c - s * s],
+    ]
+    return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -1,0 +1,171 @@
+"""Saint-Venant's solutions of a section, its compliance, and the compliance's derivative in closed form.
+
+<a, b> is the integral of a'b over the section. Columns: c, the classical unit forces (N, T, M_y, M_z); v, the unit shear
+forces; T, the moments that grow along the beam under v: M_z' = -V_y, M_y' = V_z, so (..)_T = (..)_c J.
+
+    <B w, D eps_c> = 0              for all warpings w; U the warping of eps_c, <P Z, D eps_c> = 1
+    <B w, D eps_v> = <P H w, D eps_T>                     eps_v holds P H U_T; no classical resultants
+    S = <eps, D eps>,   K4 = S_cc^-1,   s = S_cv
+
+For a change dD of the stiffness of the layers, with E = B'DB:
+
+    dS_cc = -<eps_c, dD eps_c>
+    dS_cv = <zeta, dD eps_T> - <eps_c, dD alpha>
+    dS_vv = <eps_v, dD eps_v> - 2 sym <alpha, dD eps_v> + 2 sym <eta, dD eps_T>
+
+    E y = H'P'D eps_T,   E z = B'D P H U,   alpha = B y + eps_c K4 s,   h = y + U K4 s
+    zeta = P H U - B z - eps_c K4 <P H U, D eps_c>'
+    E n = B'D P H h + H'P'D (eps_v - alpha)
+    eta  = P H h - B n - eps_c K4 (<P H h, D eps_c> + <D (eps_v - alpha), P H U>)'
+
+So a derivative in any number of angles costs eight more solutions with the factors at hand. Derived from the equations
+above by reciprocity; y, z, n are the adjoint warpings.
+Source of the solutions: V. Giavotto et al. (1983), see section.py.
+Checked in tests/fem/sections/test_section_gradients.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.fem.sections.geometry import SectionGeometry
+from torchmbd.fem.sections.warping import WarpingProblem, solve
+from torchmbd.math.first_derivative import FirstDerivative
+from torchmbd.math.inverse import balanced_inverse
+
+CLASSICAL, SHEAR = [0, 3, 4, 5], [1, 2]
+
+#: J of the module header: growth of (N, T, M_y, M_z) along the beam for unit V_y, V_z.
+_GROWTH = torch.zeros(4, 2, dtype=torch.float64)
+_GROWTH[3, 0], _GROWTH[2, 1] = -1.0, 1.0
+
+
+class UnitFields(NamedTuple):
+    """Fields [..., m, g, 6, columns] of unit forces, and the warping U [..., freedoms, 4] of the classical ones."""
+
+    warping: Tensor
+    strain: Float[Tensor, "*lanes m g 6 6"]
+    stress: Float[Tensor, "*lanes m g 6 6"]
+
+
+def unit_fields(problem: WarpingProblem, D: Float[Tensor, "*lanes layers 6 6"]) -> UnitFields:
+    """Solve for the six unit forces, in the order N, V_y, V_z, T, M_y, M_z. Differentiable in D."""
+    g = problem.geometry
+    rigid = g.rigid_strain(torch.eye(6, dtype=D.dtype, device=D.device)[:, CLASSICAL])
+    u0 = -solve(problem, D, g.warp_force(g.stress(D, rigid)))
+    strain = rigid + g.warp_strain(u0)
+    stress = g.stress(D, strain)
+    S4 = balanced_inverse(g.resultant(stress)[..., CLASSICAL, :])
+    U, pure, pure_stress = u0 @ S4, strain @ _columns(S4), stress @ _columns(S4)
+    carried = g.carried(U @ _GROWTH)
+    u1 = solve(problem, D, g.face_force(pure_stress @ _GROWTH) - g.warp_force(g.stress(D, carried)))
+    bent = carried + g.warp_strain(u1)
+    bent_stress = g.stress(D, bent)
+    rest = _columns(g.resultant(bent_stress)[..., CLASSICAL, :])
+    shear, shear_stress = bent - pure @ rest, bent_stress - pure_stress @ rest
+    return UnitFields(U, _ordered(pure, shear), _ordered(pure_stress, shear_stress))
+
+
+def compliance(problem: WarpingProblem, D: Float[Tensor, "*lanes layers 6 6"]) -> Float[Tensor, "*lanes 6 6"]:
+    """S."""
+    return _Compliance.apply(problem, D.reshape(-1, *D.shape[-3:])).reshape(*D.shape[:-3], 6, 6)
+
+
+class _Compliance(torch.autograd.Function):
+    @staticmethod
+    def forward(problem: WarpingProblem, D: Tensor) -> Tensor:
+        fields = unit_fields(problem, D)
+        return problem.geometry.energy(fields.strain, fields.stress)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
+        ctx.problem = inputs[0]
+        ctx.save_for_forward(inputs[1])
+        ctx.save_for_backward(inputs[1])
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor) -> tuple:
+        return _flattened(_Compliance, in_dims, problem, D)
+
+    @staticmethod
+    def jvp(ctx: Any, _: Any, dD: Tensor) -> Tensor:
+        slopes = _Slopes.apply(ctx.problem, ctx.saved_tensors[0])
+        return torch.einsum("lijkab,lkab->lij", slopes, dD)
+
+    @staticmethod
+    def backward(ctx: Any, S_bar: Tensor) -> Any:
+        slopes = _Slopes.apply(ctx.problem, ctx.saved_tensors[0])
+        return None, torch.einsum("lij,lijkab->lkab", S_bar, slopes)
+
+
+class _Slopes(FirstDerivative):
+    """dS_ij / dD_kab [lane, 6, 6, layers, 6, 6], for symmetric changes of D."""
+
+    of = "section stiffness"
+
+    @staticmethod
+    def forward(problem: WarpingProblem, D: Tensor) -> Tensor:
+        return _slopes(problem, D)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor) -> tuple:
+        return _flattened(_Slopes, in_dims, problem, D)
+
+
+def _slopes(problem: WarpingProblem, D: Float[Tensor, "lane layers 6 6"]) -> Float[Tensor, "lane 6 6 layers 6 6"]:
+    g = problem.geometry
+    U, strain, stress = unit_fields(problem, D)
+    eps_c, eps_v, sig_c, sig_v = strain[..., CLASSICAL], strain[..., SHEAR], stress[..., CLASSICAL], stress[..., SHEAR]
+    eps_T, sig_T = eps_c @ _GROWTH, sig_c @ _GROWTH
+    K4, s = balanced_inverse(g.energy(eps_c, sig_c)), g.energy(eps_c, sig_v)
+    carried = g.carried(U)  # P H U
+    adjoint = solve(problem, D, torch.cat([g.face_force(sig_T), g.warp_force(g.stress(D, carried))], dim=-1))
+    y, z = adjoint[..., :2], adjoint[..., 2:]
+    zeta = carried - g.warp_strain(z) - eps_c @ _columns(K4 @ g.energy(carried, sig_c).mT)
+    alpha = g.warp_strain(y) + eps_c @ _columns(K4 @ s)
+    swept = g.carried(y + U @ (K4 @ s))  # P H h
+    rest = sig_v - g.stress(D, alpha)
+    n = solve(problem, D, g.warp_force(g.stress(D, swept)) + g.face_force(rest))
+    Y = g.energy(swept, sig_c) + g.energy(rest, carried)
+    eta = swept - g.warp_strain(n) - eps_c @ _columns(K4 @ Y.mT)
+    layers = D.shape[-3]
+    cc = -_pairs(g, eps_c, eps_c, layers)
+    cv = _pairs(g, zeta, eps_T, layers) - _pairs(g, eps_c, alpha, layers)
+    vv = _pairs(g, eta, eps_T, layers) - _pairs(g, alpha, eps_v, layers) + _pairs(g, eps_v, eps_v, layers) / 2
+    result = cc.new_zeros(len(D), 6, 6, layers, 6, 6)
+    c, v = torch.tensor(CLASSICAL), torch.tensor(SHEAR)
+    result[:, c[:, None], c] = cc
+    result[:, c[:, None], v] = cv
+    result[:, v[:, None], c] = cv.transpose(1, 2)
+    result[:, v[:, None], v] = vv + vv.transpose(1, 2)
+    return result
+
+
+def _pairs(g: SectionGeometry, left: Tensor, right: Tensor, layers: int) -> Float[Tensor, "lane p q layers 6 6"]:
+    """left_a right_b integrated over each layer, for all pairs of columns."""
+    p, q = left.shape[-1], right.shape[-1]
+    weighted = g.weight[..., None, None] * left
+    result = left.new_zeros(len(left), p, q, layers, 6, 6)
+    for k, own in enumerate(g.members(layers)):
+        a, b = (x[:, own].flatten(1, 2).flatten(2) for x in (weighted, right))  # [lane, points, 6 columns]
+        result[:, :, :, k] = (a.mT @ b).unflatten(-1, (6, q)).unflatten(-3, (6, p)).permute(0, 2, 4, 1, 3)
+    return result
+
+
+def _flattened(function: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor) -> tuple:
+    D = D.movedim(in_dims[1], 0)
+    return function.apply(problem, D.flatten(0, 1)).unflatten(0, D.shape[:2]), 0
+
+
+def _columns(matrix: Tensor) -> Tensor:
+    """A matrix [..., p, q] that acts on the columns of a field [..., m, g, 6, p]."""
+    return matrix[..., None, None, :, :]
+
+
+def _ordered(classical: Tensor, shear: Tensor) -> Tensor:
+    """Columns c and v in the order N, V_y, V_z, T, M_y, M_z."""
+    return torch.cat([classical[..., :1], shear, classical[..., 1:]], dim=-1)

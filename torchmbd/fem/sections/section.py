@@ -1,0 +1,166 @@
+"""Cross-section analysis of a laminated beam: 6 x 6 stiffness and mass, centers, stresses, from 2-D finite elements.
+
+    (N, V_y, V_z, T, M_y, M_z) = K (eps, gamma_y, gamma_z, kappa_x, kappa_y, kappa_z)
+
+x along the beam, y and z in the section; forces and moments about the origin of the section's axes. The warping u(y, z)
+of the section is free in all three directions. A force F and moment M that vary along the beam as equilibrium demands
+(M' = -e_x cross F) make stress and warping linear in x, without any assumption on either: Saint-Venant's solutions.
+
+    1  extension, torsion, bending (psi of four, no shear):   E u + R psi = 0
+    2  shear, at the place where the moment vanishes:         E u = (C' - C) u' + L psi' ,   (u', psi') from 1
+       (C' - C) u' + L psi' = H' sigma(1) - B' D P H u'
+
+Each gives six fields of strain for unit forces; S_ij = integral of eps_i' D eps_j is the section's compliance, K = S^-1.
+The shear strains gamma are those that make this energy 1/2 V gamma.
+
+Differentiable, forward and reverse, in the ply angles (saint_venant.py), which may carry leading lanes.
+Assumed: prismatic beam, linear elasticity, forces applied at the ends (distributed forces act on the beam only).
+Source: V. Giavotto, M. Borri, P. Mantegazza et al., Anisotropic beam theory and applications, Computers & Structures
+16 (1983) 403-413, doi:10.1016/0045-7949(83)90179-7; J. P. Blasques, User's Manual for BECAS, Risoe-R-1785 (2012).
+Checked in tests/sections/test_section_*.py, tests/validation/test_sections_*.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.fem.materials import Ply
+from torchmbd.fem.sections.geometry import SectionGeometry
+from torchmbd.fem.sections.mesh import SectionMesh
+from torchmbd.fem.sections.orthotropic import Orthotropic, strain_rotation, turned
+from torchmbd.fem.sections.saint_venant import UnitFields, compliance, unit_fields
+from torchmbd.fem.sections.warping import WarpingProblem
+from torchmbd.math.inverse import balanced_inverse
+from torchmbd.math.owned import parameter
+from torchmbd.math.plausible_units import check_angles
+
+#: The order of forces, moments and generalized strains.
+FORCES = ("N", "V_y", "V_z", "T", "M_y", "M_z")
+
+
+class SectionStress(NamedTuple):
+    """Strains and stresses [Pa] in ply axes (11, 22, 33, 23, 13, 12) at points [m, g, 2] of all elements."""
+
+    strain: Float[Tensor, "*lanes m g 6"]
+    stress: Float[Tensor, "*lanes m g 6"]
+    points: Float[Tensor, "m g 2"]
+
+
+class Section(nn.Module):
+    """A meshed section; `.angles` [rad] is its parameter, one value for each layer that the mesh names.
+
+    mesh     elements with their layers and wall angles
+    ply      one Ply or Orthotropic, or one for each layer
+    angles   of the fibre about the wall's normal, from x to the wall's tangent [layers], rad
+    """
+
+    angles: Tensor
+    _C: Tensor
+    _density: Tensor
+
+    def __init__(
+        self,
+        mesh: SectionMesh,
+        ply: Ply | Orthotropic | Sequence[Ply | Orthotropic],
+        angles: Sequence[float] | Tensor = (0.0,),
+    ) -> None:
+        super().__init__()
+        theta = _checked_angles(angles)
+        plies = [ply] * len(theta) if isinstance(ply, Ply | Orthotropic) else list(ply)
+        if len(plies) != len(theta):
+            raise InputError(f"Section: {len(plies)} plies for {len(theta)} angles; allowed: one ply, or one per angle")
+        if mesh.layers > len(theta):
+            raise InputError(
+                f"Section: the mesh has layers 0 to {mesh.layers - 1}, angles has {len(theta)}; "
+                "allowed: one angle for each layer"
+            )
+        solids = [Orthotropic.of(p) for p in plies]
+        self.mesh, self.plies = mesh, solids
+        self.geometry = SectionGeometry(mesh)
+        self.problem = WarpingProblem(self.geometry, mesh.nodes)
+        self.angles = theta
+        self.register_buffer("_C", torch.stack([p.stiffness() for p in solids]), persistent=False)
+        density = torch.tensor([p.density for p in solids], dtype=torch.float64)
+        self.register_buffer("_density", density, persistent=False)
+
+    def forward(self) -> Float[Tensor, "*lanes 6 6"]:
+        """Return `stiffness()`: the form in which torch.func.functional_call asks for the section."""
+        return self.stiffness()
+
+    def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
+        """K; units N, N m, N m2."""
+        return balanced_inverse(self.compliance())
+
+    def compliance(self) -> Float[Tensor, "*lanes 6 6"]:
+        """S = K^-1."""
+        return compliance(self.problem, turned(self._C, self.angles))
+
+    def mass(self) -> Float[Tensor, "6 6"]:
+        """Inertia per length of the velocities (v, omega) of the section's axes: kg/m, kg, kg m."""
+        g = self.geometry
+        Z = g.turn.mT @ g.Z  # in section axes
+        rigid = torch.zeros_like(Z)
+        rigid[..., [0, 1, 2], [0, 1, 2]] = 1.0
+        rigid[..., :, 3:] = Z[..., :, 3:]
+        weight = g.weight * self._density[g.layer][:, None]
+        return (weight[..., None, None] * (rigid.mT @ rigid)).sum((0, 1))
+
+    def shear_center(self) -> Float[Tensor, "*lanes 2"]:
+        """Where a shear force makes no twist, y and z [m] (of the section alone: without bend-twist coupling)."""
+        S = self.compliance()
+        return torch.stack([-S[..., 3, 2], S[..., 3, 1]], dim=-1) / S[..., 3, 3, None]
+
+    def tension_center(self) -> Float[Tensor, "*lanes 2"]:
+        """Where a normal force makes no curvature, y and z [m]."""
+        S = self.compliance()
+        a, b, c = S[..., 4, 4], S[..., 4, 5], S[..., 5, 5]
+        p, q = S[..., 4, 0], S[..., 5, 0]
+        # kappa_y = p + z a - y b = 0, kappa_z = q + z b - y c = 0
+        return torch.stack([a * q - b * p, b * q - c * p], dim=-1) / (a * c - b * b)[..., None]
+
+    def stress(self, force: Sequence[float] | Float[Tensor, "*lanes 6"]) -> SectionStress:
+        """Recover strains and stresses under (N, V_y, V_z, T, M_y, M_z) [N, N m] at the points of all elements."""
+        load = torch.as_tensor(force, dtype=torch.float64)
+        if load.shape[-1:] != (6,):
+            raise InputError(f"force has shape {tuple(load.shape)}; allowed: [..., 6], {', '.join(FORCES)}")
+        _, strain, stress = self.unit_fields()
+        load = load[..., None, None, :, None]
+        T = strain_rotation(self.angles)[..., self.geometry.layer, None, :, :]
+        back = self._to_plies()[..., self.geometry.layer, None, :, :]
+        return SectionStress((T @ strain @ load)[..., 0], (back @ stress @ load)[..., 0], self.geometry.points)
+
+    @cached_property
+    def stress_points(self) -> Int[Tensor, "points 2"]:
+        """Element and integration point in it of every point of `unit_stress`."""
+        return (self.geometry.weight > 0).nonzero()
+
+    def unit_stress(self) -> Float[Tensor, "*lanes points 6 6"]:
+        """Stresses [Pa] in ply axes (11, 22, 33, 23, 13, 12) at the `stress_points`; last axis: the six unit forces."""
+        element, point = self.stress_points.unbind(1)
+        return (
+            self._to_plies()[..., self.geometry.layer[element], :, :]
+            @ self.unit_fields().stress[..., element, point, :, :]
+        )
+
+    def unit_fields(self) -> UnitFields:
+        """Strains and stresses in wall axes for unit forces (saint_venant.py)."""
+        return unit_fields(self.problem, turned(self._C, self.angles))
+
+    def _to_plies(self) -> Float[Tensor, "*lanes layers 6 6"]:
+        """Turns stresses of the wall into those of the plies: T^-T, where T^-1 turns by the opposite angle."""
+        return strain_rotation(-self.angles).mT
+
+
+def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
+    theta = parameter("angles of a Section", angles)
+    if theta.ndim != 1 or theta.numel() == 0:
+        raise InputError(f"Section: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
+    check_angles("angles", theta.tolist(), "Section: ")
+    return theta

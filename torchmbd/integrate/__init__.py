@@ -1,0 +1,9 @@
+"""Integrators: torchdiffeq and generalized-alpha behind one door, with sensitivities."""
+
+from torchmbd.integrate.phases.events import Event
+from torchmbd.integrate.phases.phase import Phase
+from torchmbd.integrate.registry import METHODS
+from torchmbd.integrate.simulate import simulate
+from torchmbd.results.trajectory import Moment, Switch, Trajectory
+
+__all__ = ["METHODS", "Event", "Moment", "Phase", "Switch", "Trajectory", "simulate"]

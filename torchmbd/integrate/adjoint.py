@@ -1,0 +1,279 @@
+"""The adjoint of a simulation by a one-step method: gradients of few responses by many design variables.
+
+Tangents cost a share of a simulation for each *variable*; the adjoint of the steps costs about half of one for each
+*response*, and as much once for all, however many variables there are. y the derivative of a response by the state
+x1 = F(z, x) after a step, z the unknowns of the step, R(z; x, b) = 0 (step.py):
+
+    R_z' mu = F_z' y
+    y  <-  F_x' y - R_x' mu  +  what the response takes from the state x itself
+    dJ/db  <-  dJ/db - R_b' mu
+
+and last y' dx/db of the state at the start. It is the exact derivative of the discrete map, as the tangents are: both
+agree within what their iterations leave. mu comes from the factors of the iteration matrix, transposed and at the solution
+itself, with corrections until they are small. b are the numbers of the reduced model: torch differentiates the structure
+stage that they come from.
+
+`Adjoint` is kept by the integration (reverse_integration.py); `Sweep` makes the steps by operators of torch,
+backward.py by compiled code. Through phases it is adjoint.py; not for the methods of torchdiffeq.
+Checked in tests/sensitivity/test_adjoint.py, tests/contracts/test_adjoint.py (all joints and forces).
+Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 15 (implicit functions).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.native.simd_layout import moving
+from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.prepared import prepare
+from torchmbd.integrate.pullback import leaf
+from torchmbd.integrate.step import Model, Weights
+from torchmbd.integrate.stepper import March, resume
+from torchmbd.math.pair import value
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.results.history import History, segments
+from torchmbd.results.state import State
+
+# Estimated relative errors of mu. The largest gradient of a response has 100 times that at most, as measured.
+POOR = 1e-5  # worth a warning
+
+
+# What responses take from q, v, a, lam, in this order [times, n, rows, lanes]; None: nothing.
+Bars = Sequence[Tensor | None]
+
+
+def rows_of(bars: Bars) -> int:
+    """Number of responses."""
+    return next((x.shape[2] for x in bars if x is not None), 0)
+
+
+@dataclass
+class Grid:
+    """Lanes that were integrated with the same equal steps.
+
+    lanes     their numbers in the batch;  history: their states, of what a condensation left
+    leaves    data of the whole system by which gradients are wanted [component..., 1, lanes]
+    dynamics  the equations of what a condensation left, and
+    start     the initial state: both functions of the leaves in reverse mode
+    times     of all steps [steps + 1];  every: steps between two outputs
+    corrections   of mu, at least
+    """
+
+    lanes: list[int]
+    history: History
+    leaves: dict[str, Tensor]
+    dynamics: Dynamics
+    start: State
+    weights: Weights
+    times: Tensor
+    every: int
+    corrections: int
+
+    def cotangents(self, by: Cotangents) -> dict[str, Tensor]:
+        """By the leaves [component..., rows, lanes]: through the start, the laws of drives and the condensation."""
+        outputs, bars = [*self.start], [*by.start]
+        for name, x in by.data.items():
+            outputs.append(self.dynamics.data[name])
+            bars.append(x)
+        if by.laws is not None:
+            with torch.enable_grad():
+                T = self.dynamics.topology
+                outputs.append(moving(T, T.schedule(self.times[1:], self.dynamics.data), len(self.lanes), 0))
+            bars.append(by.laws)
+        used = [(y, x) for y, x in zip(outputs, bars, strict=True) if y.requires_grad]
+        leaves = list(self.leaves.values())
+        options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
+
+        def pulled(*rows: Tensor) -> tuple[Tensor, ...]:
+            return torch.autograd.grad([y for y, _ in used], leaves, rows, **options)
+
+        if not used:
+            return {}
+        rows = [x if x.shape[-1] == y.shape[-1] else x.sum(-1, keepdim=True) for y, x in used]
+        found = torch.vmap(pulled)(*(x.movedim(-2, 0).unsqueeze(-2) for x in rows))
+        return {name: x.squeeze(-2).movedim(0, -2) for name, x in zip(self.leaves, found, strict=True)}
+
+
+class Cotangents(NamedTuple):
+    """Of the steps: by the data [component..., rows, lanes], by what laws with design variables prescribe
+    [steps, n, rows, lanes] (None: there are none), and by the initial state [n, rows, lanes]."""
+
+    data: dict[str, Tensor]
+    laws: Tensor | None
+    start: State
+
+
+@dataclass(eq=False)
+class Adjoint:
+    """The adjoint of one motion.
+
+    dynamics   of the whole system, values only
+    history    what was integrated, by equal steps over the duration [s]
+    integrator  that made the steps
+    failed     lanes whose cotangents are zero
+    sweep      makes a Sweep of a grid
+    """
+
+    dynamics: Dynamics
+    history: History
+    duration: float
+    integrator: OneStep
+    failed: Sequence[int]
+    sweep: Callable[[Grid], Sweep]
+    _sweeps: dict[tuple[str, ...], list[Sweep]] = field(default_factory=dict, init=False, repr=False)
+
+    @cached_property
+    def error(self) -> Tensor:
+        """Estimated relative error of the gradients asked for so far [lanes]."""
+        return torch.zeros(self.dynamics.lanes, dtype=torch.float64)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without sweeps: those by compiled code hold a library, and all can be made again."""
+        return vars(self) | {"_sweeps": {}}
+
+    @torch.no_grad()
+    def __call__(self, bars: Bars, names: Sequence[str]) -> dict[str, Tensor]:
+        """Cotangents of the data of these names [component..., rows, lanes]."""
+        lanes, rows = self.dynamics.lanes, rows_of(bars)
+        shapes = {name: self.dynamics.data[name].shape[:-2] for name in names}
+        result = {name: torch.zeros(*shape, rows, lanes, dtype=torch.float64) for name, shape in shapes.items()}
+        for sweep in self._swept(tuple(names)):
+            some = sweep.grid.lanes
+            own = bars if len(some) == lanes else [x if x is None else x[..., some] for x in bars]
+            found, error = sweep(own)
+            for name, x in sweep.grid.cotangents(found).items():
+                result[name][..., some] = x
+            self.error[some] = self.error[some].maximum(error)
+        for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
+            warnings.warn(
+                f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
+                "or gradients='forward'",
+                stacklevel=2,
+            )
+        return result
+
+    def _swept(self, names: tuple[str, ...]) -> list[Sweep]:
+        """One for the lanes with the steps that were asked for, one for each lane that had to take smaller ones."""
+        if names not in self._sweeps:
+            self._sweeps[names] = [self.sweep(grid) for grid in self.grids(names)]
+        return self._sweeps[names]
+
+    def grids(self, names: tuple[str, ...] = ()) -> list[Grid]:
+        """Of all lanes that have not failed."""
+        finer = self.history.finer
+        some = [lane for lane in range(self.dynamics.lanes) if lane not in finer and lane not in self.failed]
+        grids = [self._grid(names, some, self.history, some, 1)] if some else []
+        for lane, (history, own, every) in finer.items():
+            if lane not in self.failed:
+                grids.append(self._grid(names, [lane], history, [own], every))
+        return grids
+
+    def _grid(self, names: tuple[str, ...], lanes: list[int], history: History, own: list[int], every: int) -> Grid:
+        """Of lanes of the batch, which are `own` in a history that has `every` times as many intervals as there are outputs."""
+        some = self.dynamics if len(lanes) == self.dynamics.lanes else self.dynamics.some(lanes)
+        leaves = {name: leaf(some.data[name].expand(*some.data[name].shape[:-1], len(lanes))) for name in names}
+        with torch.enable_grad():
+            _, left, start = prepare(replace(some, data={**some.data, **leaves}))
+        stored = history.between.steps if history.between else 1
+        steps = stored * (len(history.q) - 1)
+        h = self.duration / steps
+        times = h * torch.arange(steps + 1, dtype=torch.float64)
+        weights, corrections = self.integrator.weights(h), self.integrator.iterations[1]
+        return Grid(lanes, history.lanes(own), leaves, left, start, weights, times, stored * every, corrections)
+
+
+class Sweep:
+    """The way back through one grid by operators of torch, one segment of steps after the other, the last one first.
+
+    So the memory that it takes besides the history does not grow with the number of steps.
+    """
+
+    def __init__(self, grid: Grid):
+        self.grid, self.dynamics = grid, grid.dynamics
+        T, lanes = self.dynamics.topology, len(grid.lanes)
+        self.data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
+        model = Model(T, self.dynamics.saddle, grid.weights, self.data)
+        self.stepper = March(self.dynamics, model, (1, grid.corrections), refresh=1)
+        between = grid.history.between
+        self.segments = segments(len(grid.times) - 1, between.steps if between else 1)
+        self.accelerations = between.a if between else self._accelerations()
+
+    def __call__(self, bars: Bars) -> tuple[Cotangents, Tensor]:
+        """Cotangents of the steps, from those of the outputs, and their estimated relative error [lanes]."""
+        y, by, laws = self._taken(bars, len(self.grid.times) - 1), {}, []
+        error = torch.zeros(len(self.grid.lanes), dtype=torch.float64)
+        for number in reversed(range(len(self.segments))):
+            found, left = self._segment(number, bars, y)
+            by = {name: x + by.get(name, 0.0) for name, x in found.data.items()}
+            laws.append(found.laws)
+            y, error = found.start, error.maximum(left)
+        varied = self.dynamics.topology.varied
+        return Cotangents(by, torch.cat(laws[::-1]) if varied else None, y), error
+
+    def _segment(self, number: int, bars: Bars, y: State) -> tuple[Cotangents, Tensor]:
+        """As of `__call__`, of one segment from the cotangents y of its last state; `start` are those of its first state."""
+        steps, lanes = self.segments[number], len(self.grid.lanes)
+        T = self.dynamics.topology
+        schedule = self._schedule(steps)
+        states = self._states(self._history(number, schedule))
+        by: dict[str, Any] = dict.fromkeys(self.data, 0.0)
+        laws, error = [], torch.zeros(lanes, dtype=torch.float64)
+        for i in reversed(range(len(steps))):
+            found = self.stepper.pullback(states[i], states[i + 1], schedule[i], y)
+            y = State(*(a + b for a, b in zip(found.state, self._taken(bars, steps[i]), strict=True)))
+            by = {name: x + found.data[name] for name, x in by.items()}
+            laws.append(torch.cat(list(found.laws.values())) if found.laws else None)
+            error = error.maximum(found.error)
+        return Cotangents(by, torch.stack(laws[::-1]) if T.varied else None, y), error
+
+    def _schedule(self, steps: range) -> list[Prescribed]:
+        """What is known at the ends of steps."""
+        return self.dynamics.topology.schedule(self.grid.times[steps.start + 1 : steps.stop + 1], self.dynamics.data)
+
+    def _accelerations(self) -> list[Tensor]:
+        """The algorithmic acceleration [n_v, 1, lanes] at the first state of each segment, where it is not recorded.
+
+        a1 = w(v0', v1') + c a0 over a segment is a sum with powers of c.
+        """
+        w, vd = self.grid.weights, self.grid.history.vd
+        a = value(self.grid.start.a).expand(*vd.shape[1:])
+        found = [a]
+        for steps in self.segments[:-1]:
+            some = vd[steps.start : steps.stop + 1]
+            powers = w.a_from_a ** torch.arange(len(steps), dtype=torch.float64).flip(0)
+            new = torch.einsum("t,tnsl->nsl", powers, w.a_from_vd * some[:-1] + w.share * some[1:])
+            found.append(new + w.a_from_a ** len(steps) * found[-1])
+        return found
+
+    def _history(self, number: int, schedule: Sequence[Prescribed]) -> tuple[History, Tensor]:
+        """States at all times of a segment, recorded or made again, and the first algorithmic acceleration."""
+        h, steps, a = self.grid.history, self.segments[number], self.accelerations[number]
+        if h.between is None:
+            return h.at(slice(steps.start, steps.stop + 1)), a
+        q, v, vd, lam = (y[steps.start // h.between.steps] for y in (h.q, h.v, h.vd, h.lam))
+        stepper = h.between.integrator.stepper(self.dynamics.values(), float(self.grid.weights.h))
+        return resume(stepper, State(q, v, vd, a, lam), schedule, steps.start)[1], a
+
+    def _states(self, known: tuple[History, Tensor]) -> list[State]:
+        """States [n, 1, lanes] of a history at all its times."""
+        (h, a), w, found = known, self.grid.weights, []
+        for i in range(len(h.q)):
+            a = w.a_from_vd * h.vd[i - 1] + w.a_from_a * a + w.share * h.vd[i] if found else a
+            found.append(State(h.q[i], h.v[i], h.vd[i], a, h.lam[i]))
+        return found
+
+    def _taken(self, bars: Bars, i: int) -> State:
+        """What the outputs take from the state after i steps."""
+        h, rows, (row, beside) = self.grid.history, rows_of(bars), divmod(i, self.grid.every)
+        both = zip(bars, (h.q, h.v, h.vd, h.lam), strict=True)
+        parts = [y.new_zeros(y.shape[1], rows, y.shape[-1]) if x is None or beside else x[row] for x, y in both]
+        q, v, vd, lam = parts
+        return State(q, v, vd, torch.zeros_like(vd), lam)

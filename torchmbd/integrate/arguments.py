@@ -1,0 +1,139 @@
+"""The door of `simulate`: arguments that are wrong are refused, with their name, value and what is allowed.
+
+Checked in tests/integrate/test_simulate.py.
+"""
+
+from __future__ import annotations
+
+import math
+import numbers
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+import torch.autograd.forward_ad as forward_ad
+from torch import Tensor
+from torch._C._functorch import is_functorch_wrapped_tensor
+
+from torchmbd.errors import InputError, one_of, unknown
+from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.native.library import BACKENDS
+from torchmbd.integrate.registry import INTEGRATORS, integrator_of
+from torchmbd.math.owned import all_true, plain, watched, whole
+from torchmbd.math.plausible_units import check_parameter
+from torchmbd.multibody.system import System
+
+GRADIENTS = ("auto", "forward", "reverse", "none")
+
+
+def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> Integrator:
+    """The integrator; InputError for arguments of `simulate` that are wrong for every system."""
+    if isinstance(duration, Tensor) and plain(duration).dim():
+        what = f"a tensor of shape {tuple(duration.shape)}" if duration.dim() else "a batch of torch.vmap"
+        raise InputError(f"duration is {what}; allowed: one positive number [s], for all designs")
+    duration = seconds_of(duration)
+    if not isinstance(duration, numbers.Real) or isinstance(duration, bool) or not 0 < float(duration) < math.inf:
+        raise InputError(f"duration is {duration!r} s; allowed: a positive number")
+    if steps is not None and not (whole(steps) and steps >= 1):
+        raise InputError(f"steps is {steps!r}; allowed: a positive integer")
+    integrator = integrator_of(method, options, phases)
+    if steps is not None:
+        integrator.kept(steps)
+    return integrator
+
+
+def check_gradients(gradients: Any, integrator: Integrator) -> None:
+    """Refuse a way to gradients that does not exist, or not for this integrator; InputError says why."""
+    one_of("gradients", gradients, GRADIENTS)
+    if gradients != "reverse":
+        return
+    if not integrator.adjoint:
+        there = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
+        raise InputError(
+            f"gradients is 'reverse', but method is {integrator.name!r}; allowed: method {there}, or 'forward'"
+        )
+
+
+def seconds_of(duration: Any) -> Any:
+    """A duration as a number of Python."""
+    return plain(duration).item() if isinstance(duration, Tensor) else duration
+
+
+def check_timed(duration: Any, gradients: str, integrator: Integrator, phases: bool) -> bool:
+    """Whether the motion is differentiated by its duration; InputError where it cannot be, or where that would be lost."""
+    if not isinstance(duration, Tensor) or not watched(duration):
+        return False
+    found = f"gradients is {gradients!r}" if gradients in ("forward", "none") else f"method is {integrator.name!r}"
+    found = "phases are given" if phases else found
+    if phases or not integrator.adjoint or gradients in ("forward", "none"):
+        there = " or ".join(repr(name) for name, one in INTEGRATORS.items() if one.adjoint)
+        raise InputError(
+            f"duration is being differentiated, but {found}; allowed: method {there} without phases with gradients='auto' or "
+            "'reverse', which have both modes, or duration.detach()"
+        )
+    if duration.dtype != torch.float64:
+        raise InputError(f"duration is {duration.dtype}; allowed: torch.float64")
+    return True
+
+
+def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
+    """InputError where a dual level of torch.autograd.forward_ad is open: tangents would be a second one inside."""
+    for name, x in batch.items():
+        if not is_functorch_wrapped_tensor(x) and forward_ad.unpack_dual(x).tangent is not None:
+            raise InputError(
+                f"{name!r} is a dual number of torch.autograd.forward_ad, in which no tangents can be integrated; allowed: "
+                "torch.func.jvp, or method 'generalized_alpha' without phases with gradients='auto' or 'reverse'"
+            )
+
+
+def check_backend(backend: Any) -> None:
+    """InputError for a backend that does not exist."""
+    one_of("backend", backend, BACKENDS)
+
+
+def check_designs(system: System, designs: Any) -> dict[str, Tensor]:
+    """Designs with a lane axis; InputError names those that are not finite float64 numbers of the system's parameters."""
+    own = dict(system.named_parameters())
+    if not isinstance(designs, (Mapping, type(None))):
+        raise InputError(f"designs is {designs!r}; allowed: parameter name -> tensor [lanes, ...]")
+    for name, x in own.items():
+        if x.dtype != torch.float64:
+            raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
+        if name in (designs or {}):
+            continue
+        if not all_true(torch.isfinite(x)):
+            raise InputError(f"parameter {name!r} is {x.tolist()}; allowed: finite numbers")
+        check_parameter("parameter", name, plain(x))
+    found = {}
+    for name, given in (designs or {}).items():
+        if name not in own:
+            raise unknown("parameter", name, own)
+        x = given[None] if isinstance(given, Tensor) and given.shape == own[name].shape else given
+        if not isinstance(x, Tensor) or x.dtype != torch.float64 or x.shape[1:] != own[name].shape or not len(x):
+            seen = f"has shape {tuple(x.shape)} of {x.dtype}" if isinstance(x, Tensor) else f"is {x!r}"
+            shape = ", ".join(["lanes", *map(str, own[name].shape)])
+            raise InputError(f"design {name!r} {seen}; allowed: a float64 tensor [{shape}]")
+        _check_lanes(name, x, torch.isfinite(x), "finite numbers")
+        numbers_of = plain(x).reshape(-1, *own[name].shape)
+        lane = int(numbers_of.reshape(len(numbers_of), -1).abs().amax(1).argmax())
+        check_parameter(f"design of lane {lane}:", name, numbers_of[lane])
+        owner, _, own_name = name.rpartition(".")
+        if own_name in getattr(system.get_submodule(owner), "positive", ()):
+            _check_lanes(name, x, x > 0.0, "positive numbers")
+        found[name] = x
+    return found
+
+
+def _check_lanes(name: str, x: Tensor, good: Tensor, allowed: str) -> None:
+    """InputError for the first lane of a design [lanes, ...] that is not good."""
+    if not all_true(good):
+        lane = int(torch.nonzero(~good.reshape(len(x), -1).all(1))[0])
+        raise InputError(f"design {name!r} of lane {lane} is {x[lane].tolist()}; allowed: {allowed}")
+
+
+def check_variables(system: System, variables: Any) -> list[str]:
+    """Names of parameters; InputError names what is none."""
+    own = dict(system.named_parameters())
+    if isinstance(variables, str) or not isinstance(variables, Sequence):
+        raise InputError(f"variables is {variables!r}; allowed: a list of names of parameters")
+    return [one_of("parameter", name, own) for name in variables]

@@ -1,0 +1,95 @@
+"""Steps of a flow of the index-1 equations (ode.py): from output to output, and to times that depend on the design.
+
+Lanes go one by one. Adaptive methods begin anew at every output: phases with many outputs cost more evaluations than a motion
+without phases. Within a phase the augmented state has derivatives at fixed times; where a time
+t*(b) moves with the design they become total,
+
+    dz*/db = dz/db + z' dt*/db        and after the switch again derivatives at fixed times        dz/db = dz*/db - z' dt*/db
+
+Checked in tests/contracts/test_integrators.py, tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.native.rates import RightHandSide
+from torchmbd.integrate.ode import flow
+from torchmbd.integrate.phases.switch import accelerations, at_time, lane_of, pick
+from torchmbd.math.pair import Pair, cat, value
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.results.history import History
+from torchmbd.results.state import State
+
+_SAME = 1e-15  # of a time: times that are equal
+
+
+class FlowStepper:
+    """Regular steps of size h [s]; `given`: arguments of torchdiffeq.odeint. Each lane has steps of its own in them."""
+
+    def __init__(self, dynamics: Dynamics, h: float, given: dict[str, Any]):
+        self.dynamics, self.h, self.given = dynamics, h, given
+        self.failed: dict[int, str] = {}
+        self._rates: dict[int, RightHandSide] = {}
+
+    def step(self, i: int, x: State, given: Prescribed, lanes: Tensor) -> State:
+        """As of Stepper."""
+        del given  # the right-hand side evaluates laws itself
+        full = [_full(y).clone() for y in x]
+        for lane in torch.nonzero(lanes)[:, 0].tolist():
+            for part, y in zip(full, self._lane(i, lane, x), strict=True):
+                part[..., lane] = y[..., 0]
+        return State(*(Pair(y) if isinstance(x.q, Pair) else y for y in full))
+
+    def _lane(self, i: int, lane: int, x: State) -> list[Tensor]:
+        own = [_full(pick(y, [lane])) for y in x]
+        if lane in self.failed:
+            return own
+        if lane not in self._rates:
+            self._rates[lane] = RightHandSide(lane_of(self.dynamics, lane))
+        f, times = self._rates[lane], self.h * torch.arange(i - 1, i + 1, dtype=torch.float64)
+        try:
+            y = flow(f, torch.cat(own[:2]), times, self.given)[-1]
+        except FloatingPointError as error:
+            self.failed[lane] = str(error)
+            return [y * torch.nan for y in own]
+        a, lam = f.accelerations(times[-1], y)
+        return [*y.split([len(own[0]), len(own[1])]), a, a, lam]
+
+    def forget(self) -> None:
+        """As of Stepper: nothing is kept."""
+
+    def errors(self, history: History, duration: float, numbers: list[int] | None = None) -> dict[str, Tensor]:
+        """As of Stepper: tolerances, or the order, are what there is."""
+        return {}
+
+
+def moved(dynamics: Dynamics, x: State, h: Any, t1: Any, given: dict[str, Any]) -> State:
+    """The state of one lane a time h later, at t1; as of `Integrator.sized`."""
+    t0 = t1 - h
+    y = _shifted(dynamics, _full(cat([x.q, x.v])), t0, -1.0)
+    now, then = float(value(t0)), float(value(t1))
+    if abs(then - now) > _SAME * abs(then):
+        times = torch.tensor([now, then], dtype=torch.float64)
+        y = flow(RightHandSide(dynamics), y, times, given)[-1]
+    y = _shifted(dynamics, y, t1, 1.0)
+    z = Pair(y) if y.shape[1] > 1 else y
+    q, v = z[: dynamics.topology.n_q], z[dynamics.topology.n_q :]
+    a, lam = at_time(accelerations, dynamics, t1, q, v)
+    return State(q, v, a, a, lam)
+
+
+def _shifted(dynamics: Dynamics, y: Tensor, t: Any, sign: float) -> Tensor:
+    """y [n_z, 1 + n_b, 1] with what a time that moves with the design adds to its derivatives, or without it."""
+    if not isinstance(t, Pair) or not bool(t.tangent.any()):
+        return y
+    rate = dynamics.values().rates(torch.tensor(float(value(t)), dtype=torch.float64), y[:, :1])
+    return torch.cat([y[:, :1], y[:, 1:] + sign * rate * t.tangent], 1)
+
+
+def _full(x: Any) -> Tensor:
+    return x.full if isinstance(x, Pair) else x

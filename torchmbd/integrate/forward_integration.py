@@ -1,0 +1,171 @@
+"""A motion with the tangents of its design variables, integrated together; see motion.py.
+
+    inputs    designs by name [component..., 1, lanes]
+    outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (attempts.py), the data of the reduced model that
+              move with the design, and of every switch between phases its time and the states on both sides
+
+The structure stage is inside. Every method and phases; forward and reverse mode multiply with the tangents at hand.
+Checked in tests/integrate/test_motion.py, tests/sensitivity/.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.integrate.attempts import run, steps_that_fit, validity
+from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.motion import Tensors
+from torchmbd.integrate.native.library import resolved
+from torchmbd.integrate.phases.events import Views
+from torchmbd.integrate.phases.multiphase import integrate, numbers_of, switches_of
+from torchmbd.integrate.phases.phase import Phase, plan
+from torchmbd.integrate.phases.run import Course
+from torchmbd.math.pair import Pair, value
+from torchmbd.multibody.forces.action import Action
+from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.multibody.system.system import unit_directions
+from torchmbd.results.history import History
+from torchmbd.results.trajectory import Switch
+
+
+@dataclass(eq=False)
+class ForwardIntegration:
+    """Any integrator over a duration [s].
+
+    names      of the inputs;  variables: those among them whose tangents are carried
+    labels     one for each entry of the variables
+    steps      their number; None: chosen from the data
+
+    system     with the locks of its phases
+    dynamics, history   with tangents;  status, stats, switches, actions: what came of it
+    """
+
+    system: System
+    names: tuple[str, ...]
+    variables: tuple[str, ...]
+    labels: tuple[str, ...]
+    duration: float
+    steps: int | None
+    integrator: Integrator
+    phases: Sequence[Phase] | None
+    backend: str
+    dynamics: Dynamics = field(init=False)
+    history: History = field(init=False)
+    status: list[str] = field(init=False)
+    validity: Tensor = field(init=False)
+    stats: dict[str, Any] = field(init=False)
+    switches: list[Switch] = field(default_factory=list, init=False)
+    actions: tuple[tuple[Action, ...], ...] = field(default=(), init=False)
+    moving: tuple[str, ...] = field(default=(), init=False)
+    _course: Course | None = field(default=None, init=False)
+    _tangents: list[Tensor] = field(default_factory=list, init=False)
+
+    def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """As of `Integration`."""
+        given = zip(self.names, inputs, strict=True)
+        designs = {name: x.squeeze(-2).movedim(-1, 0) for name, x in given}
+        lanes = max((len(x) for x in designs.values()), default=1)
+        designs = {name: x.expand(lanes, *x.shape[1:]).contiguous() for name, x in designs.items()}
+        if self.phases is None:
+            self._plainly(designs)
+        else:
+            self._through_phases(designs, self.phases)
+        data = self.dynamics.data
+        self.moving = tuple(name for name, x in data.items() if isinstance(x, Pair) or x.shape[-1] > 1)
+        h = self.history
+        self.validity = validity(h, self.status, self.stats)
+        numbers = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self._constant(self.validity)]
+        numbers += [x if isinstance(x, Pair) else self._constant(x) for x in (data[name] for name in self.moving)]
+        for switch in self.switches:
+            numbers += numbers_of(switch)
+        self._tangents = [x.tangent for x in numbers]
+        return tuple(value(x) for x in numbers)
+
+    def _plainly(self, designs: dict[str, Tensor]) -> None:
+        dynamics = self.system.dynamics(designs, tangents=self.variables)
+        self.dynamics = resolved(dynamics, self.backend, self.integrator.kind)
+        self.steps = self.steps or steps_that_fit(
+            self.system, self.dynamics, self.duration, len(self.labels), self.integrator
+        )
+        self.history, self.stats, self.status = run(
+            self.integrator, self.dynamics, self.duration, self.steps, precise=self.dynamics.tangents > 0
+        )
+        self.dynamics.judged()
+
+    def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
+        self.system, stages = plan(self.system, phases, self.duration)
+        dynamics = resolved(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
+        self.steps = steps = self.steps or steps_that_fit(
+            self.system, dynamics, self.duration, len(self.labels), self.integrator
+        )
+        directions = unit_directions({name: designs[name] for name in self.variables})
+        views = Views.of(self.system, dynamics, designs, directions)
+
+        course, stats, status = integrate(dynamics, stages, views, self.duration, steps, self.integrator)
+        self._course, self.dynamics, self.history = course, course.whole, course.history
+        self.stats, self.status, self.switches = stats, status, course.switches
+        self.actions = tuple(stage.topology.actions for stage in stages)
+
+    def tangents(self, directions: Tensors) -> list[Tensor]:
+        """As of `Integration`."""
+        if not self.variables:
+            raise InputError("a motion with gradients='none' is being differentiated; allowed: 'auto' or 'forward'")
+        by = dict(self._by_name(directions))
+        found = [by.get(name) for name in self.variables]  # in their order, that of the slots
+        count = next((x.shape[-2] for x in found if x is not None), 1)
+        flat = []
+        for name, d in zip(self.variables, found, strict=True):
+            size = self._size(name)
+            flat.append(self._no_tangents(size, count) if d is None else d.reshape(size, count, d.shape[-1]))
+        lanes = max(x.shape[-1] for x in flat)
+        step = torch.cat([x.expand(*x.shape[:-1], lanes) for x in flat])
+        moved = (torch.einsum("...bl,bsl->...sl", dx.expand(*dx.shape[:-1], lanes), step) for dx in self._tangents)
+        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in moved]
+
+    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+        """As of `Integration`."""
+        parts = [
+            torch.einsum("krl,kbl->brl", bar.flatten(0, -3), dx.flatten(0, -3).expand(-1, -1, bar.shape[-1]))
+            for bar, dx in zip(outputs, self._tangents, strict=True)
+            if bar is not None
+        ]
+        lanes = len(self.status)
+        total = torch.stack([x.expand(*x.shape[:-1], lanes) for x in parts]).sum(0)
+        total = torch.where(self.validity[1] > 0.0, total, 0.0)
+        ends = iter(total.split([self._size(name) for name in self.variables]))
+        by = {name: next(ends) for name in self.variables}
+        own = dict(self.system.named_parameters())
+        return [by[n].reshape(*own[n].shape, *total.shape[1:]) if n in by else None for n in self.names]
+
+    def expansion(self, data: dict[str, Any]) -> Expansion | None:
+        """As of ReverseIntegration."""
+        return self.history.expansion_by(data)
+
+    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
+        """As of ReverseIntegration, with as many slots as the history has."""
+        if self._course is not None:
+            return self._course.multipliers(history, data)
+        return history.settled(self.dynamics.least_norm, self.duration, data)
+
+    def switches_of(self, numbers: Sequence[Tensor]) -> list[Switch]:
+        """The switches with their numbers as differentiable outputs."""
+        return switches_of(self.switches, numbers)
+
+    def _by_name(self, x: Tensors) -> list[tuple[str, Tensor | None]]:
+        return list(zip(self.names, x, strict=True))
+
+    def _size(self, name: str) -> int:
+        return dict(self.system.named_parameters())[name].numel()
+
+    def _constant(self, x: Tensor) -> Pair:
+        return Pair.of(x, x.new_zeros(*x.shape[:-2], len(self.labels), x.shape[-1]))
+
+    def _no_tangents(self, size: int, count: int) -> Tensor:
+        return torch.zeros(size, count, 1, dtype=torch.float64)

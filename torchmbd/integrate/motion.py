@@ -1,0 +1,194 @@
+"""The motion as one operation of PyTorch: `Motion.apply(integration, *inputs)`.
+
+    outputs = F(inputs)                  forward    the integrator, on plain tensors
+    d outputs = F' d inputs              jvp        tangents of the discrete steps; under vmap all of them in one pass
+    inputs_bar = F'^T outputs_bar        backward   the discrete adjoint; under vmap all rows in one pass
+
+Every tensor has the axes [component..., k, lanes]: k = 1 for values, the number of tangents or of cotangents (rows) for
+derivatives. Lanes are designs that do not see each other, so `vmap` over designs becomes more lanes. A lane axis of one
+holds for all lanes.
+
+An `Integration` is what is integrated: it knows the equations, the method and, once it has run, status and statistics.
+Second derivatives are refused by name: the derivatives of tangents and adjoint are not computed.
+Checked in tests/integrate/test_motion.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NoReturn, Protocol
+
+import torch
+from torch import Tensor
+from torch._C._functorch import is_legacy_batchedtensor
+
+from torchmbd.errors import InputError
+
+Tensors = Sequence[Tensor | None]
+
+
+class Integration(Protocol):
+    """What `Motion` integrates, on plain tensors [component..., k, lanes]."""
+
+    def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """Outputs of the inputs; keeps what the derivatives need."""
+        ...
+
+    def tangents(self, directions: Tensors) -> list[Tensor]:
+        """Tangents of all outputs along directions of the inputs (None: zero)."""
+        ...
+
+    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+        """Cotangents of the wanted inputs (others: None), of all lanes, from those of the outputs (None: zero)."""
+        ...
+
+
+class Motion(torch.autograd.Function):
+    """See the module header."""
+
+    @staticmethod
+    def forward(integration: Integration, *inputs: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        found = integration.values([x.detach() for x in inputs])
+        return tuple(x.detach() for x in found)  # what torch hangs its graph on is not what the integration keeps
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: tuple[Tensor, ...]) -> None:
+        ctx.integration, *tensors = inputs
+        ctx.save_for_backward(*tensors)
+        ctx.save_for_forward(*tensors)
+        ctx.set_materialize_grads(False)
+
+    @staticmethod
+    def backward(ctx: Any, *cotangents: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        inputs, wanted = ctx.saved_tensors, ctx.needs_input_grad[1:]
+        _refuse_batched(cotangents)
+        if all(x is None for x in cotangents):
+            return (None,) * (1 + len(inputs))
+        found = iter(_Backward.apply(ctx.integration, wanted, *inputs, *cotangents))  # pyright: ignore[reportArgumentType]
+        return None, *(next(found) if one else None for one in wanted)
+
+    @staticmethod
+    def jvp(ctx: Any, _: None, *directions: Tensor | None) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return _Forward.apply(ctx.integration, len(directions), *ctx.saved_tensors, *directions)  # pyright: ignore[reportReturnType]
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, integration: Integration, *inputs: Tensor) -> tuple[tuple[Tensor, ...], Any]:
+        lanes = _lanes(inputs, in_dims[1:])
+        batch = info.batch_size
+        folded = [
+            x if d is None and x.shape[-1] == 1 else _fold(x, d, batch, lanes)
+            for x, d in zip(inputs, in_dims[1:], strict=True)
+        ]
+        found = Motion.apply(integration, *folded)
+        return tuple(_unfold(x, batch) for x in found), (0,) * len(found)  # pyright: ignore[reportOptionalIterable, reportArgumentType]
+
+
+def _refuse() -> NoReturn:
+    raise InputError(
+        "a second derivative of a motion is asked for; allowed: first derivatives (second ones by differences of gradients)"
+    )
+
+
+def _refuse_batched(cotangents: Tensors) -> None:
+    if any(x is not None and is_legacy_batchedtensor(x) for x in cotangents):
+        raise InputError(
+            "torch.autograd.grad of a motion has is_grads_batched=True, which torch does without the rules of its operations; "
+            "allowed: torch.vmap over torch.autograd.grad, or torch.func.jacrev"
+        )
+
+
+class _Derivative(torch.autograd.Function):
+    """A derivative of `Motion`; it has none of its own."""
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Any) -> None:
+        return None
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> NoReturn:  # pyright: ignore[reportIncompatibleMethodOverride]
+        _refuse()
+
+    @staticmethod
+    def jvp(ctx: Any, *_: Any) -> NoReturn:  # pyright: ignore[reportIncompatibleMethodOverride]
+        _refuse()
+
+
+class _Backward(_Derivative):
+    """(inputs, cotangents of the outputs) -> cotangents of the wanted inputs."""
+
+    @staticmethod
+    def forward(integration: Integration, wanted: tuple[bool, ...], *tensors: Tensor | None) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        inputs, outputs = tensors[: len(wanted)], tensors[len(wanted) :]
+        rows = next(x.shape[-2] for x in outputs if x is not None)
+        found = []
+        for x, bar, one in zip(inputs, integration.cotangents(outputs, wanted), wanted, strict=True):
+            if one and x is not None:
+                bar = x.new_zeros(*x.shape[:-2], rows, x.shape[-1]) if bar is None else bar
+                found.append(bar.sum(-1, keepdim=True) if x.shape[-1] == 1 < bar.shape[-1] else bar)
+        return tuple(found)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, integration: Integration, wanted: tuple[bool, ...], *tensors: Tensor | None):
+        n, dims, batch = len(wanted), in_dims[2:], info.batch_size
+        if all(d is None for d in dims[:n]):  # one motion, many cotangents
+            stacked = [x if x is None else _stack(x, d, batch) for x, d in zip(tensors[n:], dims[n:], strict=True)]
+            found: Any = _Backward.apply(integration, wanted, *tensors[:n], *stacked)
+            return tuple(_unstack(x, batch) for x in found), (0,) * len(found)
+        lanes = _lanes(tensors, dims)
+        folded = [x if x is None else _fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
+        found = [_unfold(x, batch) for x in _Backward.apply(integration, wanted, *folded)]  # pyright: ignore[reportOptionalIterable]
+        single = [
+            x is not None and _extent(x, d) == 1 for x, d, one in zip(tensors[:n], dims[:n], wanted, strict=True) if one
+        ]
+        found = [x.sum(-1, keepdim=True) if one else x for x, one in zip(found, single, strict=True)]
+        return tuple(found), (0,) * len(found)
+
+
+class _Forward(_Derivative):
+    """(inputs, their directions) -> tangents of the outputs; count: number of inputs."""
+
+    @staticmethod
+    def forward(integration: Integration, count: int, *tensors: Tensor | None) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return tuple(integration.tangents(tensors[count:]))
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, integration: Integration, count: int, *tensors: Tensor | None):
+        dims, batch = in_dims[2:], info.batch_size
+        if all(d is None for d in dims[:count]):  # one motion, many directions
+            rest = zip(tensors[count:], dims[count:], strict=True)
+            stacked = [x if x is None else _stack(x, d, batch) for x, d in rest]
+            found: Any = _Forward.apply(integration, count, *tensors[:count], *stacked)
+            return tuple(_unstack(x, batch) for x in found), (0,) * len(found)
+        lanes = _lanes(tensors, dims)
+        folded = [x if x is None else _fold(x, d, batch, lanes) for x, d in zip(tensors, dims, strict=True)]
+        found = _Forward.apply(integration, count, *folded)
+        return tuple(_unfold(x, batch) for x in found), (0,) * len(found)
+
+
+def _extent(x: Tensor, dim: int | None) -> int:
+    """Lanes of one member of a batch along `dim`."""
+    return x.shape[-1] if dim is None else x.movedim(dim, 0).shape[-1]
+
+
+def _lanes(tensors: Tensors, dims: Sequence[int | None]) -> int:
+    return max(_extent(x, d) for x, d in zip(tensors, dims, strict=True) if x is not None)
+
+
+def _fold(x: Tensor, dim: int | None, batch: int, lanes: int) -> Tensor:
+    """A batch as lanes: [component..., k, batch * lanes]."""
+    y = x[None].expand(batch, *x.shape) if dim is None else x.movedim(dim, 0)
+    return y.expand(*y.shape[:-1], lanes).movedim(0, -2).flatten(-2)
+
+
+def _unfold(x: Tensor, batch: int) -> Tensor:
+    return x.unflatten(-1, (batch, -1)).movedim(-2, 0)
+
+
+def _stack(x: Tensor, dim: int | None, batch: int) -> Tensor:
+    """A batch of derivatives side by side: [component..., batch * k, lanes]."""
+    y = x[None].expand(batch, *x.shape) if dim is None else x.movedim(dim, 0)
+    return y.movedim(0, -3).flatten(-3, -2)
+
+
+def _unstack(x: Tensor, batch: int) -> Tensor:
+    return x.unflatten(-2, (batch, -1)).movedim(-3, 0)

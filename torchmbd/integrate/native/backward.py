@@ -1,0 +1,118 @@
+"""The way back through equal steps by compiled code (adjoint.cpp): the same numbers as Sweep (adjoint.py).
+
+Checked in tests/sensitivity/test_adjoint.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.adjoint import Bars, Cotangents, Grid, Sweep, rows_of
+from torchmbd.integrate.native.library import Library, library
+from torchmbd.integrate.native.simd_layout import (
+    addresses,
+    blocks,
+    in_all_lanes,
+    lanes_out,
+    moving_blocks,
+    shared,
+    uniform,
+)
+from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.results.state import State
+
+_NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
+_ARRAYS = ("given", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
+_ARRAYS += ("stay", "lost", "nothing", "slopes", "moved_slopes", "state_slopes", "error", "room")
+
+
+class _Job(ctypes.Structure):
+    """As in adjoint.cpp."""
+
+    _fields_ = [
+        *((n, ctypes.c_long) for n in _NUMBERS),
+        *((n, ctypes.c_void_p) for n in _ARRAYS),
+        ("moved_slots", ctypes.c_long),
+        ("corrections", ctypes.c_long),
+        ("mechanism", ctypes.c_void_p),
+    ]
+
+
+def sweep(grid: Grid) -> Sweep:
+    """The way back through a grid: by compiled code if its library is there."""
+    code = library(grid.dynamics, "adjoint")
+    return Sweep(grid) if code is None else CompiledSweep(code, grid)
+
+
+class CompiledSweep(Sweep):
+    """Sweep by a library. Where its factors cannot be relied on, it goes the eager way."""
+
+    def __init__(self, library: Library, grid: Grid):
+        super().__init__(grid)
+        self.code: ctypes.CDLL | None = library.code
+        code, self.library = library.code, library
+        code.adjoint_room.restype = code.adjoint.restype = ctypes.c_long
+        code.adjoint_room.argtypes = [ctypes.c_void_p, ctypes.c_long, ctypes.c_long]
+        self.values, _ = library.data_blocks(grid.dynamics.values())
+        self.least = blocks(in_all_lanes(self.stepper.nothing[None, None], len(grid.lanes)))
+        self.weights = torch.tensor(grid.weights, dtype=torch.float64)
+
+    @cached_property
+    def _known_at_first(self) -> tuple[Sequence[Prescribed], Tensor, Tensor]:
+        """Kept, for most motions are one segment."""
+        return self._known(0)
+
+    def _known(self, number: int) -> tuple[Sequence[Prescribed], Tensor, Tensor]:
+        """What is known at the ends of the steps of a segment, of that what is the same for all lanes, and what moves."""
+        T, schedule = self.dynamics.topology, self._schedule(self.segments[number])
+        same = uniform(self.weights, shared(T, schedule))
+        return schedule, same, moving_blocks(T, schedule, len(self.grid.lanes), 0)
+
+    def _segment(self, number: int, bars: Bars, y: State) -> tuple[Cotangents, Tensor]:
+        if self.code is None:
+            return super()._segment(number, bars, y)
+        T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), rows_of(bars), self.segments[number]
+        schedule, table, moved = self._known(number) if number else self._known_at_first
+        h, a = self._history(number, schedule)
+        count, data, moving = len(self.values), self.values.shape[2], moved.shape[3]
+        new = self.values.new_zeros
+        slopes, moved_slopes = new(count, rows, data, 8), new(len(steps), count, rows, moving, 8)
+        state_slopes, error = blocks(torch.cat([in_all_lanes(x, lanes) for x in y])), new(count, 8)
+        room = torch.empty(self.code.adjoint_room(self.library.address, rows, len(steps)) // 8, dtype=torch.float64)
+        arrays = [table, *(x.contiguous() for x in (h.q, h.v, h.vd, h.lam))]
+        arrays += [x if x is None else _spaced(x, steps, self.grid.every) for x in bars]
+        arrays += [blocks(in_all_lanes(a, lanes)), self.values, moved]
+        arrays += [
+            *(self.stepper.diagonal or (None, None)),
+            self.least,
+            slopes,
+            moved_slopes,
+            state_slopes,
+            error,
+            room,
+        ]
+        numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
+        job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.grid.corrections, self.library.address)
+        if self.code.adjoint(ctypes.byref(job)):
+            self.code = None
+            return super()._segment(number, bars, y)
+        start = lanes_out(state_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
+        laws = torch.stack([lanes_out(x, lanes) for x in moved_slopes]) if moving else None
+        by = self.library.unflattened(self.dynamics, lanes_out(slopes, lanes))
+        return Cotangents(by, laws, State(*start)), error.flatten()[:lanes]
+
+
+def _spaced(x: Tensor, steps: range, every: int) -> Tensor:
+    """Numbers [outputs, ...] at the times of steps, zero where there is no output."""
+    first, last = -(-steps.start // every), steps.stop // every
+    some = x[first : last + 1]
+    if every == 1:
+        return some.contiguous()
+    result = x.new_zeros(len(steps) + 1, *x.shape[1:])
+    result[first * every - steps.start :: every] = some
+    return result

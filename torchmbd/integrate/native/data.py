@@ -1,0 +1,84 @@
+"""Data of a batch as native code takes them: in memory order (symbolic.py), blocks of lanes.
+
+Checked in tests/integrate/native/test_steps.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.native.symbolic import LENGTHS, SHAPES, Kind, form, groups, memory_order, numbers_of
+from torchmbd.math.pair import Pair, cat, linear, value
+from torchmbd.multibody.joints.primitive import Distance
+from torchmbd.multibody.system.dynamics import Dynamics
+
+
+def kind_of(dynamics: Dynamics) -> Kind:
+    """The kind of mechanism of a system."""
+    return Kind.of(dynamics.topology, dynamics.data, dynamics.saddle.blocks)
+
+
+def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
+    """Values [n, 1, lanes] and tangents [n, n_b, lanes] of all data.
+
+    Behind them room for what laws with design variables prescribe, `moving`.
+    """
+    lanes, slots = dynamics.lanes, dynamics.tangents
+    parts = [linear(lambda y: y.reshape(-1, *y.shape[-2:]), x) for x in _in_memory(dynamics).values()]
+    T = dynamics.topology
+    room = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
+    parts.append(value(parts[0]).new_zeros(room, 1, 1))
+
+    def tangents(x: Any) -> Tensor:
+        found = x.tangent if isinstance(x, Pair) else x.new_zeros(len(x), slots, 1)
+        return found.expand(-1, -1, lanes)
+
+    return torch.cat([value(x).expand(-1, 1, lanes) for x in parts]), torch.cat([tangents(x) for x in parts])
+
+
+def _in_memory(dynamics: Dynamics) -> dict[str, Any]:
+    """Data in the order in which they stand in memory [..., slots, lanes]."""
+    found: dict[str, Any] = {}
+    for name in kind_of(dynamics).data:
+        order = memory_order(SHAPES[name])
+        found[name] = linear(lambda y, order=order: y.permute(*order, -2, -1), dynamics.data[name])
+    for p in dynamics.topology.primitives:
+        if isinstance(p, Distance):
+            found[LENGTHS] = p.lengths()
+    for i, (one, some) in enumerate(groups(dynamics.topology).items()):
+        if numbers_of(one.law):
+            rows = [form(law)[1] for _, _, law in some]  # [actions][numbers]
+            found[f"~law {i}"] = cat([_number(x, dynamics) for row in rows for x in row])
+    return found
+
+
+def _number(x: Any, dynamics: Dynamics) -> Any:
+    """A number of a law [1, slots, lanes]."""
+    if isinstance(x, tuple):
+        key, row = x
+        return dynamics.data[key][row : row + 1]
+    return torch.full((1, 1, 1), float(x), dtype=torch.float64)
+
+
+def unflattened(dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
+    """Cotangents of the data [component..., rows, lanes] out of those of what stands in memory [n, rows, lanes]."""
+    found = {name: by.new_zeros(*x.shape[:-2], *by.shape[1:]) for name, x in dynamics.data.items()}
+    start, laws = 0, iter(groups(dynamics.topology).items())
+    for name, x in _in_memory(dynamics).items():
+        n = value(x).shape[:-2].numel()
+        own = by[start : start + n]
+        start += n
+        if name in SHAPES:
+            order = memory_order(SHAPES[name])
+            back = [order.index(d) for d in range(len(order))]
+            found[name] = own.reshape(*value(x).shape[:-2], *by.shape[1:]).permute(*back, -2, -1).contiguous()
+        elif name != LENGTHS:
+            some = next(members for form_, members in laws if numbers_of(form_.law))
+            numbers = [y for _, _, law in some for y in form(law)[1]]
+            for k, y in enumerate(numbers):
+                if isinstance(y, tuple):
+                    found[y[0]][y[1]] += own[k]
+    return found

@@ -1,0 +1,220 @@
+"""Compiled code on disk: one shared library per kind of mechanism and function, built by the C++ compiler of the machine.
+
+    kind       of mechanisms: kinds of joints and forces, not how many, nor of what sizes (native/symbolic.py)
+    function   "step", "adjoint" or "rates" (native/functions.py)
+
+A library is valid for one key: the kind, the function, the source of everything that the code is made of, and what every
+library depends on (math/codegen/compiler.py). Counts, tables, step size, lanes and design variables are inputs.
+Laws of drives stay outside: any torch function. Laws of forces that are a user's own are written out as scalar operations
+(multibody/forces/user_laws.py), which are in the key; where that cannot be done the system stays uncompiled.
+`resolved` chooses between eager and native steps before the first of them; a library that is missing is built then, once for
+a machine. So the same call gives the same numbers every time.
+Checked in tests/integrate/native/test_library.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import subprocess
+import tempfile
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError, MbdError
+from torchmbd.integrate.native import data, functions
+from torchmbd.integrate.native import simd_layout as blocks
+from torchmbd.integrate.native.mechanism import Mechanism
+from torchmbd.math.codegen import build_cache
+from torchmbd.math.codegen.compiler import (
+    OPTIONS,
+    SUFFIX,
+    compilation_wanted,
+    compiler,
+    load,
+    surroundings,
+    unavailable,
+)
+from torchmbd.math.codegen.scalars import Untraceable
+from torchmbd.multibody.forces.user_laws import writable
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.topology import Topology
+from torchmbd.process import cache_folder, require_cache_folder
+
+_SOURCES = (
+    "numerics",
+    "multibody/joints/primitive.py",
+    "forces",
+    "system",
+    "integrate/step.py",
+    "math/codegen",
+    "integrate/native",
+)
+_DRIVERS = ("factors.cpp", "steps.cpp", "adjoint.cpp", "rates.cpp")
+_SOURCES += tuple(f"integrate/native/{name}" for name in _DRIVERS)
+BACKENDS = ("auto", "eager", "native")
+_loaded: dict[str, ctypes.CDLL] = {}
+_failed: dict[str, str] = {}  # builds that failed, and why
+_said: set[str] = set()
+
+
+def resolved(dynamics: Dynamics, backend: str, kind: str | None = "step") -> Dynamics:
+    """The dynamics with the backend of its steps, "eager" or "native".
+
+    kind   of code that is needed first, which is built here; None: what is needed is not known yet (phases)
+
+    "auto": native where there is a compiler and the code of the system can be written and compiled in reasonable time; what
+    speaks against it is said once. "native": InputError where it cannot be. Kinds other than steps are built when needed.
+    """
+    left = dynamics.condensed() if kind == "step" else dynamics
+    why = None if backend == "eager" else _obstacle(left, backend, kind)
+    if backend == "native" and why is not None:
+        raise InputError(f"backend is 'native', but {why}; allowed: 'eager' or 'auto'")
+    if why is not None and why not in _said:
+        _said.add(why)
+        warnings.warn(f"steps are made by operators of torch (backend 'eager'): {why}", stacklevel=2)
+    native = backend != "eager" and wanted(backend) and why is None
+    return replace(dynamics, backend="native" if native else "eager")
+
+
+def _obstacle(dynamics: Dynamics, backend: str, kind: str | None) -> str | None:
+    """Why there is no native code for a system; None: there is, or it is not wanted."""
+    if not wanted(backend):
+        return None
+    if (why := unavailable()) is not None:
+        return why
+    try:
+        known = written_out(dynamics)
+    except Untraceable as error:
+        return f"a law of a force cannot be compiled: {error}"
+    if kind is None:
+        return None
+    name = key(known, kind)
+    if name not in _loaded and name not in _failed:
+        _load(known, kind, name)
+    return _failed.get(name)
+
+
+def wanted(backend: str) -> bool:
+    """Whether native code is wanted: `auto` leaves it to the environment."""
+    return backend == "native" or compilation_wanted()
+
+
+@dataclass(frozen=True)
+class Library:
+    """Native code for one system. mechanism: its counts and tables, as the code takes them."""
+
+    code: ctypes.CDLL
+    mechanism: Any
+
+    @property
+    def address(self) -> int:
+        """Where the mechanism is."""
+        return ctypes.addressof(self.mechanism)
+
+    def data_blocks(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
+        """Data as the code takes them: values [block, 1, n, 8] and tangents [block, n_b, n, 8]."""
+        values, tangents = data.flat_data(written_out(dynamics))
+        return blocks.blocks(values), blocks.blocks(tangents)
+
+    def unflattened(self, dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
+        """Cotangents of the data [component..., rows, lanes] out of those of the numbers that the code takes."""
+        return data.unflattened(written_out(dynamics), by)
+
+
+def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
+    """The library of a system whose backend is native, built if it is missing; None: by operators of torch."""
+    if dynamics.backend != "native":
+        return None
+    known = written_out(dynamics)
+    name = key(known, kind)
+    if name not in _loaded and name not in _failed:
+        _load(known, kind, name)
+        if name in _failed:
+            warnings.warn(
+                f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}", stacklevel=3
+            )
+    code = _loaded.get(name)
+    return None if code is None else Library(code, _mechanism(dynamics.topology, known, kind, code))
+
+
+_mechanisms: WeakKeyDictionary[Topology, dict[str, Any]] = WeakKeyDictionary()
+
+
+def _mechanism(T: Topology, known: Dynamics, kind: str, code: ctypes.CDLL) -> Any:
+    """Counts and tables of a system, made once for its topology."""
+    own, name = _mechanisms.setdefault(T, {}), key(known, kind)
+    if name not in own:
+        own[name] = Mechanism(known.topology, known.saddle.blocks.rows, kind != "rates").struct(code)
+    return own[name]
+
+
+def _load(dynamics: Dynamics, kind: str, name: str) -> None:
+    """Load a library, and build it first if it is missing."""
+    code = load(_path(name, kind))
+    if code is None:
+        try:
+            build(dynamics, kind, name)
+        except (MbdError, OSError) as error:
+            _failed[name] = str(error)
+            return
+        code = load(_path(name, kind))
+    if code is None:
+        _failed[name] = f"{_path(name, kind)} cannot be loaded"
+    else:
+        _loaded[name] = code
+
+
+def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
+    """Where the library of a system is, or would be."""
+    return _path(key(dynamics, kind), kind)
+
+
+def _path(name: str, kind: str) -> Path:
+    return cache_folder() / f"{kind}-{name}{SUFFIX}"
+
+
+def written_out(dynamics: Dynamics) -> Dynamics:
+    """The same dynamics with laws of forces of a known form; raises Untraceable where there is one that cannot be."""
+    old = dynamics.topology.actions
+    new = tuple(replace(action, laws=tuple(writable(law) for law in action.laws)) for action in old)
+    if all(one.laws == other.laws for one, other in zip(new, old, strict=True)):
+        return dynamics
+    return replace(dynamics, topology=replace(dynamics.topology, actions=new))
+
+
+def key(dynamics: Dynamics, kind: str = "step") -> str:
+    """Name of the library of a system, for this source, these versions and this processor."""
+    facts = repr([kind, _facts(data.kind_of(dynamics))])
+    return hashlib.sha256(facts.encode() + surroundings(_SOURCES).encode()).hexdigest()[:32]
+
+
+def _facts(x: Any) -> Any:
+    """Everything that an object is made of, as numbers, names and lists."""
+    if isinstance(x, torch.Tensor):
+        return x.tolist()
+    if isinstance(x, type):
+        return x.__qualname__
+    if isinstance(x, dict):
+        return [(k, _facts(y)) for k, y in sorted(x.items())]
+    if isinstance(x, (list, tuple)):
+        return [_facts(y) for y in x]
+    return (type(x).__qualname__, _facts(vars(x))) if hasattr(x, "__dict__") else repr(x)
+
+
+def build(dynamics: Dynamics, kind: str, name: str) -> Path:
+    """Write and compile the code of a system; the library appears complete or not at all."""
+    with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
+        code, made = Path(work) / "code.cpp", Path(work) / "code.so"
+        code.write_text(functions.source(data.kind_of(dynamics), kind))
+        done = subprocess.run([compiler(), "-O2", *OPTIONS, "-o", str(made), str(code)], capture_output=True, text=True)
+        if done.returncode:
+            names = ", ".join(dynamics.topology.names)
+            raise MbdError(f"{compiler()} failed on the {kind} of {names}: {done.stderr[-2000:]}")
+        return build_cache.keep(made, _path(name, kind))

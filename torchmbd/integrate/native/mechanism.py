@@ -1,0 +1,190 @@
+"""Counts and tables of one mechanism, by which the code of its kind runs (symbolic.py, factors.cpp).
+
+Checked in tests/integrate/native/test_steps.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchmbd.integrate.native.elimination import elimination
+from torchmbd.integrate.native.symbolic import groups
+from torchmbd.multibody.system.saddle import places, saddle_entries, size_of
+from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
+from torchmbd.multibody.system.topology import SparseMap, Topology
+from torchmbd.multibody.system.unit_forces import UnitForces
+
+
+class _Struct(ctypes.Structure):
+    """As in factors.cpp."""
+
+    _fields_ = [
+        ("sizes", ctypes.c_void_p),
+        ("tables", ctypes.c_void_p),
+        ("constants", ctypes.c_void_p),
+        ("numbers", ctypes.c_long),
+        *((name, ctypes.c_void_p) for name in ("order", "start", "beside", "near", "base", "head", "places")),
+        ("fills", ctypes.c_long),
+        *((name, ctypes.c_void_p) for name in ("to", "from", "factor")),
+        ("products", ctypes.c_long),
+        *((name, ctypes.c_void_p) for name in ("product_to", "weight", "first", "second", "product_factor")),
+        *((name, ctypes.c_void_p) for name in ("row", "column")),
+    ]
+
+
+class Mechanism:
+    """Of one topology; `actions`: whether the matrix has the slopes of actions."""
+
+    def __init__(self, T: Topology, rows: UnitForces, slopes: bool):
+        self.T = T
+        self.groups = groups(T)
+        actions = UnitForces(T, [(m, c[None]) for m, c in self._members()])
+        self.blocks = SaddleBlocks(T, rows, actions)
+        self.sizes, self.tables, self.constants = self._sizes(), self._tables(), self._constants()
+        self._matrix(slopes)
+
+    def _members(self) -> list[tuple[list[torch.Tensor], np.ndarray]]:
+        """Of each form of action: vectors of its arguments, and numbers of its actions."""
+        found, start = [], 0
+        for some in self.groups.values():
+            kind = self.T.actions[some[0][0]]
+            index = torch.tensor([i for _, i, _ in some])
+            found.append(([m[index] for m in kind.members], np.arange(start, start + len(some))))
+            start += len(some)
+        return found
+
+    def _sizes(self) -> dict[str, int]:
+        T, rows, actions = self.T, self.blocks.rows, self.blocks.actions
+        sizes = {"B": T.bodies, "F": T.flexible, "M": T.modes, "V": T.vectors, "W": T.attached_flexible, "C": T.known}
+        sizes |= {"U": T.n_v, "E": _entries(T.spread), "G": _entries(T.gather)}
+        sizes |= {f"P{i}": len(p.members[0]) for i, p in enumerate(T.primitives)}
+        sizes |= {f"A{i}": len(some) for i, some in enumerate(self.groups.values())}
+        for letter, units in (("R", rows), ("D", actions)):
+            counts = (len(units.flexible_slots), len(units.pairs), len(units.flexible_pairs))
+            sizes |= {f"{letter}{x}": n for x, n in zip("TPF", counts, strict=True)}
+        return sizes
+
+    def _tables(self) -> dict[str, np.ndarray]:
+        T, n = self.T, self.T.bodies
+        body = T.vector_body.tolist()
+        forces = [b if x.is_point and b < n else 2 * n for x, b in zip(T.attached, body, strict=True)]
+        torques = [n + b if b < n else 2 * n for b in body]
+        acting = [i for members, _ in self._members() for m in members for i in m.tolist()]
+        found: dict[str, Any] = {
+            "vector_body": body,
+            "vector_origin": T.vector_origin,
+            "vector_flexible": T.vector_flexible,
+            "vector_body_only": [min(b, n) for b in body],
+            "slots": T.slots,
+            "action_slots": acting,
+            "body_groups": forces + torques,
+        }
+        for name, units in (("row", self.blocks.rows), ("action", self.blocks.actions)):
+            left_out = len(units.pairs)
+            found |= {
+                f"{name}_pair_body": units.pair_body,
+                f"{name}_slot_vector": units.slot_vector,
+                f"{name}_slot_pair": [left_out if p < 0 else p for p in units.slot_pair],
+                f"{name}_point_pair": [left_out if p < 0 else p for p in units.point_pair],
+                f"{name}_bent_slot": units.flexible_slots,
+                f"{name}_bent_vector": units.flexible_vector,
+                f"{name}_bent_pair": units.flexible_pair,
+            }
+        for name, sparse in (("spread", T.spread), ("gather", T.gather)):
+            if sparse is not None:
+                row, column = torch.nonzero(sparse.matrix, as_tuple=True)
+                found |= {f"{name}_row": row, f"{name}_column": column}
+        return {name: np.ascontiguousarray(x, dtype=np.intc) for name, x in found.items()}
+
+    def _constants(self) -> dict[str, np.ndarray]:
+        T = self.T
+        found = {"unit": np.eye(T.modes), "ground_A": np.eye(3), "ground_r": np.zeros(3)}
+        for name, sparse in (("spread", T.spread), ("gather", T.gather)):
+            if sparse is not None:
+                found[f"{name}_factor"] = sparse.matrix[sparse.matrix != 0.0].numpy()
+        return {name: np.ascontiguousarray(x, dtype=np.float64) for name, x in found.items()}
+
+    def _matrix(self, slopes: bool) -> None:
+        """Where the entries of the matrix come from and go to."""
+        T = self.T
+        row, column, place = saddle_entries(T, self.blocks)
+        row, column, place, factor = self._projected(row, column, place)
+        total = size_of(self.blocks.shapes())
+        products = self._products(total) if slopes and T.actions else [np.empty(0, dtype=np.int64)] * 6
+        n = T.n_v + T.rows
+        all_rows, all_columns = (
+            np.concatenate(x).astype(np.int64) for x in ((row, products[0]), (column, products[1]))
+        )
+        self.elimination = e = elimination(n, T.n_v, all_rows, all_columns)
+        integers = {
+            "to": e.place(row, column),
+            "from": place,
+            "product_to": e.place(products[0].astype(np.int64), products[1].astype(np.int64)),
+            "weight": products[2],
+            "first": products[3],
+            "second": products[4],
+        }
+        self.matrix: dict[str, np.ndarray] = {k: np.ascontiguousarray(x, dtype=np.intc) for k, x in integers.items()}
+        self.matrix |= {"factor": factor, "product_factor": products[5].astype(np.float64)}
+
+    def _expanded(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of each row of all rates (or constraint): which it is, its independent rates and their factors."""
+        T = self.T
+        if T.rates is None:
+            return np.arange(len(row)), row, np.ones(len(row))
+        N = T.rates.numpy()
+        i, a = np.nonzero(N)
+        i = np.concatenate([i, np.arange(T.n_rates, T.n_rates + T.rows)])
+        f = np.concatenate([N[N != 0.0], np.ones(T.rows)])
+        a = np.concatenate([a, np.arange(T.n_v, T.n_v + T.rows)])
+        first = np.searchsorted(i, row)
+        count = np.searchsorted(i, row, "right") - first
+        which = np.repeat(np.arange(len(row)), count)
+        at = np.repeat(first, count) + np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
+        return which, a[at], f[at]
+
+    def _projected(self, row: np.ndarray, column: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Entries of P' K P (saddle.Projection) of the entries of K."""
+        which, row, left = self._expanded(row)
+        again, column, right = self._expanded(column[which])
+        return row[again], column, place[which][again], left[again] * right
+
+    def _products(self, total: int) -> list[np.ndarray]:
+        """Rows, columns, weights, first and second entries and factors of the slopes of actions."""
+        shapes = self.blocks.action_shapes()
+        rate, action, place = self.blocks.actions.places(self.T, places(shapes), "action")
+        which, rate, factor = self._expanded(rate)
+        action, place = action[which], total + place[which]
+        weights = total + size_of(shapes)
+        found = []
+        for i in range(len(self.blocks.actions.pairs) and int(action.max()) + 1):
+            own = np.nonzero(action == i)[0]
+            one, other = (x.ravel() for x in np.meshgrid(own, own, indexing="ij"))
+            weight = np.full(len(one), weights + i)
+            found.append([rate[one], rate[other], weight, place[one], place[other], factor[one] * factor[other]])
+        return [np.concatenate(x) for x in zip(*found, strict=True)] if found else [np.empty(0, dtype=np.int64)] * 6
+
+    def struct(self, code: ctypes.CDLL) -> Any:
+        """The mechanism as a library takes it; what it points to lives as long as it."""
+        code.needed.restype = ctypes.c_char_p
+        sizes, tables, constants = (part.split() for part in code.needed().decode().split("|"))
+        given = np.array([self.sizes[name] for name in sizes], dtype=np.int64)
+        pointers = np.array([self.tables[name].ctypes.data for name in tables] or [0], dtype=np.uint64)
+        numbers = np.array([self.constants[name].ctypes.data for name in constants] or [0], dtype=np.uint64)
+        e = self.elimination
+        s = _Struct(given.ctypes.data, pointers.ctypes.data, numbers.ctypes.data, e.numbers)
+        for name in ("order", "start", "beside", "near", "base", "head", "places", "row", "column"):
+            setattr(s, name, getattr(e, name).ctypes.data)
+        s.fills, s.products = len(self.matrix["to"]), len(self.matrix["product_to"])
+        for name, x in self.matrix.items():
+            setattr(s, name, x.ctypes.data)
+        s.kept = (self, given, pointers, numbers)
+        return s
+
+
+def _entries(sparse: SparseMap | None) -> int:
+    return 0 if sparse is None else int((sparse.matrix != 0.0).sum())

@@ -1,0 +1,102 @@
+"""The index-1 right-hand side by compiled code (library.py): the same numbers as Dynamics.rates.
+
+Systems with redundant constraints, with drives that have design variables, or with a body
+without inertia about an axis go the eager way.
+Checked in tests/integrate/native/test_steps.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.native.library import Library, library
+from torchmbd.integrate.native.simd_layout import addresses
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.system.dynamics import Dynamics
+
+LOOK = 100  # evaluations between two looks at the factors
+_NUMBERS = ("lanes", "slots", "data", "data_tangents", "check")
+_ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "room", "mechanism")
+
+
+class _Job(ctypes.Structure):
+    """As in rates.cpp."""
+
+    _fields_ = [(n, ctypes.c_long) for n in _NUMBERS] + [(n, ctypes.c_void_p) for n in _ARRAYS]
+
+
+class CompiledRates:
+    """dy/dt and multipliers of augmented states y [n_z, 1 + n_b, lanes]."""
+
+    def __init__(self, library: Library, dynamics: Dynamics):
+        code, self.library, self.dynamics = library.code, library, dynamics
+        self.code = code
+        code.rates_room.argtypes = [ctypes.c_void_p]
+        code.rates_room.restype = code.rates.restype = ctypes.c_long
+        self.values, self.tangents = library.data_blocks(dynamics)
+        self.room = torch.empty(code.rates_room(library.address) // 8, dtype=torch.float64)
+        self.count = 0
+
+    def __call__(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
+        """dy/dt [n_z, 1 + n_b, lanes] and multipliers [rows, 1 + n_b, lanes] at time t; None: not to be relied on."""
+        y = y.contiguous()
+        T = self.dynamics.topology
+        jets = [jet for drive in T.law_jets(t) if drive is not None for jet in drive]
+        head = torch.stack([t.new_tensor(1.0 / self.dynamics.stabilization), t])
+        uniform = torch.cat([head, *(x.flatten() for jet in jets for x in jet.parts)])
+        dy, lam = torch.empty_like(y), y.new_empty(T.rows, *y.shape[1:])
+        numbers = (
+            y.shape[2],
+            y.shape[1] - 1,
+            self.values.shape[2],
+            self.tangents.shape[2],
+            int(self.count % LOOK == 0),
+        )
+        self.count += 1
+        arrays = (uniform, self.values, self.tangents, y, dy, lam, self.room)
+        assert y.shape[2] == self.dynamics.lanes
+        job = _Job(*numbers, *addresses(arrays), self.library.address)
+        return None if self.code.rates(ctypes.byref(job)) else (dy, lam)
+
+
+class RightHandSide:
+    """dy/dt of augmented states, and accelerations: eager, or by compiled code where the backend is native."""
+
+    def __init__(self, dynamics: Dynamics):
+        self.dynamics = dynamics
+        served = not (dynamics.redundant or dynamics.topology.varied)
+        code = library(dynamics, "rates") if served else None
+        self.fast = None if code is None else CompiledRates(code, dynamics)
+
+    def __call__(self, t: Tensor, y: Tensor) -> Tensor:
+        """dy/dt [n_z, 1 + n_b, lanes] at time t."""
+        found = self._compiled(t, y)
+        if found is None:
+            return augment(self.dynamics.rates(t, Pair(y) if y.shape[1] > 1 else y), self.dynamics)
+        self.dynamics.statistics["evaluations"] += 1
+        return found[0]
+
+    def accelerations(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Accelerations [n_v, 1 + n_b, lanes] and multipliers [rows, ...]."""
+        n, found = self.dynamics.topology.n_q, self._compiled(t, y)
+        if found is not None:
+            return found[0][n:], found[1]
+        z = Pair(y) if y.shape[1] > 1 else y
+        a, lam = self.dynamics.accelerations(t, z[:n], z[n:])
+        return augment(a, self.dynamics), augment(lam, self.dynamics)
+
+    def _compiled(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
+        found = None if self.fast is None else self.fast(t, y)
+        if found is None:  # its factors cannot be relied on: from now on eager
+            self.fast = None
+        return found
+
+
+def augment(x: Any, dynamics: Dynamics) -> Tensor:
+    """Value and tangents side by side [n, 1 + n_b, lanes]."""
+    full = x.full if isinstance(x, Pair) else torch.cat([x, x.new_zeros(x.shape[0], dynamics.tangents, x.shape[2])], 1)
+    return full.expand(-1, -1, dynamics.lanes)

@@ -1,0 +1,73 @@
+"""Numbers of a batch as compiled code takes them: blocks of eight lanes, each together.
+
+Checked in tests/integrate/native/test_steps.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.system.topology import Prescribed, Topology
+
+LANES = 8
+
+
+def blocks(x: Tensor) -> Tensor:
+    """Numbers [n, slots, lanes] as [block, slots, n, 8]; the last lane fills the last block."""
+    missing = -x.shape[-1] % LANES
+    if missing:
+        x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], missing)], -1)
+    return x.unflatten(-1, (-1, LANES)).permute(2, 1, 0, 3).contiguous()
+
+
+def lanes_out(x: Tensor, lanes: int) -> Tensor:
+    """The inverse of `blocks`."""
+    return x.permute(2, 1, 0, 3).flatten(2)[..., :lanes]
+
+
+def addresses(arrays: Sequence[Tensor | None]) -> list[int | None]:
+    """Where arrays begin: compiled code believes that they are doubles without gaps."""
+    assert all(x is None or (x.is_contiguous() and x.dtype == torch.float64) for x in arrays)
+    return [None if x is None else x.data_ptr() for x in arrays]
+
+
+def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
+    """A number that holds for all lanes, once for each."""
+    return x.expand(*x.shape[:-1], lanes)
+
+
+def moving_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, slots: int) -> Tensor:
+    """What laws with design variables prescribe [times, block, 1 + n_b, n, 8]."""
+    if not T.varied:
+        return torch.zeros(len(schedule), 0, 0, 0, LANES, dtype=torch.float64)
+    return torch.stack([blocks(x) for x in moving(T, schedule, lanes, slots)])
+
+
+def moving(T: Topology, schedule: Sequence[Prescribed], lanes: int, slots: int) -> Tensor:
+    """What laws with design variables prescribe [times, n, 1 + n_b, lanes]."""
+    if not T.varied:
+        return schedule[0].A.new_zeros(len(schedule), 0, 1 + slots, lanes)
+
+    def numbers(given: Prescribed) -> Tensor:
+        parts = [x.full if isinstance(x, Pair) else x for i in T.varied for x in given.laws[i] or ()]
+        wide = [torch.cat([x, x.new_zeros(len(x), 1 + slots - x.shape[1], x.shape[2])], 1) for x in parts]
+        return torch.cat([in_all_lanes(x, lanes) for x in wide])
+
+    return torch.stack([numbers(given) for given in schedule])
+
+
+def uniform(weights: Tensor, schedule: Sequence[Prescribed]) -> Tensor:
+    """What is the same for all lanes at each step [steps, n]."""
+    steps = [(x.A, x.r, x.t, *(part for law in x.laws if law is not None for part in law)) for x in schedule]
+    parts = [torch.stack(part).reshape(len(schedule), -1) for part in zip(*steps, strict=True)]
+    return torch.cat([weights.expand(len(schedule), -1), *parts], 1)
+
+
+def shared(T: Topology, schedule: Sequence[Prescribed]) -> Sequence[Prescribed]:
+    """What is known at times without what `moving_blocks` has."""
+    varied = T.varied
+    return [given.shared(varied) for given in schedule] if varied else schedule

@@ -1,0 +1,141 @@
+// Steps of generalized-alpha for LANES lanes at a time: what March in generalized_alpha.py does, around generated code.
+//
+// Before this text stand factors.cpp and, generated,
+//   residual, finish, matrix, boundary, residual_tangent, finish_tangent      (functions.py)
+// A block is LANES lanes. Arrays of a block: state [slot][number], data [number], tangents of data [slot][number].
+// If factors cannot be relied on, `march` returns 1 and has done nothing.
+
+constexpr int MOST = 4;  // as in stepper.py
+
+struct Job {
+  long lanes, slots, data, data_tangents, uniform;                // numbers of each
+  long first, steps, corrections, most, refresh, look, fresh;  // look: at factors and tangents; fresh: no factors yet
+  long moving;                                                   // the last of the data, which change from step to step
+  const double *given;                                           // [steps][uniform]
+  double *state;                                                 // [block][1 + slots][N_X][LANES], in and out
+  double *values, *tangents;                                     // [block][data][LANES], [block][slots][data_tangents][LANES]
+  double *factors;                                               // [block][numbers of the matrix][LANES]
+  const double *stay, *lost;                                     // [N], or null
+  double *q, *v, *vd, *lam;                                      // records [steps][number][1 + slots][lanes]
+  double *sizes, *errors;                                        // [steps][2][lanes], [3][slots][lanes]
+  double *room;                                                  // scratch
+  const double *moved;                                           // [steps][block][1 + slots][moving][LANES]
+  const Mechanism *mechanism;
+  const double *passes;                                          // [block][LANES], corrections of tangents; `most` of all
+};
+
+// Bytes of scratch memory, and of the factors of a block.
+extern "C" long march_room(const Mechanism* m, long slots) {
+  const Counts c(*m);
+  return sizeof(V) * (m->numbers + c.scratch + c.entries + (2 + slots) * c.unknowns + (1 + slots) * c.n_x);
+}
+
+extern "C" long march_factors(const Mechanism* m) { return sizeof(V) * m->numbers; }
+
+// Unknowns (v', lam) that a step starts from: those of the state.
+static void start(const Counts& c, const V* x, V* z) {
+  std::memcpy((void*)z, x + c.n_q + c.n_v, c.n_v * sizeof(V));
+  std::memcpy((void*)(z + c.n_v), x + c.n_q + 3 * c.n_v, c.rows * sizeof(V));
+}
+
+// The data that move, as they are at the end of a step.
+static void move(const Job& J, long step, long block) {
+  if (!J.moving) return;
+  const long blocks = (J.lanes + LANES - 1) / LANES, n = J.moving;
+  const V* from = (const V*)J.moved + (step * blocks + block) * (1 + J.slots) * n;
+  std::memcpy((void*)((V*)J.values + (block + 1) * J.data - n), from, n * sizeof(V));
+  for (long s = 0; s < J.slots; s++)
+    std::memcpy((void*)((V*)J.tangents + (block * J.slots + s + 1) * J.data_tangents - n), from + (s + 1) * n, n * sizeof(V));
+}
+
+extern "C" long march(const Job* job) {
+  const Job& J = *job;
+  const int S = (int)J.slots;
+  const Mechanism& m = *J.mechanism;
+  const Counts c(m);
+  const long N_ = c.unknowns, n_x = c.n_x;
+  V* w = (V*)J.room;
+  V *trial = w + c.scratch, *R = trial + m.numbers, *z = R + N_, *entries = z + N_, *dz = entries + c.entries, *next = dz + N_ * S;
+  In in;
+  point(in, m, c, w);
+  in.R = R;
+  in.z = z;
+  in.entries = entries;
+  if (J.fresh || J.look) {
+    for (long block = 0; block * LANES < J.lanes; block++) {
+      move(J, 0, block);
+      const V* d = (const V*)J.values + block * J.data;
+      point_data(in, d);
+      in.x = (const V*)J.state + block * (1 + S) * n_x;
+      in.u = J.given;
+      start(c, in.x, z);
+      if (!reliable(in, m, c, J.stay, J.lost, trial, R)) return 1;
+    }
+  }
+  for (long block = 0; block * LANES < J.lanes; block++) {
+    const int valid = (int)(J.lanes - block * LANES < LANES ? J.lanes - block * LANES : LANES);
+    V* state = (V*)J.state + block * (1 + S) * n_x;
+    const V* tangents = (const V*)J.tangents + block * S * J.data_tangents;
+    V* factors = (V*)J.factors + block * m.numbers;
+    point_data(in, (const V*)J.values + block * J.data);
+    const V passes = ((const V*)J.passes)[block];
+    bool fresh = J.fresh;
+    for (long i = 0; i < J.steps; i++) {
+      in.u = J.given + i * J.uniform;
+      move(J, i, block);
+      in.x = state;
+      in.next = next;
+      in.R = R;
+      start(c, state, z);
+      const bool always = J.refresh == 0, due = always || (J.first + i) % J.refresh == 0;
+      const long renewed = J.corrections > 1 ? (J.corrections - 1 > 1 ? J.corrections - 1 : 1) : -1;
+      if (fresh) renew(in, m, N_, J.stay, J.lost, factors);
+      const bool begins = fresh;
+      fresh = false;
+      for (long k = 0; k < J.corrections; k++) {
+        if (always || (due && k == renewed)) renew(in, m, N_, J.stay, J.lost, factors);
+        residual(in);
+        solve(m, N_, factors, R);
+        for (long n = 0; n < N_; n++) z[n] -= R[n];
+        const long kept = k == J.corrections - 1 ? 1 : 0;
+        if (kept || k == J.corrections - 2) put(J.sizes + (2 * i + kept) * J.lanes + block * LANES, largest(R, c.n_v), valid);
+        if (kept && J.corrections == 1) put(J.sizes + 2 * i * J.lanes + block * LANES, largest(R, c.n_v), valid);
+      }
+      if (due && J.corrections == 1) renew(in, m, N_, J.stay, J.lost, factors);
+      finish(in);
+      if (S) boundary(in);
+      for (int s = 0; s < S; s++) {
+        V* ds = dz + N_ * s;
+        in.dx = state + (1 + s) * n_x;
+        point_data_tangents(in, tangents + s * J.data_tangents);
+        in.dz = ds;
+        start(c, in.dx, ds);
+        const bool looks = J.look && i == 0;
+        for (long k = 0; k < J.most + looks + (begins ? MOST : 0); k++) {
+          residual_tangent(in);
+          solve(m, N_, factors, R);
+          const V done = spread(k < J.most ? (double)k : -1.0), share = passes > done ? spread(1.0) : spread(0.0);
+          for (long n = 0; n < N_; n++) ds[n] -= share * R[n];
+          if (!looks || k != J.most) continue;
+          put(J.errors + s * J.lanes + block * LANES, largest(R, c.n_v), valid);
+          put(J.errors + (S + s) * J.lanes + block * LANES, largest(ds, c.n_v), valid);
+          put(J.errors + (2 * S + s) * J.lanes + block * LANES, largest(ds + c.n_v, c.rows), valid);
+        }
+        in.next = next + (1 + s) * n_x;
+        finish_tangent(in);
+      }
+      std::memcpy((void*)state, next, (1 + S) * n_x * sizeof(V));
+      const long L = J.lanes, at = block * LANES;
+      for (int s = 0; s <= S; s++) {
+        const V* x = state + s * n_x;
+        for (long n = 0; n < c.n_q; n++) put(J.q + ((i * c.n_q + n) * (1 + S) + s) * L + at, x[n], valid);
+        for (long n = 0; n < c.n_v; n++) {
+          put(J.v + ((i * c.n_v + n) * (1 + S) + s) * L + at, x[c.n_q + n], valid);
+          put(J.vd + ((i * c.n_v + n) * (1 + S) + s) * L + at, x[c.n_q + c.n_v + n], valid);
+        }
+        for (long n = 0; n < c.rows; n++) put(J.lam + ((i * c.rows + n) * (1 + S) + s) * L + at, x[c.n_q + 3 * c.n_v + n], valid);
+      }
+    }
+  }
+  return 0;
+}

@@ -1,0 +1,132 @@
+"""Steps of generalized-alpha by compiled code (library.py): the same march as in generalized_alpha.py, the same numbers.
+
+Lanes go in blocks of eight, each through many steps at a time, so that a block's numbers stay near the processor; one
+call of the library does all steps between two looks at the tangents.
+Checked in tests/integrate/native/test_steps.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.native.library import Library, library
+from torchmbd.integrate.native.simd_layout import (
+    addresses,
+    blocks,
+    in_all_lanes,
+    lanes_out,
+    moving_blocks,
+    shared,
+    uniform,
+)
+from torchmbd.integrate.step import Model, Weights
+from torchmbd.integrate.stepper import CHECK, March, Record, between_looks
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.results.state import State
+
+_NUMBERS = ("lanes", "slots", "data", "data_tangents", "uniform", "first", "steps", "corrections", "most", "refresh")
+_NUMBERS += ("look", "fresh", "moving")
+_ARRAYS = ("given", "state", "values", "tangents", "factors", "stay", "lost", "q", "v", "vd", "lam", "sizes", "errors")
+_ARRAYS += ("room", "moved", "mechanism", "passes")
+
+
+class _Job(ctypes.Structure):
+    """As in steps.cpp."""
+
+    _fields_ = [(n, ctypes.c_long) for n in _NUMBERS] + [(n, ctypes.c_void_p) for n in _ARRAYS]
+
+
+def march(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: int) -> March:
+    """The march of a system: by compiled code where its backend is native."""
+    code = library(dynamics)
+    if code is None:
+        return March(dynamics, Model.of(dynamics, w), iterations, refresh)
+    return CompiledMarch(code, dynamics, w, iterations, refresh)
+
+
+class CompiledMarch(March):
+    """March by a library. Where its factors cannot be relied on, it goes on the eager way."""
+
+    def __init__(
+        self,
+        library: Library,
+        dynamics: Dynamics,
+        w: Weights,
+        iterations: tuple[int, int],
+        refresh: int,
+    ):
+        super().__init__(dynamics, Model.of(dynamics, w), iterations, refresh)
+        self.code: ctypes.CDLL | None = library.code
+        code, self.library = library.code, library
+        self.lanes, self.slots, self.fresh = dynamics.lanes, dynamics.tangents, 1
+        code.march_room.restype = code.march_factors.restype = code.march.restype = ctypes.c_long
+        code.march_room.argtypes, code.march_factors.argtypes = [ctypes.c_void_p, ctypes.c_long], [ctypes.c_void_p]
+        self.weights = torch.tensor(w, dtype=torch.float64)
+        self.values, self.tangents = library.data_blocks(dynamics)
+        self.factors = torch.empty(len(self.values) * code.march_factors(library.address) // 8, dtype=torch.float64)
+        self.room = torch.empty(code.march_room(library.address, self.slots) // 8, dtype=torch.float64)
+
+    def forget(self) -> None:
+        super().forget()
+        self.fresh = 1
+
+    def __call__(self, i: int, x: State, given: Prescribed) -> State:
+        return self.run(x, [given], Record(x, 2), i)
+
+    def run(self, x: State, schedule: Sequence[Prescribed], record: Record, first: int = 0, place: int = 1) -> State:
+        if self.code is None:
+            return super().run(x, schedule, record, first, place)
+        state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
+        moved = moving_blocks(self.dynamics.topology, schedule, self.lanes, self.slots)
+        table = uniform(self.weights, shared(self.dynamics.topology, schedule))
+        for some in between_looks(len(schedule), first, self.slots):
+            at = some.start
+            if not self._some(state, table[some], moved[some], record, first + at, place + at):
+                return super().run(self._state(state), schedule[at:], record, first + at, place + at)
+        return self._state(state)
+
+    def _some(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, place: int) -> bool:
+        """Steps between two looks; False if the factors cannot be relied on, and nothing is done."""
+        sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
+        errors = torch.empty(3, self.slots, self.lanes, dtype=torch.float64)
+        look = int(first % CHECK == 0)
+        numbers = (self.lanes, self.slots, self.values.shape[2], self.tangents.shape[2])
+        numbers += (
+            table.shape[1],
+            first,
+            len(table),
+            self.corrections,
+            int(self.passes.max()),
+            self.refresh,
+            look,
+            self.fresh,
+            moved.shape[3],
+        )
+        stay, lost = self.diagonal or (None, None)
+        arrays = [table, state, self.values, self.tangents, self.factors, stay, lost]
+        arrays += [part[place:] for part in record.parts] + [sizes, errors, self.room, moved]
+        arrays.append(blocks(self.passes[None, None]))
+        assert self.code is not None
+        assert all(part.shape[-1] == self.lanes for part in record.parts)
+        *found, passes = addresses(arrays)
+        job = _Job(*numbers, *found, self.library.address, passes)
+        if self.code.march(ctypes.byref(job)):
+            self.code = None
+            return False
+        self.fresh = 0
+        self.sizes += sizes.unbind(0)
+        if look and self.slots:
+            self.look(*errors)
+        return True
+
+    def _state(self, state: Tensor) -> State:
+        """A state out of blocks [block, slot, number, 8]."""
+        T = self.dynamics.topology
+        parts = lanes_out(state, self.lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
+        return State(*(Pair(y) if self.slots else y for y in parts))

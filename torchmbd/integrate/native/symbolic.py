@@ -1,0 +1,340 @@
+"""A topology whose counts and tables are known at run time: what the equations of motion are traced with.
+
+    sizes    B bodies, F flexible, M modes, V vectors, W vectors of flexible bodies, C carriers and the ground, U independent
+             rates, E and G entries of the maps between them and all rates; P0, P1, ... primitives of each kind,
+             A0, A1, ... actions of each kind and form of law; of unit multipliers (R) and unit strengths (D): slots
+             on flexible bodies, pairs, pairs with flexible bodies (RT, RP, RF)
+
+What is not a count is part of the kind (`Kind`): one library serves all mechanisms of a kind.
+Checked in tests/integrate/native/.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from torch import Tensor
+
+from torchmbd.math.codegen.array import Array, Table
+from torchmbd.math.codegen.program import Program
+from torchmbd.math.codegen.segment_sum import SegmentSum
+from torchmbd.math.codegen.size import AnySize, Size
+from torchmbd.math.pair import value
+from torchmbd.multibody.forces.action import Turn
+from torchmbd.multibody.forces.feedback import Links
+from torchmbd.multibody.forces.laws import OfTime, Scaled, Spring
+from torchmbd.multibody.forces.parametric_law import Varied
+from torchmbd.multibody.joints.primitive import Distance, Primitive
+from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
+from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.system.unit_forces import UnitForces
+
+LENGTHS = "~length"  # data: of the Distance primitives
+
+
+class Form(NamedTuple):
+    """A kind of action with a form of law. law: nested tuples, in which None stands for a number."""
+
+    kind: type
+    law: Any
+    center: float
+
+
+class Kind(NamedTuple):
+    """What code depends on.
+
+    primitives   kinds of primitives, and whether what their laws prescribe depends on the design
+    forms        of actions, in the order in which they come
+    data         names of the data
+    """
+
+    primitives: tuple[tuple[type, bool], ...]
+    forms: tuple[Form, ...]
+    flexible: bool
+    attached_flexible: bool
+    condensed: bool
+    row_flexible: bool
+    action_flexible: bool
+    data: tuple[str, ...]
+
+    @classmethod
+    def of(cls, T: Topology, data: Any, blocks: SaddleBlocks) -> Kind:
+        return cls(
+            tuple((type(p), p.varies) for p in T.primitives),
+            tuple(groups(T)),
+            T.flexible > 0,
+            T.attached_flexible > 0,
+            T.rates is not None,
+            bool(blocks.rows.flexible_pairs),
+            bool(blocks.actions.flexible_pairs),
+            tuple(sorted(set(data) & SHAPES.keys())),
+        )
+
+
+def form(law: Any) -> tuple[Any, list[Any]]:
+    """Form of a law, and its numbers in order; a number of the design is (key, row of the data)."""
+    if isinstance(law, Varied):
+        rows = dict(law.rows)
+        shape, numbers = form(law.law)
+        names = _FIELDS[type(law.law)]
+        return shape, [
+            (law.key, rows[name]) if name in rows else x for name, x in zip(names, numbers, strict=False)
+        ] + numbers[len(names) :]
+    if isinstance(law, Spring):
+        return (Spring,), [law.stiffness, law.damping, law.rest]
+    if isinstance(law, Scaled):
+        shape, numbers = form(law.law)
+        return (Scaled, shape), [law.factor, *numbers]
+    if isinstance(law, OfTime) and not callable(law.law):
+        return (OfTime,), [law.law, law.factor]
+    return law, []
+
+
+_FIELDS: dict[type, tuple[str, ...]] = {Spring: ("stiffness", "damping", "rest"), Scaled: ("factor",)}
+
+
+def groups(T: Topology) -> dict[Form, list[tuple[int, int, Any]]]:
+    """Actions of each form: number of the kind, number among these, law."""
+    found: dict[Form, list[tuple[int, int, Any]]] = {}
+    for a, action in enumerate(T.actions):
+        for i, law in enumerate(action.laws):
+            center = float(getattr(law, "center", 0.0)) if isinstance(action, Turn) else 0.0
+            found.setdefault(Form(type(action), form(law)[0], center), []).append((a, i, law))
+    return found
+
+
+@dataclass(frozen=True)
+class _Numbered(Varied):
+    """The law of all actions of a form; its numbers are data."""
+
+    middle: float = 0.0
+
+    @property
+    def center(self) -> float:
+        return self.middle
+
+    def at(self, data: Any) -> Any:
+        count = numbers_of(self.law)
+        return _law(self.law, iter([data[self.key][i] for i in range(count)] if count else []))
+
+
+def numbers_of(shape: Any) -> int:
+    """Numbers of a form of law."""
+    if not isinstance(shape, tuple):
+        return 0
+    if shape[0] is Scaled:
+        return 1 + numbers_of(shape[1])
+    return 3 if shape[0] is Spring else 2
+
+
+def _law(shape: Any, numbers: Any) -> Any:
+    if not isinstance(shape, tuple):
+        return shape
+    if shape[0] is Scaled:
+        factor = next(numbers)
+        return Scaled(factor, _law(shape[1], numbers))
+    given: list[Any] = [next(numbers) for _ in range(numbers_of(shape))]
+    return (
+        Spring(*given) if shape[0] is Spring else OfTime(*(_plain(x) for x in given))
+    )  # no design varies those of OfTime
+
+
+def _plain(x: Any) -> Any:
+    return value(x)
+
+
+class _Distance(Distance):
+    """Distances whose lengths are data."""
+
+    def lengths(self) -> Tensor:
+        return self.data[0]
+
+
+B, F, M, V, W, C, U, E, G = (Size(name) for name in ["B", "F", "M", "V", "W", "C", "U", "E", "G"])
+# Components and loops of each datum.
+SHAPES: dict[str, tuple[AnySize, ...]] = {
+    "mass": (B,),
+    "S0": (3, B),
+    "P0": (3, 3, B),
+    "mu": (B,),
+    "SR": (6, M, F),
+    "C0": (3, 3, M, F),
+    "C1": (3, 3, M, M, F),
+    "H": (3, M, M, F),
+    "Kr": (M, M, F),
+    "D": (M, M, F),
+    "Y": (3, M, W),
+    "x": (3, V),
+    "gravity": (3, 1),
+}
+
+
+def primitive_count(i: int) -> Size:
+    return Size(f"P{i}")
+
+
+def action_count(i: int) -> Size:
+    return Size(f"A{i}")
+
+
+def shapes(kind: Kind) -> dict[str, tuple[AnySize, ...]]:
+    """Of all data that code of a kind takes, those of the laws included, in order; see `moving_shapes`."""
+    found = {name: SHAPES[name] for name in kind.data}
+    for i, (primitive, _) in enumerate(kind.primitives):
+        if primitive is Distance:
+            found[LENGTHS] = (primitive_count(i),)
+    for i, one in enumerate(kind.forms):
+        if numbers_of(one.law):
+            found[f"~law {i}"] = (numbers_of(one.law), action_count(i))  # stored [actions, numbers]
+    return found
+
+
+def moving_shapes(kind: Kind) -> dict[str, tuple[AnySize, ...]]:
+    """Of what laws with design variables prescribe, by kind of primitive: they change from step to step."""
+    return {f"~moving {i}": (p.driven, primitive_count(i)) for i, (p, varies) in enumerate(kind.primitives) if varies}
+
+
+class SymbolicTopology:
+    """Stands for Topology (see there); its tables are named as in tables.py."""
+
+    def __init__(self, kind: Kind, program: Program):
+        self.kind = kind
+        self.bodies = B
+        self.flexible = F if kind.flexible else 0
+        self.modes = M if kind.flexible else 0
+        self.attached_flexible = W if kind.attached_flexible else 0
+        self.vectors, self.known, self.carriers = V, C, ()
+        self.n_q, self.n_rates = 7 * B + self.modes * self.flexible, 6 * B + self.modes * self.flexible
+        self.n_v = U if kind.condensed else self.n_rates
+        self.vector_body, self.vector_origin = Table("vector_body", V), Table("vector_origin", V)
+        self.vector_flexible = Table("vector_flexible", W)
+        self.vector_fold = SegmentSum(Table("slots", V), V)
+        self.action_fold = SegmentSum(Table("action_slots", V), V)
+        self.body_fold = SegmentSum(Table("body_groups", 2 * V), 2 * B)
+        self.modal_fold = SegmentSum(self.vector_flexible, self.flexible)
+        self.spread = self.gather = None
+        if kind.condensed:
+            self.spread = _SparseMap(program, "spread", E, self.n_rates)
+            self.gather = _SparseMap(program, "gather", G, U)
+        self.primitives = tuple(self._primitive(program, i, p) for i, (p, _) in enumerate(kind.primitives))
+        self.actions = tuple(self._action(i, one) for i, one in enumerate(kind.forms))
+        self.rows = sum((p.rows * primitive_count(i) for i, p in enumerate(self.primitives)), 0)
+        self.links = Links([])
+
+    @staticmethod
+    def _primitive(program: Program, i: int, kind: type[Primitive]) -> Primitive:
+        if kind is not Distance:
+            return kind((), ())
+        n = primitive_count(i)
+        return _Distance((), (Array.input(program, f"d_{buffer_name(LENGTHS)}", (n, 1, 1)),))
+
+    @staticmethod
+    def _action(i: int, one: Form) -> Any:
+        return one.kind((), (_Numbered(f"~law {i}", (), one.law, one.center),))
+
+    def row_slices(self) -> list[tuple[Primitive, slice]]:
+        result, start = [], 0
+        for i, primitive in enumerate(self.primitives):
+            stop = start + primitive.rows * primitive_count(i)
+            result.append((primitive, slice(start, stop)))
+            start = stop
+        return result
+
+    def arguments(self, g: Any) -> list[list[Any]]:
+        return self._gathered(g, self.primitives, "slots", primitive_count)
+
+    def action_arguments(self, g: Any) -> list[list[Any]]:
+        return self._gathered(g, self.actions, "action_slots", action_count)
+
+    @staticmethod
+    def _gathered(g: Any, kinds: tuple, table: str, count: Any) -> list[list[Any]]:
+        result, start = [], 0
+        for i, kind in enumerate(kinds):
+            n = count(i)
+            result.append([g.index_select(1, Table(table, n, start + k * n)) for k in range(len(kind.arguments))])
+            start = start + len(kind.arguments) * n
+        return result
+
+    def modal_identity(self, like: Any) -> Any:
+        """The identity [modes, modes, 1, 1, 1], in memory."""
+        return Array.input(like.program, "unit", (M, M, 1, 1, 1), kind="uniform")
+
+
+class _SparseMap:
+    """Stands for topology.SparseMap: entries with a row, a column and a factor."""
+
+    def __init__(self, program: Program, name: str, entries: Size, rows: AnySize):
+        self.column, self.rows = Table(f"{name}_column", entries), rows
+        self.sum = SegmentSum(Table(f"{name}_row", entries), rows)
+        self.factor = Array.input(program, f"{name}_factor", (entries, 1, 1), kind="uniform")
+
+    def __call__(self, x: Any) -> Any:
+        if hasattr(x, "tangent"):
+            return x.map(self)
+        entries = x.index_select(0, self.column) * self.factor
+        return self.sum(entries.unsqueeze(0))[0]
+
+
+class _UnitForces:
+    """Stands for UnitForces; `letter` R or D."""
+
+    blocks: Any = UnitForces.blocks
+
+    def __init__(self, name: str, letter: str, slots: AnySize, flexible: bool):
+        bent, pairs, bent_pairs = (Size(f"{letter}{x}") for x in "TPF")
+        self.pairs, self.flexible_pairs, self._letter = pairs, bent_pairs if flexible else 0, letter
+        self.pair_body, self.slot_vector = Table(f"{name}_pair_body", pairs), Table(f"{name}_slot_vector", slots)
+        self.turn_fold = SegmentSum(Table(f"{name}_slot_pair", slots), pairs)
+        self.force_fold = SegmentSum(Table(f"{name}_point_pair", slots), pairs)
+        self.flexible_slots = Table(f"{name}_bent_slot", bent)
+        self.flexible_vector = Table(f"{name}_bent_vector", bent)
+        self.modal_fold = SegmentSum(Table(f"{name}_bent_pair", bent), self.flexible_pairs)
+
+    def shapes(self, modes: Any, name: str) -> list[tuple[str, tuple]]:
+        return [
+            (f"{name}_force", (3, self.pairs)),
+            (f"{name}_torque", (3, self.pairs)),
+            (f"{name}_modal", (modes, self.flexible_pairs)),
+        ]
+
+
+class SymbolicBlocks(SaddleBlocks):
+    """SaddleBlocks of a kind."""
+
+    def __init__(self, T: Any):
+        self.T = T
+        rows = sum((p.rows * len(p.arguments) * primitive_count(i) for i, p in enumerate(T.primitives)), 0)
+        strengths = sum((len(a.arguments) * action_count(i) for i, a in enumerate(T.actions)), 0)
+        self.rows: Any = _UnitForces("row", "R", rows, T.kind.row_flexible)
+        self.actions: Any = _UnitForces("action", "D", strengths, T.kind.action_flexible)
+        self._body_fold = SegmentSum(Table("vector_body_only", V), B)
+
+
+def data_arrays(program: Program, kind: Kind, prefix: str) -> dict[str, Any]:
+    """The data of a kind [component..., 1, 1], each in a buffer of its own; `prefix` of tangents."""
+    found = {name: stored_data(program, prefix + buffer_name(name), shape) for name, shape in shapes(kind).items()}
+    for name, shape in moving_shapes(kind).items():  # in the order in which they are given
+        found[name] = Array.input(program, prefix + buffer_name(name), shape)[..., None, None]
+    return found
+
+
+def buffer_name(name: str) -> str:
+    """Of a datum, in C++."""
+    return name.replace("~", "").replace(" ", "_")
+
+
+def stored_data(program: Program, name: str, shape: tuple[AnySize, ...]) -> Array:
+    """A datum whose loops are outermost in memory, the last of them first; components innermost."""
+    order = memory_order(shape)
+    found = Array.input(program, name, [shape[d] for d in order])
+    back = [order.index(d) for d in range(len(shape))]
+    numbers = found.numbers.transpose(back)
+    array = Array(program, numbers, tuple(found.loops[d] for d in back))
+    return array[..., None, None]
+
+
+def memory_order(shape: tuple[AnySize, ...]) -> list[int]:
+    """Axes of a datum in the order in which they are stored: the last loop, the other loops, components."""
+    loops = [d for d, n in enumerate(shape) if isinstance(n, Size)]
+    return loops[-1:] + loops[:-1] + [d for d, n in enumerate(shape) if not isinstance(n, Size)]

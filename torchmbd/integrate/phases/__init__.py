@@ -1,0 +1,1 @@
+"""Motions through phases: locks, releases, events and impacts, and their adjoint."""

@@ -1,0 +1,291 @@
+"""The adjoint of a simulation through phases: from the last phase back to the first, lane by lane.
+
+A phase of a lane is three maps, each the discrete one that was integrated:
+
+    entry    (t*, state before) -> marks of locks, jump, impact, accelerations -> state after -> first point of the grid
+    steps    first point of the grid -> ... -> the point at which the last step begins
+    exit     that point -> (t*, state at the end of a last step of another size)
+
+Entry and exit are graphs of torch, made again from what was recorded (`PhaseRecord`); variable_step.py makes steps of other sizes
+differentiable by the implicit function theorem. Regular steps are those of adjoint.py, of all lanes with the same points
+together. Where an event ends a phase, the size h of the last step is that at which its function g vanishes:
+
+    mu = -(cotangent of h) / g_h        cotangents of x and b: mu g_x', mu g_b'
+
+Cotangents have the rows of the responses first: [rows, ...] of a number [...]. None: zero.
+Cost: about a simulation for the first row and half of one for each further one, whatever the number of design variables.
+Checked in tests/sensitivity/test_phase_adjoint.py.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.adjoint import POOR, Bars, Grid, Sweep
+from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.phases.events import Event
+from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, pulled, rows_first, shaped, zeros
+from torchmbd.integrate.phases.run import Course, PhaseRecord
+from torchmbd.integrate.phases.switch import marked, pick, together
+from torchmbd.integrate.pullback import leaf
+from torchmbd.integrate.step import Weights
+from torchmbd.integrate.variable_step import shortly_after
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.results.history import History
+from torchmbd.results.state import State
+
+MARKED = ("x", "Y")  # data that locks change
+
+
+@dataclass
+class PhaseCotangents:
+    """Cotangents of what a simulation through phases returns.
+
+    motion    of q, v, a, lam [times, n, rows, lanes]
+    data      of the data with all marks, by name [component..., rows, lanes]
+    switches  for each its time, and q, v, a, lam before and after it [n, rows, lanes]
+    """
+
+    motion: Bars
+    data: Mapping[str, Tensor | None]
+    switches: Sequence[Sequence[Tensor | None]]
+
+
+@dataclass
+class _Lane:
+    """Cotangents of one lane on the way: by the leaves, and by what comes next in time."""
+
+    lane: int
+    by: dict[Key, Tensor] = field(default_factory=dict)
+    exit: list[Tensor] | None = None  # time, and the parts of the state
+    end: list[Tensor] | None = None  # state at the base of the last step
+    start: list[Tensor] | None = None  # time of the entry, and state after the switch
+    arrival: list[Tensor] | None = None  # state at the first point of the grid
+
+    def add(self, keys: Sequence[Key], cotangents: Sequence[Tensor]) -> None:
+        for key, cotangent in zip(keys, cotangents, strict=True):
+            self.by[key] = self.by[key] + cotangent if key in self.by else cotangent
+
+
+@dataclass(eq=False)
+class PhaseAdjoint:
+    """The adjoint of one course, of values only.
+
+    integrator  that made the steps
+    wanted      names of data by which gradients are wanted
+    failed      lanes whose cotangents are zero
+    sweep       makes a Sweep of a grid
+    error       estimated relative error of the gradients asked for so far [lanes]
+    """
+
+    course: Course
+    integrator: OneStep
+    wanted: Sequence[str]
+    failed: Sequence[int]
+    sweep: Callable[[Grid], Sweep]
+
+    def __post_init__(self) -> None:
+        self.h = self.course.duration / self.course.steps
+        self.weights: Weights = self.integrator.weights(self.h)
+        self.error = torch.zeros(self.course.whole.lanes, dtype=torch.float64)
+        locks = any(stage.locks for stage in self.course.stages)
+        marks = [name for name in MARKED if locks and name in self.course.given]
+        self._leaf_names = [*self.wanted, *(name for name in marks if name not in self.wanted)]
+
+    @torch.no_grad()
+    def __call__(self, cotangents: PhaseCotangents, rows: int) -> dict[int, dict[Key, Tensor]]:
+        """Cotangents by data [rows, component..., 1, 1], designs and mode shapes [rows, 1, ...] of each lane."""
+        lanes = [_Lane(lane) for lane in range(len(self.error)) if lane not in self.failed]
+        for one in lanes:
+            for name, x in cotangents.data.items():
+                if x is not None:
+                    one.by["data", name] = rows_first(x, one.lane)
+        for record in reversed(self.course.records):
+            for one in lanes:
+                self._exit(record, one, rows)
+            self._steps(record, lanes, cotangents.motion, rows)
+            for one in lanes:
+                self._entry(record, one, cotangents, rows)
+        for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
+            warnings.warn(
+                f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
+                "or gradients='forward'",
+                stacklevel=2,
+            )
+        return {one.lane: one.by for one in lanes}
+
+    def _exit(self, record: PhaseRecord, one: _Lane, rows: int) -> None:
+        """From where a lane left a phase to the base of its last step."""
+        t, x = record.entry.t[:, [one.lane]], record.start.map(lambda y: pick(y, [one.lane]))
+        one.start, one.end = zeros(rows, [t, *x]), None
+        if one.lane not in record.exit:
+            return
+        assert one.exit is not None
+        stage = self.course.stages[record.number]
+        k, base = record.base[one.lane]
+        with torch.enable_grad():
+            leaves = LaneLeaves(self.course.views, one.lane, record.dynamics, self._leaf_names)
+            t, base = leaf(t), base.map(leaf)
+            begin = t if k is None else torch.full_like(t, float(self.course.times[k]))
+            size = leaf(record.exit[one.lane].t - begin)
+            event = stage.phase.until if isinstance(stage.phase.until, Event) else None
+            end = begin + size if event is not None else self.course.end(stage, t)
+            y = self.integrator.sized(leaves.dynamics, base, end - begin if event is None else size, end)
+            g = None if event is None else event.of(leaves.views.at(0, leaves.dynamics, end, y))[0]
+        inputs = [size, t, *base, *leaves.leaves.values()]
+        found = pulled([end, *y], one.exit, inputs, rows)
+        if g is not None:
+            slopes = pulled([g], [torch.ones_like(g)[None]], inputs, 1)
+            mu = -found[0].flatten() / slopes[0].flatten()
+            found = [
+                cotangent + torch.tensordot(mu[:, None], dg, 1) for cotangent, dg in zip(found, slopes, strict=True)
+            ]
+        _, by_t, *by_state = found[: 2 + len(base)]
+        one.start[0] = one.start[0] + by_t
+        one.add(list(leaves.leaves), found[2 + len(base) :])
+        if k is None:
+            one.start[1:] = [a + b for a, b in zip(one.start[1:], by_state, strict=True)]
+        else:
+            one.end = by_state
+
+    def _steps(self, record: PhaseRecord, lanes: Sequence[_Lane], cotangents: Bars, rows: int) -> None:
+        """From the last regular steps of all lanes to their first points of the grid."""
+        groups: dict[tuple[int, int], list[_Lane]] = {}
+        for one in lanes:
+            one.arrival = None
+            first, own = int(record.first[one.lane]), self.course.number[:, one.lane] == record.number
+            base = record.base[one.lane][0] if one.lane in record.base else None
+            last = max([first - 1 if base is None else base, *torch.nonzero(own)[:, 0].tolist()])
+            if last >= first:
+                groups.setdefault((first, last), []).append(one)
+        for (first, last), some in groups.items():
+            self._run(record, range(first, last + 1), some, cotangents, rows)
+
+    def _run(self, record: PhaseRecord, points: range, some: list[_Lane], cotangents: Bars, rows: int) -> None:
+        """The same for lanes with equal points of the grid."""
+        c, lanes = self.course, [one.lane for one in some]
+        at, stage = slice(points.start, points.stop), c.stages[record.number]
+        q, v, vd, lam = (x[at, :, :, lanes] for x in (c.q, c.v, c.vd, c.lam[:, stage.rows]))
+        history = History(q, v, vd, lam)
+        own = (c.number[at, lanes] == record.number)[:, None, None]
+        given = [
+            torch.zeros(len(points), n.shape[1], rows, len(lanes), dtype=torch.float64)
+            if x is None
+            else torch.where(own, (x[:, stage.rows] if i == 3 else x)[at, :, :, lanes], 0.0)
+            for i, (x, n) in enumerate(zip(cotangents, (q, v, vd, lam), strict=True))
+        ]
+        by_a = torch.zeros_like(given[2][0])
+        for i, one in enumerate(some):
+            if one.end is not None:
+                k = record.base[one.lane][0]
+                assert k is not None
+                by_a[..., i] = self._take(given, k - points.start, one.end, i)
+        start = together([record.arrival[lane] for lane in lanes]).map(leaf)
+        if len(points) == 1:
+            by_start = State(given[0][0], given[1][0], given[2][0], by_a, given[3][0])
+            found: dict[Key, Tensor] = {}
+        else:
+            by_start, found = self._swept(record, points, lanes, history, start, given)
+            by_start = by_start._replace(a=by_start.a + by_a)
+        for i, one in enumerate(some):
+            one.arrival = [x[..., i].movedim(-1, 0)[..., None, None] for x in by_start]
+            one.add(list(found), [x[..., [i]].movedim(-2, 0).unsqueeze(-2) for x in found.values()])
+
+    def _take(self, given: list[Tensor], k: int, end: list[Tensor], lane: int) -> Tensor:
+        """Add the cotangents of the state at the point k of one lane; returns those of the algorithmic acceleration at first.
+
+        That of a point is no number of the motion: a1 = w(v0', v1') + c a0, so it is a sum over all steps before.
+        """
+        q, v, vd, a, lam = (x[..., 0, 0].T for x in end)
+        for x, cotangent in zip(given, (q, v, vd, lam), strict=True):
+            x[k, :, :, lane] += cotangent
+        w = self.weights
+        powers = (w.a_from_a ** torch.arange(k, dtype=torch.float64).flip(0))[:, None, None] * a
+        given[2][:k, :, :, lane] += w.a_from_vd * powers
+        given[2][1 : k + 1, :, :, lane] += w.share * powers
+        return w.a_from_a**k * a
+
+    def _swept(
+        self,
+        record: PhaseRecord,
+        points: range,
+        lanes: list[int],
+        history: History,
+        start: State,
+        cotangents: list[Tensor],
+    ) -> tuple[State, dict[Key, Tensor]]:
+        """Cotangents [..., rows, lanes] of the state at the first point, and by data."""
+        dynamics = record.dynamics.some(lanes)
+        names = {name: dynamics.data[name] for name in self._leaf_names}
+        leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
+        dynamics = replace(dynamics, data={**dynamics.data, **leaves})
+        state = {f"state {name}": x for name, x in zip(State._fields, start, strict=True)}
+        times = self.course.times[points.start : points.stop]
+        corrections = self.integrator.iterations[1]
+        grid = Grid(lanes, history, leaves | state, dynamics, start, self.weights, times, 1, corrections)
+        of_steps, error = self.sweep(grid)(cotangents)
+        self.error[lanes] = self.error[lanes].maximum(error)
+        found = grid.cotangents(of_steps)
+        return State(*(found[name] for name in state)), {("data", name): found[name] for name in leaves}
+
+    def _entry(self, record: PhaseRecord, one: _Lane, cotangents: PhaseCotangents, rows: int) -> None:
+        """From the first point of the grid, and the state after the switch, to the state before it."""
+        c, number, lane = self.course, record.number, one.lane
+        whole = replace(c.whole, data=c.records[number - 1].dynamics.data if number else c.given)
+        stage = c.stages[number]
+        with torch.enable_grad():
+            leaves = LaneLeaves(c.views, lane, whole, self._leaf_names)
+            before = record.entry.lane(lane)
+            if number:
+                t, x = leaf(before.t), before.x.map(leaf)
+            else:
+                q, v = c.closed(leaves.dynamics)
+                t, x = before.t, before.x._replace(q=q, v=v)
+            data = marked(whole.topology, leaves.dynamics.data, x.q, stage.locks)
+            dynamics = c.dynamics_of(number, replace(leaves.dynamics, data=data))
+            after = c.after(number, leaves.views, 0, dynamics, t, x)
+            outputs, given = self._entered(record, one, dynamics, t, after, cotangents.motion)
+            if number:
+                sides = [(number - 1, x), (number, after)]
+                outputs.append(t)
+                for side, y in sides:
+                    outputs += [y.q, y.v, y.vd, c.settled(side, data, t, y.q, y.lam)]
+                own = cotangents.switches[number - 1]
+                given += [None if y is None else rows_first(y, lane) for y in own]
+                given[len(given) - len(own)] = shaped(given[len(given) - len(own)], t)
+        for name in MARKED if stage.locks else ():
+            if name in data:
+                outputs.append(data[name])
+                given.append(one.by.pop(("data", name), None))
+        inputs = [t, *x] if number else []
+        found = pulled(outputs, given, [*inputs, *leaves.leaves.values()], rows)
+        one.exit = found[: len(inputs)]
+        one.add(list(leaves.leaves), found[len(inputs) :])
+
+    def _entered(
+        self, record: PhaseRecord, one: _Lane, dynamics: Dynamics, t: Tensor, after: State, motion: Bars
+    ) -> tuple[list[Tensor], list[Tensor | None]]:
+        """What follows from a switch, with its cotangents: time, state after it, the arrival, points of the grid between."""
+        c, lane, stage = self.course, one.lane, self.course.stages[record.number]
+        assert one.start is not None
+        outputs: list[Tensor] = [t, *after]
+        given: list[Tensor | None] = [*one.start]
+        first = int(record.first[lane])
+        if one.arrival is not None:
+            end = torch.full_like(t, float(c.times[min(first, c.steps)]))
+            direct = record.on_grid[lane]
+            outputs += after if direct else self.integrator.sized(dynamics, after, end - t, end)
+            given += one.arrival
+        own = c.number[:first, lane] == record.number
+        for k in torch.nonzero(own)[:, 0].tolist():
+            y = shortly_after(dynamics.topology, after, float(c.times[k]) - t)
+            for i, (part, cotangent) in enumerate(zip((y.q, y.v, y.vd, y.lam), motion, strict=True)):
+                if cotangent is not None:
+                    outputs.append(part)
+                    given.append(rows_first((cotangent[:, stage.rows] if i == 3 else cotangent)[k], lane))
+        return outputs, given

@@ -1,0 +1,74 @@
+"""A motion through phases, integrated: attempts, status, and its switches as numbers that `Motion` returns.
+
+Shared by the two ways to gradients (forward_integration.py, reverse.py).
+Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.attempts import status_of
+from torchmbd.integrate.integrator import Integrator
+from torchmbd.integrate.phases.events import Views
+from torchmbd.integrate.phases.phase import Stage
+from torchmbd.integrate.phases.run import Course
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.system import Dynamics
+from torchmbd.results.trajectory import OK, Switch
+
+SIDES = ("q", "v", "a", "lam")
+NUMBERS = 1 + 2 * len(SIDES)  # of a switch
+
+
+def integrate(
+    dynamics: Dynamics, stages: list[Stage], views: Views, duration: float, steps: int, integrator: Integrator
+) -> tuple[Course, dict[str, Any], list[str]]:
+    """Through all stages, once more and carefully where lanes failed; with statistics and status of the lanes."""
+
+    def attempt(integrator: Integrator) -> tuple[Course, dict[str, Any], list[str]]:
+        course = Course(dynamics, stages, views, duration, steps)
+        stats = integrator.integrate_phases(course)
+        found = status_of(course.history, duration, stats)
+        return course, stats, [own if own != OK else other for own, other in zip(course.status, found, strict=True)]
+
+    course, stats, status = attempt(integrator)
+    again = integrator.again()
+    if again is not None and again.steps == 1 and any(x != OK for x in status):
+        other, counts, better = attempt(again.integrator)
+        if better.count(OK) > status.count(OK):
+            return other, counts | {"renewed": list(range(len(status)))}, better
+    return course, stats, status
+
+
+def numbers_of(switch: Switch) -> list[Any]:
+    """Time and states of a switch as numbers [n, 1 + n_b, lanes]."""
+
+    def number(x: Tensor, dx: Tensor | None) -> Any:
+        y = x.T[:, None]
+        return Pair(y if dx is None else torch.cat([y, dx.permute(1, 2, 0)], 1))
+
+    t, dt = switch.t[:, None], switch.dt_db
+    found = [number(t, None if dt is None else dt[:, None])]
+    for side in (switch.before, switch.after):
+        found += [number(getattr(side, name), getattr(side, f"d{name}_db")) for name in SIDES]
+    return found
+
+
+def switches_of(switches: Sequence[Switch], numbers: Sequence[Tensor]) -> list[Switch]:
+    """The switches with their numbers as differentiable outputs."""
+
+    def parts(rest: Iterator[Tensor]) -> Iterator[Switch]:
+        for switch in switches:
+            t = next(rest)[0, 0]
+            before, after = (
+                replace(side, **{name: next(rest)[:, 0].T for name in SIDES}) for side in (switch.before, switch.after)
+            )
+            yield replace(switch, t=t, before=before, after=after)
+
+    return list(parts(iter(numbers)))

@@ -1,0 +1,194 @@
+"""A motion by a one-step method through phases whose reverse mode is the adjoint of its steps; see motion.py, adjoint.py.
+
+    inputs    the data of the reduced model, then designs [component..., 1, lanes]: events and impact maps may look at these,
+              and at the mode shapes that are made of them
+    outputs   q, v, v', lam [times, n, 1, lanes], the validity of the lanes (attempts.py), the data that locks change, and of
+              every switch its time and the states on both sides
+
+Tangents are integrated when they are asked for, together with the values once more.
+Checked in tests/sensitivity/test_phase_adjoint.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.attempts import has_failed, steps_that_fit, validity
+from torchmbd.integrate.motion import Tensors
+from torchmbd.integrate.native import backward as compiled_adjoint
+from torchmbd.integrate.native.library import resolved
+from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.phases.adjoint import MARKED, PhaseAdjoint, PhaseCotangents
+from torchmbd.integrate.phases.events import Views
+from torchmbd.integrate.phases.lane_leaves import Key
+from torchmbd.integrate.phases.multiphase import NUMBERS, integrate, numbers_of, switches_of
+from torchmbd.integrate.phases.phase import Stage
+from torchmbd.integrate.phases.run import Course
+from torchmbd.math.pair import Pair, value
+from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.results.history import History
+from torchmbd.results.mode_shapes import DesignShapes
+from torchmbd.results.trajectory import Switch
+
+
+@dataclass(eq=False)
+class ReversePhaseIntegration:
+    """Equal steps over a duration [s], and steps of other sizes at switches.
+
+    system    with the locks of its phases;  stages: these phases
+    model     topology and options of the equations; its data are not used
+    names     of the data;  designs: of the designs
+    steps     their number; None: chosen from the data
+    integrator   with a pullback of its steps
+    backend   of the steps, as of `simulate`
+
+    dynamics, history, status, stats, switches   what came of it
+    """
+
+    system: System
+    stages: list[Stage]
+    model: Dynamics
+    names: tuple[str, ...]
+    designs: tuple[str, ...]
+    duration: float
+    steps: int | None
+    integrator: OneStep
+    backend: str
+    dynamics: Dynamics = field(init=False)
+    history: History = field(init=False)
+    status: list[str] = field(init=False)
+    validity: Tensor = field(init=False)
+    stats: dict[str, Any] = field(init=False)
+    switches: list[Switch] = field(default_factory=list, init=False)
+    variables: tuple[str, ...] = ()  # none carries tangents along
+    _course: Course = field(init=False, repr=False)
+
+    @property
+    def moving(self) -> tuple[str, ...]:
+        """Data that locks change."""
+        return tuple(name for name in MARKED if name in self.names and any(stage.locks for stage in self.stages))
+
+    def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """As of `Integration`."""
+        data, designs = self._split(inputs)
+        model = resolved(replace(self.model, data=data), self.backend, None)
+        self.steps = self.steps or steps_that_fit(self.system, model, self.duration, 0, self.integrator)
+        views = Views.of(self.system, model, designs)
+        self._course, self.stats, self.status = self._through(model, views)
+        self.dynamics, self.history, self.switches = self._course.whole, self._course.history, self._course.switches
+        self.validity = validity(self.history, self.status, self.stats)
+        return self._outputs(self._course)
+
+    def tangents(self, directions: Tensors) -> list[Tensor]:
+        """As of `Integration`."""
+        own = dict(zip(self.names, directions, strict=False))
+        given = self._course.given
+        data = {name: x if own[name] is None else Pair.of(x, _tensor(own[name])) for name, x in given.items()}
+        designs = self._course.views.whole.designs
+        moves = zip(self.designs, directions[len(self.names) :], strict=True)
+        along = {name: dx.movedim((-2, -1), (0, 1)) for name, dx in moves if dx is not None}
+        along = {name: dx.expand(len(dx), len(designs[name]), *dx.shape[2:]) for name, dx in along.items()}
+        model = replace(self.dynamics, data=data)
+        course, stats, _ = self._through(model, Views.of(self.system, model, designs, along))
+        self.stats["tangent_error"] = stats.get("tangent_error")
+        h, count = course.history, next(x.shape[-2] for x in directions if x is not None)
+        numbers: list[Any] = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self.validity]
+        numbers += [course.whole.data[name] for name in self.moving]
+        numbers += [x for switch in course.switches for x in numbers_of(switch)]
+        found = (x.tangent if isinstance(x, Pair) else x.new_zeros(*x.shape[:-2], count, x.shape[-1]) for x in numbers)
+        return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in found]
+
+    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+        """As of `Integration`."""
+        rows = next(x.shape[-2] for x in outputs if x is not None)
+        names = [name for name, one in zip(self.names, wanted, strict=False) if one]
+        marks = 5 + len(self.moving)
+        switches = [outputs[i : i + NUMBERS] for i in range(marks, len(outputs), NUMBERS)]
+        found = self._adjoint(names)(
+            PhaseCotangents(outputs[:4], dict(zip(self.moving, outputs[5:marks], strict=True)), switches), rows
+        )
+        data = {name: self._of_data(found, ("data", name), self._course.given[name], rows) for name in names}
+        designs = self._of_designs(found, rows) if any(wanted[len(self.names) :]) else {}
+        return [data.get(name) for name in self.names] + [designs.get(name) for name in self.designs]
+
+    def expansion(self, data: dict[str, Any]) -> Expansion | None:
+        """As of ReverseIntegration."""
+        return None
+
+    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
+        """As of ReverseIntegration."""
+        return self._course.multipliers(history, data)
+
+    def switches_of(self, numbers: Sequence[Tensor]) -> list[Switch]:
+        """The switches with their numbers as differentiable outputs."""
+        return switches_of(self.switches, numbers)
+
+    def _split(self, inputs: Sequence[Tensor]) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        n = len(self.names)
+        data = dict(zip(self.names, inputs[:n], strict=True))
+        return data, {k: x.squeeze(-2).movedim(-1, 0) for k, x in zip(self.designs, inputs[n:], strict=True)}
+
+    def _through(self, model: Dynamics, views: Views) -> tuple[Course, dict[str, Any], list[str]]:
+        assert self.steps is not None
+        return integrate(model, self.stages, views, self.duration, self.steps, self.integrator)
+
+    def _outputs(self, course: Course) -> tuple[Tensor, ...]:
+        h, data = course.history, course.whole.data
+        lanes = h.q.shape[-1]
+        marks = [data[name].expand(*data[name].shape[:-1], lanes) for name in self.moving]
+        return (
+            h.q,
+            h.v,
+            h.vd,
+            h.lam,
+            self.validity,
+            *marks,
+            *(value(x) for s in course.switches for x in numbers_of(s)),
+        )
+
+    def _adjoint(self, names: Sequence[str]) -> PhaseAdjoint:
+        failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
+        return PhaseAdjoint(self._course, self.integrator, names, failed, compiled_adjoint.sweep)
+
+    def _of_data(self, found: dict[int, dict[Key, Tensor]], key: Key, like: Tensor, rows: int) -> Tensor:
+        """Cotangents [component..., rows, lanes] of data [component..., 1, lanes]; of lanes that failed zero."""
+        result = like.new_zeros(*like.shape[:-2], rows, len(self.status))
+        for lane, by in found.items():
+            if key in by:
+                result[..., lane] = by[key][..., 0, 0].movedim(0, -1)
+        return result
+
+    def _of_designs(self, found: dict[int, dict[Key, Tensor]], rows: int) -> dict[str, Tensor]:
+        """Of designs [component..., rows, lanes]: their own, and those of the mode shapes through the structure stage."""
+        whole = self._course.views.whole
+        lanes = len(self.status)
+        kinds = {key for by in found.values() for key in by if key[0] != "data"}
+        with torch.enable_grad():
+            designs = {name: x.detach().clone().requires_grad_() for name, x in whole.designs.items()}
+            shapes = DesignShapes(self.system, designs, lanes)
+            outputs = {(k, n): designs[n] if k == "design" else shapes.values(n) for k, n in kinds}
+        cotangents = {key: x.new_zeros(rows, *x.shape) for key, x in outputs.items()}
+        for lane, by in found.items():
+            for key in kinds.intersection(by):
+                cotangents[key][:, lane : lane + 1] += by[key]
+        used = [key for key in kinds if outputs[key].requires_grad]
+        result = {name: x.new_zeros(rows, *x.shape) for name, x in designs.items()}
+        for row in range(rows) if used else ():
+            options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
+            of, weights = [outputs[key] for key in used], [cotangents[key][row] for key in used]
+            for name, x in zip(
+                designs, torch.autograd.grad(of, list(designs.values()), weights, **options), strict=True
+            ):
+                result[name][row] = x
+        return {name: x.movedim((0, 1), (-2, -1)) for name, x in result.items()}
+
+
+def _tensor(x: Tensor | None) -> Tensor:
+    assert x is not None
+    return x

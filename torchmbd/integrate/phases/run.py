@@ -1,0 +1,300 @@
+"""The course of a motion through its phases: what both families of integrators share.
+
+A motion is recorded on one grid of times for all lanes. Lanes pass from phase to phase at their own times t*, between the
+grid's. A `Passage` is where each of them stands, with *total* derivatives by the design; a `Switch` is its presentation.
+On the grid, derivatives are taken at fixed times.
+Checked in tests/integrate/phases/test_phase.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.phases.events import Event, Views
+from torchmbd.integrate.phases.phase import Stage
+from torchmbd.integrate.phases.switch import (
+    Opening,
+    accelerations,
+    at_time,
+    jump,
+    lane_of,
+    mapped,
+    marked,
+    pick,
+    side_by_side,
+    together,
+)
+from torchmbd.math.pair import Pair, linear, value
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.least_norm import LeastNorm
+from torchmbd.multibody.system.saddle import Saddle
+from torchmbd.multibody.system.selection import selected
+from torchmbd.results.history import History
+from torchmbd.results.state import State
+from torchmbd.results.trajectory import OK, Moment, Switch
+
+CLOSED = 1e-6  # [m] or [-]: violation of a joint that begins to act
+
+
+class Passage(NamedTuple):
+    """Where lanes leave a phase: time t [1 + n_b, lanes] (inf: a lane that does not get there) and state."""
+
+    t: Any
+    x: State
+
+    def lane(self, lane: int) -> Passage:
+        return Passage(pick(self.t, [lane]), self.x.map(lambda y: pick(y, [lane])))
+
+
+@dataclass
+class PhaseRecord:
+    """What the lanes did in one phase, for the adjoint (adjoint.py).
+
+    dynamics   of the phase, with the marks of its locks
+    entry      time and state before the switch that begins the phase;  start: the state after it
+    first      the first point of the grid that a lane steps to [lanes]
+    arrival    its state there, by lane;  on_grid: whether that is `start` itself
+    base       by lane: the point of the grid at which its last step begins (None: at `start`), and the state there
+    exit       where lanes left the phase, by lane
+    """
+
+    number: int
+    dynamics: Dynamics
+    entry: Passage
+    start: State
+    first: Tensor
+    arrival: dict[int, State] = field(default_factory=dict)
+    on_grid: dict[int, bool] = field(default_factory=dict)
+    base: dict[int, tuple[int | None, State]] = field(default_factory=dict)
+    exit: dict[int, Passage] = field(default_factory=dict)
+
+
+@dataclass
+class Course:
+    """One simulation through all stages.
+
+    whole   dynamics of the system with all joints and locks; its data take up the marks of the locks
+    """
+
+    whole: Dynamics
+    stages: list[Stage]
+    views: Views
+    duration: float
+    steps: int
+    switches: list[Switch] = field(default_factory=list)
+    records: list[PhaseRecord] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        T, lanes, slots = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
+        self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
+        self.status = [OK] * lanes
+        self.given = self.whole.data  # without marks
+        # Whether the time at which a stage begins depends on the design.
+        self.moves = [False]
+        for stage in self.stages[:-1]:
+            until = stage.phase.until
+            self.moves.append(isinstance(until, Event) or (until is None and self.moves[-1]))
+        self.least_norm: list[LeastNorm | None] = []
+
+        def nothing(rows: int) -> Tensor:
+            return torch.full((self.steps + 1, rows, slots, lanes), torch.nan, dtype=torch.float64)
+
+        self.q, self.v, self.vd, self.lam = (nothing(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
+        self.number = torch.full((self.steps + 1, lanes), -1)
+
+    @property
+    def history(self) -> History:
+        """The motion on the grid."""
+        return History(self.q, self.v, self.vd, self.lam)
+
+    def multipliers(self, history: History, data: equations.Data | None = None) -> Tensor:
+        """Multipliers of all rows [times, rows, slots, lanes]; of redundant ones those of least norm.
+
+        data   instead of those of the whole
+        """
+        lam = history.lam
+        for number, least in enumerate(self.least_norm):
+            here = self.number == number
+            some = here.any(1)
+            if least is not None and bool(some.any()):
+                found = least.at_times(data or self.whole.data, self.times[some], history.q[some], lam[some])
+                lam = lam.index_put((some,), torch.where(here[some][:, None, None], found, lam[some]))
+        return lam
+
+    def recorded(self) -> History:
+        """The same with zeros where nothing is recorded."""
+        q, v, vd = (torch.nan_to_num(x, 0.0, 0.0, 0.0) for x in (self.q, self.v, self.vd))
+        return History(q, v, vd, self.lam)
+
+    def broken(self, lane: int) -> bool:
+        """Note the first time at which a lane that marched to the end is not finite; whether there is one."""
+        bad = [~torch.isfinite(x[..., lane]).flatten(1).all(1) for x in (self.q, self.v, self.vd)]
+        first = torch.nonzero(bad[0] | bad[1] | bad[2])
+        if len(first):
+            self.fail(lane, f"the motion is not finite from t = {float(self.times[first[0, 0]]):.6g} s on")
+        return bool(len(first))
+
+    def start(self) -> Passage:
+        """Consistent initial positions and velocities under the joints that close the mechanism."""
+        q, v = (self._wide(x) for x in self.closed(self.whole))
+        self.opening = Opening(value(q)[..., :1], value(v)[..., :1])
+        t = self._wide(torch.zeros(1, self.whole.lanes, dtype=torch.float64))
+        return Passage(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
+
+    def closed(self, whole: Dynamics) -> tuple[Any, Any]:
+        """Initial q and v for the data of some dynamics of the whole."""
+        first = selected(whole.topology, self.stages[0].start)
+        opening = replace(whole.initial, topology=first)
+        return opening.solve(replace(whole, topology=first, saddle=Saddle(first), initial=opening))
+
+    def _wide(self, x: Any) -> Any:
+        """All lanes and tangents of a number."""
+        n, lanes = self.whole.tangents, self.whole.lanes
+        if isinstance(x, Pair) or not n:
+            return Pair(x.full.expand(*x.shape[:-1], lanes)) if isinstance(x, Pair) else x.expand(*x.shape[:-1], lanes)
+        return Pair.of(x, x.new_zeros(*x.shape[:-2], n, lanes))
+
+    def enter(self, number: int, passage: Passage) -> tuple[Dynamics, State]:
+        """The dynamics of a stage and the state in which its lanes begin, with consistent accelerations."""
+        data = marked(self.whole.topology, self.whole.data, passage.x.q, self.stages[number].locks)
+        self.whole = replace(self.whole, data=data)
+        dynamics, stage = self.dynamics_of(number, self.whole), self.stages[number]
+        self.least_norm.append(LeastNorm.of(self.whole.topology, dynamics.rank, stage.rows))
+        parts = [self._begin(number, lane, lane_of(dynamics, lane), passage) for lane in range(self.whole.lanes)]
+        state = together(parts)
+        if number:
+            self.switches.append(self._switch(number, passage, state))
+        return dynamics, state
+
+    def dynamics_of(self, number: int, whole: Dynamics) -> Dynamics:
+        """Of a stage, with the data of the whole."""
+        stage = self.stages[number]
+        return replace(whole, topology=stage.topology, saddle=stage.saddle, initial=self.opening)
+
+    def _switch(self, number: int, passage: Passage, after: State) -> Switch:
+        t = passage.t
+        return Switch(
+            self.stages[number].name,
+            value(t)[0],
+            _moment(passage.x, self._multipliers(number - 1, t, passage.x)),
+            _moment(after, self._multipliers(number, t, after)),
+            t.tangent.T if isinstance(t, Pair) else None,
+        )
+
+    def _multipliers(self, number: int, t: Any, x: State) -> Any:
+        """Multipliers of all rows [rows, ...] on one side of a switch, as `multipliers`."""
+        parts = []
+        for lane in range(self.whole.lanes):
+            own = [pick(y, [lane]) for y in (t, x.q, x.lam)]
+            data = lane_of(self.whole, lane).data if bool(torch.isfinite(value(own[0])).all()) else None
+            parts.append(self.settled(number, data, *own))
+        return side_by_side(parts)
+
+    def settled(self, number: int, data: equations.Data | None, t: Any, q: Any, lam: Any) -> Any:
+        """Multipliers of all rows of one lane from those of a stage; data None: as they are."""
+        n, rows = self.whole.topology.rows, torch.tensor(self.stages[number].rows, dtype=torch.long)
+        lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
+        least = self.least_norm[number]
+        return lam if least is None or data is None else least.at_own_time(data, t, q, lam)
+
+    def _begin(self, number: int, lane: int, dynamics: Dynamics, passage: Passage) -> State:
+        """The state of one lane after a switch."""
+        t, x = passage.lane(lane)
+        if not bool(torch.isfinite(value(x.q)).all()):
+            self.fail(lane, f"the motion is not finite when phase {self.stages[number].name!r} begins")
+        if not self.arrived(passage)[lane]:
+            rows = value(x.q).new_zeros(dynamics.topology.rows, *x.q.shape[1:])
+            q, v = x.q * torch.nan, x.v * torch.nan
+            return State(q, v, v, v, Pair(rows) if isinstance(x.q, Pair) else rows)
+        if number:
+            self._check_closed(number, lane, dynamics, t, x.q)
+        return self.after(number, self.views, lane, dynamics, t, x)
+
+    def after(self, number: int, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> State:
+        """The state of one lane after the switch that begins a stage, from the state before it."""
+        (v,) = at_time(jump, dynamics, t, x.q, x.v)
+        ended = self.stages[number - 1].phase if number else None
+        if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
+            v = mapped(ended.impact, ended.until, views, lane, dynamics, t, x._replace(v=v))
+        a, lam = at_time(accelerations, dynamics, t, x.q, v)
+        return State(x.q, v, a, a, dynamics.carried(lam))
+
+    def _check_closed(self, number: int, lane: int, dynamics: Dynamics, t: Any, q: Any) -> None:
+        """Fail a lane in which a joint begins to act that is not closed."""
+        T, before = dynamics.topology, set(self.stages[number - 1].rows)
+        new = [k for k, row in enumerate(self.stages[number].rows) if row not in before]
+        if not new:
+            return
+        values = {name: value(x) for name, x in dynamics.data.items()}
+        at = equations.placement(T, values, value(q), T.prescribed(value(t)[0, 0], values))
+        phi = equations.constraints(T, at).abs().amax((1, 2))
+        worst = max(new, key=lambda k: float(phi[k]))
+        if bool(phi[worst] > CLOSED):
+            self.fail(
+                lane,
+                f"{T.row_names[worst]} misses by {float(phi[worst]):.3g} when phase {self.stages[number].name!r} begins "
+                f"at t = {float(value(t)[0, 0]):.6g} s: a joint that begins to act must be closed",
+            )
+
+    def arrived(self, passage: Passage) -> Tensor:
+        """Which lanes take part in what follows [lanes]."""
+        good = torch.tensor([status == OK for status in self.status])
+        return torch.isfinite(value(passage.t)[0]) & good
+
+    def end(self, stage: Stage, t: Any) -> Any:
+        """Times at which a stage ends that begins at t, where that is known: a number [1 + n_b, lanes]."""
+        if not isinstance(stage.phase.until, (int, float)):
+            return None if stage.phase.lasting is None else t + torch.full_like(value(t), float(stage.phase.lasting))
+        until = float(stage.phase.until)
+        for lane in torch.nonzero(torch.isfinite(value(t)[0]) & (value(t)[0] >= until))[:, 0].tolist():
+            begins = float(value(t)[0, lane])
+            self.fail(lane, f"phase {stage.name!r} begins at t = {begins:.6g} s, after its end at t = {until:g} s")
+        return t * 0.0 + torch.full_like(value(t), until)
+
+    def fail(self, lane: int, reason: str) -> None:
+        """Note the first reason why a lane failed."""
+        if self.status[lane] == OK:
+            self.status[lane] = f"failed: {reason}"
+
+    def never_ends(self, stage: Stage, lane: int) -> None:
+        """Note that a lane stays in a stage until the simulation ends."""
+        what = "its event does not occur" if stage.phase.lasting is None else "it lasts longer than"
+        self.fail(
+            lane, f"phase {stage.name!r} never ends: {what} before the simulation ends at t = {self.duration:g} s"
+        )
+
+    def put(self, stage: Stage, i: int, lanes: Tensor, x: State) -> None:
+        """Record a state, of all lanes or of one, for some lanes (a mask) at a time of the grid."""
+        full = (y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, x.lam))
+        q, v, vd, lam = (y.expand(*y.shape[:-1], len(lanes)) for y in full)
+        for record, y in ((self.q, q), (self.v, v), (self.vd, vd)):
+            record[i, ..., lanes] = y[..., lanes]
+        rows = torch.zeros_like(self.lam[i])
+        rows[stage.rows] = lam
+        self.lam[i, ..., lanes] = rows[..., lanes]
+        self.number[i, lanes] = self.stages.index(stage)
+
+    def passage(self, stage: Stage, entry: Passage, left: dict[int, Passage], staying: list[int]) -> Passage:
+        """Where all lanes left a stage that they entered at `entry`; those that did not are at an infinite time.
+
+        left     passages of the lanes that left
+        staying  lanes that were in the stage when the simulation ended: an error, unless it is the last
+        """
+        for lane in staying:
+            if not self.broken(lane) and stage is not self.stages[-1]:
+                self.never_ends(stage, lane)
+        nowhere = Passage(entry.t * 0.0 + torch.inf, entry.x)
+        parts = [left.get(lane) or nowhere.lane(lane) for lane in range(self.whole.lanes)]
+        return Passage(side_by_side([p.t for p in parts]), together([p.x for p in parts]))
+
+
+def _moment(x: State, lam: Any) -> Moment:
+    """Lanes first; lam: multipliers of all rows."""
+    full = [y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, lam)]
+    tangents = [y[:, 1:].permute(2, 0, 1) if isinstance(x.q, Pair) else None for y in full]
+    return Moment(*(y[:, 0].T for y in full), *tangents)

@@ -1,0 +1,205 @@
+"""What happens at a switch from one phase to the next: marks of locks, the jump of the velocities, impacts.
+
+    positions   continuous
+    velocities  M (v+ - v-) + Phi_q' Lambda = 0,   Phi_q v+ = -Phi_t             momentum-consistent
+    impact      M (v+ - v-) + Phi_q' Lambda + g_q' lam = 0,   g'+ = -e g'-       g: the gap, e: restitution (Newton)
+
+with the constraints of the new phase. Numbers carry *total* derivatives by the design: the time t* of the switch moves
+with it. What depends on time and state, f(t, q, v), is evaluated lane by lane, each at its own time:
+
+    df/db = f_t dt*/db + f_q dq/db + f_v dv/db + f_b
+
+Source: Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 11; Pfeiffer and Glocker, Multibody Dynamics
+with Unilateral Contacts, chapter 8.
+Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.phases.events import Event, Views, normal
+from torchmbd.math.elementwise import reciprocal
+from torchmbd.math.pair import Pair, cat, combine, dot, matvec, matvec_t, value
+from torchmbd.multibody.joints.lock import Lock
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.dynamics import Dynamics, solve
+from torchmbd.multibody.system.topology import Topology
+from torchmbd.results.state import State
+
+
+@dataclass(frozen=True, eq=False)
+class Opening:
+    """Where a simulation of phases started: there, bodies undeformed, the rank of the constraints of each is judged."""
+
+    q: Tensor
+    v: Tensor
+    condensed: None = None
+
+    def alike(self, dynamics: Dynamics) -> None:
+        """Nothing is shared with other simulations."""
+
+    def solve(self, dynamics: Dynamics) -> tuple[Any, Any]:
+        """q [n_q, 1, 1] and v [n_v, 1, 1], of the first lane."""
+        return self.q, self.v
+
+
+def pick(x: Any, lanes: Sequence[int]) -> Any:
+    """Some lanes of a number."""
+    index = torch.tensor(list(lanes))
+    return Pair(x.full.index_select(-1, index)) if isinstance(x, Pair) else x.index_select(-1, index)
+
+
+def side_by_side(parts: Sequence[Any]) -> Any:
+    """Lanes of several numbers as one."""
+    if isinstance(parts[0], Pair):
+        return Pair(torch.cat([x.full for x in parts], -1))
+    return torch.cat(list(parts), -1)
+
+
+def together(states: Sequence[State]) -> State:
+    """Lanes of several states as one."""
+    q, v, vd, a, lam = (side_by_side(x) for x in zip(*states, strict=True))
+    return State(q, v, vd, a, lam)
+
+
+def lane_of(dynamics: Dynamics, lane: int) -> Dynamics:
+    """The dynamics of one lane."""
+    return replace(dynamics.some([lane]), statistics=dynamics.statistics)
+
+
+def marked(T: Topology, data: equations.Data, q: Any, locks: Sequence[Lock]) -> equations.Data:
+    """The data with the marks of locks where the coordinates q [n_q, ...] put them."""
+    if not locks:
+        return data
+    place = {id(attached): i for i, attached in enumerate(T.attached)}
+    at = equations.placement(T, data, q, T.prescribed(value(q).new_zeros(()), data))
+    for lock in locks:
+        m = lock.marks
+        point_a, point_b, point = (place[id(x)] for x in (m.point_a, m.point_b, m.point))
+        axes_a, axes_b, axes = ([place[id(x)] for x in some] for some in (m.axes_a, m.axes_b, m.axes))
+        offset = matvec_t(at.A_of[:, :, point_a], at.g[:, point_b] - at.g[:, point_a])
+        data = _set(data, T, point, axes_a, _solve(at.rho[:, axes_a], offset), point_a)
+        A, B = at.A_of[:, :, point_b], at.rho[:, axes_b]
+        for j, own in enumerate(axes):
+            e, other = at.g[:, axes_a[j]], at.g[:, axes_a[(j + 2) % 3]]
+            if (
+                axes_a[j] < T.attached_flexible
+            ):  # on a bent body not quite perpendicular, as the mark's equation wants them
+                e = combine(e, -dot(e, other) * reciprocal(dot(other, other)), other)
+            data = _set(data, T, own, axes_b, _solve(B, matvec_t(A, e)), None)
+    return data
+
+
+def _solve(B: Any, y: Any) -> Any:
+    """B^-1 y of numbers [3, 3, ...] and [3, ...]."""
+
+    def times(x: Tensor) -> Tensor:
+        return torch.linalg.solve(value(B)[:, :, 0].movedim(-1, 0), x.permute(2, 0, 1)).permute(1, 2, 0)
+
+    x = times(value(y))
+    if not isinstance(y, Pair):
+        return x
+    return Pair.of(x, times((y - matvec(B, x)).tangent))
+
+
+def _set(data: equations.Data, T: Topology, own: int, axes: list[int], c: Any, origin: int | None) -> equations.Data:
+    """Set an attached vector to c_1 axes_1 + c_2 axes_2 + c_3 axes_3, from the vector `origin` if there is one."""
+    names = ("x", "Y") if own < T.attached_flexible else ("x",)
+    data = dict(data)
+    for name in names:
+        x, axis = data[name], 2 if name == "Y" else 1
+        take = (slice(None),) * axis
+        vectors = x[(*take, axes)]
+        vector = (vectors * c).sum(axis)
+        if origin is not None:
+            vector = vector + x[(*take, origin)]
+        parts = [x[(*take, slice(0, own))], vector.unsqueeze(axis), x[(*take, slice(own + 1, None))]]
+        data[name] = cat(parts, axis)
+    return data
+
+
+def at_time(f: Callable[..., tuple], dynamics: Dynamics, t: Any, *state: Any) -> tuple:
+    """f(dynamics, time, *state) of one lane at a time t [1, 1] that may depend on the design."""
+    now = value(t)[0, 0]
+    found = f(dynamics, now, *state)
+    if not (isinstance(t, Pair) and bool(t.tangent.any())):
+        return found
+    plain, values = dynamics.values(), [value(x) for x in state]
+    _ = plain.rank  # found once, outside of the derivative
+    _, rates = torch.func.jvp(lambda s: f(plain, s, *values), (now,), (torch.ones_like(now),))[:2]
+    return tuple(Pair.of(value(x), x.tangent + rate * t.tangent) for x, rate in zip(found, rates, strict=True))
+
+
+def accelerations(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
+    """Accelerations [n_v, ...] and multipliers [rows, ...]."""
+    return dynamics.accelerations(t, q, v)
+
+
+def jump(dynamics: Dynamics, t: Tensor, q: Any, v: Any) -> tuple:
+    """Velocities v+ [n_v, ...] after the constraints took hold of the bodies moving with v."""
+    if not dynamics.topology.rows:
+        return (v,)
+    change, _ = _impulse(dynamics, t, q, None, v)
+    return (v + change,)
+
+
+def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tuple[Any, Any]:
+    """Change of the velocities under an applied impulse [n_v, ...] so that v plus the change fits; and Lambda.
+
+    M dv + Phi_q' Lambda = impulse,   Phi_q (v + dv) = -Phi_t; without v: Phi_q dv = 0.
+    """
+    T, data = dynamics.topology, {name: value(x) for name, x in dynamics.data.items()}
+    at = equations.placement(T, data, value(q), T.prescribed(t, data))
+    K = dynamics.saddle.matrix(data, at)
+    LU, pivots, _ = torch.linalg.lu_factor_ex(dynamics.determined(K))
+    factor = LU, pivots, K if dynamics.redundant else None
+    still = torch.zeros_like(value(q)[: T.n_v])
+    nothing = still.new_zeros(T.rows, *still.shape[1:])
+
+    def left(data: equations.Data, q: Any, impulse: Any, v: Any, dv: Tensor, Lam: Tensor) -> Any:
+        at = equations.placement(T, data, q, T.prescribed(t, data))
+        forces = equations.dynamic_residual(T, data, at, still, dv, Lam)
+        forces = forces - equations.dynamic_residual(T, data, at, still, still, nothing)
+        forces = forces if impulse is None else forces - impulse
+        if not T.rows:
+            return forces
+        rates = equations.constraint_jets(T, at, data, dv if v is None else v + dv, still, t).velocity
+        if v is None:
+            rates = rates - equations.constraint_jets(T, at, data, still, still, t).velocity
+        return cat([forces, rates])
+
+    push, rates = (None if x is None else value(x) for x in (impulse, v))
+    x: Any = -solve(factor, left(data, value(q), push, rates, still, nothing))
+    if isinstance(q, Pair):
+        residual = left(dynamics.data, q, impulse, v, x[: T.n_v], x[T.n_v :])
+        x = Pair.of(x, -solve(factor, residual.tangent))
+    return x[: T.n_v], x[T.n_v :]
+
+
+def restitution(dynamics: Dynamics, t: Tensor, q: Any, v: Any, gap: tuple[Any, Any], e: float) -> tuple:
+    """Velocities after an impact with a gap of the slopes (g_q [n_v, ...], g_t [1, ...])."""
+    slope, own = gap
+    response, _ = _impulse(dynamics, t, q, slope, None)
+    closing = (slope * v).sum(0).unsqueeze(0) + own
+    size = (-(1.0 + e)) * closing * reciprocal((slope * response).sum(0).unsqueeze(0))
+    return (v + response * size,)
+
+
+def mapped(
+    impact: float | Callable, event: Event, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State
+) -> Any:
+    """Velocities [n_v, ...] of one lane after the impact that ends a phase: a restitution, or a map motion -> v."""
+    if callable(impact):
+        return views.number(lambda motion: impact(motion)[0, 0], lane, dynamics, t, x)
+    slope, rate = normal(event, views, lane, dynamics, t, x)
+
+    def rebound(one: Dynamics, now: Tensor, q: Any, v: Any, slope: Any, rate: Any) -> tuple:
+        return restitution(one, now, q, v, (slope, rate), impact)
+
+    return at_time(rebound, dynamics, t, x.q, x.v, slope, rate)[0]

@@ -1,0 +1,130 @@
+"""A motion by equal steps whose reverse mode is the discrete adjoint; see motion.py and adjoint.py.
+
+    inputs    the data of the reduced model, in the order of `names`; with `timed` the duration [1, 1] behind them
+    outputs   q, v, v', lam [times, n, 1, lanes] of what a condensation left, and the validity of the lanes (attempts.py)
+
+Tangents are integrated when they are asked for, together with the values once more.
+Checked in tests/integrate/test_motion.py, tests/sensitivity/test_adjoint.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.integrate.adjoint import Adjoint
+from torchmbd.integrate.attempts import has_failed, run, steps_that_fit, validity
+from torchmbd.integrate.duration_derivative import tangents
+from torchmbd.integrate.motion import Tensors
+from torchmbd.integrate.native import backward as compiled_adjoint
+from torchmbd.integrate.native.library import resolved
+from torchmbd.integrate.one_step import OneStep
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.results.history import History
+
+
+@dataclass(eq=False)
+class ReverseIntegration:
+    """Equal steps over a duration [s].
+
+    system    the model, where steps are to be chosen;  model: topology and options of the equations; its data are not used
+    names     of the inputs;  timed: whether the duration is one as well
+    steps     their number; None: chosen from the data
+    integrator   with a pullback of its steps
+    precise   whether derivatives will be taken
+    backend   of the steps, as of `simulate`
+
+    dynamics, history, status, stats   what came of it
+    """
+
+    system: System | None
+    model: Dynamics
+    names: tuple[str, ...]
+    duration: float
+    timed: bool
+    steps: int | None
+    integrator: OneStep
+    precise: bool
+    backend: str = "auto"
+    dynamics: Dynamics = field(init=False)
+    history: History = field(init=False)
+    status: list[str] = field(init=False)
+    validity: Tensor = field(init=False)
+    stats: dict[str, Any] = field(init=False)
+    variables: tuple[str, ...] = ()  # none carries tangents along
+
+    def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """As of `Integration`."""
+        data = inputs[: len(self.names)]
+        if self.timed and inputs[-1].shape[-1] > 1:
+            raise InputError("duration is a batch of torch.vmap; allowed: one duration for all designs")
+        if self.timed and self.integrator.checkpoint > 1:
+            raise InputError(
+                f"duration requires a gradient and checkpoint is {self.integrator.checkpoint}; allowed: checkpoint=1"
+            )
+        self.dynamics = resolved(self._with(data), self.backend)
+        self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, 0, self.integrator)
+        self.history, self.stats, self.status = run(
+            self.integrator, self.dynamics, self.duration, self.steps, self.precise
+        )
+        h = self.history
+        self.validity = validity(h, self.status, self.stats)
+        self.dynamics.judged()
+        return h.q, h.v, h.vd, h.lam, self.validity
+
+    def tangents(self, directions: Tensors) -> list[Tensor]:
+        """As of `Integration`."""
+        given = zip(self.names, directions[: len(self.names)], strict=True)
+        data, parts = self.dynamics.data, []
+        moving = {name: Pair.of(data[name], dx) for name, dx in given if dx is not None}
+        if moving:
+            moved = replace(self._with({**data, **moving}.values()), backend=self.dynamics.backend)
+            h, stats, _ = run(self.integrator, moved, self.duration, self.steps or 0, precise=True)
+            self.stats["tangent_error"] = stats.get("tangent_error")
+            parts.append([x[:, :, 1:] for x in (h.q, h.v, h.vd, h.lam)])
+        if self.timed and directions[-1] is not None:
+            parts.append([x * directions[-1] for x in self.by_duration])
+        found = [torch.where(self.validity[1] > 0.0, sum(x), 0.0) for x in zip(*parts, strict=True)]
+        return [*found, self.validity.new_zeros(2, found[0].shape[2], len(self.status))]
+
+    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+        """As of `Integration`."""
+        names = [name for name, one in zip(self.names, wanted, strict=False) if one]
+        found = self.adjoint(outputs[:4], names) if names else {}
+        result = [found.get(name) for name in self.names]
+        if self.timed:
+            both = [(bar, dx) for bar, dx in zip(outputs, self.by_duration, strict=False) if bar is not None]
+            parts = [torch.einsum("tnrl,tnl->rl", bar, dx.squeeze(2)) for bar, dx in both]
+            result.append(torch.stack(parts).sum(0) if parts else None)
+        return result
+
+    @cached_property
+    def by_duration(self) -> list[Tensor]:
+        """Derivatives of q, v, v' and lam by the duration [times, n, 1, lanes], by operators of torch."""
+        self.stats["gradient by the duration"] = "eager"
+        return tangents(self.adjoint.grids(), self.integrator, len(self.history.q), len(self.status))
+
+    @cached_property
+    def adjoint(self) -> Adjoint:
+        """Of the motion."""
+        failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
+        return Adjoint(self.dynamics, self.history, self.duration, self.integrator, failed, compiled_adjoint.sweep)
+
+    def expansion(self, data: dict[str, Any]) -> Expansion | None:
+        """Leads from what was integrated to the whole system, as a function of the data; None: it is the whole."""
+        return self.history.expansion_by(data)
+
+    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
+        """All multipliers [times, rows, 1, lanes]; of redundant rows those of least norm."""
+        return history.settled(self.dynamics.least_norm, self.duration, data)
+
+    def _with(self, inputs: Any) -> Dynamics:
+        return replace(self.model, data=dict(zip(self.names, inputs, strict=True)))

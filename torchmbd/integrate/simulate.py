@@ -1,0 +1,316 @@
+"""One function for all integrators: `simulate(system, duration, method=...)`, a differentiable operation of PyTorch.
+
+    parameters --structure stage--> data --Motion--> q, v, a, lam --torch--> responses
+
+"generalized_alpha" (default) integrates the index-3 equations with equal steps; every method of torchdiffeq goes by its
+own name on the index-1 form. Both return the same Trajectory and agree within their tolerances
+(tests/convergence/test_two_routes.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from types import MappingProxyType
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.integrate.arguments import (
+    GRADIENTS,
+    check,
+    check_backend,
+    check_designs,
+    check_gradients,
+    check_timed,
+    check_variables,
+    refuse_dual_level,
+    seconds_of,
+)
+from torchmbd.integrate.attempts import FEWEST
+from torchmbd.integrate.forward_integration import ForwardIntegration
+from torchmbd.integrate.memory import require_room
+from torchmbd.integrate.motion import Motion
+from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.phases.phase import Phase, plan
+from torchmbd.integrate.phases.reverse import ReversePhaseIntegration
+from torchmbd.integrate.registry import DEFAULT
+from torchmbd.integrate.reverse_integration import ReverseIntegration
+from torchmbd.math.module_call import exclusive, outside
+from torchmbd.math.owned import watched
+from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.results.history import History
+from torchmbd.results.mode_shapes import DesignShapes, without_failed
+from torchmbd.results.singular_positions import explained
+from torchmbd.results.spin import warn_of_spin
+from torchmbd.results.time_rows import Recorded
+from torchmbd.results.trajectory import Trajectory
+
+
+@exclusive
+def simulate(
+    system: System,
+    duration: float | Tensor,
+    method: str = DEFAULT,
+    steps: int | None = None,
+    designs: Mapping[str, Tensor] | None = None,
+    phases: Sequence[Phase] | None = None,
+    gradients: str = "auto",
+    variables: Sequence[str] | None = None,
+    backend: str = "auto",
+    **options: Any,
+) -> Trajectory:
+    """Simulate one design, or a batch of designs that do not see each other (lanes).
+
+    The motion is a differentiable function of the parameters, as any operation of torch: of `designs` and of parameters of
+    the system that require a gradient, in grad mode and under torch.func. Second derivatives are refused.
+
+    system      the model; its own parameters are the design where `designs` says nothing
+    duration    simulated time [s], positive; a tensor [] is differentiated by: the steps are as many, their size changes
+    method      "generalized_alpha", "hht_alpha", or a method of torchdiffeq, such as "dopri5" or "rk4"
+    steps       equal time steps, and output intervals; default: 20 per period of the fastest retained mode, at least 200.
+                Adaptive methods choose their own steps between the outputs
+    designs     parameter name -> values [lanes, ...], or [...] for one lane; others keep their own values
+    phases      locks, releases and ends of the phases that follow each other (phase.py); default: one without either
+    gradients   "reverse": by the adjoint of the steps, about one simulation for the first response and half of one for each
+                further one, however many variables there are; one-step methods, such as generalized_alpha.
+                "forward": by tangents of all variables, integrated with the motion: about a quarter of a simulation for each;
+                then the motion has `dq_db` as well. "auto": reverse where there is an adjoint, else forward, by what
+                requires a gradient or is under torch.func. "none": values only
+    backend     what makes the steps: "native" (C++, compiled once for kinds of joints and forces), "eager" (operators of torch,
+                the reference) or "auto": native where there is a compiler and all laws can be traced. The same call gives the
+                same numbers every time
+    variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
+                a gradient
+    options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
+                halvings, and checkpoint=k, which keeps every k-th state (not with phases); torchdiffeq: rtol, atol, options
+
+    A lane that fails is reported in `status`; it is nan from there on and adds nothing to a gradient. So is one whose steps do
+    not resolve its vibrations, with all numbers. `stats` says which way gradients come and which backend made the steps.
+    Threads that simulate wait for each other: use processes, or lanes. Raises InputError for bad arguments.
+    """
+    if not isinstance(system, System):
+        raise InputError(f"system is {system!r}; allowed: a System")
+    integrator = check(duration, method, steps, options, phases is not None)
+    steps = None if steps is None else int(steps)
+    given = check_designs(system, designs)
+    seconds = seconds_of(duration)
+    check_gradients(gradients, integrator)
+    check_backend(backend)
+    grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
+    # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
+    with torch.inference_mode(False), torch.set_grad_enabled(grad):
+        timed = check_timed(duration, gradients, integrator, phases is not None)
+        names = _variables(system, given, gradients, variables, timed)
+        if gradients != "none":
+            _require_wanted(names, given)
+        own = dict(system.named_parameters())
+        batch = _same_lanes({name: own[name][None] for name in names if name not in given} | given)
+        if gradients in ("forward", "reverse"):
+            batch = {k: _leaf(x) if k in names and not watched(x) else x for k, x in batch.items()}
+        count = sum(x[0].numel() for name, x in batch.items() if name in names)
+        lanes = max((len(x) for x in batch.values()), default=1)
+        require_room(system, lanes, integrator.kept(steps) if steps else FEWEST, count, gradients != "forward")
+        if gradients == "forward" or phases is not None or not integrator.adjoint:
+            refuse_dual_level(batch)
+        if gradients == "forward" or not isinstance(integrator, OneStep):
+            labels = labels_of(system, names)
+            integration = ForwardIntegration(
+                system, tuple(batch), tuple(names), labels, seconds, steps, integrator, phases, backend
+            )
+            motion = _forward(integration, batch)
+        elif phases is not None:
+            motion = _reverse_phases(system, batch, names, seconds, steps, integrator, backend, phases)
+        else:
+            motion = _reverse(system, batch, names, duration if timed else seconds, steps, integrator, backend)
+        motion.stats["backend"] = motion.integration.dynamics.backend
+        motion.stats["gradients"] = _route(motion) if names or timed else GRADIENTS[-1]
+        with torch.no_grad():
+            if phases is None:
+                explained(_plain(motion))
+            motion.stats.pop("until", None)
+            warn_of_spin(_plain(motion, motion.integration.validity[0, 0]))
+        return motion
+
+
+def _route(motion: Trajectory) -> str:
+    return "forward" if isinstance(motion.integration, ForwardIntegration) else "reverse"
+
+
+def _plain(motion: Trajectory, until: Tensor | None = None) -> Trajectory:
+    """The motion on plain tensors, wherever the caller is; status and statistics are shared. until: as of Recorded."""
+    made = motion.integration
+    dynamics, h = made.dynamics.values(), made.history
+    q, v, vd, lam = (x[:, :, :1] for x in (h.q, h.v, h.vd, h.lam))
+    signals = Recorded(History(q, v, vd, lam, made.expansion(dynamics.data)), made, dynamics.data, until)
+    return replace(
+        motion, signals=signals, dynamics=dynamics, designs={}, variables={}, integration=None, t=motion.t.detach()
+    )
+
+
+def _variables(
+    system: System, given: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None, timed: bool
+) -> list[str]:
+    """Names of the parameters by which the motion is differentiated."""
+    if gradients == "none":
+        return []
+    own = dict(system.named_parameters())
+    if variables is not None:
+        return check_variables(system, variables)
+    if gradients == "auto":
+        return [name for name, x in own.items() if watched(given.get(name, x))]
+    names = [name for name, x in own.items() if x.requires_grad or watched(given.get(name, x))]
+    if not names and not timed:
+        raise InputError(f"gradients is {gradients!r}, but no parameter of the system requires a gradient")
+    return names
+
+
+def _require_wanted(names: Sequence[str], given: Mapping[str, Tensor]) -> None:
+    """InputError where a design is being differentiated, but is none of the variables of this name."""
+    for name, x in given.items():
+        if name not in names and watched(x):
+            raise InputError(
+                f"design {name!r} is being differentiated, but variables is {list(names)}; allowed: variables with it, "
+                "or its x.detach()"
+            )
+
+
+def _reverse(
+    system: System,
+    batch: dict[str, Tensor],
+    names: list[str],
+    duration: float | Tensor,
+    steps: int | None,
+    integrator: OneStep,
+    backend: str,
+) -> Trajectory:
+    """A motion whose structure stage is differentiated by torch, and whose steps by their adjoint; also by a `duration` []."""
+    timed = isinstance(duration, Tensor)
+    dynamics, shapes = system.stages(batch)
+    data = dynamics.data
+    integration = ReverseIntegration(
+        system,
+        replace(dynamics, data={}),
+        tuple(data),
+        seconds_of(duration),
+        timed,
+        steps,
+        integrator,
+        bool(names) or timed,
+        backend,
+    )
+    inputs = (*data.values(), duration[None, None]) if timed else data.values()
+    outputs: Any = Motion.apply(integration, *inputs)
+    if not torch.is_grad_enabled():
+        shapes = {}  # they are made when somebody asks, and take no room before
+    motion = _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names, shapes)
+    return _timed(motion, duration) if timed else motion
+
+
+def _timed(motion: Trajectory, duration: Tensor) -> Trajectory:
+    """The motion at times that are functions of the duration."""
+    signals = motion.signals
+    assert isinstance(signals, Recorded)
+    t = torch.linspace(0.0, 1.0, signals.times, dtype=torch.float64) * duration
+    h, x = signals.history, signals.history.expansion
+    x = None if x is None else Expansion.of(x.condensation, x.data, t)
+    history = replace(h, expansion=x, times=t)
+    return replace(motion, t=t, signals=Recorded(history, signals.settle, signals.data, signals.until))
+
+
+def _reverse_phases(
+    system: System,
+    batch: dict[str, Tensor],
+    names: list[str],
+    duration: float,
+    steps: int | None,
+    integrator: OneStep,
+    backend: str,
+    phases: Sequence[Phase],
+) -> Trajectory:
+    """The same through phases."""
+    whole, stages = outside(lambda: plan(system, phases, duration))
+    dynamics = whole.reduced(batch)
+    data, model = dynamics.data, replace(dynamics, data={})
+    integration = ReversePhaseIntegration(
+        whole, stages, model, tuple(data), tuple(batch), duration, steps, integrator, backend
+    )
+    outputs: Any = Motion.apply(integration, *data.values(), *_lanes_last(batch))
+    end = 5 + len(integration.moving)
+    data = dict(data) | dict(zip(integration.moving, outputs[5:end], strict=True))
+    motion = _presented(whole, integration, outputs[:5], data, batch, labels_of(system, names), names)
+    motion.switches = integration.switches_of(outputs[end:])
+    motion.actions = tuple(stage.topology.actions for stage in stages)
+    return motion
+
+
+def _lanes_last(batch: dict[str, Tensor]) -> list[Tensor]:
+    """Designs [lanes, ...] as inputs of `Motion` [..., 1, lanes]."""
+    return [x.movedim(0, -1).unsqueeze(-2) for x in batch.values()]
+
+
+def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Trajectory:
+    """A motion with tangents."""
+    outputs: Any = Motion.apply(integration, *_lanes_last(batch))
+    end = 5 + len(integration.moving)
+    data = dict(integration.dynamics.data) | dict(zip(integration.moving, outputs[5:end], strict=True))
+    names, labels = list(integration.variables), integration.labels
+    motion = _presented(integration.system, integration, outputs[:5], data, batch, labels, names)
+    motion.switches = integration.switches_of(outputs[end:])
+    motion.actions = integration.actions
+    return motion
+
+
+def _presented(
+    system: System,
+    integration: ReverseIntegration | ReversePhaseIntegration | ForwardIntegration,
+    outputs: Sequence[Tensor],
+    data: dict[str, Tensor],
+    designs: dict[str, Tensor],
+    labels: tuple[str, ...],
+    names: list[str],
+    shapes: Mapping[str, Tensor] = MappingProxyType({}),
+) -> Trajectory:
+    """What was integrated, with all that belongs to it, as functions of the outputs, the data and the designs."""
+    q, v, vd, lam, (until, good) = outputs
+    until, good = until[0].detach(), good[0] > 0.0
+    whole = integration.dynamics
+    data = without_failed(data, good)
+    dynamics = Dynamics(whole.topology, whole.saddle, data, whole.initial, whole.stabilization, whole.backend)
+    history = History(q, v, vd, lam, integration.expansion(data))
+    signals = Recorded(history, integration, data, until)
+    return Trajectory(
+        t=torch.linspace(0.0, integration.duration, len(q), dtype=torch.float64),
+        signals=signals,
+        status=integration.status,
+        stats=integration.stats,
+        system=system,
+        dynamics=dynamics,
+        shapes=DesignShapes(system, designs, signals.lanes, good, shapes),
+        good=good,
+        designs=designs,
+        parameters=labels,
+        variables={name: designs[name] for name in names},
+        integration=integration,
+    )
+
+
+def labels_of(system: System, names: Sequence[str]) -> tuple[str, ...]:
+    """One label for each entry of the named parameters: `rod.laminate.angles[0]`."""
+    own = dict(system.named_parameters())
+    return tuple(f"{name}[{i}]" for name in names for i in range(own[name].numel()))
+
+
+def _leaf(x: Tensor) -> Tensor:
+    return x.detach().clone().requires_grad_()
+
+
+def _same_lanes(batch: dict[str, Tensor]) -> dict[str, Tensor]:
+    counts = {name: x.shape[0] for name, x in batch.items()}
+    lanes = max(counts.values(), default=1)
+    if not {1, lanes}.issuperset(counts.values()):
+        raise InputError(f"designs have lanes {counts}; allowed: the same number for all, or one")
+    return {name: x.clone().expand(lanes, *x.shape[1:]) for name, x in batch.items()}

@@ -1,0 +1,171 @@
+"""One step on the index-3 equations: the operations that one-step integrators are made of (see one_step.py).
+
+Each is a pure function of tensors: no branch on numbers, nothing kept. So each can be written out as it
+stands (native/functions.py), and the eager and the compiled integrator are one text.
+
+    correct   z <- z - H R(z)                              values
+    matrix    dR/dz                                        values
+    tangent   dz <- dz - H (R_z dz + R_x dx + R_b)         all tangents of state and data
+    finish    the new state of converged unknowns          values and tangents
+
+x is the state at the start of the step, z = (v1', lam) the unknowns [n, 1, lanes], H the inverse of a matrix, as factors.
+The matrix is exact but for second derivatives of constraints other than coinciding points, so that one tangent
+correction is mostly enough.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any, NamedTuple
+
+from torch import Tensor
+
+from torchmbd.math.elementwise import reciprocal
+from torchmbd.math.pair import Pair, cat, combine, value
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.elimination import Eliminated, Factored
+from torchmbd.multibody.system.saddle import Saddle
+from torchmbd.multibody.system.topology import Prescribed, Topology
+from torchmbd.results.state import State
+
+
+class Weights(NamedTuple):
+    """Numbers of one method and step size.
+
+    Floats; tensors without axes for a compiled step; pairs [1 + n_b, 1] for a step whose size depends on the design.
+    """
+
+    share: Any  # da1/dv1'
+    a_from_vd: Any
+    a_from_a: Any
+    h: Any
+    step_from_a: Any
+    step_from_new: Any
+    v_from_a: Any
+    v_from_new: Any
+    scale: Any  # dq1/dv1'
+    rate: Any  # dv1/dv1'
+    inverse_scale: Any
+
+    @classmethod
+    def newmark(cls, h: Any, am: float, af: float) -> Weights:
+        """Of Newmark's updates with weighted accelerations, of second order:
+
+            (1 - am) a1 + am a0 = (1 - af) v1' + af v0',    gamma = 1/2 + af - am,    beta = (gamma + 1/2)^2 / 4
+
+        h   a float, or a number [1, 1] that may be a pair (variable_step.py)
+        """
+        share, gamma = (1.0 - af) / (1.0 - am), 0.5 + af - am
+        new = 0.25 * (gamma + 0.5) ** 2
+        scale = new * h * h * share
+        return cls(
+            share=share,
+            a_from_vd=af / (1.0 - am),
+            a_from_a=-am / (1.0 - am),
+            h=h,
+            step_from_a=h * h * (0.5 - new),
+            step_from_new=h * h * new,
+            v_from_a=h * (1.0 - gamma),
+            v_from_new=h * gamma,
+            scale=scale,
+            rate=gamma * h * share,
+            inverse_scale=reciprocal(scale),
+        )
+
+    def values(self) -> Weights:
+        return Weights(*(value(x) for x in self))
+
+
+class Step:
+    """A step from the state x to a time at which `given` is known.
+
+    Where the size or the end of the step depends on the design, the weights and `given` are pairs.
+    """
+
+    def __init__(self, model: Model, x: State, given: Prescribed):
+        self.model, self.x, self.given = model, x, given
+        self._given_values = given.values()
+        self._known_values = self._from(x.values(), model.plain)
+
+    @cached_property
+    def _known(self) -> State:
+        return self._from(self.x, self.model.w)
+
+    @staticmethod
+    def _from(x: State, w: Weights) -> State:
+        """What the known state gives to q (as an increment), v and a at the end of the step."""
+        a = combine(w.a_from_vd * x.vd, w.a_from_a, x.a)
+        step = combine(combine(w.h * x.v, w.step_from_a, x.a), w.step_from_new, a)
+        v = combine(combine(x.v, w.v_from_a, x.a), w.v_from_new, a)
+        return State(step, v, x.vd, a, x.lam)
+
+    def residual(self, z: Any) -> Any:
+        """R [n_v + rows, ...] of the unknowns z."""
+        T, w, q0, known, given, data = self._side(isinstance(z, Pair))
+        vd, lam = z[: T.n_v], z[T.n_v :]
+        q = equations.advance(T, q0, combine(known.q, w.scale, vd))
+        at = equations.placement(T, data, q, given)
+        forces = equations.dynamic_residual(T, data, at, combine(known.v, w.rate, vd), vd, lam)
+        return cat([forces, equations.constraints(T, at) * w.inverse_scale]) if T.rows else forces
+
+    def _side(self, tangents: bool) -> tuple:
+        """What a residual is made of, with tangents or without."""
+        m = self.model
+        if tangents:
+            return m.T, m.w, self.x.q, self._known, self.given, m.data
+        return m.T, m.plain, value(self.x.q), self._known_values, self._given_values, m.values
+
+    def correct(self, H: Factored | Eliminated, z: Tensor) -> tuple[Tensor, Tensor]:
+        """Corrected unknowns, and their correction [n, 1, lanes]."""
+        correction = apply(H, self.residual(z))
+        return z - correction, correction
+
+    def matrix(self, z: Tensor) -> Tensor:
+        """Iteration matrix [lanes, n, n]."""
+        T, w, q0, known, given, data = self._side(False)
+        vd, lam = z[: T.n_v], z[T.n_v :]
+        step = combine(known.q, w.scale, vd)
+        at = equations.placement(T, data, equations.advance(T, q0, step), given)
+        turn, v = equations.split_v(T, step)[1], combine(known.v, w.rate, vd)
+        return self.model.saddle.matrix(data, at, w.scale, w.rate, v, vd, lam, turn)
+
+    def tangent(self, H: Factored | Eliminated, z: Tensor, dz: Tensor) -> tuple[Tensor, Tensor]:
+        """Corrected design tangents [n, n_b, lanes] of the unknowns, and their correction."""
+        correction = apply(H, self.residual(Pair.of(z, dz)).tangent)
+        return dz - correction, correction
+
+    def size(self, correction: Tensor) -> Tensor:
+        """Size of a correction of the accelerations [slots, lanes]."""
+        return correction[: self.model.T.n_v].abs().amax(0)
+
+    def finish(self, z: Tensor, dz: Tensor | None = None) -> State:
+        """The new state."""
+        both = z if dz is None else Pair.of(z, dz)
+        T, w, q0, known, _, _ = self._side(dz is not None)
+        vd, lam = both[: T.n_v], both[T.n_v :]
+        q = equations.advance(T, q0, combine(known.q, w.scale, vd))
+        return State(q, combine(known.v, w.rate, vd), vd, combine(known.a, w.share, vd), lam)
+
+
+class Model:
+    """What all steps of a simulation share; makes steps. Of the eager march; native/functions.py traces the same."""
+
+    def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: equations.Data):
+        self.T, self.saddle, self.w, self.data = T, saddle, w, data
+        self.plain = w.values()
+        self.values = {name: value(y) for name, y in data.items()}
+
+    @classmethod
+    def of(cls, dynamics: Dynamics, w: Weights) -> Model:
+        """The model of a simulation."""
+        return cls(dynamics.topology, dynamics.saddle, w, dynamics.data)
+
+    def step(self, x: State, given: Prescribed) -> Step:
+        """The step from x."""
+        return Step(self, x, given)
+
+
+def apply(H: Factored | Eliminated, R: Tensor) -> Tensor:
+    """Multiply right-hand sides [n, slots, lanes] by the inverses of matrices."""
+    return (H @ R.permute(2, 0, 1)).permute(1, 2, 0)

@@ -1,0 +1,142 @@
+"""Every method of torchdiffeq as an integrator, on the index-1 equations; see ode.py.
+
+Checked in tests/contracts/test_integrators.py, tests/convergence/test_time_order.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.integrate.flow_stepper import FlowStepper, moved
+from torchmbd.integrate.integrator import Integrated, Integrator
+from torchmbd.integrate.native.rates import RightHandSide, augment
+from torchmbd.integrate.ode import DEFAULTS, FIXED, first_step, flow
+from torchmbd.integrate.phases import loop as phase_loop
+from torchmbd.integrate.phases.run import Course
+from torchmbd.integrate.prepared import initial
+from torchmbd.math.owned import whole
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.results.history import History
+from torchmbd.results.state import State
+
+
+@dataclass(frozen=True)
+class Torchdiffeq(Integrator):
+    """A method of torchdiffeq, by its name.
+
+    rtol, atol   tolerances of adaptive methods, for motion and sensitivities alike
+    options      passed to torchdiffeq
+
+    A method of fixed step makes one step in each output interval. Lanes are integrated together; where one cannot be
+    integrated (its step size underflows), one by one.
+    """
+
+    rtol: float = 1e-7
+    atol: float = 1e-9
+    options: dict[str, Any] | None = None
+    kind: ClassVar[str | None] = "rates"
+    adjoint: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        for key in ("rtol", "atol"):
+            x = getattr(self, key)
+            if not isinstance(x, (int, float)) or isinstance(x, bool) or not 0.0 < x < 1.0:
+                raise InputError(f"{key} is {x!r}; allowed: positive, below 1")
+        if self.options is not None and not isinstance(self.options, dict):
+            raise InputError(f"options is {self.options!r}; allowed: name -> value, options of torchdiffeq")
+        allowed = options_of(self.name)
+        for key, x in (self.options or {}).items():
+            if key not in allowed:
+                raise unknown(f"options of method {self.name!r}: the option", key, allowed)
+            good, words = allowed[key]
+            if not good(x):
+                raise InputError(f"options of method {self.name!r}: {key} is {x!r}; allowed: {words}")
+
+    def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> Integrated:
+        """As of Integrator; statistics: the number of evaluations of the right-hand side."""
+        before = dynamics.statistics["evaluations"]
+        try:
+            history = self._together(dynamics, duration, steps)
+        except FloatingPointError as error:
+            if dynamics.lanes == 1:
+                x = initial(dynamics).map(lambda y: y * torch.nan)
+                return Integrated(History.of([x] * (steps + 1)), {}, {0: str(error)})
+            return _side_by_side([self.integrate(dynamics.some([i]), duration, steps) for i in range(dynamics.lanes)])
+        return Integrated(history, {"evaluations": dynamics.statistics["evaluations"] - before})
+
+    def _together(self, dynamics: Dynamics, duration: float, steps: int) -> History:
+        """All lanes with the same steps; raises FloatingPointError where one of them cannot be integrated."""
+        T = dynamics.topology
+        start = initial(dynamics)
+        times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
+        y0 = torch.cat([augment(start.q, dynamics), augment(start.v, dynamics)])
+        f = RightHandSide(dynamics)
+        y = flow(f, y0, times, self.arguments(dynamics))
+        states = zip(times, y, strict=True)
+        a, lam = (torch.stack(x) for x in zip(*(f.accelerations(t, z) for t, z in states), strict=True))
+        return History(y[:, : T.n_q], y[:, T.n_q :], a, lam)
+
+    def integrate_phases(self, course: Course) -> dict[str, Any]:
+        """As of Integrator; statistics as of `integrate`."""
+        before = course.whole.statistics["evaluations"]
+        phase_loop.integrate(course, self)
+        return {"evaluations": course.whole.statistics["evaluations"] - before}
+
+    def stepper(self, dynamics: Dynamics, h: float) -> FlowStepper:
+        """As of Integrator."""
+        return FlowStepper(dynamics, h, self.arguments(dynamics))
+
+    def sized(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
+        """As of Integrator; nan where it cannot be integrated."""
+        try:
+            return moved(dynamics, x, h, t1, self.arguments(dynamics))
+        except FloatingPointError:
+            return x.map(lambda y: y * torch.nan)
+
+    def arguments(self, dynamics: Dynamics) -> dict[str, Any]:
+        """Arguments of torchdiffeq.odeint."""
+        tolerances = {} if self.name in FIXED else {"rtol": self.rtol, "atol": self.atol}
+        own = DEFAULTS.get(self.name, {}) if self.name in FIXED else first_step(dynamics)
+        return {"method": self.name, "options": own | (self.options or {})} | tolerances
+
+
+Allowed = tuple[Callable[[Any], bool], str]  # whether a value is, and what is
+
+
+def options_of(method: str) -> Mapping[str, Allowed]:
+    """Options of a method of torchdiffeq, which itself passes over what it does not know."""
+    positive: Allowed = (lambda x: _number(x) and x > 0.0, "a positive number")
+    count: Allowed = (lambda x: whole(x) and x >= 1, "a positive integer")
+    times: Allowed = (lambda x: isinstance(x, torch.Tensor) and x.dim() == 1, "a tensor of times [s]")
+    if method not in FIXED:
+        names = ("first_step", "max_step", "safety", "ifactor", "dfactor")
+        not_negative: Allowed = (lambda x: _number(x) and x >= 0.0, "zero or positive")
+        rest = {"min_step": not_negative, "max_num_steps": count, "step_t": times, "jump_t": times}
+        return dict.fromkeys(names, positive) | rest
+    found: dict[str, Allowed] = {
+        "step_size": positive,
+        "grid_constructor": (callable, "a function (f, y0, t) -> times"),
+        "interp": (lambda x: isinstance(x, str) and x in ("linear", "cubic"), "linear, cubic"),
+        "perturb": (lambda x: isinstance(x, bool), "true or false"),
+    }
+    order: Allowed = (lambda x: whole(x) and 1 <= x <= 12, "1 to 12")
+    return found | ({"max_order": order, "max_iters": count} if method.endswith("adams") else {})
+
+
+def _number(x: Any) -> bool:
+    return isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x)
+
+
+def _side_by_side(parts: list[Integrated]) -> Integrated:
+    """Lanes that were integrated one by one."""
+    histories = [part.history for part in parts]
+    q, v, vd, lam = (torch.cat([getattr(h, name) for h in histories], -1) for name in ("q", "v", "vd", "lam"))
+    evaluations = sum(part.statistics.get("evaluations", 0) for part in parts)
+    failed = {i: part.failed[0] for i, part in enumerate(parts) if part.failed}
+    return Integrated(History(q, v, vd, lam), {"evaluations": evaluations}, failed)

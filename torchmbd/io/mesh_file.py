@@ -1,0 +1,126 @@
+"""Meshes from files of meshio's formats: gmsh (.msh), Abaqus (.inp), VTK (.vtk, .vtu), and thirty more.
+
+What is read: triangles and quadrilaterals; nodes that no element uses are left out (files keep the points of their
+geometry). Zones are the named groups of cells, node sets the named groups of nodes:
+
+    gmsh      physical surfaces; physical points and curves
+    Abaqus    *ELSET; *NSET
+
+Elements of second order or in three dimensions are refused: leaving them out would change the structure.
+Needs meshio, an optional dependency.
+Checked in tests/io/test_mesh_file.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.mesh.mesh import Mesh
+from torchmbd.math.gradients import constants
+
+_CELLS = {"triangle": 3, "quad": 4}  # corners
+_POINTS_AND_CURVES = ("vertex", "line")  # gmsh writes them for named points and curves
+
+
+class MeshFile(NamedTuple):
+    """A mesh, and the cells of each named zone."""
+
+    mesh: Mesh
+    zones: dict[str, Int[Tensor, " part"]]
+
+
+@constants
+def read_mesh(path: str | Path, scale: float = 1.0) -> MeshFile:
+    """Read a mesh; scale: meters per unit of the file. InputError tells what cannot be read."""
+    try:
+        import meshio  # pyright: ignore[reportMissingImports] (optional)
+    except ImportError as error:
+        raise InputError("reading mesh files needs the package meshio: pip install 'torchmbd[mesh]'") from error
+    if not isinstance(path, (str, Path)) or not Path(path).is_file():
+        raise InputError(f"path is {str(path)!r}; allowed: a mesh file that exists")
+    if not 0.0 < scale < float("inf"):
+        raise InputError(f"scale is {scale!r}; allowed: meters per unit of the file, > 0")
+    try:
+        found = meshio.read(path)
+    except SystemExit as error:  # meshio's readers leave the interpreter on files of an unknown kind
+        raise InputError(f"{Path(path).name}: meshio cannot read it") from error
+    except (meshio.ReadError, KeyError, ValueError) as error:
+        raise InputError(f"{Path(path).name}: meshio cannot read it: {error}") from error
+    return mesh_of(found, scale)
+
+
+@constants
+def mesh_of(found: Any, scale: float = 1.0) -> MeshFile:
+    """Convert a meshio.Mesh."""
+    points = torch.from_numpy(np.asarray(found.points, dtype=np.float64)) * scale
+    points = torch.cat([points, points.new_zeros(len(points), 3 - points.shape[1])], dim=1)
+    kinds = {kind: [torch.empty(0, width, dtype=torch.long)] for kind, width in _CELLS.items()}
+    owner = {kind: [torch.empty(0, 2, dtype=torch.long)] for kind in _CELLS}  # (block, number in it) of each cell
+    for block, cells in enumerate(found.cells):
+        if cells.type in _CELLS:
+            data = torch.from_numpy(np.asarray(cells.data, dtype=np.int64))
+            kinds[cells.type].append(data)
+            own = torch.arange(len(data))
+            owner[cells.type].append(torch.stack([torch.full_like(own, block), own], dim=1))
+        elif cells.type not in _POINTS_AND_CURVES:
+            raise InputError(f"the mesh has elements {cells.type!r}; allowed: triangle, quad")
+    corners = {kind: torch.cat(own) for kind, own in kinds.items()}
+    used = torch.unique(torch.cat([own.flatten() for own in corners.values()]))
+    if not len(used):
+        raise InputError("the mesh has no triangles or quadrilaterals")
+    place = torch.full((len(points),), -1, dtype=torch.long)
+    place[used] = torch.arange(len(used))
+    mesh = Mesh(points[used], place[corners["triangle"]], _node_sets(found, place), quads=place[corners["quad"]])
+    owners = torch.cat([torch.cat(own) for own in owner.values()])
+    return MeshFile(mesh, {name: _members(owners, cells) for name, cells in _zones(found).items()})
+
+
+def _groups(found: Any) -> dict[str, list[np.ndarray]]:
+    """Named groups of cells: name -> for each block the numbers of its cells."""
+    groups = {
+        name: [np.asarray([] if cells is None else cells, dtype=np.int64) for cells in blocks]
+        for name, blocks in found.cell_sets.items()
+        if not name.startswith("gmsh:") and len(blocks) == len(found.cells)  # Abaqus' sets of sets come mutilated
+    }
+    for name, (tag, _) in found.field_data.items():
+        tags = found.cell_data.get("gmsh:physical")
+        if tags is not None and name not in groups:
+            groups[name] = [np.flatnonzero(own == tag) for own in tags]
+    return groups
+
+
+def _zones(found: Any) -> dict[str, list[np.ndarray]]:
+    flat = [cells.type in _CELLS for cells in found.cells]
+    return {
+        name: blocks
+        for name, blocks in _groups(found).items()
+        if any(is_flat and len(own) for is_flat, own in zip(flat, blocks, strict=True))
+    }
+
+
+def _members(owners: Tensor, blocks: list[np.ndarray]) -> Tensor:
+    inside = torch.zeros(len(owners), dtype=torch.bool)
+    for block, cells in enumerate(blocks):
+        inside |= (owners[:, 0] == block) & torch.isin(owners[:, 1], torch.from_numpy(cells))
+    return torch.nonzero(inside)[:, 0]
+
+
+def _node_sets(found: Any, place: Tensor) -> dict[str, list[int]]:
+    sets = {name: np.asarray(points, dtype=np.int64) for name, points in found.point_sets.items()}
+    for name, blocks in _groups(found).items():
+        own = [
+            np.asarray(cells.data)[members].ravel()
+            for cells, members in zip(found.cells, blocks, strict=True)
+            if cells.type in _POINTS_AND_CURVES and len(members)
+        ]
+        if own:
+            sets[name] = np.unique(np.concatenate(own))
+    mapped = {name: place[torch.from_numpy(points)].tolist() for name, points in sets.items()}
+    return {name: [k for k in nodes if k >= 0] for name, nodes in mapped.items() if any(k >= 0 for k in nodes)}

@@ -1,0 +1,171 @@
+"""A Nastran model as the makings of a flexible body: mesh, parts, links and reference.
+
+Each PCOMP and PSHELL is a part of its own, "pcomp_7"; each PBAR another, its bars where
+their offsets put them (the same at both ends, across the bar). RBE2 and RBE3 become links,
+and the grid of each a named node, "rbe2_30", where a frame may sit; CONM2 are point masses. Grids whose six freedoms are
+held (SPC, SPC1) become the reference of the body; other supports are left out, with a warning: joints do that in a
+mechanism.
+Checked in tests/multibody/bodies/test_from_bdf.py.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import Average, BeamMatrices, Beams, Part, Plates, PointMasses, RigidLink
+from torchmbd.fem.mesh import Mesh
+from torchmbd.io.nastran.cards import read_cards
+from torchmbd.io.nastran.data import Bar, BulkData
+from torchmbd.io.nastran.materials import UNITS, Units, laminate_of, section_of, units_of
+from torchmbd.io.nastran.mesh import bulk_mesh
+
+__all__ = ["UNITS", "BulkBody", "read_bdf"]
+
+
+@dataclass(frozen=True, eq=False)
+class BulkBody:
+    """What a file says of a body; `reference` is None where nothing is held."""
+
+    mesh: Mesh
+    parts: dict[str, Part]
+    links: list[RigidLink | Average]
+    reference: list[int] | None
+
+
+@dataclass(eq=False)
+class _Line:
+    nodes: Tensor
+    elements: Tensor
+    middles: Tensor | None = None
+
+
+def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped") -> BulkBody:
+    """Read a model. Raises InputError that names card and line; warns of cards that are left out."""
+    scale = units_of(units)
+    data = BulkData.of(read_cards(path))
+    made = bulk_mesh(data, scale.length)
+    parts: dict[str, Part] = {}
+    for number, cells in made.zones.items():
+        card = data.properties[number]
+        laminate = laminate_of(data, card, scale)
+        parts[f"{card.name.lower()}_{number}"] = Plates(made.mesh, laminate, made.direction, cells, mass)
+    parts |= _beams(data, made.mesh, made.index, scale)
+    if data.masses:
+        nodes = [made.index[mass.grid] for mass in data.masses]
+        unit = scale.mass * data.weight_to_mass
+        given = [[m.mass * unit for m in data.masses], [m.rotary * unit * scale.length**2 for m in data.masses]]
+        parts["conm2"] = PointMasses(made.mesh, nodes, *given)
+    _warn_ignored(data, path)
+    return BulkBody(made.mesh, parts, _links(data, made.index), _held(data, made.index))
+
+
+def _beams(data: BulkData, mesh: Mesh, index: dict[int, int], scale: Units) -> dict[str, Part]:
+    """One part for each property: beams with their orientations."""
+    parts: dict[str, Part] = {}
+    for number in dict.fromkeys(bar.property for bar in data.bars):
+        own = [bar for bar in data.bars if bar.property == number]
+        pairs = torch.tensor([[index[grid] for grid in bar.grids] for bar in own], dtype=torch.long)
+        orientation = torch.tensor([_orientation(data, bar) for bar in own], dtype=torch.float64)
+        card = data.properties[number]
+        section = section_of(data, card, scale)
+        line = _Line(mesh.nodes, pairs)
+        offset = torch.tensor([_offset(bar) for bar in own], dtype=torch.float64) * scale.length
+        parts[f"{card.name.lower()}_{number}"] = Beams(
+            line, section, orientation, _across(line, orientation, offset, own)
+        )
+    return parts
+
+
+def _orientation(data: BulkData, bar: Bar) -> list[float]:
+    """The vector of plane 1, from the end A of the bar: to the grid G0, or X1 X2 X3."""
+    card = bar.card
+    for position in (9, 10):
+        if card.text(position):
+            raise InputError(f"{card}: pins ({card.text(position)!r}); allowed: none")
+    if any(_offset(bar)) and any(data.grid_cards[grid].integer(6, "CD", 0) for grid in bar.grids):
+        raise InputError(f"{card}: its offsets are in systems CD of its grids; allowed: the basic system")
+    if card.text(5).isdigit():
+        grid = card.integer(5, "G0")
+        if grid not in data.grids:
+            raise InputError(f"{card}: GRID {grid} does not exist")
+        return [x - a - w for x, a, w in zip(data.grids[grid], data.grids[bar.grids[0]], _offset(bar), strict=True)]
+    if data.grid_cards[bar.grids[0]].integer(6, "CD", 0):
+        raise InputError(
+            f"{card}: its vector is in the system CD of GRID {bar.grids[0]}; allowed: the basic system, or G0"
+        )
+    return [card.real(k, f"X{k - 4}", 0.0) for k in (5, 6, 7)]
+
+
+def _offset(bar: Bar) -> list[float]:
+    """From the grids to the ends of the bar: the same at both."""
+    start, end = ([bar.card.real(k + i, f"W{i + 1}{end}", 0.0) for i in range(3)] for k, end in ((11, "A"), (14, "B")))
+    if start != end or bar.card.text(8).upper() not in ("", "GGG"):
+        raise InputError(
+            f"{bar.card}: offsets {start} and {end}, OFFT {bar.card.text(8)!r}; allowed: the same at both ends, OFFT GGG"
+        )
+    return start
+
+
+def _across(line: _Line, orientation: Tensor, offset: Tensor, bars: list[Bar]) -> Float[Tensor, "m 2"]:
+    """Offsets along y and z of the bars; they lie across."""
+    if not offset.any():
+        return offset[:, 1:]
+    e_x, e_y, e_z = BeamMatrices(line, orientation).axes.unbind(1)
+    along = (e_x * offset).sum(1).abs() > 1e-6 * offset.norm(dim=1)
+    if along.any():
+        bar = bars[int(along.nonzero()[0])]
+        raise InputError(f"{bar.card}: offset {_offset(bar)} lies along the bar; allowed: across it")
+    return torch.stack([(e_y * offset).sum(1), (e_z * offset).sum(1)], dim=1)
+
+
+def _links(data: BulkData, index: dict[int, int]) -> list[RigidLink | Average]:
+    links: list[RigidLink | Average] = []
+    led: dict[int, str] = {}
+    for rigid in data.rigids:
+        followers = rigid.others if not rigid.weights else (rigid.grid,)
+        for grid in followers:
+            if grid in led:
+                raise InputError(
+                    f"{rigid.card}: GRID {grid} follows already by {led[grid]}; allowed: one rigid element"
+                )
+            led[grid] = str(rigid.card)
+        if rigid.weights:
+            links.append(Average(index[rigid.grid], tuple(index[grid] for grid in rigid.others), rigid.weights))
+        else:
+            links += [RigidLink(index[grid], index[rigid.grid]) for grid in rigid.others]
+    for rigid in data.rigids:
+        leaders = rigid.others if rigid.weights else (rigid.grid,)
+        for grid in leaders:
+            if grid in led:
+                raise InputError(f"{rigid.card}: GRID {grid} leads here and follows by {led[grid]}; allowed: no chains")
+    return links
+
+
+def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
+    """Nodes whose six freedoms are held."""
+    components: dict[int, set[str]] = {}
+    for support in data.supports:
+        for grid in support.grids:
+            components.setdefault(grid, set()).update(support.components)
+    held = [index[grid] for grid, own in components.items() if own >= set("123456") and grid in index]
+    partly = sorted(grid for grid, own in components.items() if not own >= set("123456"))
+    if partly:
+        warnings.warn(
+            f"supports of single freedoms are left out ({len(partly)} grids, the first is {partly[0]}): "
+            "joints hold a body; all six freedoms make a reference",
+            stacklevel=4,
+        )
+    return held or None
+
+
+def _warn_ignored(data: BulkData, path: str | Path) -> None:
+    if data.ignored:
+        cards = ", ".join(f"{name} ({count})" for name, count in sorted(data.ignored.items()))
+        warnings.warn(f"{Path(path).name}: cards that are no structure are left out: {cards}", stacklevel=4)

@@ -1,0 +1,250 @@
+"""A Nastran model as numbers: what the cards say, sorted by kind, with the card kept for messages.
+
+    BulkData.of(cards)      grids, shells, bars, properties, materials, masses, rigid elements, supports
+
+Refused by card and line: an element that cannot be read (leaving it out would change the structure), a duplicate, a
+property or material or grid that does not exist, a field that is missing. Loads and control cards are left out; `ignored`
+counts them.
+Source: MSC Nastran Quick Reference Guide, section 8.
+Checked in tests/io/nastran/test_data.py.
+"""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections import Counter
+from dataclasses import dataclass, field
+
+from torchmbd.errors import InputError
+from torchmbd.io.nastran.cards import Card
+from torchmbd.io.nastran.systems import Systems
+
+SHELLS = {"CTRIA3": 3, "CQUAD4": 4}
+BARS = ("CBAR", "CBEAM")
+PROPERTIES = ("PSHELL", "PCOMP", "PBAR", "PBARL", "PBEAM", "PBEAML")
+MATERIALS = ("MAT1", "MAT8")
+#: Cards that are structure and start with no C; every other unknown card that does not is a load or a control.
+_STRUCTURE = re.compile(
+    r"^(RBAR|RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT|MPC|GENEL|DMIG|MAT\d+|PCOMPG|PSOLID|SPOINT|EPOINT|GRDSET|BAROR|BEAMOR)$"
+)
+_QUIET = ("PARAM", "EIGRL", "EIGR", "PLOTEL", "SPCADD", "MDLPRM")
+
+
+@dataclass(frozen=True)
+class Shell:
+    """A CTRIA3 or CQUAD4: its grids, and the angle from its first side [deg] or the system of the material's x axis."""
+
+    card: Card
+    property: int
+    grids: tuple[int, ...]
+    theta: float | None
+    system: int | None
+
+
+@dataclass(frozen=True)
+class Bar:
+    """A CBAR or CBEAM; `data` keeps the card's fields for orientation and offsets."""
+
+    card: Card
+    property: int
+    grids: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Rigid:
+    """An RBE2 (grid leads the others) or RBE3 (grid is the weighted mean of the others)."""
+
+    card: Card
+    grid: int
+    others: tuple[int, ...]
+    weights: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class Mass:
+    """A CONM2: mass and mean rotary inertia at a grid."""
+
+    card: Card
+    grid: int
+    mass: float
+    rotary: float
+
+
+@dataclass(frozen=True)
+class Support:
+    """An SPC1 or SPC, or what a GRID holds itself (set 0): held components of grids."""
+
+    card: Card
+    set: int
+    components: str
+    grids: tuple[int, ...]
+
+
+@dataclass
+class BulkData:
+    """The model; dictionaries go by Nastran's numbers."""
+
+    grids: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+    grid_cards: dict[int, Card] = field(default_factory=dict)
+    shells: list[Shell] = field(default_factory=list)
+    bars: list[Bar] = field(default_factory=list)
+    properties: dict[int, Card] = field(default_factory=dict)
+    materials: dict[int, Card] = field(default_factory=dict)
+    masses: list[Mass] = field(default_factory=list)
+    rigids: list[Rigid] = field(default_factory=list)
+    supports: list[Support] = field(default_factory=list)
+    systems: Systems = field(default_factory=Systems)
+    weight_to_mass: float = 1.0
+    ignored: Counter[str] = field(default_factory=Counter)
+
+    @classmethod
+    def of(cls, cards: list[Card]) -> BulkData:
+        """Sort cards and check that everything they name exists."""
+        data = cls()
+        placed = [card for card in cards if card.name == "GRID"]
+        data.systems = Systems([card for card in cards if card.name.startswith("CORD")], placed)
+        for card in placed:
+            number = card.integer(1, "ID")
+            if number in data.grids:
+                raise InputError(f"{card}: GRID {number} stands twice, first at {data.grid_cards[number].where}")
+            data.grids[number], data.grid_cards[number] = data.systems.place(card), card
+            if card.text(7):
+                data.supports.append(Support(card, 0, card.text(7), (number,)))
+        for card in cards:
+            if card.name != "GRID" and not card.name.startswith("CORD"):
+                data._take(card)
+        data._check()
+        return data
+
+    def _take(self, card: Card) -> None:
+        name = card.name
+        if name in SHELLS:
+            self.shells.append(_shell(card, SHELLS[name]))
+        elif name in BARS:
+            grids = card.integer(3, "GA"), card.integer(4, "GB")
+            self.bars.append(Bar(card, card.integer(2, "PID", card.integer(1, "EID")), grids))
+        elif name in PROPERTIES or name in MATERIALS:
+            table = self.properties if name in PROPERTIES else self.materials
+            number = card.integer(1, "number")
+            if number in table:
+                raise InputError(f"{card}: the number {number} is taken by {table[number]}")
+            table[number] = card
+        elif name == "CONM2":
+            self.masses.append(_mass(card))
+        elif name in ("RBE2", "RBE3"):
+            self.rigids.append(_rbe2(card) if name == "RBE2" else _rbe3(card))
+        elif name in ("SPC1", "SPC"):
+            self.supports.extend(_supports(card))
+        elif name == "PARAM" and card.text(1).upper() == "WTMASS":
+            self.weight_to_mass = card.real(2, "WTMASS")
+        elif name.startswith("C") or _STRUCTURE.match(name):
+            raise InputError(
+                f"{card}: this card cannot be read, and without it the structure is another; allowed: "
+                f"{', '.join((*SHELLS, *BARS, *PROPERTIES, *MATERIALS, 'CONM2', 'RBE2', 'RBE3', 'SPC', 'SPC1'))}"
+            )
+        elif name not in _QUIET:
+            self.ignored[name] += 1
+
+    def _check(self) -> None:
+        for element in (*self.shells, *self.bars):
+            if element.property not in self.properties:
+                raise InputError(f"{element.card}: property {element.property} does not exist; a card is missing")
+            self._exist(element.card, element.grids)
+        for rigid in self.rigids:
+            self._exist(rigid.card, (rigid.grid, *rigid.others))
+        for mass in self.masses:
+            self._exist(mass.card, (mass.grid,))
+        for support in self.supports:
+            self._exist(support.card, support.grids)
+        numbers = Counter((e.card.name[0], e.card.integer(1, "EID")) for e in (*self.shells, *self.bars))
+        for element in (*self.shells, *self.bars):
+            if numbers[element.card.name[0], element.card.integer(1, "EID")] > 1:
+                raise InputError(f"{element.card}: its number stands twice")
+
+    def _exist(self, card: Card, grids: tuple[int, ...]) -> None:
+        for grid in grids:
+            if grid not in self.grids:
+                raise InputError(f"{card}: GRID {grid} does not exist")
+
+    def material(self, card: Card, number: int) -> Card:
+        """The material that a property names."""
+        if number not in self.materials:
+            raise InputError(f"{card}: material {number} does not exist; a MAT1 or MAT8 card is missing")
+        return self.materials[number]
+
+
+def _shell(card: Card, corners: int) -> Shell:
+    grids = tuple(card.integer(2 + k, f"G{k}") for k in range(1, corners + 1))
+    direction, offset = card.text(3 + corners), card.real(4 + corners, "ZOFFS", 0.0)
+    if offset != 0.0:
+        raise InputError(f"{card}: ZOFFS is {offset:g}; allowed: 0, the laminate lies about the plane of the grids")
+    for k in range(11, 11 + corners):
+        if card.text(k):
+            raise InputError(f"{card}: thickness at a corner is {card.text(k)}; allowed: the thickness of the property")
+    is_system = re.fullmatch(r"\d+", direction) is not None
+    theta = None if is_system else card.real(3 + corners, "THETA", 0.0)
+    property = card.integer(2, "PID", card.integer(1, "EID"))
+    return Shell(card, property, grids, theta, int(direction) if is_system else None)
+
+
+def _mass(card: Card) -> Mass:
+    offsets = [card.real(k, f"X{k - 4}", 0.0) for k in (5, 6, 7)]
+    if card.integer(3, "CID", 0) < 0:
+        raise InputError(f"{card}: CID is {card.text(3)}, X1 to X3 are a place; allowed: none, put a grid there")
+    if any(offsets):
+        raise InputError(f"{card}: offset is {offsets}; allowed: none, put a grid there and an RBE2 between")
+    principal = [card.real(k, name, 0.0) for k, name in ((9, "I11"), (11, "I22"), (14, "I33"))]
+    products = [card.real(k, name, 0.0) for k, name in ((10, "I21"), (12, "I31"), (13, "I32"))]
+    if any(products) or max(principal) != min(principal):
+        mean = sum(principal) / 3.0
+        warnings.warn(
+            f"{card}: inertias {principal}, products {products}; taken as {mean:g} about any axis", stacklevel=2
+        )
+    return Mass(card, card.integer(2, "G"), card.real(4, "M"), sum(principal) / 3.0)
+
+
+def _rbe2(card: Card) -> Rigid:
+    if set(card.text(3)) != set("123456"):
+        raise InputError(f"{card}: CM is {card.text(3)!r}; allowed: 123456, all freedoms follow")
+    words = [word for word in card.fields[3:] if word and not re.search(r"[.]", word)]
+    followers = Card(card.name, (*card.fields[:1], "", "", *words), card.where).integers(4)
+    if not followers:
+        raise InputError(f"{card}: no grid follows; allowed: at least one")
+    return Rigid(card, card.integer(2, "GN"), tuple(followers))
+
+
+def _rbe3(card: Card) -> Rigid:
+    grids: list[int] = []
+    weights: list[float] = []
+    weight, components = 1.0, False
+    for position, word in enumerate(card.fields[4:], start=5):
+        if word.upper() in ("UM", "ALPHA"):
+            break
+        if not word:
+            continue
+        if "." in word:
+            weight, components = card.real(position, "WT"), True
+        elif components:
+            if not {"1", "2", "3"} <= set(word):
+                raise InputError(f"{card}: C is {word!r}; allowed: 123, the displacements of the averaged grids")
+            components = False
+        else:
+            grids.append(card.integer(position, "G"))
+            weights.append(weight)
+    if not grids:
+        raise InputError(f"{card}: no grids to average; allowed: at least three that span a plane")
+    return Rigid(card, card.integer(3, "REFGRID"), tuple(grids), tuple(weights))
+
+
+def _supports(card: Card) -> list[Support]:
+    number = card.integer(1, "SID")
+    if card.name == "SPC1":
+        return [Support(card, number, card.text(2), tuple(card.integers(3)))]
+    found = []
+    for start in (2, 5):
+        if card.text(start):
+            if card.real(start + 2, "D", 0.0) != 0.0:
+                raise InputError(f"{card}: an enforced displacement cannot be read; allowed: 0")
+            found.append(Support(card, number, card.text(start + 1), (card.integer(start, "G"),)))
+    return found

@@ -1,0 +1,98 @@
+"""From a Nastran model to a mesh: cells with the direction of their material, zones by property, named nodes.
+
+node sets   "grid_12", "spc_1" (of set 1; "spc_0": what GRIDs hold themselves), "conm2_7", "rbe2_30" and "rbe3_31" (the
+            grid where a frame may sit)
+direction   x axis of the laminate: the first side of the element turned by THETA, or the x axis of a system (MCID;
+            of a cylindrical one the radius at the element's middle)
+
+Every grid must belong to something: a grid that nothing refers to is named and refused.
+Checked in tests/io/nastran/test_mesh.py.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.mesh.mesh import Mesh
+from torchmbd.io.nastran.data import BulkData, Shell
+
+
+class BulkMesh(NamedTuple):
+    """A mesh with what its elements are made of; `index` is the node of each GRID number."""
+
+    mesh: Mesh
+    zones: dict[int, Int[Tensor, " part"]]
+    direction: Float[Tensor, "m 3"]
+    index: dict[int, int]
+
+
+def bulk_mesh(data: BulkData, length: float = 1.0) -> BulkMesh:
+    """Make the mesh of a model; `length`: meters per unit of the file."""
+    index = {grid: k for k, grid in enumerate(_used(data))}
+    nodes = torch.tensor([data.grids[grid] for grid in index], dtype=torch.float64).reshape(-1, 3) * length
+    shells = sorted(data.shells, key=lambda shell: len(shell.grids))  # triangles first, else in the order of the file
+    corners = [[index[grid] for grid in shell.grids] for shell in shells]
+    lines = [(index[bar.grids[0]], index[bar.grids[1]]) for bar in data.bars]
+    lines += [(index[rigid.grid], index[other]) for rigid in data.rigids for other in rigid.others]
+    mesh = Mesh(
+        nodes,
+        _cells(corners, 3),
+        _names(data, index),
+        torch.tensor(lines, dtype=torch.long).reshape(-1, 2),
+        [str(data.grid_cards[grid]) for grid in index],
+        [str(shell.card) for shell in shells],
+        _cells(corners, 4),
+    )
+    directions = torch.tensor([_direction(data, shell) for shell in shells], dtype=torch.float64).reshape(-1, 3)
+    property = torch.tensor([shell.property for shell in shells], dtype=torch.long)
+    zones = {int(k): torch.nonzero(property == k)[:, 0] for k in torch.unique(property)}
+    return BulkMesh(mesh, zones, directions, index)
+
+
+def _used(data: BulkData) -> list[int]:
+    """Grids of elements, rigid elements and masses, in the order of their cards."""
+    used = {grid for element in (*data.shells, *data.bars) for grid in element.grids}
+    used |= {grid for rigid in data.rigids for grid in (rigid.grid, *rigid.others)}
+    oriented = {bar.card.integer(5, "G0") for bar in data.bars if bar.card.text(5).isdigit()}
+    stray = [grid for grid in data.grids if grid not in used | oriented]
+    if stray:
+        names = ", ".join(str(data.grid_cards[grid]) for grid in stray[:5])
+        raise InputError(f"{len(stray)} orphan grids belong to no element: {names}; remove them")
+    if not data.shells and not data.bars:
+        raise InputError("the file has no elements that can be read; allowed: CTRIA3, CQUAD4, CBAR, CBEAM")
+    return [grid for grid in data.grids if grid in used]
+
+
+def _cells(corners: list[list[int]], count: int) -> Tensor:
+    return torch.tensor([own for own in corners if len(own) == count], dtype=torch.long).reshape(-1, count)
+
+
+def _direction(data: BulkData, shell: Shell) -> list[float]:
+    p = torch.tensor([data.grids[grid] for grid in shell.grids], dtype=torch.float64)
+    if shell.system is not None:
+        return data.systems.axes(shell.system, shell.card, p.mean(0).numpy())[0].tolist()
+    side = p[1] - p[0]
+    normal = torch.linalg.cross(p[2] - p[0], (p[3] if len(p) == 4 else p[2]) - p[1])
+    size = normal.norm()
+    if float(size) == 0.0:
+        raise InputError(f"{shell.card} is collapsed (its corners are on a line)")
+    normal = normal / size
+    side = side - (side @ normal) * normal
+    theta = math.radians(shell.theta or 0.0)
+    return (math.cos(theta) * side + math.sin(theta) * torch.linalg.cross(normal, side)).tolist()
+
+
+def _names(data: BulkData, index: dict[int, int]) -> dict[str, list[int]]:
+    sets = {f"grid_{grid}": [k] for grid, k in index.items()}
+    for support in data.supports:
+        nodes = sets.setdefault(f"spc_{support.set}", [])
+        nodes += [index[grid] for grid in support.grids if grid in index and index[grid] not in nodes]
+    for item in (*data.masses, *data.rigids):
+        sets[f"{item.card.name.lower()}_{item.card.integer(1, 'EID')}"] = [index[item.grid]]
+    return sets

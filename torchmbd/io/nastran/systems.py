@@ -1,0 +1,86 @@
+"""Coordinate systems of a Nastran model: where grids lie in basic coordinates, and the axes of a system.
+
+CORD2R, CORD2C (three points A, B, C: origin, z axis, x-z plane) and CORD1R (the same by grids), in any order of
+reference. A GRID whose displacements are in another system than the basic one (CD) is taken as it stands: nothing that is
+read refers to single directions of displacement, but supports, which hold all six freedoms or are only named.
+Checked in tests/io/nastran/test_data.py.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.io.nastran.cards import Card
+
+
+class Systems:
+    """The systems by number; 0 is the basic one. `axes` rows are the unit vectors x, y, z in basic coordinates."""
+
+    def __init__(self, cards: list[Card] | None = None, grids: list[Card] | None = None) -> None:
+        self._cards: dict[int, Card] = {}
+        self._grids = {grid.integer(1, "ID"): grid for grid in grids or []}
+        self._made: dict[int, tuple[np.ndarray, np.ndarray, bool]] = {0: (np.zeros(3), np.eye(3), False)}
+        for card in cards or []:
+            if card.name not in ("CORD2R", "CORD2C", "CORD1R"):
+                raise InputError(f"{card}: this system cannot be read; allowed: CORD2R, CORD2C, CORD1R")
+            step = 4 if card.name == "CORD1R" else 8
+            for start in range(0, max(len(card.fields), 1), step):  # CORD1R holds up to two systems
+                if card.name == "CORD1R" or start == 0:
+                    part = Card(card.name, card.fields[start:] if start else card.fields, card.where)
+                    self._cards[part.integer(1, "CID")] = part
+
+    def axes(self, number: int, card: Card, at: np.ndarray) -> np.ndarray:
+        """Unit vectors of a system [3, 3] at a place in basic coordinates; x of a cylindrical one is its radius there."""
+        origin, axes, cylindrical = self._system(number, card, ())
+        if not cylindrical:
+            return axes
+        x, y, _ = axes @ (at - origin)
+        r = math.hypot(x, y)
+        if r == 0.0:
+            raise InputError(f"{card}: it lies on the axis of system {number}; allowed: a place with a radius")
+        return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, r]]) / r @ axes
+
+    def place(self, grid: Card, opened: tuple[int, ...] = ()) -> tuple[float, float, float]:
+        """Position of a GRID in basic coordinates."""
+        x = np.array([grid.real(k, f"X{k - 2}", 0.0) for k in (3, 4, 5)])
+        point = self._basic(grid.integer(2, "CP", 0), x, grid, opened)
+        return float(point[0]), float(point[1]), float(point[2])
+
+    def _basic(self, number: int, x: np.ndarray, card: Card, opened: tuple[int, ...]) -> np.ndarray:
+        origin, axes, cylindrical = self._system(number, card, opened)
+        if cylindrical:
+            angle = math.radians(x[1])
+            x = np.array([x[0] * math.cos(angle), x[0] * math.sin(angle), x[2]])
+        return origin + x @ axes
+
+    def _system(self, number: int, card: Card, opened: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, bool]:
+        if number in self._made:
+            return self._made[number]
+        if number not in self._cards:
+            raise InputError(f"{card}: coordinate system {number} does not exist; a CORD2R card is missing")
+        if number in opened:
+            raise InputError(f"{card}: coordinate system {number} refers to itself")
+        own = self._cards[number]
+        origin, up, side = self._points(own, (*opened, number))
+        z, x = up - origin, side - origin
+        normal = np.cross(z, x)
+        if np.linalg.norm(normal) <= 1e-9 * np.linalg.norm(z) * np.linalg.norm(x):
+            raise InputError(f"{own}: its three points lie on a line")
+        z, y = z / np.linalg.norm(z), normal / np.linalg.norm(normal)
+        self._made[number] = origin, np.stack([np.cross(y, z), y, z]), own.name == "CORD2C"
+        return self._made[number]
+
+    def _points(self, own: Card, opened: tuple[int, ...]) -> list[np.ndarray]:
+        if own.name == "CORD1R":
+            numbers = [own.integer(k, f"G{k - 1}") for k in (2, 3, 4)]
+            for k in numbers:
+                if k not in self._grids:
+                    raise InputError(f"{own}: GRID {k} does not exist")
+            return [np.array(self.place(self._grids[k], opened)) for k in numbers]
+        reference = own.integer(2, "RID", 0)
+        names = [f"{letter}{k}" for letter in "ABC" for k in (1, 2, 3)]
+        x = np.array([own.real(3 + k, name, 0.0) for k, name in enumerate(names)]).reshape(3, 3)
+        return [self._basic(reference, point, own, opened) for point in x]

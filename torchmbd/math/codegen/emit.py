@@ -1,0 +1,363 @@
+"""C++ of the functions of a program: loops over run-time sizes, in which every number is that of several lanes side by side.
+
+    static void name(const In& in)
+
+`in` holds pointers to inputs and outputs, sizes `n`, tables, scratch memory `w` and the places `o` of buffers in it.
+A sum over an inner axis is kept in a local variable; what does not depend on a loop variable is made before the loop.
+Checked in tests/math/codegen/.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+from torchmbd.math.codegen.program import Buffer, Program, Write, product
+from torchmbd.math.codegen.schedule import Nest, Schedule, depends
+from torchmbd.math.codegen.size import AnySize, Index, Variable, variables
+
+# Numbers that are the same for all lanes (laws, the time, the step) stay doubles until they meet others.
+PRELUDE = """#include <cmath>
+#include <cstring>
+#ifndef LANES
+#define LANES 8
+#endif
+typedef double V __attribute__((vector_size(8 * LANES)));
+#define PART static __attribute__((noinline)) void
+static inline V spread(double x) { V y; for (int l = 0; l < LANES; l++) y[l] = x; return y; }
+static inline V spread(V x) { return x; }
+#define EACH(name, expression) \\
+  static inline double f_##name(double a) { return expression; } \\
+  static inline V f_##name(V x) { V y; for (int l = 0; l < LANES; l++) { double a = x[l]; y[l] = expression; } return y; }
+#define BOTH(name, expression) \\
+  static inline double f_##name(double a, double b) { return expression; } \\
+  template <class A, class B> static inline V f_##name(A p, B q) { \\
+    V x = spread(p), y = spread(q), r; \\
+    for (int l = 0; l < LANES; l++) { double a = x[l], b = y[l]; r[l] = expression; } return r; }
+EACH(sqrt, std::sqrt(a)) EACH(sin, std::sin(a)) EACH(cos, std::cos(a)) EACH(exp, std::exp(a))
+EACH(abs, std::fabs(a)) EACH(log, std::log(a)) EACH(tanh, std::tanh(a))
+BOTH(max, a > b ? a : (a == a ? b : a)) BOTH(min, a < b ? a : (a == a ? b : a))
+BOTH(gt, a > b ? 1.0 : 0.0) BOTH(ge, a >= b ? 1.0 : 0.0) BOTH(atan2, std::atan2(a, b))
+static inline double f_where(double c, double a, double b) { return c > 0.0 ? a : b; }
+template <class A, class B, class C> static inline V f_where(A c, B p, C q) {
+  V condition = spread(c), x = spread(p), y = spread(q), r;
+  for (int l = 0; l < LANES; l++) r[l] = condition[l] > 0.0 ? x[l] : y[l];
+  return r; }
+"""
+_INFIX = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+
+
+def size_text(size: AnySize) -> str:
+    """A size in C++."""
+    if isinstance(size, int):
+        return str(size)
+    terms = []
+    for names, c in size.terms:
+        factors = ([str(c)] if c != 1 or not names else []) + [f"n.{name}" for name in names]
+        terms.append(" * ".join(factors))
+    return "(" + " + ".join(terms) + ")"
+
+
+@dataclass
+class _Scope:
+    """The body of a loop: its lines, and the names of numbers that it has made."""
+
+    variable: Variable | None
+    lines: list[str] = field(default_factory=list)
+    names: dict[int, str] = field(default_factory=dict)
+
+
+class Emitter:
+    """Functions of one program. `scratch`: place of each scratch buffer in `o`, and its size."""
+
+    def __init__(self, program: Program):
+        self.program = program
+        self.scratch: dict[str, tuple[int, AnySize]] = {}
+
+    def function(self, name: str, schedule: Schedule, kept: set[str] = frozenset()) -> str:  # pyright: ignore
+        """A function that makes the writes of a schedule. kept: buffers that others load."""
+        private = schedule.private() - kept
+        for buffer in sorted(schedule.made):
+            self._allocate(self.program.buffers[buffer], buffer in private, schedule)
+        parts, calls = [], []
+        for line in self._cleared(schedule, private):
+            calls.append(line)
+        for k, nest in enumerate(schedule.nests):
+            parts.append(_NestText(self, schedule, nest, private).text(f"{name}_{k}"))
+            calls.append(f"  {name}_{k}(in);")
+        body = "\n".join(calls)
+        return "".join(parts) + f"static void {name}(const In& in) {{\n  const N& n = in.n;\n  (void)n;\n{body}\n}}\n"
+
+    def layout(self) -> str:
+        """A function that finds the places of scratch buffers; returns how many numbers they hold."""
+        lines = [f"  o[{k}] = total; total += {size_text(size)};" for k, size in self.scratch.values()]
+        count = len(self.scratch) + 1
+        return (
+            f"constexpr int BUFFERS = {count};\nstatic long layout(const N& n, long* o) {{\n  long total = 0;\n"
+            + "\n".join(lines)
+            + "\n  return total;\n}\n"
+        )
+
+    def _allocate(self, buffer: Buffer, private: bool, schedule: Schedule) -> None:
+        if buffer.kind != "scratch":
+            return
+        size = buffer.size
+        number, known = self.scratch.get(buffer.name, (len(self.scratch), None))
+        if private and known is None:
+            (nest,) = [n for n in schedule.nests if any(w.buffer == buffer.name for s in n.stages for w in s)]
+            assert nest.variable is not None
+            size = _stride(buffer.writes[0].index, nest.variable)
+        self.scratch[buffer.name] = (number, known if private and known is not None else size)
+
+    def _cleared(self, schedule: Schedule, private: set[str]) -> list[str]:
+        """Buffers that are added to begin with zeros."""
+        lines = []
+        for name in sorted(schedule.made - private):
+            buffer = self.program.buffers[name]
+            if buffer.kind == "scratch" and not covered(self.program, buffer):
+                where = f"in.w + in.o[{self.scratch[name][0]}]"
+                lines.append(f"  std::memset((void*)({where}), 0, sizeof(V) * {size_text(buffer.size)});")
+        return lines
+
+
+def covered(program: Program, buffer: Buffer) -> bool:
+    """Whether every place of a buffer is written to, and none is added to."""
+    places: AnySize = 0
+    for write in buffer.writes:
+        places = places + product(v.size for v in variables(write.index))
+        if write.adds and not alone(program, write):
+            return False
+    return places == buffer.size
+
+
+def alone(program: Program, write: Write) -> bool:
+    """Whether a sum has all its terms in one write, which runs through them within one turn of the outermost loops."""
+    if program.buffers[write.buffer].kind == "output":
+        return not write.adds
+    same = [w for w in program.buffers[write.buffer].writes if w.index == write.index]
+    inner = [v for v in write.variables if not depends(write.index, v)]
+    plain = all(isinstance(atom, Variable) for _, atom in write.index.terms)
+    shared = len(program.buffers[write.buffer].writes) > 1 and _overlap(program, write)
+    own_turn = all(v.size in program.inner and v != write.variables[0] for v in inner)
+    return len(same) == 1 and plain and not shared and own_turn
+
+
+def _overlap(program: Program, write: Write) -> bool:
+    """Whether other writes to the buffer may meet: other than at constant distances."""
+    writes = program.buffers[write.buffer].writes
+    return any(w.index.terms != write.index.terms or not isinstance(w.index.offset, int) for w in writes)
+
+
+def _stride(index: Index, variable: Variable) -> AnySize:
+    return next(s for s, atom in index.terms if atom == variable)
+
+
+class _NestText:
+    """C++ of one nest."""
+
+    def __init__(self, emitter: Emitter, schedule: Schedule, nest: Nest, private: set[str]):
+        self.emitter, self.program, self.schedule = emitter, emitter.program, schedule
+        self.nest, self.private = nest, private
+        self.scopes = [_Scope(None)]
+        self.tables: set[str] = set()
+        self.count = 0
+        self.buffers: set[str] = set()
+        self.sums: dict[tuple[str, Index], str] = {}  # sums of private buffers in local variables
+
+    def text(self, name: str) -> str:
+        if self.nest.variable is None:
+            self._stages()
+        else:
+            self._loop(self.nest.variable, self._stages)
+        lines = self.scopes[0].lines
+        head = ["  const N& n = in.n;", "  (void)n;"]
+        for table in sorted(self.tables):
+            head.append(f"  const int* const __restrict {table} = in.tables.{table};")
+        for buffer in sorted(self.buffers):
+            head.append(self._pointer(self.program.buffers[buffer]))
+        return f"PART {name}(const In& in) {{\n" + "\n".join(head + lines) + "\n}\n"
+
+    def _pointer(self, buffer: Buffer) -> str:
+        if buffer.kind == "scratch":
+            return f"  V* const __restrict {buffer.name} = in.w + in.o[{self.emitter.scratch[buffer.name][0]}];"
+        kind = {"lanes": "const V*", "uniform": "const double*", "output": "V*"}[buffer.kind]
+        return f"  {kind} const __restrict {buffer.name} = in.{buffer.name};"
+
+    def _loop(self, variable: Variable, body: object, before: Sequence[str] = ()) -> None:
+        """A loop in the innermost scope."""
+        scope = _Scope(variable)
+        self.scopes.append(scope)
+        body()  # pyright: ignore[reportCallIssue]
+        self.scopes.pop()
+        i = self._name(variable)
+        lines = self.scopes[-1].lines
+        lines += before
+        lines.append(f"  for (long {i} = 0; {i} < {size_text(variable.size)}; {i}++) {{")
+        lines += [f"  {line}" for line in scope.lines]
+        lines.append("  }")
+
+    def _stages(self) -> None:
+        self._clear_private()
+        for stage in self.nest.stages:
+            self._writes(stage, 0 if self.nest.variable is None else 1)
+
+    def _clear_private(self) -> None:
+        """What this turn alone needs and adds to begins with zeros."""
+        made = sorted({w.buffer for stage in self.nest.stages for w in stage} & self.private)
+        for name in made:
+            writes = self.program.buffers[name].writes
+            if self.nest.variable is not None and not covered(self.program, self.program.buffers[name]):
+                self.buffers.add(name)
+                size = size_text(_stride(writes[0].index, self.nest.variable))
+                self.scopes[-1].lines.append(f"  std::memset((void*){name}, 0, sizeof(V) * {size});")
+
+    def _writes(self, writes: list[Write], depth: int) -> None:
+        """Writes within `depth` loops."""
+        deeper: dict[Variable, list[Write]] = {}
+        for write in writes:
+            if len(write.variables) > depth:
+                deeper.setdefault(write.variables[depth], []).append(write)
+            else:
+                self._store(write)
+        for variable, some in deeper.items():
+            self._inner(variable, some, depth)
+
+    def _inner(self, variable: Variable, writes: list[Write], depth: int) -> None:
+        """A loop over an inner variable; what it sums goes to local variables before it and is stored after it."""
+        mine, rest = [], []
+        for write in writes:
+            summed = write.variables[depth:]
+            local = write.adds and not any(depends(write.index, v) for v in summed)
+            (mine if local else rest).append(write)
+        names: dict[tuple[str, Index], str] = {}
+        for write in mine:
+            key = write.buffer, write.index
+            if key not in names:
+                names[key] = f"a{self._next()}"
+        before = [f"  V {name} = spread(0.0);" for name in names.values()]
+
+        def body() -> None:
+            deeper: dict[Variable, list[Write]] = {}
+            direct: dict[str, list[str]] = {}
+            for write in [*rest, *mine]:
+                if len(write.variables) > depth + 1:
+                    deeper.setdefault(write.variables[depth + 1], []).append(write)
+                elif write in mine:
+                    direct.setdefault(names[write.buffer, write.index], []).append(self._number(write.number))
+                else:
+                    self._store(write)
+            lines = self.scopes[-1].lines
+            lines += [f"  {name} += {x};" for name, xs in direct.items() for x in xs]
+            for inner, some in deeper.items():
+                self._within(inner, some, depth + 1, names)
+
+        self._loop(variable, body, before)
+        lines = self.scopes[-1].lines
+        for (buffer, index), name in names.items():
+            write = next(w for w in mine if w.buffer == buffer and w.index == index)
+            if buffer in self.private and alone(self.program, write):
+                self.sums[buffer, index] = name
+                if not any(v.size in self.program.inner for v in variables(index)):
+                    continue
+            op = "=" if alone(self.program, write) else "+="
+            lines.append(f"  {self._place(buffer, index)} {op} {name};")
+
+    def _within(self, variable: Variable, writes: list[Write], depth: int, names: dict[tuple[str, Index], str]) -> None:
+        """An inner loop of an inner loop: sums that both run through go to the local variables of the outer one."""
+        through = [w for w in writes if (w.buffer, w.index) in names and w.adds]
+        others = [w for w in writes if w not in through]
+
+        def body() -> None:
+            for write in through:
+                assert len(write.variables) == depth + 1, "three loops within a loop"
+                x = self._number(write.number)
+                self.scopes[-1].lines.append(f"  {names[write.buffer, write.index]} += {x};")
+
+        if through:
+            self._loop(variable, body)
+        if others:
+            self._inner(variable, others, depth)
+
+    def _store(self, write: Write) -> None:
+        x = self._number(write.number)
+        op = "+=" if write.adds and not alone(self.program, write) else "="
+        self.scopes[-1].lines.append(f"  {self._place(write.buffer, write.index)} {op} spread({x});")
+
+    def _next(self) -> int:
+        self.count += 1
+        return self.count
+
+    def _name(self, v: Variable) -> str:
+        chain = [s.variable for s in self.scopes[1:]]
+        return f"i{chain.index(v) if v in chain else len(chain)}"
+
+    def _number(self, number: int) -> str:
+        """The name of a number, made where it is not yet."""
+        wanted = self.schedule.aliases.get(number, number)
+        for node in self.schedule.reach(number):
+            if not any(node in s.names for s in self.scopes):
+                self._make(node)
+        return self._known(wanted)
+
+    def _known(self, node: int) -> str:
+        node = self.schedule.aliases.get(node, node)
+        return next(s.names[node] for s in self.scopes if node in s.names)
+
+    def _make(self, node: int) -> None:
+        program = self.program
+        op, args = program.op[node], program.args[node]
+        if op == "constant":
+            self.scopes[0].names[node] = _constant(args[0])
+            return
+        chain = [s.variable for s in self.scopes]
+        depth = max((chain.index(v) for v in program.variables(node)), default=0)
+        scope = self.scopes[depth]
+        if op == "load":
+            summed = self.sums.get((args[0], args[1]))
+            if summed is not None and not any(v.size in program.inner for v in variables(args[1])):
+                scope.names[node] = summed
+                return
+            text = self._place(*args)
+        else:
+            given = [self._known(a) for a in args]
+            text = _expression(op, given)
+        name = f"v{self._next()}"
+        scope.names[node] = name
+        scope.lines.append(f"  const auto {name} = {text};")
+
+    def _place(self, buffer: str, index: Index) -> str:
+        self.buffers.add(buffer)
+        skipped = self.nest.variable if buffer in self.private else None
+        terms = [self._term(s, atom) for s, atom in index.terms if atom != skipped or skipped is None]
+        if index.offset != 0 or not terms:
+            terms.append(size_text(index.offset))
+        return f"{buffer}[{' + '.join(terms)}]"
+
+    def _term(self, stride: AnySize, atom: object) -> str:
+        if isinstance(atom, Variable):
+            text = self._name(atom)
+        else:
+            self.tables.add(atom.table)  # pyright: ignore[reportAttributeAccessIssue]
+            inner = [self._term(s, a) for s, a in atom.index.terms]  # pyright: ignore[reportAttributeAccessIssue]
+            offset = atom.index.offset  # pyright: ignore[reportAttributeAccessIssue]
+            inner += [size_text(offset)] if offset != 0 or not inner else []
+            text = f"{atom.table}[{' + '.join(inner)}]"  # pyright: ignore[reportAttributeAccessIssue]
+        return text if stride == 1 else f"{size_text(stride)} * {text}"
+
+
+def _constant(x: float) -> str:
+    return repr(x) if math.isfinite(x) else "NAN" if x != x else "HUGE_VAL" if x > 0 else "(-HUGE_VAL)"
+
+
+def _expression(op: str, args: Sequence[str]) -> str:
+    if op == "neg":
+        return f"-{args[0]}"
+    if op in _INFIX:
+        return f"{args[0]} {_INFIX[op]} {args[1]}"
+    return f"f_{op}({', '.join(args)})"
+
+
+def sizes(names: Iterable[str]) -> str:
+    """The struct of run-time sizes."""
+    return f"struct N {{ long {', '.join(names)}; }};\n"

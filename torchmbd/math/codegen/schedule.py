@@ -1,0 +1,157 @@
+"""Which loops a function of a program is made of.
+
+    Nest    a loop over one axis, such as all bodies; what its stages do to one body is done before the next body comes
+    stage   writes that need nothing of each other; loops over inner axes, such as modes, run within a stage
+
+What a later stage loads from the body of its own loop need not wait for other bodies (`Buffer.size` = axis * stride).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from torchmbd.math.codegen.program import Program, Write
+from torchmbd.math.codegen.size import Index, Size, Variable, variables
+
+
+@dataclass
+class Nest:
+    """A loop over a variable (None: no loop) and its stages."""
+
+    variable: Variable | None
+    stages: list[list[Write]] = field(default_factory=list)
+
+    def put(self, write: Write, stage: int) -> None:
+        while len(self.stages) <= stage:
+            self.stages.append([])
+        self.stages[stage].append(write)
+
+
+class Schedule:
+    """Nests of a function that makes some writes; `given`: buffers that are there, `aliases`: numbers loaded from them."""
+
+    def __init__(
+        self, program: Program, roots: Iterable[Write], given: set[str], aliases: dict[int, int] | None = None
+    ):
+        self.program, self.given, self.aliases = program, given, aliases or {}
+        self.nests: list[Nest] = []
+        self._loads: dict[int, list[int]] = {}
+        self.writes = self._needed(roots)
+        self.made = {w.buffer for w in self.writes}
+        self._place()
+
+    def loads(self, number: int) -> list[int]:
+        """What is loaded to make a number."""
+        found = self._loads.get(number)
+        if found is None:
+            reach = self.reach(number)
+            found = self._loads[number] = [x for x in reach if self.program.op[x] == "load"]
+        return found
+
+    def reach(self, number: int) -> list[int]:
+        """Numbers that are made for a number, arguments first; an alias in place of what it stands for."""
+        found: dict[int, None] = {}
+        stack = [self.aliases.get(number, number)]
+        while stack:
+            node = stack[-1]
+            missing = [a for a in self.operands(node) if a not in found] if node not in found else []
+            if missing:
+                stack += missing
+            else:
+                found[stack.pop()] = None
+        return list(found)
+
+    def operands(self, node: int) -> list[int]:
+        """Numbers, or their aliases, that a number is made of."""
+        return [self.aliases.get(a, a) for a in self.program.operands(node)]
+
+    def _needed(self, roots: Iterable[Write]) -> list[Write]:
+        buffers = self.program.buffers
+        writes, known, stack = [], set(), list(roots)
+        while stack:
+            write = stack.pop()
+            writes.append(write)
+            for node in self.loads(write.number):
+                name = self.program.args[node][0]
+                if buffers[name].kind == "scratch" and name not in self.given and name not in known:
+                    known.add(name)
+                    stack += buffers[name].writes
+        return sorted(dict.fromkeys(writes), key=lambda w: w.number)
+
+    def _place(self) -> None:
+        at: dict[str, list[tuple[int, int]]] = {}  # nest and stage of each write to a buffer
+        for write in self._ordered():
+            variable = write.variables[0] if write.variables else None
+            deps = {self.program.args[x][0] for x in self.loads(write.number)} & self.made
+            local = {name for name in deps if self._is_local(name, variable, write)}
+            first = max((n + (name not in local) for name in deps for n, _ in at[name]), default=0)
+            fits = [k for k in range(first, len(self.nests)) if self.nests[k].variable == variable]
+            k = fits[0] if fits else len(self.nests)
+            if not fits:
+                self.nests.append(Nest(variable))
+            stage = max((s + 1 for name in deps for n, s in at[name] if n == k), default=0)
+            self.nests[k].put(write, stage)
+            at.setdefault(write.buffer, []).append((k, stage))
+
+    def _ordered(self) -> list[Write]:
+        """Writes after all to the buffers that they load."""
+        left: dict[str, int] = {}
+        for w in self.writes:
+            left[w.buffer] = left.get(w.buffer, 0) + 1
+        waiting = {
+            i: {self.program.args[x][0] for x in self.loads(w.number)} & self.made for i, w in enumerate(self.writes)
+        }
+        result, remaining = [], list(range(len(self.writes)))
+        while remaining:
+            later = []
+            for i in remaining:
+                if any(left[name] for name in waiting[i]):
+                    later.append(i)
+                else:
+                    result.append(self.writes[i])
+                    left[self.writes[i].buffer] -= 1
+            assert len(later) < len(remaining), "buffers load each other"
+            remaining = later
+        return result
+
+    def _is_local(self, name: str, variable: Variable | None, write: Write) -> bool:
+        """Whether a write loads from a buffer only what the same turn of its loop has written."""
+        places = [w.index for w in self.program.buffers[name].writes]
+        places += [self.program.args[x][1] for x in self.loads(write.number) if self.program.args[x][0] == name]
+        return variable is not None and all(self.is_own(name, variable, index) for index in places)
+
+    def is_own(self, name: str, variable: Variable, index: Index) -> bool:
+        """Whether a place belongs to the turn of a loop: buffers [variable, rest]."""
+        size = self.program.buffers[name].size
+        strides = [s for s, atom in index.terms if atom == variable]
+        others = [a for _, a in index.terms if a != variable]
+        if len(strides) != 1 or not isinstance(size, Size) or strides[0] * variable.size != size:
+            return False
+        if not all(isinstance(a, Variable) and a.size in self.program.inner for a in others):
+            return False
+        stride, offset = strides[0], index.offset
+        return isinstance(offset, int) and offset >= 0 and not (isinstance(stride, int) and offset >= stride)
+
+    def private(self) -> set[str]:
+        """Buffers that one turn of a loop needs no longer than itself: they hold what belongs to one turn."""
+        where: dict[str, set[int]] = {}
+        bad = set()
+        for k, nest in enumerate(self.nests):
+            for write in (w for stage in nest.stages for w in stage):
+                where.setdefault(write.buffer, set()).add(k)
+                if nest.variable is None or not self.is_own(write.buffer, nest.variable, write.index):
+                    bad.add(write.buffer)
+                for x in self.loads(write.number):
+                    name, index = self.program.args[x]
+                    if name in self.made:
+                        where.setdefault(name, set()).add(k)
+                        if nest.variable is None or not self.is_own(name, nest.variable, index):
+                            bad.add(name)
+        scratch = {name for name in self.made if self.program.buffers[name].kind == "scratch"}
+        return {name for name in scratch - bad if len(where[name]) == 1}
+
+
+def depends(index: Index, variable: Variable) -> bool:
+    """Whether a place depends on a variable."""
+    return variable in variables(index)

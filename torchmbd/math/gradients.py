@@ -1,0 +1,155 @@
+"""Gradients that would be lost, found before they are: each is refused by the name of its argument.
+
+    refuse_gradients("mass of 'rod'", mass)      numbers that are read as constants
+    @constants                                   the same for all arguments of a function, of which floats are numbers
+    refuse_lost("law of 'spring'", law, allowed) tensors that a law of the user's own holds, by which nothing differentiates it
+
+`refuse_lost` looks at closures, default arguments, globals, bound objects, attributes, functools.partial and containers, and at
+the modules and functions that these lead to.
+Checked in tests/math/test_gradients.py, tests/sensitivity/test_refused_gradients.py.
+"""
+
+from __future__ import annotations
+
+import dis
+import functools
+import inspect
+import types
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, ParamSpec, TypeVar
+
+import torch
+import torch.autograd.forward_ad as forward_ad
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+_CONTAINERS = (list, tuple, set, frozenset)
+_CLOSED = (types.ModuleType, type, str, bytes, int, float, complex, type(None), torch.dtype, torch.device)
+_OF_MODULE = frozenset(vars(nn.Module()))
+_LIBRARIES = ("torch", "numpy", "scipy", "builtins", "functools", "operator")
+
+
+def differentiated(x: Any) -> bool:
+    """Whether x is a tensor that is being differentiated: by autograd, by dual numbers or by torch.func."""
+    return isinstance(x, Tensor) and (x.requires_grad or forward_ad.unpack_dual(x).tangent is not None)
+
+
+def refuse_gradients(name: str, given: Any, allowed: str = "numbers") -> None:
+    """InputError where a number, or one of a list or mapping of numbers, is being differentiated."""
+    if isinstance(given, Mapping):
+        given = list(given.values())
+    if isinstance(given, _CONTAINERS):
+        for x in given:
+            refuse_gradients(name, x, allowed)
+    elif differentiated(given):
+        shown = " ".join(repr(given).split())
+        raise InputError(
+            f"{name} carries a gradient, which would be lost here: {shown}; allowed: {allowed}, or x.detach()"
+        )
+
+
+def constants(f: Callable[P, R]) -> Callable[P, R]:
+    """A function none of whose arguments has a gradient, and whose floats are numbers; InputError names the argument."""
+    signature = inspect.signature(f)
+    floats = {name for name, p in signature.parameters.items() if p.annotation in (float, "float")}
+
+    @functools.wraps(f)
+    def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+        if any(map(_may_vary, (*args, *kwargs.values()))):
+            for name, x in signature.bind(*args, **kwargs).arguments.items():
+                refuse_gradients(f"{name} of {f.__qualname__.removesuffix('.__init__')}", x)
+        given = signature.bind_partial(*args, **kwargs).arguments
+        for name in floats.intersection(given):
+            if not _number(given[name]):
+                raise InputError(
+                    f"{name} of {f.__qualname__.removesuffix('.__init__')} is {given[name]!r}; allowed: a number"
+                )
+        return f(*args, **kwargs)
+
+    return checked
+
+
+def _number(x: Any) -> bool:
+    """Whether it is one real number, also of NumPy or torch."""
+    if isinstance(x, (str, bytes, bool)):
+        return False
+    try:
+        float(x)
+    except (TypeError, ValueError, RuntimeError):
+        return False
+    return True
+
+
+def _may_vary(x: Any) -> bool:
+    return isinstance(x, (Tensor, Mapping, *_CONTAINERS))
+
+
+def refuse_lost(name: str, law: Any, allowed: str, registered: nn.Module | None = None) -> None:
+    """InputError where a law of the user's own holds a tensor that requires a gradient, by which nothing differentiates it.
+
+    registered   a module whose parameters are differentiated
+    """
+    known = {id(x) for x in registered.parameters()} if registered is not None else set()
+    seen: set[int] = set()
+    stack: list[tuple[str, Any]] = [("", law)]
+    while stack:
+        path, x = stack.pop()
+        if isinstance(x, Tensor):
+            if differentiated(x) and id(x) not in known:
+                raise InputError(
+                    f"{name} has design variables ({path.strip() or 'itself'}), which would not be differentiated; "
+                    f"allowed: {allowed}, such as x.detach() where x stays what it is"
+                )
+        elif id(x) not in seen and not isinstance(x, _CLOSED):
+            seen.add(id(x))
+            stack += [(f"{path} {label}", y) for label, y in _held(x)]
+
+
+def _held(x: Any) -> Iterator[tuple[str, Any]]:
+    """What an object is made of, with labels."""
+    if isinstance(x, Mapping):
+        yield from ((f"[{key!r}]", y) for key, y in x.items())
+    elif isinstance(x, _CONTAINERS):
+        yield from ((f"[{i}]", y) for i, y in enumerate(x))
+    elif isinstance(x, functools.partial):
+        yield from (("function", x.func), ("arguments", x.args), ("arguments", x.keywords))
+    elif isinstance(x, types.MethodType):
+        yield from (("method", x.__func__), ("object", x.__self__))
+    elif isinstance(x, types.FunctionType):
+        yield from _of_function(x)
+    elif isinstance(x, nn.Module):
+        for members in (x._parameters, x._buffers, x._modules):
+            yield from ((f"module {name}", y) for name, y in members.items())
+        if not _of_library(type(x)):
+            yield "method", type(x).forward
+            yield from ((f"attribute {k}", y) for k, y in vars(x).items() if k not in _OF_MODULE)
+    elif not _of_library(type(x)):
+        methods = {k: f for kind in reversed(type(x).__mro__) for k, f in vars(kind).items()}
+        yield "method", methods.get("__call__")
+        slots = [k for kind in type(x).__mro__ for k in getattr(kind, "__slots__", ()) if isinstance(k, str)]
+        own = getattr(x, "__dict__", {}) | {k: getattr(x, k) for k in slots if hasattr(x, k)}
+        yield from ((f"attribute {name}", y) for name, y in own.items())
+
+
+def _of_function(f: types.FunctionType) -> Iterator[tuple[str, Any]]:
+    for name, cell in zip(f.__code__.co_freevars, f.__closure__ or (), strict=True):
+        try:
+            yield f"closure {name}", cell.cell_contents
+        except ValueError:  # not filled yet: a function that calls itself
+            continue
+    yield from (("default", f.__defaults__), ("defaults", f.__kwdefaults__), ("attributes", vars(f)))
+    if not _of_library(f):
+        yield from ((f"global {name}", f.__globals__[name]) for name in _globals(f.__code__) if name in f.__globals__)
+
+
+def _globals(code: types.CodeType) -> set[str]:
+    """Names of globals that a function, or one defined in it, asks for."""
+    names = {x.argval for x in dis.get_instructions(code) if x.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    return names.union(*(_globals(c) for c in code.co_consts if isinstance(c, types.CodeType)))
+
+
+def _of_library(x: Any) -> bool:
+    return (getattr(x, "__module__", None) or "builtins").partition(".")[0] in _LIBRARIES

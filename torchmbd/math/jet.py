@@ -1,0 +1,75 @@
+"""Time jets: a quantity with its first and second time derivative, so that a constraint is written once.
+
+    x -> (x, x', x'')        <u, v>'' = <u'', v> + 2 <u', v'> + <u, v''>
+
+A constraint Phi written on jets of the attached vectors returns Phi, Phi' and Phi'' together; with accelerations a
+in the jets, Phi'' = Phi_q a - gamma. Components are tensors or pairs.
+Checked in tests/math/test_pair.py and, through every joint, in tests/contracts/test_joints.py.
+"""
+
+from __future__ import annotations
+
+from torchmbd.math import elementwise, pair
+
+
+class Jet:
+    """A number with its velocity and acceleration."""
+
+    __slots__ = ("acceleration", "value", "velocity")
+
+    def __init__(self, value, velocity, acceleration):
+        self.value = value
+        self.velocity = velocity
+        self.acceleration = acceleration
+
+    @property
+    def parts(self) -> tuple:
+        return self.value, self.velocity, self.acceleration
+
+    def __sub__(self, other) -> Jet:
+        if not isinstance(other, Jet):  # constant in time
+            return Jet(self.value - other, self.velocity, self.acceleration)
+        return Jet(*(a - b for a, b in zip(self.parts, other.parts, strict=True)))
+
+    def __mul__(self, other) -> Jet:
+        if not isinstance(other, Jet):  # constant in time
+            return self.map(lambda x: x * other)
+        return _product(lambda a, b: a * b, self, other)
+
+    def map(self, f) -> Jet:
+        """Apply a map that is linear and constant in time."""
+        return Jet(*(f(x) for x in self.parts))
+
+
+def _product(f, a: Jet, b: Jet) -> Jet:
+    return Jet(
+        f(a.value, b.value),
+        f(a.velocity, b.value) + f(a.value, b.velocity),
+        f(a.acceleration, b.value) + 2.0 * f(a.velocity, b.velocity) + f(a.value, b.acceleration),
+    )
+
+
+def dot(a, b):
+    """Scalar product over the first axis, of numbers or of jets."""
+    if isinstance(a, Jet):
+        return _product(pair.dot, a, b)
+    return pair.dot(a, b)
+
+
+def sin(angle):
+    """Sine of a number or of a jet."""
+    if not isinstance(angle, Jet):
+        return elementwise.sin(angle)
+    s, c = elementwise.sin(angle.value), elementwise.cos(angle.value)
+    return Jet(s, c * angle.velocity, c * angle.acceleration - s * (angle.velocity * angle.velocity))
+
+
+def cos(angle):
+    """Cosine of a number or of a jet."""
+    if not isinstance(angle, Jet):
+        return elementwise.cos(angle)
+    s, c = elementwise.sin(angle.value), elementwise.cos(angle.value)
+    return Jet(c, -(s * angle.velocity), -(s * angle.acceleration) - c * (angle.velocity * angle.velocity))
+
+
+__all__ = ["Jet", "cos", "dot", "sin"]

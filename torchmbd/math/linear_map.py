@@ -1,0 +1,83 @@
+"""A linear map of batches, told once with its adjoint: derivatives apply it again.
+
+    y = L(x_1, x_2, ...),     dy = L(dx_1, dx_2, ...),     (x_1, x_2, ...)' = L*(y')
+
+Left to itself, forward mode differentiates every product with a constant as one of two variables, and multiplies zeros.
+All x and y have one leading axis of lanes; under vmap there are more of these.
+Differentiable, forward and reverse, any number of times.
+Checked in tests/math/test_linear_map.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor
+
+
+class LinearMap(Protocol):
+    """What is asked of a map."""
+
+    def __call__(self, *x: Tensor) -> Tensor:
+        """y [lanes, ...] of x [lanes, ...]."""
+        ...
+
+    def adjoint(self, y: Tensor) -> tuple[Tensor, ...]:
+        """The x that have the same products with all x as y has with their map."""
+        ...
+
+
+def mapped(linear: LinearMap, *x: Tensor) -> Tensor:
+    """Return linear(*x)."""
+    return _Mapped.apply(linear, *x)  # pyright: ignore[reportReturnType]
+
+
+class _Mapped(torch.autograd.Function):
+    @staticmethod
+    def forward(linear: LinearMap, *x: Tensor) -> Tensor:
+        return linear(*x)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
+        ctx.linear = inputs[0]
+
+    @staticmethod
+    def jvp(ctx: Any, _: None, *dx: Tensor) -> Tensor:
+        return mapped(ctx.linear, *dx)
+
+    @staticmethod
+    def backward(ctx: Any, *dy: Tensor) -> tuple[Tensor | None, ...]:
+        return None, *_Adjoint.apply(ctx.linear, dy[0])  # pyright: ignore[reportGeneralTypeIssues]
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, linear: LinearMap, *x: Tensor) -> tuple[Tensor, int]:
+        wide = [_wide(own, dim, info.batch_size) for own, dim in zip(x, in_dims[1:], strict=True)]
+        return mapped(linear, *(own.flatten(0, 1) for own in wide)).unflatten(0, (info.batch_size, -1)), 0
+
+
+class _Adjoint(torch.autograd.Function):
+    @staticmethod
+    def forward(linear: LinearMap, y: Tensor) -> tuple[Tensor, ...]:
+        return linear.adjoint(y)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Any) -> None:
+        ctx.linear = inputs[0]
+
+    @staticmethod
+    def jvp(ctx: Any, _: None, dy: Tensor) -> Any:
+        return _Adjoint.apply(ctx.linear, dy)
+
+    @staticmethod
+    def backward(ctx: Any, *dx: Tensor) -> tuple[None, Tensor]:
+        return None, mapped(ctx.linear, *dx)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, linear: LinearMap, y: Tensor) -> tuple[tuple[Tensor, ...], tuple[int, ...]]:
+        found: Any = _Adjoint.apply(linear, _wide(y, in_dims[1], info.batch_size).flatten(0, 1))
+        return tuple(x.unflatten(0, (info.batch_size, -1)) for x in found), (0,) * len(found)
+
+
+def _wide(x: Tensor, dim: int | None, size: int) -> Tensor:
+    return x.expand(size, *x.shape) if dim is None else x.movedim(dim, 0)

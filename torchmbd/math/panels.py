@@ -1,0 +1,139 @@
+"""Products of the structure stage by compiled code (panels.cpp): a few columns, one design after another.
+
+    factorize, solve      A^-1 X of a block-tridiagonal matrix                      blocks.py
+    lanczos               steps of block Lanczos                                    lanczos.py
+    multiply_sparse       K X for many K of one pattern                             forms.py
+    pair                  Y X' at the places of a pattern                           forms.py
+    sums, shares          sums of chosen numbers, and their transpose               math/sums.py
+    conjugate_gradients   (1 - H / mu) y = c                                        sparse_modes.py
+
+A batch of designs that torch treats side by side leaves the cache of the processor with every operation; one after
+another they stay in it, and there is no call for each block. The same sums in another order: results agree to rounding.
+`panels` gives None where there is no compiled code (no compiler, not built yet, another device): torch does it then.
+Tensors are float64 on the CPU. No autograd inside. Checked in tests/math/test_panels.py.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from ctypes import POINTER, byref, c_long, c_void_p
+
+import torch
+from torch import Tensor
+
+from torchmbd.math.codegen.compiler import Native
+from torchmbd.math.sparse import Pattern
+
+_native = Native("math/panels.cpp")
+
+
+class _Factor(ctypes.Structure):
+    """As in panels.cpp."""
+
+    _fields_ = (
+        ("lanes", c_long),
+        ("blocks", c_long),
+        ("bounds", POINTER(c_long)),
+        ("at", c_void_p),
+    )
+
+
+def panels(like: Tensor) -> Panels | None:
+    """The compiled products, if there is a compiler and they serve such tensors."""
+    code = _native() if like.device.type == "cpu" else None
+    return None if code is None else Panels(code)
+
+
+class Factor:
+    """A factorization as compiled code sees it; keeps what it points to.
+
+    bounds: first rows of the blocks, with the end; flat: storage of S_i^-1 and E_i [lane, :], as in blocks.py
+    """
+
+    def __init__(self, bounds: Sequence[int], flat: Tensor) -> None:
+        self._kept = flat.contiguous()
+        self.lanes, blocks = len(flat), len(bounds) - 1
+        self.struct = _Factor(self.lanes, blocks, (c_long * (blocks + 1))(*bounds), flat.data_ptr())
+
+
+class Panels:
+    """See the module header."""
+
+    def __init__(self, code: ctypes.CDLL) -> None:
+        self._code = code
+        code.conjugate_gradients.restype = c_long
+
+    def factorize(self, factor: Factor) -> Tensor:
+        """S_i^-1 and E_i in the place of D_i and B_i; the smallest pivot [lane], -1 where the matrix is not definite."""
+        pivot = torch.empty(factor.lanes, dtype=torch.float64)
+        self._code.factorize(byref(factor.struct), *_places(pivot))
+        return pivot
+
+    def solve(self, factor: Factor, X: Tensor) -> Tensor:
+        """A^-1 X for columns [lane, N, p]."""
+        X = X.contiguous()
+        out = torch.empty_like(X)
+        self._code.solve(byref(factor.struct), *_places(X, out), c_long(X.shape[2]))
+        return out
+
+    def lanczos(
+        self, factor: Factor, G: Tensor, start: int, end: int, Q: Tensor, T: Tensor, X: Tensor, R: Tensor
+    ) -> None:
+        """Steps of block Lanczos with H = G A^-1 G, in place.
+
+        G [lane, N, 1], Q [lane, N, room], T [lane, room, room], X [lane, N, p], R [lane, p, p]
+        """
+        assert all(x.is_contiguous() for x in (G, Q, T, X, R))
+        numbers = map(c_long, (start, end, Q.shape[2], X.shape[2]))
+        self._code.lanczos(byref(factor.struct), *_places(G), *numbers, *_places(Q, T, X, R))
+
+    def multiply_sparse(self, pattern: Pattern, values: Tensor, X: Tensor) -> Tensor:
+        """K X for values [lane, T, nnz] and X [lane, N, p]: [lane, T, N, p]."""
+        (lanes, T, _), values, X = values.shape, values.contiguous(), X.contiguous()
+        out = X.new_empty(lanes, T, *X.shape[1:])
+        indices = c_void_p(pattern.indptr.ctypes.data), c_void_p(pattern.indices.ctypes.data)
+        numbers = map(c_long, (lanes, T, pattern.size))
+        self._code.multiply_sparse(*numbers, *indices, *_places(values, X, out), c_long(X.shape[2]))
+        return out
+
+    def pair(self, pattern: Pattern, Y: Tensor, X: Tensor) -> Tensor:
+        """Y X' at the places of the pattern, for Y [lane, T, N, p] and X [lane, N, p]: [lane, T, nnz]."""
+        (lanes, T, N, p), Y, X = Y.shape, Y.contiguous(), X.contiguous()
+        out = X.new_empty(lanes, T, pattern.nnz)
+        indices = c_void_p(pattern.indptr.ctypes.data), c_void_p(pattern.indices.ctypes.data)
+        self._code.pair(*map(c_long, (lanes, T, N)), *indices, *_places(Y, X, out), c_long(p))
+        return out
+
+    def sums(self, start: Tensor, terms: Tensor, x: Tensor) -> Tensor:
+        """Sums of x [lane, size] over terms[start[k] : start[k + 1]]: [lane, rows]."""
+        x = x.contiguous()
+        out = x.new_empty(len(x), len(start) - 1)
+        self._code.sums(*map(c_long, (len(x), len(start) - 1, x.shape[1])), *_places(start, terms, x, out))
+        return out
+
+    def shares(self, start: Tensor, terms: Tensor, y: Tensor, size: int) -> Tensor:
+        """The transpose of `sums`: [lane, size] of y [lane, rows]."""
+        y = y.contiguous()
+        out = y.new_zeros(len(y), size)
+        self._code.shares(*map(c_long, (len(y), len(start) - 1, size)), *_places(start, terms, y, out))
+        return out
+
+    def conjugate_gradients(
+        self, factor: Factor, G: Tensor, U: Tensor, inverse_mu: Tensor, target: Tensor, y: Tensor, r: Tensor, most: int
+    ) -> bool:
+        """Continue from y [lane, N, p] with the residual r, in place, until |r| <= target [lane, 1, p]; False: it cannot.
+
+        H = G A^-1 G for G [lane, N, 1]; all within what is orthogonal to U [lane, N, n].
+        """
+        assert y.is_contiguous()
+        kept = [x.contiguous() for x in (G, U, inverse_mu, target, r)]
+        G_, U_, mu, limit, rest = _places(*kept)
+        sizes = c_long(U.shape[2]), c_long(y.shape[2]), c_long(most)
+        return not self._code.conjugate_gradients(
+            byref(factor.struct), G_, U_, sizes[0], mu, limit, *_places(y), rest, *sizes[1:]
+        )
+
+
+def _places(*tensors: Tensor) -> list[c_void_p]:
+    return [c_void_p(x.data_ptr()) for x in tensors]

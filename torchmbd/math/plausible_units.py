@@ -1,0 +1,82 @@
+"""Numbers that are most likely in other units than meters, kilograms, seconds and radians.
+
+An angle beyond a whole turn is refused: degrees are meant, and the same fibre direction has a smaller angle. A length, a
+modulus or a density that hardly any structure has is doubted by a warning, for some structure may have it.
+
+    length, width, extent of a mesh            10 um to 200 m
+    dimension of a section                     1 um to 20 m
+    thickness of a ply or a wall               10 nm to 0.5 m
+    thickness of a plate                       2e-5 to 0.5 of its size
+    density                                    10 to 25,000 kg/m3
+    speed of sound, of the largest modulus     20 to 30,000 m/s
+    modulus                                    1e-6 of the largest at least
+    strength along the fibre                   1e-5 of the modulus at least
+    radius of gyration of a rigid body         up to 20 m
+
+A name stands for the quantity of a parameter: `angles`, `thickness`. Checked in tests/math/test_plausible_units.py.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Iterable, Mapping
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+
+EXTENT = (1e-5, 200.0)  # m
+DIMENSION = (1e-6, 20.0)  # m
+THICKNESS = (1e-8, 0.5)  # m
+SLENDER = (2e-5, 0.5)  # thickness by size
+DENSITY = (10.0, 25e3)  # kg/m3
+SOUND = (20.0, 30e3)  # m/s
+SOFTEST = 1e-6  # modulus by the largest
+STRAIN = 1e-5  # strength by modulus
+GYRATION = (0.0, 20.0)  # m
+WHOLE_TURN = 2.0 * math.pi * (1.0 + 1e-12)  # 360 degrees, rounded
+
+
+def check_angles(name: str, values: Iterable[float], outer: str = "") -> None:
+    """InputError names the first of the angles [rad] beyond a whole turn, or not a number; `outer`: what it is in."""
+    for k, value in enumerate(values):
+        if not abs(value) <= WHOLE_TURN:
+            hint = " (degrees? use mbd.deg)" if abs(value) > WHOLE_TURN else ""
+            raise InputError(f"{outer}{name}[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
+
+
+def check_parameter(what: str, name: str, values: Tensor) -> None:
+    """Check values that a parameter is given; its last name tells what they are. Infinite ones are bounds that are none."""
+    kind, x = name.rpartition(".")[2], values.detach().flatten()
+    finite = torch.where(x.isfinite(), x, 0.0)
+    if kind == "angles":
+        check_angles(name, finite.tolist(), f"{what} ")
+    elif kind == "thickness" and bool(finite.any()):
+        doubt(f"{what} {name}", float(finite.max()), "m", THICKNESS, stacklevel=5)
+
+
+def doubt(name: str, value: float, unit: str, usual: tuple[float, float], stacklevel: int = 3) -> None:
+    """Warn, naming argument, value and what is allowed, where a number lies outside of what is usual."""
+    if not usual[0] <= value <= usual[1]:
+        warnings.warn(
+            f"units of {name}? It is {value:.6g} {unit}; allowed: m, kg, s, N, Pa; usual: {usual[0]:g} to {usual[1]:g} "
+            f"{unit}".rstrip(),
+            stacklevel=stacklevel + 1,
+        )
+
+
+def doubt_material(kind: str, moduli: Mapping[str, float], density: float, strength: float | None) -> None:
+    """Warn where moduli [Pa], density [kg/m3] or strength along the fibre [Pa] of a material do not fit each other."""
+    largest = max(moduli, key=lambda name: moduli[name])
+    softest = min(moduli, key=lambda name: moduli[name])
+    high, low = moduli[largest], moduli[softest]
+    if not DENSITY[0] <= density <= DENSITY[1]:
+        doubt(f"{kind}: density", density, "kg/m3", DENSITY, stacklevel=5)
+    elif not SOUND[0] <= math.sqrt(high / density) <= SOUND[1]:
+        usual = (density * SOUND[0] ** 2, density * SOUND[1] ** 2)
+        doubt(f"{kind}: {largest}", high, "Pa", usual, stacklevel=5)
+    doubt(f"{kind}: {softest}", low, "Pa", (SOFTEST * high, high), stacklevel=5)
+    if strength is not None:
+        doubt(f"{kind}: strength along the fibre", strength, "Pa", (STRAIN * moduli["E1"], math.inf), stacklevel=5)

@@ -1,0 +1,1 @@
+"""Bodies, joints and forces, and the system that they make."""

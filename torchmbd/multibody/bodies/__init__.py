@@ -1,0 +1,7 @@
+"""Bodies: ground, rigid, flexible, and the frames on them."""
+
+from torchmbd.multibody.bodies.flexible import FlexibleBody
+from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.bodies.rigid import Ground, RigidBody
+
+__all__ = ["FlexibleBody", "Frame", "Ground", "RigidBody"]

@@ -1,0 +1,301 @@
+"""Flexible bodies in a floating frame: an assembly of finite elements reduced to vibration modes.
+
+    u' = Psi w    (8)      Psi: modes of the body whose reference nodes are fixed to the body frame (fem/reduction/registry.py)
+
+The structure stage of a body, once for each design: parts (fem/elements/assembly.py) -> K and M -> Psi and Kr = Psi' K Psi
+-> inertia invariants. What leaves it knows nothing of the mesh (fem/reduction/invariants.py).
+
+Mass points, by default lumped as in eq. (2): nodal mass m_k and isotropic nodal rotary inertia mu_k; on arms along the
+normal where the center of a laminate's mass lies off its middle surface (fem/elements/plates.py).
+Differentiable, forward and reverse, in every parameter of the parts (fem/reduction/transport.py).
+Assumed: small elastic displacements about the undeformed body.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import (
+    Assembly,
+    Average,
+    BeamLine,
+    Beams,
+    BeamSection,
+    Part,
+    PlateMatrices,
+    Plates,
+    RigidLink,
+    merged,
+)
+from torchmbd.fem.materials import Laminate
+from torchmbd.fem.mesh import Mesh
+from torchmbd.fem.reduction import CutCluster, inertia_invariants
+from torchmbd.io.mesh_file import MeshFile, read_mesh
+from torchmbd.io.nastran.body import read_bdf
+from torchmbd.multibody.bodies.beam_parts import beam_parts
+from torchmbd.multibody.bodies.frame import Frame, identifier, move, place, rotation, vector
+from torchmbd.multibody.bodies.interpolation import Mount, node_indices, rigid_links
+from torchmbd.multibody.bodies.mesh_quality import warn_mesh
+from torchmbd.multibody.bodies.modal_damping import ModalDamping
+from torchmbd.multibody.bodies.reduced import matrices, reduced
+from torchmbd.multibody.bodies.reference import reference_nodes
+from torchmbd.multibody.bodies.unit_checks import warn_slender, warn_units
+from torchmbd.multibody.bodies.zones import zone_parts
+
+
+def _is_part(x: Any) -> bool:
+    return not isinstance(x, type) and all(hasattr(x, name) for name in ("pattern", "values", "masses"))
+
+
+def _check_parts(name: str, mesh: Any, parts: Any) -> None:
+    """InputError for arguments of a body that are of another kind."""
+    if not isinstance(mesh, (Mesh, BeamLine)):
+        raise InputError(f"mesh of {name!r} is {mesh!r}; allowed: a Mesh or a BeamLine")
+    if not isinstance(parts, Mapping) or not parts or not all(map(_is_part, parts.values())):
+        raise InputError(
+            f"parts of {name!r} is {parts!r}; allowed: names -> parts, such as Plates or Beams, at least one"
+        )
+
+
+class FlexibleBody(nn.Module):
+    """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_mesh` or `.from_bdf`.
+
+    The body frame sits at the reference node (the mean of several) with the axes of the mesh. The modules of the parts,
+    such as a laminate, are registered by their names; where several parts have any, by the names of the parts.
+
+    parts   name -> part of the assembly
+    links   nodes that follow others
+    rigid   sets of nodes that move as one rigid body; the first of each leads and may carry what the whole set carries
+    name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface, updated   as in `plate`
+    """
+
+    position: Tensor
+    axes: Tensor
+    velocity: Tensor
+    angular_velocity: Tensor
+
+    def __init__(
+        self,
+        name: str,
+        mesh: Mesh | BeamLine,
+        parts: Mapping[str, Part],
+        modes: int,
+        position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        axes: Sequence | Tensor | None = None,
+        reference: str | int | Sequence[int] | None = None,
+        damping: float = 0.0,
+        reduction: str = "vibration",
+        interface: str | int | Sequence[str | int] = (),
+        updated: bool = True,
+        links: Sequence[RigidLink | Average] = (),
+        rigid: Sequence[str | Sequence[int]] = (),
+    ):
+        super().__init__()
+        self.name = identifier("flexible body", name)
+        self.mesh = mesh
+        _check_parts(name, mesh, parts)
+        place(self, position, axes)
+        links, self.parts = [*links, *rigid_links(mesh, rigid)], dict(parts)
+        joined = merged(self.parts)
+        self.reference = reference_nodes(mesh, joined, reference, links)
+        self.origin = mesh.nodes[self.reference].mean(0)
+        self._register(parts)
+        self.assembly = Assembly(mesh, joined, self.reference, links)
+        self.free = self.assembly.freedoms.free
+        held = node_indices(mesh, interface)
+        self.reduction = reduced(name, self.assembly, reduction, modes, held, self.reference, updated)
+        self.modes = self.reduction.size
+        self.damping = ModalDamping(name, damping)
+        warn_mesh(self)
+
+    def _register(self, parts: Mapping[str, Part]) -> None:
+        owners = [key for key, part in parts.items() if part.modules()]
+        for key in owners:
+            modules = parts[key].modules()
+            for child, module in modules.items():
+                own = child if len(owners) == 1 else key if len(modules) == 1 else f"{key}_{child}"
+                if hasattr(self, own):
+                    raise InputError(f"part {own!r} of {self.name!r} has a name that is taken; allowed: any other")
+                self.add_module(own, module)
+
+    @property
+    def plates(self) -> dict[str, Plates]:
+        """The laminated parts by their names."""
+        return {key: part for key, part in self.parts.items() if isinstance(part, Plates)}
+
+    @property
+    def beams(self) -> dict[str, Beams]:
+        """The beams of one section each by their names."""
+        return {key: part for key, part in self.parts.items() if isinstance(part, Beams)}
+
+    @property
+    def matrices(self) -> PlateMatrices:
+        """The matrices of a body of one laminate."""
+        if len(self.plates) != 1:
+            raise InputError(f"{self.name!r} has {len(self.plates)} laminated parts; allowed: plates[name].matrices")
+        return next(iter(self.plates.values())).matrices
+
+    @classmethod
+    def plate(
+        cls,
+        name: str,
+        mesh: Mesh,
+        laminate: Laminate,
+        modes: int = 8,
+        position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        axes: Sequence | Tensor | None = None,
+        reference: str | int | Sequence[int] | None = None,
+        damping: float = 0.0,
+        reduction: str = "vibration",
+        interface: str | int | Sequence[str | int] = (),
+        updated: bool = True,
+        mass: str = "lumped",
+        rigid: Sequence[str | Sequence[int]] = (),
+    ) -> FlexibleBody:
+        """A laminated plate or shell.
+
+        mesh            triangles or quadrilaterals; the plies follow its x axis
+        laminate        its `angles` [rad] are the body's design parameters
+        modes           retained vibration modes of the body fixed at its reference nodes (and its interface); a few more
+                        where others have the frequency of the last, as in a tube, which bends alike in all directions
+        position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); joints close the rest
+        reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
+        damping         stiffness-proportional damping C = damping * Kr [s]
+        reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
+                        of `interface`; the highest frequencies are then those of these nodes: give `steps` to simulate
+        interface       nodes whose motion is kept, those that carry joints or loads
+        updated         False: modes are held fixed in derivatives (eq. 36), for comparison only: gradients are wrong
+        mass            "lumped" (eq. 2), or "consistent", for comparison
+        rigid           node sets that move as one rigid body each
+        """
+        parts = {"plate": Plates(mesh, laminate, mass=mass)}
+        options = (position, axes, reference, damping, reduction, interface, updated, (), rigid)
+        body = cls(name, mesh, parts, modes, *options)
+        warn_slender(body)
+        return body
+
+    @classmethod
+    def beam(
+        cls,
+        name: str,
+        line: BeamLine,
+        section: BeamSection | Sequence[BeamSection],
+        modes: int = 8,
+        position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        axes: Sequence | Tensor | None = None,
+        reference: str | int | Sequence[int] | None = None,
+        damping: float = 0.0,
+        reduction: str = "vibration",
+        interface: str | int | Sequence[str | int] = (),
+        updated: bool = True,
+        orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
+        offset: Sequence[float] | Tensor = (0.0, 0.0),
+        twist: float | Sequence | Tensor = 0.0,
+        mass: str = "lumped",
+    ) -> FlexibleBody:
+        """A beam, straight or of arcs, with branches if need be.
+
+        line            nodes and two-node elements
+        section         a Section (its `angles` [rad] are the body's design parameters) or a GivenSection; or one for each
+                        element, where the same may come again: "section", else "section0", "section1", ...
+        orientation     the section's y-axis in mesh axes, projected across the elements: [3], or one for each [m, 3]
+        offset, twist   of the section's axes from the line of the nodes: y, z [m] and angle [rad], or one for each element;
+                        twist also at the start and the end of each [m, 2]
+        Others as in `plate`. The inertia of the section sits on rigid arms at the nodes (and middles, if consistent).
+        """
+        parts = beam_parts(name, line, section, orientation, offset, twist, mass)
+        return cls(name, line, parts, modes, position, axes, reference, damping, reduction, interface, updated)
+
+    @classmethod
+    def from_mesh(
+        cls,
+        name: str,
+        mesh: Mesh | str | Path,
+        laminate: Laminate | Mapping[str, Laminate],
+        modes: int = 8,
+        scale: float = 1.0,
+        direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
+        mass: str = "lumped",
+        **options: Any,
+    ) -> FlexibleBody:
+        """A laminated shell on a mesh from outside: gmsh, Abaqus, VTK (by meshio), or a Mesh.
+
+        laminate    one for all, or one for each named zone of the file
+        scale       meters per unit of the file: 1e-3 for mm
+        direction   the laminate's x-axis in mesh axes, projected into each cell: [3], or one for each [m, 3]
+        options     position, axes, reference, damping, reduction, interface, updated: as in `plate`
+        Warns if size, density or speed of sound is implausible.
+        """
+        found = MeshFile(mesh, {}) if isinstance(mesh, Mesh) else read_mesh(mesh, scale)
+        body = cls(name, found.mesh, zone_parts(found, laminate, direction, mass), modes, **options)
+        warn_units(body)
+        return body
+
+    @classmethod
+    def from_bdf(
+        cls, name: str, path: str | Path, modes: int = 8, units: str = "m", mass: str = "lumped", **options: Any
+    ) -> FlexibleBody:
+        """A Nastran model; the angles of its PCOMP cards are the design parameters (io/nastran/body.py).
+
+        units     of the file: "m" (m, kg, s, N, Pa), or "mm" (mm, t, s, N, MPa)
+        options   position, axes, reference, damping, reduction, interface, updated: as in `plate`; without a reference
+                  the grids are taken whose six freedoms the file holds (SPC, SPC1)
+        Raises InputError that names card and line; warns if units are implausible, and of cards that are left out.
+        """
+        found = read_bdf(path, units, mass)
+        options = {"reference": found.reference} | options
+        body = cls(name, found.mesh, found.parts, modes, links=found.links, **options)
+        warn_units(body)
+        return body
+
+    def at(
+        self,
+        node: str | int | Sequence[str | int],
+        axes: Sequence | Tensor | None = None,
+        offset: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        weights: Sequence[float] | None = None,
+    ) -> Frame:
+        """Frame on a mesh node, or on the mean motion of several (interpolation.py).
+
+        node           name or index of a node, name of a node set, or a list with weights (None: equal ones)
+        axes, offset   columns of its triad, and the rigid arm from the center of the nodes [m], in body axes
+        """
+        mount, x = Mount.on(node_indices(self.mesh, node), weights), self.mesh.nodes - self.origin
+        return Frame(self, mount.center(x) + vector("offset", offset), rotation("axes", axes), mount)
+
+    def moving(
+        self,
+        velocity: Sequence[float] | Tensor | None = None,
+        angular_velocity: Sequence[float] | Tensor | None = None,
+    ) -> Self:
+        """Give the body an initial velocity of its origin, in ground axes [m/s], and an angular velocity, in body axes
+        [rad/s], kept as far as the joints allow; None: as they ask. The modes start at rest. Returns the body."""
+        move(self, velocity, angular_velocity)
+        return self
+
+    def damped(self, ratio: float | Sequence[float]) -> Self:
+        """Give the modes damping ratios, besides `damping`: one, or one for each by growing frequency. Returns the body."""
+        self.damping = self.damping.with_ratios(ratio, self.modes)
+        return self
+
+    def structure(self) -> dict[str, Tensor]:
+        """Run the structure stage.
+
+        Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; leading axes are those of the
+        laminate's parameters (designs).
+        """
+        points = self.assembly.masses()
+        try:
+            basis = self.reduction(*matrices(self.assembly, points))
+        except CutCluster as error:
+            raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
+        psi = self.assembly.freedoms.expand(basis.vectors)
+        _, mass, rotary, arm = points
+        x = self.assembly.places(self.mesh.nodes - self.origin, arm)
+        result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi, arm))
+        return result | {"Kr": basis.stiffness, "psi": psi}

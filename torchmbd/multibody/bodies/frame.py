@@ -1,0 +1,167 @@
+"""Frames on bodies: the virtual bodies of the paper.
+
+A joint or a force sees a frame only: a point and axes attached to a body, whatever the body is. The massless rigid
+body of the paper (section 2.2, refs. 24-25), fixed rigidly to a node of a flexible body, is eliminated by the chain
+rule: with b the position of the node in the undeformed body, psi_t, psi_r the translation and rotation rows of its
+modes, w the modal coordinates, and e an axis of the frame,
+
+    point  r + A (b + psi_t w + (psi_r w) x d)          axis  A (e + (psi_r w) x e)
+
+so both are *vectors attached to a body*: a constant part plus a map of the modal coordinates. d is the arm from the
+node to the point. A frame on several nodes takes their mean motion for psi (interpolation.py).
+Assumed: elastic rotations are small (linear floating-frame theory).
+Checked in tests/physics/test_virtual_bodies.py, tests/multibody/bodies/test_interpolation.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.gradients import refuse_gradients
+from torchmbd.math.owned import parameter
+from torchmbd.multibody.bodies.interpolation import Mount
+
+
+class Body(Protocol):
+    """What a frame needs to know of its body."""
+
+    name: str
+    position: Tensor
+    axes: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A point and a triad of axes attached to a body.
+
+    point   position in the undeformed body, in body axes [3] [m]
+    axes    columns: the axes of the frame in body axes [3, 3]
+    mount   mesh nodes that carry the frame; None on a rigid body
+    """
+
+    body: Any
+    point: Tensor
+    axes: Tensor = field(default_factory=lambda: torch.eye(3, dtype=torch.float64))
+    mount: Mount | None = None
+
+    def __post_init__(self) -> None:
+        if not all(hasattr(self.body, name) for name in ("name", "position", "axes", "at")):
+            raise InputError(f"body of a Frame is {self.body!r}; allowed: a body or the ground, as body.at(...) has it")
+        refuse_gradients(f"a frame on {self.body.name!r}", (self.point, self.axes))
+        object.__setattr__(self, "point", vector(f"point of a Frame on {self.body.name!r}", self.point))
+        object.__setattr__(self, "axes", rotation(f"axes of a Frame on {self.body.name!r}", self.axes))
+        if hasattr(self.body, "mesh") != isinstance(self.mount, Mount) or not isinstance(
+            self.mount, (Mount, type(None))
+        ):
+            allowed = "nodes of its mesh, as body.at(...) mounts it" if hasattr(self.body, "mesh") else "None"
+            raise InputError(f"mount of a Frame on {self.body.name!r} is {self.mount!r}; allowed: {allowed}")
+
+    def axis(self, name: str) -> Tensor:
+        """Unit vector "x", "y" or "z" of the frame, in body axes [3]."""
+        return self.axes[:, axis_index(name)]
+
+    def __repr__(self) -> str:
+        if self.mount is None:
+            where = ", ".join(f"{float(x):.6g}" for x in self.point)
+        else:
+            where = f"node {self.mount.nodes[0]}" if len(self.mount.nodes) == 1 else f"nodes {list(self.mount.nodes)}"
+        return f"{self.body.name}.at({where})"
+
+
+def axis_index(name: str) -> int:
+    """Index of an axis letter; InputError for anything else than x, y, z."""
+    if not isinstance(name, str) or name not in ("x", "y", "z"):
+        raise InputError(f"axis is {name!r}; allowed: 'x', 'y', 'z' (an axis of the first frame)")
+    return "xyz".index(name)
+
+
+def numbers(name: str, x: Any, allowed: str) -> Tensor:
+    """Read numbers of any shape as a tensor of their own; InputError names the argument."""
+    refuse_gradients(name, x, allowed)
+    try:
+        return torch.as_tensor(x, dtype=torch.float64).detach().clone()
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"{name} is {x!r}; allowed: {allowed}") from error
+
+
+def vector(name: str, x: Sequence[float] | Tensor) -> Tensor:
+    """Read three finite numbers as a vector [3]; InputError names the argument."""
+    result = numbers(name, x, "three finite numbers")
+    if result.shape != (3,) or not bool(torch.isfinite(result).all()):
+        raise InputError(f"{name} is {x!r}; allowed: three finite numbers")
+    return result
+
+
+def vector_or_parameter(name: str, x: Sequence[float] | Tensor) -> Tensor:
+    """A `vector`, or a Parameter [3] as it is: a design variable."""
+    result = vector(name, x.detach() if isinstance(x, nn.Parameter) else x)
+    return parameter(name, x) if isinstance(x, nn.Parameter) else result
+
+
+def keep(module: nn.Module, name: str, x: Tensor) -> None:
+    """Register a Parameter as one of the module, any other tensor as a buffer: both move with the module and are saved."""
+    if name in module._parameters or name in module._buffers:
+        delattr(module, name)
+    (module.register_parameter if isinstance(x, nn.Parameter) else module.register_buffer)(name, x)  # pyright: ignore[reportCallIssue, reportArgumentType]
+
+
+def rotation(name: str, axes: Sequence | Tensor | None) -> Tensor:
+    """Read a rotation matrix [3, 3]: columns are the axes of the body or frame; None is the identity."""
+    if axes is None:
+        return torch.eye(3, dtype=torch.float64)
+    A = numbers(name, axes, "a 3 x 3 rotation matrix with the axes as columns")
+    if A.shape != (3, 3):
+        raise InputError(
+            f"{name} has shape {tuple(A.shape)}; allowed: a 3 x 3 rotation matrix with the axes as columns"
+        )
+    error = float((A.T @ A - torch.eye(3, dtype=torch.float64)).abs().max())
+    if not error < 1e-9 or float(torch.linalg.det(A)) < 0:
+        raise InputError(
+            f"{name} is no rotation: |A'A - 1| = {error:.1e}, det A = {float(torch.linalg.det(A)):.3f}; "
+            "allowed: orthonormal columns that form a right-handed triad"
+        )
+    return A
+
+
+def identifier(kind: str, name: str) -> str:
+    """Check a name that becomes part of parameter names."""
+    if not isinstance(name, str) or not name.isidentifier():
+        raise InputError(f"name of the {kind} is {name!r}; allowed: a Python identifier, such as 'rod_2'")
+    return name
+
+
+def place(
+    body: nn.Module,
+    position: Sequence[float] | Tensor,
+    axes: Sequence | Tensor | None,
+    velocity: Sequence[float] | Tensor | None = None,
+    angular_velocity: Sequence[float] | Tensor | None = None,
+) -> None:
+    """Give a body its approximate initial position and velocity; what is a Parameter is a design variable."""
+    keep(body, "position", vector_or_parameter(f"position of {body.name!r}", position))
+    keep(body, "axes", rotation(f"axes of {body.name!r}", axes))
+    move(body, velocity, angular_velocity)
+
+
+VELOCITIES = ("velocity", "angular_velocity")
+
+
+def move(
+    body: Any, velocity: Sequence[float] | Tensor | None, angular_velocity: Sequence[float] | Tensor | None
+) -> None:
+    """Give a body its initial velocities; what is None is zero, and follows from what the joints and other bodies ask."""
+    for key, x in zip(VELOCITIES, (velocity, angular_velocity), strict=True):
+        keep(body, key, vector_or_parameter(f"{key} of {body.name!r}", (0.0, 0.0, 0.0) if x is None else x))
+    body.moves = tuple(x is not None for x in (velocity, angular_velocity))
+
+
+def moves(body: Any) -> list[bool]:
+    """Whether a body was given a velocity, and an angular velocity."""
+    own = (getattr(body, key) for key in VELOCITIES)
+    return [given or bool(x.any()) for given, x in zip(body.moves, own, strict=True)]

@@ -1,0 +1,120 @@
+"""Mounts: the nodes of a flexible body that carry a frame, and the mean motion of them that the frame takes.
+
+    c = sum w x,  d = x - c                            w: weights of the nodes, sum 1
+    u = sum w u_k                                      displacement of the center c
+    T th = sum w d x u_k,  T = sum w (d'd 1 - d d')    rotation: least squares of sum w |u_k - u - th x d|^2
+    th += N N' sum w th_k                              N: null space of T
+
+Nodes on one line tell no rotation about it by their displacements, and a single node none at all: there the mean of
+their own rotations counts. So one node gives its own motion. Forces on the frame go to the nodes by the transpose.
+A set of nodes that is rigid is a matter of the body (`rigid` of its constructors), not of the frame.
+Source: the interpolation element RBE3 of Nastran.
+Checked in tests/multibody/bodies/test_interpolation.py.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import RigidLink
+from torchmbd.math.owned import scalar
+
+_FLAT = 1e-10  # share of the largest eigenvalue of T that counts as zero
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Nodes with weights; see the module header. Hashable, so that equal ones are one."""
+
+    nodes: tuple[int, ...]
+    weights: tuple[float, ...]
+
+    @classmethod
+    def on(cls, nodes: Sequence[int], weights: Sequence[float] | None = None) -> Mount:
+        """Mount on nodes with positive weights of any size; None: equal ones."""
+        allowed = "a positive number for each node"
+        if weights is not None and (
+            isinstance(weights, str) or not isinstance(weights, (Sequence, Tensor, np.ndarray))
+        ):
+            raise InputError(f"weights is {weights!r}; allowed: {allowed}")
+        given = [1.0] * len(nodes) if weights is None else [scalar("weights", w, allowed) for w in weights]
+        if len(given) != len(nodes) or not nodes or not all(0.0 < w < float("inf") for w in given):
+            raise InputError(f"weights is {weights!r} for {len(nodes)} nodes; allowed: {allowed}")
+        return cls(tuple(nodes), tuple(w / sum(given) for w in given))
+
+    def center(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " 3"]:
+        """Center of the nodes of a mesh with positions x [m]."""
+        return self._w(x) @ x[list(self.nodes)]
+
+    def motion(self, x: Float[Tensor, "n 3"], psi: Float[Tensor, "*lanes n 6 m"]) -> Float[Tensor, "*lanes 6 m"]:
+        """Translation of the center and rotation, out of the motion psi of all nodes."""
+        own = psi[..., list(self.nodes), :, :]
+        if len(self.nodes) == 1:
+            return own[..., 0, :, :]
+        w = self._w(x)
+        d = x[list(self.nodes)] - self.center(x)
+        u = torch.einsum("k,...kim->...im", w, own[..., :3, :])
+        T = torch.einsum("k,kij->ij", w, (d * d).sum(1)[:, None, None] * torch.eye(3, dtype=x.dtype)) - d.T @ (
+            w[:, None] * d
+        )
+        values, axes = torch.linalg.eigh(T)
+        told = values > _FLAT * values[-1]
+        moment = torch.linalg.cross(d[:, :, None].expand_as(own[..., :3, :]), own[..., :3, :], dim=-2)
+        inverse = (axes[:, told] / values[told]) @ axes[:, told].T
+        turn = torch.einsum("ij,k,...kjm->...im", inverse, w, moment)
+        N = axes[:, ~told]
+        turn = turn + torch.einsum("ij,k,...kjm->...im", N @ N.T, w, own[..., 3:, :])
+        return torch.cat([u, turn], dim=-2)
+
+    def nearest(self, x: Float[Tensor, "n 3"], point: Float[Tensor, " 3"]) -> int:
+        """The node of the mount that is nearest to a point."""
+        return self.nodes[int((x[list(self.nodes)] - point).norm(dim=1).argmin())]
+
+    def _w(self, x: Tensor) -> Tensor:
+        return torch.tensor(self.weights, dtype=x.dtype)
+
+
+def node_indices(mesh: Any, given: str | int | Sequence[str | int]) -> list[int]:
+    """Indices of a node, of a node set, or of a list of nodes."""
+    if isinstance(given, str) and len(mesh.node_sets.get(given, ())) > 1:
+        return [int(i) for i in mesh.node_sets[given]]
+    several = isinstance(given, (Sequence, Tensor, np.ndarray)) and not isinstance(given, str) and not _whole(given)
+    return [_index(mesh, node) for node in (given if several else [given])]  # pyright: ignore
+
+
+def _index(mesh: Any, node: Any) -> int:
+    if isinstance(node, str):
+        return mesh.node(node)
+    if not _whole(node) or not 0 <= int(node) < len(mesh.nodes):
+        raise InputError(f"node is {node!r}; allowed: a node name or 0 to {len(mesh.nodes) - 1}")
+    return int(node)
+
+
+def _whole(x: Any) -> bool:
+    try:
+        operator.index(x)  # an array of several has the method, but is no number
+    except TypeError:
+        return False
+    return True
+
+
+def rigid_links(mesh: Any, sets: Sequence[str | Sequence[int]]) -> list[RigidLink]:
+    """Links that make each set of nodes one rigid body: its first node leads."""
+    if isinstance(sets, str) or not isinstance(sets, Sequence):
+        raise InputError(f"rigid is {sets!r}; allowed: a list of node sets, such as ['left_edge']")
+    links = []
+    for given in sets:
+        leader, *others = node_indices(mesh, given)
+        if not others:
+            raise InputError(f"rigid has the set {given!r} of one node; allowed: sets of two nodes at least")
+        links += [RigidLink(node, leader) for node in others]
+    return links

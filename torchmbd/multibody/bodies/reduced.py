@@ -1,0 +1,66 @@
+"""The reduction that a body asked for, chosen once from the numbers that it was made with.
+
+Equal frequencies stay together: a tube bends alike in all directions, and half of a pair has no derivative of its own
+(fem/reduction/transport.py). So a few modes more than asked for may be retained, the same number for all later designs.
+Checked in tests/multibody/bodies/test_flexible.py, tests/multibody/bodies/test_beam_body.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.fem.elements import Assembly, MassPoints
+from torchmbd.fem.reduction import REDUCTIONS, Matrix, Reduction, uncut
+from torchmbd.math.owned import whole
+from torchmbd.math.sparse import SparseMatrix
+
+
+def matrices(assembly: Assembly, points: MassPoints | None = None) -> tuple[SparseMatrix, Matrix]:
+    """Stiffness and mass of the free freedoms, with the same lanes; points: what `masses` has found already."""
+    K, M = assembly.stiffness(), assembly.mass(points)
+    return K, M.expand(*K.values.shape[:-1], -1) if isinstance(M, Tensor) else M
+
+
+def reduced(
+    name: str,
+    assembly: Assembly,
+    kind: str,
+    modes: Any,
+    interface: Sequence[int],
+    reference: Sequence[int],
+    updated: bool,
+) -> Reduction:
+    """The reduction of that kind to `modes` modes, or a few more; arguments as of `FlexibleBody.plate`.
+
+    Raises InputError for a kind that does not exist, a number of modes that the mesh does not have, and interface nodes
+    that are references or come twice.
+    """
+    free = assembly.freedoms.free
+    held = _rows(name, free, interface, reference)
+    least, most = 0 if held else 1, len(free) - len(held)
+    if not whole(modes) or not least <= modes <= most:
+        allowed = f"a whole number, {least} to {most}, the freedoms of the mesh"
+        raise InputError(f"modes of {name!r} is {modes!r}; allowed: {allowed}")
+    if not isinstance(updated, bool):
+        raise InputError(f"updated of {name!r} is {updated!r}; allowed: True or False")
+    if kind not in REDUCTIONS:
+        raise unknown(f"reduction of {name!r}:", kind, REDUCTIONS)
+    try:
+        return uncut(REDUCTIONS[kind](int(modes), held, updated), *matrices(assembly))
+    except InputError as error:
+        raise InputError(f"reduction of {name!r}: {error}") from None
+
+
+def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence[int]) -> tuple[int, ...]:
+    """Rows of the free freedoms that belong to interface nodes."""
+    for node in interface:
+        if node in reference or list(interface).count(node) > 1:
+            allowed = "nodes that are no reference, each once"
+            raise InputError(f"interface of {name!r} has node {node}; allowed: {allowed}")
+    freedoms = [6 * node + i for node in interface for i in range(6)]
+    return tuple(torch.searchsorted(free, torch.tensor(freedoms, dtype=torch.long)).tolist())

@@ -1,0 +1,137 @@
+"""Rigid bodies and the ground.
+
+    mass m [kg], center of mass c in body axes [m], inertia about c [kg m2]
+
+The motion stage uses the second moment P = integral of x x' dm about the body's origin, which serves rigid and
+flexible bodies alike:  J = tr(P) 1 - P,  P = (tr(J_c) / 2) 1 - J_c + m c c'.
+Checked in tests/multibody/bodies/test_rigid.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.owned import parameter, positive
+from torchmbd.math.plausible_units import GYRATION, doubt
+from torchmbd.multibody.bodies.frame import (
+    Frame,
+    identifier,
+    keep,
+    numbers,
+    place,
+    rotation,
+    vector,
+    vector_or_parameter,
+)
+
+
+class Ground:
+    """The inertial frame; joints attach bodies to it."""
+
+    name = "ground"
+    position = torch.zeros(3, dtype=torch.float64)
+    axes = torch.eye(3, dtype=torch.float64)
+
+    def at(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, axes: Sequence | Tensor | None = None) -> Frame:
+        """Frame at a point in ground axes [m]; `axes`: columns of its triad (default: ground axes)."""
+        return Frame(self, vector("point", (x, y, z)), rotation("axes", axes))
+
+
+class RigidBody(nn.Module):
+    """A rigid body.
+
+    name              an identifier, unique in its system
+    mass              [kg], positive
+    inertia           about the center of mass: (Jxx, Jyy, Jzz) or a symmetric 3 x 3 matrix [kg m2]
+    center            center of mass in body axes [m]
+    position, axes    approximate initial origin in ground axes [m] and rotation (columns: body axes); joints close the rest
+    velocity          initial velocity of the origin in ground axes [m/s], kept as far as the joints allow; None: as they ask
+    angular_velocity  initial angular velocity in body axes [rad/s], likewise
+
+    Each of these but the axes is a design variable where it is given as a torch.nn.Parameter.
+    """
+
+    positive: ClassVar[tuple[str, ...]] = ("mass",)  # parameters that are, whatever the design
+    mass: Tensor
+    center: Tensor
+    inertia: Tensor
+    position: Tensor
+    axes: Tensor
+    velocity: Tensor
+    angular_velocity: Tensor
+
+    def __init__(
+        self,
+        name: str,
+        mass: float | Tensor,
+        inertia: Sequence | Tensor,
+        center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        axes: Sequence | Tensor | None = None,
+        velocity: Sequence[float] | Tensor | None = None,
+        angular_velocity: Sequence[float] | Tensor | None = None,
+    ):
+        super().__init__()
+        self.name = identifier("rigid body", name)
+        varies = isinstance(mass, nn.Parameter)
+        m = positive(f"mass of {name!r}", mass.detach() if varies else mass, "kg")
+        place(self, position, axes, velocity, angular_velocity)
+        J = _inertia(name, inertia)
+        self._principal = isinstance(inertia, nn.Parameter) and inertia.dim() == 1
+        radius = float(torch.linalg.eigvalsh(J)[-1] / m) ** 0.5
+        doubt(f"inertia: radius of gyration of {name!r}", radius, "m", GYRATION)
+        keep(self, "mass", _scalar(name, mass) if varies else torch.tensor(m, dtype=torch.float64))
+        keep(self, "center", vector_or_parameter(f"center of {name!r}", center))
+        keep(self, "inertia", parameter(f"inertia of {name!r}", inertia) if isinstance(inertia, nn.Parameter) else J)
+
+    def at(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, axes: Sequence | Tensor | None = None) -> Frame:
+        """Frame at a point in body axes [m]; `axes`: columns of its triad in body axes."""
+        return Frame(self, vector(f"point on {self.name!r}", (x, y, z)), rotation("axes", axes))
+
+    def invariants(self) -> dict[str, Tensor]:
+        """Mass, first and second moments about the origin of the body (keys as in fem/reduction/invariants.py)."""
+        m, c = self.mass, self.center
+        S0 = m[..., None] * c
+        return {
+            "mass": m,
+            "S0": S0,
+            "P0": self.second_moment + S0[..., None] * c[..., None, :],
+            "mu": torch.zeros_like(m),
+        }
+
+    @property
+    def second_moment(self) -> Tensor:
+        """Integral of x x' dm about the center of mass [3, 3] [kg m2]."""
+        # Lanes of designs lead: a vector of principal values of several is no matrix.
+        J = torch.diag_embed(self.inertia) if self._principal else 0.5 * (self.inertia + self.inertia.mT)
+        trace = J.diagonal(dim1=-2, dim2=-1).sum(-1)
+        return 0.5 * trace[..., None, None] * torch.eye(3, dtype=torch.float64) - J
+
+
+def _scalar(name: str, mass: nn.Parameter) -> nn.Parameter:
+    if mass.dim():
+        raise InputError(
+            f"mass of {name!r} is a Parameter of shape {tuple(mass.shape)}; allowed: [], as mbd.variable(...)"
+        )
+    return parameter(f"mass of {name!r}", mass)
+
+
+def _inertia(name: str, inertia: Sequence | Tensor) -> Tensor:
+    allowed = "three numbers or a symmetric 3 x 3 matrix [kg m2]"
+    J = numbers(f"inertia of {name!r}", inertia.detach() if isinstance(inertia, nn.Parameter) else inertia, allowed)
+    J = torch.diag(J) if J.shape == (3,) else J
+    if J.shape != (3, 3) or not bool(torch.isfinite(J).all()) or not torch.allclose(J, J.T, rtol=1e-12, atol=0):
+        raise InputError(f"inertia of {name!r} is {inertia!r}; allowed: {allowed}")
+    principal = torch.linalg.eigvalsh(J)
+    # A body of positive mass has J1 + J2 >= J3; a rod has J1 = 0 and a driven body may have none at all.
+    if float(principal[0]) < 0 or float(principal[0] + principal[1] - principal[2]) < -1e-12 * float(principal[2]):
+        raise InputError(
+            f"inertia of {name!r} has the principal values {principal.tolist()} kg m2; "
+            "allowed: none negative, the sum of any two at least the third"
+        )
+    return J

@@ -1,0 +1,53 @@
+"""A warning where the units of a body look wrong by a factor of a thousand.
+
+A file: size 2 mm to 200 m, density 10 to 25,000 kg/m3, speed of sound 20 to 30,000 m/s: a body outside of these was most
+likely given in other units than meters, kilograms and seconds. The message names its size, its mass and
+its first frequency, by which an analyst sees at once what happened.
+A plate: thickness 2e-5 to 0.5 of its size (math/plausible_units.py).
+Checked in tests/multibody/bodies/test_unit_checks.py, tests/math/test_plausible_units.py.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from typing import TYPE_CHECKING
+
+import torch
+
+from torchmbd.math.plausible_units import DENSITY, SLENDER, SOUND, doubt
+
+if TYPE_CHECKING:
+    from torchmbd.multibody.bodies.flexible import FlexibleBody
+
+SIZE = (2e-3, 200.0)  # m
+
+
+def warn_units(body: FlexibleBody) -> None:
+    """Warn if size, density or speed of sound of a body is implausible."""
+    size = float((body.mesh.nodes.amax(0) - body.mesh.nodes.amin(0)).norm())
+    doubts = [] if SIZE[0] <= size <= SIZE[1] else [f"its size is {size:.3g} m"]
+    for part in body.plates.values():
+        for ply in part.laminate.layer_plies:
+            sound = math.sqrt(ply.E1 / ply.density)
+            if not DENSITY[0] <= ply.density <= DENSITY[1]:
+                doubts.append(f"a ply has the density {ply.density:.3g} kg/m3")
+            elif not SOUND[0] <= sound <= SOUND[1]:
+                doubts.append(f"a ply has the speed of sound {sound:.3g} m/s (E1 = {ply.E1:.3g} Pa)")
+    if doubts:
+        with torch.no_grad():
+            made = body.structure()
+        first = math.sqrt(max(float(torch.linalg.eigvalsh(made["Kr"])[0]), 0.0)) / (2.0 * math.pi)
+        warnings.warn(
+            f"units of body {body.name!r}? {doubts[0]}; it is {size:.3g} m long, weighs {float(made['mass']):.3g} kg, and "
+            f"its first frequency is {first:.3g} Hz. Allowed: m, kg, s, N, Pa (readers: units='mm' for mm, t, s, N, MPa)",
+            stacklevel=3,
+        )
+
+
+def warn_slender(body: FlexibleBody) -> None:
+    """Warn if the thickness of a plate does not fit its size."""
+    size = float((body.mesh.nodes.amax(0) - body.mesh.nodes.amin(0)).norm())
+    for part in body.plates.values():
+        thickness = float(part.laminate.total_thickness.detach().max())
+        doubt(f"mesh and laminate: thickness of {body.name!r} by its size", thickness / size, "", SLENDER, stacklevel=4)

@@ -1,0 +1,205 @@
+"""Actions: the few kinds of applied generalized forces that every force element is a list of.
+
+An action has a coordinate s of the vectors attached to its bodies and a law f(s, s', t). By virtual work it pulls with
+
+    force on each vector = f ds/dvector          power = f s'
+
+so what it does to the bodies is derived as for a constraint, momentum is kept, and energy is what the law says.
+
+    kind      coordinate                                  arguments                   unit of f
+    Length    |g_b - g_a|                                 point, point                N
+    Along     (g_b - g_a) . u                             point, point, axis u        N
+    Turn      angle of x_b from x_a towards y_a           axis x_a, axis y_a, axis    N m
+    Push      none: a force along u                       point, axis u               N
+    Twist     none: a torque about u                      axis u, triad of the body   N m
+
+The contract of a kind:
+
+    direction(vectors)   what f = 1 does to each argument [3, n, ...]; the gradient of s where there is one
+    measure(vectors)     s [n, ...]; kinds without one see s = s' = 0
+
+Nothing else is written for a force: design tangents come from pairs, the iteration matrix from the slopes of the law.
+`Turn` measures within half a turn around the `center` of its law (0 by default).
+A law is elementwise: it sees s and s' of shape [1, 1, lanes] and returns that shape. It may state its own derivatives by s
+and s' (`slopes`, as the laws of laws.py do); otherwise they come from forward mode, and the step is not compiled.
+The law of an action that a controller reads or sets is a Port: what that does is added to all strengths (feedback.py).
+Checked in tests/contracts/test_actions.py: direction against autograd, momentum, slopes of laws.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchmbd.math.elementwise import lifted, reciprocal, slopes, sqrt
+from torchmbd.math.pair import Pair, cat, cross, dot, linear, value
+from torchmbd.multibody.forces.feedback import Port
+from torchmbd.multibody.forces.laws import Scaled, Spring
+from torchmbd.multibody.forces.parametric_law import Varied
+
+Law = Callable[[Tensor, Tensor, Tensor], Tensor]
+Data = Mapping[str, Any]  # of a design: name -> number (multibody/system/equations.py)
+
+
+@dataclass(frozen=True, eq=False)
+class Action:
+    """All actions of one kind in a system.
+
+    members  for each argument the indices of its vectors, long [n]
+    laws     f(s, s', t) of each, or one of all
+    """
+
+    members: tuple[Tensor, ...]
+    laws: tuple[Law, ...]
+    arguments: ClassVar[tuple[str, ...]]
+
+    def direction(self, vectors) -> list:
+        """What a unit generalized force does to each argument [3, n, ...], in ground axes."""
+        raise NotImplementedError
+
+    def measure(self, vectors):
+        """Coordinate s [n, ...]."""
+        return linear(torch.zeros_like, vectors[0][0])
+
+    def state(self, vectors, velocities) -> tuple[Any, Any, list]:
+        """s, s' [n, ...] and the direction."""
+        direction = self.direction(vectors)
+        s = self.measure(vectors)
+        if type(self).measure is Action.measure:
+            return s, s, direction
+        rates = [dot(d, x) for d, x in zip(direction, velocities, strict=True)]
+        return s, sum(rates[1:], rates[0]), direction
+
+    def strength(self, s, rate, t, data: Data):
+        """Generalized forces f [n, ...]."""
+        if len(self.laws) == 1:
+            return _force(_of(self.laws[0], data), s, rate, t)
+        return cat([_force(_of(law, data), s[i : i + 1], rate[i : i + 1], t) for i, law in enumerate(self.laws)])
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Any, data: Data) -> tuple[Tensor, Tensor]:
+        """df/ds and df/ds' [n, ...] of plain numbers."""
+        if len(self.laws) == 1:
+            return _slopes(_of(self.laws[0], data), s, rate, value(t))
+        parts = [_slopes(_of(law, data), s[i : i + 1], rate[i : i + 1], value(t)) for i, law in enumerate(self.laws)]
+        return torch.cat([p[0] for p in parts]), torch.cat([p[1] for p in parts])
+
+
+class Length(Action):
+    """Distance of two points."""
+
+    arguments = ("point", "point")
+
+    def direction(self, vectors) -> list:
+        a, b = vectors
+        u = (b - a) * reciprocal(self.measure(vectors))
+        return [-u, u]
+
+    def measure(self, vectors):
+        a, b = vectors
+        return sqrt(dot(b - a, b - a))
+
+
+class Along(Action):
+    """Position of point b from point a along an axis."""
+
+    arguments = ("point", "point", "axis")
+
+    def direction(self, vectors) -> list:
+        a, b, u = vectors
+        return [-u, u, b - a]
+
+    def measure(self, vectors):
+        a, b, u = vectors
+        return dot(b - a, u)
+
+
+class Turn(Action):
+    """Angle of the axis x of body b from the axis x of body a, towards y of a."""
+
+    arguments = ("axis", "axis", "axis")
+
+    def direction(self, vectors) -> list:
+        x, y, b = vectors
+        c, s = dot(x, b), dot(y, b)
+        inverse = reciprocal(c * c + s * s)
+        c, s = c * inverse, s * inverse
+        return [-(s * b), c * b, c * y - s * x]
+
+    def measure(self, vectors):
+        x, y, b = vectors
+        c, s = dot(x, b), dot(y, b)
+        if len(self.laws) == 1:
+            return _angle(s, c, getattr(self.laws[0], "center", 0.0))
+        parts = [_angle(s[i : i + 1], c[i : i + 1], getattr(law, "center", 0.0)) for i, law in enumerate(self.laws)]
+        return cat(parts)
+
+
+class Push(Action):
+    """A force along an axis."""
+
+    arguments = ("point", "axis")
+
+    def direction(self, vectors) -> list:
+        _, u = vectors
+        return [u, linear(torch.zeros_like, u)]
+
+
+class Twist(Action):
+    """A torque about an axis u: with the triad e of the body, sum e_k x (u x e_k) / 2 = u."""
+
+    arguments = ("axis", "axis", "axis", "axis")
+
+    def direction(self, vectors) -> list:
+        u, *triad = vectors
+        return [linear(torch.zeros_like, u), *(0.5 * cross(u, e) for e in triad)]
+
+
+def _of(law: Law, data: Data) -> Law:
+    """The law of a design."""
+    return law.at(data) if isinstance(law, Varied) else law
+
+
+def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
+    """A law applied; one that states its slopes needs no differentiation, which could not be compiled."""
+    if isinstance(law, Spring):
+        return law(s, rate, t)  # numbers themselves
+    if isinstance(law, Port):
+        return linear(torch.zeros_like, s)
+    if isinstance(law, Scaled):
+        return _force(law.law, s, rate, t) * law.factor
+    if isinstance(t, Pair) or not (hasattr(law, "slopes") and isinstance(s, Pair)):
+        return lifted(law, s, rate, t)
+    by_s, by_rate = _slopes(law, value(s), value(rate), t)
+    return Pair.of(law(value(s), value(rate), t), by_s * s.tangent + by_rate * rate.tangent)
+
+
+def _slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+    if isinstance(law, Scaled):
+        by_s, by_rate = _slopes(law.law, s, rate, t)
+        return by_s * law.factor, by_rate * law.factor
+    own = getattr(law, "slopes", None)
+    if own is not None:
+        return own(s, rate, t)
+    by_s, by_rate, _ = slopes(law, s, rate, t)
+    return by_s, by_rate
+
+
+def _angle(s: Any, c: Any, center: float) -> Any:
+    """The angle of (c, s) within half a turn of a center."""
+    c0, s0 = math.cos(center), math.sin(center)
+
+    def angle(s: Tensor, c: Tensor) -> Tensor:
+        return torch.atan2(s * c0 - c * s0, c * c0 + s * s0) + center
+
+    if not isinstance(s, Pair):
+        return angle(s, c)
+    square = s.value * s.value + c.value * c.value
+    return Pair.of(angle(s.value, c.value), (c.value * s.tangent - s.value * c.tangent) / square)
+
+
+KINDS: tuple[type[Action], ...] = (Length, Along, Turn, Push, Twist)

@@ -1,0 +1,65 @@
+"""Bushing: springs and dampers along and about the three axes of a frame.
+
+Displacements of the point of b in the axes of a, and for small rotations the angles of b against a about them.
+Rotations are measured from the given initial positions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.forces.action import Along, Turn
+from torchmbd.multibody.forces.force import Applied, ForceElement
+from torchmbd.multibody.forces.laws import Spring, numbers
+from torchmbd.multibody.joints.joint import Scribe, others
+
+
+class Bushing(ForceElement):
+    """`Bushing(a, b, stiffness=(kx, ky, kz), damping=..., turning_stiffness=(kxx, kyy, kzz), turning_damping=...)`.
+
+    [N/m], [N s/m], [N m/rad], [N m s/rad]; one number stands for all three axes
+    Each number may be a design variable: "mount.stiffness", or "mount.stiffness_x" of one axis.
+    """
+
+    def __init__(
+        self,
+        a: Frame,
+        b: Frame,
+        stiffness: Sequence[float | Tensor] | float | Tensor,
+        damping: Sequence[float | Tensor] | float | Tensor = 0.0,
+        turning_stiffness: Sequence[float | Tensor] | float | Tensor = 0.0,
+        turning_damping: Sequence[float | Tensor] | float | Tensor = 0.0,
+        name: str | None = None,
+    ):
+        super().__init__((a, b), name)
+        self.along = self._springs("", stiffness, damping)
+        self.about = self._springs("turning_", turning_stiffness, turning_damping)
+        if all(law == Spring() for law in (*self.along, *self.about)):
+            raise InputError(f"{self.name!r} has neither stiffness nor damping; allowed: at least one of them")
+
+    def _springs(self, kind: str, *given: Any) -> list[Any]:
+        """The laws of the three axes: of stiffness and damping."""
+        labels = [f"{kind}stiffness", f"{kind}damping"]
+        k, c = (numbers(f"{label} of {self.name!r}", x, 3) for label, x in zip(labels, given, strict=True))
+        result = []
+        for i, axis in enumerate("xyz"):
+            own = [
+                label if x is one else f"{label}_{axis}"
+                for label, x, one in zip(labels, (k[i], c[i]), given, strict=True)
+            ]
+            result.append(self.varying.law(Spring(k[i], c[i]), stiffness=own[0], damping=own[1]))
+        return result
+
+    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+        a, b = self.frames
+        for axis, along, about in zip("xyz", self.along, self.about, strict=True):
+            if along != Spring():
+                yield Applied(Along, (scribe.point(a), scribe.point(b), scribe.axis(a, axis)), along)
+            if about != Spring():
+                x, y = others(axis)
+                yield Applied(Turn, (scribe.axis(a, x), scribe.axis(a, y), scribe.twin(a, x, b)), about)

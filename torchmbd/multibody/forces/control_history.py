@@ -1,0 +1,51 @@
+"""Control histories: numbers at equal times as parameters, in between linear or held; the module of a Controller of time."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.owned import parameter, positive
+
+_KINDS = ("linear", "hold")
+_EARLY = 1e-9  # of an interval: a time that rounding puts before its node is the node
+
+
+class ControlHistory(nn.Module):
+    """`ControlHistory(values, duration)`: u(t) of a Controller whose only input is mbd.signals.Time().
+
+    values     [times, actuators] [N] or [N m]; a parameter
+    duration   [s]
+    kind       "linear": between values at `times` equal times 0 ... duration; "hold": each value holds for duration / times
+
+    Before and after, the first and the last value hold.
+    """
+
+    def __init__(self, values: Any, duration: float, kind: str = "linear"):
+        super().__init__()
+        if kind not in _KINDS:
+            raise InputError(f"kind of a ControlHistory is {kind!r}; allowed: {', '.join(map(repr, _KINDS))}")
+        values = parameter("values", values)
+        least = 2 if kind == "linear" else 1
+        if values.dim() != 2 or values.shape[0] < least or not values.shape[1]:
+            raise InputError(
+                f"values of a ControlHistory have shape {list(values.shape)}; "
+                f"allowed: [times, actuators], {least} times or more"
+            )
+        if not bool(torch.isfinite(values).all()):
+            raise InputError("values of a ControlHistory are not all finite; allowed: finite numbers")
+        self.values, self.kind = values, kind
+        self.duration = positive("duration", duration, "s")
+
+    def forward(self, t: Tensor) -> Tensor:
+        """u [lanes, actuators] at times t [lanes, 1]."""
+        count = len(self.values) - (self.kind == "linear")
+        place = (t[:, 0] * (count / self.duration)).clamp(0.0, float(count))
+        k = (place.detach() + _EARLY).floor().long().clamp_max(count - 1)
+        if self.kind == "hold":
+            return self.values[k]
+        share = (place - k)[:, None]
+        return self.values[k] * (1.0 - share) + self.values[k + 1] * share

@@ -1,0 +1,127 @@
+"""Controllers: any torch module from signals of the motion to forces and torques, its weights design variables.
+
+pd = mbd.Controller(
+    torch.nn.Linear(2, 1, dtype=torch.float64),
+    inputs=[mbd.signals.JointAngle(hinge), mbd.signals.JointRate(hinge)],
+    outputs=[mbd.signals.JointTorque(hinge)],
+)
+system = mbd.System(bodies, [hinge], forces=[pd])       has the parameters controller.weight, controller.bias
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.gradients import refuse_lost
+from torchmbd.math.owned import several
+from torchmbd.math.variable import Variables
+from torchmbd.multibody.bodies.rigid import Ground
+from torchmbd.multibody.forces.feedback import Control, Port
+from torchmbd.multibody.forces.force import Applied, ForceElement
+from torchmbd.multibody.forces.signals import Actuator, Coordinate, Signal
+from torchmbd.multibody.joints.joint import Scribe
+
+# How a controller may vary with the design.
+VARIABLES = "parameters of the module; constant tensors"
+
+
+class Controller(ForceElement):
+    """`Controller(module, inputs=[...], outputs=[...])`: feedback u = module(x).
+
+    module    a torch module, x [lanes, inputs] -> u [lanes, outputs], float64, a function of its inputs alone
+    inputs    signals (mbd.signals): each is one number of x, a position or velocity three, in this order
+    outputs   actuators (mbd.signals): each is one number of u, a force [N] or torque [N m]
+    name      of the element, and of its parameters in the system
+
+    The parameters of the module are parameters of the system, "controller.<name>". Steps are made by operators of torch.
+    """
+
+    def __init__(
+        self, module: nn.Module, inputs: Sequence[Signal], outputs: Sequence[Actuator], name: str = "controller"
+    ):
+        if not isinstance(module, nn.Module):
+            raise InputError(f"module of a Controller is {module!r}; allowed: a torch.nn.Module")
+        self.inputs = several("inputs", inputs, Signal, "signals, such as mbd.signals.JointAngle(joint)")
+        self.outputs = several("outputs", outputs, Actuator, "actuators, such as mbd.signals.JointTorque(joint)")
+        if not self.outputs:
+            raise InputError(f"outputs of {name!r} is empty; allowed: at least one actuator")
+        frames = tuple(frame for x in self.outputs for frame in x.frames)
+        super().__init__(tuple(frame for frame in frames if not isinstance(frame.body, Ground))[:1], name)
+        self.frames, self.measured = frames, tuple(frame for x in self.inputs for frame in x.frames)
+        self.module = module
+        self.control = Control(self.name, module, sum(x.size for x in self.inputs), len(self.outputs))
+        _check(self.control)
+
+    @property
+    def variables(self) -> Variables | None:
+        return self.control.variables
+
+    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+        read: dict[tuple, list[tuple[int, bool]]] = {}
+        found = [one for x in self.inputs for one in x.coordinates(scribe)]
+        for row, x in enumerate(found):
+            if isinstance(x, Coordinate):
+                read.setdefault((x.kind, x.vectors, x.center), []).append((row, x.rate))
+        for (kind, vectors, center), rows in read.items():
+            yield Applied(kind, vectors, Port(self.control, reads=tuple(rows), center=center))
+        for k, x in enumerate(self.outputs):
+            for kind, vectors, sign in x.efforts(scribe):
+                yield Applied(kind, vectors, Port(self.control, writes=k, sign=sign))
+
+
+def _check(control: Control) -> None:
+    """InputError for a module that cannot be a controller, or whose parameters would get no gradient."""
+    for name, p in control.module.named_parameters():
+        if p.dtype != torch.float64:
+            raise InputError(
+                f"parameter {name!r} of the {control.label} is {p.dtype}; allowed: torch.float64, as by .double()"
+            )
+    refuse_lost(control.label, control.module, VARIABLES, control.module)
+    x = torch.randn(1, control.inputs, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    with torch.inference_mode(False), torch.enable_grad():
+        for at in (torch.zeros_like(x), x):
+            u = _called(control, at)
+            if not bool(torch.isfinite(u).all()):
+                raise InputError(
+                    f"{control.label} gives {u.tolist()[0]} at inputs {at.tolist()[0]}, t = 0; allowed: finite"
+                )
+        if not torch.equal(u, _called(control, x)):
+            raise InputError(
+                f"{control.label} gives other numbers for the same inputs; allowed: the same, as by .eval()"
+            )
+        _check_gradients(control, x)
+
+
+def _check_gradients(control: Control, x: Tensor) -> None:
+    x = x.requires_grad_()
+    u = _called(control, x)
+    wanted = {name: p for name, p in control.module.named_parameters() if p.requires_grad}
+    by: Any = [None] * (1 + len(wanted))
+    if u.requires_grad:
+        by = torch.autograd.grad(u.sum(), [x, *wanted.values()], allow_unused=True)
+    lost = [name for name, slope in zip(wanted, by[1:], strict=True) if slope is None]
+    if lost:
+        raise InputError(
+            f"{control.label} gives its parameters {', '.join(map(repr, lost))} no gradient: its output at t = 0 is detached "
+            "from them; allowed: an output that depends on them, or requires_grad_(False)"
+        )
+    if by[0] is None and control.inputs and not torch.allclose(u, _called(control, x + 1e-6), rtol=1e-12, atol=0.0):
+        raise InputError(
+            f"{control.label} gives an output that is detached from its inputs; allowed: torch operations on them"
+        )
+
+
+def _called(control: Control, x: Tensor) -> Tensor:
+    try:
+        u = control.module(x)
+    except Exception as error:  # it may do anything
+        raise InputError(
+            f"{control.label} raises {error!r} for x {list(x.shape)}; allowed: x [lanes, inputs] -> [lanes, outputs]"
+        ) from error
+    control.check(u, 1, 0.0)
+    return u

@@ -1,0 +1,206 @@
+"""Feedback inside the equations of motion: a torch module reads coordinates of actions and sets the strength of others.
+
+    u = module(x)      x [lanes, inputs]: s and s' of coordinates, and the time;  u [lanes, outputs]: generalized forces
+
+What a controller reads, and what it sets, are actions of the usual kinds (action.py): their law is a `Port`, which has no
+force of its own. `Links` adds the u of all controllers to the strengths of all actions. So design tangents, the adjoint and
+the iteration matrix come from the directions of the kinds and from derivatives of the module.
+The module sees one lane at a time, under torch.func.vmap where there are several: lanes cannot mix.
+`data["law NAME"]` holds the parameters of the controller NAME, flat [k, slots, lanes].
+Checked in tests/multibody/forces/test_controller.py, tests/multibody/forces/test_controller_refusals.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.module_call import called
+from torchmbd.math.pair import Pair, cat, constant_map, value
+from torchmbd.math.variable import Variables, key
+
+
+class Control:
+    """The module of the controller `name`, as a function of numbers with tangents; it has so many inputs and outputs."""
+
+    def __init__(self, name: str, module: nn.Module, inputs: int, outputs: int):
+        self.name, self.module, self.inputs, self.outputs = name, module, inputs, outputs
+        self.variables = Variables.of(module)
+
+    @property
+    def label(self) -> str:
+        return f"module {type(self.module).__name__} of the controller {self.name!r}"
+
+    def __call__(self, x: Any, t: Any, data: Mapping[str, Any]) -> Any:
+        """u [outputs, slots, lanes] of x [inputs, slots, lanes] at time t."""
+        both = [self._weights(x, data), x]
+        plain = [value(y)[:, 0] for y in both]
+        every = self._every(t)
+        found = every(*plain)
+        if torch.is_grad_enabled() and plain[0].requires_grad and not found.requires_grad:
+            raise InputError(
+                f"{self.label} gives a detached tensor{_at(t)}; allowed: one that depends on its parameters"
+            )
+        moving = [i for i, y in enumerate(both) if isinstance(y, Pair) and len(plain[i])]
+        if not moving:
+            return found[:, None]
+
+        def moved(*some: Tensor) -> Tensor:
+            full = dict(zip(moving, some, strict=True))
+            return every(*(full.get(i, y) for i, y in enumerate(plain)))
+
+        def push(*directions: Tensor) -> Any:
+            return torch.func.jvp(moved, tuple(plain[i] for i in moving), directions)[1]
+
+        tangents: Any = torch.func.vmap(push, 1, 1)(*(both[i].tangent for i in moving))
+        return Pair.of(found[:, None], tangents)
+
+    def jacobian(self, x: Tensor, t: Any, data: Mapping[str, Any]) -> Tensor:
+        """du/dx [lanes or 1, outputs, inputs] of plain numbers."""
+        every = self._every(t, torch.func.jacfwd(self._one(t), argnums=1))
+        return every(self._weights(x, data)[:, 0], x[:, 0]).movedim(-1, 0)
+
+    def _weights(self, x: Any, data: Mapping[str, Any]) -> Any:
+        """Parameters [k, slots, lanes]; k = 0 of a module without."""
+        return x[:0] if self.variables is None else data[key(self.name)]
+
+    def _one(self, t: Any) -> Callable[[Tensor, Tensor], Tensor]:
+        """u [outputs] of one lane: parameters [k] and x [inputs]."""
+
+        def one(p: Tensor, x: Tensor) -> Tensor:
+            given = {} if self.variables is None else self.variables.named(p)
+            u = called(self.module, given, x[None]) if given else self.module(x[None])
+            self.check(u, 1, t)
+            return u[0]
+
+        return one
+
+    def _every(self, t: Any, one: Any = None) -> Callable[[Tensor, Tensor], Tensor]:
+        """A function of one lane on parameters [k, lanes] and x [inputs, lanes]; one lane holds for all."""
+        one = one or self._one(t)
+
+        def every(p: Tensor, x: Tensor) -> Tensor:
+            if p.shape[1] == x.shape[1] == 1:
+                return one(p[:, 0], x[:, 0])[..., None]
+            dims = tuple(None if y.shape[1] == 1 else 1 for y in (p, x))
+            given = (y[:, 0] if y.shape[1] == 1 else y for y in (p, x))
+            return torch.func.vmap(one, dims, -1)(*given)
+
+        return every
+
+    def check(self, u: Any, lanes: int, t: Any) -> None:
+        """InputError where the module returns anything but float64 [lanes, outputs]."""
+        if not isinstance(u, Tensor) or u.shape != (lanes, self.outputs) or u.dtype != torch.float64:
+            shown = f"{u.dtype} {list(u.shape)}" if isinstance(u, Tensor) else repr(u)
+            raise InputError(
+                f"{self.label} gives {shown}{_at(t)}; allowed: torch.float64 [{lanes}, {self.outputs}] ([lanes, outputs])"
+            )
+
+
+def _at(t: Any) -> str:
+    return f" at t = {float(value(torch.as_tensor(t) if isinstance(t, float) else t).detach().flatten()[0]):.6g} s"
+
+
+@dataclass(frozen=True, eq=False)
+class Port:
+    """The law of an action that a controller reads or sets; no force of its own.
+
+    reads    pairs (number of an input, whether it is s' instead of s)
+    writes   number of the output that is its strength, times `sign`; None: it is only read
+    center   where the range of an angle has its middle
+    """
+
+    control: Control
+    reads: tuple[tuple[int, bool], ...] = ()
+    writes: int | None = None
+    sign: float = 1.0
+    center: float = 0.0
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return torch.zeros_like(s)
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+        """Derivatives by s and s': none of its own."""
+        return torch.zeros_like(s), torch.zeros_like(s)
+
+
+class _Link(NamedTuple):
+    """One controller among all actions.
+
+    read     of each input its place among s | s' | t of all actions [inputs]
+    rates    1 where that is a rate [inputs];  coordinates: 1 where that is s or s' of an action [inputs, actions]
+    writes   what an output adds to the strengths [actions, outputs]
+    """
+
+    control: Control
+    read: Tensor
+    rates: Tensor
+    coordinates: Tensor
+    writes: Tensor
+
+
+class Links:
+    """The controllers of a system; its actions are counted kind by kind."""
+
+    def __init__(self, laws: Sequence[Any]):
+        self.total = total = len(laws)
+        ports: dict[Control, list[tuple[int, Port]]] = {}
+        for i, law in enumerate(laws):
+            if isinstance(law, Port):
+                ports.setdefault(law.control, []).append((i, law))
+        self.each = [_link(control, total, mine) for control, mine in ports.items()]
+
+    def strengths(self, states: Sequence[tuple], own: Sequence[Any], t: Any, data: Mapping[str, Any]) -> list[Any]:
+        """Strengths of the actions [n, ...], kind by kind, from those of their own laws and from the controllers."""
+        if not self.each:
+            return list(own)
+        x, total = self._signals(states, t), cat(own)
+        for link in self.each:
+            u = link.control(x.index_select(0, link.read), t, data)
+            total = total + constant_map(link.writes, u)
+        ends = [0]
+        for f in own:
+            ends.append(ends[-1] + f.shape[0])
+        return [total[a:b] for a, b in pairwise(ends)]
+
+    def slopes(
+        self, states: Sequence[tuple], t: Any, data: Mapping[str, Any], stiffness: float, damping: float
+    ) -> Tensor | None:
+        """stiffness df/ds + damping df/ds' [lanes or 1, actions, actions] by the controllers; None without any."""
+        if not self.each:
+            return None
+        x = self._signals(states, t)
+        parts = []
+        for link in self.each:
+            factor = stiffness * (1.0 - link.rates) + damping * link.rates
+            J = link.control.jacobian(x.index_select(0, link.read), t, data)
+            parts.append(link.writes @ (J * factor) @ link.coordinates)
+        return sum(parts[1:], parts[0])
+
+    @staticmethod
+    def _signals(states: Sequence[tuple], t: Any) -> Any:
+        """s | s' | t of all actions [2 n + 1, slots, lanes]."""
+        s, rate = cat([x[0] for x in states]), cat([x[1] for x in states])
+        if isinstance(t, Pair):
+            time: Any = t.unsqueeze(0) if t.full.dim() == 2 else t
+        else:
+            time = value(s).new_zeros(1, 1, value(s).shape[-1]) + t
+        return cat([s, rate, time])
+
+
+def _link(control: Control, total: int, ports: list[tuple[int, Port]]) -> _Link:
+    read, rates = [2 * total] * control.inputs, torch.zeros(control.inputs, dtype=torch.float64)
+    coordinates = torch.zeros(control.inputs, total, dtype=torch.float64)
+    writes = torch.zeros(total, control.outputs, dtype=torch.float64)
+    for i, port in ports:
+        for row, rate in port.reads:
+            read[row], rates[row], coordinates[row, i] = i + total * rate, float(rate), 1.0
+        if port.writes is not None:
+            writes[i, port.writes] = port.sign
+    return _Link(control, torch.tensor(read), rates, coordinates, writes)

@@ -1,0 +1,60 @@
+"""What a force element is: a list of actions between frames, as a joint is a list of primitives.
+
+    class SpringDamper(ForceElement):
+        def actions(self, scribe): yield Applied(Length, (scribe.point(a), scribe.point(b)), law)
+
+A new force element is one small file and one line in the registry.
+Checked in tests/contracts/test_actions.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+from torchmbd.errors import InputError
+from torchmbd.math.variable import Variables
+from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.bodies.rigid import Ground
+from torchmbd.multibody.forces.parametric_law import Varying
+from torchmbd.multibody.joints.joint import Scribe
+
+
+class Applied(NamedTuple):
+    """One action: its kind, the indices of its vectors, its law."""
+
+    kind: type
+    vectors: tuple[int, ...]
+    law: Any
+
+
+class ForceElement:
+    """Base of all force elements: the frames that it acts on, and a name."""
+
+    def __init__(self, frames: tuple[Any, ...], name: str | None = None):
+        kind = type(self).__name__
+        for frame in frames:
+            if not isinstance(frame, Frame):
+                raise InputError(f"{kind} got {frame!r}; allowed: frames, such as body.at(...)")
+        if all(isinstance(frame.body, Ground) for frame in frames):
+            raise InputError(f"{kind} acts on {', '.join(map(repr, frames))}; allowed: at least one frame on a body")
+        if len(frames) == 2 and frames[0].body is frames[1].body:
+            raise InputError(f"{kind} acts between {frames[0]!r} and {frames[1]!r}; allowed: two different bodies")
+        if name is not None and not isinstance(name, str):
+            raise InputError(f"name of a {kind} is {name!r}; allowed: a string")
+        self.frames: tuple[Frame, ...] = frames
+        self.measured: tuple[Frame, ...] = ()  # frames that it reads only
+        self.name = name or "_".join([kind.lower(), *(frame.body.name for frame in frames)])
+        self.varying = Varying(self.name)
+
+    @property
+    def variables(self) -> Variables | None:
+        """Design variables, parameters of the system by the element's name; None: there are none."""
+        return self.varying.variables
+
+    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+        """Yield the actions of the element."""
+        raise NotImplementedError(type(self).__name__)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(map(repr, self.frames))})"

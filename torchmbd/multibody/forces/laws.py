@@ -1,0 +1,260 @@
+"""Laws of actions: generalized force f(s, s', t) in the direction of growing s.
+
+    Spring     f = -k (s - s0) - c s'
+    Table      f = piecewise linear in s through knots, constant outside, - c s'
+    Pieces     f = a_i + k_i s on intervals, jumps smoothed over a stated width, - c s'
+    OfTime     f = g(t)
+    Scaled     f = factor g(s, s', t), g any law
+
+Numbers of Spring and the factor of Scaled, whose law g may be one of time alone where OfTime is one, may be design
+variables: `Spring(mbd.variable(2e3))` (parametric_law.py).
+Any torch function of (s, s', t) that works elementwise is a law as well. `center`: where the range of an angle, half a
+turn to both sides, has its middle.
+Checked in tests/multibody/forces/test_laws.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.math.gradients import refuse_gradients, refuse_lost
+from torchmbd.math.owned import reals, scalar
+from torchmbd.multibody.joints.laws import finite
+
+Slopes = tuple[Tensor, Tensor]
+
+
+@dataclass(frozen=True)
+class Spring:
+    """Linear spring and damper: stiffness k, damping c, rest s0."""
+
+    stiffness: float = 0.0
+    damping: float = 0.0
+    rest: float = 0.0
+
+    @property
+    def center(self) -> float:
+        return self.rest
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return -self.stiffness * (s - self.rest) - self.damping * rate
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        zero = torch.zeros_like(s)
+        return zero - self.stiffness, zero - self.damping
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """Another law times a factor: the strength of an actuator."""
+
+    factor: float
+    law: Callable[..., Tensor]
+
+    @property
+    def center(self) -> float:
+        return getattr(self.law, "center", 0.0)
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return self.factor * self.law(s, rate, t)
+
+
+@dataclass(frozen=True)
+class Table:
+    """Continuous, piecewise linear: knots (s, f) with growing s, constant outside; and damping c."""
+
+    knots: tuple[tuple[float, float], ...]
+    damping: float = 0.0
+    center: float = 0.0
+
+    def __post_init__(self) -> None:
+        knots = reals("knots", self.knots)
+        rising = knots.dim() == 2 and len(knots) > 1 and knots.shape[1] == 2 and bool((knots[:, 0].diff() > 0).all())
+        if not rising or not bool(torch.isfinite(knots).all()):
+            raise InputError(f"knots are {self.knots!r}; allowed: two or more pairs (s, f) with growing s, finite")
+        object.__setattr__(self, "knots", tuple((s, f) for s, f in knots.tolist()))
+        scalar("damping of a Table", self.damping)
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        total = self.knots[0][1] - self.damping * rate
+        for knot, bend in self._bends():
+            total = total + bend * torch.clamp_min(s - knot, 0.0)
+        return total
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        by_s = torch.zeros_like(s)
+        for knot, bend in self._bends():
+            by_s = by_s + bend * (s > knot).to(s.dtype)
+        return by_s, torch.full_like(s, -self.damping)
+
+    def _bends(self) -> list[tuple[float, float]]:
+        """Where the slope changes, and by how much."""
+        x, f = zip(*self.knots, strict=True)
+        k = [(f[i + 1] - f[i]) / (x[i + 1] - x[i]) for i in range(len(x) - 1)]
+        return list(zip(x, [b - a for a, b in zip([0.0, *k], [*k, 0.0], strict=True)], strict=True))
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Piecewise linear with jumps: f = intercepts[i] + inclines[i] s between borders[i - 1] and borders[i].
+
+    borders  growing, one less than pieces
+    width    every jump is spread over s = border +- width, by a cubic step; a number that changes results, so state it
+    """
+
+    borders: tuple[float, ...]
+    intercepts: tuple[float, ...]
+    inclines: tuple[float, ...]
+    width: float
+    damping: float = 0.0
+    center: float = 0.0
+
+    def __post_init__(self) -> None:
+        n = len(self.borders)
+        if len(self.intercepts) != n + 1 or len(self.inclines) != n + 1 or not self.width > 0:
+            raise InputError(
+                f"{n} borders, {len(self.intercepts)} intercepts, {len(self.inclines)} inclines, width {self.width!r}; "
+                "allowed: one border less than pieces, a positive width"
+            )
+        for x in (*self.borders, *self.intercepts, *self.inclines, self.width, self.damping):
+            scalar("a number of Pieces", x)
+        if any(not b - a >= 2.0 * self.width for a, b in pairwise(self.borders)):
+            raise InputError(
+                f"borders are {self.borders!r}; allowed: growing, at least 2 width = {2 * self.width} apart"
+            )
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        total = self.intercepts[0] + self.inclines[0] * s - self.damping * rate
+        for i, border in enumerate(self.borders):
+            u = torch.clamp((s - border) / (2.0 * self.width) + 0.5, 0.0, 1.0)
+            total = total + u * u * (3.0 - 2.0 * u) * self._change(i, s)
+        return total
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        by_s = torch.full_like(s, self.inclines[0])
+        for i, border in enumerate(self.borders):
+            u = torch.clamp((s - border) / (2.0 * self.width) + 0.5, 0.0, 1.0)
+            rising = 3.0 * u * (1.0 - u) / self.width
+            by_s = by_s + rising * self._change(i, s)
+            by_s = by_s + u * u * (3.0 - 2.0 * u) * (self.inclines[i + 1] - self.inclines[i])
+        return by_s, torch.full_like(s, -self.damping)
+
+    def _change(self, i: int, s: Tensor) -> Tensor:
+        return self.intercepts[i + 1] - self.intercepts[i] + (self.inclines[i + 1] - self.inclines[i]) * s
+
+
+@dataclass(frozen=True)
+class OfTime:
+    """A force that is a torch function of time alone, or constant."""
+
+    law: Callable[..., Tensor] | float
+    factor: float = 1.0
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        f = self.law(t) if callable(self.law) else self.law
+        return self.factor * f + torch.zeros_like(s)
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        return torch.zeros_like(s), torch.zeros_like(s)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """A one-sided stop: f = k d - c d' s' for the penetration d = limit - s > 0 (sign +1), or s - limit (sign -1).
+
+    smooth  the stiffness rises from zero over this penetration, so that the law has a continuous slope
+    """
+
+    stiffness: float
+    limit: float = 0.0
+    sign: float = 1.0
+    damping: float = 0.0
+    smooth: float = 0.0
+    center: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("stiffness", "limit", "damping", "smooth"):
+            least = -math.inf if name == "limit" else 0.0
+            if not scalar(f"{name} of a Gap", getattr(self, name)) >= least:
+                raise InputError(f"{name} of a Gap is {getattr(self, name)!r}; allowed: zero or positive")
+        if self.sign not in (1.0, -1.0):
+            raise InputError(f"sign of a Gap is {self.sign!r}; allowed: 1.0 or -1.0")
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        depth, share, _ = self._depth(s)
+        return self.sign * self.stiffness * depth * share - self.damping * share * rate
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        depth, share, rising = self._depth(s)
+        inside = (depth > 0).to(s.dtype)
+        by_s = -self.stiffness * (share * inside + depth * rising) + self.sign * self.damping * rising * rate
+        return by_s, -self.damping * share
+
+    def _depth(self, s: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Penetration, the share of stiffness and damping that acts there, and its derivative."""
+        depth = torch.clamp_min(self.sign * (self.limit - s), 0.0)
+        if not self.smooth:
+            return depth, (depth > 0).to(s.dtype), torch.zeros_like(s)
+        u = torch.clamp_max(depth / self.smooth, 1.0)
+        return depth, u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / self.smooth
+
+
+# How a law of a force may vary with the design.
+VARIABLES = (
+    "numbers of a Spring and the factor of Scaled, given to a force element as mbd.variable(...); constant tensors"
+)
+
+LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap)
+
+
+def checked(name: str, law: object) -> object:
+    """The law, tried once; InputError names its force element."""
+    if not callable(law):
+        raise InputError(f"law of {name!r} is {law!r}; allowed: a torch function of (s, s', t)")
+    zero = torch.zeros(1, 1, 1, dtype=torch.float64)
+    found = tried(name, law, zero, zero, zero[0, 0, 0])
+    if not isinstance(found, Tensor) or found.shape != zero.shape or not bool(torch.isfinite(found).all()):
+        raise InputError(
+            f"law of {name!r} gives {found!r} at s = s' = t = 0; allowed: a finite tensor of the shape of s, [1, 1, lanes]"
+        )
+    return law
+
+
+def tried(name: str, law: Callable[..., Any], *at: Tensor) -> Any:
+    """What a law of the user gives; InputError where it raises, or has variables that would not be differentiated."""
+    refuse_lost(f"law of {name!r}", law, VARIABLES)
+    try:
+        with torch.enable_grad():
+            found = law(*at)
+    except Exception as error:  # it may do anything
+        raise InputError(f"law of {name!r} raises {error!r}; allowed: a torch function of {len(at)} tensors") from error
+    refuse_gradients(f"what the law of {name!r} returns", found, VARIABLES)
+    return found
+
+
+def numbers(name: str, x: Any, count: int) -> list[Any]:
+    """`count` finite numbers, or one for all; any may be a design variable."""
+    one = isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.dim() == 0)
+    given: Any = [x] * count if one else x
+    try:
+        values = [finite(name, y) for y in given]
+    except (TypeError, InputError):
+        values = []
+    if len(values) != count:
+        raise InputError(
+            f"{name} is {x!r}; allowed: {count} finite numbers, or one for all; each may be mbd.variable(...)"
+        )
+    return values

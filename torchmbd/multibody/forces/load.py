@@ -1,0 +1,84 @@
+"""Forces and torques on a frame that do not depend on the motion: constant or functions of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.bodies.rigid import Ground
+from torchmbd.multibody.forces.action import Push, Twist
+from torchmbd.multibody.forces.force import Applied, ForceElement
+from torchmbd.multibody.forces.laws import OfTime, Scaled, checked, numbers, tried
+from torchmbd.multibody.joints.joint import Scribe
+
+Vector = Sequence[float | Tensor] | Callable[[Tensor], Tensor] | Scaled
+
+
+class _Load(ForceElement):
+    """axes: "ground" keeps the direction, "frame" follows the frame; name: of the element, and of its design variables."""
+
+    def __init__(self, frame: Frame, vector: Vector, axes: str = "ground", name: str | None = None):
+        super().__init__((frame,), name)
+        if axes not in ("ground", "frame"):
+            raise InputError(f"axes of {self.name!r} is {axes!r}; allowed: 'ground', 'frame'")
+        self.axes = axes
+        parts = _parts(self.name, vector)
+        self.laws = [checked(self.name, self.varying.in_time(x, axis)) for axis, x in zip("xyz", parts, strict=True)]
+
+    def _axis(self, scribe: Scribe, axis: str) -> int:
+        return scribe.axis(Ground().at() if self.axes == "ground" else self.frames[0], axis)
+
+
+def _parts(name: str, vector: Any) -> list[Any]:
+    """The three components of a vector of numbers, of a function of time, or of Scaled of one."""
+    given: Any = vector.law if isinstance(vector, Scaled) else vector
+    if not callable(given):
+        return numbers(f"vector of {name!r}", given, 3)
+    found = tried(name, given, torch.zeros((), dtype=torch.float64))
+    if not isinstance(found, Tensor) or found.shape != (3,) or not bool(torch.isfinite(found).all()):
+        raise InputError(
+            f"vector of {name!r} gives {found!r} at t = 0; allowed: a torch function of time, [] [s] -> finite [3]"
+        )
+    parts = [partial(_component, given, k) for k in range(3)]
+    return [Scaled(vector.factor, part) for part in parts] if isinstance(vector, Scaled) else parts
+
+
+def _component(vector: Callable[..., Any], k: int, t: Tensor) -> Tensor:
+    return vector(t)[k]
+
+
+class Force(_Load):
+    """`Force(frame, (fx, fy, fz))`: a force at the point of a frame.
+
+    frame   where it acts
+    vector  [N], or a torch function of time, [] [s] -> [3] [N]
+    axes    "ground": the force keeps its direction; "frame": it follows the frame
+    name    of the element, and of its design variables
+
+    Design variables: Force(frame, (mbd.variable(2.0), 0.0, 0.0), name="push") has "push.x", and
+    mbd.forces.Scaled(mbd.variable(1.0), function) has "push.factor".
+    """
+
+    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+        for axis, law in zip("xyz", self.laws, strict=True):
+            if law != OfTime(0.0):
+                yield Applied(Push, (scribe.point(self.frames[0]), self._axis(scribe, axis)), law)
+
+
+class Torque(_Load):
+    """`Torque(frame, (mx, my, mz))`: a torque on the body, or on the node, of a frame.
+
+    vector  [N m], or a torch function of time, [] [s] -> [3] [N m]; others as of Force
+    """
+
+    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+        triad = tuple(scribe.axis(self.frames[0], axis) for axis in "xyz")
+        for axis, law in zip("xyz", self.laws, strict=True):
+            if law != OfTime(0.0):
+                yield Applied(Twist, (self._axis(scribe, axis), *triad), law)

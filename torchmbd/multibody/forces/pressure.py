@@ -1,0 +1,95 @@
+"""Pressure: a uniform load on the area of a plate or shell.
+
+    f_k = p a_k        a_k = sum over the triangles at node k of a third of their (directed) area; of
+                           quadrilaterals the mean of both ways to cut them (mesh.py)
+
+Along the normals the load follows the body: with N_i = sum of the i-th components of one sign, the forces of its nodes in
+direction i act as one force p N_i on their mean motion (multibody/bodies/interpolation.py), so neither resultant, moment about the undeformed
+nodes nor modal forces are simplified. Normals turn with that mean, not one by one.
+Checked in tests/multibody/forces/test_pressure.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.mesh import Mesh, directed_area
+from torchmbd.multibody.bodies.frame import Frame, vector
+from torchmbd.multibody.bodies.rigid import Ground
+from torchmbd.multibody.forces.action import Push
+from torchmbd.multibody.forces.force import Applied, ForceElement
+from torchmbd.multibody.forces.laws import Scaled, checked
+from torchmbd.multibody.joints.joint import Scribe
+
+_NOTHING = 1e-12  # share of the largest component of area
+
+
+class Pressure(ForceElement):
+    """`Pressure(body, p)` [Pa] along the normals of the mesh, or `Pressure(body, p, direction=(0, 0, -1))`.
+
+    body       a flexible body with triangles or quadrilaterals
+    pressure   a number, or a torch function of time, [] [s] -> [] [Pa]; a design variable "NAME.pressure" as
+               mbd.variable(5e3), "NAME.factor" as mbd.forces.Scaled(mbd.variable(1.0), function)
+    direction  in ground axes, which the load then keeps, whatever its length [3]
+    """
+
+    def __init__(
+        self,
+        body: Any,
+        pressure: float | Tensor | Callable[[Tensor], Tensor] | Scaled,
+        direction: Sequence[float] | Tensor | None = None,
+        name: str | None = None,
+    ):
+        mesh = getattr(body, "mesh", None)
+        if not isinstance(mesh, Mesh) or mesh.cell_count == 0:
+            raise InputError(f"Pressure acts on {body!r}; allowed: a flexible body with triangles or quadrilaterals")
+        nodes, share, _ = mesh.pieces
+        area = share[:, None] * directed_area(mesh.nodes[nodes])
+        self.follows = direction is None
+        self.parts = list(_following(body, area) if direction is None else _fixed(body, area, direction))
+        super().__init__((self.parts[0][0],), name or f"pressure_{body.name}")
+        self.laws = [checked(self.name, self.varying.in_time(pressure, "pressure", area)) for _, _, area in self.parts]
+
+    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+        for (frame, axis, _), law in zip(self.parts, self.laws, strict=True):
+            along = scribe.axis(frame if self.follows else Ground().at(), axis)
+            yield Applied(Push, (scribe.point(frame), along), law)
+
+
+Part = tuple[Frame, str, float]  # on the nodes that take a part of the load, its axis, the area [m2] directed along it
+
+
+def _following(body: Any, area: Tensor) -> Iterator[Part]:
+    """Along the axes of the body, of the directed areas of the mesh's pieces [m, 3]."""
+    own = _at_nodes(body, area)
+    nothing = _NOTHING * float(own.abs().sum(0).max())
+    for axis, column in zip("xyz", own.T, strict=True):
+        for sign in (1.0, -1.0):
+            nodes = torch.nonzero(sign * column > nothing)[:, 0].tolist()
+            if nodes:
+                weights = (sign * column[nodes]).tolist()
+                yield body.at(nodes, weights=weights), axis, sign * sum(weights)
+
+
+def _fixed(body: Any, area: Tensor, direction: Sequence[float] | Tensor) -> Iterator[Part]:
+    """Along the axes of the ground."""
+    towards = vector("direction", direction)
+    if not bool(towards.any()):
+        raise InputError(f"direction is {direction!r}; allowed: three numbers that are not all zero")
+    own = _at_nodes(body, area.norm(dim=1, keepdim=True))[:, 0]
+    nodes = torch.nonzero(own)[:, 0].tolist()
+    frame = body.at(nodes, weights=own[nodes].tolist())
+    for axis, share in zip("xyz", (towards / towards.norm()).tolist(), strict=True):
+        if share:
+            yield frame, axis, share * float(own.sum())
+
+
+def _at_nodes(body: Any, area: Tensor) -> Tensor:
+    """A third of the area [m, k] of its pieces for every node [n, k]."""
+    own = area.new_zeros(len(body.mesh.nodes), area.shape[1])
+    return own.index_add(0, body.mesh.pieces.nodes.T.flatten(), (area / 3.0).repeat(3, 1))

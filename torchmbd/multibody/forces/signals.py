@@ -1,0 +1,213 @@
+"""What a controller reads and what it sets: inputs and outputs of `Controller` (controller.py), by their names.
+
+    inputs     JointAngle, JointRate, JointTravel, JointSpeed, PointPosition, PointVelocity, Time
+    outputs    JointTorque, JointForce, TorqueOn, ForceOn
+
+Angles and travels of joints are measured from the given initial positions, angles within half a turn of their `center`.
+Positions and velocities are in ground axes. Each input or output is one action, or some, of the kinds of action.py.
+Checked in tests/multibody/forces/test_controller.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from torchmbd.errors import InputError
+from torchmbd.multibody.bodies.frame import Frame, axis_index
+from torchmbd.multibody.bodies.rigid import Ground
+from torchmbd.multibody.forces.action import Along, Push, Turn, Twist
+from torchmbd.multibody.joints.cylindrical import Cylindrical
+from torchmbd.multibody.joints.joint import Scribe, others
+from torchmbd.multibody.joints.laws import finite
+from torchmbd.multibody.joints.prismatic import Prismatic
+from torchmbd.multibody.joints.revolute import Revolute
+
+
+class Coordinate(NamedTuple):
+    """What an input reads: s of an action, or its rate s'."""
+
+    kind: type
+    vectors: tuple[int, ...]
+    rate: bool
+    center: float = 0.0
+
+
+class Effort(NamedTuple):
+    """What an output sets: the strength of an action, times a sign."""
+
+    kind: type
+    vectors: tuple[int, ...]
+    sign: float = 1.0
+
+
+class Signal:
+    """An input of a controller: some numbers of the motion."""
+
+    size = 1
+    frames: tuple[Frame, ...] = ()
+
+    def coordinates(self, scribe: Scribe) -> Sequence[Coordinate | None]:
+        """Of each of its numbers; None is the time."""
+        raise NotImplementedError(type(self).__name__)
+
+
+class Time(Signal):
+    """The time [s]."""
+
+    def coordinates(self, scribe: Scribe) -> Sequence[Coordinate | None]:
+        return (None,)
+
+
+class _OfJoint(Signal):
+    _joints: tuple[type, ...]
+    _rate = False
+
+    def __init__(self, joint: Any):
+        self.joint = _joined(self, joint, self._joints)
+        self.frames = (joint.a, joint.b)
+
+
+class JointAngle(_OfJoint):
+    """Rotation of b from a about the axis of a revolute or cylindrical joint [rad]; `center`: see the module header."""
+
+    _joints = (Revolute, Cylindrical)
+
+    def __init__(self, joint: Any, center: float = 0.0):
+        super().__init__(joint)
+        self.center = finite("center", center)
+
+    def coordinates(self, scribe: Scribe) -> Sequence[Coordinate | None]:
+        a, b = self.frames
+        x, y = others(self.joint.axis)
+        vectors = scribe.axis(a, x), scribe.axis(a, y), scribe.twin(a, x, b)
+        return (Coordinate(Turn, vectors, self._rate, self.center),)
+
+
+class JointRate(JointAngle):
+    """Angular velocity of b from a about the axis of a revolute or cylindrical joint [rad/s]."""
+
+    _rate = True
+
+    def __init__(self, joint: Any):
+        super().__init__(joint)
+
+
+class JointTravel(_OfJoint):
+    """Travel of b from a along the axis of a prismatic or cylindrical joint [m]."""
+
+    _joints = (Prismatic, Cylindrical)
+
+    def coordinates(self, scribe: Scribe) -> Sequence[Coordinate | None]:
+        return (Coordinate(Along, _along(self.joint, scribe), self._rate),)
+
+
+class JointSpeed(JointTravel):
+    """Velocity of b from a along the axis of a prismatic or cylindrical joint [m/s]."""
+
+    _rate = True
+
+
+class PointPosition(Signal):
+    """Position of the point of a frame in ground axes, three numbers [m]."""
+
+    size = 3
+    _rate = False
+
+    def __init__(self, frame: Frame):
+        self.frames = (_frame(self, frame),)
+
+    def coordinates(self, scribe: Scribe) -> Sequence[Coordinate | None]:
+        ground, (frame,) = Ground().at(), self.frames
+        points = scribe.point(ground), scribe.point(frame)
+        return [Coordinate(Along, (*points, scribe.axis(ground, axis)), self._rate) for axis in "xyz"]
+
+
+class PointVelocity(PointPosition):
+    """Velocity of the point of a frame in ground axes, three numbers [m/s]."""
+
+    _rate = True
+
+
+class Actuator:
+    """An output of a controller: one generalized force."""
+
+    frames: tuple[Frame, ...] = ()
+
+    def efforts(self, scribe: Scribe) -> Sequence[Effort]:
+        """The actions that it sets."""
+        raise NotImplementedError(type(self).__name__)
+
+
+class TorqueOn(Actuator):
+    """`TorqueOn(a, b, axis="z")`: a torque on b about an axis of frame a, and the opposite one on a [N m]."""
+
+    def __init__(self, a: Frame, b: Frame, axis: str = "z"):
+        self.frames, self.axis = (_frame(self, a), _frame(self, b)), axis
+        axis_index(axis)
+        if a.body is b.body or (isinstance(a.body, Ground) and isinstance(b.body, Ground)):
+            raise InputError(f"{type(self).__name__} acts between {a!r} and {b!r}; allowed: two different bodies")
+
+    def efforts(self, scribe: Scribe) -> Sequence[Effort]:
+        u = scribe.axis(self.frames[0], self.axis)
+        found = []
+        for frame, sign in zip(self.frames, (-1.0, 1.0), strict=True):
+            if not isinstance(frame.body, Ground):
+                found.append(Effort(Twist, (u, *(scribe.axis(frame, axis) for axis in "xyz")), sign))
+        return found
+
+
+class JointTorque(TorqueOn):
+    """The torque of a motor in a revolute or cylindrical joint: on b about its axis, and the opposite one on a [N m]."""
+
+    def __init__(self, joint: Any):
+        _joined(self, joint, (Revolute, Cylindrical))
+        super().__init__(joint.a, joint.b, joint.axis)
+
+
+class JointForce(Actuator):
+    """The force of a motor in a prismatic or cylindrical joint: on b along its axis, and the opposite one on a [N]."""
+
+    def __init__(self, joint: Any):
+        self.joint = _joined(self, joint, (Prismatic, Cylindrical))
+        self.frames = (joint.a, joint.b)
+
+    def efforts(self, scribe: Scribe) -> Sequence[Effort]:
+        return (Effort(Along, _along(self.joint, scribe)),)
+
+
+class ForceOn(Actuator):
+    """`ForceOn(frame, axis="x", axes="ground")`: a force at the point of a frame [N].
+
+    axes    "ground": along an axis of the ground; "frame": along one of the frame
+    """
+
+    def __init__(self, frame: Frame, axis: str = "x", axes: str = "ground"):
+        self.frames, self.axis, self.axes = (_frame(self, frame),), axis, axes
+        axis_index(axis)
+        if axes not in ("ground", "frame"):
+            raise InputError(f"axes of ForceOn is {axes!r}; allowed: 'ground', 'frame'")
+        if isinstance(frame.body, Ground):
+            raise InputError(f"ForceOn acts on {frame!r}; allowed: a frame on a body")
+
+    def efforts(self, scribe: Scribe) -> Sequence[Effort]:
+        (frame,) = self.frames
+        owner = Ground().at() if self.axes == "ground" else frame
+        return (Effort(Push, (scribe.point(frame), scribe.axis(owner, self.axis))),)
+
+
+def _along(joint: Any, scribe: Scribe) -> tuple[int, ...]:
+    return scribe.twin_point(joint.b, joint.a), scribe.point(joint.b), scribe.axis(joint.a, joint.axis)
+
+
+def _joined(owner: Any, joint: Any, kinds: tuple[type, ...]) -> Any:
+    if not isinstance(joint, kinds):
+        names = " or ".join(kind.__name__ for kind in kinds)
+        raise InputError(f"{type(owner).__name__} got {joint!r}; allowed: a joint of the system of the kind {names}")
+    return joint
+
+
+def _frame(owner: Any, frame: Any) -> Frame:
+    if not isinstance(frame, Frame):
+        raise InputError(f"{type(owner).__name__} got {frame!r}; allowed: a frame, such as body.at(...)")
+    return frame

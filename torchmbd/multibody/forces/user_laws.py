@@ -1,0 +1,147 @@
+"""Laws of the user's own as scalar operations: they can be compiled, and what they do is in the key of compiled code.
+
+    f(s, s', t)    traced to operators, each a scalar operation of a tape (math/codegen/scalars.py)
+    df/ds, df/ds'  by differentiating the tape (math/codegen/scalar_derivatives.py), unless the law states its own `slopes`
+
+A law is traced anew for every simulation: nothing that it is made of, closures and attributes included, can be stale.
+A law with branches in Python, with operators that are not known, or that leaves torch is not written out: its system stays
+uncompiled. What was written out is compared with the law at random points.
+Checked in tests/multibody/forces/test_user_laws.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.math.codegen.scalar_derivatives import derivative
+from torchmbd.math.codegen.scalars import Tape, Untraceable
+from torchmbd.multibody.forces.feedback import Port
+from torchmbd.multibody.forces.laws import LAWS, Scaled
+from torchmbd.multibody.forces.parametric_law import Varied
+
+_INPUTS = ("s", "rate", "t")
+_TORCH: dict[str, Callable[..., Tensor]] = {
+    "add": torch.add,
+    "sub": torch.sub,
+    "mul": torch.mul,
+    "div": torch.div,
+    "neg": torch.neg,
+    "max": torch.maximum,
+    "min": torch.minimum,
+    "gt": lambda a, b: (a > b).to(a.dtype),
+    "ge": lambda a, b: (a >= b).to(a.dtype),
+    "where": lambda c, a, b: torch.where(c > 0.0, a, b),
+}
+
+
+@dataclass(frozen=True)
+class Written:
+    """A law as operations on numbers 0 (s), 1 (s'), 2 (t), 3, 4, ...
+
+    operations  name and arguments of number 3 and all that follow: numbers, or the value of a "constant"
+    outputs     numbers of f, df/ds, df/ds'
+    center      where the range of an angle has its middle
+    """
+
+    operations: tuple[tuple[str, tuple], ...]
+    outputs: tuple[int, int, int]
+    center: float = 0.0
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return self._run(s, rate, t)[0]
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+        """Derivatives by s and s'."""
+        _, by_s, by_rate = self._run(s, rate, t)
+        return by_s, by_rate
+
+    def _run(self, s: Tensor, rate: Tensor, t: Tensor) -> list[Tensor]:
+        numbers = [s, rate, t + torch.zeros_like(s)]
+        for op, args in self.operations:
+            if op == "constant":
+                numbers.append(torch.full_like(s, args[0]))
+            else:
+                f = _TORCH.get(op) or getattr(torch, op)
+                numbers.append(f(*(numbers[a] for a in args)))
+        return [numbers[i] for i in self.outputs]
+
+
+def known(law: Any) -> bool:
+    """Whether a law is of this library, with nothing of the user's own in it."""
+    if isinstance(law, (Varied, Scaled)):
+        return known(law.law)
+    return type(law) in (Written, *LAWS) and not callable(getattr(law, "law", None))
+
+
+def writable(law: Any) -> Any:
+    """The law as numbers of a known form or as scalar operations; Untraceable where it can be neither."""
+    if isinstance(law, (Varied, Scaled)):
+        return replace(law, law=writable(law.law))
+    if isinstance(law, Port):
+        raise Untraceable(f"the {law.control.label} is no scalar operation")
+    return law if known(law) else written(law)
+
+
+def written(law: Any) -> Written:
+    """A law as scalar operations; Untraceable, with the reason, if it cannot be written out."""
+    own = getattr(law, "slopes", None)
+
+    def of(s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, ...]:
+        return (law(s, rate, t), *(own(s, rate, t) if own is not None else ()))
+
+    tape = Tape()
+    shapes = {"s": (1, 1, 1), "rate": (1, 1, 1), "t": ()}
+    try:
+        found = tape.trace(of, *(tape.inputs(name, *shapes[name]) for name in _INPUTS))
+        outputs = [int(x.ravel()[0]) for x in found]
+        if own is None:
+            outputs += [derivative(tape, outputs[0], tape.inputs(name, 1)[0]) for name in ("s", "rate")]
+        result = _numbered(tape, outputs, float(getattr(law, "center", 0.0)))
+        same = _same(of, result)
+    except Exception as error:  # a law may do anything
+        raise Untraceable(str(error).partition("\n")[0] or repr(error)) from error
+    if not same:
+        raise Untraceable("written out it gives other numbers: it leaves torch, or float64")
+    return result
+
+
+def _same(law: Callable[..., tuple[Tensor, ...]], found: Written) -> bool:
+    """Whether two laws agree, with the slopes that are stated, at random points small and large.
+
+    One that leaves torch for a moment would be traced as a constant.
+    """
+    make = torch.Generator().manual_seed(1)
+    for size in (1e-3, 1.0, 1.0, 30.0, 1e3):
+        s, rate, t = (size * (2.0 * torch.rand(1, 1, 16, generator=make, dtype=torch.float64) - 1.0) for _ in range(3))
+        t = t[0, 0, 0].abs()
+        with torch.no_grad():
+            expected = law(s, rate, t)
+            for x, y in zip((found(s, rate, t), *found.slopes(s, rate, t)), expected, strict=False):
+                if y.dtype != x.dtype or not torch.allclose(x, y, rtol=1e-9, atol=1e-14, equal_nan=True):
+                    return False
+    return True
+
+
+def _numbered(tape: Tape, outputs: list[int], center: float) -> Written:
+    """The operations that the outputs need, in their order on the tape, with numbers of their own."""
+    needed, stack = set(), list(outputs)
+    while stack:
+        node = stack.pop()
+        if node not in needed:
+            needed.add(node)
+            stack += [] if tape.op[node] in ("input", "constant") else tape.args[node]
+    number, operations = {}, []
+    for node in sorted(needed):  # arguments come before what is made of them
+        op, args = tape.op[node], tape.args[node]
+        if op == "input":
+            number[node] = _INPUTS.index(args[0])
+            continue
+        number[node] = len(_INPUTS) + len(operations)
+        operations.append((op, args if op == "constant" else tuple(number[a] for a in args)))
+    f, by_s, by_rate = (number[node] for node in outputs)
+    return Written(tuple(operations), (f, by_s, by_rate), center)

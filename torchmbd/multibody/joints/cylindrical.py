@@ -1,0 +1,24 @@
+"""Cylindrical joint: body b slides along and turns about an axis of body a. Four equations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.joints.joint import Equation, Joint, Scribe, others
+from torchmbd.multibody.joints.primitive import Perpendicular, Plane
+
+
+class Cylindrical(Joint):
+    """`Cylindrical(a, b, axis="z")`: the point of b slides along `axis` of frame a; b may turn about it."""
+
+    def __init__(self, a: Frame, b: Frame, axis: str = "z", name: str | None = None):
+        super().__init__(a, b, name)
+        self.axis = self.common_axis(axis)
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        points = scribe.point(self.a), scribe.point(self.b)
+        slide = scribe.twin(self.a, self.axis, self.b)
+        for normal in others(self.axis):
+            yield Equation(Plane, (*points, scribe.axis(self.a, normal)))
+            yield Equation(Perpendicular, (scribe.axis(self.a, normal), slide))

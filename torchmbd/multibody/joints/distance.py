@@ -1,0 +1,21 @@
+"""Distance joint: a massless link between two points. One equation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from torchmbd.math.owned import positive
+from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.joints.joint import Equation, Joint, Scribe
+from torchmbd.multibody.joints.primitive import Distance as DistancePrimitive
+
+
+class Distance(Joint):
+    """`Distance(a, b, length=...)`: the points of both frames keep their distance `length` > 0 [m]."""
+
+    def __init__(self, a: Frame, b: Frame, length: float, name: str | None = None):
+        super().__init__(a, b, name)
+        self.length = positive(f"length of {self.name!r}", length, "m")
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        yield Equation(DistancePrimitive, (scribe.point(self.a), scribe.point(self.b)), self.length)

@@ -1,0 +1,98 @@
+"""Drive: a prescribed rotation of body b about an axis of frame a, or a prescribed travel along it. One equation.
+
+Angle and travel are measured from the given initial positions, so a law starts at zero or the assembly moves there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.gradients import refuse_gradients, refuse_lost
+from torchmbd.math.variable import Variables
+from torchmbd.multibody.joints.joint import Equation, Joint, Scribe, as_frame, others
+from torchmbd.multibody.joints.laws import ConstantSpeed, Finite, finite
+from torchmbd.multibody.joints.parametric_law import Varied
+from torchmbd.multibody.joints.primitive import Angle, Law, Travel
+
+# How a law may vary with the design.
+VARIABLES = "a torch module of time as the law itself, whose parameters are design variables; constant tensors"
+
+
+class Drive(Joint):
+    """`Drive(a, b, axis="z", speed=...)`, or one of `angle`, `velocity`, `position` instead of `speed`.
+
+    speed      constant angular speed about `axis` of frame a [rad/s]
+    angle      law of the rotation about it: a torch function of time [s] -> [rad], or one of multibody/joints/laws.py
+    velocity   constant velocity of the point of b along `axis` of frame a [m/s]
+    position   law of the travel along it [m]
+
+    The numbers of a law may be design variables: speed=mbd.variable(2.0), angle=mbd.SmoothStep(mbd.variable(0.5), 1.0).
+    They are parameters of the system, named by the joint: "motor.speed", "motor.size".
+
+    Add a joint that leaves this motion free (Revolute, Prismatic, Cylindrical): a drive holds nothing else.
+    """
+
+    def __init__(
+        self,
+        a: Any,
+        b: Any,
+        axis: str = "z",
+        speed: float | Tensor | None = None,
+        angle: Law | None = None,
+        velocity: float | Tensor | None = None,
+        position: Law | None = None,
+        name: str | None = None,
+    ):
+        super().__init__(as_frame(a), as_frame(b), name)
+        given = {"speed": speed, "angle": angle, "velocity": velocity, "position": position}
+        given = {key: x for key, x in given.items() if x is not None}
+        if len(given) != 1:
+            raise InputError(
+                f"{self.name!r} has {given or 'no law'}; allowed: exactly one of speed, angle, velocity, position"
+            )
+        ((key, x),) = given.items()
+        self.axis, self.travels = self.common_axis(axis), key in ("velocity", "position")
+        if key in ("speed", "velocity"):
+            x = ConstantSpeed(finite(f"{key} of {self.name!r}", x))
+        self.law = _checked(self.name, key, x)
+
+    @property
+    def variables(self) -> Variables | None:
+        return self.law.variables if isinstance(self.law, Varied) else None
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        if self.travels:
+            points = scribe.twin_point(self.b, self.a), scribe.point(self.b)
+            yield Equation(Travel, (*points, scribe.axis(self.a, self.axis)), self.law)
+        else:
+            x, y = others(self.axis)
+            axes = scribe.axis(self.a, x), scribe.axis(self.a, y), scribe.twin(self.a, x, self.b)
+            yield Equation(Angle, axes, self.law)
+
+
+def _checked(name: str, key: str, law: Any) -> Finite:
+    try:
+        with torch.enable_grad():
+            start = law(torch.zeros((), dtype=torch.float64)) if callable(law) else law
+    except Exception as error:  # it may do anything
+        start = error
+    number = (
+        isinstance(start, Tensor) and start.shape == () and start.dtype == torch.float64 and bool(torch.isfinite(start))
+    )
+    if not callable(law) or not number:
+        unit = "rad" if key == "angle" else "m"
+        raise InputError(
+            f"{key} of {name!r} gives {start!r} at t = 0; "
+            f"allowed: a torch function of time, [] [s] -> finite [] [{unit}], float64"
+        )
+    prescribed: Any = law
+    variables = Variables.of(law)
+    refuse_lost(f"{key} of {name!r}", law, VARIABLES, law if isinstance(law, nn.Module) else None)
+    if variables is None:
+        refuse_gradients(f"what {key} of {name!r} returns", start, VARIABLES)
+    return Finite(name, prescribed) if variables is None else Varied(name, variables)

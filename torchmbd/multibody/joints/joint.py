@@ -1,0 +1,157 @@
+"""What a joint is: a list of constraint primitives between the frames of two bodies.
+
+A joint names its equations once, at the given initial positions of the bodies; it holds no numbers of the motion:
+
+    class Revolute(Joint):
+        def equations(self, scribe): yield Coincide, scribe.point(a), scribe.point(b) ...
+
+`Scribe` turns points and axes of frames into indices of attached vectors. The axes of a joint are those of its
+first frame; their *twin* on the second body is scribed where it lies at the given initial positions, as a fitter
+would mark it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.variable import Variables
+from torchmbd.multibody.bodies.frame import Frame, axis_index
+from torchmbd.multibody.bodies.interpolation import Mount
+from torchmbd.multibody.bodies.rigid import Ground
+
+
+class Equation(NamedTuple):
+    """One primitive: its kind, the indices of its vectors, and its own data (a length or a law)."""
+
+    kind: type
+    vectors: tuple[int, ...]
+    data: Any = None
+
+
+@dataclass(frozen=True, eq=False)
+class Attached:
+    """A vector attached to a body: a point or an axis, in the axes of the undeformed body."""
+
+    body: Any
+    vector: Tensor
+    mount: Mount | None
+    is_point: bool
+
+    def modal_rows(self, psi: Tensor) -> Tensor:
+        """How the vector moves with the modes: rows [..., 3, modes] out of the motion psi [..., nodes, 6, modes]."""
+        if self.mount is None:
+            return torch.zeros_like(psi[..., 0, :3, :])
+        x = self.body.mesh.nodes - self.body.origin
+        moved = self.mount.motion(x, psi)
+        lever = self.vector - self.mount.center(x) if self.is_point else self.vector
+        turned = torch.linalg.cross(moved[..., 3:, :], lever[:, None].expand_as(moved[..., 3:, :]), dim=-2)
+        return moved[..., :3, :] + turned if self.is_point else turned
+
+
+@dataclass
+class Scribe:
+    """Collects the attached vectors of all joints and forces; equal ones are stored once."""
+
+    vectors: list[Attached] = field(default_factory=list)
+    _known: dict[tuple, int] = field(default_factory=dict)
+
+    def _add(self, body: Any, vector: Tensor, mount: Mount | None, is_point: bool) -> int:
+        key = (id(body), mount, is_point, tuple(vector.tolist()))
+        if key not in self._known:
+            self._known[key] = len(self.vectors)
+            self.vectors.append(Attached(body, vector, mount, is_point))
+        return self._known[key]
+
+    def point(self, frame: Frame) -> int:
+        """Index of the frame's point."""
+        return self._add(frame.body, frame.point, frame.mount, True)
+
+    def axis(self, frame: Frame, axis: str) -> int:
+        """Index of an axis of the frame."""
+        return self._add(frame.body, frame.axis(axis), frame.mount, False)
+
+    def twin(self, frame: Frame, axis: str, other: Frame) -> int:
+        """Index of the axis on the other body that coincides now with an axis of the first frame."""
+        ground = frame.body.axes @ frame.axis(axis)
+        return self._add(other.body, other.body.axes.T @ ground, other.mount, False)
+
+    def twin_point(self, frame: Frame, other: Frame) -> int:
+        """Index of the point on the other body that coincides now with the point of the first frame."""
+        for body in (frame.body, other.body):
+            if isinstance(body.position, nn.Parameter):
+                raise InputError(
+                    f"position of {body.name!r} is a Parameter, but a displacement is measured from where {frame!r} and "
+                    f"{other!r} are at the given positions; allowed: a position without a gradient"
+                )
+        ground = frame.body.position + frame.body.axes @ frame.point
+        return self._add(other.body, other.body.axes.T @ (ground - other.body.position), other.mount, True)
+
+
+class Joint:
+    """Base of all joints: two frames on two different bodies, and a name."""
+
+    def __init__(self, a: Frame, b: Frame, name: str | None = None):
+        kind = type(self).__name__
+        for frame in (a, b):
+            if not isinstance(frame, Frame):
+                raise InputError(f"{kind} got {frame!r}; allowed: frames, such as body.at(...)")
+        if a.body is b.body or (isinstance(a.body, Ground) and isinstance(b.body, Ground)):
+            raise InputError(f"{kind} joins {a!r} with {b!r}; allowed: frames on two different bodies")
+        if name is not None and not isinstance(name, str):
+            raise InputError(f"name of a {kind} is {name!r}; allowed: a string")
+        self.a, self.b = a, b
+        self.name = name or f"{kind.lower()}_{a.body.name}_{b.body.name}"
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        """Yield the primitives of the joint."""
+        raise NotImplementedError(type(self).__name__)
+
+    @property
+    def variables(self) -> Variables | None:
+        """Design variables, parameters of the system by the joint's name; None: there are none."""
+        return None
+
+    def common_axis(self, axis: str) -> str:
+        """The letter of an axis that both bodies share; a second frame with axes of its own must agree to 0.1 rad.
+
+        A second frame without axes agrees with anything: its twin is scribed.
+        """
+        axis_index(axis)
+        a, b = self.a, self.b
+        one, other = a.body.axes @ a.axis(axis), b.body.axes @ b.axis(axis)
+        if not torch.equal(b.axes, torch.eye(3, dtype=torch.float64)) and float((one - other).norm()) > 0.1:
+            raise InputError(
+                f"axes of {self.name!r} contradict: at the given positions {axis!r} is {_shown(one)} by {a!r} "
+                f"and {_shown(other)} by {b!r}; allowed: the same direction, or no axes on the second frame"
+            )
+        return axis
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.a!r}, {self.b!r})"
+
+
+def _shown(direction: Tensor) -> str:
+    return f"({', '.join(f'{x:.3g}' for x in direction.tolist())})"
+
+
+def others(axis: str) -> tuple[str, str]:
+    """The two axes that follow an axis in the right-handed order: "x" -> ("y", "z")."""
+    k = axis_index(axis)
+    return "xyz"[(k + 1) % 3], "xyz"[(k + 2) % 3]
+
+
+def as_frame(x: Any) -> Frame:
+    """A frame, or the origin of a body where a joint acts on directions only."""
+    if isinstance(x, Frame):
+        return x
+    if hasattr(x, "mesh"):
+        return x.at(x.reference)
+    if hasattr(x, "at"):
+        return x.at()
+    raise InputError(f"joint got {x!r}; allowed: a body or a frame, such as body.at(...)")

@@ -1,0 +1,128 @@
+"""Laws of drives: a prescribed angle [rad] or travel [m] as a function of time [s].
+
+    ConstantSpeed   x = speed t
+    SmoothStep      x = size (10 s^3 - 15 s^4 + 6 s^5),  s = (t - start) / duration within 0..1: from rest to rest
+    Sine            x = amplitude sin(2 pi frequency t)
+
+A law of one's own is a torch function of one time [] that is differentiable twice. A law that states its `slopes`
+takes many times at once. `Finite` is the law of a joint: one that gives nan or inf is an error with the joint's name.
+Each number may be a design variable, `Sine(mbd.variable(0.4), 1.5)`, as may the parameters of any torch module (parametric_law.py).
+Source: the quintic of zero velocity and acceleration at both ends, e.g. Craig, Introduction to Robotics, eq. (7.18).
+Checked in tests/multibody/joints/test_laws.py: slopes against automatic differentiation.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.variable import is_variable
+from torchmbd.multibody.joints.primitive import Law, slopes, slopes_at, values_at
+
+Slopes = tuple[Tensor, Tensor, Tensor]
+
+
+class ConstantSpeed(nn.Module):
+    """x(t) = speed * t; speed in [rad/s] or [m/s]."""
+
+    def __init__(self, speed: float | Tensor):
+        super().__init__()
+        self.speed = finite("speed", speed)
+
+    def forward(self, t: Tensor) -> Tensor:
+        return self.speed * t
+
+    def slopes(self, t: Tensor) -> Slopes:
+        """Value, speed and acceleration at the times t."""
+        return self.speed * t, self.speed + torch.zeros_like(t), torch.zeros_like(t)
+
+
+class SmoothStep(nn.Module):
+    """From 0 to `size` [rad] or [m] between `start` and `start + duration` [s], at rest before and after.
+
+    Velocity and acceleration are continuous; the largest velocity is 1.875 size / duration.
+    """
+
+    def __init__(self, size: float | Tensor, duration: float | Tensor, start: float | Tensor = 0.0):
+        super().__init__()
+        self.size, self.start = finite("size", size), finite("start", start)
+        self.duration = finite("duration", duration)
+        if not self.duration > 0:
+            raise InputError(f"duration is {duration!r} s; allowed: a positive number")
+
+    def forward(self, t: Tensor) -> Tensor:
+        s = self._share(t)
+        return self.size * s**3 * (10.0 - 15.0 * s + 6.0 * s * s)
+
+    def slopes(self, t: Tensor) -> Slopes:
+        """Value, velocity and acceleration at the times t."""
+        s, h = self._share(t), self.duration
+        velocity = 30.0 * (s * (1.0 - s)) ** 2
+        acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s)
+        return self(t), self.size / h * velocity, self.size / (h * h) * acceleration
+
+    def _share(self, t: Tensor) -> Tensor:
+        return ((t - self.start) / self.duration).clamp(0.0, 1.0)
+
+
+class Sine(nn.Module):
+    """x(t) = amplitude sin(2 pi frequency t); amplitude in [rad] or [m], frequency in [Hz]."""
+
+    def __init__(self, amplitude: float | Tensor, frequency: float | Tensor):
+        super().__init__()
+        self.amplitude, self.frequency = finite("amplitude", amplitude), finite("frequency", frequency)
+
+    def forward(self, t: Tensor) -> Tensor:
+        return self.amplitude * torch.sin(self._rate * t)
+
+    def slopes(self, t: Tensor) -> Slopes:
+        """Value, velocity and acceleration at the times t."""
+        x, rate = self(t), self._rate
+        return x, self.amplitude * rate * torch.cos(rate * t), -rate * rate * x
+
+    @property
+    def _rate(self) -> Any:
+        return 2.0 * math.pi * self.frequency
+
+
+class Finite:
+    """The law of the joint `name`: at one time or many, with its slopes, and never nan or inf."""
+
+    def __init__(self, name: str, law: Law):
+        self.name, self.law = name, law
+
+    def __call__(self, t: Tensor) -> Tensor:
+        return self._finite(values_at(self.law, t) if t.dim() else self.law(t), t)
+
+    def slopes(self, t: Tensor) -> Slopes:
+        """Value, velocity and acceleration at the times t."""
+        x, velocity, acceleration = slopes_at(self.law, t) if t.dim() else slopes(self.law, t)
+        return self._finite(x, t), self._finite(velocity, t), self._finite(acceleration, t)
+
+    def _finite(self, x: Tensor, t: Tensor) -> Tensor:
+        good = torch.isfinite(x)
+        if not bool(good.all()):
+            first = t[~good][0] if t.dim() else t
+            raise InputError(
+                f"the law of {self.name!r} or a slope of it is not finite at t = {float(first):.6g} s; "
+                "allowed: a finite number at every time"
+            )
+        return x
+
+
+def finite(name: str, x: Any) -> Any:
+    """A finite number, of Python or a tensor without a gradient (mbd.deg), or a design variable of one number.
+
+    InputError names the argument.
+    """
+    if is_variable(x):
+        return x
+    if isinstance(x, Tensor) and x.dim() == 0 and not x.requires_grad:
+        x = float(x)
+    if isinstance(x, bool) or not isinstance(x, (int, float)) or not math.isfinite(x):
+        raise InputError(f"{name} is {x!r}; allowed: a finite number, or mbd.variable(...) of one")
+    return float(x)

@@ -1,0 +1,112 @@
+"""Lock: the frames of a joint keep the relative pose that they have when a phase begins.
+
+The joint goes on to act; the lock adds one equation for each freedom that it leaves, of these six:
+
+    plane          the point of b stays in the plane through a marked point on a with the normal e_k, k = x, y, z
+    perpendicular  axis e_i of a stays perpendicular to a marked axis on b, (i, j, k) cyclic: no rotation about e_k
+
+Which freedoms are left follows from the joint's own equations at the given initial positions. Where the marks are, depends
+on the design: a point on a and three axes on b are attached vectors like those of every joint, but their components are set at
+the switch (integrate/phases/switch.py), with their design tangents. Made by the phases of a simulation, never by hand.
+Checked in tests/multibody/joints/test_lock.py, tests/integrate/phases/test_phase.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import scipy.linalg
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.multibody.joints.joint import Attached, Equation, Joint, Scribe
+from torchmbd.multibody.joints.primitive import Perpendicular, Plane
+
+_RANK = 1e-6  # share of the largest singular value that counts as zero: the given positions are approximate
+
+
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Attached vectors of a lock: of both frames, and those whose components are set at the switch."""
+
+    point_a: Attached
+    axes_a: list[Attached]
+    point_b: Attached
+    axes_b: list[Attached]
+    point: Attached
+    axes: list[Attached]
+
+
+class Lock(Joint):
+    """`Lock(joint, name)`: what holds a joint where it is."""
+
+    marks: Marks
+
+    def __init__(self, joint: Joint, name: str):
+        super().__init__(joint.a, joint.b, name)
+        self.freedoms = freedoms(joint)
+        if not self.freedoms:
+            raise InputError(f"{joint.name!r} cannot be locked: it leaves no freedom; allowed: a joint that moves")
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        own = scribe.vectors
+        points = scribe.point(self.a), scribe.point(self.b)
+        axes_a, axes_b = ([scribe.axis(frame, k) for k in "xyz"] for frame in (self.a, self.b))
+        first = len(own)
+        own += [replace(own[i]) for i in (points[0], *axes_b)]
+        self.marks = Marks(
+            own[points[0]],
+            [own[i] for i in axes_a],
+            own[points[1]],
+            [own[i] for i in axes_b],
+            own[first],
+            own[first + 1 : first + 4],
+        )
+        for freedom in self.freedoms:
+            if freedom < 3:
+                yield Equation(Plane, (first, points[1], axes_a[freedom]))
+            else:
+                i, j = (freedom + 1) % 3, (freedom + 2) % 3
+                yield Equation(Perpendicular, (axes_a[i], first + 1 + j))
+
+
+def freedoms(joint: Joint) -> list[int]:
+    """Freedoms that a joint leaves body b: translations 0, 1, 2 along the axes of frame a and rotations 3, 4, 5 about them.
+
+    Where it leaves combinations of these only, those of most weight in the null space of its Jacobian.
+    """
+    jacobian: Any = torch.func.jacfwd(lambda twist: _phi(joint, twist))
+    J = jacobian(torch.zeros(6, dtype=torch.float64))
+    _, s, Vh = torch.linalg.svd(J, full_matrices=True)
+    N = Vh[int((s > _RANK * s[0]).sum()) :]
+    if not len(N):
+        return []
+    factors: Any = scipy.linalg.qr(N.numpy(), mode="economic", pivoting=True)
+    return sorted(factors[2][: len(N)].tolist())
+
+
+def _phi(joint: Joint, twist: Tensor) -> Tensor:
+    """Violations [rows] of a joint at the given positions, body b moved by a twist [6] in the axes of frame a."""
+    scribe = Scribe()
+    equations = list(joint.equations(scribe))
+    axes = joint.a.body.axes @ joint.a.axes
+    origin = joint.a.body.position.detach() + joint.a.body.axes @ joint.a.point
+    shift, turn = axes @ twist[:3], axes @ twist[3:]
+
+    def ground(x: Attached) -> Tensor:
+        g = x.body.axes @ x.vector
+        g = g + x.body.position.detach() if x.is_point else g
+        if x.body is not joint.b.body:
+            return g
+        turned = g + torch.linalg.cross(turn, g - origin if x.is_point else g)
+        return turned + shift if x.is_point else turned
+
+    vectors = [ground(x)[:, None, None, None] for x in scribe.vectors]
+    rows = []
+    for kind, members, data in equations:
+        primitive = kind((torch.zeros(1, dtype=torch.long),), (data,))
+        rows.append(primitive.phi([vectors[i] for i in members]).flatten())
+    return torch.cat(rows)

@@ -1,0 +1,23 @@
+"""Planar joint: body b slides in a plane of body a and turns about its normal. Three equations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.joints.joint import Equation, Joint, Scribe, others
+from torchmbd.multibody.joints.primitive import Perpendicular, Plane
+
+
+class Planar(Joint):
+    """`Planar(a, b, normal="z")`: the point of b stays in the plane of frame a across `normal`; b turns about it."""
+
+    def __init__(self, a: Frame, b: Frame, normal: str = "z", name: str | None = None):
+        super().__init__(a, b, name)
+        self.normal = self.common_axis(normal)
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        yield Equation(Plane, (scribe.point(self.a), scribe.point(self.b), scribe.axis(self.a, self.normal)))
+        upright = scribe.twin(self.a, self.normal, self.b)
+        for axis in others(self.normal):
+            yield Equation(Perpendicular, (scribe.axis(self.a, axis), upright))

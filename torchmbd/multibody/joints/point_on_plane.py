@@ -1,0 +1,21 @@
+"""Point on a plane: a point of body b slides in a plane of body a, free to turn. One equation."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from torchmbd.multibody.bodies.frame import Frame, axis_index
+from torchmbd.multibody.joints.joint import Equation, Joint, Scribe
+from torchmbd.multibody.joints.primitive import Plane
+
+
+class PointOnPlane(Joint):
+    """`PointOnPlane(a, b, normal="z")`: the point of b stays in the plane through frame a across `normal`."""
+
+    def __init__(self, a: Frame, b: Frame, normal: str = "z", name: str | None = None):
+        super().__init__(a, b, name)
+        axis_index(normal)
+        self.normal = normal
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        yield Equation(Plane, (scribe.point(self.a), scribe.point(self.b), scribe.axis(self.a, self.normal)))

@@ -1,0 +1,248 @@
+"""Constraint primitives: the few equations that every joint is a list of.
+
+A primitive acts on *vectors attached to bodies*: points (position in ground axes, [m]) and axes (unit vectors).
+All primitives of one kind are evaluated together; `members` holds, for each argument, the indices of its vectors.
+
+    kind           equation                                    rows   unit
+    Coincide       g_b - g_a = 0                               3      m
+    Perpendicular  u_a . v_b = 0                               1      -
+    Plane          (g_b - g_a) . u_a = 0                       1      m
+    Distance       (|g_b - g_a|^2 - L^2) / (2 L) = 0           1      m
+    Angle          cos(th) y_a . x_b - sin(th) x_a . x_b = 0   1      -     th(t): the prescribed angle [rad]
+    Travel         (g_b - g_a) . u_a - s = 0                   1      m     s(t): the prescribed travel [m]
+
+The contract of a kind:
+
+    rows                         equations of one primitive
+    phi(vectors, drive)          [rows, n, ...] on numbers or on time jets: velocities and gamma come from the jets
+    forces(vectors, lam, drive)  gradient of sum(lam * phi) by each vector, [3, n, ...] for each argument
+
+    drive(x)                     what the equation takes of a prescribed x, number or jet: (cos th, sin th), or (s,)
+
+`drive` of phi and forces is that at the time of evaluation; None without a law.
+
+Nothing else is written for a constraint: Phi_q and the generalized constraint forces are `forces` carried to the
+bodies, gamma is the acceleration part of the jet, the design tangents come from pairs (math/pair.py).
+Source: Nikravesh, Computer-Aided Analysis of Mechanical Systems, chapter 7; eqs. (4)-(6) of the paper.
+Checked in tests/contracts/test_primitives.py: `forces` against autograd, jets against differences in time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor
+
+from torchmbd.math.jet import Jet, cos, dot, sin
+from torchmbd.math.pair import cat
+
+Law = Callable[[Tensor], Tensor]
+
+
+@dataclass(frozen=True, eq=False)
+class Primitive:
+    """All primitives of one kind in a system.
+
+    members  for each argument the indices of its vectors, long [n]
+    data     for each primitive its length, its law, or None
+    driven   how many numbers of a law the equation takes; 0: no law
+    """
+
+    members: tuple[Tensor, ...]
+    data: tuple = ()
+    rows: ClassVar[int]
+    arguments: ClassVar[tuple[str, ...]]
+    driven: ClassVar[int] = 0
+
+    def phi(self, vectors, drive=None):
+        """Constraint violations [rows, n, ...] of vectors [3, n, ...], numbers or jets."""
+        raise NotImplementedError
+
+    def forces(self, vectors, lam, drive=None) -> list:
+        """Gradient of sum(lam * phi) by each argument, [3, n, ...]; lam [rows, n, ...]."""
+        raise NotImplementedError
+
+    @classmethod
+    def drive(cls, x) -> tuple:
+        """What the equation takes of a prescribed x, a number or a jet."""
+        raise NotImplementedError
+
+    @property
+    def varies(self) -> bool:
+        """Whether a law has design variables."""
+        return any(hasattr(law, "numbers") for law in self.data)
+
+    def prescribed(self, times: Tensor, data: Mapping[str, Any] | None = None) -> tuple:
+        """What the laws prescribe at times [n], parts [n, laws, slots, lanes]; data: with their design variables."""
+        return self.drive(cat([_numbers(law, times, data) for law in self.data], 1))
+
+    def prescribed_jets(self, t: Tensor, data: Mapping[str, Any] | None = None) -> tuple[Jet, ...]:
+        """The same at time t with time derivatives, parts [laws, slots, lanes]."""
+        parts = zip(*(_jet(law, t, data).parts for law in self.data), strict=True)
+        return self.drive(Jet(*(cat(part) for part in parts)))
+
+
+class Coincide(Primitive):
+    """Two points coincide."""
+
+    rows = 3
+    arguments = ("point", "point")
+
+    def phi(self, vectors, drive=None):
+        a, b = vectors
+        return b - a
+
+    def forces(self, vectors, lam, drive=None):
+        return [-lam, lam]
+
+
+class Perpendicular(Primitive):
+    """An axis of one body stays perpendicular to an axis of another."""
+
+    rows = 1
+    arguments = ("axis", "axis")
+
+    def phi(self, vectors, drive=None):
+        u, v = vectors
+        return _row(dot(u, v))
+
+    def forces(self, vectors, lam, drive=None):
+        u, v = vectors
+        return [lam * v, lam * u]
+
+
+class Plane(Primitive):
+    """A point b stays in the plane through point a with the normal u."""
+
+    rows = 1
+    arguments = ("point", "point", "axis")
+
+    def phi(self, vectors, drive=None):
+        a, b, u = vectors
+        return _row(dot(b - a, u))
+
+    def forces(self, vectors, lam, drive=None):
+        a, b, u = vectors
+        pull = lam * u
+        return [-pull, pull, lam * (b - a)]
+
+
+class Distance(Primitive):
+    """Two points keep their distance L > 0: a massless link."""
+
+    rows = 1
+    arguments = ("point", "point")
+
+    def phi(self, vectors, drive=None):
+        a, b = vectors
+        length = self.lengths()
+        return _row(dot(b - a, b - a) * (0.5 / length) - 0.5 * length)
+
+    def forces(self, vectors, lam, drive=None):
+        a, b = vectors
+        pull = lam * (b - a) * (1.0 / self.lengths())
+        return [-pull, pull]
+
+    def lengths(self) -> Tensor:
+        """The lengths L [n, 1, 1] [m]."""
+        return torch.tensor(self.data, dtype=torch.float64).to(self.members[0].device)[:, None, None]
+
+
+class Angle(Primitive):
+    """The axis x of body b stands at a prescribed angle from the axis x of body a, towards y of a."""
+
+    rows = 1
+    arguments = ("axis", "axis", "axis")
+    driven = 2
+
+    @classmethod
+    def drive(cls, x):
+        return cos(x), sin(x)
+
+    def phi(self, vectors, drive=None):
+        x, y, b = vectors
+        c, s = _given(drive)
+        return _row(dot(y, b) * c - dot(x, b) * s)
+
+    def forces(self, vectors, lam, drive=None):
+        x, y, b = vectors
+        c, s = (lam * part for part in _given(drive))
+        return [-(s * b), c * b, c * y - s * x]
+
+
+class Travel(Primitive):
+    """Point b has a prescribed distance from the plane through point a with the normal u, along u."""
+
+    rows = 1
+    arguments = ("point", "point", "axis")
+    driven = 1
+
+    @classmethod
+    def drive(cls, x):
+        return (x,)
+
+    def phi(self, vectors, drive=None):
+        a, b, u = vectors
+        (s,) = _given(drive)
+        return _row(dot(b - a, u) - s)
+
+    def forces(self, vectors, lam, drive=None):
+        a, b, u = vectors
+        pull = lam * u
+        return [-pull, pull, lam * (b - a)]
+
+
+def _given(drive: tuple | None) -> tuple:
+    if drive is None:
+        raise TypeError("a driven primitive needs what its law prescribes")
+    return drive
+
+
+def _row(x):
+    """Give a scalar equation its row axis."""
+    return x.map(_row) if isinstance(x, Jet) else x[None]
+
+
+def _numbers(law: Any, times: Tensor, data: Mapping[str, Any] | None) -> Any:
+    """Values [n, 1, slots, lanes] of a law."""
+    if hasattr(law, "numbers"):
+        return law.numbers(times, data).unsqueeze(1)
+    return values_at(law, times)[:, None, None, None]
+
+
+def _jet(law: Any, t: Tensor, data: Mapping[str, Any] | None) -> Jet:
+    """A law with its slopes, parts [1, slots, lanes]."""
+    if hasattr(law, "numbers"):
+        return law.jets(t, data).map(lambda x: x.unsqueeze(0))
+    return Jet(*(x[None, None, None] for x in slopes(law, t)))
+
+
+def values_at(law: Law, times: Tensor) -> Tensor:
+    """Values at many times [n]; a law is a function of one time unless it states its slopes, which take many."""
+    return law(times) if hasattr(law, "slopes") else torch.stack([law(t) for t in times])
+
+
+def slopes(law: Law, t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """A law with its first and second derivatives at time t; a law may state them itself by a method of this name."""
+    own = getattr(law, "slopes", None)
+    if own is not None:
+        return own(t)
+
+    def rates(s: Tensor) -> tuple:
+        return torch.func.jvp(law, (s,), (torch.ones_like(s),))
+
+    (x, velocity), (_, acceleration) = torch.func.jvp(rates, (t,), (torch.ones_like(t),))[:2]
+    return x, velocity, acceleration
+
+
+def slopes_at(law: Law, times: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The same at many times, [n] each."""
+    if hasattr(law, "slopes"):
+        return slopes(law, times)
+    return tuple(torch.stack(x) for x in zip(*(slopes(law, t) for t in times), strict=True))  # pyright: ignore
+
+
+KINDS: tuple[type[Primitive], ...] = (Coincide, Plane, Distance, Perpendicular, Angle, Travel)

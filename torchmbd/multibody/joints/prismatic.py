@@ -1,0 +1,26 @@
+"""Prismatic joint: body b slides along an axis of body a and does not turn. Five equations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.joints.joint import Equation, Joint, Scribe, others
+from torchmbd.multibody.joints.primitive import Perpendicular, Plane
+
+
+class Prismatic(Joint):
+    """`Prismatic(a, b, axis="x")`: the point of b slides along `axis` of frame a."""
+
+    def __init__(self, a: Frame, b: Frame, axis: str = "x", name: str | None = None):
+        super().__init__(a, b, name)
+        self.axis = self.common_axis(axis)
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        y, z = others(self.axis)
+        points = scribe.point(self.a), scribe.point(self.b)
+        slide = scribe.twin(self.a, self.axis, self.b)
+        for normal in (y, z):
+            yield Equation(Plane, (*points, scribe.axis(self.a, normal)))
+            yield Equation(Perpendicular, (scribe.axis(self.a, normal), slide))
+        yield Equation(Perpendicular, (scribe.axis(self.a, y), scribe.twin(self.a, z, self.b)))

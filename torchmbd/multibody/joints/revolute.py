@@ -1,0 +1,23 @@
+"""Revolute joint: two points coincide and one axis is common. Five equations; the rotation about the axis is free."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.joints.joint import Equation, Joint, Scribe, others
+from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
+
+
+class Revolute(Joint):
+    """`Revolute(a, b, axis="z")`: hinge at the points of both frames; `axis` of frame a."""
+
+    def __init__(self, a: Frame, b: Frame, axis: str = "z", name: str | None = None):
+        super().__init__(a, b, name)
+        self.axis = self.common_axis(axis)
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        yield Equation(Coincide, (scribe.point(self.a), scribe.point(self.b)))
+        hinge = scribe.twin(self.a, self.axis, self.b)
+        for normal in others(self.axis):
+            yield Equation(Perpendicular, (scribe.axis(self.a, normal), hinge))

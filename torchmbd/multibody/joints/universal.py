@@ -1,0 +1,32 @@
+"""Universal (Cardan) joint: two points coincide, and the arms of its cross stay perpendicular. Four equations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from torchmbd.errors import InputError
+from torchmbd.multibody.bodies.frame import Frame, axis_index
+from torchmbd.multibody.joints.joint import Equation, Joint, Scribe
+from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
+
+
+class Universal(Joint):
+    """`Universal(a, b, axes="yz")`: two letters, both axes of frame a at the start.
+
+    The first arm of the cross stays with body a, the second with body b.
+    """
+
+    def __init__(self, a: Frame, b: Frame, axes: str = "yz", name: str | None = None):
+        super().__init__(a, b, name)
+        if not isinstance(axes, str) or len(axes) != 2 or axes[0] == axes[1]:
+            raise InputError(
+                f"axes of {self.name!r} is {axes!r}; allowed: two different letters of 'xyz', such as 'yz'"
+            )
+        for axis in axes:
+            axis_index(axis)
+        self.axes = axes
+
+    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+        first, second = self.axes
+        yield Equation(Coincide, (scribe.point(self.a), scribe.point(self.b)))
+        yield Equation(Perpendicular, (scribe.axis(self.a, first), scribe.twin(self.a, second, self.b)))

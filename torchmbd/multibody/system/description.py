@@ -1,0 +1,146 @@
+"""What a system consists of: `system.describe()` prints bodies, joints, rank, freedoms, mass and first frequencies.
+
+    freedoms = 6 bodies + modes - rank of Phi_q          mobility = 6 bodies - rank of Phi_q by the rigid coordinates
+
+at the assembled initial position. Frequencies are those of small vibrations about it, as if it rested there.
+Checked in tests/multibody/system/test_description.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+
+from torchmbd.errors import InputError
+from torchmbd.math.pair import value
+from torchmbd.multibody.system.equilibrium import vibrations
+from torchmbd.multibody.system.rank import Rank, jacobians, rank_of
+
+_SHOWN = 6  # frequencies in the table
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A line of a table: name, kind, and numbers by their title."""
+
+    name: str
+    kind: str
+    numbers: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Description:
+    """Of the first design of a system. mass [kg]; frequencies [Hz], nan where the position is unstable.
+
+    redundant    rows ("joint: row") that follow from others
+    separate     groups of bodies that no joint ties to the ground
+    """
+
+    bodies: tuple[Entry, ...]
+    joints: tuple[Entry, ...]
+    forces: tuple[Entry, ...]
+    rows: int
+    rank: int
+    redundant: tuple[str, ...]
+    freedoms: int
+    mobility: int
+    mass: float
+    frequencies: tuple[float, ...] = field(repr=False)
+    separate: tuple[tuple[str, ...], ...] = ()
+
+    def __str__(self) -> str:
+        first = ", ".join(f"{f:.4g}" for f in self.frequencies[:_SHOWN]) or "none"
+        lines = [
+            *_table("body", self.bodies),
+            "",
+            *_table("joint", self.joints),
+            "",
+            *_table("force", self.forces),
+            "",
+            f"rows        {self.rows}, rank {self.rank}",
+            f"redundant   {', '.join(self.redundant) or 'none'}",
+            f"freedoms    {self.freedoms} ({self.mobility} of rigid bodies)",
+            f"total mass  {self.mass:.6g} kg",
+            f"vibrations  {first} Hz",
+        ]
+        lines += [f"free        {', '.join(group)}: no joint to the ground" for group in self.separate]
+        return "\n".join(lines)
+
+
+def describe(system: Any) -> Description:
+    """Describe a system at its assembled initial position; raises InputError if it does not assemble."""
+    dynamics = system.dynamics().values().some([0])
+    T = dynamics.topology
+    with torch.no_grad():
+        q, _ = dynamics.initial.solve(dynamics)
+        J = jacobians(dynamics, q[:, 0, 0][None], torch.zeros(1, dtype=q.dtype))[0].numpy()
+    found = rank_of(T, J) if T.rows else Rank(0, ())
+    rigid = rank_of(T, J[:, : 6 * T.bodies]).rank if T.rows else 0
+    mass = dict(zip(T.names, value(dynamics.data["mass"])[:, 0, 0].tolist(), strict=True))
+    freedoms = 6 * T.bodies + sum(T.own_modes) - found.rank
+    return Description(
+        bodies=tuple(_body(body, mass[body.name]) for body in system.bodies),
+        joints=tuple(_joint(joint, T.row_names) for joint in system.joints),
+        forces=tuple(_force(force) for force in system.forces),
+        rows=T.rows,
+        rank=found.rank,
+        redundant=found.redundant,
+        freedoms=freedoms,
+        mobility=6 * T.bodies - rigid,
+        mass=sum(mass.values()),
+        frequencies=tuple(vibrations(dynamics).frequencies.tolist()) if freedoms else (),
+        separate=_separate(system.bodies, system.joints),
+    )
+
+
+def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], free: list[str]) -> None:
+    """Refuse a body that nothing holds beside others that are joined; `free` names those that fly on purpose."""
+    unknown = [name for name in free if name not in [body.name for body in bodies]]
+    if unknown:
+        raise InputError(f"free names {unknown}; allowed: names of bodies, {[body.name for body in bodies]}")
+    frames = [frame for joint in joints for frame in (joint.a, joint.b)] + [x for force in forces for x in force.frames]
+    held = {id(frame.body) for frame in frames}
+    loose = [body.name for body in bodies if id(body) not in held and body.name not in free]
+    if joints and loose:
+        raise InputError(
+            f"no joint and no force holds {', '.join(map(repr, loose))}; "
+            f"allowed: a joint for every body, or free={loose} for bodies that fly on purpose"
+        )
+
+
+def _body(body: Any, mass: float) -> Entry:
+    if hasattr(body, "mesh"):
+        return Entry(body.name, "flexible", {"mass [kg]": f"{mass:.6g}", "modes": body.modes})
+    return Entry(body.name, "rigid", {"mass [kg]": f"{mass:.6g}", "modes": 0})
+
+
+def _joint(joint: Any, row_names: tuple[str, ...]) -> Entry:
+    rows = sum(name.rpartition(": ")[0] == joint.name for name in row_names)
+    return Entry(joint.name, type(joint).__name__, {"rows": rows, "between": f"{joint.a!r} - {joint.b!r}"})
+
+
+def _force(force: Any) -> Entry:
+    return Entry(force.name, type(force).__name__, {"on": " - ".join(map(repr, force.frames))})
+
+
+def _separate(bodies: list[Any], joints: list[Any]) -> tuple[tuple[str, ...], ...]:
+    """Groups of bodies without a path of joints to the ground."""
+    group = {body.name: {body.name} for body in bodies} | {"ground": {"ground"}}
+    for joint in joints:
+        one, other = group[joint.a.body.name], group[joint.b.body.name]
+        if one is not other:
+            one |= other
+            for name in other:
+                group[name] = one
+    apart = {id(members): members for members in group.values() if "ground" not in members}
+    return tuple(tuple(body.name for body in bodies if body.name in members) for members in apart.values())
+
+
+def _table(title: str, entries: tuple[Entry, ...]) -> list[str]:
+    if not entries:
+        return [f"no {title}"]
+    rows = [[title, "kind", *entries[0].numbers], *([e.name, e.kind, *map(str, e.numbers.values())] for e in entries)]
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

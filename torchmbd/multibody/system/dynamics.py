@@ -1,0 +1,271 @@
+"""Reduced dynamics: everything that a motion needs, and nothing of the mesh.
+
+    dz/dt = dynamics(t, z)          z = (q, v)
+
+The index-1 form of the constrained equations, with the accelerations from one saddle-point solve:
+
+    M a + Phi_q' lam + s + K q = g,     Phi'' + 2 alpha Phi' + alpha^2 Phi = 0       (Baumgarte, ref. 50)
+
+alpha = 1 / `stabilization` time constant. It is zero along an exact motion, so it does not change the solution.
+Redundant constraint rows leave the multipliers undetermined, not the motion: a small -eps in their block of the matrix
+picks one solution, and refinement with the exact matrix removes what eps changes. Rows that only hold together while flexible
+bodies are undeformed are left out (rank.py): nothing but -1e30 on the diagonal.
+For design tangents the saddle-point matrix is factored once; the right-hand sides of eqs. (31)-(33) are tangents of
+the residual with accelerations and multipliers held fixed.
+Differentiable: plain tensors in reverse mode (torchdiffeq.odeint and backward), design tangents through `rates`.
+Checked in tests/system/, tests/sensitivity/.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.math.pair import Pair, cat, linear, value
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.condensation import Condensation
+from torchmbd.multibody.system.equations import Data
+from torchmbd.multibody.system.least_norm import LeastNorm
+from torchmbd.multibody.system.rank import Rank, confirmed, jacobians, rank_of, sound, without_modes
+from torchmbd.multibody.system.saddle import Saddle
+from torchmbd.multibody.system.topology import Topology
+
+LEFT_OUT = 1e30  # on the diagonal of a row without other entries: its multiplier is zero
+REGULARIZATION = (
+    1e-8  # [of 1 / largest mass] against C M^-1 C' of this order or more: only undetermined multipliers notice
+)
+
+
+@dataclass(eq=False)
+class Dynamics:
+    """Frozen equations of motion of one design or of a batch of designs (lanes); see also state_equation.py.
+
+    Called with t [] [s] and z [lanes, n] it is the right-hand side dz/dt for torchdiffeq, from `initial_state()`.
+
+    topology       bodies, joints and forces as arrays of indices;  saddle: how their matrix is laid out
+    initial        how joints are closed at the start
+    statistics     how often it was evaluated
+    data           name -> tensor or pair [component..., 1, lanes]; a lane axis of one holds for all
+    stabilization  time constant of the constraint stabilization [s]
+    backend        what makes steps: "eager" or "native" (integrate/native/library.py)
+    """
+
+    topology: Topology
+    saddle: Saddle
+    data: Data
+    initial: Any  # InitialConditions
+    stabilization: float = 5e-3
+    backend: str = "eager"
+    statistics: dict[str, int] = field(default_factory=lambda: {"evaluations": 0})
+
+    @property
+    def lanes(self) -> int:
+        """Number of designs."""
+        return max((value(x).shape[-1] for x in self.data.values()), default=1)
+
+    @property
+    def tangents(self) -> int:
+        """Number of design variables whose tangents the data carry."""
+        slots = [x.shape[-2] - 1 for x in self.data.values() if isinstance(x, Pair)]
+        return max(slots, default=0)
+
+    @cached_property
+    def alike(self) -> Any:
+        """What this and other designs share that start alike (initial.py); None if the start depends on the design."""
+        return self.initial.alike(self)
+
+    @cached_property
+    def start(self) -> tuple[Any, Any]:
+        """Initial q [n_q, slots, lanes] and v [n_v, slots, lanes]: joints closed, velocities compatible."""
+        return self.initial.solve(self)
+
+    @cached_property
+    def rank(self) -> Rank:
+        """Rank of the constraints at the initial position, of the first lane that has not failed."""
+        ranks = {} if self.alike is None else self.alike.ranks
+        if self.topology in ranks:
+            return ranks[self.topology]
+        lane = sound(self.data) if self.topology.rows else None
+        if lane is None:
+            return Rank(0, ())
+        q, one = value(self.start[0]).detach(), self.some([lane]) if lane else self
+        q = q[:, 0, min(lane, q.shape[-1] - 1)]
+        with torch.no_grad():
+            J = jacobians(one, q[None], q.new_zeros(1))[0].numpy()
+            found = confirmed(one, q, rank_of(self.topology, J))
+        if self.alike is not None and without_modes(self.topology, J):
+            ranks[self.topology] = found
+        if found.weak:
+            warnings.warn(
+                f"{', '.join(found.weak)}: these rows differ by {100 * found.share:.1g} % of elastic displacement only, "
+                'which stiffens their body falsely; allowed: reduction="craig-bampton" with the nodes of its joints',
+                stacklevel=2,
+            )
+        return found
+
+    @property
+    def redundant(self) -> tuple[str, ...]:
+        """Names of constraint rows that follow from the others at the initial position (rank.py)."""
+        return self.rank.redundant
+
+    def judged(self) -> None:
+        """Find now what is found of numbers: inside a transform of torch.func no tensor has any to look at."""
+        if self.redundant:
+            _ = self.least_norm
+
+    @cached_property
+    def least_norm(self) -> LeastNorm | None:
+        """Makes undetermined multipliers those of least norm; None if all are determined."""
+        left, found = self.condensed(), self.rank
+        if left is not self and found.redundant:  # left out are the rows that those of what was left say
+            found = replace(found, left_out=tuple(self.initial.condensed.rows[list(left.rank.left_out)].tolist()))
+        return LeastNorm.of(self.topology, found)
+
+    def diagonal(self, everywhere: bool = False) -> tuple[Tensor, Tensor] | None:
+        """For the saddle-point matrix: which rows and columns stay, 1 or 0 [n], and what its diagonal loses [n].
+
+        None: it is determined as it is. everywhere: regularized also without redundant rows, near singular positions.
+        """
+        if not self.topology.rows or not (self.redundant or everywhere):
+            return None
+        n, left_out = self.topology.n_v, list(self.rank.left_out)
+        stay = torch.ones(n + self.topology.rows, dtype=torch.float64)
+        lost = torch.zeros_like(stay)
+        if everywhere or len(left_out) < len(self.redundant):
+            lost[n:] = REGULARIZATION / float(value(self.data["mass"]).max())
+        for i in left_out:
+            stay[n + i], lost[n + i] = 0.0, LEFT_OUT
+        return stay, lost
+
+    def determined(self, K: Tensor) -> Tensor:
+        """The saddle-point matrices K [lanes, n, n]: regularized where rows are redundant, without those left out."""
+        return regularized(K, self.diagonal())
+
+    def carried(self, lam: Any) -> Any:
+        """Multipliers [rows, ...] with zeros in rows that are left out."""
+        if not self.rank.left_out:
+            return lam
+        gone = torch.tensor(self.rank.left_out)
+        return linear(lambda x: x.index_fill(0, gone, 0.0), lam)
+
+    def values(self) -> Dynamics:
+        """The same dynamics without design tangents."""
+        data = {name: value(x) for name, x in self.data.items()}
+        found = Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization, self.backend)
+        if "rank" in vars(self):  # of values alone; no transform of torch.func lets it be judged inside
+            vars(found)["rank"] = self.rank
+        return found
+
+    def condensed(self) -> Dynamics:
+        """The same motion with fewer unknowns (condensation.py); itself if there is nothing to condense."""
+        c = self.initial.condensed
+        if c is None:
+            return self
+        return Dynamics(
+            c.topology, c.saddle, c.data(self.data), CondensedStart(self, c), self.stabilization, self.backend
+        )
+
+    def some(self, lanes: Sequence[int]) -> Dynamics:
+        """The dynamics of some designs of the batch."""
+        index = torch.tensor(list(lanes))
+
+        def pick(x: Tensor) -> Tensor:
+            return x.index_select(-1, index) if x.shape[-1] > 1 else x
+
+        data = {name: Pair(pick(x.full)) if isinstance(x, Pair) else pick(x) for name, x in self.data.items()}
+        return Dynamics(self.topology, self.saddle, data, self.initial, self.stabilization, self.backend)
+
+    def initial_state(self) -> Tensor:
+        """Consistent initial state z [lanes, n_q + n_v]: joints closed, velocities compatible."""
+        q, v = self.initial.solve(self.values())
+        return torch.cat([q, v])[:, 0].T.contiguous()
+
+    def __call__(self, t: Tensor | float, z: Tensor) -> Tensor:
+        """dz/dt of states z [lanes, n_z] or [n_z] at time t [s]; the same shape."""
+        n = self.topology.n_q + self.topology.n_v
+        if z.shape[-1] != n or z.dim() > 2:
+            raise InputError(f"state z has shape {tuple(z.shape)}; allowed: [{n}] or [lanes, {n}]")
+        if z.dtype != torch.float64 or z.device.type != "cpu":
+            raise InputError(f"state z is {z.dtype} on {z.device}; allowed: torch.float64 on cpu")
+        batch = z if z.dim() == 2 else z[None]
+        dz = self.rates(torch.as_tensor(t, dtype=z.dtype, device=z.device), batch.T[:, None])
+        return value(dz)[:, 0].T.reshape(z.shape)
+
+    def rates(self, t: Tensor, z):
+        """dz/dt [n_z, slots, lanes] of values, or of pairs with the design tangents of all variables."""
+        self.statistics["evaluations"] += 1
+        T = self.topology
+        q, v = z[: T.n_q], z[T.n_q :]
+        a, _ = self.accelerations(t, q, v)
+        return cat([equations.coordinate_rates(T, q, v), a])
+
+    def accelerations(self, t: Tensor, q, v):
+        """Accelerations a [n_v, ...] and multipliers lam [rows, ...]; eq. (9), with tangents eq. (30)."""
+        T, data = self.topology, {name: value(x) for name, x in self.data.items()}
+        qv, vv = value(q), value(v)
+        given, drives = T.prescribed(t, self.data), T.law_jets(t, self.data) if T.rows else []
+        at = equations.placement(T, data, qv, given.values())
+        K = self.saddle.matrix(data, at)
+        zero = torch.zeros_like(vv)
+        still = vv.new_zeros(T.rows, *vv.shape[1:])
+        LU, pivots, _ = torch.linalg.lu_factor_ex(self.determined(K))  # a singular lane becomes inf or nan, alone
+        factor = LU, pivots, K if self.redundant else None
+        plain = [drive and tuple(jet.map(value) for jet in drive) for drive in drives]
+        x = -solve(factor, self._residual(data, at, vv, zero, still, plain))
+        a, lam = x[: T.n_v], x[T.n_v :]
+        if not isinstance(q, Pair):
+            return a, lam
+        at = equations.placement(T, self.data, q, given)
+        residual = self._residual(self.data, at, v, a, lam, drives)
+        both = Pair.of(x, -solve(factor, residual.tangent))
+        return both[: T.n_v], both[T.n_v :]
+
+    def _residual(self, data: Data, at: equations.Placement, v, a, lam, drives: list[tuple | None]):
+        return equations.stabilized_residual(self.topology, data, at, v, a, lam, drives, 1.0 / self.stabilization)
+
+
+@dataclass(frozen=True, eq=False)
+class CondensedStart:
+    """Initial conditions of what is left: those of the whole system."""
+
+    whole: Dynamics
+    condensation: Condensation
+    condensed: None = None  # nothing more
+
+    def alike(self, dynamics: Dynamics) -> Any:
+        """As of the whole system."""
+        return self.whole.alike
+
+    def solve(self, dynamics: Dynamics):
+        """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs if the data of `dynamics` are."""
+        q, v = self.whole.start
+        return self.condensation.left(*((q, v) if dynamics.tangents else (value(q), value(v))))
+
+
+def regularized(K: Tensor, diagonal: tuple[Tensor, Tensor] | None) -> Tensor:
+    """Matrices K [lanes, n, n] with the changes of Dynamics.diagonal."""
+    if diagonal is None:
+        return K
+    stay, lost = diagonal
+    return K * (stay[:, None] * stay) - torch.diag(lost)
+
+
+def solve(factor: tuple[Tensor, Tensor, Tensor | None], rhs: Tensor) -> Tensor:
+    """Solve for right-hand sides [n, slots, lanes] with LU factors of matrices [lanes, n, n].
+
+    With the exact matrix as third entry the factors are those of a regularized one: two steps of refinement.
+    """
+    LU, pivots, exact = factor
+    b = rhs.permute(2, 0, 1)
+    x = torch.linalg.lu_solve(LU, pivots, b)
+    if exact is not None:
+        for _ in range(2):
+            x = x + torch.linalg.lu_solve(LU, pivots, b - exact @ x)
+    return x.permute(1, 2, 0)

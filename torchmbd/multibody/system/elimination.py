@@ -1,0 +1,123 @@
+"""Solving with a saddle-point matrix: by its triangular factors, or by those of the bodies' own blocks.
+
+    [ K  B ]^-1   [ X - X B Y C X    X B Y ]       X = K^-1, block by block: one block for each body
+    [ C  E ]    = [     Y C X         -Y   ]       Y = (C X B - E)^-1: of the size of the constraints
+
+A mechanism of many bodies has a K of small blocks: what a dense inverse spends on their zeros grows with the cube of
+their number. Block elimination is worth it from some size on (`pays`); a lane with a singular block (a body without
+inertia) goes the dense way. Applied forces couple bodies through their laws: not for them.
+Checked in tests/multibody/system/test_elimination.py: against the dense inverse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from torchmbd.multibody.system.topology import Topology
+
+_LARGE, _MANY = 90, 4  # unknowns and bodies from which on it was faster than the dense inverse
+
+
+def pays(T: Topology) -> bool:
+    """Whether elimination is possible and faster than a dense inverse."""
+    return not T.actions and T.bodies >= _MANY and T.n_v + T.rows >= _LARGE
+
+
+class Elimination:
+    """Inverses of the matrices of one topology."""
+
+    def __init__(self, T: Topology):
+        self.n_v = T.n_v
+        by_size: dict[int, list[list[int]]] = {}
+        for rows in own_rates(T):
+            if rows:
+                by_size.setdefault(len(rows), []).append(rows)
+        self.groups = [torch.tensor(rows, dtype=torch.long) for rows in by_size.values()]  # [bodies, rates of each]
+
+    def __call__(self, A: Tensor) -> Eliminated:
+        """Inverses of matrices [lanes, n, n]; a lane whose matrix is singular becomes nan, alone."""
+        n = self.n_v
+        B, C, E = A[:, :n, n:], A[:, n:, :n], A[:, n:, n:]
+        X, XB, CX = [], torch.empty_like(B), torch.empty_like(C)
+        singular = torch.zeros(len(A), dtype=torch.bool, device=A.device)
+        for rows in self.groups:
+            x, info = torch.linalg.inv_ex(A[:, rows[:, :, None], rows[:, None, :]])
+            singular |= (info != 0).any(1)
+            X.append(x)
+            XB[:, rows] = x @ B[:, rows]
+            CX[:, :, rows] = (C[:, :, rows].permute(0, 2, 1, 3) @ x).permute(0, 2, 1, 3)
+        lanes = singular.nonzero()[:, 0]
+        return Eliminated(self.groups, X, XB, CX, factored(C @ XB - E), lanes, factored(A[lanes]))
+
+
+@dataclass(frozen=True)
+class Eliminated:
+    """Inverses in parts, to be multiplied: formed, they would cost more than all their parts.
+
+    X      of each group of bodies [lanes, bodies, k, k]
+    Y, dense  as factors; `lanes` are those that went the dense way
+    """
+
+    groups: list[Tensor]
+    X: list[Tensor]
+    XB: Tensor
+    CX: Tensor
+    Y: Factored
+    lanes: Tensor
+    dense: Factored
+
+    def __matmul__(self, b: Tensor) -> Tensor:
+        """The inverses times columns [lanes, n, k]."""
+        b, n = b.contiguous(), self.XB.shape[1]  # in another order torch multiplies lane by lane: many times slower
+        top, bottom = b[:, :n], b[:, n:]
+        below = self.Y @ (self.CX @ top - bottom)
+        above = torch.empty_like(top)
+        for rows, X in zip(self.groups, self.X, strict=True):
+            above[:, rows] = X @ top[:, rows]
+        found = torch.cat([above - self.XB @ below, below], 1)
+        if len(self.lanes):
+            found[self.lanes] = self.dense @ b[self.lanes]
+        return found
+
+
+@dataclass(frozen=True)
+class Factored:
+    """Triangular factors of matrices [lanes, n, n]: what is multiplied by their inverses is solved for."""
+
+    LU: Tensor
+    pivots: Tensor
+
+    def __matmul__(self, b: Tensor) -> Tensor:
+        """The inverses times columns [lanes, n, k]."""
+        return torch.linalg.lu_solve(self.LU, self.pivots, b)
+
+
+def factored(K: Tensor) -> Factored:
+    """Factors of matrices [lanes, n, n]. A lane whose matrix is singular becomes nan, alone."""
+    if K.device.type != "cpu":
+        return _factored_there(K)
+    LU, pivots, info = torch.linalg.lu_factor_ex(K)
+    if bool(info.any()):
+        LU = torch.where((info == 0)[:, None, None], LU, torch.nan)
+    return Factored(LU, pivots)
+
+
+def _factored_there(K: Tensor) -> Factored:
+    """The same on a device, which would have to stop to tell; its libraries do not say what pivots of nan are."""
+    sound = torch.isfinite(K).all(2).all(1)
+    whole = torch.where(sound[:, None, None], K, torch.eye(K.shape[-1], dtype=K.dtype, device=K.device))
+    LU, pivots, info = torch.linalg.lu_factor_ex(whole)
+    return Factored(torch.where((sound & (info == 0))[:, None, None], LU, torch.nan), pivots)
+
+
+def own_rates(T: Topology) -> list[list[int]]:
+    """Rows of v (independent ones, where a condensation left them) of each body."""
+    whole = [[k * T.bodies + b for k in range(6)] for b in range(T.bodies)]
+    for f in range(T.flexible):
+        whole[f] += [6 * T.bodies + a * T.flexible + f for a in range(T.modes)]
+    if T.rates is None:
+        return whole
+    return [torch.nonzero((T.rates[rows] != 0).any(0))[:, 0].tolist() for rows in whole]

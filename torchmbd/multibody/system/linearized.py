@@ -1,0 +1,125 @@
+"""Small vibrations about a position of rest: the equations of motion linearized in the null space of the constraints.
+
+    M x'' + C x' + K x + Phi_q' dlam = 0,  Phi_q x = 0          x: increment of the coordinates, body axes for rotations
+    N' M N y'' + N' C N y' + N' K N y = 0                       N: null space of Phi_q
+
+M from the saddle-point matrix; K and C are tangents of the residual of the equations of motion at rest, its multipliers
+held, so that weight, pretension and whatever forces there are count. lam: least squares of the forces at rest.
+Checked in tests/multibody/system/test_equilibrium.py: pendulums in closed form, a swinging beam.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.math.pair import Pair, value
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.rank import RELATIVE
+from torchmbd.multibody.system.topology import Topology
+
+_ZERO = 1e-10  # of the largest eigenvalue: a freedom without stiffness
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """One design at rest at q [n_q]: residual forces, constraints, and their derivatives by an increment of q.
+
+    forces [n_v] without constraints   phi [rows]   K, C [n_v, n_v] with the multipliers   Phi_q [rows, n_v]   lam [rows]
+    own    rows of v that belong to bodies and to modes that they have
+    N      null space of Phi_q among these [own, freedoms]
+    """
+
+    forces: Tensor
+    phi: Tensor
+    K: Tensor
+    C: Tensor
+    M: Tensor
+    Phi_q: Tensor
+    lam: Tensor
+    own: Tensor
+    N: Tensor
+
+    @classmethod
+    def of(cls, dynamics: Any, q: Tensor, t: Tensor) -> AtRest:
+        """Linearize `dynamics` of one design at q."""
+        T = dynamics.topology
+        data = {name: value(x).detach() for name, x in dynamics.data.items()}
+        given = T.prescribed(t, data).values()
+        still, none = q.new_zeros(T.n_v, 1, 1), q.new_zeros(T.rows, 1, 1)
+        unit = Pair.of(still, torch.eye(T.n_v, dtype=q.dtype)[..., None])
+        at = equations.placement(T, data, q[:, None, None], given)
+        moved = equations.placement(T, data, equations.advance(T, q[:, None, None], unit), given)
+        forces = equations.dynamic_residual(T, data, at, still, still, none)[:, 0, 0]
+        phi, Phi_q = q.new_zeros(0), q.new_zeros(0, T.n_v)
+        if T.rows:
+            violation = equations.constraints(T, moved)
+            phi, Phi_q = violation.value[:, 0, 0], violation.tangent[..., 0]
+        own = own_rows(T)
+        lam = -torch.linalg.pinv(Phi_q[:, own].T, rtol=RELATIVE) @ forces[own]
+        K = equations.dynamic_residual(T, data, moved, still, still, lam[:, None, None]).tangent[..., 0]
+        C = _tangent(equations.dynamic_residual(T, data, at, unit, still, lam[:, None, None]), T)
+        M = dynamics.saddle.matrix(data, at)[0, : T.n_v, : T.n_v]
+        return cls(forces, phi, K, C, M, Phi_q, lam, own, null_space(Phi_q[:, own]))
+
+    @property
+    def remaining(self) -> Tensor:
+        """Generalized forces that no constraint balances [own]."""
+        return self.forces[self.own] + self.Phi_q[:, self.own].T @ self.lam
+
+    def reduced(self, X: Tensor) -> Tensor:
+        """N' X N of a matrix [n_v, n_v]."""
+        return self.N.T @ X[self.own][:, self.own] @ self.N
+
+
+@dataclass(frozen=True)
+class Vibrations:
+    """Of one design: frequencies [freedoms] [Hz], ascending, zero for a freedom without stiffness, nan for an unstable one;
+    poles [2 freedoms] [1/s] with the damping; shapes [n_v, freedoms], increments of the coordinates of unit modal mass."""
+
+    frequencies: Tensor
+    poles: Tensor
+    shapes: Tensor
+
+    @classmethod
+    def of(cls, rest: AtRest) -> Vibrations:
+        """The eigenvalue problem in the null space."""
+        M, C, K = (rest.reduced(x) for x in (rest.M, rest.C, rest.K))
+        K = 0.5 * (K + K.T)
+        L = torch.linalg.cholesky(0.5 * (M + M.T))
+        inverse = torch.linalg.inv(L)
+        squares, Y = torch.linalg.eigh(inverse @ K @ inverse.T)
+        small = squares.abs() <= _ZERO * squares.abs().amax() if len(squares) else squares > 0
+        squares = torch.where(small, 0.0, squares)
+        n = len(squares)
+        A = torch.cat(
+            [
+                torch.cat([torch.zeros(n, n, dtype=K.dtype), torch.eye(n, dtype=K.dtype)], 1),
+                torch.cat([-torch.linalg.solve(M, K), -torch.linalg.solve(M, C)], 1),
+            ]
+        )
+        shapes = torch.zeros(len(rest.forces), n, dtype=K.dtype)
+        shapes[rest.own] = rest.N @ (inverse.T @ Y)
+        return cls(squares.sqrt() / (2.0 * math.pi), torch.linalg.eigvals(A), shapes)
+
+
+def own_rows(T: Topology) -> Tensor:
+    """Rows of v without the padding of bodies with fewer modes."""
+    modal = [row - T.bodies for body in range(T.flexible) for row in T.w_slice(body)]
+    return torch.tensor([*range(6 * T.bodies), *sorted(modal)], dtype=torch.long)
+
+
+def null_space(J: Tensor) -> Tensor:
+    """Orthonormal basis [n, k] of the null space of a Jacobian [rows, n]; rows scaled to length one."""
+    if not len(J):
+        return torch.eye(J.shape[1], dtype=J.dtype)
+    _, s, Vh = torch.linalg.svd(J / J.norm(dim=1, keepdim=True), full_matrices=True)
+    return Vh[int((s > RELATIVE * s[0]).sum()) :].T
+
+
+def _tangent(x: Any, T: Topology) -> Tensor:
+    return x.tangent[..., 0] if isinstance(x, Pair) else torch.zeros(T.n_v, T.n_v, dtype=x.dtype)

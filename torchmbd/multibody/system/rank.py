@@ -1,0 +1,224 @@
+"""Rank of the constraint Jacobian: rows that follow from others, and how near a position is to losing rank.
+
+    Phi_q with rows of length one = U diag(s) V'          rank: singular values above 1e-9 of the largest
+
+A row is redundant if it depends on others: the motion does not need it, its multiplier is not determined (the one of
+least norm is taken). A drive that depends on the rows without a law moves what they hold: an error.
+Two rows that are dependent where a flexible body is undeformed contradict each other where it is not: an edge that twists by
+u gets longer by u^2 / 2L, for elastic displacements are linear, and two hinge points on it hold its length. Such a row is
+left out of the motion, its multiplier is zero; unless it is independent some way along a freedom of the undeformed
+mechanism: then the start is a singular position, and the row is regularized like those of rigid bodies.
+Where such rows differ by a little of elastic displacement, because bending of an unsymmetric laminate stretches it a little,
+they are a *weak* constraint: what would stretch the body is not among its modes of vibration, so bending has to, far too
+much. A warning names the rows; with reduction="craig-bampton" the joints' nodes have modes of their own that stretch.
+Near a singular position the last singular value that counts goes to zero; the row combination that is lost then is its
+left vector.
+Checked in tests/multibody/system/test_rank.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.math.pair import value
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.times_as_lanes import side_by_side
+from torchmbd.multibody.system.topology import Topology
+
+RELATIVE = 1e-9  # what counts as zero
+_APART = (0.1, 1e-2, 1e-4, 1e-6, RELATIVE)  # what a row adds to those that stay: rows that add most come first
+_WEAK = 0.01  # of the largest elastic part of a row of the same body
+_SHARE = 0.3  # of the largest entry of a left vector: rows that are named
+_WAY = 0.2  # [rad] largest rotation to a position elsewhere
+_STEPS, _CLOSED = 30, 1e-11  # of Newton's method there; [m] or [-]
+_TOGETHER = 64  # times whose Jacobians are made at once
+
+
+@dataclass(frozen=True)
+class Rank:
+    """rank of Phi_q, and the names of the rows ("joint: row") that depend on the others.
+
+    left_out   indices of those among them that depend on rows of flexible bodies
+    weak       names of rows that differ from others by a little of elastic displacement only; share: how much at most
+    """
+
+    rank: int
+    redundant: tuple[str, ...]
+    left_out: tuple[int, ...] = ()
+    weak: tuple[str, ...] = ()
+    share: float = 1.0
+
+
+def rank_of(T: Topology, J: np.ndarray) -> Rank:
+    """Rank of a Jacobian [rows, n_v]; rows without a law count first. Raises InputError for a drive that has no freedom."""
+    driven = _driven(T)
+    others = np.setdiff1d(np.arange(T.rows), driven)
+    J = _unit(J)
+    rank, dependent = _dependent(J[others])
+    total, _ = _dependent(np.concatenate([J[others], J[driven]]))
+    if total < rank + len(driven):
+        held = [T.row_names[i] for i in driven if _dependent(np.concatenate([J[others], J[i : i + 1]]))[0] == rank]
+        which = held or [T.row_names[i] for i in driven]
+        raise InputError(
+            f"{', '.join(repr(name) for name in which)}: the other joints leave no freedom for this at the initial position; "
+            "allowed: a drive along a motion that the joints leave free"
+        )
+    dependent = sorted(int(others[i]) for i in dependent)
+    left_out = _left_out(T, J, dependent)
+    return Rank(total, tuple(T.row_names[i] for i in dependent), left_out, *_weak(T, J, left_out))
+
+
+def _weak(T: Topology, J: np.ndarray, left_out: Sequence[int]) -> tuple[tuple[str, ...], float]:
+    """Names of rows that others leave nothing but a small elastic part, and the largest such part."""
+    n, f = 6 * T.bodies, T.flexible
+    if J.shape[1] != T.n_v or T.rates is not None or not f:
+        return (), 1.0  # not for rigid columns alone, or condensed rates
+    kept = np.setdiff1d(np.arange(len(J)), left_out)
+    rigid, elastic = J[kept, :n], J[kept, n:].reshape(len(kept), T.modes, f)
+    size = np.linalg.norm(elastic, axis=1).max(0, initial=0.0)
+    elastic = (elastic / np.where(size > 0.0, size, 1.0)).reshape(len(kept), -1)
+    U, s, _ = np.linalg.svd(rigid)
+    alike = U[:, int((s > RELATIVE * s.max(initial=0.0)).sum()) :]  # combinations without a rigid part
+    W, share, _ = np.linalg.svd(alike.T @ elastic, full_matrices=False)
+    weak = (share > RELATIVE) & (share < _WEAK)
+    if not weak.any():
+        return (), 1.0
+    involved = np.abs(alike @ W[:, weak]).max(1)
+    rows = kept[np.argsort(-involved, kind="stable")][: int((involved > _SHARE * involved.max()).sum())]
+    return tuple(T.row_names[i] for i in rows), float(share[weak].max())
+
+
+def _driven(T: Topology) -> np.ndarray:
+    """Indices of the rows with a law."""
+    return np.array([i for p, rows in T.row_slices() if p.driven for i in range(rows.start, rows.stop)], dtype=int)
+
+
+def _left_out(T: Topology, J: np.ndarray, dependent: list[int]) -> tuple[int, ...]:
+    """Dependent rows that are combinations of rows of which any is attached to a flexible body."""
+    elastic = _elastic(T)
+    if not dependent or not elastic.any():
+        return ()
+    free = np.setdiff1d(np.arange(T.rows), dependent)
+    share = np.abs(np.linalg.lstsq(J[free].T, J[dependent].T, rcond=RELATIVE)[0]) > RELATIVE
+    return tuple(i for k, i in enumerate(dependent) if elastic[i] or elastic[free[share[:, k]]].any())
+
+
+def confirmed(dynamics: Any, q: Tensor, found: Rank) -> Rank:
+    """The rank at the start q [n_q], with rows left out only that depend on others elsewhere as well."""
+    away = elsewhere(dynamics, q) if found.left_out else None
+    if away is None:
+        return found
+    T = dynamics.topology
+    J = jacobians(dynamics, away[None], away.new_zeros(1))[0].cpu().numpy()
+    stay = [i for i in range(T.rows) if i not in found.left_out]
+    Q: Any = scipy.linalg.orth(J[stay].T, rcond=RELATIVE)
+    apart = [np.linalg.norm(J[i] - Q @ (Q.T @ J[i])) for i in found.left_out]
+    return replace(found, left_out=tuple(i for i, x in zip(found.left_out, apart, strict=True) if x < RELATIVE))
+
+
+def elsewhere(dynamics: Any, q: Tensor) -> Tensor | None:
+    """An assembled position [n_q] some way from q along a freedom that the rows without a law leave undeformed bodies.
+
+    None if there is no such freedom, or Newton's method does not close the joints.
+    """
+    T, zero = dynamics.topology, q.new_zeros(1)
+    rows = np.setdiff1d(np.arange(T.rows), _driven(T))
+    values = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
+    given = T.schedule(zero, values)[0]
+    J = jacobians(dynamics, q[None], zero)[0][rows].cpu().numpy()[:, _rigid(T)]
+    N = scipy.linalg.null_space(J, rcond=RELATIVE)
+    step = q.new_zeros(T.n_v)
+    step[_rigid(T)] = torch.from_numpy(N @ (N.T @ np.random.default_rng(0).standard_normal(len(N)))).to(q.device)
+    turn = equations.split_v(T, step[:, None, None])[1].abs().max()
+    if not float(turn) > RELATIVE:
+        return None
+    away = equations.advance(T, q[:, None, None], (_WAY / turn) * step[:, None, None])
+    for _ in range(_STEPS):
+        at = equations.placement(T, values, away, given)
+        phi = equations.constraints(T, at)[rows, 0, 0]
+        if float(phi.abs().max()) < _CLOSED:
+            return away[:, 0, 0]
+        J = dynamics.saddle.jacobian(values, at)[0][rows][:, _rigid(T)]
+        step = torch.zeros_like(step).index_put((torch.tensor(_rigid(T)),), -torch.linalg.pinv(J, rtol=1e-6) @ phi)
+        away = equations.advance(T, away, step[:, None, None])
+    return None
+
+
+def without_modes(T: Topology, J: np.ndarray) -> bool:
+    """Whether all rows of a Jacobian [rows, n_v] are independent even of undeformed bodies: so they are for all designs."""
+    return _dependent(_unit(J[:, _rigid(T)]))[0] == T.rows
+
+
+def _unit(J: np.ndarray) -> np.ndarray:
+    """Rows of length one."""
+    return J / np.maximum(np.linalg.norm(J, axis=1, keepdims=True), np.finfo(float).tiny)
+
+
+def _rigid(T: Topology) -> list[int]:
+    """Rates that bend no body."""
+    modal = 6 * T.bodies
+    return list(range(modal)) if T.rates is None else torch.nonzero((T.rates[modal:] == 0).all(0))[:, 0].tolist()
+
+
+def _elastic(T: Topology) -> np.ndarray:
+    """Which rows are attached to a flexible body [rows]."""
+    found = np.zeros(T.rows, dtype=bool)
+    for primitive, rows in T.row_slices():
+        vectors = torch.stack(primitive.members)
+        found[rows] = np.tile((vectors < T.attached_flexible).any(0).numpy(), primitive.rows)
+    return found
+
+
+def _dependent(J: np.ndarray) -> tuple[int, list[int]]:
+    """Rank, and rows that depend on the others; rows of length one.
+
+    Of rows that could stand for each other the first one stays, whatever the rounding: lanes and phases leave out the same.
+    """
+    Q, rank, rest = np.zeros_like(J), 0, list(range(len(J)))
+    for least in _APART:
+        for i in list(rest):
+            x = J[i]
+            for _ in range(2):  # twice is enough
+                x = x - Q[:rank].T @ (Q[:rank] @ x)
+            size = np.linalg.norm(x)
+            if size > least:
+                Q[rank], rank = x / size, rank + 1
+                rest.remove(i)
+    return rank, rest
+
+
+def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
+    """Phi_q with rows of length one [n, rows, n_v] at positions q [n, n_q] and times [n] of one design, the first."""
+    T, saddle = dynamics.topology, dynamics.saddle
+    data = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
+    schedule, parts = T.schedule(times, data), []
+    for start in range(0, len(q), _TOGETHER):
+        some = slice(start, start + _TOGETHER)
+        at = equations.placement(T, data, q[some].T[:, None], side_by_side(schedule[some]).values())
+        parts.append(saddle.jacobian(data, at))
+    J = torch.cat(parts)
+    return J / J.norm(dim=2, keepdim=True).clamp_min(torch.finfo(J.dtype).tiny)
+
+
+def sound(data: equations.Data) -> int | None:
+    """The first lane whose data are numbers: locks of a phase that it does not reach have no marks. None: there is none."""
+    good = torch.ones(max(value(x).shape[-1] for x in data.values()), dtype=torch.bool)
+    for x in data.values():
+        good &= torch.isfinite(value(x)).flatten(0, -2).all(0).cpu()
+    found = torch.nonzero(good)
+    return int(found[0, 0]) if len(found) else None
+
+
+def lost_rows(T: Topology, left: Tensor) -> tuple[str, ...]:
+    """Names of the rows with a large part in a left singular vector [rows], largest first."""
+    size = left.abs()
+    order = torch.argsort(size, descending=True).tolist()
+    return tuple(T.row_names[i] for i in order if size[i] > _SHARE * size[order[0]])

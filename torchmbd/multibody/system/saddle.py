@@ -1,0 +1,169 @@
+"""The saddle-point matrix of the equations of motion, and constraint Jacobians.
+
+    [ M   Phi_q' ] [ a   ]   [ forces ]
+    [ Phi_q   0  ] [ lam ] = [ gamma  ]          eqs. (7), (9)
+
+Values only: sensitivities use the same matrix with the right-hand sides of eqs. (31)-(33), which come from pairs.
+Blocks (saddle_blocks.py) are gathered into a dense matrix by one index, so the number of operators does not grow with the
+number of bodies or joints. Matrices are returned lanes first, ready for LAPACK.
+
+Checked in tests/multibody/system/test_equations.py: every column is the difference of the residual that it stands for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import pad
+
+from torchmbd.multibody.system.equations import Data, Placement, action_states
+from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
+from torchmbd.multibody.system.topology import Topology
+from torchmbd.multibody.system.unit_forces import Block, of_actions, of_rows
+
+
+class Saddle:
+    """Gathers the blocks of one topology; index tensors made once."""
+
+    def __init__(self, T: Topology):
+        self.blocks = SaddleBlocks(T, of_rows(T), of_actions(T))
+        self.T = T
+        shapes = self.blocks.shapes()
+        self.names = [name for name, _ in shapes]
+        row, column, place = saddle_entries(T, self.blocks)
+        zero = size_of(shapes)
+        # With independent rates the matrix is P' K P: sums over the few entries of K that each of its entries has.
+        index = np.full((T.n_rates + T.rows,) * 2, zero)
+        index[row, column] = place
+        self._project = None if T.rates is None else Projection(index, zero, T.rates)
+        self._index = torch.from_numpy(index.reshape(-1))
+        acting = self.blocks.action_shapes()
+        self.action_names = [name for name, _ in acting]
+        rate, action, place = self.blocks.actions.places(T, places(acting), "action")
+        direction = np.full((T.n_rates, sum(len(a.laws) for a in T.actions)), size_of(acting))
+        direction[rate, action] = place
+        self._directions, self._direction = torch.from_numpy(direction.reshape(-1)), direction.shape
+
+    def matrix(
+        self,
+        data: Data,
+        at: Placement,
+        stiffness: float = 0.0,
+        damping: float = 0.0,
+        v: Tensor | None = None,
+        a: Tensor | None = None,
+        lam: Tensor | None = None,
+        turn: Tensor | None = None,
+    ) -> Tensor:
+        """Dense saddle-point matrix [lanes, n_v + rows, n_v + rows]; arguments as of `SaddleBlocks`."""
+        blocks = self.blocks(data, at, stiffness, damping, v, a, lam, turn)
+        lanes = at.g.shape[-1] if at.g.numel() else at.A.shape[-1]
+        flat = _flat(blocks, self.names, lanes)
+        size = self.T.n_v + self.T.rows
+        flat = flat.index_select(0, self._index) if self._project is None else self._project(flat)
+        K = flat.reshape(size, size, lanes).permute(2, 0, 1)
+        if v is not None and self.T.actions:
+            K = K + pad(self._action_slopes(data, at, v, stiffness, damping), (0, self.T.rows, 0, self.T.rows))
+        return K
+
+    def _action_slopes(self, data: Data, at: Placement, v: Tensor, stiffness: float, damping: float) -> Tensor:
+        """Derivatives of the applied forces through their laws [lanes, n_v, n_v]."""
+        T = self.T
+        states = action_states(T, data, at, v)
+        blocks, weights = self.blocks.action_slopes(data, at, states, stiffness, damping)
+        flat = _flat(blocks, self.action_names, weights.shape[-1]).index_select(0, self._directions)
+        D = flat.reshape(*self._direction, -1)
+        D = (D if T.gather is None else T.gather(D)).permute(2, 0, 1)
+        K = (D * weights[:, 0].T[:, None]) @ D.transpose(1, 2)
+        coupled = T.links.slopes(states, at.t, data, stiffness, damping)
+        return K if coupled is None else K - D @ coupled @ D.transpose(1, 2)
+
+    def jacobian(self, data: Data, at: Placement) -> Tensor:
+        """Phi_q [lanes, rows, n_v]."""
+        return self.matrix(data, at)[:, self.T.n_v :, : self.T.n_v]
+
+
+def _flat(blocks: dict[str, Tensor], names: list[str], lanes: int) -> Tensor:
+    """Entries of blocks one after another [n + 1, lanes], the last of which is zero."""
+    parts = [blocks[name].expand(*blocks[name].shape[:-2], 1, lanes).reshape(-1, lanes) for name in names]
+    return torch.cat([*parts, torch.zeros(1, lanes, dtype=torch.float64, device=parts[0].device)])
+
+
+def size_of(shapes: list[Block]) -> int:
+    """Entries of blocks."""
+    return sum(int(np.prod(shape)) for _, shape in shapes)
+
+
+def places(shapes: list[Block]) -> dict[str, np.ndarray]:
+    """Place of every entry of blocks among all of them."""
+    found, start = {}, 0
+    for name, shape in shapes:
+        size = int(np.prod(shape))
+        found[name] = np.arange(start, start + size).reshape(shape)
+        start += size
+    return found
+
+
+def saddle_entries(T: Topology, blocks: SaddleBlocks) -> np.ndarray:
+    """Row, column (in rates of all bodies and rows) and place among the blocks of every entry of the matrix [3, n]."""
+    n, f, m, nv = T.bodies, T.flexible, T.modes, T.n_rates
+    at = places(blocks.shapes())
+    r = np.arange(3 * n).reshape(3, n)
+    om = r + 3 * n
+    w = 6 * n + np.arange(m * f).reshape(m, f)
+    found: list[tuple] = [(r[i], r[i], at["mass"]) for i in range(3)]
+    for i in range(3):
+        for j in range(3):
+            found.append((r[i], om[j], at["turn"][i, j]))
+            found.append((om[j], r[i], at["turn_back"][i, j]))
+            found.append((om[i], om[j], at["inertia"][i, j]))
+        for a in range(m):
+            found.append((r[i, :f], w[a], at["pull"][i, a]))
+            found.append((w[a], r[i, :f], at["pull_back"][i, a]))
+            found.append((om[i, :f], w[a], at["twist"][i, a]))
+            found.append((w[a], om[i, :f], at["twist_back"][i, a]))
+    for a in range(m):
+        for b in range(m):
+            found.append((w[a], w[b], at["modal"][a, b]))
+    if T.rows:
+        rate, row, place = blocks.rows.places(T, at, "row")
+        found.append((rate, nv + row, place))
+        turning = (rate >= 3 * n) & (rate < 6 * n)
+        back = place + np.where(turning, size_before(blocks, "row_turn") - size_before(blocks, "row_torque"), 0)
+        found.append((nv + row, rate, back))
+    return np.concatenate([np.array(x, dtype=int).reshape(3, -1) for x in found], 1)
+
+
+def size_before(blocks: SaddleBlocks, name: str) -> int:
+    """Entries of the blocks before one."""
+    shapes = blocks.shapes()
+    return size_of(shapes[: [n for n, _ in shapes].index(name)])
+
+
+class Projection:
+    """P' K P with P = diag(rates, 1), from the flat entries of K's blocks."""
+
+    def __init__(self, index: np.ndarray, zero: int, rates: Tensor):
+        N = rates.numpy()
+        rows = len(index) - len(N)
+        P = np.block([[N, np.zeros((len(N), rows))], [np.zeros((rows, N.shape[1])), np.eye(rows)]])
+        i, a = np.nonzero(P)
+        factor = P[i, a]
+        I, J = (x.ravel() for x in np.meshgrid(np.arange(len(i)), np.arange(len(i)), indexing="ij"))
+        used = index[i[I], i[J]] < zero  # a place that holds zero adds nothing
+        I, J = I[used], J[used]
+        target = a[I] * P.shape[1] + a[J]
+        order = np.argsort(target, kind="stable")
+        I, J, target = I[order], J[order], target[order]
+        first = np.searchsorted(target, target)
+        depth = np.arange(len(target)) - first  # how many entries of the sum came before
+        self.width, size = int(depth.max()) + 1, P.shape[1] ** 2
+        table, weights = np.full((self.width, size), zero), np.zeros((self.width, size))
+        table[depth, target], weights[depth, target] = index[i[I], i[J]], factor[I] * factor[J]
+        self.table, self.weights = torch.from_numpy(table.ravel()), torch.from_numpy(weights)[..., None]
+        self.plain = self.width == 1 and bool((weights[0][table[0] < zero] == 1.0).all())  # the last place is zero
+
+    def __call__(self, flat: Tensor) -> Tensor:
+        entries = flat.index_select(0, self.table)
+        return entries if self.plain else (entries.unflatten(0, self.weights.shape[:2]) * self.weights).sum(0)

@@ -1,0 +1,244 @@
+"""Blocks of the saddle-point matrix: of all bodies and all rows at once.
+
+    mass, turn, turn_back, inertia        forces by r'', forces by omega', torques by r'', torques by omega'
+    pull, pull_back, twist, twist_back    forces by w'', modal forces by r'', torques by w'', modal forces by omega'
+    modal                                 modal forces by w''
+    row_force, row_torque, row_modal      Phi_q' by pairs (row, body);  row_turn: torques in Phi_q
+
+`stiffness`, `damping`: factors of Kr and D added to the modal mass, and derivatives of all other forces by coordinates
+and rates, make the iteration matrix of an implicit integrator out of the same text.
+Checked in tests/multibody/system/test_equations.py: every column is the difference of the residual that it stands for.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.math.pair import cat, cross, matmul, matvec, matvec_t
+from torchmbd.math.rotation import axial, skew
+from torchmbd.multibody.system.equations import Data, Placement, moments, split_v, total_on_vectors
+from torchmbd.multibody.system.topology import Fold, Topology
+from torchmbd.multibody.system.unit_forces import Block, UnitForces
+
+Moments = tuple[Tensor, Tensor, Tensor | None]  # S, P and G of equations.moments
+
+
+class SaddleBlocks:
+    """The blocks of one topology, of unit multipliers of its rows and unit strengths of its actions."""
+
+    def __init__(self, T: Topology, rows: UnitForces, actions: UnitForces):
+        self.T, self.rows, self.actions = T, rows, actions
+        self._body_fold = Fold([b if b < T.bodies else -1 for b in T.vector_body.tolist()], T.bodies)
+
+    def shapes(self) -> list[Block]:
+        """Names and shapes, in the order of the entries."""
+        n, f, m = self.T.bodies, self.T.flexible, self.T.modes
+        shapes = [
+            ("mass", (n,)),
+            ("turn", (3, 3, n)),
+            ("turn_back", (3, 3, n)),  # [r'', torque]
+            ("inertia", (3, 3, n)),
+            ("pull", (3, m, f)),
+            ("pull_back", (3, m, f)),  # [r'', mode]
+            ("twist", (3, m, f)),
+            ("twist_back", (3, m, f)),  # [omega', mode]
+            ("modal", (m, m, f)),
+        ]
+        rows = self.rows.shapes(m, "row") if self.T.rows else []
+        rows += [("row_turn", rows[1][1])] if rows else []
+        return shapes + rows
+
+    def action_shapes(self) -> list[Block]:
+        """Of the directions of the actions."""
+        return self.actions.shapes(self.T.modes, "action")
+
+    def __call__(
+        self,
+        data: Data,
+        at: Placement,
+        stiffness: Any = 0.0,
+        damping: Any = 0.0,
+        v: Any = None,
+        a: Any = None,
+        lam: Any = None,
+        turn: Any = None,
+    ) -> dict[str, Any]:
+        """The blocks [component..., 1, lanes] by name.
+
+        stiffness, damping  factors of Kr and D; `damping` also multiplies the gyroscopic matrix of the rates `v`,
+                            `stiffness` that of the inertia forces of the rates and accelerations `a`, and the geometric
+                            stiffness of the multipliers `lam`, if they are given
+        turn                rotations [3, bodies, 1, lanes] of an increment: Phi_q is then the derivative by the increment
+        """
+        T = self.T
+        body = moments(T, data, at.w) if T.flexible else (data["S0"], data["P0"], None)
+        blocks = self._mass_blocks(data, at, body, stiffness, damping)
+        blocks |= {f"{name}_back": blocks[name] for name in ("turn", "pull", "twist") if name in blocks}
+        if v is not None:
+            _, om, wd = split_v(T, v)
+            spin = skew(om)
+            self._add_gyroscopic(blocks, data, at, body, damping, (om, wd, spin))
+            if a is not None:
+                self._add_inertial(blocks, data, at, body, stiffness, (wd, spin), split_v(T, a))
+        if lam is not None:
+            pulls = total_on_vectors(T, data, at, v, lam)
+            if pulls is not None:
+                self._add_geometric(blocks, data, at, stiffness, pulls)
+        if T.rows:
+            blocks |= self._row_blocks(data, at)
+            blocks["row_turn"] = self._by_increment(blocks["row_torque"], turn)
+        return self._complete(blocks)
+
+    def _complete(self, blocks: dict[str, Any]) -> dict[str, Any]:
+        """With those that a system without flexible bodies does not have."""
+        missing = {name: shape for name, shape in self.shapes() if name not in blocks}
+        like = blocks["mass"]
+        return blocks | {name: like.new_zeros(*shape, *like.shape[-2:]) for name, shape in missing.items()}
+
+    def action_slopes(
+        self, data: Data, at: Placement, states: list[tuple], stiffness: Any, damping: Any
+    ) -> tuple[dict[str, Any], Any]:
+        """Directions of the actions, as blocks, and what their laws add to the matrix along them [actions, 1, lanes].
+
+        states: of the actions (equations.action_states).
+        """
+        slots, weights = [], []
+        for action, (s, rate, direction) in zip(self.T.actions, states, strict=True):
+            slots += direction
+            by_s, by_rate = action.slopes(s, rate, at.t, data)
+            weights.append(-(stiffness * by_s + damping * by_rate))
+        blocks = self.actions.blocks(data, at, cat(slots, 1), "action")
+        if "action_modal" not in blocks:
+            blocks["action_modal"] = blocks["action_force"].new_zeros(0, 1, 1)
+        return blocks, cat(weights)
+
+    def _by_increment(self, torque: Tensor, turn: Tensor | None) -> Tensor:
+        """A change d of the increment th turns a body by (1 - ~th/2 + ~th~th/6) d, here to the third order."""
+        if turn is None:
+            return torque
+        th = turn.index_select(1, self.rows.pair_body)
+        half = cross(th, torque)
+        return torque + 0.5 * half + (1.0 / 6.0) * cross(th, half)
+
+    def _mass_blocks(self, data: Data, at: Placement, body: Moments, stiffness: Any, damping: Any) -> dict[str, Tensor]:
+        T = self.T
+        n, f = T.bodies, T.flexible
+        eye = torch.eye(3, dtype=at.A.dtype, device=at.A.device)[:, :, None, None, None]
+        A = at.A[:, :, :n]
+        S, P, G = body
+        trace = P[0, 0] + P[1, 1] + P[2, 2]
+        blocks = {
+            "mass": data["mass"],
+            "turn": -matmul(A, skew(S)),
+            "inertia": eye * (trace + data["mu"]) - P,
+        }
+        if G is not None:
+            A_f = A[:, :, :f]
+            blocks["pull"] = (A_f[:, :, None] * data["SR"][:3][None]).sum(1)
+            blocks["twist"] = axial(G) + data["SR"][3:]
+            modal = T.modal_identity(data["Kr"]) + stiffness * data["Kr"]
+            blocks["modal"] = modal + damping * data["D"] if "D" in data else modal
+        return blocks
+
+    def _add_gyroscopic(
+        self,
+        blocks: dict[str, Tensor],
+        data: Data,
+        at: Placement,
+        body: Moments,
+        factor: Any,
+        rates: tuple[Tensor, Tensor, Tensor],
+    ) -> None:
+        """Add the derivatives of the inertia forces by om and w' (equations.py)."""
+        T, (om, wd, spin), (S, _, G) = self.T, rates, body
+        f = T.flexible
+        A, J = at.A[:, :, : T.bodies], blocks["inertia"]
+        drift = cross(om, S)
+        if G is not None:
+            bending = drift[:, :f] + 2.0 * matvec(data["SR"][:3], wd)
+            drift = cat([bending, drift[:, f:]], 1) if f < T.bodies else bending
+        blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(drift) + matmul(spin, skew(S)))
+        blocks["inertia"] = J + factor * (matmul(spin, J) - skew(matvec(J, om)))
+        if G is not None:
+            om_f, spin_f = om[:, :f], spin[:, :, :f]
+            twice = 2.0 * factor * spin_f
+            coriolis = matmul(twice, data["SR"][:3])
+            blocks["pull"] = blocks["pull"] + matmul(A[:, :, :f], coriolis)
+            R1, X = data["SR"][3:], (G * wd).sum(2)
+            turning = matmul(factor * spin_f, R1) + axial((twice[:, :, None, None] * G[None]).sum(1))
+            blocks["twist"] = blocks["twist"] + turning
+            eye = torch.eye(3, dtype=om.dtype, device=om.device)[:, :, None, None, None]
+            stirred = 2.0 * (eye * (X[0, 0] + X[1, 1] + X[2, 2]) - X) - skew(matvec(R1, wd))
+            blocks["inertia"] = cat([blocks["inertia"][:, :, :f] + factor * stirred, blocks["inertia"][:, :, f:]], 2)
+            both = G + G.transpose(0, 1)
+            trace = G[0, 0] + G[1, 1] + G[2, 2]
+            centrifugal = (both * om_f[None, :, None]).sum(1) - 2.0 * om_f[:, None] * trace[None]
+            coriolis = (data["H"] * wd).sum(2)
+            blocks["twist_back"] = blocks["twist_back"] + factor * (centrifugal + coriolis)
+            blocks["modal"] = blocks["modal"] + factor * (data["H"] * om_f[:, None, None]).sum(0)
+
+    def _add_inertial(
+        self,
+        blocks: dict[str, Tensor],
+        data: Data,
+        at: Placement,
+        body: Moments,
+        factor: Any,
+        rates: tuple[Tensor, Tensor],
+        accelerations: tuple[Tensor, Tensor, Tensor],
+    ) -> None:
+        """Add the derivatives of the inertia forces by the rotations and by w (equations.py)."""
+        T, (wd, spin), (rdd, omd, wdd), (S, _, G) = self.T, rates, accelerations, body
+        f = T.flexible
+        A = at.A[:, :, : T.bodies]
+        Z = skew(omd) + matmul(spin, spin)
+        u = matvec_t(A, rdd - data["gravity"] if "gravity" in data else rdd)
+        h = matvec(Z, S)
+        if G is not None:
+            S1, C1 = data["SR"][:3], data["C1"]
+            Z_f, spin_f, u_f = Z[:, :, :f], spin[:, :, :f], u[:, :f]
+            bending = h[:, :f] + matvec(S1, wdd) + 2.0 * matvec(spin_f, matvec(S1, wd))
+            h = cat([bending, h[:, f:]], 1) if f < T.bodies else bending
+            blocks["pull"] = blocks["pull"] + factor * matmul(A[:, :, :f], matmul(Z_f, S1))
+            slow, fast = ((C1 * x[:, None]).sum(2) for x in (wd, wdd))  # [3, 3, modes, flexible]
+            dP = G + G.transpose(0, 1)  # C1_ijab = C1_jiba
+            turned = _times(Z_f, dP) + fast + 2.0 * _times(spin_f, slow)
+            pulled = matmul(skew(u_f), S1)
+            blocks["twist"] = blocks["twist"] + factor * (axial(turned) - pulled)
+            blocks["twist_back"] = blocks["twist_back"] - factor * pulled
+            blocks["modal"] = blocks["modal"] + factor * (Z_f[:, :, None, None] * C1).flatten(0, 1).sum(0)
+        blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(h))
+        blocks["inertia"] = blocks["inertia"] + factor * matmul(skew(S), skew(u))
+
+    def _add_geometric(self, blocks: dict[str, Tensor], data: Data, at: Placement, factor: Any, pulls: Tensor) -> None:
+        """Add what the forces on attached vectors change by when bodies turn and bend under them, forces held in ground axes.
+
+        A rod under tension has a mode of small inertia in which its frame turns against its bending; there this
+        matters as much as the inertia.
+        """
+        T = self.T
+        local = matvec_t(at.A_of, pulls)
+        turned = matmul(skew(at.rho), skew(local))
+        torque = self._body_fold(turned.flatten(0, 1)).unflatten(0, (3, 3))
+        blocks["inertia"] = blocks["inertia"] + factor * torque
+        if T.attached_flexible:
+            bent = -matmul(skew(local[:, : T.attached_flexible]), data["Y"])
+            twist = factor * T.modal_fold(bent.flatten(0, 1)).unflatten(0, (3, T.modes))
+            blocks["twist"], blocks["twist_back"] = blocks["twist"] + twist, blocks["twist_back"] + twist
+
+    def _row_blocks(self, data: Data, at: Placement) -> dict[str, Any]:
+        slots = []
+        for primitive, arguments, drive in zip(self.T.primitives, at.arguments, at.drives, strict=True):
+            vectors = [x.unsqueeze(1) for x in arguments]
+            eye = torch.eye(primitive.rows, dtype=at.g.dtype, device=at.g.device)
+            lam = eye[:, :, None, None, None] + torch.zeros_like(vectors[0][:1])
+            slots += [force.flatten(1, 2) for force in primitive.forces(vectors, lam, drive)]
+        return self.rows.blocks(data, at, cat(slots, 1), "row")
+
+
+def _times(A: Tensor, B: Tensor) -> Tensor:
+    """Matrix [3, 3, n] times matrices [3, 3, modes, n]."""
+    return (A[:, :, None, None] * B[None]).sum(1)

@@ -1,0 +1,103 @@
+"""The index-1 equations of motion as a torch module: what `system()` returns.
+
+    dy/dt = f(t, y)          y = (q, v)
+
+Its parameters are those of the system, by the same names, so every tool that takes a module takes it:
+
+    f = system()
+    y = torchdiffeq.odeint(f, f.initial_state(), t)            or odeint_adjoint
+    torch.func.functional_call(f, {"rod.laminate.angles": x}, (t, y0))
+
+The structure stage runs once for each set of values of the parameters, not at each call. Its graph of torch is kept: one
+backward pass after another may go through it, as `odeint_adjoint` makes one at each of its evaluations.
+Computed in float64 on the CPU; anything else is refused.
+Checked in tests/multibody/system/test_state_equation.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch._C._functorch import is_functorch_wrapped_tensor
+
+from torchmbd.errors import InputError
+from torchmbd.multibody.system.dynamics import Dynamics
+
+
+class StateEquation(nn.Module):
+    """f(t, y) of one design: that of the parameters as they are when it is called.
+
+    modules   children of the system, by name
+    reduce    runs the structure stage of these
+    """
+
+    def __init__(self, modules: dict[str, nn.Module], reduce: Callable[[], Dynamics]):
+        super().__init__()
+        for name, module in modules.items():
+            self.add_module(name, module)
+        self._reduce = reduce
+        # For each grad mode: tensors with their numbers then, and what came of them.
+        self._kept: dict[bool, tuple[list[tuple[Tensor, Tensor]], Dynamics]] = {}
+
+    def forward(self, t: Tensor | float, y: Tensor) -> Tensor:
+        """dy/dt of states y [lanes, n_q + n_v] or [n_q + n_v] at time t [s]; the same shape."""
+        return self.dynamics(t, y)
+
+    def initial_state(self) -> Tensor:
+        """Consistent initial state y [1, n_q + n_v]: joints closed, velocities compatible; a function of the parameters."""
+        return self.dynamics.initial_state()
+
+    @property
+    def dynamics(self) -> Dynamics:
+        """The equations of the parameters as they are."""
+        grad, own = torch.is_grad_enabled(), [*self.parameters(), *self.buffers()]
+        for x in own:
+            if x.is_floating_point() and (x.dtype != torch.float64 or x.device.type != "cpu"):
+                raise InputError(f"the system was moved to {x.dtype} on {x.device}; allowed: torch.float64 on cpu")
+        if grad not in self._kept or not _same(self._kept[grad][0], own):
+            found = self._reduce()
+            if grad and not any(map(is_functorch_wrapped_tensor, own)):
+                found.data = _linked(found.data, [x for x in self.parameters() if x.requires_grad])
+            self._kept[grad] = [(x, x.detach().clone()) for x in own], found
+        return self._kept[grad][1]
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without what was computed."""
+        return vars(self) | {"_kept": {}}
+
+
+def _same(before: list[tuple[Tensor, Tensor]], now: list[Tensor]) -> bool:
+    if len(before) != len(now) or any(x is not y for (x, _), y in zip(before, now, strict=True)):
+        return False
+    return all(is_functorch_wrapped_tensor(x) or torch.equal(x, then) for x, then in before)
+
+
+def _linked(data: dict[str, Any], parameters: list[Tensor]) -> dict[str, Any]:
+    """The same data, whose graph bears any number of backward passes."""
+    moving = {name: x for name, x in data.items() if x.requires_grad}
+    if not moving:
+        return data
+    outputs: Any = _Kept.apply(list(moving.values()), *parameters)
+    return data | dict(zip(moving, outputs, strict=True))
+
+
+class _Kept(torch.autograd.Function):
+    """Tensors as a function of parameters; the graph from these stays where it is."""
+
+    @staticmethod
+    def forward(ctx: Any, outputs: list[Tensor], *parameters: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx.outputs, ctx.parameters = outputs, parameters
+        ctx.set_materialize_grads(False)
+        return tuple(x.detach() for x in outputs)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, *bars: Tensor | None) -> tuple[Tensor | None, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        used = [(y, bar) for y, bar in zip(ctx.outputs, bars, strict=True) if bar is not None]
+        if not used:
+            return (None,) * (1 + len(ctx.parameters))
+        outputs, weights = zip(*used, strict=True)
+        return None, *torch.autograd.grad(outputs, ctx.parameters, weights, retain_graph=True, allow_unused=True)

@@ -1,0 +1,342 @@
+"""A system: bodies, joints and forces. Calling it returns its equations of motion dy/dt = f(t, y), a torch module.
+
+The design variables are the parameters of the module by their names, for example `rod.laminate.angles`. Bodies that
+share a laminate share its angles. A batch of designs is the same module with leading lane axes on its parameters:
+
+    dynamics = system.dynamics({"rod.laminate.angles": angles}, tangents=True)     angles [lanes, layers]
+"""
+
+from __future__ import annotations
+
+import copy
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any, Self
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError, one_of, unknown
+from torchmbd.math.gradients import refuse_lost
+from torchmbd.math.module_call import called, exclusive
+from torchmbd.math.owned import positive, refuse_derivatives, several
+from torchmbd.math.pair import Pair
+from torchmbd.math.variable import key
+from torchmbd.multibody.bodies import FlexibleBody, RigidBody
+from torchmbd.multibody.bodies.frame import VELOCITIES, vector
+from torchmbd.multibody.forces.controller import VARIABLES as OF_CONTROLLERS
+from torchmbd.multibody.forces.feedback import Port
+from torchmbd.multibody.forces.force import ForceElement
+from torchmbd.multibody.forces.laws import VARIABLES
+from torchmbd.multibody.joints.drive import VARIABLES as OF_DRIVES
+from torchmbd.multibody.joints.joint import Joint
+from torchmbd.multibody.system import topology
+from torchmbd.multibody.system.description import Description, check_connected, describe
+from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.equations import INERTIA
+from torchmbd.multibody.system.initial import InitialConditions, given_start
+from torchmbd.multibody.system.saddle import Saddle
+from torchmbd.multibody.system.state_equation import StateEquation
+
+# Numbers of a system and of its bodies by which nothing is differentiated, and those of bodies that Parameters are.
+_CONSTANTS = ("gravity", "axes")
+_OF_START = ("position", *VELOCITIES)
+_VARIABLES = ("mass", "center", "inertia", *_OF_START)
+
+
+class System(nn.Module):
+    """Bodies joined by joints.
+
+    bodies         rigid and flexible bodies; their names are unique
+    joints         between frames of these bodies and the ground
+    forces         force elements between frames of these bodies and the ground
+    gravity        acceleration of gravity in ground axes [m/s2]
+    stabilization  time constant of the constraint stabilization of ODE methods [s]
+    free           names of bodies that no joint holds on purpose
+    """
+
+    gravity: Tensor | None
+
+    def __init__(
+        self,
+        bodies: Sequence[Any],
+        joints: Sequence[Joint] = (),
+        forces: Sequence[ForceElement] = (),
+        gravity: Sequence[float] | Tensor | None = None,
+        stabilization: float = 5e-3,
+        free: Sequence[str] = (),
+    ):
+        super().__init__()
+        bodies, joints, forces, free = (
+            several(name, given, kinds, allowed)
+            for name, given, kinds, allowed in (
+                ("bodies", bodies, (RigidBody, FlexibleBody), "bodies, such as mbd.RigidBody(...)"),
+                ("joints", joints, Joint, "joints, such as mbd.Revolute(...)"),
+                ("forces", forces, ForceElement, "force elements, such as mbd.SpringDamper(...)"),
+                ("free", free, str, "names of bodies"),
+            )
+        )
+        names = [body.name for body in bodies]
+        if not bodies:
+            raise InputError("bodies is empty; allowed: at least one body")
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f"body name {name!r} is used {names.count(name)} times; allowed: unique names")
+        self.bodies = bodies
+        self.register_buffer("gravity", None if gravity is None else vector("gravity", gravity))
+        self.stabilization = positive("stabilization", stabilization, "s")
+        self.forces = forces
+        check_connected(self.bodies, joints, forces, free)
+        self._join(joints)
+        for body in self.bodies:
+            if hasattr(self, body.name) or hasattr(StateEquation, body.name) or body.name in ("ground", "data"):
+                raise InputError(f"body name {body.name!r} is taken by torchmbd; allowed: any other identifier")
+            self.add_module(body.name, body)
+        self._add_laws()
+        self.register_load_state_dict_post_hook(_joined_anew)
+
+    def _add_laws(self) -> None:
+        """Take in the modules of joints and forces whose parameters are design variables, by the names of these."""
+        elements = [*self.joints, *self.forces]
+        names = [element.name for element in elements]
+        for element in elements:
+            if element.variables is None:
+                continue
+            name = element.name
+            if names.count(name) > 1 or "." in name or hasattr(self, name) or hasattr(StateEquation, name):
+                raise InputError(f"{name!r} has design variables; allowed: a name of its own, without a point")
+            self.add_module(name, element.variables.module)
+
+    def _join(self, joints: Sequence[Joint]) -> None:
+        self.joints = list(joints)
+        self.topology = topology.build(self.bodies, self.joints, self.forces)
+        ordered = [self.body(name) for name in self.topology.names]
+        self._saddle = Saddle(self.topology)
+        self._initial = InitialConditions.of(self.topology, ordered)
+
+    def with_joints(self, joints: Sequence[Joint]) -> Self:
+        """The same bodies, forces and parameters under other joints; bodies and parameters are shared."""
+        other = copy.copy(self)
+        other._join(several("joints", joints, Joint, "joints, such as mbd.Revolute(...)"))
+        return other
+
+    @exclusive
+    def describe(self) -> Description:
+        """Bodies, joints, rank, freedoms, mass and first frequencies: print it, or use its numbers."""
+        return describe(self)
+
+    def body(self, name: str) -> Any:
+        """The body of that name; InputError names the nearest."""
+        named = {body.name: body for body in self.bodies}
+        return named[one_of("body", name, named)]
+
+    @exclusive
+    def forward(self, part: str | None = None) -> Any:
+        """The equations of motion as a module (state_equation.py), of the parameters as they are when that is called.
+
+        For part="data" the tensors that the structure stage makes of them; for "stages" these and the structures of all
+        flexible bodies; for the name of one its structure.
+        """
+        if part is None:
+            made = StateEquation(dict(self.named_children()), self._own)
+            made.register_load_state_dict_post_hook(functools.partial(_joined_with, self))
+            return made
+        if part not in ("data", "stages"):
+            return self.body(part).structure()
+        structures = self._structures()
+        data = self._data(list(structures.values()))
+        return data if part == "data" else (data, structures)
+
+    @exclusive
+    def _own(self) -> Dynamics:
+        """Structure stage of the module's own parameters: one design."""
+        self._refuse_lost()
+        return self._made(self._data(list(self._structures().values())))
+
+    @exclusive
+    def reduced(self, parameters: Mapping[str, Tensor]) -> Dynamics:
+        """Structure stage of a batch of designs, name -> values [lanes, ...], differentiable by torch in every mode."""
+        return self.stages(parameters)[0]
+
+    @exclusive
+    def stages(self, parameters: Mapping[str, Tensor]) -> tuple[Dynamics, dict[str, Tensor]]:
+        """The same, and the mode shapes [lanes, nodes, 6, modes] of the flexible bodies by their names."""
+        self._refuse_lost()
+        data, structures = called(self, parameters, "stages")
+        return self._made(data), {name: made["psi"] for name, made in structures.items()}
+
+    def _made(self, data: dict[str, Any]) -> Dynamics:
+        return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
+
+    @exclusive
+    def dynamics(self, parameters: Mapping[str, Tensor] | None = None, tangents: Sequence[str] = ()) -> Dynamics:
+        """Structure stage of a batch of designs.
+
+        parameters  name -> values [lanes, ...]; others keep their own
+        tangents    names among them: carry the derivatives by every entry of these, in this order, flattened
+        """
+        self._refuse_lost()
+        own = dict(self.named_parameters())
+        given = dict(parameters or {})
+        for name, x in own.items():
+            if x.dtype != torch.float64:
+                raise InputError(f"parameter {name!r} is {x.dtype}; allowed: torch.float64, as the system was made")
+        for name, x in given.items():
+            if name not in own:
+                raise unknown("parameter", name, own)
+            if x.shape[1:] != own[name].shape:
+                raise InputError(
+                    f"parameter {name!r} has shape {tuple(x.shape)}; allowed: [lanes, {', '.join(map(str, own[name].shape))}]"
+                )
+            refuse_derivatives(f"parameter {name!r}", x, f"tangents=[{name!r}], or system() in reverse mode")
+        lanes = {name: x.shape[0] for name, x in given.items()}
+        if len(set(lanes.values())) > 1:
+            raise InputError(f"lanes of the parameters are {lanes}; allowed: the same number for all")
+        for name in tangents:
+            if name not in given:
+                raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(given)}")
+
+        def stage(values: dict[str, Tensor]) -> dict[str, Tensor]:
+            return called(self, values, "data")
+
+        with torch.no_grad():
+            if tangents:
+                fixed = {name: x for name, x in given.items() if name not in tangents}
+                data = _tangents(lambda moving: stage(fixed | moving), {name: given[name] for name in tangents})
+            else:
+                data = stage(given)
+        return self._made(data)
+
+    def _refuse_lost(self) -> None:
+        """InputError for numbers that would be differentiated, but are constants of the system, its bodies and laws."""
+        for owner in (self, *self.bodies):
+            for name in (*_CONSTANTS, *_VARIABLES):
+                x = owner._buffers.get(name, owner._parameters.get(name) if name in _CONSTANTS else None)
+                if x is not None and (name in owner._parameters or x.requires_grad):
+                    label = name if owner is self else f"{owner.name}.{name}"
+                    allowed = "a tensor that requires none"
+                    if name in _VARIABLES:
+                        allowed += ", or a Parameter given to the constructor of the body"
+                    raise InputError(f"{label!r} is a constant: it has no gradient; allowed: {allowed}")
+        for kind in self.topology.actions:
+            for law in kind.laws:
+                if isinstance(law, Port):
+                    refuse_lost(law.control.label, law.control.module, OF_CONTROLLERS, law.control.module)
+                else:
+                    refuse_lost("law of a force", law, VARIABLES)
+        for joint in self.joints:
+            registered = joint.variables.module if joint.variables else None
+            refuse_lost(f"law of {joint.name!r}", getattr(joint, "law", None), OF_DRIVES, registered)
+
+    def _structures(self) -> dict[str, dict[str, Tensor]]:
+        return {name: self.body(name).structure() for name in self.topology.names[: self.topology.flexible]}
+
+    def _data(self, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
+        T = self.topology
+        flexible = [self.body(name) for name in T.names[: T.flexible]]
+        rigid = [self.body(name) for name in T.names[T.flexible :]]
+        inertia = [*stages, *(body.invariants() for body in rigid)]
+        data = {key: _together([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
+        if flexible:
+            data |= _modal_data(
+                stages, [b.damping.matrix(s["Kr"]) for b, s in zip(flexible, stages, strict=True)], T.modes
+            )
+            data["Y"] = _vector_modes(T, stages)
+        x = [attached.vector for attached in T.attached]
+        data["x"] = torch.stack(x, 1)[:, :, None, None] if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
+        for element in (*self.joints, *self.forces):
+            if element.variables is not None:
+                data[key(element.name)] = element.variables.flat()
+        if any(name in body._parameters for body in self.bodies for name in _OF_START):
+            data |= given_start(T, [*flexible, *rigid])
+        if self.gravity is not None:
+            data["gravity"] = self.gravity[:, None, None, None]
+        return data
+
+
+def _joined_anew(system: System, _: Any) -> None:
+    """After loading other numbers: places may have changed. A function of the module, so that a system can be pickled."""
+    system._join(system.joints)
+
+
+def _joined_with(system: System, *_: Any) -> None:
+    system._join(system.joints)
+
+
+def _together(parts: list[Tensor], rank: int) -> Tensor:
+    """Stack one quantity of several bodies, lanes leading -> [component..., bodies, 1, lanes]."""
+    lanes = max((p.shape[0] for p in parts if p.dim() > rank), default=1)
+    full = [p.expand(lanes, *p.shape[p.dim() - rank :]) if p.dim() == rank else p for p in parts]
+    return torch.stack(full, -1).movedim(0, -1).unsqueeze(-2)
+
+
+def _pad(x: Tensor, modes: int, axes: tuple[int, ...]) -> Tensor:
+    for axis in axes:
+        missing = modes - x.shape[axis]
+        if missing:
+            shape = list(x.shape)
+            shape[axis] = missing
+            x = torch.cat([x, x.new_zeros(shape)], axis)
+    return x
+
+
+def _modal_data(stages: list[dict[str, Tensor]], damping: list[Tensor | None], modes: int) -> dict[str, Tensor]:
+    """Invariants of the modes; padded modes couple to nothing."""
+    SR = [_pad(torch.cat([s["S1"], s["R1"]], -2), modes, (-1,)) for s in stages]
+    C1 = [_pad(s["C1"], modes, (-2, -1)) for s in stages]
+    # H_k ab = eps_ikj (2 C1 + R2)_ij ab: the Coriolis force on mode a is om_k H_kab w'_b.
+    H = []
+    for s in stages:
+        c = _pad(2.0 * s["C1"] + s["R2"], modes, (-2, -1))
+        H.append(torch.stack([c[..., j, i, :, :] - c[..., i, j, :, :] for i, j in ((1, 2), (2, 0), (0, 1))], -3))
+    data = {
+        "SR": _together(SR, 2),
+        "C0": _together([_pad(s["C0"], modes, (-1,)) for s in stages], 3),
+        "C1": _together(C1, 4),
+        "H": _together(H, 3),
+        "Kr": _together([_pad(s["Kr"], modes, (-2, -1)) for s in stages], 2),
+    }
+    if any(D is not None for D in damping):
+        parts = [torch.zeros_like(s["Kr"]) if D is None else D for D, s in zip(damping, stages, strict=True)]
+        data["D"] = _together([_pad(D, modes, (-2, -1)) for D in parts], 2)
+    return data
+
+
+def _vector_modes(T: topology.Topology, stages: list[dict[str, Tensor]]) -> Tensor:
+    """Modal rows Y [3, modes, vectors, 1, lanes] of the vectors attached to flexible bodies (multibody/bodies/frame.py)."""
+    rows = []
+    for attached, body in zip(T.attached[: T.attached_flexible], T.vector_flexible.tolist(), strict=True):
+        rows.append(_pad(attached.modal_rows(stages[body]["psi"]), T.modes, (-1,)))
+    if not rows:
+        return stages[0]["psi"].new_zeros(3, T.modes, 0, 1, 1)
+    return _together(rows, 2)
+
+
+def unit_directions(given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """A direction for each entry of the parameters [lanes, ...], of all lanes at once: [n_b, lanes, ...]."""
+    sizes = {name: x[0].numel() for name, x in given.items()}
+    total, start = sum(sizes.values()), 0
+    directions = {}
+    for name, x in given.items():
+        unit = torch.zeros(total, sizes[name], dtype=x.dtype, device=x.device)
+        unit[start : start + sizes[name]] = torch.eye(sizes[name], dtype=x.dtype, device=x.device)
+        directions[name] = unit.reshape(total, 1, *x.shape[1:]).expand(total, *x.shape)
+        start += sizes[name]
+    return directions
+
+
+def _tangents(stage: Any, given: dict[str, Tensor]) -> dict[str, Any]:
+    """Values and tangents of the structure stage: one linearization, all design directions together.
+
+    A quantity whose tangent is zero for every design and direction becomes a plain tensor: nothing to carry.
+    """
+
+    def push(direction: dict[str, Tensor]) -> tuple:
+        return torch.func.jvp(stage, (given,), (direction,))
+
+    values, tangents = torch.func.vmap(push, out_dims=(None, 0))(unit_directions(given))  # pyright: ignore[reportArgumentType]
+    result: dict[str, Any] = {}
+    for name, x in values.items():
+        dx = tangents[name].movedim(0, -1).squeeze(-3).movedim(-1, -2)
+        result[name] = Pair.of(x, dx) if bool(dx.any()) else x
+    return result

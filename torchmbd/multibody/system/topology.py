@@ -1,0 +1,379 @@
+"""The topology of a system: who is attached to what, as index tensors. Constants of the model, no numbers of a design.
+
+Order of the unknowns (flexible bodies come first):
+
+    q = r [3, bodies] | p [4, bodies] | w [modes, flexible]         coordinates
+    v = r' [3, bodies] | omega [3, bodies] | w' [modes, flexible]   rates; omega in body axes
+    lam: rows of the primitives, kind by kind (multibody/joints/primitive.py)
+
+`modes` is the largest number of modes; bodies with fewer are padded with modes that never move.
+Carriers are bodies whose motion is known: the ground, and before it those that a condensation took out (prescribed_body.py).
+They follow the bodies in `vector_body`. `rates`, where a condensation left it, gives the rates of all bodies from
+independent ones; v and a then hold the independent ones, and nobody but `split_v` and `dynamic_residual` knows.
+
+Sums over attached vectors are gathers from a padded table (`Fold`): one gather and one sum whatever the number of
+joints, and no atomic additions.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.math.pair import cat, linear, value
+from torchmbd.multibody.bodies import Ground
+from torchmbd.multibody.forces.action import KINDS as ACTIONS
+from torchmbd.multibody.forces.action import Action
+from torchmbd.multibody.forces.feedback import Links
+from torchmbd.multibody.forces.force import Applied, ForceElement
+from torchmbd.multibody.joints.joint import Attached, Equation, Joint, Scribe
+from torchmbd.multibody.joints.primitive import KINDS, Primitive
+from torchmbd.multibody.system.prescribed_body import Carrier
+
+
+class Fold:
+    """Sum columns of a number into groups: [k, n, ...] -> [k, groups, ...]."""
+
+    def __init__(self, group: Sequence[int], groups: int):
+        members: list[list[int]] = [[] for _ in range(groups)]
+        for column, g in enumerate(group):
+            if g >= 0:
+                members[g].append(column)
+        width = max((len(m) for m in members), default=0)
+        padding = len(group)  # an extra column of zeros
+        self.groups, self.width = groups, width
+        table: list[list[int]] = [m + [padding] * (width - len(m)) for m in members]
+        self.table = torch.tensor([m[k] for k in range(width) for m in table], dtype=torch.long)
+        self.padded = any(padding in m for m in table)
+
+    def __call__(self, *parts):
+        """Fold the columns of all parts, side by side."""
+        if self.width == 0:
+            return linear(lambda y: y.new_zeros(y.shape[0], self.groups, *y.shape[2:]), parts[0])
+        columns = list(parts)
+        if self.padded:
+            columns.append(linear(lambda y: torch.zeros_like(y[:, :1]), columns[0]))
+        x = cat(columns, 1) if len(columns) > 1 else columns[0]
+        x = x.index_select(1, self.table)
+        return x if self.width == 1 else x.unflatten(1, (self.width, self.groups)).sum(1)
+
+
+class SparseMap:
+    """A constant matrix [m, k] with few entries in a row: y = matrix x on numbers [k, ...], one gather."""
+
+    def __init__(self, matrix: Tensor):
+        entries = [[(j, float(c)) for j, c in enumerate(row) if c != 0.0] for row in matrix.tolist()]
+        self.rows, self.width = len(entries), max((len(e) for e in entries), default=0)
+        padded = [e + [(0, 0.0)] * (self.width - len(e)) for e in entries]
+        self.table = torch.tensor([e[k][0] for k in range(self.width) for e in padded], dtype=torch.long)
+        factors = torch.tensor([e[k][1] for k in range(self.width) for e in padded], dtype=torch.float64)
+        self.factors = None if bool((factors == 1.0).all()) else factors[:, None, None]
+        self.matrix = matrix
+
+    def some(self, rows: list[int]) -> SparseMap:
+        """The map of some rows."""
+        return SparseMap(self.matrix[rows])
+
+    def __call__(self, x):
+        y = x.index_select(0, self.table)
+        y = y if self.factors is None else y * self.factors
+        return y if self.width == 1 else y.unflatten(0, (self.width, self.rows)).sum(0)
+
+
+class Prescribed(NamedTuple):
+    """What is known at a time: what the laws prescribe for each kind of primitive, and where the carriers are."""
+
+    laws: list[tuple | None]
+    A: Tensor  # rotations [3, 3, carriers, 1, 1], the ground last
+    r: Tensor  # origins [3, carriers, 1, 1]
+    t: Any  # the time [1, 1] or []
+
+    def shared(self, varied: Sequence[int]) -> Prescribed:
+        """The same without the laws of some kinds, those with design variables: what is equal in all lanes."""
+        return self._replace(laws=[() if i in varied else law for i, law in enumerate(self.laws)])
+
+    def values(self) -> Prescribed:
+        """The same without tangents."""
+        laws = [None if law is None else tuple(value(x) for x in law) for law in self.laws]
+        return self._replace(laws=laws, A=value(self.A), r=value(self.r), t=value(self.t))
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """Index tensors of one system; see the module header."""
+
+    names: tuple[str, ...]  # bodies, flexible first
+    flexible: int
+    modes: int
+    own_modes: tuple[int, ...]  # retained modes of each flexible body
+    attached: tuple[Attached, ...]  # vectors, those of flexible bodies first
+    attached_flexible: int
+    vector_body: Tensor  # [vectors]; the ground is len(names)
+    vector_origin: Tensor  # [vectors] body whose r is added: len(names) (zero) for axes and the ground
+    vector_flexible: Tensor  # [attached_flexible] flexible body of each
+    primitives: tuple[Primitive, ...]
+    slots: Tensor  # vectors of all arguments of all primitives, in order
+    row_names: tuple[str, ...]
+    vector_fold: Fold  # slots of constraint forces -> vectors
+    body_fold: Fold  # [forces of points | torques] of vectors -> [forces | torques] of bodies
+    modal_fold: Fold  # modal forces of flexible vectors -> flexible bodies
+    actions: tuple[Action, ...] = ()
+    action_slots: Tensor | None = None  # vectors of all arguments of all actions, in order
+    action_fold: Fold | None = None  # slots of applied forces -> vectors
+    carriers: tuple[Carrier, ...] = ()
+    rates: Tensor | None = None  # [rates of all bodies, independent rates]
+    spread: SparseMap | None = None  # the same
+    gather: SparseMap | None = None  # its transpose
+
+    @cached_property
+    def links(self) -> Links:
+        """The controllers among the actions."""
+        return Links([law for action in self.actions for law in action.laws])
+
+    @property
+    def bodies(self) -> int:
+        return len(self.names)
+
+    @property
+    def n_q(self) -> int:
+        return 7 * self.bodies + self.modes * self.flexible
+
+    @property
+    def n_v(self) -> int:
+        return self.n_rates if self.rates is None else self.rates.shape[1]
+
+    @property
+    def n_rates(self) -> int:
+        """Rates of all bodies."""
+        return 6 * self.bodies + self.modes * self.flexible
+
+    @property
+    def vectors(self) -> int:
+        """Attached vectors."""
+        return len(self.attached)
+
+    @property
+    def known(self) -> int:
+        """Bodies whose motion is known: the carriers and the ground."""
+        return 1 + len(self.carriers)
+
+    @property
+    def rows(self) -> int:
+        return len(self.row_names)
+
+    def arguments(self, g: Any) -> list[list[Any]]:
+        """The vectors [3, n, ...] of each primitive's arguments, out of all attached vectors: one gather."""
+        return _arguments(g.index_select(1, self.slots), self.primitives)
+
+    def action_arguments(self, g: Any) -> list[list[Any]]:
+        """The same for the actions."""
+        return _arguments(g.index_select(1, self.action_slots), self.actions)
+
+    @property
+    def varied(self) -> list[int]:
+        """Kinds of primitives with laws that have design variables."""
+        return [i for i, p in enumerate(self.primitives) if p.varies]
+
+    def law_jets(self, t: Tensor, data: Mapping[str, Any] | None = None) -> list[tuple | None]:
+        """What the laws of driven primitives prescribe at time t, with time derivatives, for each kind of primitive.
+
+        data: of the designs; without, design variables of laws have their own values.
+        """
+        return [p.prescribed_jets(t, data) if p.driven else None for p in self.primitives]
+
+    def prescribed(self, t: Tensor, data: Mapping[str, Any] | None = None) -> Prescribed:
+        """What is known at time t; data as of `law_jets`."""
+        return self.schedule(t[None], data)[0]
+
+    def schedule(self, times: Tensor, data: Mapping[str, Any] | None = None) -> list[Prescribed]:
+        """What is known at times [n], for each of them; data as of `law_jets`."""
+        n = len(times)
+        laws = [p.prescribed(times, data) if p.driven else None for p in self.primitives]
+        poses = [carrier.poses(times) for carrier in self.carriers]
+        eye = torch.eye(3, dtype=times.dtype, device=times.device)
+        poses.append((eye[..., None].expand(3, 3, n), times.new_zeros(3, n)))
+        A, r = (torch.stack(x, -2)[..., None, None].movedim(-3, 0).contiguous() for x in zip(*poses, strict=True))
+        at = [[None if law is None else tuple(x[i] for x in law) for law in laws] for i in range(n)]
+        return [Prescribed(*x) for x in zip(at, A, r, times, strict=True)]
+
+    def modal_identity(self, like: Tensor) -> Tensor:
+        """The identity [modes, modes, 1, 1, 1]."""
+        return torch.eye(self.modes, dtype=like.dtype, device=like.device)[:, :, None, None, None]
+
+    def row_slices(self) -> list[tuple[Primitive, slice]]:
+        """Each kind of primitive with its rows among all."""
+        result, start = [], 0
+        for primitive in self.primitives:
+            stop = start + primitive.rows * len(primitive.members[0])
+            result.append((primitive, slice(start, stop)))
+            start = stop
+        return result
+
+    def r_slice(self, body: int) -> list[int]:
+        """Rows of q with the origin of a body."""
+        return [i * self.bodies + body for i in range(3)]
+
+    def p_slice(self, body: int) -> list[int]:
+        """Rows of q with the Euler parameters of a body."""
+        return [3 * self.bodies + i * self.bodies + body for i in range(4)]
+
+    def w_slice(self, flexible: int) -> list[int]:
+        """Rows of q with the modal coordinates of a flexible body (its own modes, without padding)."""
+        return [7 * self.bodies + a * self.flexible + flexible for a in range(self.own_modes[flexible])]
+
+
+def _arguments(g: Any, kinds: Sequence[Primitive | Action]) -> list[list[Any]]:
+    result, start = [], 0
+    for kind in kinds:
+        n = len(kind.members[0])
+        result.append([g[:, start + k * n : start + (k + 1) * n] for k in range(len(kind.members))])
+        start += n * len(kind.members)
+    return result
+
+
+def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[ForceElement] = ()) -> Topology:
+    """Order the bodies, scribe all joints and forces and make the index tensors."""
+    order = sorted(bodies, key=lambda body: not hasattr(body, "mesh"))
+    number = {id(body): i for i, body in enumerate(order)}
+    flexible = sum(hasattr(body, "mesh") for body in order)
+    ground = len(order)
+    scribe = Scribe()
+    equations = [(joint, equation) for joint in joints for equation in _checked(joint, scribe, number)]
+    applied = [action for force in forces for action in _acting(force, scribe, number)]
+    bends = [number.get(id(x.body), ground) < flexible for x in scribe.vectors]
+    arrangement = sorted(range(len(bends)), key=lambda i: not bends[i])
+    position = {old: new for new, old in enumerate(arrangement)}
+    attached = tuple(scribe.vectors[i] for i in arrangement)
+    body_of = [number.get(id(x.body), ground) for x in attached]
+    own = tuple(body.modes for body in order[:flexible])
+    primitives, rows = _group(equations, position)
+    actions = _group_actions(applied, position)
+    return assemble([body.name for body in order], own, attached, body_of, primitives, rows, actions)
+
+
+def assemble(
+    names: Sequence[str],
+    own_modes: tuple[int, ...],
+    attached: tuple[Attached, ...],
+    body_of: list[int],
+    primitives: tuple[Primitive, ...],
+    row_names: tuple[str, ...],
+    actions: tuple[Action, ...] = (),
+    carriers: tuple[Carrier, ...] = (),
+    rates: Tensor | None = None,
+) -> Topology:
+    """Make the index tensors. body_of: body of each attached vector, carriers after the bodies; flexible bodies first."""
+    n, flexible, ground = len(names), len(own_modes), len(names) + len(carriers)
+    slots, action_slots = (
+        [int(i) for kind in kinds for member in kind.members for i in member] for kinds in (primitives, actions)
+    )
+    bent = [body for body in body_of if body < flexible]
+    force_of = [body if x.is_point and body < n else -1 for x, body in zip(attached, body_of, strict=True)]
+    torque_of = [n + body if body < n else -1 for body in body_of]
+    return Topology(
+        names=tuple(names),
+        flexible=flexible,
+        modes=max(own_modes, default=0),
+        own_modes=own_modes,
+        attached=attached,
+        attached_flexible=len(bent),
+        vector_body=torch.tensor(body_of, dtype=torch.long),
+        vector_origin=torch.tensor(
+            [b if x.is_point else ground for x, b in zip(attached, body_of, strict=True)], dtype=torch.long
+        ),
+        vector_flexible=torch.tensor(bent, dtype=torch.long),
+        primitives=primitives,
+        slots=torch.tensor(slots, dtype=torch.long),
+        row_names=row_names,
+        vector_fold=Fold(slots, len(attached)),
+        body_fold=Fold(force_of + torque_of, 2 * n),
+        modal_fold=Fold(bent, flexible),
+        actions=actions,
+        action_slots=torch.tensor(action_slots, dtype=torch.long) if actions else None,
+        action_fold=Fold(action_slots, len(attached)) if actions else None,
+        carriers=carriers,
+        rates=rates,
+        spread=None if rates is None else SparseMap(rates),
+        gather=None if rates is None else SparseMap(rates.T),
+    )
+
+
+def _checked(joint: Joint, scribe: Scribe, number: dict[int, int]) -> list[Equation]:
+    for frame in (joint.a, joint.b):
+        if id(frame.body) not in number and not isinstance(frame.body, Ground):
+            raise InputError(
+                f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
+            )
+    return _known(joint, list(joint.equations(scribe)), KINDS)
+
+
+def _acting(force: ForceElement, scribe: Scribe, number: dict[int, int]) -> list[Applied]:
+    for frame in (*force.frames, *force.measured):
+        if id(frame.body) not in number and not isinstance(frame.body, Ground):
+            raise InputError(
+                f"force {force.name!r} acts on body {frame.body.name!r}, which is not among the bodies of the system"
+            )
+    return _known(force, list(force.actions(scribe)), ACTIONS)
+
+
+Named = TypeVar("Named", Equation, Applied)
+
+
+def _known(owner: Joint | ForceElement, given: list[Named], kinds: tuple[type, ...]) -> list[Named]:
+    """The equations or actions of an element; InputError for a kind that is not in its tuple and would be left out."""
+    for x in given:
+        if x.kind not in kinds:
+            names = ", ".join(kind.__name__ for kind in kinds)
+            found = getattr(x.kind, "__name__", repr(x.kind))
+            raise InputError(f"{owner.name!r} has the kind {found!r}, which is in no tuple KINDS; allowed: {names}")
+    return given
+
+
+def _group_actions(applied: list[Applied], position: dict[int, int]) -> tuple[Action, ...]:
+    """Collect the actions kind by kind."""
+    result = []
+    for kind in ACTIONS:
+        mine = [action for action in applied if action.kind is kind]
+        if mine:
+            members = tuple(
+                torch.tensor([position[action.vectors[k]] for action in mine]) for k in range(len(kind.arguments))
+            )
+            result.append(kind(members, tuple(action.law for action in mine)))
+    return tuple(result)
+
+
+def _group(
+    equations: list[tuple[Joint, Equation]], position: dict[int, int]
+) -> tuple[tuple[Primitive, ...], tuple[str, ...]]:
+    """Collect the equations kind by kind; rows of a kind run component first."""
+    primitives, names = [], []
+    for kind in KINDS:
+        mine = [(joint, equation) for joint, equation in equations if equation.kind is kind]
+        if not mine:
+            continue
+        members = tuple(
+            torch.tensor([position[equation.vectors[k]] for _, equation in mine]) for k in range(len(kind.arguments))
+        )
+        primitives.append(kind(members, tuple(equation.data for _, equation in mine)))
+        for component in range(kind.rows):
+            suffix = f" {'xyz'[component]}" if kind.rows == 3 else ""
+            names += [f"{joint.name}: {kind.__name__.lower()}{suffix}" for joint, _ in mine]
+    return tuple(primitives), _numbered(names)
+
+
+def _numbered(names: list[str]) -> tuple[str, ...]:
+    """Names of rows; those that occur several times carry their number."""
+    count = Counter(names)
+    seen: Counter[str] = Counter()
+    result = []
+    for name in names:
+        seen[name] += 1
+        result.append(f"{name} {seen[name]}" if count[name] > 1 else name)
+    return tuple(result)

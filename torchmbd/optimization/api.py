@@ -1,0 +1,193 @@
+"""The door: check the input, run one start, and tell the end in physical units.
+
+`optimize` is what users call for one start; `run_start` is what it shares with `multistart`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
+from torchmbd.optimization.least_infeasible import least_infeasible
+from torchmbd.optimization.optimizer import (
+    Box,
+    Ending,
+    Iterate,
+    Method,
+    OptimizationResult,
+    Problem,
+    as_names,
+    as_numbers,
+    find_method,
+    require_count,
+    require_problem,
+    require_range,
+)
+from torchmbd.optimization.search import Interrupted, OutOfAnalyses, Search, variable_scale
+
+MAX_ITERATIONS = 100
+FEASIBILITY = 1e-6
+
+
+def optimize(
+    problem: Problem,
+    method: str = "mmfd",
+    start: np.ndarray | None = None,
+    max_iterations: int = MAX_ITERATIONS,
+    scaling: bool = True,
+    callback: Callable[[Iterate], None] | None = None,
+    *,
+    feasibility: float = FEASIBILITY,
+    eager_gradients: bool = True,
+    max_analyses: int | None = None,
+    **options: Any,
+) -> OptimizationResult:
+    """Minimize from one start.
+
+    problem          such as a Problem; any object as told in optimizer.py
+    method           "mmfd", "slsqp", "trust-constr", "mma", "ccsaq", "ipopt" or "differential_evolution"
+    start            initial design [n]; None: problem.start
+    max_iterations   accepted designs at most
+    scaling          variables by |start|, objective by |objective(start)|
+    callback         called with every accepted Iterate
+    feasibility      violation of a constraint that still counts as none [-]
+    eager_gradients  ask for gradients together with all values (a simulation saved per iteration), not afterwards
+    max_analyses     simulations at most; None: any number
+    options          the method's own
+
+    A simulation that fails is stepped back from, and counted in the result. Raises InputError for an unknown method or
+    option, crossed bounds, a start outside the bounds, wrong lengths.
+    """
+    function = find_method(method, options)
+    x, lower, upper = checked_box(problem, start)
+    require_limits(max_iterations, max_analyses)
+    require_range("feasibility", feasibility, 0.0, 1.0)
+
+    search = Search(
+        problem.evaluate,
+        x,
+        lower,
+        upper,
+        scale=variable_scale(x, lower, upper) if scaling else None,
+        equalities=getattr(problem, "equalities", None),
+        feasibility=feasibility,
+        eager_gradients=eager_gradients,
+        max_analyses=max_analyses,
+        report=callback,
+    )
+    return run_start(search, function, method, max_iterations, options, problem)
+
+
+def require_limits(max_iterations: int, max_analyses: int | None) -> None:
+    """Raise InputError unless both limits make sense."""
+    require_count("max_iterations", max_iterations, 0, 1_000_000)
+    if max_analyses is not None:
+        require_count("max_analyses", max_analyses, 1, 1_000_000)
+
+
+def checked_box(problem: Box, start: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return start, lower and upper [n] as float arrays; InputError names the variable that is wrong."""
+    require_problem(problem)
+    size = np.asarray(problem.start).size
+    names = as_names(problem, size)
+    x = as_numbers("start", problem.start if start is None else start).reshape(-1)
+    if x.size != size:
+        raise InputError(f"start has {x.size} entries, allowed: {size} ({', '.join(names)})")
+    lower, upper = (
+        np.array(np.broadcast_to(np.asarray(b, dtype=float), x.shape)) for b in (problem.lower, problem.upper)
+    )
+    for name, value, low, high in zip(names, x, lower, upper, strict=True):
+        if not low <= high:
+            raise InputError(f"bounds of {name} are crossed: lower = {low:g} must not exceed upper = {high:g}")
+        if not low <= value <= high:
+            raise InputError(f"start of {name} = {value:g}: must lie in its bounds [{low:g}, {high:g}]")
+    return x, lower, upper
+
+
+def run_start(
+    search: Search, function: Method, method: str, max_iterations: int, options: dict[str, Any], problem: Box
+) -> OptimizationResult:
+    """Run one method on one start and return its result; an interruption ends in the status of that name."""
+    try:
+        ending = function(search, max_iterations, **options)
+        if ending.status == "infeasible":
+            ending = restored(search, ending, function, max_iterations, options)
+    except (Interrupted, KeyboardInterrupt):
+        status, message = "interrupted", "stopped by the user"
+    except OutOfAnalyses:
+        status, message = "max_iterations", f"the limit of {search.max_analyses} analyses was reached"
+    else:
+        return result_of(search, ending, method, problem)
+    if not search.history and search.evaluate_known(search.start).ok:
+        search.begin()  # the start is known, though it came with neighbors that are not
+    best = search.start if search.best is None else search.best
+    return result_of(search, Ending(best, status, message), method, problem, evaluate=False)
+
+
+def restored(search: Search, ending: Ending, function: Method, max_iterations: int, options: dict[str, Any]) -> Ending:
+    """Look for the least infeasible design: go on from there if it is feasible, else say which constraints fight."""
+    least = least_infeasible(search, best_of(search, ending)[0])
+    remaining = max_iterations - (len(search.history) - 1)
+    if least.violation <= search.feasibility and remaining > 0:
+        search.start = least.y
+        return function(search, remaining, **options)
+    if least.violation <= search.feasibility:
+        return Ending(least.y, "max_iterations", f"{ending.message}; a feasible design was found")
+    message = f"no design near here violates less than {least.violation:.3g}: constraints {least.fighting} fight"
+    return Ending(least.y, "infeasible", f"{message} each other or the bounds ({ending.message})")
+
+
+def result_of(search: Search, ending: Ending, method: str, problem: Box, evaluate: bool = True) -> OptimizationResult:
+    """Return the ending in physical units, with multipliers; "converged" must be feasible, whatever the method said."""
+    y, status, message = best_of(search, ending)
+    evaluation = known = search.evaluate_known(y)
+    if evaluate:
+        evaluation = search.evaluate(y, gradients=True)
+    if known.ok and not evaluation.ok:
+        evaluation, message = known, f"{message}; its gradient could not be evaluated: {evaluation.status}"
+    violation = search.violation(evaluation) if evaluation.ok else float("nan")
+    if status == "converged" and not violation <= search.feasibility:
+        status, message = "infeasible", f"{message}, but a constraint is violated by {violation:.3g}"
+    df = evaluation.objective_gradient
+    if status == "converged" and len(search.history) == 1 and df is not None and not df.any():
+        message = "the objective does not depend on any variable near the start: its gradient is zero there and aside"
+    feasible = next((i.iteration for i in search.history if i.violation <= search.feasibility), None)
+    if feasible and violation <= search.feasibility:
+        message += f"; the start violated a constraint by {search.history[0].violation:.3g}"
+        message += f", designs are feasible since iteration {feasible}"
+    m, n = evaluation.constraints.size, search.size
+    kkt = KuhnTucker(np.full(m, np.nan), np.full(n, np.nan), float("nan"))
+    if evaluation.ok and evaluation.objective_gradient is not None:
+        kkt = kuhn_tucker(evaluation, y, search.lower, search.upper, search.equality)
+    return OptimizationResult(
+        x=search.physical(y),
+        value=evaluation.objective * search.objective_scale,
+        constraints=evaluation.constraints,
+        violation=violation,
+        status=status,
+        message=message,
+        method=method,
+        iterations=max(len(search.history) - 1, 0),
+        analyses=search.analyses,
+        gradient_evaluations=search.gradient_evaluations,
+        failures=search.failures,
+        history=search.history,
+        multipliers=kkt.multipliers * search.objective_scale,
+        bound_multipliers=kkt.bound_multipliers * search.objective_scale / search.scale,
+        kkt_residual=kkt.residual,
+        names=list(problem.names),
+        start=search.index,
+        problem=problem,
+    )
+
+
+def best_of(search: Search, ending: Ending) -> tuple[np.ndarray, str, str]:
+    """Return the method's design unless it failed, or is infeasible while a better one was seen on the way."""
+    best = search.best
+    if best is None or ending.status == "converged":
+        return ending.y, ending.status, ending.message
+    return best, ending.status, ending.message

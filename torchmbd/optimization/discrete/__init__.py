@@ -1,0 +1,1 @@
+"""Discrete variables: branch and bound over allowed values."""

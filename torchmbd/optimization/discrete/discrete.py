@@ -1,0 +1,170 @@
+"""Discrete variables (ply angles in increments, areas from a list): branches pruned by gradients, candidates confirmed.
+
+1. Relaxation: local searches from all starts with continuous variables; their distinct minima are the roots.
+2. Branches: the variable farthest from its values gets two boxes, up to the value below and from the value above. Each box
+   is searched again with gradients, from where its parent ended; a box whose minimum is no better than the best design on
+   the values is dropped with all that lies in it. The boxes of a wave run in lockstep: their simulations are one batch.
+3. Confirmation: every minimum found is rounded and evaluated in full. Only evaluated designs are results.
+4. Certificate: all neighbors of the best design within two increments are evaluated; from a better one it goes on.
+
+Exact where the problem is convex; otherwise the pruning trusts local minima, and the certificate says what is certain.
+Source: Dakin, A tree-search algorithm for mixed integer programming problems, Computer J. 8 (1965) 250-255 (branching);
+Gupta and Ravindran, Branch and bound experiments in convex nonlinear integer programming, Management Science 31 (1985)
+1533-1546. Checked in tests/optimization/discrete/test_discrete.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
+from torchmbd.optimization.cache import Archive
+from torchmbd.optimization.discrete.branching import MAX_NEIGHBORS, STEPS, Branching, Candidate
+from torchmbd.optimization.discrete.grid import Allowed, Grid
+from torchmbd.optimization.multistart.multistart import Study, multistart
+from torchmbd.optimization.multistart.sampling import Starts
+from torchmbd.optimization.optimizer import OptimizationResult, Problem, find_method, require_count
+from torchmbd.optimization.search import Search
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What is certain of the best design."""
+
+    holds: bool  # no neighbor is better
+    neighbors: int  # designs evaluated around it
+    failed: int  # how many of them could not be evaluated
+    which: str  # these neighbors in words
+    closest: Candidate | None  # the best neighbor
+
+
+@dataclass(frozen=True)
+class DiscreteResult:
+    best: Candidate | None
+    status: str  # as of OptimizationResult; "converged": feasible, all boxes searched, and the certificate holds
+    message: str
+    certificate: Certificate | None
+    rounded: Candidate | None  # what plain rounding of the best relaxed minimum gives
+    relaxed: Study
+    candidates: list[Candidate]  # all designs on the values that were evaluated, the best first
+    boxes: int  # searched with gradients
+    analyses: int
+    batches: int
+    size: int  # designs that there are, continuous variables not counted
+    names: list[str] = field(default_factory=list)
+
+
+def optimize_discrete(
+    problem: Problem,
+    allowed: Allowed | Sequence[Allowed],
+    method: str = "mmfd",
+    starts: Starts | list[Any] | np.ndarray | None = None,
+    *,
+    max_iterations: int = MAX_ITERATIONS,
+    max_lanes: int = 64,
+    max_boxes: int = 1000,
+    max_neighbors: int = MAX_NEIGHBORS,
+    admits: Callable[[np.ndarray], bool] = lambda x: True,
+    feasibility: float = FEASIBILITY,
+    **options: Any,
+) -> DiscreteResult:
+    """Minimize over designs whose variables take allowed values only.
+
+    problem        as in `optimize`
+    allowed        one entry per variable, an increment in its unit, a list of values, or None (continuous); one increment
+                   serves all [rad for angles: mbd.deg(5)]
+    max_boxes      boxes searched at most; where others are left that may hold a better design, the status is "max_boxes"
+    max_neighbors  where more lie within two increments per variable, the certificate takes two increments in all
+    admits         rules that a design [n] on the values must keep, such as those of a laminate; rounding then takes the
+                   nearest admitted design within two increments (a rule that ties variables, such as symmetry, is better
+                   a link of the problem, for few designs keep it)
+    method, starts, max_iterations, max_lanes, feasibility, options   of the relaxation, as in `multistart`
+
+    Continuous variables keep their values among neighbors. Raises InputError as `multistart`, and where no value is in bounds.
+    """
+    function = find_method(method, options)
+    require_limits(max_iterations, None)
+    require_count("max_boxes", max_boxes, 0, 1_000_000)
+    require_count("max_neighbors", max_neighbors, 0, 1_000_000)
+    box = checked_box(problem)
+    grid = Grid(problem, allowed, box[1], box[2], getattr(problem, "period", None), admits)
+    archive = Archive(problem)
+    relaxed = multistart(
+        archive,
+        method,
+        starts,
+        max_iterations=max_iterations,
+        max_lanes=max_lanes,
+        feasibility=feasibility,
+        **options,
+    )
+
+    def run_one(search: Search) -> OptimizationResult:
+        return run_start(search, function, method, max_iterations, options, problem)
+
+    branching = Branching(archive, grid, box, run_one, feasibility, max_lanes)
+    certificate, interrupted = None, relaxed.interrupted
+    try:
+        interrupted |= branching.run(relaxed, max_boxes)
+        if not interrupted:
+            certificate = _certify(branching, max_neighbors)
+    except KeyboardInterrupt:
+        interrupted = True
+    candidates = branching.candidates()
+    best = candidates[0] if candidates else None
+    status, message = _ended(best, certificate, interrupted, feasibility, branching)
+    return DiscreteResult(
+        best,
+        status,
+        message,
+        certificate,
+        branching.rounded,
+        relaxed,
+        candidates,
+        branching.boxes,
+        archive.analyses,
+        archive.batches,
+        grid.size,
+        list(problem.names),
+    )
+
+
+def _certify(branching: Branching, max_neighbors: int) -> Certificate | None:
+    """Evaluate the neighbors of the best design, and those of the best among them, until none is better."""
+    while True:
+        candidates = branching.candidates()
+        if not candidates:
+            return None
+        best = candidates[0]
+        X, which = branching.grid.neighbors(best.x, STEPS, max_neighbors)
+        found = branching.confirm(X)
+        closest = min(found, key=branching.rank, default=None)
+        if closest is None or not branching.better(closest, best):
+            return Certificate(len(found) == len(X), len(X), len(X) - len(found), which, closest)
+
+
+def _ended(
+    best: Candidate | None,
+    certificate: Certificate | None,
+    interrupted: bool,
+    feasibility: float,
+    branching: Branching,
+) -> tuple[str, str]:
+    """Return status and sentence."""
+    if interrupted:
+        return "interrupted", "stopped by the user"
+    if best is None or certificate is None:
+        return "failed", "no design on the allowed values could be evaluated"
+    around = f"{certificate.neighbors} neighbors, {certificate.which}"
+    if branching.open:
+        found = f"no better design among {around}" if best.violation <= feasibility else "no feasible design was found"
+        return "max_boxes", f"{branching.open} boxes were left after {branching.boxes}; {found}"
+    if best.violation > feasibility:
+        return "infeasible", f"no feasible design on the allowed values was found; x violates least among its {around}"
+    if not certificate.holds:
+        return "stalled", f"{certificate.failed} of {around}, could not be evaluated; none of the others is better"
+    return "converged", f"no better design among {around}"

@@ -1,0 +1,1 @@
+"""Optimization methods, each one file and one line in torchmbd.optimization."""

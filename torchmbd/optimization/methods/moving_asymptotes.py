@@ -1,0 +1,112 @@
+"""NLopt's MMA and CCSAQ (method of moving asymptotes, conservative convex separable approximations) behind the door.
+
+They accept only designs better than their conservative approximation promised; NLopt does not tell which, so an iterate here
+is an evaluation that is better than all before it.
+Source: Svanberg, A class of globally convergent optimization methods based on conservative convex separable approximations,
+SIAM J. Optim. 12 (2002) 555-573; NLopt, algorithms LD_MMA and LD_CCSAQ.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from importlib import import_module
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.optimization.methods.adapters import Guard, LimitReached, Stop, run_foreign
+from torchmbd.optimization.optimizer import Ending, refuse_equalities, register, require_range
+from torchmbd.optimization.search import Search
+
+EVALUATIONS_PER_ITERATION = 20  # a bound on NLopt's inner loop
+
+
+@register("mma")
+def mma(search: Search, max_iterations: int, *, ftol: float = 1e-7, xtol: float = 1e-7, kkt: float = 1e-3) -> Ending:
+    """Run MMA on one start; `ftol`, `xtol`: NLopt's relative tolerances."""
+    return _run_nlopt(search, max_iterations, "mma", "LD_MMA", ftol, xtol, kkt)
+
+
+@register("ccsaq")
+def ccsaq(search: Search, max_iterations: int, *, ftol: float = 1e-7, xtol: float = 1e-7, kkt: float = 1e-3) -> Ending:
+    """Run CCSAQ on one start; `ftol`, `xtol`: NLopt's relative tolerances."""
+    return _run_nlopt(search, max_iterations, "ccsaq", "LD_CCSAQ", ftol, xtol, kkt)
+
+
+def _run_nlopt(
+    search: Search, max_iterations: int, method: str, algorithm: str, ftol: float, xtol: float, kkt: float
+) -> Ending:
+    try:
+        nlopt = import_module("nlopt")
+    except ImportError as error:
+        raise InputError(
+            f"method = {method!r} needs the package nlopt, which is not installed: pip install 'torchmbd[nlopt]'"
+        ) from error
+    for name, value in {"ftol": ftol, "xtol": xtol, "kkt": kkt}.items():
+        require_range(name, value, 1e-16, 1.0)
+    refuse_equalities(method, search)
+    return run_foreign(
+        search, partial(_run, nlopt=nlopt, algorithm=algorithm, ftol=ftol, xtol=xtol), max_iterations, kkt
+    )
+
+
+def _run(guard: Guard, nlopt, algorithm: str, ftol: float, xtol: float) -> Stop:
+    search = guard.search
+    optimizer = nlopt.opt(getattr(nlopt, algorithm), guard.y.size)
+    calls = _Calls(guard, optimizer)
+    optimizer.set_lower_bounds(guard.lower)
+    optimizer.set_upper_bounds(guard.upper)
+    optimizer.set_min_objective(calls.objective)
+    if guard.unequal.size:
+        optimizer.add_inequality_mconstraint(calls.constraints, np.full(guard.unequal.size, 0.5 * search.feasibility))
+    optimizer.set_ftol_rel(ftol)
+    optimizer.set_xtol_rel(xtol)
+    optimizer.set_maxeval(EVALUATIONS_PER_ITERATION * max(guard.remaining, 1))
+    gave_up = ""
+    try:
+        y = optimizer.optimize(guard.y)
+    except (nlopt.ForcedStop, RuntimeError, ValueError) as error:  # stopped by us, or its generic failure (round-off)
+        y, gave_up = guard.y if search.best is None else search.best, f"NLopt gave up: {error}"
+    if calls.raised:
+        raise calls.raised[0]
+    if gave_up:
+        return Stop(y, False, gave_up)
+    code = optimizer.last_optimize_result()
+    if code == nlopt.MAXEVAL_REACHED:
+        raise LimitReached
+    return Stop(np.clip(y, guard.lower, guard.upper), code > 0, f"NLopt's criteria hold (code {code})")
+
+
+class _Calls:
+    """What NLopt calls. It does not pass on every exception, so the first is kept in `raised` and the run stopped."""
+
+    def __init__(self, guard: Guard, optimizer) -> None:
+        self.guard, self.optimizer = guard, optimizer
+        self.raised: list[BaseException] = []
+
+    def objective(self, y: np.ndarray, slope: np.ndarray) -> float:
+        guard, search = self.guard, self.guard.search
+        try:
+            good = search.evaluate(y, gradients=slope.size > 0).ok
+            if slope.size:
+                slope[:] = guard.slope(y) if good else 0.0  # not used: a design on the wall is not accepted
+            if good and search.best is not None and np.array_equal(search.best, y):
+                guard.record(np.array(y))
+            return guard.objective(y)
+        except BaseException as error:
+            return self._stop(error)
+
+    def constraints(self, values: np.ndarray, y: np.ndarray, slopes: np.ndarray) -> None:
+        guard = self.guard
+        try:
+            good = guard.search.evaluate(y, gradients=slopes.size > 0).ok
+            values[:] = guard.constraints(y, guard.unequal)
+            if slopes.size:
+                slopes[:] = guard.jacobian(y, guard.unequal) if good else 0.0
+        except BaseException as error:
+            self._stop(error)
+
+    def _stop(self, error: BaseException) -> float:
+        self.raised.append(error)
+        self.optimizer.force_stop()
+        return 0.0

@@ -1,0 +1,66 @@
+"""SciPy's SLSQP (Kraft's sequential least squares programming) behind the door.
+
+Source: scipy.optimize.minimize, method "SLSQP"; Kraft, A software package for sequential quadratic programming, DFVLR-FB
+88-28 (1988).
+"""
+
+from __future__ import annotations
+
+import warnings
+from functools import partial
+
+import numpy as np
+from scipy.optimize import minimize
+
+from torchmbd.optimization.methods.adapters import Guard, Stop, run_foreign
+from torchmbd.optimization.optimizer import Ending, register, require_range
+from torchmbd.optimization.search import Search
+
+SENTENCES = {
+    0: "SLSQP's criteria hold",
+    4: "SLSQP found its linearized constraints contradictory",
+    8: "SLSQP found no descent along its direction",
+    9: "SLSQP reached the limit of iterations",
+}
+
+
+@register("slsqp")
+def slsqp(search: Search, max_iterations: int, *, ftol: float = 1e-6, kkt: float = 1e-3) -> Ending:
+    """Run SLSQP on one start. `ftol`: SciPy's; `kkt`: Kuhn-Tucker residual at which an early stop is good enough."""
+    require_range("ftol", ftol, 1e-16, 1.0)
+    require_range("kkt", kkt, 1e-16, 1.0)
+    # SLSQP measures constraints by the same tolerance.
+    return run_foreign(search, partial(_run, ftol=min(ftol, search.feasibility)), max_iterations, kkt)
+
+
+def _run(guard: Guard, ftol: float) -> Stop:
+    def slope(y: np.ndarray) -> np.ndarray:
+        df = guard.slope(y)
+        guard.record(y)  # SciPy asks for gradients exactly where it accepted a step
+        return df
+
+    def negative(function, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        return -function(y, rows)
+
+    constraints = [
+        {
+            "type": kind,
+            "fun": partial(negative, guard.constraints),
+            "jac": partial(negative, guard.jacobian),
+            "args": (rows,),
+        }
+        for kind, rows in (("eq", guard.equal), ("ineq", guard.unequal))
+        if rows.size
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        result = minimize(
+            guard.objective,
+            guard.y,
+            jac=slope,
+            method="SLSQP",
+            bounds=list(zip(guard.lower, guard.upper, strict=True)),
+            constraints=constraints,
+            options={"maxiter": guard.remaining, "ftol": ftol},
+        )
+    return Stop(result.x, bool(result.success), SENTENCES.get(int(result.status), f"SLSQP: {result.message}"))

@@ -1,0 +1,1 @@
+"""Local searches from many starts."""

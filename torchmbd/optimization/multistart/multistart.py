@@ -1,0 +1,135 @@
+"""Local searches from many starts, in lockstep, and what they say together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
+from torchmbd.optimization.batch import at_once
+from torchmbd.optimization.multistart.batched import Lockstep
+from torchmbd.optimization.multistart.minima import Minimum, covered_share, distinct_minima, expected_minima
+from torchmbd.optimization.multistart.sampling import Starts, recipe
+from torchmbd.optimization.optimizer import (
+    Iterate,
+    OptimizationResult,
+    Problem,
+    find_method,
+    require_count,
+    require_range,
+)
+from torchmbd.optimization.search import Ask, Report, Search, variable_scale
+
+
+@dataclass(frozen=True)
+class Study:
+    """The results of a multistart, in the order of the starts."""
+
+    results: list[OptimizationResult]
+    minima: list[Minimum]  # distinct, best first
+    interrupted: bool = False
+    stopped_early: bool = False  # by `minima_left`
+    starts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # [count, n], also those not reached
+
+    @property
+    def best(self) -> OptimizationResult | None:
+        """The feasible result of lowest value, converged or not; None if no start ended feasible."""
+        feasible = [r for r in self.results if r.status not in ("infeasible", "failed") and r.violation <= FEASIBILITY]
+        return min(feasible, key=lambda r: r.value, default=None)
+
+    @property
+    def converged(self) -> int:
+        """How many starts converged."""
+        return sum(r.converged for r in self.results)
+
+    @property
+    def minima_left(self) -> float:
+        """Bayesian estimate of the number of minima not found yet; inf while there are too few searches to tell."""
+        return expected_minima(self.converged, len(self.minima)) - len(self.minima)
+
+    @property
+    def covered(self) -> float:
+        """Bayesian estimate of the share of the space from which a search would end in a minimum known by now."""
+        return covered_share(self.converged, len(self.minima))
+
+    @property
+    def analyses(self) -> int:
+        return sum(r.analyses for r in self.results)
+
+    @property
+    def gradient_evaluations(self) -> int:
+        return sum(r.gradient_evaluations for r in self.results)
+
+
+def multistart(
+    problem: Problem,
+    method: str = "mmfd",
+    starts: Starts | list[Any] | np.ndarray | None = None,
+    callback: Callable[[Iterate], None] | None = None,
+    ended: Callable[[OptimizationResult], None] | None = None,
+    *,
+    max_iterations: int = MAX_ITERATIONS,
+    max_lanes: int = 64,
+    scaling: bool = True,
+    feasibility: float = FEASIBILITY,
+    eager_gradients: bool = True,
+    max_analyses: int | None = None,
+    minima_left: float | None = None,
+    **options: Any,
+) -> Study:
+    """Minimize from every start; the starts' simulations are evaluated together.
+
+    problem      as in `optimize`; `problem.period` [n], where present, says which variables are angles
+    starts       `sobol(...)`, `latin_hypercube(...)` or a list of designs [count, n]; None: the problem's own start
+    ended        hears of every OptimizationResult as it comes
+    max_lanes    designs under evaluation at most
+    scaling      variables by the problem's start, for all starts alike
+    minima_left  begin no further start once the estimated number of unknown minima is below it
+    method, callback, max_iterations, feasibility, eager_gradients, max_analyses, options   as in `optimize`
+
+    A start that fails says so in its result. Ctrl-C ends every start and returns what there is, `interrupted` set.
+    """
+    function = find_method(method, options)
+    require_limits(max_iterations, max_analyses)
+    require_count("max_lanes", max_lanes, 1, 1_000_000)
+    require_range("feasibility", feasibility, 0.0, 1.0)
+    initial, lower, upper = checked_box(problem)
+    points = np.array([checked_box(problem, point)[0] for point in recipe(starts, initial).points(problem)])
+    scale = variable_scale(initial, lower, upper) if scaling else None
+    equalities = getattr(problem, "equalities", None)
+
+    def runner(index: int, ask: Ask, report: Report) -> OptimizationResult:
+        search = Search(
+            ask,
+            points[index],
+            lower,
+            upper,
+            scale=scale,
+            equalities=equalities,
+            feasibility=feasibility,
+            eager_gradients=eager_gradients,
+            max_analyses=max_analyses,
+            index=index,
+            report=report,
+        )
+        return run_start(search, function, method, max_iterations, options, problem)
+
+    span = np.where(np.isfinite(upper - lower), upper - lower, variable_scale(initial, lower, upper))
+    period = getattr(problem, "period", None)
+    find = partial(distinct_minima, span=span, period=None if period is None else np.asarray(period, dtype=float))
+
+    def go_on(results: list[OptimizationResult]) -> bool:
+        if minima_left is None:
+            return True
+        found = find(results)
+        return expected_minima(sum(r.converged for r in results), len(found)) - len(found) > minima_left
+
+    runners = [partial(runner, k) for k in range(len(points))]
+    groups = at_once(problem) if minima_left is None else 1  # what is known by then must not depend on timing
+    lockstep = Lockstep(problem, runners, max_lanes, callback, go_on, ended, groups)
+    results = lockstep.run()
+    return Study(results, find(results), lockstep.interrupted, lockstep.stopped_early, points)

@@ -1,0 +1,106 @@
+"""Where to start: points spread over the bounds of a problem, drawn when the problem is known.
+
+Source: Sobol sequence with Owen scrambling and Latin hypercube of scipy.stats.qmc, which takes half a second to import:
+that is done when points are drawn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.optimization.optimizer import Box, as_numbers, require_count
+
+
+@dataclass(frozen=True)
+class Starts:
+    """A recipe for start designs; `points(problem)` are they, [count, n] in physical units."""
+
+    name: str
+    count: int
+    draw: Callable[[Box], np.ndarray]
+
+    def points(self, problem: Box) -> np.ndarray:
+        return self.draw(problem)
+
+
+def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
+    """Start designs of a scrambled Sobol sequence over the bounds of the problem [count, n].
+
+    count            how many
+    seed             of the scrambling; the same seed, the same points
+    include_initial  the first of them is the problem's own start
+    InputError for bounds that are not finite, when the points are drawn. Source: Owen scrambling of scipy.stats.qmc.
+    """
+    require_count("count", count, 1, 2**20)
+    require_count("seed", seed, 0, 2**63)
+
+    return Starts("sobol", count, partial(_spread, partial(_sobol, seed), count, include_initial))
+
+
+def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Starts:
+    """Start designs of which each variable's values fill its range evenly [count, n].
+
+    count, seed, include_initial   as in `sobol`
+    Source: Latin hypercube of scipy.stats.qmc.
+    """
+    require_count("count", count, 1, 2**20)
+    require_count("seed", seed, 0, 2**63)
+
+    return Starts("latin_hypercube", count, partial(_spread, partial(_latin, seed), count, include_initial))
+
+
+def given(points: Sequence[Sequence[float] | np.ndarray]) -> Starts:
+    """Return the listed starts, in their order."""
+    designs = [as_numbers("points", point) for point in points]
+    X = np.array(designs) if len({x.shape for x in designs}) == 1 else np.zeros(0)
+    if X.ndim != 2 or not X.size:
+        raise InputError(
+            "points: must be a list of start designs, all with one value per variable, at least one design"
+        )
+    return Starts("given", len(X), partial(_listed, X))
+
+
+def _listed(X: np.ndarray, problem: Box) -> np.ndarray:
+    return X
+
+
+def recipe(starts: Starts | Sequence[Any] | np.ndarray | None, initial: np.ndarray) -> Starts:
+    """Return the starts that an argument of this name stands for; None: the initial design alone."""
+    if starts is None or isinstance(starts, Starts):
+        return given([initial]) if starts is None else starts
+    if isinstance(starts, str) or not isinstance(starts, Iterable):
+        raise InputError(
+            f"starts is {starts!r}; allowed: mbd.sobol(...) or another sampler, a list of designs, or None"
+        )
+    return given(list(starts))
+
+
+def _sobol(seed: int, size: int, number: int) -> np.ndarray:
+    from scipy.stats import qmc
+
+    # A whole power of two keeps the balance of the sequence; its beginning is used.
+    exponent = max(int(np.ceil(np.log2(max(number, 1)))), 0)
+    return qmc.Sobol(size, scramble=True, rng=seed).random_base2(exponent)[:number]
+
+
+def _latin(seed: int, size: int, number: int) -> np.ndarray:
+    from scipy.stats import qmc
+
+    return qmc.LatinHypercube(size, rng=seed).random(number)
+
+
+def _spread(unit: Callable[[int, int], np.ndarray], count: int, include_initial: bool, problem: Box) -> np.ndarray:
+    """Points [count, n] of the unit cube [size, number], over the bounds of the problem."""
+    lower, upper = np.asarray(problem.lower, dtype=float), np.asarray(problem.upper, dtype=float)
+    for name, low, high in zip(problem.names, lower, upper, strict=True):
+        if not (np.isfinite(low) and np.isfinite(high)):
+            raise InputError(f"bounds of {name} are [{low:g}, {high:g}]: starts can be spread over finite bounds only")
+    number = count - include_initial
+    X = lower + (upper - lower) * unit(lower.size, number) if number else np.zeros((0, lower.size))
+    return np.vstack([np.asarray(problem.start, dtype=float), X]) if include_initial else X

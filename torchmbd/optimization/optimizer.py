@@ -1,0 +1,256 @@
+"""What an optimizer is: a function that searches one start, behind one door.
+
+    minimize f(x)  subject to  c_i(x) <= 0,  lower <= x <= upper          (eq. 14)
+
+A problem is any object with `names`, `start`, `lower`, `upper` [n] and `evaluate(X [lanes, n], gradients) ->
+list[Evaluation]`. It may also have `equalities` (indices of the constraints that must vanish), `motion(x)`, and what
+torchmbd.optimization.batch asks of one that evaluates elsewhere. Three
+examples of what keeps this contract: the transient optimization of a mechanism, a Hock-Schittkowski problem of four
+lines, a table of stored results.
+
+An optimizer is a function `method(search, max_iterations, **options) -> Ending`. It sees one `Search`: scaled
+variables, scaled objective, a cache, and never more than one design at a time; that many starts are simulated in one
+batch is not its business. A failed evaluation is no exception but a status: its numbers are never used.
+
+Constraints should be of order one (a response divided by its limit, minus one): their thresholds are absolute.
+Checked in tests/contracts/test_optimizers.py, over the registry.
+"""
+
+from __future__ import annotations
+
+import inspect
+import numbers
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from torchmbd.errors import InputError, nearest, unknown
+
+if TYPE_CHECKING:
+    from torchmbd.optimization.search import Search
+
+# How an optimization can end. Only "converged" claims an optimum.
+STATUSES = {
+    "converged": "the method's own criteria hold, the constraints are satisfied",
+    "max_iterations": "stopped by the limit of iterations or of analyses",
+    "max_boxes": "stopped by the limit of boxes of a discrete search, with boxes left that may hold a better design",
+    "stalled": "no step improves the design any more, though it is not a Kuhn-Tucker point; the message says why",
+    "infeasible": "the constraints could not be satisfied; x is the least infeasible design seen",
+    "failed": "the start could not be evaluated, or a gradient where the values could",
+    "interrupted": "stopped by the user; x is the best design seen",
+}
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Objective and constraints of one design. A status but "ok" is the reason of a failure, the numbers nan."""
+
+    objective: float
+    constraints: np.ndarray  # [m], satisfied where <= 0
+    objective_gradient: np.ndarray | None = None  # [n]
+    constraint_gradients: np.ndarray | None = None  # [m, n]
+    status: str = "ok"
+
+    @property
+    def ok(self) -> bool:
+        return self.status == "ok"
+
+    @property
+    def differentiated(self) -> bool:
+        """Whether it comes with gradients."""
+        return self.objective_gradient is not None
+
+    @classmethod
+    def failure(cls, reason: str, constraints: int = 0) -> Evaluation:
+        """Build an evaluation that failed for `reason`."""
+        return cls(float("nan"), np.full(constraints, np.nan), status=reason)
+
+
+class Box(Protocol):
+    """The variables of a problem and their bounds (physical units)."""
+
+    @property
+    def names(self) -> Sequence[str]:
+        """One name per variable."""
+        ...
+
+    @property
+    def start(self) -> np.ndarray:
+        """Initial design [n]."""
+        ...
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds [n], may be -inf."""
+        ...
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper bounds [n], may be +inf."""
+        ...
+
+
+class Problem(Box, Protocol):
+    """What `optimize` and `multistart` ask of a problem (physical units everywhere)."""
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        """Evaluate one design per row."""
+        ...
+
+
+@dataclass(frozen=True)
+class Iterate:
+    """One accepted design of one start, in physical units; iteration 0 is the start itself."""
+
+    start: int
+    iteration: int
+    x: np.ndarray
+    objective: float
+    violation: float  # largest violation of a constraint, 0 where feasible
+    constraints: np.ndarray
+    analyses: int  # simulations of this start so far
+    status: str = "ok"
+
+
+@dataclass(frozen=True)
+class Ending:
+    """What a method says at its end: where (scaled), how (a key of STATUSES) and why (a sentence)."""
+
+    y: np.ndarray
+    status: str
+    message: str
+
+
+@dataclass(frozen=True)
+class OptimizationResult:
+    """The end of one start, in physical units.
+
+    x                     design [n], the best that was found
+    value                 objective there; nan: the start could not be evaluated
+    constraints           [m], satisfied where <= 0
+    violation             the largest of a constraint, 0 where all are satisfied
+    status, message       a key of STATUSES, and a sentence why; only "converged" claims an optimum
+    method                its name
+    iterations            accepted designs after the start
+    analyses              simulations, with or without gradients
+    gradient_evaluations  how many of them carried gradients
+    failures              how many of them failed
+    history               accepted designs, the start first
+    multipliers           of the constraints [m]
+    bound_multipliers     [n], positive at an upper, negative at a lower bound
+    kkt_residual          of the scaled problem (kkt.py); nan where no gradient is known
+    names                 of the design variables [n]
+    start                 which start of a multistart it was
+    problem               what was minimized
+    """
+
+    x: np.ndarray
+    value: float
+    constraints: np.ndarray
+    violation: float
+    status: str
+    message: str
+    method: str
+    iterations: int
+    analyses: int
+    gradient_evaluations: int
+    failures: int
+    history: list[Iterate]
+    multipliers: np.ndarray
+    bound_multipliers: np.ndarray
+    kkt_residual: float
+    names: list[str] = field(default_factory=list)
+    start: int = 0
+    problem: Any = field(default=None, repr=False, compare=False)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the method's criteria hold and the constraints are satisfied."""
+        return self.status == "converged"
+
+    @cached_property
+    def motion(self) -> Any:
+        """Motion of the final design, simulated when first asked for (`problem.motion(x)`)."""
+        if not hasattr(self.problem, "motion"):
+            raise AttributeError("this problem offers no motion: its class has no method `motion(x)`")
+        return self.problem.motion(self.x)
+
+
+Method = Callable[..., Ending]
+OPTIMIZERS: dict[str, Method] = {}
+
+
+def register(name: str) -> Callable[[Method], Method]:
+    """Put a method into the registry under `name`."""
+
+    def enter(method: Method) -> Method:
+        OPTIMIZERS[name] = method
+        return method
+
+    return enter
+
+
+def find_method(name: str, options: dict[str, Any]) -> Method:
+    """Return the method `name`; InputError for an unknown name or an option that it does not have."""
+    if not isinstance(name, str) or name not in OPTIMIZERS:
+        raise unknown("method", name, OPTIMIZERS)
+    method = OPTIMIZERS[name]
+    allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
+    for option in options:
+        if option not in allowed:
+            raise InputError(f"option {option!r} does not exist for method {name!r}{nearest(option, allowed)}")
+    return method
+
+
+def require_range(name: str, value: float, low: float, high: float) -> float:
+    """Return `value` if it is a number in [low, high]; InputError otherwise."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= value <= high:
+        raise InputError(f"{name} = {value!r}: must lie in [{low:g}, {high:g}]")
+    return value
+
+
+def require_count(name: str, value: int, low: int, high: int) -> int:
+    """Return `value` if it is an integer in [low, high]; InputError otherwise."""
+    if not isinstance(value, numbers.Integral):
+        raise InputError(f"{name} = {value!r}: must be an integer")
+    require_range(name, value, low, high)
+    return value
+
+
+def require_problem(problem: Any) -> None:
+    """Raise InputError unless the argument has what every problem has."""
+    missing = [name for name in ("names", "start", "lower", "upper", "evaluate") if not hasattr(problem, name)]
+    if missing:
+        raise InputError(
+            f"problem is {problem!r}, without {', '.join(missing)}; allowed: a problem, such as mbd.Problem(...)"
+        )
+
+
+def refuse_equalities(method: str, search: Search) -> None:
+    """Raise InputError if the problem has equalities, for methods that stay inside the feasible region."""
+    if search.equalities.size:
+        raise InputError(
+            f"method = {method!r} takes inequality constraints only, but constraints {search.equalities.tolist()} are "
+            "equalities: use method='slsqp', or give each as two opposite inequalities with a tolerance"
+        )
+
+
+def as_numbers(name: str, given: Any) -> np.ndarray:
+    """Return numbers as an array of one's own; InputError if they are none."""
+    try:
+        if np.array(given).dtype.kind in "US":  # NumPy would read the text
+            raise TypeError
+        return np.array(given, dtype=float)
+    except (TypeError, ValueError, RuntimeError) as error:  # RuntimeError: a tensor that requires a gradient
+        raise InputError(f"{name} is {given!r}; allowed: numbers") from error
+
+
+def as_names(problem: Box, size: int) -> list[str]:
+    """Return the problem's variable names, checked for their number."""
+    names: Sequence[str] = list(problem.names)
+    if len(names) != size:
+        raise InputError(f"names has {len(names)} entries for {size} variables")
+    return list(names)

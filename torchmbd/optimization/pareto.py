@@ -1,0 +1,237 @@
+"""The Pareto front of several criteria by the normalized normal constraint method.
+
+1. Anchors: each criterion f_i is minimized alone. g = (f - utopia) / (nadir - utopia) makes them comparable: utopia holds
+   the anchors' best values, nadir their worst.
+2. The plane through the anchors g^1 .. g^k is covered evenly by points p.
+3. For each p:   minimize g_k(x)   subject to   (g^k - g^i)'(g(x) - p) <= 0,   i = 1 .. k-1,   and the constraints of x.
+4. What is no Pareto point is dropped: dominated points (of local fronts, behind a gap), and points where the multipliers
+   mu_i give a criterion a negative weight in   w = e_k + sum_i mu_i (g^k - g^i),   so that all could be better at once.
+
+The points are solved in waves of doubling size, the farthest from the solved ones first; each wave runs in lockstep (its
+simulations are one batch), from designs between those of the points solved before (warm_start.py).
+
+Source: Messac, Ismail-Yahaya and Mattson, The normalized normal constraint method for generating the Pareto frontier,
+Structural and Multidisciplinary Optimization 25 (2003) 86-98. Checked in tests/optimization/test_pareto.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import combinations, pairwise
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
+from torchmbd.optimization.cache import Archive
+from torchmbd.optimization.criteria import Criteria, ManyCriteria
+from torchmbd.optimization.multistart.sampling import Starts, recipe
+from torchmbd.optimization.multistart.warm_start import Family
+from torchmbd.optimization.optimizer import (
+    Evaluation,
+    OptimizationResult,
+    find_method,
+    require_count,
+    require_problem,
+    require_range,
+)
+from torchmbd.optimization.search import Search
+
+TIE = 1e-4  # weight of the other criteria in an anchor: of several minima, the one that is best for them
+AGAINST = 1e-2  # a weight below minus this much says that a criterion could be better at no cost
+SAME = 1e-6  # of the range of each criterion: smaller differences are none
+
+
+@dataclass(frozen=True)
+class ParetoPoint:
+    x: np.ndarray
+    criteria: np.ndarray  # [k]
+    weights: np.ndarray  # [k], sum one: the exchange rates of the criteria, each in units of its range on the front
+    result: OptimizationResult  # of the problem of one criterion that found it
+
+
+@dataclass(frozen=True)
+class Front:
+    """Points that do not dominate each other, sorted by the first criterion."""
+
+    points: list[ParetoPoint]
+    anchors: list[ParetoPoint]  # the minimum of each criterion
+    dropped: int  # points found that are no Pareto points
+    failed: int  # points of the plane for which no feasible design was found
+    analyses: int
+    batches: int
+    interrupted: bool = False
+    names: list[str] = field(default_factory=list)  # of the criteria
+
+    @property
+    def criteria(self) -> np.ndarray:
+        """Criteria of the points [points, k]."""
+        return np.array([point.criteria for point in self.points])
+
+    @property
+    def utopia(self) -> np.ndarray:
+        """The anchors' best values [k]."""
+        return np.min([anchor.criteria for anchor in self.anchors], axis=0)
+
+    @property
+    def nadir(self) -> np.ndarray:
+        """The anchors' worst values [k]."""
+        return np.max([anchor.criteria for anchor in self.anchors], axis=0)
+
+
+def pareto_front(
+    problem: ManyCriteria,
+    divisions: int = 10,
+    method: str = "mmfd",
+    starts: Starts | list[Any] | np.ndarray | None = None,
+    *,
+    everywhere: bool = False,
+    max_iterations: int = MAX_ITERATIONS,
+    max_lanes: int = 64,
+    feasibility: float = FEASIBILITY,
+    **options: Any,
+) -> Front:
+    """Find the designs of which no other is better in all criteria.
+
+    problem     a Tradeoff, or another problem of several criteria
+    divisions   steps between two anchors; C(divisions + k - 1, k - 1) points in all, of k criteria
+    starts      of the anchors' searches, as in `multistart`
+    everywhere  of every point's too, where fronts are only local
+    method, max_iterations, max_lanes, feasibility, options   of every search, as in `multistart`
+
+    Raises InputError as `optimize`, for fewer than two criteria, and where no feasible design is found for an anchor. Ctrl-C
+    returns what there is, once the anchors are known.
+    """
+    function = find_method(method, options)
+    require_limits(max_iterations, None)
+    require_count("divisions", divisions, 1, 10_000)
+    require_count("max_lanes", max_lanes, 1, 1_000_000)
+    require_range("feasibility", feasibility, 0.0, 1.0)
+    require_problem(problem)
+    if len(getattr(problem, "criteria", ())) < 2:
+        raise InputError(f"problem is {problem!r}; a front needs two criteria at least, such as mbd.Tradeoff(...) has")
+    box = checked_box(problem)
+    points = np.array([checked_box(problem, x)[0] for x in recipe(starts, box[0]).points(problem)])
+
+    def run_one(search: Search) -> OptimizationResult:
+        return run_start(search, function, method, max_iterations, options, problem)
+
+    archive = Archive(problem)
+    family = Family(archive, run_one, box, feasibility, max_lanes)
+    anchors = _anchors(family, points, list(problem.criteria))
+    found, failed = _between(family, anchors, divisions, points if everywhere else points[:0])
+    points = [*anchors, *(point for point in found if point.weights.min() >= -AGAINST)]
+    span = np.ptp([anchor.criteria for anchor in anchors], axis=0)
+    keep = non_dominated(np.array([point.criteria for point in points]), SAME * span)
+    return Front(
+        [points[i] for i in keep],
+        anchors,
+        len(anchors) + len(found) - len(keep),
+        failed,
+        archive.analyses,
+        archive.batches,
+        family.interrupted,
+        list(problem.criteria),
+    )
+
+
+def non_dominated(F: np.ndarray, same: np.ndarray | float = 0.0) -> list[int]:
+    """Return the rows of F [points, k] that no other row dominates, by the first criterion; `same` [k]: no difference."""
+    keep: list[int] = []
+    for i in np.lexsort(F.T[::-1]):
+        if not np.any(np.all(F[keep] <= F[i] + same, axis=1)):
+            keep = [j for j in keep if not np.all(F[i] <= F[j] + same)]
+            keep.append(int(i))
+    return keep
+
+
+def _anchors(family: Family, starts: np.ndarray, names: list[str]) -> list[ParetoPoint]:
+    """Return the minimum of each criterion."""
+    known = [np.abs(criteria.values) for criteria in family.archive.evaluate(starts, True) if criteria.ok]
+    if not known:
+        raise InputError("start: none could be evaluated")
+    if known[0].shape != (len(names),):
+        raise InputError(
+            f"problem.evaluate returned criteria of shape {known[0].shape}, allowed: {(len(names),)}, {', '.join(names)}"
+        )
+    scale = np.where(known[0] > 0.0, known[0], 1.0)
+    weights = np.where(np.eye(len(names)), 1.0, TIE) / scale
+    results = family.from_starts([partial(_weighted, w) for w in weights], starts)
+    if family.interrupted:
+        raise KeyboardInterrupt
+    for name, result in zip(names, results, strict=True):
+        if result is None:
+            raise InputError(f"criterion {name!r}: no feasible design was found from the starts given")
+    return [_point(family, result, w * scale) for result, w in zip(results, weights, strict=True) if result is not None]
+
+
+def _between(
+    family: Family, anchors: list[ParetoPoint], divisions: int, starts: np.ndarray
+) -> tuple[list[ParetoPoint], int]:
+    """Return the points between the anchors and the number of those for which there is no feasible design."""
+    F = np.array([anchor.criteria for anchor in anchors])
+    if (np.ptp(F, axis=0) <= SAME * np.abs(F).max(axis=0)).any():
+        return [], 0  # one design is best for several criteria: there is no plane
+    G = (F - F.min(axis=0)) / np.ptp(F, axis=0)
+    plane = _simplex(divisions, len(anchors)) @ G
+    members = [partial(_normal_constraint, F, p) for p in plane[len(anchors) :]]
+    results = family.in_waves(members, plane, [anchor.x for anchor in anchors], _waves(plane, len(anchors)), starts)
+    normals = G[-1] - G[:-1]
+    points = []
+    for result in results:
+        if result is not None:
+            weights = np.eye(len(F))[-1] + result.multipliers[: len(normals)] @ normals
+            points.append(_point(family, result, weights))
+    return points, len(members) - len(points)
+
+
+def _point(family: Family, result: OptimizationResult, weights: np.ndarray) -> ParetoPoint:
+    criteria = family.archive.evaluate(result.x[None], False)[0]
+    return ParetoPoint(result.x, criteria.values, weights / np.abs(weights).sum(), result)
+
+
+def _weighted(weights: np.ndarray, criteria: Criteria) -> Evaluation:
+    """Return the problem of the weighted sum of criteria, `weights` [k]."""
+    if not criteria.ok:
+        return Evaluation.failure(criteria.status)
+    df = None if criteria.gradients is None else weights @ criteria.gradients
+    return Evaluation(float(weights @ criteria.values), criteria.constraints, df, criteria.constraint_gradients)
+
+
+def _normal_constraint(F: np.ndarray, p: np.ndarray, criteria: Criteria) -> Evaluation:
+    """Return the problem of a point p [k] of the plane through the anchors F [k, k], its objective of order one."""
+    if not criteria.ok:
+        return Evaluation.failure(criteria.status)
+    utopia, span = F.min(axis=0), np.ptp(F, axis=0)
+    G = (F - utopia) / span
+    normals = G[-1] - G[:-1]
+    g = (criteria.values - utopia) / span
+    constraints = np.concatenate([normals @ (g - p), np.atleast_1d(criteria.constraints)])
+    if criteria.gradients is None:
+        return Evaluation(1.0 + float(g[-1]), constraints)
+    dg, dc = criteria.gradients / span[:, None], criteria.constraint_gradients
+    rows = normals @ dg if dc is None else np.vstack([normals @ dg, dc])
+    return Evaluation(1.0 + float(g[-1]), constraints, dg[-1], rows)
+
+
+def _simplex(divisions: int, count: int) -> np.ndarray:
+    """Return evenly spread weights [points, count], each row of sum one, the corners first."""
+    bars = combinations(range(divisions + count - 1), count - 1)
+    weights = [np.diff([-1, *bar, divisions + count - 1]) - 1 for bar in bars]
+    inner = [w / divisions for w in weights if w.max() < divisions]
+    return np.vstack([np.eye(count), *inner])
+
+
+def _waves(plane: np.ndarray, solved: int) -> list[list[int]]:
+    """Return waves of doubling size of the points after the first `solved`, the farthest from all before first."""
+    distance = np.linalg.norm(plane[solved:, None] - plane[None, :solved], axis=2).min(axis=1)
+    order: list[int] = []
+    while len(order) < distance.size:
+        i = int(np.argmax(distance))
+        order.append(i)
+        distance = np.minimum(distance, np.linalg.norm(plane[solved:] - plane[solved + i], axis=1))
+        distance[order] = -1.0
+    edges = [2**k - 1 for k in range(len(order).bit_length() + 1)]
+    return [order[a:b] for a, b in pairwise(edges) if order[a:b]]

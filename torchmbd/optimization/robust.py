@@ -1,0 +1,159 @@
+"""Robust design: what a design does on average, or at worst, when its variables are made within tolerances.
+
+    delta in [-d, d]                        tolerance of every variable, uniform (d = 0: made exactly)
+
+    expected   E f = sum_i sum_k w_k f(x + s_k d_i e_i) - (n - 1) f(x)          2n + 1 designs
+               s = -sqrt(3/5), 0, sqrt(3/5),   w = 5/18, 8/18, 5/18             Gauss, exact to degree 5 in each variable
+    worst      min beta   subject to   f(x + d corner) / f_0 - beta <= 0        2^n designs, the corners of the box
+
+The worst case of a function that is convex within the tolerances lies at a corner. Several corners tie at its optimum: the
+extra variable beta, the last, keeps their gradients apart, and the multipliers tell which of them matter. Constraints hold
+at all designs looked at; with "expected" each of them also at the corner that it rises to most steeply, located anew around
+every design by the designs on the axes: c(x) + sum_i d_i |dc/dx_i|, with the curvature along that way. Designs looked at are
+batches with their exact gradients, so the gradients of criteria and constraints are exact too.
+
+Not accounted for in E: products of the even powers of two variables, of order d^4. Bounds are narrowed by d, but for variables
+that repeat themselves (ply angles), whose neighbors beyond a bound are simulated.
+Source: Rahman and Xu, A univariate dimension-reduction method for multi-dimensional integration in stochastic mechanics,
+Probabilistic Engineering Mechanics 19 (2004) 393-408. Checked in tests/optimization/test_robust.py.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.optimization.api import checked_box
+from torchmbd.optimization.optimizer import Evaluation, Problem, as_numbers
+
+KINDS = ("expected", "worst")
+NODE, OUTER = np.sqrt(0.6), 5.0 / 18.0  # of the Gauss rule of three points on [-1, 1], weights of sum one
+BETA = "beta"
+MAX_CORNERS = 4096
+
+
+class RobustProblem:
+    """`problem` with its criterion replaced by its mean or its worst case; itself a problem.
+
+    problem     as `optimize` takes it; without equalities
+    tolerance   half the width of the box around a design [n], or one number for all variables, in their unit
+    kind        "expected" or "worst"; "worst" adds the variable beta, the worst case divided by that of the start
+    """
+
+    def __init__(self, problem: Problem, tolerance: Any, kind: str = "expected") -> None:
+        if not isinstance(kind, str) or kind not in KINDS:
+            raise unknown("kind", kind, KINDS)
+        if len(getattr(problem, "equalities", ())):
+            raise InputError("problem has equalities, which no design within tolerances keeps; allowed: inequalities")
+        start, lower, upper = checked_box(problem)
+        self.period = np.asarray(getattr(problem, "period", np.zeros(start.size)), dtype=float)
+        d = as_numbers("tolerance", tolerance)
+        if d.shape not in ((), start.shape) or not (np.isfinite(d).all() and (d >= 0.0).all() and d.any()):
+            raise InputError(
+                f"tolerance is {tolerance!r}; allowed: a number or {start.size} of them, not negative, not all zero"
+            )
+        d = np.broadcast_to(d, start.shape)
+        inside = np.where(self.period > 0.0, 0.0, d)
+        self.names, self.lower, self.upper = list(problem.names), lower + inside, upper - inside
+        for name, low, x, high in zip(self.names, self.lower, start, self.upper, strict=True):
+            if not low <= x <= high:
+                raise InputError(
+                    f"start of {name} is {x:g}; allowed: {low:g} to {high:g}, inside the bounds by tolerance"
+                )
+        self.problem, self.kind, self.start = problem, kind, start
+        self.tolerance = d
+        self.shifts, self.weights = _expected(d) if kind == "expected" else _corners(d)
+        self.unit = 1.0
+        if kind == "worst":
+            self.unit = self._worst_of_start()
+            self.names = [*self.names, BETA]
+            self.start, self.period = np.append(start, 1.0), np.append(self.period, 0.0)
+            self.lower, self.upper = np.append(self.lower, 0.0), np.append(self.upper, np.inf)
+
+    def _worst_of_start(self) -> float:
+        found = self.problem.evaluate(self.start + self.shifts, False)
+        failed = next((e.status for e in found if not e.ok), None)
+        worst = max(e.objective for e in found)
+        if failed is not None or not worst > 0.0:
+            raise InputError(f"start: its worst case is {failed or worst}; allowed: a positive number")
+        return worst
+
+    @property
+    def simulations(self) -> int:
+        """How many designs of the problem are looked at for one of this, corners that constraints rise to left out."""
+        return len(self.shifts)
+
+    def design(self, x: np.ndarray) -> np.ndarray:
+        """The design [n] of a point of this problem, without beta."""
+        return x[: self.shifts.shape[1]]
+
+    def motion(self, x: np.ndarray) -> Any:
+        """Motion of a design as it is meant to be made."""
+        return self.problem.motion(self.design(x))  # type: ignore[attr-defined]
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        """Evaluate designs [lanes, n], all their neighbors in one batch, all their steepest corners in another."""
+        count, n = self.shifts.shape
+        found = self.problem.evaluate((X[:, None, :n] + self.shifts).reshape(-1, n), gradients)
+        around = [found[k * count : (k + 1) * count] for k in range(len(X))]
+        corners, rows = zip(*(self._steepest(x[:n], group) for x, group in zip(X, around, strict=True)), strict=True)
+        designs = np.concatenate(corners)
+        ends = iter(self.problem.evaluate(designs, gradients) if len(designs) else [])
+        there = [[next(ends) for _ in corner] for corner in corners]
+        return [self._combined(*given) for given in zip(X, around, there, rows, strict=True)]
+
+    def _steepest(self, x: np.ndarray, found: list[Evaluation]) -> tuple[np.ndarray, np.ndarray]:
+        """Return the corners [k, n] that constraints rise to most steeply, and for each constraint which of them [m]."""
+        if self.kind == "worst" or not all(e.ok for e in found):
+            return np.zeros((0, x.size)), np.zeros(0, dtype=int)
+        c = np.array([np.atleast_1d(e.constraints) for e in found])
+        signs = np.zeros((c.shape[1], x.size))
+        signs[:, np.flatnonzero(self.tolerance)] = np.where(c[2::2] >= c[1::2], 1.0, -1.0).T
+        distinct, rows = np.unique(signs, axis=0, return_inverse=True)
+        return x + distinct * self.tolerance, rows.reshape(-1)
+
+    def _combined(
+        self, x: np.ndarray, around: list[Evaluation], corners: list[Evaluation], rows: np.ndarray
+    ) -> Evaluation:
+        """Return the evaluation of x; constraint j holds at all designs around it and at the corner `rows[j]`."""
+        failed = next((e.status for e in (*around, *corners) if not e.ok), None)
+        if failed is not None:
+            return Evaluation.failure(f"within its tolerances: {failed}")
+        f = np.array([e.objective for e in around])
+        held = [(e, slice(None)) for e in around] + [(corners[k], slice(j, j + 1)) for j, k in enumerate(rows)]
+        c = np.concatenate([np.atleast_1d(e.constraints)[part] for e, part in held])
+        df = dc = None
+        if all(e.objective_gradient is not None for e in around):
+            df = np.array([e.objective_gradient for e in around])
+            parts = [e.constraint_gradients[part] for e, part in held if e.constraint_gradients is not None]
+            dc = np.concatenate(parts) if parts else np.zeros((0, df.shape[1]))
+        if self.kind == "expected":
+            return Evaluation(float(self.weights @ f), c, None if df is None else self.weights @ df, dc)
+        values = np.concatenate([f / self.unit - x[-1], c])
+        if df is None or dc is None:
+            return Evaluation(float(x[-1]) * self.unit, values)
+        n = df.shape[1]
+        slopes = np.zeros((values.size, n + 1))
+        slopes[: f.size] = np.hstack([df / self.unit, -np.ones((f.size, 1))])
+        slopes[f.size :, :n] = dc
+        return Evaluation(float(x[-1]) * self.unit, values, self.unit * np.eye(n + 1)[-1], slopes)
+
+
+def _expected(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return shifts [k, n] and weights [k]; only variables with a tolerance are moved."""
+    moved = np.flatnonzero(d)
+    sides = [sign * NODE * d[i] * np.eye(d.size)[i] for i in moved for sign in (-1.0, 1.0)]
+    return np.array([np.zeros(d.size), *sides]), np.array([1.0 - 2.0 * OUTER * moved.size, *[OUTER] * len(sides)])
+
+
+def _corners(d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners [2^n, n] of the box; they have equal rights."""
+    moved = np.flatnonzero(d)
+    if 2**moved.size > MAX_CORNERS:
+        raise InputError(f"tolerance: {moved.size} variables have {2**moved.size} corners; allowed: {MAX_CORNERS}")
+    corners = np.zeros((2**moved.size, d.size))
+    corners[:, moved] = np.array(list(product((-1.0, 1.0), repeat=moved.size))) * d[moved]
+    return corners, np.ones(len(corners))

@@ -1,0 +1,217 @@
+"""One start as an optimizer sees it: scaled, cached, counted, and safe against failed evaluations.
+
+    y = x / scale,   scale = |x_start|, or the bound range where |x_start| is tiny        (section 5.2 of the paper)
+    f = objective / |objective(start)|
+
+Where the simulations happen is not known here: `ask` is the problem itself in `optimize`, and a thread's mailbox in
+`multistart`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from operator import itemgetter
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.optimization.optimizer import Evaluation, Iterate
+
+Ask = Callable[[np.ndarray, bool], list[Evaluation]]  # designs [k, n] in one batch
+Report = Callable[[Iterate], None]
+
+# Below this share of the bound range a start value says nothing about the size of its variable (an angle that starts
+# at 0.1 degrees).
+TINY_START = 0.05
+
+
+class Interrupted(BaseException):
+    """Raised inside a method to end it when the user stops the study. Not an Exception: no method may swallow it."""
+
+
+def variable_scale(start: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Return |start| [n], or the bound range where |start| is tiny beside it (1 where the variable has no range)."""
+    size = np.abs(start)
+    span = np.where(np.isfinite(upper - lower), upper - lower, 0.0)
+    scale = np.where(size > TINY_START * span, size, span)
+    return np.where(scale > 0.0, scale, 1.0)
+
+
+class OutOfAnalyses(BaseException):
+    """Raised inside a method to end it when its start has used up the analyses that it may. Not an Exception, as above."""
+
+
+class Search:
+    """The problem of one start in scaled variables `y`; `evaluate` never repeats a simulation."""
+
+    def __init__(
+        self,
+        ask: Ask,
+        start: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        *,
+        scale: np.ndarray | None = None,
+        equalities: np.ndarray | None = None,
+        feasibility: float = 1e-6,
+        eager_gradients: bool = True,
+        max_analyses: int | None = None,
+        index: int = 0,
+        report: Report | None = None,
+    ) -> None:
+        self.scale = np.ones(start.size) if scale is None else scale
+        self.scaled = scale is not None
+        self.objective_scale = 1.0
+        self.x_lower, self.x_upper = lower, upper
+        self.lower, self.upper = lower / self.scale, upper / self.scale
+        self.start = start / self.scale
+        self.feasibility = feasibility
+        self.eager_gradients = eager_gradients
+        self.max_analyses = max_analyses
+        self.index = index
+        self.equality = np.zeros(0, dtype=bool)
+        self.history: list[Iterate] = []
+        self.analyses = self.gradient_evaluations = self.failures = 0
+        self._ask, self._report = ask, report
+        self.equalities = np.zeros(0, dtype=int) if equalities is None else np.asarray(equalities, dtype=int)
+        self._cache: dict[bytes, Evaluation] = {}  # physical units, by the bytes of x
+        self._ranks: dict[bytes, tuple[tuple[bool, float], np.ndarray]] = {}  # with y, of what succeeded
+
+    @property
+    def size(self) -> int:
+        return self.start.size
+
+    def physical(self, y: np.ndarray) -> np.ndarray:
+        """Return x [n] of scaled y, inside the bounds to the last digit."""
+        return np.clip(np.asarray(y, dtype=float) * self.scale, self.x_lower, self.x_upper)
+
+    def begin(self, gradients: bool = True) -> Evaluation:
+        """Evaluate the start, set the objective's scale by it, and record iteration 0 (later: go on from `start`)."""
+        x = self.physical(self.start)
+        first = self._evaluate_physical(x, gradients)
+        if first.ok and not self.history:
+            size = abs(first.objective)
+            self.objective_scale = size if self.scaled and size > 0.0 else 1.0
+            self._remember(self.start, first)
+        if not self.history or not np.array_equal(self.history[-1].x, x):
+            self.record(self.start)
+        return self._scaled(first)
+
+    def evaluate(self, y: np.ndarray, gradients: bool = False) -> Evaluation:
+        """Return objective and constraints at `y` (scaled), with gradients where asked (always, if eager); cached."""
+        evaluation = self._evaluate_physical(self.physical(y), gradients or self.eager_gradients)
+        self._remember(y, evaluation)
+        return self._scaled(evaluation)
+
+    def prefetch(self, Y: Sequence[np.ndarray], gradients: bool = True) -> None:
+        """Evaluate several designs (scaled) in one batch, for `evaluate` to find them in the cache."""
+        X = {x.tobytes(): x for x in map(self.physical, Y)}
+        self._fetch([x for key, x in X.items() if not self._known(key, gradients)], gradients)
+
+    def evaluate_known(self, y: np.ndarray) -> Evaluation:
+        """Return what is known at `y` without a new simulation; a failure if nothing is."""
+        return self._scaled(self._cache.get(self.physical(y).tobytes(), Evaluation.failure("never evaluated")))
+
+    def record(self, y: np.ndarray) -> None:
+        """Add `y`, evaluated before, to the history as the next accepted iterate, and report it."""
+        x = self.physical(y)
+        seen = self._cache[x.tobytes()]
+        violation = self.violation(seen) if seen.ok else float("nan")
+        iterate = Iterate(
+            self.index, len(self.history), x, seen.objective, violation, seen.constraints, self.analyses, seen.status
+        )
+        self.history.append(iterate)
+        if self._report is not None:
+            self._report(iterate)
+
+    def violation(self, evaluation: Evaluation) -> float:
+        """Return the largest violation of a constraint, 0 where all are satisfied."""
+        c = evaluation.constraints
+        return float(np.where(self.equality, np.abs(c), np.maximum(c, 0.0)).max(initial=0.0))
+
+    def violated(self, evaluation: Evaluation) -> list[int]:
+        """Return the indices of the constraints that are not satisfied."""
+        c = evaluation.constraints
+        return np.flatnonzero(np.where(self.equality, np.abs(c), c) > self.feasibility).tolist()
+
+    @property
+    def best(self) -> np.ndarray | None:
+        """Scaled y of the best design seen (feasible and lowest, else least infeasible); None if none succeeded."""
+        return min(self._ranks.values(), key=itemgetter(0))[1] if self._ranks else None
+
+    def _remember(self, y: np.ndarray, evaluation: Evaluation) -> None:
+        if not evaluation.ok:
+            return
+        violation = self.violation(evaluation)
+        infeasible = violation > self.feasibility
+        rank = (infeasible, violation if infeasible else evaluation.objective)
+        self._ranks[self.physical(y).tobytes()] = (rank, np.array(y, dtype=float))
+
+    def _equality_mask(self, constraints: int) -> np.ndarray:
+        mask = np.zeros(constraints, dtype=bool)
+        mask[self.equalities] = True
+        return mask
+
+    def _evaluate_physical(self, x: np.ndarray, gradients: bool) -> Evaluation:
+        if not self._known(x.tobytes(), gradients):
+            self._fetch([x], gradients)
+        return self._cache[x.tobytes()]
+
+    def _known(self, key: bytes, gradients: bool) -> bool:
+        seen = self._cache.get(key)
+        return seen is not None and (not seen.ok or not gradients or seen.objective_gradient is not None)
+
+    def _fetch(self, designs: list[np.ndarray], gradients: bool) -> None:
+        room = len(designs) if self.max_analyses is None else max(self.max_analyses - self.analyses, 0)
+        allowed = designs[:room]
+        answers = self._ask(np.stack(allowed), gradients) if allowed else []
+        if len(answers) != len(allowed):
+            raise InputError(f"problem.evaluate returned {len(answers)} evaluations for {len(allowed)} designs")
+        for x, answer in zip(allowed, answers, strict=True):
+            with_gradients = gradients or answer.objective_gradient is not None
+            evaluation = checked(answer, self.size, with_gradients)
+            self.analyses += 1
+            self.gradient_evaluations += with_gradients
+            self.failures += not evaluation.ok
+            if evaluation.ok and self.equality.size != evaluation.constraints.size:
+                self.equality = self._equality_mask(evaluation.constraints.size)
+            if not evaluation.ok:
+                self._ranks.pop(x.tobytes(), None)  # its values were known, its gradient fails
+            self._cache[x.tobytes()] = evaluation
+        if len(allowed) < len(designs):
+            raise OutOfAnalyses
+
+    def _scaled(self, evaluation: Evaluation) -> Evaluation:
+        if not evaluation.ok:
+            return evaluation
+        df, dc = evaluation.objective_gradient, evaluation.constraint_gradients
+        return replace(
+            evaluation,
+            objective=evaluation.objective / self.objective_scale,
+            objective_gradient=None if df is None else df * self.scale / self.objective_scale,
+            constraint_gradients=None if dc is None else dc * self.scale,
+        )
+
+
+def checked(evaluation: Evaluation, size: int, gradients: bool) -> Evaluation:
+    """Return the evaluation in the contract's shapes; numbers that are not finite make it a failure that says so."""
+    if not evaluation.ok:
+        return Evaluation.failure(evaluation.status)
+    c = np.atleast_1d(np.asarray(evaluation.constraints, dtype=float))
+    df = dc = None
+    if gradients:
+        if evaluation.objective_gradient is None or (c.size and evaluation.constraint_gradients is None):
+            raise InputError("problem.evaluate returned no gradients though gradients=True was asked")
+        df = np.asarray(evaluation.objective_gradient, dtype=float)
+        dc = np.zeros((0, size)) if not c.size else np.asarray(evaluation.constraint_gradients, dtype=float)
+        if df.shape != (size,) or dc.shape != (c.size, size):
+            raise InputError(
+                f"problem.evaluate returned gradients of shape {df.shape} and {dc.shape}, "
+                f"allowed: {(size,)} and {(c.size, size)}"
+            )
+    named = {"objective": evaluation.objective, "constraints": c, "objective gradient": df, "constraint gradients": dc}
+    for name, numbers in named.items():
+        if numbers is not None and not np.isfinite(numbers).all():
+            return Evaluation.failure(f"{name} not finite")
+    return Evaluation(float(evaluation.objective), c, df, dc)

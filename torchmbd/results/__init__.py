@@ -1,0 +1,1 @@
+"""Motions and what is read from them: functions of plain motion data."""

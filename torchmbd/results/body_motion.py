@@ -1,0 +1,212 @@
+"""Views of a trajectory: one body, a point of a body, a joint. Plain torch, shapes [lanes, times, ...].
+
+    point            r + A rho                                              rho = b + Psi_t w, body axes
+    velocity         r' + A (om x rho + Psi_t w')
+    acceleration     r'' + A (om' x rho + om x (om x rho) + 2 om x Psi_t w' + Psi_t w'')
+
+om is the angular velocity in body axes; r, velocities and accelerations of points are in ground axes.
+Differentiable as the motion is.
+Checked in tests/results/test_body_motion.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.math.pair import Pair, value
+from torchmbd.math.rotation import rotation_matrix
+from torchmbd.multibody.bodies import Frame
+from torchmbd.multibody.joints.joint import Attached
+
+if TYPE_CHECKING:
+    from torchmbd.results.trajectory import Trajectory
+
+Where = str | int | Sequence[float] | Frame | None
+
+
+class BodyMotion:
+    """One body along a trajectory."""
+
+    def __init__(self, motion: Trajectory, name: str):
+        self.motion, self.name = motion, name
+        self._T = motion.dynamics.topology
+        self._index = self._T.names.index(name)
+        self.mesh = getattr(motion.system.body(name), "mesh", None)
+
+    @property
+    def r(self) -> Tensor:
+        """Origin of the body frame in ground axes [lanes, times, 3] [m]."""
+        return self.motion.signals.values("q", self._T.r_slice(self._index))
+
+    @property
+    def p(self) -> Tensor:
+        """Euler parameters [lanes, times, 4]."""
+        return self.motion.signals.values("q", self._T.p_slice(self._index))
+
+    @property
+    def A(self) -> Tensor:
+        """Rotation, body -> ground [lanes, times, 3, 3]."""
+        return rotation_matrix(self.p.movedim(-1, 0)).movedim((0, 1), (-2, -1))
+
+    @property
+    def omega(self) -> Tensor:
+        """Angular velocity in body axes [lanes, times, 3] [rad/s]."""
+        return self.motion.signals.values("v", self._spin_rows())
+
+    @property
+    def omega_rate(self) -> Tensor:
+        """Angular acceleration in body axes [lanes, times, 3] [rad/s2]."""
+        return self.motion.signals.values("a", self._spin_rows())
+
+    def _origin_rates(self, name: str) -> Tensor:
+        return self.motion.signals.values(name, self._T.r_slice(self._index))
+
+    def _spin_rows(self) -> list[int]:
+        return [(3 + i) * self._T.bodies + self._index for i in range(3)]
+
+    def _flexible(self) -> int:
+        if self._index >= self._T.flexible:
+            raise InputError(f"body {self.name!r} is rigid; allowed here: a flexible body")
+        return self._index
+
+    @property
+    def w(self) -> Tensor:
+        """Modal coordinates [lanes, times, modes]."""
+        return self.motion.signals.values("q", self._T.w_slice(self._flexible()))
+
+    @property
+    def dw_db(self) -> Tensor | None:
+        """Sensitivities of the modal coordinates [lanes, times, modes, n_b]."""
+        return self.motion.tangents("q", self._T.w_slice(self._flexible()))
+
+    def _modal_rows(self) -> list[int]:
+        return [row - self._T.bodies for row in self._T.w_slice(self._flexible())]
+
+    @property
+    def wd(self) -> Tensor:
+        """Rates of the modal coordinates [lanes, times, modes]."""
+        return self.motion.signals.values("v", self._modal_rows())
+
+    @property
+    def wdd(self) -> Tensor:
+        """Accelerations of the modal coordinates [lanes, times, modes]."""
+        return self.motion.signals.values("a", self._modal_rows())
+
+    @property
+    def stiffness(self) -> tuple[Tensor, Tensor | None]:
+        """Reduced stiffness Kr [lanes, m, m] and its design tangent [lanes, m, m, n_b]."""
+        Kr = self.motion.dynamics.data["Kr"]
+        m, f = self._T.own_modes[self._flexible()], self._index
+        lanes = self.motion.lanes
+        K = value(Kr)[:m, :m, f, 0].movedim(-1, 0).expand(lanes, m, m)
+        if not isinstance(Kr, Pair):
+            return K, None
+        dK = Kr.tangent[:m, :m, f].movedim(-1, 0)
+        return K, dK.expand(lanes, *dK.shape[1:])
+
+    @property
+    def mass(self) -> Tensor:
+        """Mass of the body [lanes] [kg]."""
+        return value(self.motion.dynamics.data["mass"])[self._index, 0].expand(self.motion.lanes)
+
+    @property
+    def strain_energy(self) -> Tensor:
+        """U = 1/2 w' Kr w [lanes, times] [J]; eq. (17)."""
+        w = self.w
+        return 0.5 * ((w @ self.stiffness[0]) * w).sum(-1)
+
+    @property
+    def psi(self) -> Tensor:
+        """Mode shapes [lanes, nodes, 6, modes] of the designs of this motion."""
+        self._flexible()
+        return self.motion.modes(self.name)
+
+    @property
+    def displacements(self) -> Tensor:
+        """Elastic displacements of the nodes in body axes [lanes, times, nodes, 3] [m]."""
+        return torch.einsum("lnim,ltm->ltni", self.psi[:, :, :3], self.w)
+
+    @property
+    def nodes(self) -> Tensor:
+        """Positions of the deformed mesh in ground axes [lanes, times, nodes, 3] [m]."""
+        self._flexible()
+        body = self.motion.system.body(self.name)
+        local = body.mesh.nodes - body.origin + self.displacements
+        return self.r[:, :, None] + torch.einsum("ltij,ltnj->ltni", self.A, local)
+
+    def at(self, where: Where = None) -> PointMotion:
+        """A point of the body.
+
+        where   a node or node set of the mesh, a position in body axes on a rigid body, or a frame; None: the origin
+        """
+        return PointMotion.of(self, where)
+
+
+@dataclass(frozen=True)
+class PointMotion:
+    """One point of a body along a trajectory [lanes, times, 3]; see the module header.
+
+    rho           from the origin of the body frame to the point, in body axes [m]
+    displacement  elastic displacement u' of the point in body axes [m]
+    """
+
+    body: BodyMotion
+    displacement: Tensor
+    rho: Tensor
+    slow: Tensor  # rate of rho in body axes
+    fast: Tensor  # its rate
+
+    @classmethod
+    def of(cls, body: BodyMotion, where: Where) -> PointMotion:
+        """The point `where` of a body; InputError if it has no such point."""
+        frame = _frame(body, where)
+        still = torch.zeros_like(body.r)
+        if frame is None:
+            return cls(body, still, still, still, still)
+        if frame.mount is None:
+            return cls(body, still, frame.point + still, still, still)
+        psi = Attached(frame.body, frame.point, frame.mount, True).modal_rows(body.psi)
+        u, slow, fast = (torch.einsum("lim,ltm->lti", psi, x) for x in (body.w, body.wd, body.wdd))
+        return cls(body, u, frame.point + u, slow, fast)
+
+    @property
+    def position(self) -> Tensor:
+        """In ground axes [m]."""
+        return self.body.r + self._ground(self.rho)
+
+    @property
+    def velocity(self) -> Tensor:
+        """In ground axes [m/s]."""
+        return self.body._origin_rates("v") + self._ground(_cross(self.body.omega, self.rho) + self.slow)
+
+    @property
+    def acceleration(self) -> Tensor:
+        """In ground axes [m/s2]."""
+        om, turn = self.body.omega, self.body.omega_rate
+        local = _cross(turn, self.rho) + _cross(om, _cross(om, self.rho) + 2.0 * self.slow) + self.fast
+        return self.body._origin_rates("a") + self._ground(local)
+
+    def _ground(self, x: Tensor) -> Tensor:
+        return torch.einsum("ltij,ltj->lti", self.body.A, x)
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    return torch.linalg.cross(a, b, dim=-1)
+
+
+def _frame(view: BodyMotion, where: Where) -> Frame | None:
+    """The frame of a point of a body, None for its origin."""
+    body = view.motion.system.body(view.name)
+    if where is None or isinstance(where, Frame):
+        return where
+    if view.mesh is not None:
+        return body.at(where)
+    if isinstance(where, (str, int)) or len(where) != 3:
+        raise InputError(f"point of the rigid body {view.name!r} is {where!r}; allowed: three numbers in body axes [m]")
+    return body.at(*where)

@@ -1,0 +1,157 @@
+"""Where the energy of a motion is, where it came from and where it went.
+
+    kinetic     1/2 v' M v                                        strain      1/2 w' Kr w
+    potential   - sum (m r + A S) . g                             dissipated  integral of w' . D w'
+    applied     integral of sum f s'   (forces, with their own springs and dampers: multibody/forces/action.py)
+    driven      integral of lam . dPhi/dt   (joints with a law of time)
+
+    lost        at switches between phases: kinetic energy, by locks and impacts (drives may give some)
+
+    balance = kinetic + strain + potential + dissipated + lost - applied - driven, less its value at the start
+
+is zero along an exact motion; what is left of it tells what steps and iterations did. Integrals are trapezoidal over
+the output times, and on both sides of every switch.
+Values only. All functions of time [lanes, times] [J].
+Checked in tests/physics/test_energies.py: against nodal sums, and the balance to second order.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.math.pair import dot, matvec, value
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.times_as_lanes import side_by_side
+from torchmbd.multibody.system.topology import Topology
+
+if TYPE_CHECKING:
+    from torchmbd.results.trajectory import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Energies:
+    """Energies of a motion and the work done on it; see the module header."""
+
+    kinetic: Tensor
+    strain: Tensor
+    potential: Tensor
+    dissipated: Tensor
+    applied: Tensor
+    driven: Tensor
+    lost: Tensor
+
+    @property
+    def stored(self) -> Tensor:
+        """Kinetic, strain and potential energy together."""
+        return self.kinetic + self.strain + self.potential
+
+    @property
+    def balance(self) -> Tensor:
+        """What is missing or too much since the start."""
+        total = self.stored + self.dissipated + self.lost - self.applied - self.driven
+        return total - total[:, :1]
+
+
+def energies(motion: Trajectory) -> Energies:
+    """Of all lanes of a motion."""
+    if motion.switches and len(motion.status) != motion.lanes:
+        raise InputError(
+            "energies of a motion with phases are asked for in torch.func.vmap, but lanes switch at times of their own; "
+            "allowed: designs [lanes, ...] in one simulate"
+        )
+    parts = [_lane(motion, lane) for lane in range(motion.lanes)]
+    return Energies(*(torch.stack(x) for x in zip(*parts, strict=True)))
+
+
+class _Samples(NamedTuple):
+    """One lane: times [n], q, v, lam [rows, 1, n]; which are output times, and which begin a phase."""
+
+    t: Tensor
+    q: Tensor
+    v: Tensor
+    lam: Tensor
+    output: Tensor
+    begins: Tensor
+
+    @classmethod
+    def of(cls, motion: Trajectory, lane: int) -> _Samples:
+        """The output times and both sides of the switches, in order; of equal times the output comes last."""
+        passed = [s for s in motion.switches if bool(torch.isfinite(s.t[lane]))]
+        sides = [side for s in passed for side in (s.before, s.after)]
+        t = torch.cat([torch.stack([s.t[lane], s.t[lane]]) for s in passed] + [motion.t])
+        order = torch.argsort(t, stable=True)
+
+        def sampled(name: str) -> Tensor:
+            x = torch.stack([*(getattr(side, name)[lane] for side in sides), *getattr(motion, name)[lane]])
+            return x[order].T[:, None]
+
+        begins = (order < len(sides)) & (order % 2 == 1)
+        return cls(t[order], sampled("q"), sampled("v"), sampled("lam"), order >= len(sides), begins)
+
+
+def _lane(motion: Trajectory, lane: int) -> list[Tensor]:
+    """Energies and works [times] of one lane: its times take the place of lanes."""
+    T, samples = motion.dynamics.topology, _Samples.of(motion, lane)
+    t, q, v, lam = samples[:4]
+    data = {name: _of(value(x), lane) for name, x in motion.dynamics.data.items()}
+    given = side_by_side(T.schedule(t, data))
+    at = equations.placement(T, data, q, given)
+    w, wd = at.w, equations.split_v(T, v)[2]
+    plain = {name: x for name, x in data.items() if name not in ("gravity", "D")}
+    strain = dissipation = torch.zeros_like(v[0])
+    if T.flexible:
+        strain = 0.5 * (w * matvec(data["Kr"], w)).sum((0, 1))
+        plain["Kr"] = torch.zeros_like(data["Kr"])
+        if "D" in data:
+            dissipation = (wd * matvec(data["D"], wd)).sum((0, 1))
+    momentum = torch.cat([x.flatten(0, 1) for x in equations.inertia_forces(T, plain, at, torch.zeros_like(v), v)])
+    energy = [0.5 * dot(v, momentum), strain, _potential(motion, data, at, q)]
+    powers = [dissipation, _applied(motion, data, at, v, samples.begins.cumsum(0)), _driven(T, data, t, q, lam)]
+    drop = -energy[0][0].diff(prepend=energy[0][0, :1])
+    lost = torch.where(samples.begins, drop, 0.0).cumsum(0)
+    works = [torch.nn.functional.pad(torch.cumulative_trapezoid(x[0], t), (1, 0)) for x in powers]
+    known = torch.where(
+        torch.isfinite(q).all(0)[0], 0.0, torch.nan
+    )  # none after a failure, not even of what is constant
+    return [(x + known)[samples.output] for x in (*(e[0] for e in energy), *works, lost)]
+
+
+def _of(x: Tensor, lane: int) -> Tensor:
+    return x if x.shape[-1] == 1 else x[..., lane : lane + 1]
+
+
+def _potential(motion: Trajectory, data: equations.Data, at: equations.Placement, q: Tensor) -> Tensor:
+    T = motion.dynamics.topology
+    if "gravity" not in data:
+        return torch.zeros_like(q[0])
+    S = equations.moments(T, data, at.w)[0] if T.flexible else data["S0"]
+    weight = data["mass"] * equations.split_q(T, q)[0] + matvec(at.A[:, :, : T.bodies], S)
+    return -(weight * data["gravity"]).sum((0, 1))
+
+
+def _applied(motion: Trajectory, data: equations.Data, at: equations.Placement, v: Tensor, phase: Tensor) -> Tensor:
+    """Power of the applied forces: what they do to the bodies times the rates; `phase`: of each time, from 0."""
+    T, power = motion.dynamics.topology, torch.zeros_like(v[0])
+    for k, actions in enumerate(motion.actions or (T.actions,)):
+        if actions:
+            own = replace(T, actions=actions)
+            forces = equations.generalized_forces(own, data, at, equations.applied_on_vectors(own, data, at, v))
+            power = torch.where(phase == k, dot(torch.cat([x.flatten(0, 1) for x in forces]), v), power)
+    return power
+
+
+def _driven(T: Topology, data: equations.Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
+    """lam . dPhi/dt: constraints without laws do no work."""
+    power = torch.zeros_like(q[0])
+    if not any(p.driven for p in T.primitives):
+        return power
+    still = q.new_zeros(T.n_v, 1, 1)
+    for i, t in enumerate(times):
+        at = equations.placement(T, data, q[..., i : i + 1], T.prescribed(t, data))
+        power[:, i : i + 1] = dot(lam[..., i : i + 1], equations.constraint_jets(T, at, data, still, still, t).velocity)
+    return power

@@ -1,0 +1,134 @@
+"""A motion as an integrator leaves it: numbers [times, component, 1 + n_b, lanes], values, then design tangents.
+
+Of a condensed system only what was left of it is kept; rows of the whole are made on demand (time_rows.py):
+most of a motion is never looked at.
+Checked in tests/results/test_time_rows.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchmbd.math.pair import Pair, value
+from torchmbd.multibody.system.equations import Data
+from torchmbd.multibody.system.expansion import Expansion, chosen
+from torchmbd.multibody.system.least_norm import LeastNorm
+from torchmbd.results.state import State
+
+SEGMENT = 2000  # steps
+
+
+class Between(NamedTuple):
+    """Steps between the states of a history.
+
+    steps        between two states
+    a            algorithmic accelerations [n_v, 1, lanes] at the first states of segments
+    integrator   that made them
+    """
+
+    steps: int
+    a: list[Tensor]
+    integrator: Any
+
+    def lanes(self, some: Sequence[int]) -> Between:
+        """Of some lanes."""
+        return self._replace(a=[x[..., some] for x in self.a])
+
+
+@dataclass
+class History:
+    """What was integrated; `expansion` leads to the whole system, None: it is the whole.
+
+    between   how the steps between the states are made again; None: there are none between
+    """
+
+    q: Tensor
+    v: Tensor
+    vd: Tensor
+    lam: Tensor
+    expansion: Expansion | None = None
+    times: Tensor | None = None  # [times] [s]; None: equal ones, by the duration
+    # Lanes that were integrated with smaller steps: of which history they are which lane, with how many steps for one here.
+    finer: dict[int, tuple[History, int, int]] = field(default_factory=dict)
+    between: Between | None = None
+
+    def at(self, some: slice) -> History:
+        """What was left, at some of the times."""
+        return History(self.q[some], self.v[some], self.vd[some], self.lam[some])
+
+    def lanes(self, some: Sequence[int]) -> History:
+        """What was left, of some lanes, all if there are as many."""
+        if self.q.shape[-1] == len(some):
+            return History(self.q, self.v, self.vd, self.lam, between=self.between)
+        q, v, vd, lam = (x[..., some] for x in (self.q, self.v, self.vd, self.lam))
+        return History(q, v, vd, lam, between=None if self.between is None else self.between.lanes(some))
+
+    def rows(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
+        """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes]."""
+        x = (self.q, self.v, self.vd)[order][:, :, slots]
+        if self.expansion is not None:
+            return self.expansion.rows(order, x, rows, known=not slots.start)
+        return x if rows is None else chosen(x, rows)
+
+    @property
+    def multipliers(self) -> Tensor:
+        """Of all constraints [times, rows, slots, lanes]."""
+        if self.expansion is None:
+            return self.lam
+        return self.expansion.multipliers(self.q, self.v, self.vd, self.lam)
+
+    def expansion_by(self, data: Data) -> Expansion | None:
+        """Leads to the whole system as a function of its data; None: it is the whole."""
+        return None if self.expansion is None else replace(self.expansion, data=data)
+
+    def settled(self, least: LeastNorm | None, duration: float, data: Data) -> Tensor:
+        """Multipliers of all constraints [times, rows, slots, lanes]; of redundant rows those of least norm."""
+        if least is None:
+            return self.multipliers
+        times = (
+            self.times if self.times is not None else torch.linspace(0.0, duration, len(self.q), dtype=torch.float64)
+        )
+        return least.at_times(data, times, self.rows(0), self.multipliers)
+
+    @classmethod
+    def of(cls, states: list[State]) -> History:
+        """Stack states."""
+        record = Record(states[0], len(states))
+        for i, x in enumerate(states):
+            record.put(i, x)
+        return record.history()
+
+
+class Record:
+    """States as they come, in arrays of their final size: nothing is kept twice."""
+
+    def __init__(self, x: State, count: int):
+        shapes = [y.shape for y in (x.q, x.v, x.vd, x.lam)]
+        lanes = max(shape[-1] for shape in shapes)
+        self.parts = [value(x.q).new_empty(count, *shape[:-1], lanes) for shape in shapes]
+
+    def put(self, i: int, x: State) -> None:
+        """Keep the state of time i."""
+        for part, y in zip(self.parts, (x.q, x.v, x.vd, x.lam), strict=True):
+            part[i] = y.full if isinstance(y, Pair) else y
+
+    def put_all(self, i: int, states: History) -> None:
+        """Keep states from time i on."""
+        for part, y in zip(self.parts, (states.q, states.v, states.vd, states.lam), strict=True):
+            part[i : i + len(y)] = y
+
+    def history(self, expansion: Expansion | None = None) -> History:
+        """What was kept."""
+        q, v, vd, lam = self.parts
+        return History(q, v, vd, lam, expansion)
+
+
+def segments(steps: int, every: int = 1) -> list[range]:
+    """All steps, in runs of SEGMENT or less, but of at least `every`, of which each is a multiple."""
+    most = every * max(SEGMENT // every, 1)
+    return [range(i, min(i + most, steps)) for i in range(0, steps, most)]

@@ -1,0 +1,147 @@
+"""Ply strains, stresses and failure of a flexible plate along a motion.
+
+    stress(t) = basis w(t),      basis = ply values of the body's modes (fem/elements/ply_recovery.py)
+
+Points of a body run over its laminates, their cells, layers from the bottom, and the two faces of each layer;
+`points` names them.
+The index of a body is the largest over all points: its derivative is that of the point where it stands, exact wherever
+this point is unique.
+Differentiable by the design along `Trajectory.moved`: through w, the modes and the laminate itself.
+Checked in tests/results/test_ply_history.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.fem.elements import PlyBasis, ply_basis, ply_points
+from torchmbd.fem.materials import CRITERIA, FailureForms
+from torchmbd.math.module_call import called
+
+if TYPE_CHECKING:
+    from torchmbd.results.trajectory import Trajectory
+
+_CHUNK = 500_000  # indices that are looked through at once
+
+
+class PlyHistory:
+    """The plies of one body along a motion.
+
+    motion    a Trajectory
+    name      of the body
+    basis     ply strains and stresses of the modes [lanes, points, 5, modes], components as in PLY_COMPONENTS
+    points    cell, layer and face (0 bottom, 1 top) of each point [points, 3]
+    strength  numbers of the ply's Strength at each point [points, 8]; None where a ply has none
+    """
+
+    basis: PlyBasis
+    points: Int[Tensor, "points 3"]
+    strength: Float[Tensor, "points 8"] | None
+
+    def __init__(self, motion: Trajectory, name: str):
+        if not hasattr(motion, "body"):
+            raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
+        view = motion.body(name)
+        self.name, self.w = name, view.w
+        body = motion.system.body(name)
+        require_plies(body)
+        recovery = _Recovery(motion.system, name)
+        designs = {f"system.{key}": x for key, x in motion.designs.items()}
+        self.basis = called(recovery, designs, view.psi)
+        points = {key: ply_points(part.matrices, part.laminate) for key, part in body.plates.items()}
+        self.points = torch.cat(list(points.values()))
+        self.strength = _strength(body, points)
+
+    def stress(self, times: slice = slice(None)) -> Float[Tensor, "lanes times points 5"]:
+        """Ply stresses [Pa] at the chosen output times."""
+        return _at(self.basis.stress, self.w[:, times])
+
+    def strain(self, times: slice = slice(None)) -> Float[Tensor, "lanes times points 5"]:
+        """Ply strains at the chosen output times."""
+        return _at(self.basis.strain, self.w[:, times])
+
+    def indices(self, criterion: str = "tsai_wu", times: slice = slice(None)) -> Float[Tensor, "lanes times points"]:
+        """Failure index of every point at the chosen output times."""
+        rule, strength = self._rule(criterion)
+        return rule(self.stress(times), strength)
+
+    def critical(self, criterion: str = "tsai_wu") -> Int[Tensor, "lanes times"]:
+        """Which point is nearest to failure, at each time."""
+        _, strength = self._rule(criterion)
+        size = max(1, _CHUNK // len(strength))
+        rows = []
+        for basis, w in zip(self.basis.stress.detach(), self.w.detach(), strict=True):
+            index = FailureForms(criterion, basis, strength)
+            rows.append(torch.cat([index(part).argmax(-1) for part in w.split(size)]))
+        return torch.stack(rows)
+
+    def failure(self, criterion: str = "tsai_wu") -> Float[Tensor, "lanes times"]:
+        """Index of the point nearest to failure at each time: below one nothing fails."""
+        rule, strength = self._rule(criterion)
+        place = self.critical(criterion)
+        lane = torch.arange(len(place))[:, None]
+        stress = torch.einsum("ltcm,ltm->ltc", self.basis.stress[lane, place], self.w)
+        return rule(stress, strength[place])
+
+    def extreme(self, component: int, layer: int | None = None, sign: float = 1.0) -> Float[Tensor, "lanes times"]:
+        """Largest value of `sign` times a stress component [Pa] over all points, or those of one layer, at each time."""
+        basis = sign * self.basis.stress[:, :, component]
+        if layer is not None:
+            basis = basis[:, self.points[:, 1] == layer]
+        rows = zip(basis.detach(), self.w.detach(), strict=True)
+        place = torch.stack([(w @ one.mT).argmax(-1) for one, w in rows])
+        lane = torch.arange(len(place))[:, None]
+        return (basis[lane, place] * self.w).sum(-1)
+
+    def _rule(self, criterion: str) -> tuple[Callable[[Tensor, Tensor], Tensor], Tensor]:
+        if criterion not in CRITERIA:
+            raise unknown("criterion", criterion, CRITERIA)
+        if self.strength is None:
+            raise InputError(f"a ply of body {self.name!r} has no strength; allowed: Ply(..., strength=Strength(...))")
+        return CRITERIA[criterion], self.strength
+
+
+def _strength(body: Any, points: Mapping[str, Tensor]) -> Tensor | None:
+    rows = []
+    for key, part in body.plates.items():
+        plies = [ply.strength for ply in part.laminate.layer_plies]
+        numbers = [strength.numbers() for strength in plies if strength is not None]
+        if len(numbers) < len(plies):
+            return None
+        rows.append(torch.stack(numbers)[points[key][:, 1]])
+    return torch.cat(rows)
+
+
+def require_plies(body: object) -> None:
+    """Raise InputError for a body without plies."""
+    if not getattr(body, "plates", None):
+        name = getattr(body, "name", body)
+        raise InputError(f"body {name!r} has no plies; allowed here: a plate, such as FlexibleBody.plate(...)")
+
+
+class _Recovery(nn.Module):
+    """Recovery as a module of the whole system, so that designs go by their names; shared laminates included."""
+
+    system: Any
+
+    def __init__(self, system: nn.Module, name: str):
+        super().__init__()
+        self.system, self.name = system, name
+
+    def forward(self, psi: Tensor) -> PlyBasis:
+        plates = self.system.body(self.name).plates.values()
+        parts = [ply_basis(part.matrices, part.laminate, psi) for part in plates]
+        return PlyBasis(
+            *(torch.cat([x.expand(len(psi), -1, -1, -1) for x in kind], 1) for kind in zip(*parts, strict=True))
+        )
+
+
+def _at(basis: Tensor, w: Tensor) -> Tensor:
+    """Basis [..., points, 5, modes] times w [..., times, modes]: one product."""
+    return (w @ basis.flatten(-3, -2).mT).unflatten(-1, basis.shape[-3:-1])

@@ -1,0 +1,110 @@
+"""Reactions of joints along a trajectory: the force and torque that body a exerts on body b through a joint.
+
+    f = -sum of the gradients of lam . Phi by the points of b,   m = -sum over its points (g - o) x df, its axes g x df
+
+o is the point of the frame a, and both vectors are given in the axes of that frame, as a sensor there would read them.
+The reaction on body a is the opposite, about the same point. Where rows are redundant their share is that of least norm.
+Checked in tests/results/test_reaction.py: free bodies in equilibrium.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError, one_of
+from torchmbd.math.pair import value
+from torchmbd.math.rotation import exponential, rotation_matrix
+from torchmbd.multibody.bodies import Frame, Ground
+from torchmbd.multibody.joints.joint import Joint
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.times_as_lanes import side_by_side
+
+if TYPE_CHECKING:
+    from torchmbd.multibody.system import System
+    from torchmbd.results.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class JointReaction:
+    """force [lanes, times, 3] [N] and torque [lanes, times, 3] [N m] on body b at frame a, in its axes; of all rows."""
+
+    force: Tensor
+    torque: Tensor
+
+
+def reaction(motion: Trajectory, name: str) -> JointReaction:
+    """The reaction of the joint of that name."""
+    joint = joint_named(motion.system, name)
+    at = frame_point(motion, joint.a)
+    axes = frame_axes(motion, joint.a)
+    parts = reaction_on(motion, joint, joint.b, at)
+    return JointReaction(*(torch.einsum("ltij,lti->ltj", axes, x) for x in parts))
+
+
+def joint_named(system: System, name: str) -> Joint:
+    """The one joint of that name; InputError if there is none, or several."""
+    one_of("joint", name, [joint.name for joint in system.joints])
+    found = [joint for joint in system.joints if joint.name == name]
+    if len(found) > 1:
+        raise InputError(f"joint name {name!r} is used {len(found)} times; allowed here: a unique name")
+    return found[0]
+
+
+def reaction_on(motion: Trajectory, joint: Joint, side: Frame, about: Tensor) -> tuple[Tensor, Tensor]:
+    """Force, and torque about the points `about` [lanes, times, 3], on the body of one side, in ground axes."""
+    T = motion.dynamics.topology
+    rows = torch.tensor([name.rpartition(": ")[0] == joint.name for name in T.row_names])
+    at, gradient = _constraint_forces(motion, rows)
+    force = torque = torch.zeros_like(motion.v[..., :3])
+    for i, attached in enumerate(T.attached):
+        if attached.body is side.body:
+            f, g = _back(motion, gradient[:, i]), _back(motion, at.g[:, i])
+            arm = g - about if attached.is_point else g
+            force = force - f if attached.is_point else force
+            torque = torque - torch.linalg.cross(arm.expand_as(f), f, dim=-1)
+    return force, torque
+
+
+def frame_point(motion: Trajectory, frame: Frame) -> Tensor:
+    """Point of a frame in ground axes [lanes, times, 3] [m]."""
+    if isinstance(frame.body, Ground):
+        return frame.point.expand(motion.lanes, len(motion.t), 3)
+    return motion.body(frame.body.name).at(frame).position
+
+
+def frame_axes(motion: Trajectory, frame: Frame) -> Tensor:
+    """Axes of a frame, columns in ground axes [lanes, times, 3, 3]; those on nodes turn with them."""
+    if isinstance(frame.body, Ground):
+        return frame.axes.expand(motion.lanes, len(motion.t), 3, 3)
+    view = motion.body(frame.body.name)
+    if frame.mount is None:
+        return view.A @ frame.axes
+    turn = frame.mount.motion(frame.body.mesh.nodes - frame.body.origin, view.psi)[:, 3:]
+    bent = rotation_matrix(exponential(torch.einsum("lim,ltm->ilt", turn, view.w)))
+    return view.A @ bent.movedim((0, 1), (-2, -1)) @ frame.axes
+
+
+def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Placement, Tensor]:
+    """Attached vectors and the gradients by them [3, vectors, 1, lanes x times] of the constraint rows chosen."""
+    T, data = motion.dynamics.topology, motion.dynamics.data
+    lanes, times = motion.lanes, len(motion.t)
+
+    def flat(x: Tensor) -> Tensor:
+        return x.permute(2, 0, 1).flatten(1)[:, None]
+
+    def spread(x: Tensor) -> Tensor:
+        return x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x
+
+    given = side_by_side(T.schedule(motion.t, {name: value(x) for name, x in data.items()}), lanes, lanes_first=True)
+    vectors = {key: spread(value(data[key])) for key in ("x", "Y") if key in data}
+    at = equations.placement(T, vectors, flat(motion.q), given)
+    return at, equations.force_on_vectors(T, at, flat(motion.lam * rows))
+
+
+def _back(motion: Trajectory, x: Tensor) -> Tensor:
+    """[3, 1, lanes x times] -> [lanes, times, 3]."""
+    return x[:, 0].unflatten(-1, (motion.lanes, len(motion.t))).permute(1, 2, 0)

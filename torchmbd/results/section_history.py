@@ -1,0 +1,185 @@
+"""Section forces, stresses and failure of a flexible body's beams along a motion.
+
+    f(t) = forces w(t)              (N, V_y, V_z, T, M_y, M_z) at both ends of every element, its own axes   [N, N m]
+    stress(t) = unit f(t)           in ply axes at the integration points of the section's elements          [Pa]
+
+forces   section forces of the body's modes (fem/elements/beams.py)
+unit     stresses of the section under unit forces (fem/sections/section.py)
+
+Forces vary linearly along an element, so its ends are where a stress is largest. The failure index of a body is the
+largest over ends and points: its derivative is that of the point where it stands, exact wherever this point is unique.
+The criteria are those of plies (fem/materials/strength.py): the stress through the ply, 33, is in `stress`, but not judged.
+Differentiable by the design along `Trajectory.moved`: through w, the modes and the section itself.
+Assumed: Saint-Venant's stresses; where a beam is held or its section changes the true ones differ.
+Checked in tests/results/test_section_history.py.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.fem.elements import Beams
+from torchmbd.fem.materials import CRITERIA, FailureForms
+from torchmbd.fem.sections import Section
+from torchmbd.math.module_call import called
+
+if TYPE_CHECKING:
+    from torchmbd.results.trajectory import Trajectory
+
+_CHUNK = 500_000  # indices that are looked through at once
+
+#: Where the five stresses of a ply, PLY_COMPONENTS, stand among the six of a solid.
+_OF_PLY = [0, 1, 5, 4, 3]
+
+
+class _Part(NamedTuple):
+    forces: Float[Tensor, "lanes ends 6 modes"]
+    unit: Float[Tensor, "lanes points 6 6"]
+
+
+class SectionHistory:
+    """The beams of one body along a motion, one part for each section: "section0", "section1", ... of FlexibleBody.beam.
+
+    motion  a Trajectory
+    name    of the body
+    Its methods have forces [N], moments [N m] and stresses [Pa], lanes first, then times.
+    """
+
+    def __init__(self, motion: Trajectory, name: str):
+        if not hasattr(motion, "body"):
+            raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
+        view = motion.body(name)
+        self.name, self.w = name, view.w
+        self._body = motion.system.body(name)
+        self._beams = beams_of(self._body)
+        designs = {f"system.{key}": x for key, x in motion.designs.items()}
+        made = called(_Recovery(motion.system, name), designs, view.psi)
+        self._made = {key: _Part(*part) for key, part in zip(self._beams, made, strict=True)}
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the parts, one for each section."""
+        return tuple(self._beams)
+
+    def ends(self, part: str | None = None) -> Int[Tensor, "ends 2"]:
+        """Element and end (0 start, 1 end) of the section forces of a part; None: of the only one."""
+        return self._beams[self._key(part)].ends
+
+    def forces(self, part: str | None = None, times: slice = slice(None)) -> Float[Tensor, "lanes times ends 6"]:
+        """(N, V_y, V_z, T, M_y, M_z) at the chosen output times."""
+        return torch.einsum("lesm,ltm->ltes", self._made[self._key(part)].forces, self.w[:, times])
+
+    def points(self, part: str | None = None) -> Float[Tensor, "points 2"]:
+        """Where the stresses are, y and z in the axes of the section [m]."""
+        section = self._section(self._key(part))
+        element, point = section.stress_points.unbind(1)
+        return section.geometry.points[element, point]
+
+    def stress(self, part: str | None = None, times: slice = slice(None)) -> Float[Tensor, "lanes times ends points 6"]:
+        """Stresses (11, 22, 33, 23, 13, 12) [Pa] in ply axes at the chosen output times: choose few of a large section."""
+        key = self._key(part)
+        self._section(key)
+        return torch.einsum("lpcs,ltes->ltepc", self._made[key].unit, self.forces(key, times))
+
+    def critical(self, criterion: str = "tsai_wu", part: str | None = None) -> Int[Tensor, "lanes times 2"]:
+        """Which end and which point of a part is nearest to failure, at each time."""
+        key = self._key(part)
+        _rule(criterion)
+        made, rows, strength = self._made[key], [], self._strength(key)
+        ends, points = made.forces.shape[1], made.unit.shape[1]
+        for forces, unit, w in zip(*(x.detach() for x in (*made, self.w)), strict=True):
+            index = FailureForms(criterion, unit[:, _OF_PLY], strength)
+            for some in w.split(max(1, _CHUNK // (ends * points))):
+                loads = torch.einsum("esm,tm->tes", forces, some).flatten(0, 1)
+                rows.append(index(loads).unflatten(0, (-1, ends)).flatten(1).argmax(-1))
+        place = torch.cat(rows).unflatten(0, (len(self.w), -1))
+        return torch.stack([torch.div(place, points, rounding_mode="floor"), place % points], dim=-1)
+
+    def failure(self, criterion: str = "tsai_wu") -> Float[Tensor, "lanes times"]:
+        """Index of the point nearest to failure of all parts at each time: below one nothing fails."""
+        lane = torch.arange(len(self.w))[:, None]
+        largest: list[Tensor] = []
+        for key in laminated(self._body):
+            end, point = self.critical(criterion, key).unbind(-1)
+            made = self._made[key]
+            force = torch.einsum("ltsm,ltm->lts", made.forces[lane, end], self.w)
+            stress = torch.einsum("ltcs,lts->ltc", made.unit[lane, point][:, :, _OF_PLY], force)
+            largest.append(_rule(criterion)(stress, self._strength(key)[point]))
+        if not largest:
+            raise InputError(
+                f"the sections of {self.name!r} have no plies; allowed: a Section, such as sections.strip(...)"
+            )
+        return torch.stack(largest).amax(0)
+
+    def _key(self, part: str | None) -> str:
+        if part is None and len(self._beams) > 1:
+            raise InputError(f"part of {self.name!r} is None; allowed: {', '.join(self._beams)}")
+        key = self.parts[0] if part is None else part
+        if key not in self._beams:
+            raise unknown(f"part of {self.name!r}", key, self._beams)
+        return key
+
+    def _section(self, key: str) -> Section:
+        section = self._beams[key].section
+        if not isinstance(section, Section):
+            raise InputError(
+                f"{key} of {self.name!r} is a {type(section).__name__}, which has no stresses; allowed: Section"
+            )
+        return section
+
+    def _strength(self, key: str) -> Float[Tensor, "points 8"]:
+        section = self._section(key)
+        numbers = strengths(self.name, section)
+        return numbers[section.geometry.layer[section.stress_points[:, 0]]]
+
+
+def beams_of(body: object) -> dict[str, Beams]:
+    """The beams of a body; InputError where it has none."""
+    found = getattr(body, "beams", None)
+    if not found:
+        name = getattr(body, "name", body)
+        raise InputError(f"body {name!r} has no beams; allowed here: FlexibleBody.beam(...), or a model with beams")
+    return found
+
+
+def laminated(body: object) -> dict[str, Section]:
+    """The meshed sections of a body's beams by the names of the parts; none for a body without."""
+    beams: dict[str, Beams] = getattr(body, "beams", {})
+    return {key: part.section for key, part in beams.items() if isinstance(part.section, Section)}
+
+
+def strengths(name: str, section: Section) -> Float[Tensor, "layers 8"]:
+    """Strength numbers of the layers of a section; InputError where a ply has none."""
+    found = [ply.strength for ply in section.plies]
+    if None in found:
+        raise InputError(f"a ply of body {name!r} has no strength; allowed: Ply(..., strength=Strength(...))")
+    return torch.stack([strength.numbers() for strength in found if strength is not None])
+
+
+def _rule(criterion: str) -> Any:
+    if criterion not in CRITERIA:
+        raise unknown("criterion", criterion, CRITERIA)
+    return CRITERIA[criterion]
+
+
+class _Recovery(nn.Module):
+    """Recovery as a module of the whole system, so that designs go by their names; shared sections included."""
+
+    system: Any
+
+    def __init__(self, system: nn.Module, name: str):
+        super().__init__()
+        self.system, self.name = system, name
+
+    def forward(self, psi: Tensor) -> list[tuple[Tensor, Tensor]]:
+        lanes, made = len(psi), []
+        for beams in self.system.body(self.name).beams.values():
+            forces = beams.section_forces(psi).flatten(1, 2)
+            unit = beams.section.unit_stress() if isinstance(beams.section, Section) else psi.new_zeros(0, 6, 6)
+            made.append((forces, unit.expand(lanes, *unit.shape[-3:])))
+        return made

@@ -1,0 +1,92 @@
+"""Singular positions along a trajectory: where and when the constraints lose rank, and which rows.
+
+    s(t) = the singular value of Phi_q, rows of length one, that counts last at the start
+
+A mechanism has the rank of its start almost everywhere; where s comes near zero it gains a freedom for a moment, its
+motion may branch, and multipliers grow like 1/s. Minima of s below a threshold are reported; a motion that failed says
+in its status where it came near one, one whose steps had to be taken again (simulate.py) warns.
+Checked in tests/results/test_singular_positions.py: four-bars that fold flat.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from torchmbd.multibody.system.rank import RELATIVE, jacobians, lost_rows
+from torchmbd.results.law_faults import laws_at_fault
+
+if TYPE_CHECKING:
+    from torchmbd.results.trajectory import Trajectory
+
+NEAR = 2e-2  # of the largest singular value
+
+
+@dataclass(frozen=True)
+class SingularPosition:
+    """A minimum of the last singular value, relative to the largest, of one lane at one time [s]; rows: "joint: row"."""
+
+    lane: int
+    t: float
+    value: float
+    rows: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return (
+            f"singular position near t = {self.t:.6g} s (lane {self.lane}, singular value {self.value:.1e}): "
+            f"{', '.join(self.rows)} depend on each other"
+        )
+
+
+def singular_positions(motion: Trajectory, below: float = NEAR) -> list[SingularPosition]:
+    """The singular positions that a motion came near to, at its output times."""
+    return [found for lane in range(motion.lanes) for found in of_lane(motion, lane, below)]
+
+
+def of_lane(motion: Trajectory, lane: int, below: float = NEAR) -> list[SingularPosition]:
+    """Those of one lane; times at which its numbers are not finite are left out."""
+    T = motion.dynamics.topology
+    good = torch.isfinite(motion.q[lane]).all(1)
+    if not T.rows or not bool(good.any()):
+        return []
+    q, t = motion.q[lane, good], motion.t[good]
+    with torch.no_grad():
+        dynamics = motion.dynamics.values()
+        J = jacobians(dynamics.some([lane if dynamics.lanes > 1 else 0]), q, t)
+        J[:, list(dynamics.rank.left_out)] = 0.0
+        sound = torch.isfinite(J).all(2).all(1)
+        t = t[sound]
+        U, s, _ = torch.linalg.svd(J[sound], full_matrices=False)
+    rank = int((s > RELATIVE * s[:, :1]).sum(1).max())
+    last = s[:, rank - 1] / s[:, 0]
+    return [
+        SingularPosition(lane, float(t[i]), float(last[i]), lost_rows(T, U[i, :, rank - 1]))
+        for i in _minima(last, below)
+    ]
+
+
+def _minima(x: Tensor, below: float) -> list[int]:
+    """Where x [n] is less than its neighbors and a threshold."""
+    padded = torch.cat([x[:1] + 1.0, x, x[-1:] + 1.0])
+    low = (x <= padded[:-2]) & (x < padded[2:]) & (x < below)
+    return torch.nonzero(low)[:, 0].tolist()
+
+
+def explained(motion: Trajectory) -> Trajectory:
+    """The motion with a word on singular positions: in the status of lanes that failed, else as a warning.
+
+    Lanes that failed are told of laws of forces as well.
+    """
+    tried_again = {*motion.stats.get("renewed", ()), *motion.stats.get("halved", ())}
+    for lane, status in enumerate(motion.status):
+        if status.startswith("failed"):
+            near = of_lane(motion, lane)[:1]  # what follows the first is no motion to trust
+            motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
+        elif lane in tried_again:
+            for near in of_lane(motion, lane):
+                warnings.warn(f"{near}; from there the motion may go on in several ways", stacklevel=4)
+    return motion

@@ -1,0 +1,50 @@
+"""How fast flexible bodies turn against how fast they vibrate: where the linear floating frame ceases to hold.
+
+    ratio = max |om| / om_1           om_1: lowest frequency of the body with its reference nodes fixed, from Kr
+
+Elastic displacements are linear, so what spin does to stiffness is half told: inertia softens a bending mode,
+om_1^2 - om^2, and the tension that outweighs it (a blade: om_1^2 + 0.19 om^2 in the plane of the spin) is of second
+order. What is missing is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without bound.
+Several bodies instead of one, joined by `Fixed`, have their own frames and the tension between them along the bent line,
+but need enough modes each.
+Source: Kane, Ryan, Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guid. Control Dyn. 10 (1987)
+139-151.
+Checked in tests/validation/test_flexible_benchmarks.py.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from torchmbd.results.trajectory import Trajectory
+
+FAST = 0.1  # errors of one percent
+
+
+def spin_ratios(motion: Trajectory) -> dict[str, Tensor]:
+    """Largest ratio of spin to first frequency [lanes] of every flexible body."""
+    T, found = motion.dynamics.topology, {}
+    for name in T.names[: T.flexible]:
+        view = motion.body(name)
+        first = torch.linalg.eigvalsh(view.stiffness[0].detach())[:, 0].clamp_min(0.0).sqrt()
+        found[name] = view.omega.norm(dim=-1).amax(-1) / first
+    return found
+
+
+def warn_of_spin(motion: Trajectory) -> None:
+    """Keep the ratios in stats["spin_ratio"], and warn of bodies that turn too fast."""
+    motion.stats["spin_ratio"] = spin_ratios(motion)
+    for name, ratios in motion.stats["spin_ratio"].items():
+        known = ratios[ratios.isfinite()]  # not of a motion that failed, nor of a body that nothing holds
+        ratio = float(known.max()) if len(known) else 0.0
+        if ratio > FAST:
+            warnings.warn(
+                f"body {name!r} turns at {ratio:.1g} of its first frequency: centrifugal stiffening, which linear elastic "
+                f"displacements leave out, is of the size {min(ratio**2, 1.0):.0%} of its deflections",
+                stacklevel=4,
+            )

@@ -1,0 +1,220 @@
+"""What only the model can tell: whether the file's options, parameters, sizes, bodies and method options exist.
+
+Works on the sections that are valid, so that a wrong word in one section does not hide a wrong name in another.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path as FilePath
+from typing import Any
+
+import numpy as np
+import torch
+
+from torchmbd.design.response_spec import leaf, measure_of, terms
+from torchmbd.errors import InputError, nearest
+from torchmbd.integrate.memory import require_room
+from torchmbd.integrate.phases.phase import plan
+from torchmbd.math.plausible_units import check_parameter
+from torchmbd.multibody.system import System
+from torchmbd.study.file_errors import Fault, Path, shown
+from torchmbd.study.method_options import method_faults
+from torchmbd.study.model import build_model, find_function, find_model, find_phases, option_faults, require_returns
+from torchmbd.study.schema import UNITS, Range, Simulation, Starts, Variable
+
+Sections = Mapping[str, Any]
+
+
+def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fault]]:
+    """Return the system, if it can be built, and every fault that building it shows."""
+    faults = method_faults(sections)
+    if "model" not in sections:
+        return None, faults
+    try:
+        builder = find_model(sections["model"], folder)
+    except InputError as error:
+        return None, [*faults, Fault(("model",), str(error))]
+    if "options" not in sections or (wrong := option_faults(builder, sections["options"])):
+        return None, faults + (wrong if "options" in sections else [])
+    try:
+        system = build_model(builder, sections["options"])
+    except InputError as error:
+        return None, [*faults, Fault(("options",), f"= {shown(sections['options'])}: {error}")]
+    faults += _phase_faults(sections, folder, system) + _response_faults(sections, system)
+    if "design" in sections:
+        faults += _design_faults(sections["design"], system)
+        if not faults:
+            faults += _start_faults(sections, system) + _memory_faults(sections, system)
+    return system, faults
+
+
+def figure_faults(sections: Sections, folder: FilePath) -> list[Fault]:
+    """Return what is wrong with the function that draws figures, and with its options."""
+    if "figures" not in sections:
+        return []
+    try:
+        draw = find_function(sections["figures"], folder)
+        require_returns(sections["figures"], draw, ("dict", "Mapping"))
+    except InputError as error:
+        return [Fault(("figures",), str(error))]
+    taken = {"folder": None, **sections.get("options", {})}
+    faults = [Fault(("options", "folder"), "is given by torchmbd")] if "folder" in sections.get("options", {}) else []
+    return faults + option_faults(draw, taken)
+
+
+def values(given: float | Sequence[float], size: int) -> np.ndarray | None:
+    """Spread a number over `size` entries; None if a list has another length."""
+    x = np.atleast_1d(np.asarray(given, dtype=float))
+    return np.full(size, x[0]) if not isinstance(given, (list, tuple)) else x if len(x) == size else None
+
+
+def vector(design: Mapping[str, Variable], system: System, key: str) -> np.ndarray:
+    """Return "start", "lower", "upper", "tolerance" or "step" of the whole design vector, in the units of the file."""
+    own = dict(system.named_parameters())
+    parts = []
+    for name, variable in design.items():
+        given = getattr(variable, key)
+        if given is None and key in ("tolerance", "step"):
+            parts.append(np.zeros(own[name].numel()))
+        elif given is None:  # a start that the file leaves to the model
+            parts.append(own[name].detach().reshape(-1).numpy() / UNITS[variable.unit])
+        else:
+            parts.append(values(given, own[name].numel()))
+    return np.concatenate(parts)
+
+
+def labels(design: Mapping[str, Variable], system: System) -> list[str]:
+    """Return one label for each entry of the design vector: `rod.laminate.angles[0]`."""
+    own = dict(system.named_parameters())
+    return [f"{name}[{i}]" for name in design for i in range(own[name].numel())]
+
+
+def _phase_faults(sections: Sections, folder: FilePath, system: System) -> list[Fault]:
+    """What is wrong with the function of the phases, and with these for the model."""
+    simulation: Simulation | None = sections.get("simulate")
+    if simulation is None or simulation.phases is None:
+        return []
+    try:
+        plan(system, find_phases(simulation.phases, folder), simulation.duration)
+    except InputError as error:
+        return [Fault(("simulate", "phases"), str(error))]
+    return []
+
+
+def _response_faults(sections: Sections, system: System) -> list[Fault]:
+    """Names, windows and rows of the responses, against the model and the simulated time."""
+    duration = sections["simulate"].duration if "simulate" in sections else math.inf
+    given: list[tuple[Mapping[str, Any], Path]] = []
+    if "minimize" in sections:
+        given.append((sections["minimize"], ("minimize",)))
+        if measure_of(sections["minimize"]).rows > 1 and sections.get("sweep"):
+            text = "has several rows; allowed in a sweep: one number, such as max: {strain_energy: rod}"
+            return [Fault(leaf(sections["minimize"], ("minimize",))[:2], text)]
+    given += [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
+    faults = []
+    for spec, path in given:
+        for part, place in terms(spec, path):
+            try:
+                measure = measure_of(part)
+                measure.check(system)
+            except InputError as error:
+                faults.append(Fault(leaf(part, place), f": {error}"))
+                continue
+            if measure.until > duration * (1.0 + 1e-9):
+                text = f"looks at t = {measure.until:g} s; allowed: up to simulate.duration = {duration:g}"
+                faults.append(Fault(place, text))
+    return faults
+
+
+def _design_faults(design: Mapping[str, Variable], system: System) -> list[Fault]:
+    own = dict(system.named_parameters())
+    faults = []
+    for name, variable in design.items():
+        path: Path = ("design", name)
+        if name not in own:
+            faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}"))
+            continue
+        size = own[name].numel()
+        sized = {
+            key: values(given, size)
+            for key in ("start", "lower", "upper", "tolerance", "step")
+            if (given := getattr(variable, key)) is not None
+        }
+        for key, x in sized.items():
+            if x is None:
+                given = getattr(variable, key)
+                faults.append(Fault((*path, key), f"has {len(given)} values; allowed: {size}, or one number for all"))
+        faults += _bound_faults(path, sized) + _unit_faults(path, name, variable.unit, sized)
+    return faults
+
+
+def _unit_faults(path: Path, name: str, unit: str, sized: Mapping[str, np.ndarray | None]) -> list[Fault]:
+    """Numbers that are most likely in another unit than they are said to be."""
+    faults = []
+    for key, x in sized.items():
+        if x is None:
+            continue
+        try:
+            check_parameter(key, name, torch.from_numpy(UNITS[unit] * x))
+        except InputError as error:
+            faults.append(Fault((*path, key), f"= {x.tolist()} with unit: {unit}: {error}"))
+    return faults
+
+
+def _bound_faults(path: Path, sized: Mapping[str, np.ndarray | None]) -> list[Fault]:
+    lower, upper, start = sized.get("lower"), sized.get("upper"), sized.get("start")
+    if lower is None or upper is None:
+        return []
+    if not (lower < upper).all():
+        return [Fault((*path, "lower"), f"= {lower.tolist()}: must be below upper = {upper.tolist()}")]
+    if start is not None and not ((lower <= start) & (start <= upper)).all():
+        return [Fault((*path, "start"), f"= {start.tolist()}: must lie between {lower.tolist()} and {upper.tolist()}")]
+    return []
+
+
+def _start_faults(sections: Sections, system: System) -> list[Fault]:
+    """Check points and sweeps against the size and the bounds of the design vector."""
+    design = sections["design"]
+    names = labels(design, system)
+    lower, upper = (vector(design, system, key) for key in ("lower", "upper"))
+    starts: Starts | None = sections.get("starts")
+    faults = []
+    for k, point in enumerate((starts.points if starts else None) or ()):
+        if len(point) != len(names):
+            text = f"has {len(point)} values; allowed: {len(names)}, one for each of {', '.join(names)}"
+            faults.append(Fault(("starts", "points", k), text))
+        elif not ((lower <= point) & (point <= upper)).all():
+            text = f"= {point}: must lie between {lower.tolist()} and {upper.tolist()}"
+            faults.append(Fault(("starts", "points", k), text))
+    sweep: Mapping[str, Range] = sections.get("sweep") or {}
+    for name, span in sweep.items():
+        index = swept_index(name, names)
+        if index is None:
+            faults.append(Fault(("sweep", name), f"names no single design variable{nearest(name, names)}"))
+        elif not (lower[index] <= min(span.first, span.last) and max(span.first, span.last) <= upper[index]):
+            text = f"from {span.first:g} to {span.last:g}: must lie between {lower[index]:g} and {upper[index]:g}"
+            faults.append(Fault(("sweep", name), text))
+    return faults
+
+
+def _memory_faults(sections: Sections, system: System) -> list[Fault]:
+    """A motion of one design that does not fit into memory."""
+    simulation: Simulation | None = sections.get("simulate")
+    if simulation is None or simulation.steps is None:
+        return []
+    tangents = len(labels(sections["design"], system))
+    try:
+        require_room(system, 1, simulation.steps, tangents, simulation.gradients != "forward")
+    except InputError as error:
+        return [Fault(("simulate", "steps"), f": {error}")]
+    return []
+
+
+def swept_index(name: str, names: Sequence[str]) -> int | None:
+    """Return the place of a swept variable: its label, or the parameter's name if it has one entry."""
+    if name in names:
+        return names.index(name)
+    entries = [k for k, label in enumerate(names) if label.rpartition("[")[0] == name]
+    return entries[0] if len(entries) == 1 else None

@@ -1,0 +1,102 @@
+"""Jobs of a SLURM cluster as workers: `torchmbd run FILE --scheduler configs/cluster/slurm.yaml --workers 64`.
+
+    partition, account, time   of every job, as sbatch takes them; time: "04:00:00"
+    workers_per_job            processes of one job, one core each
+    memory_per_worker          "2 GB"
+    gpus_per_worker            0, or 1: then a job has one worker, and that sees one GPU of its own
+    interface                  network between the jobs and the process that runs the study: ib0, eth0
+    setup                      shell lines before the workers start: module load gcc
+    directives                 more options of sbatch: --constraint=avx512
+
+dask-jobqueue submits the jobs; the study begins with the first and uses what there is, as jobs come and go. Workers and study
+know each other by certificates that are made for this study alone and lie in its folder, readable by the user only (TLS).
+Assumed: the jobs see the working directory at the same path.
+Checked in tests/study/test_cluster.py: what is submitted, and a study on jobs that a stand-in for sbatch starts.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+from pydantic import Field, PositiveInt, model_validator
+from pydantic_core import PydanticCustomError
+
+from torchmbd.errors import InputError
+from torchmbd.process import ONE_THREAD
+from torchmbd.study.file_errors import StudyError, located
+from torchmbd.study.paths import place
+from torchmbd.study.schema import Section
+from torchmbd.study.validation import validate
+from torchmbd.study.yaml_file import read_yaml
+
+Word = Annotated[str, Field(pattern=r"^[\w.:/=+-]+$")]
+Line = Annotated[str, Field(pattern=r"^[^\n]+$")]
+
+
+class Slurm(Section):
+    """A cluster file."""
+
+    partition: Word | None = None
+    account: Word | None = None
+    time: Annotated[str, Field(pattern=r"^(\d+-)?\d{1,2}:\d{2}:\d{2}$")]
+    workers_per_job: PositiveInt = 1
+    memory_per_worker: Annotated[str, Field(pattern=r"^\d+(\.\d+)? ?[KMGT]i?B$")] = "2 GB"
+    gpus_per_worker: int = Field(default=0, ge=0, le=1)
+    interface: Word | None = None
+    setup: list[Line] = Field(default_factory=list)
+    directives: list[Line] = Field(default_factory=list)
+
+    @model_validator(mode="after")
+    def _one_gpu(self) -> Self:
+        if self.gpus_per_worker and self.workers_per_job > 1:
+            text = f"gpus_per_worker = 1 with workers_per_job = {self.workers_per_job}; allowed: workers_per_job = 1"
+            raise PydanticCustomError("kind", "{text}", {"text": text})
+        return self
+
+    def start(self, workers: int) -> Any:
+        """Submit jobs for so many workers and return the cluster that they join."""
+        try:
+            import cryptography  # noqa: F401  pyright: ignore[reportMissingImports]  what `security=True` needs
+            from dask.utils import format_bytes, parse_bytes  # pyright: ignore[reportMissingImports]
+            from dask_jobqueue.slurm import SLURMCluster  # pyright: ignore[reportMissingImports]
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"jobs of SLURM need the package {error.name!r}: pip install 'torchmbd[slurm]'; allowed without: --workers"
+            ) from None
+        n, own = self.workers_per_job, place()
+        own.mkdir(parents=True, exist_ok=True)
+        cluster = SLURMCluster(
+            queue=self.partition,
+            account=self.account,
+            walltime=self.time,
+            cores=n,
+            processes=n,
+            memory=format_bytes(n * parse_bytes(self.memory_per_worker)),
+            interface=self.interface,
+            job_name="torchmbd",
+            job_extra_directives=[*(["--gpus-per-task=1"] if self.gpus_per_worker else []), *self.directives],
+            job_script_prologue=[
+                *(f"export {name}={value}" for name, value in ONE_THREAD.items()),
+                *self.setup,
+            ],
+            log_directory=str(own / "jobs"),
+            local_directory="${TMPDIR:-/tmp}",
+            shared_temp_directory=str(own),
+            security=True,
+            scheduler_options={"dashboard_address": "127.0.0.1:0"},  # nothing for others to see
+            python=sys.executable,
+        )
+        cluster.scale(jobs=math.ceil(workers / n))
+        return cluster
+
+
+def load_cluster(file: str | Path) -> Slurm:
+    """Read a cluster file; StudyError with everything that is wrong with it."""
+    document = read_yaml(file)
+    _, faults = validate(document.data, Slurm)
+    if faults:
+        raise StudyError(document.source, located(faults, document.lines))
+    return Slurm.model_validate(document.data)

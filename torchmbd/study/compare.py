@@ -1,0 +1,78 @@
+"""`torchmbd best` and `torchmbd compare`: studies of a store side by side on the terminal."""
+
+from __future__ import annotations
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from torchmbd.errors import InputError
+from torchmbd.study.progress import print_table
+from torchmbd.tracking.catalog import Entry, children, find, studies
+from torchmbd.tracking.store import store_uri
+
+_OUTCOME = ("best_objective", "reduction_percent", "violation", "starts", "converged_starts", "evaluations")
+_QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key")
+
+
+def print_best(run: str | None, uri: str | None, count: int, console: Console) -> None:
+    """Print the best starts (or points) of a study; without `run` of the latest."""
+    if count < 1:
+        raise InputError(f"count = {count}: must be 1 or more")
+    store = store_uri(uri)
+    entry = find(store, run) if run else next(iter(studies(store)), None)
+    if entry is None:
+        console.print(f"No studies yet in {escape(store)}.")
+        return
+    found = [child for child in children(store, entry) if "objective" in child.metrics][:count]
+    names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
+    table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
+    for heading in ("", "objective", "less by", *names, "status"):
+        table.add_column(heading, justify="right")
+    for child in found:
+        less = child.metrics.get("reduction_percent")
+        cells = [child.name, f"{child.metrics['objective']:.6g}", "-" if less is None else f"{less:.2f} %"]
+        cells += [f"{child.metrics[name]:z.3f}" if name in child.metrics else "-" for name in names]
+        table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
+    print_table(table, console)
+    model = entry.params.get("model", "").rpartition(":")[0]
+    console.print(f'in Python: torchmbd.load("{entry.run_id[:8]}", model="{model}")', highlight=False, markup=False)
+
+
+def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
+    """Print what two studies were told differently, and how they ended."""
+    store = store_uri(uri)
+    first, second = find(store, a), find(store, b)
+    table = _table("what differs, and how they ended")
+    for heading in ("", f"{first.name} {first.run_id[:8]}", f"{second.name} {second.run_id[:8]}"):
+        table.add_column(escape(heading))
+    for name, left, right in differences(first, second):
+        table.add_row(*map(escape, (name, left, right)))
+    table.add_section()
+    shared = [name for name in (*_OUTCOME, *first.metrics) if name in first.metrics or name in second.metrics]
+    for name in dict.fromkeys(name for name in shared if name in _OUTCOME or is_design(name)):
+        table.add_row(escape(name), *(f"{e.metrics[name]:.6g}" if name in e.metrics else "-" for e in (first, second)))
+    took = ["-" if e.seconds is None else f"{e.seconds:.0f} s" for e in (first, second)]
+    table.add_row("took", *took)
+    print_table(table, console)
+
+
+def differences(first: Entry, second: Entry) -> list[tuple[str, str, str]]:
+    """Return the parameters and tags in which two studies differ: name, here, there."""
+    found = []
+    for left, right in ((first.params, second.params), (first.tags, second.tags)):
+        for name in dict.fromkeys([*left, *right]):
+            values = left.get(name, "-"), right.get(name, "-")
+            if values[0] != values[1] and not name.startswith(_QUIET):
+                found.append((name, *values))
+    return found
+
+
+def is_design(metric: str) -> bool:
+    """Whether a metric is a design variable: named with its number, `angle_1_deg`."""
+    return any(part.isdigit() for part in metric.split("_")) and not metric.startswith("constraint_")
+
+
+def _table(title: str) -> Table:
+    return Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)

@@ -1,0 +1,249 @@
+"""A digest of everything that an object is made of: what two objects share that compute the same numbers.
+
+    numbers      of tensors and arrays bit for bit, with their type and shape
+    structure    classes, names and contents, in order; an object that is met twice counts as one
+    functions    of a user: the bytecode, defaults, what they close over, and the globals that they name, modules of the
+                 user's among them; classes of a user: their methods as well
+
+Of torchmbd's own functions and classes the name counts (`sources` has their text), of installed packages name and file.
+Comments, line numbers and the order of a dictionary or a set do not count. `aside` are objects whose numbers do not count.
+Checked in tests/study/test_digest.py.
+"""
+
+from __future__ import annotations
+
+import enum
+import hashlib
+import sys
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from functools import cache, cached_property, partial
+from inspect import isgetsetdescriptor, ismemberdescriptor
+from pathlib import Path, PurePath
+from types import BuiltinFunctionType, CodeType, FunctionType, MethodDescriptorType, MethodType, ModuleType
+from typing import Any
+
+import numpy as np
+import torch
+
+_ATOMS = (
+    enum.Enum,
+    type(None),
+    bool,
+    int,
+    float,
+    complex,
+    str,
+    bytes,
+    range,
+    type(...),
+    torch.dtype,
+    torch.device,
+    PurePath,
+)
+_METHODS = (FunctionType, classmethod, staticmethod, property)
+
+
+def digest(*objects: Any, aside: Iterable[Any] = ()) -> str:
+    """Return the digest of objects; it is the same in every process that makes them anew."""
+    walk = _Walk()
+    walk.aside = {id(x) for x in aside}
+    walk.add(objects)
+    return walk.hash.hexdigest()[:32]
+
+
+def sources(folder: Path, parts: Iterable[str]) -> str:
+    """Return the digest of source files (Python, C++, CUDA) of a folder, or of folders in it."""
+    hash = hashlib.sha256()
+    for part in parts:
+        path = folder / part
+        for file in sorted(path.rglob("*")) if path.is_dir() else [path]:
+            if file.suffix in (".py", ".cpp", ".cu", ".h"):
+                hash.update(f"{file.relative_to(folder)}\0".encode() + file.read_bytes() + b"\0")
+    return hash.hexdigest()[:32]
+
+
+class _Walk:
+    """Writes what objects are made of into a hash, each object once."""
+
+    def __init__(self) -> None:
+        self.hash = hashlib.sha256()
+        self.aside: set[int] = set()
+        self._met: dict[int, int] = {}
+        self._kept: list[Any] = []  # alive, so that no other object takes the place of one that was met
+
+    def say(self, *words: object) -> None:
+        self.hash.update("\0".join(map(str, (*words, ""))).encode(errors="surrogatepass"))
+
+    def add(self, x: Any) -> None:
+        if isinstance(x, _ATOMS):
+            self.say(type(x).__name__, repr(x))
+        elif isinstance(x, tuple):  # which the interpreter may share or not
+            self.say(_name(type(x)), len(x))
+            for y in x:
+                self.add(y)
+        elif isinstance(x, CodeType):
+            self._add_code(x)
+        elif id(x) in self._met:
+            self.say("met", self._met[id(x)])
+        else:
+            self._met[id(x)] = len(self._met)
+            self._kept.append(x)
+            self._add_new(x)
+
+    def _add_new(self, x: Any) -> None:
+        if isinstance(x, (torch.Tensor, np.ndarray, np.generic)):
+            self._add_numbers(x)
+        elif isinstance(x, ModuleType):
+            self.say("module", x.__name__)
+        elif isinstance(x, type):
+            self._add_class(x)
+        elif isinstance(x, FunctionType):
+            self._add_function(x)
+        elif isinstance(x, MethodType):
+            self.add((x.__self__, x.__func__))
+        elif isinstance(x, (BuiltinFunctionType, MethodDescriptorType, np.ufunc)):
+            self.say("builtin", getattr(x, "__qualname__", x.__name__))
+            self.add(None if isinstance(owner := getattr(x, "__self__", None), ModuleType) else owner)
+        elif isinstance(x, (classmethod, staticmethod)):
+            self.add((type(x).__name__, x.__func__))
+        elif isinstance(x, property):
+            self.add(("property", x.fget, x.fset))
+        elif isinstance(x, cached_property):
+            self.add(("property", x.func))
+        elif isinstance(x, partial):
+            self.add(("partial", x.func, x.args, x.keywords))
+        elif isinstance(x, Mapping):
+            self.add(type(x))
+            self._add_items(x)
+        elif isinstance(x, (set, frozenset)):
+            self.add(tuple(sorted(digest(y) for y in x)))
+        elif isinstance(x, list):
+            self.add(("list", *x))
+        else:
+            self._add_object(x)
+
+    def _add_items(self, x: Mapping[Any, Any]) -> None:
+        for key in sorted(x, key=lambda key: (type(key).__name__, repr(key))):
+            self.add(key)
+            self.add(x[key])
+
+    def _add_numbers(self, x: torch.Tensor | np.ndarray | np.generic) -> None:
+        self.say(_name(type(x)), x.dtype, tuple(x.shape))
+        if id(x) in self.aside:
+            return
+        if isinstance(x, torch.Tensor) and x.layout is not torch.strided:
+            x = x.detach().to_sparse_coo().coalesce()
+            self.add((x.indices(), x.values()))
+        elif isinstance(x, torch.Tensor):
+            plain = x.detach().cpu().resolve_conj().resolve_neg().contiguous()
+            self.hash.update(plain.reshape(-1).view(torch.uint8).numpy().tobytes())
+        elif x.dtype == object:
+            self.add(x.tolist())
+        else:
+            self.hash.update(x.tobytes())
+
+    def _add_object(self, x: Any) -> None:
+        """An instance of a class: what pickling would keep of it, but for what it has worked out from the rest."""
+        kind = type(x)
+        self.add(kind)
+        state = x.__getstate__()
+        parts = state if isinstance(state, tuple) else (state,)
+        if state is None and not hasattr(x, "__dict__"):
+            try:
+                parts = x.__reduce_ex__(2)[1:]
+            except (TypeError, RuntimeError):  # Python's and pybind11's word for what cannot be pickled
+                warnings.warn(
+                    f"what a {_name(kind)} of the model holds cannot be compared: a change of it goes unnoticed, "
+                    "and remembered evaluations are used; allowed: tensors, arrays, numbers, or run --fresh",
+                    stacklevel=2,
+                )
+        for part in parts:
+            if isinstance(part, dict):
+                kept = {k: y for k, y in part.items() if not isinstance(_inherited(kind, k), cached_property)}
+                if isinstance(x, torch.nn.Module):  # torch numbers the hooks of a process
+                    kept = {
+                        k: tuple(y.values()) if "_hooks" in k and isinstance(y, dict) else y for k, y in kept.items()
+                    }
+                self._add_items(kept)
+            else:
+                self.add(part)
+
+    def _add_class(self, x: type) -> None:
+        self.say("class", _name(x))
+        if _own(x.__module__) or self._installed(x.__module__):
+            return
+        self.add(x.__bases__)
+        # What Python itself keeps with a class, such as __doc__ or the names of its slots, comes and goes.
+        own = {k: y for k, y in vars(x).items() if isinstance(y, _METHODS) or (k[:2] != "__" and k != "_abc_impl")}
+        self._add_items({k: y for k, y in own.items() if not (isgetsetdescriptor(y) or ismemberdescriptor(y))})
+
+    def _add_function(self, x: FunctionType) -> None:
+        self.say("function", x.__qualname__)
+        self.add((x.__defaults__, x.__kwdefaults__, x.__module__))
+        for cell in x.__closure__ or ():
+            try:
+                self.add(cell.cell_contents)
+            except ValueError:  # not filled yet
+                self.say("empty")
+        if _own(x.__module__) or self._installed(x.__module__):
+            return
+        self.add(x.__code__)
+        self._add_named(x.__globals__, sorted(_names(x.__code__)), set())
+
+    def _add_named(self, space: Mapping[str, Any], names: Sequence[str], seen: set[int]) -> None:
+        """What the names in a function stand for, in its module and in modules of the user's that it names."""
+        seen.add(id(space))
+        for name in names:
+            if name not in space:
+                continue
+            value = space[name]
+            self.add((name, value))
+            if not isinstance(value, ModuleType) or id(vars(value)) in seen:
+                continue
+            if not (_own(value.__name__) or self._installed(value.__name__)):
+                self._add_named(vars(value), names, seen)
+
+    def _add_code(self, x: CodeType) -> None:
+        self.say("code", x.co_code.hex(), x.co_names, x.co_varnames, x.co_freevars, x.co_cellvars, x.co_flags)
+        self.add((x.co_exceptiontable, *x.co_consts))
+
+    def _installed(self, module: str) -> bool:
+        """Whether a module is Python's or installed; then its file counts as a whole."""
+        found = _installed_file(module)
+        if found is None:
+            return False
+        self.say(module, found)
+        return True
+
+
+def _name(kind: type) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
+
+
+def _own(module: str) -> bool:
+    return module.partition(".")[0] == "torchmbd"
+
+
+def _inherited(kind: type, name: str) -> Any:
+    """What a class says of an attribute."""
+    return next((vars(base)[name] for base in kind.__mro__ if name in vars(base)), None)
+
+
+def _names(code: CodeType) -> set[str]:
+    """The names of globals and attributes in a function and in those that it defines."""
+    inner = (c for c in code.co_consts if isinstance(c, CodeType))
+    return set(code.co_names).union(*map(_names, inner))
+
+
+@cache
+def _installed_file(module: str) -> str | None:
+    """The digest of the file of an installed module, "" for one that has none; None for a user's own."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    if module.partition(".")[0] in sys.stdlib_module_names and module != "__main__":
+        return ""
+    if file is None:
+        return None
+    if not {"site-packages", "dist-packages"} & set(Path(file).parts):
+        return None
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest()

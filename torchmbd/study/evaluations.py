@@ -1,0 +1,220 @@
+"""Every evaluation of every study, on disk as soon as it is there: nothing that was simulated is simulated again.
+
+    problem    hash of all that the numbers depend on: the system as it is built (digest.py), start design, simulation,
+               objective, constraints, the source of torchmbd below the optimizers, torch's version (paths.py)
+    design     design vector, bit for bit [n] float64                      gradients  whether they were asked for
+    numbers    objective, constraints [m], gradients [n], [m, n] as float64; status "ok", or the reason of the failure;
+               behind them the checksum of the row: one that was altered is reported, and evaluated again
+
+Optimizers are deterministic, so a study that was killed asks for the same designs again: the store answers up to the
+batch that was in flight, and the study goes on from there as if nothing had happened.
+SQLite, one transaction for a batch, on the disk before anybody hears of it. What cannot be written (a full disk) is
+kept in memory, told once, and written with the next batch that can be.
+Assumed: a law that reads a file, or imports a module, while it runs, finds there what it found before.
+Checked in tests/study/test_evaluations.py.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from torchmbd.errors import MbdError
+from torchmbd.optimization import Evaluation
+from torchmbd.optimization.batch import Batch, Done, at_once, begin
+
+_TABLE = """
+create table if not exists evaluations (
+    problem text, design blob, gradients integer, m integer, status text, numbers blob,
+    primary key (problem, design, gradients)
+) without rowid
+"""
+_CHECKSUM = 16  # bytes
+_SECONDS = 60  # to wait for another study that is writing
+
+
+class Evaluations:
+    """The evaluations of one problem in a file that many studies share."""
+
+    def __init__(self, file: Path, problem: str) -> None:
+        self.file, self.problem = file, problem
+        self.trouble: str | None = None  # why evaluations are kept in memory
+        self._waiting: dict[tuple[bytes, bool], tuple[int, str, bytes]] = {}
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            self._base = sqlite3.connect(file, timeout=_SECONDS)
+            self._base.execute("pragma journal_mode=wal")
+            self._base.execute("pragma synchronous=full")  # a power cut costs no batch either
+            self._base.execute(_TABLE)
+        except (OSError, sqlite3.Error) as error:
+            raise MbdError(f"the store of evaluations {file} cannot be opened: {error}") from error
+
+    def find(self, X: np.ndarray, gradients: bool) -> list[Evaluation | None]:
+        """Return what is known of designs [lanes, n]."""
+        return [self._row(np.ascontiguousarray(x, dtype=np.float64), gradients) for x in X]
+
+    def _row(self, x: np.ndarray, gradients: bool) -> Evaluation | None:
+        key = x.tobytes(), gradients
+        if key in self._waiting:
+            return _evaluation(*self._waiting[key], len(x), gradients)
+        query = "select m, status, numbers from evaluations where problem = ? and design = ? and gradients = ?"
+        for m, status, sealed in self._select(query, (self.problem, *key)):
+            numbers = self._checked((*key, m, status), sealed)
+            return None if numbers is None else _evaluation(m, status, numbers, len(x), gradients)
+        return None
+
+    def _select(self, query: str, values: Sequence[Any]) -> list[Any]:
+        try:
+            return self._base.execute(query, values).fetchall()
+        except sqlite3.Error as error:
+            raise MbdError(
+                f"the store of evaluations {self.file} cannot be read: {error}; without the file all begins anew"
+            ) from error
+
+    def _checksum(self, row: tuple[Any, ...], numbers: bytes) -> bytes:
+        """Of all that is known of an evaluation; `row` is its design, gradients, m and status."""
+        digest = hashlib.sha256(repr((self.problem, *row)).encode())
+        digest.update(numbers)
+        return digest.digest()[:_CHECKSUM]
+
+    def _checked(self, row: tuple[bytes, Any, Any, Any], sealed: Any) -> bytes | None:
+        """The numbers of a row without their checksum; None, and a warning, where it is another's."""
+        numbers = bytes(sealed[:-_CHECKSUM]) if isinstance(sealed, bytes) else b""
+        design, gradients, m, status = row
+        if numbers and sealed == numbers + self._checksum((design, bool(gradients), m, status), numbers):
+            return numbers
+        warnings.warn(
+            f"an evaluation in {self.file} was altered after it was written: it is not used, and made again",
+            stacklevel=5,
+        )
+        return None
+
+    def keep(self, X: np.ndarray, gradients: bool, evaluations: Sequence[Evaluation]) -> None:
+        """Write a batch, and what could not be written before."""
+        for x, evaluation in zip(X, evaluations, strict=True):
+            self._waiting[np.ascontiguousarray(x, dtype=np.float64).tobytes(), gradients] = _numbers(evaluation)
+        rows = [
+            (self.problem, *key, m, status, numbers + self._checksum((*key, m, status), numbers))
+            for key, (m, status, numbers) in self._waiting.items()
+        ]
+        try:
+            with self._base:
+                self._base.executemany("insert or replace into evaluations values (?, ?, ?, ?, ?, ?)", rows)
+        except sqlite3.Error as error:
+            self.trouble = str(error)
+        else:
+            self.trouble = None
+            self._waiting.clear()
+
+    def forget(self) -> None:
+        """Remove what is known of this problem."""
+        with self._base:
+            self._base.execute("delete from evaluations where problem = ?", (self.problem,))
+
+    def count(self) -> int:
+        """Evaluations of this problem on disk."""
+        query = "select count(*) from evaluations where problem = ?"
+        return int(self._select(query, (self.problem,))[0][0])
+
+    def visited(self, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return every design [m, n] of this problem on disk with its objective [m], nan where it failed."""
+        query = "select design, gradients, m, status, numbers from evaluations where problem = ?"
+        found = {
+            row[0]: numbers
+            for *row, sealed in self._select(query, (self.problem,))
+            if (numbers := self._checked((row[0], row[1], row[2], row[3]), sealed)) is not None
+        }
+        designs = np.array([np.frombuffer(design) for design in found]).reshape(-1, n)
+        return designs, np.array([np.frombuffer(numbers)[0] for numbers in found.values()])
+
+    def close(self) -> None:
+        self._base.close()
+
+
+class Remembered:
+    """A problem as optimizers see it: known designs come from the store, the others from `source`.
+
+    source    what evaluates: the problem itself, or workers
+    listener  hears of every batch, known or not
+    """
+
+    def __init__(
+        self,
+        problem: Any,
+        store: Evaluations,
+        source: Any,
+        listener: Callable[[np.ndarray, list[Evaluation]], None],
+    ) -> None:
+        self.names, self.start, self.lower, self.upper = problem.names, problem.start, problem.lower, problem.upper
+        self.equalities, self.period = problem.equalities, problem.period
+        self.at_once = at_once(source)
+        self.known = self.computed = 0
+        self._store, self._source, self._listener = store, source, listener
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        return self.begin(X, gradients, 1).evaluations()
+
+    def begin(self, X: np.ndarray, gradients: bool, among: int) -> Batch:
+        """Look designs [lanes, n] up, and begin to evaluate those that are not known."""
+        found = self._store.find(X, gradients)
+        missing = [k for k, evaluation in enumerate(found) if evaluation is None]
+        self.computed += len(missing)
+        self.known += len(X) - len(missing)
+        if not missing:
+            return _Recalled(Done([]), lambda _: self._told(X, found))
+
+        def complete(fresh: list[Evaluation]) -> list[Evaluation]:
+            self._store.keep(X[missing], gradients, fresh)
+            for k, evaluation in zip(missing, fresh, strict=True):
+                found[k] = evaluation
+            return self._told(X, found)
+
+        return _Recalled(begin(self._source, X[missing], gradients, among), complete)
+
+    def _told(self, X: np.ndarray, found: list[Evaluation | None]) -> list[Evaluation]:
+        evaluations = [evaluation for evaluation in found if evaluation is not None]
+        self._listener(X, evaluations)
+        return evaluations
+
+
+@dataclass
+class _Recalled:
+    """A batch whose unknown part is under way; on disk, in the caller's thread, before anybody hears of it."""
+
+    unknown: Batch
+    complete: Callable[[list[Evaluation]], list[Evaluation]]
+
+    @property
+    def done(self) -> bool:
+        return self.unknown.done
+
+    def notify(self, call: Callable[[], None]) -> None:
+        self.unknown.notify(call)
+
+    def evaluations(self) -> list[Evaluation]:
+        return self.complete(self.unknown.evaluations())
+
+    def cancel(self) -> None:
+        self.unknown.cancel()
+
+
+def _numbers(evaluation: Evaluation) -> tuple[int, str, bytes]:
+    parts = [np.array([evaluation.objective]), np.atleast_1d(evaluation.constraints)]
+    if evaluation.objective_gradient is not None and evaluation.constraint_gradients is not None:
+        parts += [evaluation.objective_gradient, np.asarray(evaluation.constraint_gradients).ravel()]
+    return len(parts[1]), evaluation.status, np.concatenate(parts).astype(np.float64).tobytes()
+
+
+def _evaluation(m: int, status: str, numbers: bytes, n: int, gradients: bool) -> Evaluation:
+    x = np.frombuffer(numbers).copy()
+    if not gradients or len(x) == 1 + m:  # a failed evaluation has no gradients
+        return Evaluation(float(x[0]), x[1 : 1 + m], status=status)
+    slopes = x[1 + m :].reshape(1 + m, n)
+    return Evaluation(float(x[0]), x[1 : 1 + m], slopes[0], slopes[1:], status)

@@ -1,0 +1,82 @@
+"""Figures that are no optimization: a function draws into a folder, and says in numbers and words what they show.
+
+    def figures(folder: Path, steps: int = 300) -> dict[str, float | str]
+
+Every picture in the folder is filed under the run; numbers become metrics, words tags, and the key "sentence" the
+description that MLflow shows on top of the run. Checked in tests/study/test_figures.py.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+
+import yaml
+from rich.console import Console
+from rich.markup import escape
+
+from torchmbd.errors import MbdError
+from torchmbd.study.journal import PARENT, flat
+from torchmbd.study.load import FiguresPlan
+from torchmbd.study.model import find_function
+from torchmbd.study.paths import figures_key
+from torchmbd.study.run import close, conclude
+from torchmbd.study.unfinished import claimed
+from torchmbd.tracking import MlflowTracker, Status
+from torchmbd.tracking.provenance import provenance
+from torchmbd.tracking.store import store_uri
+
+SENTENCE = "sentence"
+PICTURES = (".png", ".pdf", ".svg", ".html", ".gif")
+
+
+def run_figures(
+    plan: FiguresPlan, console: Console, tracker: MlflowTracker | None = None, uri: str | None = None
+) -> int:
+    """Draw, and file what was drawn; return the exit code. `tracker`, `uri` as in run.run_plan."""
+    began = time.monotonic()
+    with ExitStack() as stack:
+        study = None
+        if tracker is None:
+            uri = store_uri(uri or plan.study.tracking.uri)
+            study = stack.enter_context(claimed(figures_key(plan, uri), plan, uri))
+            tracker = MlflowTracker(plan.study.tracking.experiment, uri, study.id)
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
+        resolved = plan.study.resolved()
+        tags = {"kind": "figures", "mlflow.source.name": str(plan.file), **provenance(plan.file.absolute().parent)}
+        tracker.begin(PARENT, plan.name, params=flat(resolved), tags=tags)
+        (folder / "config.yaml").write_text(yaml.safe_dump(resolved, sort_keys=False), encoding="utf-8")
+        tracker.artifact(PARENT, folder / "config.yaml")
+        status: Status = "FAILED"
+        try:
+            _draw(plan, folder, tracker, console)
+            status = "FINISHED"
+        except KeyboardInterrupt:
+            status = "KILLED"
+        finally:
+            tracker.end(PARENT, status)
+            record = close(tracker, study, console)
+        return conclude(plan, "figures", status, f"{time.monotonic() - began:.1f} s", record, study, console)
+
+
+def _draw(plan: FiguresPlan, folder: Path, tracker: MlflowTracker, console: Console) -> None:
+    draw = find_function(plan.study.figures, plan.file.absolute().parent)
+    try:
+        shown = draw(folder=folder, **plan.study.options)
+    except MbdError:
+        raise
+    except Exception as error:  # the user's own code: told by its name, not as a crash of ours
+        raise MbdError(f"{plan.study.figures}: {type(error).__name__}: {error}") from error
+    numbers = {key: float(value) for key, value in shown.items() if not isinstance(value, str)}
+    words = {key: value for key, value in shown.items() if isinstance(value, str)}
+    tracker.metrics(PARENT, {key: value for key, value in numbers.items() if math.isfinite(value)})
+    if SENTENCE in words:
+        words["mlflow.note.content"] = words[SENTENCE]
+        console.print(escape(words[SENTENCE]), soft_wrap=True)
+    tracker.tags(PARENT, words)
+    for file in sorted(folder.rglob("*")):
+        if file.suffix in PICTURES:
+            tracker.artifact(PARENT, file, "figures")

@@ -1,0 +1,126 @@
+"""`torchmbd report RUN`: one HTML file of a study that needs nothing else: question, outcome, starts, pictures, motion.
+
+Everything is read from the store: metrics and tags of the runs, and their files. What a store says is text, never
+markup: it is escaped; the animation plays in a frame without rights to the page.
+Checked in tests/study/test_html_report.py.
+"""
+
+from __future__ import annotations
+
+import base64
+import tempfile
+from html import escape
+from pathlib import Path
+
+from torchmbd.errors import InputError
+from torchmbd.study.compare import is_design
+from torchmbd.study.config_index import QUESTION_MISSING, question
+from torchmbd.tracking.catalog import Entry, children, fetch, files, find
+from torchmbd.tracking.store import store_uri
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #222; max-width: 60rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.5rem; } h2 { font-size: 1.1rem; margin-top: 2rem; } .quiet { color: #666; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 0.9em; }
+th, td { text-align: right; padding: 0.15rem 0.7rem; } th { border-bottom: 1px solid #888; }
+td:first-child, th:first-child { text-align: left; } td { white-space: nowrap; } tr.best { font-weight: 600; }
+img { max-width: 100%; } iframe { width: 100%; height: 34rem; border: 1px solid #ddd; }
+pre { background: #f6f6f6; padding: 0.8rem; overflow-x: auto; }
+"""
+_OUTCOME = {
+    "best_objective": "best objective",
+    "reduction_percent": "reduction [%]",
+    "violation": "largest violation",
+    "starts": "starts",
+    "converged_starts": "of them converged",
+    "evaluations": "evaluations",
+    "failed_evaluations": "of them failed",
+}
+_UNITS = ("deg", "rad", "m", "mm", "%")  # at the ends of metrics
+_PROVENANCE = ("git_commit", "version.torchmbd", "version.torch", "version.python", "machine", "seed", "overrides")
+
+
+def write_report(run: str, path: Path | None = None, uri: str | None = None) -> Path:
+    """Write the report of a study and return its path; `run` as in torchmbd.load."""
+    store = store_uri(uri)
+    entry = find(store, run)
+    path = path or Path(f"{entry.name}_{entry.run_id[:8]}.html")
+    if path.suffix not in (".html", ".htm"):
+        raise InputError(f"output = {str(path)!r}: allowed: a name that ends in .html")
+    if not path.parent.is_dir():
+        raise InputError(
+            f"output = {str(path)!r}: there is no folder {str(path.parent)!r}; allowed: a file in one that exists"
+        )
+    with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
+        path.write_text(_page(store, entry, Path(scratch)), encoding="utf-8")
+    return path
+
+
+def _page(store: str, entry: Entry, scratch: Path) -> str:
+    given = fetch(store, entry, "config_as_given.yaml", scratch)
+    config = fetch(store, entry, "config.yaml", scratch)
+    asked = question(given) if given else QUESTION_MISSING
+    took = "" if entry.seconds is None else f", {entry.seconds:.0f} s"
+    parts = [
+        f"<h1>{escape(entry.name if asked == QUESTION_MISSING else asked)}</h1>",
+        f'<p class="quiet">{escape(entry.name)}, {entry.began:%d %b %Y %H:%M}{took}, '
+        f"{escape(entry.status.lower())}, run {escape(entry.run_id)}</p>",
+    ]
+    if note := entry.tags.get("mlflow.note.content"):
+        parts.append(f"<p>{escape(note)}</p>")
+    parts.append(
+        _rows({label: _number(key, entry.metrics[key]) for key, label in _OUTCOME.items() if key in entry.metrics})
+    )
+    parts += [_children(store, entry), *_pictures(store, entry, scratch)]
+    if motion := fetch(store, entry, "motion_best.html", scratch):
+        page = escape(motion.read_text(encoding="utf-8"), quote=True)
+        parts += ["<h2>Motion of the best design</h2>", f'<iframe sandbox="allow-scripts" srcdoc="{page}"></iframe>']
+    if config:
+        parts += ["<h2>Experiment</h2>", f"<pre>{escape((given or config).read_text(encoding='utf-8'))}</pre>"]
+    parts += ["<h2>Where it comes from</h2>", _rows({k: entry.tags[k] for k in _PROVENANCE if k in entry.tags})]
+    head = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(entry.name)}</title>'
+    return f"{head}<style>{_STYLE}</style></head><body>\n" + "\n".join(parts) + "\n</body></html>\n"
+
+
+def _rows(values: dict[str, str]) -> str:
+    rows = "".join(f"<tr><td>{escape(key)}</td><td>{escape(value)}</td></tr>" for key, value in values.items())
+    return f"<table>{rows}</table>"
+
+
+def _children(store: str, entry: Entry) -> str:
+    """A table of the starts or points, the best first."""
+    found = children(store, entry)
+    if not found:
+        return ""
+    names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
+    columns = ["objective", "reduction_percent", "violation", *names, "iterations", "analyses"]
+    columns = [name for name in columns if any(name in child.metrics for child in found)]
+    head = "".join(f"<th>{escape(_heading(name))}</th>" for name in ("run", *columns, "status"))
+    rows = []
+    for child in found:
+        cells = [child.name, *(_number(c, child.metrics[c]) if c in child.metrics else "-" for c in columns)]
+        cells.append(child.tags.get("status", child.status.lower()).replace("_", " "))
+        best = ' class="best"' * (child.tags.get("best") == "true")
+        rows.append(f"<tr{best}>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
+    return f"<h2>{len(found)} runs</h2><table><tr>{head}</tr>{''.join(rows)}</table>"
+
+
+def _heading(metric: str) -> str:
+    """Return the title of a metric's column: `angle 1 [deg]`, `reduction [%]`."""
+    word, _, last = metric.replace("percent", "%").rpartition("_")
+    return f"{word.replace('_', ' ')} [{last}]" if last in _UNITS else metric.replace("_", " ")
+
+
+def _number(metric: str, value: float) -> str:
+    """Write a metric: angles and shares to a hundredth, everything else to six digits."""
+    return f"{value:z.2f}" if metric.endswith(("_deg", "_percent")) else f"{value:.6g}"
+
+
+def _pictures(store: str, entry: Entry, scratch: Path) -> list[str]:
+    names = [name for name in files(store, entry, "figures") if name.endswith(".png")]
+    parts = ["<h2>Figures</h2>"] if names else []
+    for name in sorted(names):
+        if file := fetch(store, entry, name, scratch):
+            data = base64.b64encode(file.read_bytes()).decode("ascii")
+            parts.append(f'<p><img alt="{escape(Path(name).stem)}" src="data:image/png;base64,{data}"></p>')
+    return parts

@@ -1,0 +1,191 @@
+"""What a study tells its tracker: one parent run, one child per start (or per point of a sweep).
+
+parent   params: the resolved file; tags: versions, commit, machine, seed; metrics: best_objective over iterations,
+         evaluations, failed_evaluations; files: config, best design, figures, animation, table
+child    params: start design; metrics over iterations: objective, violation, constraint_1, ..., angle_1_deg, ...,
+         analyses; at the end reduction_percent, iterations, failed_evaluations; tags: status, message, best
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from torchmbd.design.problem import BOUND
+from torchmbd.optimization.optimizer import Evaluation, Iterate, OptimizationResult
+from torchmbd.study.load import Plan
+from torchmbd.study.paths import problem_key
+from torchmbd.tracking import MlflowTracker, Status
+from torchmbd.tracking.provenance import provenance
+
+PARENT = "study"
+
+
+class Journal:
+    """Translates what happens in a study into calls of a tracker."""
+
+    def __init__(self, plan: Plan, tracker: MlflowTracker, folder: Path) -> None:
+        self.plan, self.tracker, self.folder = plan, tracker, folder
+        self.first: dict[int, float] = {}
+        self.evaluations = self.iterates = 0
+        self.trouble: str | None = None  # why a file is missing
+        self.failures: list[str] = []  # reason and design
+        self._best = math.inf
+        self._open: list[str] = []
+
+    def begin(self, kind: str) -> None:
+        """Open the parent run and file the resolved study."""
+        study = self.plan.study
+        resolved = study.resolved()
+        tags = {"kind": kind, "mlflow.source.name": str(self.plan.file), **provenance(self.plan.file.parent)}
+        tags["problem_key"] = problem_key(self.plan)
+        if self.plan.overrides:
+            tags["overrides"] = " ".join(self.plan.overrides)
+        if study.starts is not None:
+            tags["seed"] = str(study.starts.seed)
+        self.tracker.begin(PARENT, self.plan.name, params=flat(resolved), tags=tags)
+        self._open = [PARENT]
+        self.tracker.view(PARENT, self._columns(kind), "metrics.objective")
+        self.text("config.yaml", yaml.safe_dump(resolved, sort_keys=False))
+        if self.plan.file.is_file():
+            self.text("config_as_given.yaml", self.plan.file.read_text(encoding="utf-8"))
+
+    def _columns(self, kind: str) -> list[str]:
+        """Return what the table of the children shows."""
+        own = ["ratio"] if kind == "sweep" else ["reduction_percent", "violation", "iterations", "failed_evaluations"]
+        names = ["objective", *own, *self.plan.columns.names]
+        return [*(f"metrics.{name}" for name in names), "tags.status"]
+
+    def begin_start(self, index: int, x: np.ndarray, kind: str = "start") -> None:
+        """Open the child of a start, or of a point of a sweep."""
+        shown = self.plan.columns.shown(x)
+        run = child(index)
+        params = {f"start_{name}": f"{value:.6g}" for name, value in shown.items()}
+        name = f"{kind} {index}"
+        self.tracker.begin(run, name, parent=PARENT, params={kind: index, **params}, tags={"kind": kind})
+        self._open.append(run)
+
+    def iterate(self, iterate: Iterate) -> None:
+        """Log one iterate of one start."""
+        self.iterates += 1
+        run = child(iterate.start)
+        numbers = {
+            "objective": iterate.objective,
+            "violation": iterate.violation,
+            "analyses": iterate.analyses,
+            **{f"constraint_{k + 1}": float(c) for k, c in enumerate(np.atleast_1d(iterate.constraints))},
+            **self.plan.columns.shown(iterate.x),
+        }
+        self.tracker.metrics(run, _finite(numbers), iterate.iteration)
+        if iterate.iteration == 0:
+            self.first[iterate.start] = iterate.objective
+        if iterate.status != "ok":
+            self.tracker.tags(run, {"last_failure": iterate.status})
+        elif iterate.violation <= 1e-6 and iterate.objective < self._best:
+            self._best = iterate.objective
+            self.tracker.metrics(PARENT, {"best_objective": self._best}, self.iterates)
+
+    def evaluated(self, X: np.ndarray, evaluations: Sequence[Evaluation]) -> None:
+        """Count a batch of evaluations of designs [lanes, n]; a failed one is a metric, and a tag with its design."""
+        self.evaluations += len(evaluations)
+        for x, evaluation in zip(X, evaluations, strict=True):
+            if evaluation.status != "ok":
+                self.failures.append(f"{evaluation.status} (design {self.plan.columns.sentence(x)})")
+        counts = {"evaluations": self.evaluations, "failed_evaluations": len(self.failures)}
+        self.tracker.metrics(PARENT, counts, self.evaluations)
+        if self.failures:
+            self.tracker.tags(PARENT, {"last_failure": self.failures[-1]})
+
+    def result(self, result: OptimizationResult) -> None:
+        """Close the child of a start with its final numbers."""
+        run = child(result.start)
+        last = {
+            "objective": result.value,
+            "violation": result.violation,
+            "analyses": result.analyses,
+            "iterations": result.iterations,
+            "failed_evaluations": result.failures,
+            "reduction_percent": percent(self.first.get(result.start, math.nan), result.value),
+            **self.plan.columns.shown(result.x),
+        }
+        self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
+        tags = {"status": result.status, "message": result.message, "method": result.method, "best": "false"}
+        self.tracker.tags(run, tags)
+        ended: dict[str, Status] = {"failed": "FAILED", "interrupted": "KILLED"}
+        self.end(run, ended.get(result.status, "FINISHED"))
+
+    def summary(self, numbers: Mapping[str, float], tags: Mapping[str, str]) -> None:
+        """Log the outcome of the whole study on the parent."""
+        self.tracker.metrics(PARENT, _finite(numbers), self.iterates)
+        self.tracker.tags(PARENT, tags)
+
+    def best(self, result: OptimizationResult) -> None:
+        """Mark the best start, and file its design."""
+        self.tracker.tags(child(result.start), {"best": "true"})
+        self.design(result.x)
+
+    def design(self, x: np.ndarray) -> None:
+        """File the best design [SI] by the names of the parameters, for torchmbd.study.stored_run."""
+        values: dict[str, list[float]] = {}
+        for label, value in zip(self.plan.columns.labels, x.tolist(), strict=True):
+            if label != BOUND:  # no parameter
+                values.setdefault(label.rpartition("[")[0], []).append(value)
+        self.text("design.yaml", yaml.safe_dump(values, sort_keys=False))
+
+    def text(self, name: str, content: str) -> None:
+        """Write a small file and file it; a full disk costs the file, not the study."""
+        try:
+            (self.folder / name).write_text(content, encoding="utf-8")
+        except OSError as error:
+            self.trouble = f"{name} cannot be written: {error.strerror}"
+        else:
+            self.file(self.folder / name)
+
+    def file(self, path: Path, folder: str = "") -> None:
+        """File something under the parent."""
+        self.tracker.artifact(PARENT, path, folder)
+
+    def end(self, run: str, status: Status) -> None:
+        self.tracker.end(run, status)
+        self._open.remove(run)
+
+    def end_all(self, status: Status) -> None:
+        """Close every run that is open, children first."""
+        for run in reversed(list(self._open)):
+            self.end(run, status)
+
+
+def child(index: int) -> str:
+    """Return the tracker's key of a start."""
+    return f"start_{index}"
+
+
+def percent(first: float, last: float) -> float:
+    """Return the reduction from `first` to `last` in percent; nan where there is none to tell."""
+    return 100.0 * (1.0 - last / first) if first else math.nan
+
+
+def flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, object]:
+    """Flatten nested mappings to dotted keys, as the overrides spell them."""
+    result: dict[str, object] = {}
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            result |= flat(value, f"{prefix}{key}.")
+        else:
+            result[_legal(f"{prefix}{key}")] = value
+    return result
+
+
+def _legal(key: str) -> str:
+    """MLflow allows letters, digits and _-.:/ and spaces in a key."""
+    return "".join(c if c.isalnum() or c in "_-.:/ " else "_" for c in key)
+
+
+def _finite(numbers: Mapping[str, float]) -> dict[str, float]:
+    """Leave out what does not exist: a failed evaluation has no numbers, and is told by tags and counts instead."""
+    return {key: float(value) for key, value in numbers.items() if math.isfinite(value)}

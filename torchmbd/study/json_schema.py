@@ -1,0 +1,71 @@
+"""The JSON schema of experiment files, for editors: completion, and a mark under what is wrong.
+
+It comes from the classes of schema.py and the registries of names; what only the model can tell is left to
+`torchmbd check`. In VS Code: `# yaml-language-server: $schema=study.schema.json` on top of a file.
+Checked in tests/study/test_json_schema.py.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from torchmbd.design.response_spec import SQUARED, SUM
+from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.integrate.registry import INTEGRATORS
+from torchmbd.optimization import OPTIMIZERS
+from torchmbd.study.schema import KINDS, SAMPLERS, UNITS, Figures, Study
+
+
+def json_schema() -> dict[str, Any]:
+    """Return the schema (draft 2020-12) of a file: a study or figures."""
+    study, figures = Study.model_json_schema(), Figures.model_json_schema()
+    parts = figures.pop("$defs") | study.pop("$defs")
+    for part, field, names in (
+        ("Variable", "unit", UNITS),
+        ("Starts", "sampler", SAMPLERS),
+        ("Optimizer", "name", OPTIMIZERS),
+        ("Simulation", "method", INTEGRATORS),
+    ):
+        parts[part]["properties"][field]["enum"] = list(names)
+    for integrator in INTEGRATORS.values():
+        for name, kind in integrator.option_types().items():
+            parts["Simulation"]["properties"].setdefault(name, TypeAdapter(kind).json_schema())
+    parts["History"] = _history()
+    parts["Measure"] = _measure()
+    limit = parts["Constraint"]["properties"]["at_most"]["anyOf"][:2]
+    own: dict[str, Any] = {kind: {"anyOf": limit} for kind in KINDS} | {
+        "scale": {"type": "number", "exclusiveMinimum": 0}
+    }
+    parts["Constraint"] = {
+        "type": "object",
+        "properties": _measure()["properties"] | own,
+        "oneOf": [{"required": [kind]} for kind in KINDS],
+    }
+    study["properties"]["minimize"] = {"$ref": "#/$defs/Measure"}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "torchmbd experiment",
+        "if": {"required": ["figures"]},
+        "then": figures,
+        "else": study,
+        "$defs": parts,
+    }
+
+
+def _history() -> dict[str, Any]:
+    words = {name: {"type": ["string", "object"], "description": _first(kind)} for name, kind in RESPONSES.items()}
+    return {"type": "object", "properties": words | {SQUARED: {"$ref": "#/$defs/History"}}}
+
+
+def _measure() -> dict[str, Any]:
+    of_history = {name: {"$ref": "#/$defs/History", "description": _first(kind)} for name, kind in COMBINATORS.items()}
+    of_design = {name: {"type": ["string", "object"], "description": _first(kind)} for name, kind in OF_DESIGN.items()}
+    terms = {"type": "array", "items": {"$ref": "#/$defs/Measure"}}
+    return {"type": "object", "properties": of_history | of_design | {SUM: terms}}
+
+
+def _first(kind: type) -> str:
+    return re.sub(r"\s+", " ", (kind.__doc__ or "").strip().partition("\n")[0])

@@ -1,0 +1,103 @@
+"""What `torchmbd list` and `torchmbd ui` print: experiment files, studies so far, and links into the UI."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from torchmbd.study.config_index import configs
+from torchmbd.study.progress import print_table
+from torchmbd.tracking.catalog import Entry, children, studies
+from torchmbd.tracking.links import compare_link, experiment_link, run_link, view_link
+from torchmbd.tracking.store import store_uri
+
+_RECENT = 3  # studies whose links are printed
+_COMPARED = 32  # runs in one comparison: a longer link is of no use
+
+
+def print_configs(folder: Path, console: Console) -> None:
+    """Print the experiment files below a folder with their questions."""
+    found = configs(folder)
+    if not found:
+        console.print(f"No experiment files in {escape(str(folder))}.")
+        return
+    table = Table(title="experiment files", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("file", no_wrap=True)
+    table.add_column("question")
+    for file, question in found.items():
+        table.add_row(escape(str(file)), escape(question))
+    if console.is_terminal:
+        console.print(table)  # a question is broken where the terminal ends
+    else:
+        print_table(table, console)
+
+
+def print_studies(uri: str | None, console: Console) -> None:
+    """Print the studies of a store, the newest first."""
+    store = store_uri(uri)
+    found = studies(store)
+    if not found:
+        console.print(f"No studies yet in {escape(store)}.")
+        return
+    table = Table(title=f"studies in {escape(store)}", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    for heading in ("experiment", "study", "kind", "began", "took", "status", "best objective", "reduction", "run"):
+        table.add_column(heading, justify="right" if heading in ("took", "best objective", "reduction") else "left")
+    for entry in found:
+        table.add_row(*map(escape, _cells(entry)))
+    print_table(table, console)
+
+
+def print_links(store: str, base: str, console: Console) -> None:
+    """Print the links of every experiment and of the latest studies."""
+    found = studies(store)
+    if not found:
+        console.print(f"{base}  (no studies yet)")
+        return
+    for experiment_id, name in {entry.experiment_id: entry.experiment for entry in found}.items():
+        console.print(f"all runs of {escape(name)}", style="bold")
+        console.print("  " + experiment_link(base, experiment_id), soft_wrap=True, highlight=False, markup=False)
+    for entry in found[:_RECENT]:
+        console.print(f"{escape(entry.name)}, {entry.began:%d %b %H:%M}, {entry.status.lower()}", style="bold")
+        links = study_links(base, entry.experiment_id, entry.run_id, entry.kind, entry.status)
+        runs = [run.run_id for run in children(store, entry)]
+        if 1 < len(runs) <= _COMPARED:
+            links["compare"] = compare_link(base, entry.experiment_id, runs)
+        print_links_of(links, console)
+
+
+def study_links(base: str, experiment_id: str, run_id: str, kind: str, status: str) -> dict[str, str]:
+    """Return the links of a study, sweep or figures by what they show; only a finished study has a motion to show."""
+    links = {} if kind == "figures" else {"table": view_link(base, experiment_id, run_id)}
+    if kind == "study":
+        links["charts"] = view_link(base, experiment_id, run_id, charts=True)
+    if kind == "study" and status == "FINISHED":
+        links["motion"] = run_link(base, experiment_id, run_id, "artifacts/motion_best.html")
+    return links | {"files": run_link(base, experiment_id, run_id, "artifacts")}
+
+
+def print_links_of(links: Mapping[str, str], console: Console) -> None:
+    """Print links with what they show, unbroken."""
+    for label, link in links.items():
+        console.print(f"  {label:<8} {link}", soft_wrap=True, highlight=False, markup=False)
+
+
+def _cells(entry: Entry) -> list[str]:
+    def number(key: str, form: str) -> str:
+        return form.format(entry.metrics[key]) if key in entry.metrics else "-"
+
+    return [
+        entry.experiment,
+        entry.name,
+        entry.kind,
+        f"{entry.began:%Y-%m-%d %H:%M}",
+        "-" if entry.seconds is None else f"{entry.seconds:.0f} s",
+        entry.status.lower(),
+        number("best_objective", "{:.6g}"),
+        number("reduction_percent", "{:.2f} %"),
+        entry.run_id[:8],
+    ]

@@ -1,0 +1,74 @@
+"""Options of methods: the keys of `simulate` and `optimizer` that the schema leaves to the method they are given to.
+
+Names and types are read off the fields of integrators and the signatures of optimizers, so a method that gains an option
+needs no word here; ranges are the method's to refuse. Checked in tests/study/test_load.py, test_malformed.py.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, get_type_hints
+
+from pydantic import TypeAdapter, ValidationError
+
+from torchmbd.errors import InputError, nearest
+from torchmbd.integrate.arguments import check_gradients
+from torchmbd.integrate.registry import INTEGRATORS
+from torchmbd.optimization import OPTIMIZERS
+from torchmbd.optimization.multistart import multistart
+from torchmbd.study.file_errors import Fault, shown
+from torchmbd.study.schema import Optimizer, Simulation
+
+
+def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
+    """Return unknown options, and values that are of another type than the method says."""
+    faults: list[Fault] = []
+    simulation: Simulation | None = sections.get("simulate")
+    if simulation is not None:
+        integrator = INTEGRATORS[simulation.method]
+        types = integrator.option_types(simulation.phases is not None)
+        own = ("duration", "method", "steps", "phases", "gradients", "backend")
+        faults += _faults("simulate", simulation.method, simulation.model_extra or {}, types, own)
+        try:
+            check_gradients(simulation.gradients, integrator)
+        except InputError as error:
+            faults.append(Fault(("simulate", "gradients"), str(error)))
+    optimizer: Optimizer | None = sections.get("optimizer")
+    if optimizer is not None:
+        types = {}
+        for function in (multistart, OPTIMIZERS[optimizer.name]):
+            types |= _types(function, lambda p: p.kind is p.KEYWORD_ONLY)
+        del types["max_iterations"]
+        faults += _faults("optimizer", optimizer.name, optimizer.options, types, ("name", "max_iterations"))
+    return faults
+
+
+def _types(function: Callable[..., Any], wanted: Callable[[inspect.Parameter], bool]) -> dict[str, Any]:
+    """Return the type of every parameter that is wanted, by name."""
+    hints = get_type_hints(function)
+    return {p.name: hints.get(p.name, Any) for p in inspect.signature(function).parameters.values() if wanted(p)}
+
+
+def _faults(
+    section: str, method: str, given: Mapping[str, Any], types: Mapping[str, Any], own: tuple[str, ...]
+) -> list[Fault]:
+    faults = []
+    for key, value in given.items():
+        if key not in types:
+            known = nearest(key, [*own, *sorted(types)])
+            faults.append(Fault((section, key), f"unknown key for method {method!r}{known}"))
+        elif text := _misfit(value, types[key]):
+            faults.append(Fault((section, key), f"= {shown(value)}: {text}"))
+    return faults
+
+
+def _misfit(value: Any, type_: Any) -> str | None:
+    """Say why a value is not of a type, None if it is: as in the file, a list may be a tuple and no text is a number."""
+    try:
+        TypeAdapter(type_).validate_json(json.dumps(value), strict=True)
+    except ValidationError as error:
+        told = [details["msg"].replace("Input should", "must") for details in error.errors(include_url=False)]
+        return "; or ".join(dict.fromkeys(told))
+    return None

@@ -1,0 +1,163 @@
+"""The model of an experiment file: a function of the user's, in a module or in a file, that returns a System.
+
+package.module:function      as Python finds it
+path/to/file.py:function     in the folder of the experiment file or below it
+
+An experiment file names what is called with which arguments, so not everything may be called: only a Python function
+that says what it returns, `-> mbd.System` for a model. To name a file is to execute it: its code runs with all that the
+user may do. Modules beside the file can be imported by it; they hide no module of Python's or of a package.
+Checked in tests/study/test_load.py, test_malicious.py.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any, cast
+
+from torchmbd.errors import InputError, nearest
+from torchmbd.integrate import Phase
+from torchmbd.multibody.system import System
+from torchmbd.study.file_errors import Fault, shown
+
+Builder = Callable[..., System]
+_beside: set[str] = set()  # names of modules that the last model imported from its own folder
+
+
+def find_model(spec: str, folder: Path) -> Builder:
+    """Return the function that `spec` names; InputError says what is missing."""
+    function = find_function(spec, folder)
+    require_returns(spec, function, ("System",))
+    return cast(Builder, function)
+
+
+def find_phases(spec: str, folder: Path) -> list[Phase]:
+    """Return what the function that `spec` names says of the phases; InputError for anything else."""
+    function = find_function(spec, folder)
+    require_returns(spec, function, ("list",))
+    found = function()
+    if not isinstance(found, list) or not all(isinstance(phase, Phase) for phase in found):
+        raise InputError(f"= {shown(spec)}: returns {found!r}; allowed: a list of mbd.Phase")
+    return found
+
+
+def find_function(spec: str, folder: Path) -> Callable[..., Any]:
+    """Return the Python function that `spec` names, of a module or of a file below `folder`."""
+    module_name, _, function_name = spec.rpartition(":")
+    if not module_name or not function_name:
+        raise InputError(f"= {shown(spec)}: allowed: package.module:function or path/to/file.py:function")
+    module = _from_file(_inside(module_name, folder)) if module_name.endswith(".py") else _from_name(module_name)
+    function = getattr(module, function_name, None)
+    if not inspect.isfunction(function):
+        functions = [name for name, value in vars(module).items() if inspect.isfunction(value) and name[0] != "_"]
+        raise InputError(
+            f"= {shown(spec)}: {module_name} has no function {function_name!r}{nearest(function_name, functions)}"
+        )
+    return function
+
+
+def require_returns(spec: str, function: Callable[..., Any], allowed: tuple[str, ...]) -> None:
+    """Refuse a function that does not say that it returns what is wanted."""
+    annotation = function.__annotations__.get("return")
+    said = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
+    if annotation is None or said.partition("[")[0].rpartition(".")[2] not in allowed:
+        told = "nothing" if annotation is None else f"-> {said}"
+        raise InputError(
+            f"= {shown(spec)}: the function says {told} about what it returns; "
+            f"allowed: a function annotated with -> {' or '.join(allowed)}"
+        )
+
+
+def _inside(name: str, folder: Path) -> Path:
+    """Return the path of a file below the folder; InputError for one that lies outside."""
+    file = (folder / name).resolve()
+    if Path(name).is_absolute() or not file.is_relative_to(folder.resolve()):
+        raise InputError(
+            f"= {shown(name)}: lies outside the folder of the experiment file; "
+            f"allowed: a Python file in {folder} or below, or an importable module"
+        )
+    return file
+
+
+def option_faults(builder: Builder, options: Mapping[str, Any]) -> list[Fault]:
+    """Compare the options with the arguments of the function."""
+    parameters = inspect.signature(builder).parameters.values()
+    named = [p for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    faults = []
+    if not any(p.kind is p.VAR_KEYWORD for p in parameters):
+        names = [p.name for p in named]
+        faults = [
+            Fault(("options", key), f"unknown option{nearest(key, names)}") for key in options if key not in names
+        ]
+    missing = [p.name for p in named if p.default is p.empty and p.name not in options]
+    return faults + [Fault(("options", name), "is missing: the model has no default for it") for name in missing]
+
+
+def build_model(builder: Builder, options: Mapping[str, Any]) -> System:
+    """Build the system; InputError, whatever the function raises."""
+    try:
+        system = builder(**options)
+    except InputError:
+        raise
+    except Exception as error:  # the user's own code: told with the place in it, not as a crash of ours
+        last = traceback.extract_tb(error.__traceback__)[-1]
+        raise InputError(f"{type(error).__name__} in {last.filename}:{last.lineno}: {error}") from error
+    if not isinstance(system, System):
+        raise InputError(f"the model returned {type(system).__name__}; allowed: a torchmbd.System")
+    return system
+
+
+def _from_name(name: str) -> ModuleType:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise InputError(f"module {name!r} cannot be imported: {error}") from None
+    except Exception as error:
+        raise InputError(f"module {name!r} cannot be imported: {type(error).__name__}: {error}") from error
+
+
+def _from_file(file: Path) -> ModuleType:
+    if not file.is_file():
+        raise InputError(f"file {file} does not exist; allowed: a Python file, relative to the experiment file")
+    name = f"torchmbd_model_{file.stem}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses and pickle look their module up
+    try:
+        with _modules_beside(file.parent):
+            spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"file {file} cannot be imported: {type(error).__name__}: {error}") from error
+    return module
+
+
+@contextmanager
+def _modules_beside(folder: Path) -> Iterator[None]:
+    """Let a model import the modules of its folder, as they are now: not those that another model, or an earlier text, had.
+
+    The folder comes last: a file named as a module of Python's takes the place of none. No bytecode is written, for
+    Python takes a file that was changed within the same second for unchanged.
+    """
+    for name in _beside:
+        sys.modules.pop(name, None)
+    _beside.clear()
+    before, writes = set(sys.modules), sys.dont_write_bytecode
+    sys.path.append(str(folder))
+    sys.dont_write_bytecode = True
+    importlib.invalidate_caches()
+    try:
+        yield
+    finally:
+        sys.dont_write_bytecode = writes
+        sys.path.remove(str(folder))
+        files = {name: getattr(sys.modules[name], "__file__", None) for name in set(sys.modules) - before}
+        _beside.update(name for name, file in files.items() if file and Path(file).is_relative_to(folder))

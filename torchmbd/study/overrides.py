@@ -1,0 +1,114 @@
+"""`key=value` on the command line: the same file with one value changed.
+
+    optimizer.max_iterations=5                dotted path into the file, the value read as YAML
+    subject_to.0.at_most=0.5                  a number is a place in a list
+    design.rod.laminate.angles.start=[10]     the names of design variables hold dots themselves: a key of the file
+                                              that fits the longest piece of the path wins
+
+    options.layers=1,2,3                      several values: one study for each, all combinations of such lists
+
+An override may set a key that the file leaves to its default. Checked in tests/study/test_overrides.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+from typing import Any
+
+from torchmbd.errors import nearest
+from torchmbd.study.file_errors import Fault, Path, StudyError, dotted
+from torchmbd.study.yaml_file import Document, parse_yaml
+
+_NAMED_BY_PATH = ("design", "sweep")  # sections whose keys are dotted names of parameters
+
+
+def combinations(assignments: Sequence[str]) -> list[tuple[str, ...]]:
+    """Spread `key=1,2,3` over several lists of assignments; a comma inside brackets or quotes separates nothing."""
+    choices = []
+    for text in assignments:
+        key, equals, written = text.partition("=")
+        values = _split(written)
+        choices.append([text] if len(values) < 2 else [f"{key}{equals}{value}" for value in values])
+    return list(product(*choices))
+
+
+def _split(text: str) -> list[str]:
+    parts, depth, quote = [""], 0, ""
+    for c in text:
+        if quote:
+            quote = "" if c == quote else quote
+        elif c in "'\"":
+            quote = c
+        depth += (c in "[{") - (c in "]}") if not quote else 0
+        if c == "," and not depth and not quote:
+            parts.append("")
+        else:
+            parts[-1] += c
+    return [part.strip() for part in parts]
+
+
+def override(document: Document, assignments: Sequence[str]) -> None:
+    """Apply all assignments to the document; StudyError with every one that cannot be."""
+    faults = [fault for text in assignments if (fault := _assign(document, text))]
+    if faults:
+        raise StudyError(document.source, faults)
+
+
+def _assign(document: Document, text: str) -> Fault | None:
+    key, equals, written = text.partition("=")
+    key = key.strip()
+    if not equals or not key or not all(key.split(".")):
+        return Fault((), "is not of the form key=value", f"override {text!r}")
+    try:
+        value = parse_yaml(written, f"override {text!r}").data
+    except StudyError as error:
+        return Fault((key,), error.faults[0].text, f"override {text!r}")
+    if document.data is None:
+        document.data = {}
+    try:
+        path = _resolve(document.data, key.split("."))
+    except LookupError as error:
+        return Fault((), str(error.args[0]), f"override {text!r}")
+    _set(document.data, path, value)
+    for known in [known for known in document.lines if known[: len(path)] == path]:
+        del document.lines[known]  # what stood there is gone
+    document.lines[path] = f"override {text!r}"
+    return None
+
+
+def _resolve(data: Any, words: list[str]) -> Path:
+    """Find where a dotted key points; LookupError tells why it points nowhere."""
+    path: Path = ()
+    while words:
+        if isinstance(data, dict):
+            count = next((n for n in range(len(words), 0, -1) if ".".join(words[:n]) in data), 0)
+            if not count:  # a new key: its parents are made on the way
+                count = len(words) - 1 if path and path[-1] in _NAMED_BY_PATH and len(words) > 1 else 1
+            key, words = ".".join(words[:count]), words[count:]
+            data = data.get(key)
+        elif isinstance(data, list):
+            key, words = _index(words[0], data, path), words[1:]
+            data = data[key]
+        elif data is None:
+            return (*path, *words)
+        else:
+            raise LookupError(f"{dotted(path)} is the value {data!r} and has no parts")
+        path = (*path, key)
+    return path
+
+
+def _index(word: str, items: list[Any], path: Path) -> int:
+    if not word.isascii() or not word.isdigit() or int(word) >= len(items):
+        raise LookupError(
+            f"{dotted((*path, word))}: no such place in a list of {len(items)}{nearest(word, range(len(items)))}"
+        )
+    return int(word)
+
+
+def _set(data: Any, path: Path, value: Any) -> None:
+    for key in path[:-1]:
+        if isinstance(data, dict) and data.get(key) is None:
+            data[key] = {}
+        data = data[key]
+    data[path[-1]] = value

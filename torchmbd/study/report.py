@@ -1,0 +1,123 @@
+"""The end of a study: a table of the starts, and its pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+
+from torchmbd.design import Problem
+from torchmbd.design.response_spec import heading
+from torchmbd.errors import MbdError
+from torchmbd.optimization import Study
+from torchmbd.study.journal import Journal
+from torchmbd.study.load import Plan
+from torchmbd.study.progress import outcome, print_table, table_of
+from torchmbd.viz import animate, convergence, design_map, energy_over_time, save
+
+
+def print_results(plan: Plan, study: Study, failures: Sequence[str], console: Console) -> None:
+    """Print the starts, the best first, and what failed on the way."""
+    if not study.results:
+        console.print("No start came to a result.")
+        return
+    columns = ["start", "objective", "less by", "viol.", *plan.columns.headings, "iter", "sims", "status"]
+    table = table_of(f"{plan.name}: {len(study.results)} starts, {study.converged} converged", columns)
+    best = study.best
+    for result in sorted(study.results, key=lambda r: (not r.violation <= 1e-6, r.value)):
+        first = result.history[0].objective if result.history else float("nan")
+        angles = [f"{value:z.2f}" for value in plan.columns.shown(result.x).values()]
+        cells = [str(result.start), *outcome(first, result.value, result.violation), *angles]
+        cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
+        table.add_row(*cells, style="bold" if best is not None and result.start == best.start else None)
+    print_table(table, console)
+    if failures:
+        last = f"the last: {escape(failures[-1])}"
+        console.print(
+            f"{len(failures)} failed evaluations, which the optimizers stepped back from; {last}", soft_wrap=True
+        )
+
+
+Visited = tuple[np.ndarray, np.ndarray]  # designs [m, n], objectives [m]
+
+
+def study_pictures(
+    plan: Plan, study: Study, problem: Problem, visited: Visited, journal: Journal, console: Console
+) -> None:
+    """Draw convergence, the map of a small design space, energy and motion before and after; file them."""
+    histories = {f"start {r.start}": r.history for r in study.results if r.history}
+    if not histories:
+        return
+    best = study.best
+    draw(
+        convergence,
+        ["convergence.png"],
+        journal,
+        console,
+        objectives={name: [i.objective for i in history] for name, history in histories.items()},
+        violations={name: [i.violation for i in history] for name, history in histories.items()},
+        best=None if best is None else f"start {best.start}",
+        ylabel=heading(plan.study.minimize),
+    )
+    if len(plan.columns.names) <= 2:
+        draw(design_map, ["design_map.png"], journal, console, **_map(plan, study, visited))
+    with no_picture_costs_a_result(console):
+        if best is not None and not study.interrupted:  # two simulations more: not what Ctrl-C asks for
+            _motion_pictures(plan, np.stack([problem.start, best.x]), problem, journal, console)
+
+
+def draw(
+    figure: Callable[..., Any], files: Sequence[str], journal: Journal, console: Console, **arguments: Any
+) -> None:
+    """File a figure of torchmbd.viz under one name or several; say why it is missing."""
+    try:
+        drawn = figure(**arguments)
+        for name in files:
+            journal.file(save(drawn, journal.folder / name), "figures")
+    except Exception as error:  # matplotlib's, the disk's: no picture costs a result
+        console.print(f"No picture: {escape(str(error) or type(error).__name__)}", style="red")
+
+
+@contextmanager
+def no_picture_costs_a_result(console: Console) -> Iterator[None]:
+    """Say why a picture is missing (a motion that fails, a full disk), and go on."""
+    try:
+        yield
+    except (MbdError, OSError) as error:
+        console.print(f"No picture: {escape(str(error))}", style="red")
+
+
+def _map(plan: Plan, study: Study, visited: Visited) -> dict[str, Any]:
+    """Return the arguments of a map of where the starts went, and in which of the distinct minima they ended."""
+    factors = plan.columns.factors
+    moved = [result for result in study.results if result.history]
+    ends = {f"start {start}": k for k, minimum in enumerate(study.minima) for start in minimum.starts}
+    return {
+        "paths": {f"start {r.start}": np.array([i.x for i in r.history]) / factors for r in moved},
+        "objectives": {f"start {r.start}": [i.objective for i in r.history] for r in moved},
+        "headings": plan.columns.headings,
+        "ends": ends,
+        "visited": (visited[0] / factors, visited[1]),
+        "objective": heading(plan.study.minimize),
+    }
+
+
+def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal: Journal, console: Console) -> None:
+    motion = problem.simulate(designs).require_ok()
+    t = motion.t.numpy()
+    shown = [plan.columns.sentence(x) for x in designs]
+    labels = [f"start design ({shown[0]})", f"best design ({shown[1]})"]
+    for body in motion.system.bodies:
+        if motion.body(body.name).mesh is None:
+            continue
+        energy = motion.body(body.name).strain_energy.numpy()
+        files = [f"energy_{body.name}.{ending}" for ending in ("png", "pdf")]
+        energies = dict(zip(labels, energy, strict=True))
+        draw(energy_over_time, files, journal, console, t=t, energies=energies, body=body.name)
+    for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
+        path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{plan.name}: {label}")
+        journal.file(path)

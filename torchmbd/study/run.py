@@ -1,0 +1,224 @@
+"""Run a plan: watch it on the terminal, tell it to the tracker, end with a table, pictures and links.
+
+Whatever happens, the runs end with a status that is true: FINISHED, KILLED (Ctrl-C, with what was computed),
+FAILED (an exception, or no start succeeded). Results are told before pictures are drawn: no picture costs a result.
+Every evaluation is on disk before anybody hears of it (evaluations.py), so the same command goes on where a study
+ended, however it ended (unfinished.py). Checked in tests/study/test_run.py, test_resume.py.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from torchmbd.design import Problem
+from torchmbd.optimization import Iterate, Study
+from torchmbd.optimization.multistart import multistart
+from torchmbd.study.assemble import increments, problem_of, sought, starts_of
+from torchmbd.study.dask_evaluator import LANES, Farm
+from torchmbd.study.discrete_polish import lay
+from torchmbd.study.evaluations import Evaluations, Remembered
+from torchmbd.study.journal import PARENT, Journal
+from torchmbd.study.listing import print_links_of, study_links
+from torchmbd.study.load import FiguresPlan, Plan
+from torchmbd.study.paths import evaluations_file, problem_key, study_key
+from torchmbd.study.progress import Progress
+from torchmbd.study.report import print_results, study_pictures
+from torchmbd.study.schema import Optimizer
+from torchmbd.study.sweep import run_sweep
+from torchmbd.study.unfinished import Unfinished, claimed, unsent
+from torchmbd.tracking import MlflowTracker, Record, Status, TrackingError
+from torchmbd.tracking.links import DEFAULT_BASE
+from torchmbd.tracking.store import sqlite_file, store_uri
+
+EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
+
+
+def run_plan(
+    plan: Plan,
+    console: Console,
+    tracker: MlflowTracker | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    fresh: bool = False,
+    uri: str | None = None,
+    source: Any = None,
+) -> int:
+    """Run a study or a sweep and return the exit code.
+
+    tracker    hears of it; None: MLflow, and the same command goes on with the study until it has finished there
+    workers    processes that evaluate: 1: this one; more: a Dask cluster on this machine; 0: one for each core
+    scheduler  address of a Dask scheduler to use instead, or a cluster file (cluster.py)
+    fresh      forget the evaluations of this problem, and begin the study anew
+    uri        the MLflow store; None: that of the plan
+    source     evaluates what is not on disk; None: this process, or the workers
+    """
+    problem, began = problem_of(plan), time.monotonic()
+    sought(plan, problem)  # what is wrong with it is refused before anything is kept
+    farm = _farm(plan, problem, workers, scheduler)
+    with ExitStack() as stack:
+        store = Evaluations(evaluations_file(), problem_key(plan))
+        stack.callback(store.close)
+        study = None
+        if tracker is None:
+            uri = store_uri(uri or plan.study.tracking.uri)
+            study = stack.enter_context(claimed(study_key(plan, uri), plan, uri, fresh))
+            tracker = MlflowTracker(plan.study.tracking.experiment, uri, study.id)
+        if fresh:  # a study that is running has been refused by then
+            store.forget()
+        source, lanes = source or problem, LANES
+        if farm is not None:
+            with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):
+                stack.enter_context(farm)
+            source, lanes = farm, farm.lanes
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
+        journal = Journal(plan, tracker, folder)
+        remembered = Remembered(problem, store, source, journal.evaluated)
+        status: Status = "FAILED"
+        try:
+            if plan.study.sweep:
+                status = run_sweep(plan, problem, remembered.evaluate, journal, console)
+            else:
+                status = run_study(plan, problem, remembered, store, lanes, journal, console)
+        except KeyboardInterrupt:
+            status = "KILLED"
+        finally:
+            journal.end_all(status)
+            record = close(tracker, study, console)
+        for what, trouble in (("The last evaluations are not on disk", store.trouble), ("A file", journal.trouble)):
+            if trouble:
+                console.print(f"{what}: {escape(trouble)}", style="red")
+        known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known"
+        since = f"{time.monotonic() - began:.1f} s{known if remembered.known else ''}"
+        return conclude(plan, "sweep" if plan.study.sweep else "study", status, since, record, study, console)
+
+
+def _farm(plan: Plan, problem: Problem, workers: int, scheduler: str | None) -> Farm | None:
+    """Return the workers that are asked for, not started yet; None: this process evaluates."""
+    if workers == 1 and scheduler is None:
+        return None
+    rows = problem.peaks + sum(constraint.measure.rows for constraint in problem.constraints)
+    return Farm(plan, problem_key(plan), rows, workers, scheduler)
+
+
+def run_study(
+    plan: Plan,
+    problem: Problem,
+    remembered: Remembered,
+    store: Evaluations,
+    lanes: int,
+    journal: Journal,
+    console: Console,
+) -> Status:
+    """Optimize from every start, `lanes` of them at once."""
+    optimizer = plan.study.optimizer or Optimizer()
+    recipe = starts_of(plan, problem.start)
+    target = sought(plan, remembered)
+    each = getattr(target, "simulations", 1)  # of one design
+    options: dict[str, Any] = {"max_lanes": max(1, lanes // each)} | optimizer.options
+    points = recipe.points(target)
+    journal.begin("study")
+    for index, point in enumerate(points):
+        journal.begin_start(index, point)
+    title = f"{plan.name}: {optimizer.name} from {len(points)} start{'s' if len(points) > 1 else ''}"
+    if each > 1:
+        console.print("the objective is its mean over the tolerances", style="dim")
+    with Progress(plan.columns, len(points), title, console) as progress:
+
+        def callback(iterate: Iterate) -> None:
+            journal.iterate(iterate)
+            progress.iterate(iterate)
+            if store.trouble:
+                progress.note(f"{store.trouble}; the study goes on, and keeps it in memory")
+            if trouble := journal.tracker.trouble:
+                progress.note(f"{trouble}; the study goes on")
+
+        study = multistart(
+            target,
+            optimizer.name,
+            list(points),
+            callback,
+            journal.result,
+            max_iterations=optimizer.max_iterations,
+            **options,
+        )
+    best = study.best
+    print_results(plan, study, journal.failures, console)
+    _summarize(study, journal)
+    if best is not None:
+        journal.best(best)
+    interrupted = study.interrupted
+    if best is not None and any(increments(plan)) and not interrupted:
+        interrupted = lay(plan, target, points, options, study, journal, console).status == "interrupted"
+    study_pictures(plan, study, problem, store.visited(len(points[0])), journal, console)
+    if interrupted:
+        return "KILLED"
+    return "FINISHED" if best is not None else "FAILED"
+
+
+def _summarize(study: Study, journal: Journal) -> None:
+    numbers = {"starts": len(study.results), "converged_starts": study.converged, "analyses": study.analyses}
+    tags = {}
+    best = study.best
+    if best is not None:
+        initial = journal.first.get(0, float("nan"))
+        numbers |= {"objective": best.value, "best_objective": best.value, "violation": best.violation}
+        numbers |= {"reduction_percent": 100.0 * (1.0 - best.value / initial)} if initial else {}
+        numbers |= journal.plan.columns.shown(best.x)
+        tags = {"best_start": str(best.start), "status": best.status, "message": best.message}
+    journal.summary(numbers, tags)
+
+
+def close(tracker: MlflowTracker, study: Unfinished | None, console: Console) -> Record | None:
+    """Wait for the tracker; None, and a message, if not everything is in its store."""
+    try:
+        with console.status("writing the last of it to MLflow"):
+            record = tracker.close()
+    except TrackingError as error:
+        console.print(f"Tracking failed: {escape(str(error))}", style="red", soft_wrap=True)
+        return None
+    if study is not None and record.runs:
+        study.told()
+    elif study is not None:  # nothing is there to go on with
+        study.conclude()
+    return record
+
+
+def conclude(
+    plan: Plan | FiguresPlan,
+    kind: str,
+    status: Status,
+    since: str,
+    record: Record | None,
+    study: Unfinished | None,
+    console: Console,
+) -> int:
+    """Say how it ended and where to look at it; return the exit code. A study that has finished is gone on with no more."""
+    console.print(f"{escape(plan.name)}: {status.lower()} after {since}")
+    if record is None:
+        return 1
+    if PARENT in record.runs:
+        print_run_links(record, kind, status, console)
+    if status == "FINISHED" and study is not None:
+        study.conclude()
+    if waiting := unsent():
+        console.print(f"{len(waiting)} earlier studies are not in their tracking store: torchmbd sync")
+    return EXIT[status]
+
+
+def print_run_links(record: Record, kind: str, status: Status, console: Console) -> None:
+    """Print where to look at a run."""
+    run = record.runs[PARENT]
+    served = record.uri.startswith(("http:", "https:"))
+    base = record.uri.rstrip("/") if served else DEFAULT_BASE
+    links = study_links(base, record.experiment_id, run, kind, status)
+    if file := sqlite_file(record.uri):
+        console.print("To look at it: torchmbd ui, then", highlight=False)
+        links["on disk"] = str(file.parent / "mlartifacts" / run / "artifacts")
+    print_links_of(links, console)

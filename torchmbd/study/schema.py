@@ -1,0 +1,271 @@
+"""The experiment file as data: sections, types, ranges, and names that are known without the model.
+
+    model      module:function or file.py:function that returns a System      options   its arguments
+    design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, ...
+    minimize   {integral: {strain_energy: rod}}, see design/response_spec.py          subject_to  [{max: ..., at_most: initial}]
+    optimizer  name, max_iterations, the method's own options                starts    sampler, count, seed, ...
+    sweep      one design variable from .. to ..: evaluated together, instead of optimizer and starts
+    tracking   experiment, uri
+
+or, for pictures that are no optimization,
+
+    figures    module:function or file.py:function that draws into a folder  options   its arguments      tracking
+
+Numbers of `design`, `starts.points` and `sweep` are in the unit of their variable; everything else is SI.
+Pydantic validates strictly (no text for a number, no true for 1) and collects every fault; names of the model's own
+parameters and bodies are checked in check.py. Checked in tests/study/test_load.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection
+from typing import Annotated, Any, Literal, Self
+
+from annotated_types import Len
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    NonNegativeInt,
+    PositiveInt,
+    field_validator,
+    model_validator,
+)
+from pydantic_core import PydanticCustomError
+
+from torchmbd.design.response_spec import SpecError, measure_of
+from torchmbd.errors import nearest
+from torchmbd.integrate.arguments import BACKENDS, GRADIENTS
+from torchmbd.integrate.registry import DEFAULT, METHODS
+from torchmbd.optimization import OPTIMIZERS
+from torchmbd.tracking.store import uri_fault
+
+UNITS = {"deg": math.pi / 180.0, "rad": 1.0, "m": 1.0, "mm": 1e-3, "none": 1.0}  # unit -> SI
+KINDS = ("at_most", "at_least", "equal")  # of constraints
+FUNCTION = r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$"
+_SHORTEST, _LONGEST = 1e-12, 1e9  # steps [s]
+SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
+
+
+def _one_of(names: Collection[str] | Callable[[], Collection[str]]) -> AfterValidator:
+    """Accept a name of a registry only."""
+
+    def check(name: str) -> str:
+        allowed = names() if callable(names) else names
+        if name not in allowed:
+            raise PydanticCustomError("name", "{text}", {"text": nearest(name, allowed)[2:]})
+        return name
+
+    return AfterValidator(check)
+
+
+Numbers = float | Annotated[list[float], Len(min_length=1)]
+Limit = Literal["initial"] | float
+
+
+def _readable(spec: dict[str, Any]) -> dict[str, Any]:
+    try:
+        measure_of(spec)
+    except SpecError as error:
+        raise PydanticCustomError("response", "{text}", {"text": error.text, "path": error.path}) from error
+    return spec
+
+
+Measure = Annotated[dict[str, Any], AfterValidator(_readable)]
+
+
+class Section(BaseModel):
+    """Part of a file: nothing unknown, nothing converted, nothing changed later."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
+
+
+class Variable(Section):
+    """A design variable; a single number serves every entry of the parameter.
+
+    With a tolerance the criterion is its mean over variables that are off by up to it, and constraints hold there throughout
+    (optimization/robust.py). With a step the study ends with the best design whose variables are multiples of it
+    (optimization/discrete/discrete.py).
+    """
+
+    start: Numbers | None = None  # default: as the model is built
+    lower: Numbers
+    upper: Numbers
+    unit: Annotated[str, _one_of(UNITS)]  # without a default: 45 is a very different angle in radians
+    tolerance: Numbers | None = None  # default: made exactly
+    step: Numbers | None = None  # 0, and default: any value
+
+    @field_validator("tolerance", "step")
+    @classmethod
+    def _not_negative(cls, given: Numbers | None) -> Numbers | None:
+        if given is not None and min(given if isinstance(given, list) else [given]) < 0.0:
+            raise PydanticCustomError("kind", "must not be negative")
+        return given
+
+
+class Simulation(Section):
+    """Arguments of torchmbd.simulate; more keys are options of the method."""
+
+    model_config = ConfigDict(extra="allow")
+    duration: float = Field(gt=0)
+    method: Annotated[str, _one_of(METHODS)] = DEFAULT
+    steps: PositiveInt | None = None
+    phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
+    backend: Annotated[str, _one_of(BACKENDS)] = "auto"  # of the steps
+    gradients: Annotated[str, _one_of(GRADIENTS[:-1])] = "auto"  # by the adjoint (reverse) or tangents (forward)
+
+    @model_validator(mode="after")
+    def _steps_that_numbers_hold(self) -> Self:
+        step = self.duration / (self.steps or 1)
+        if not _SHORTEST <= step <= _LONGEST:
+            text = f"has steps of {step:.3g} s; allowed: {_SHORTEST:g} to {_LONGEST:g} s"
+            raise PydanticCustomError("kind", "{text}", {"text": text})
+        return self
+
+    @property
+    def options(self) -> dict[str, Any]:
+        return dict(self.model_extra or {})
+
+
+class Constraint(Section):
+    """`{max: {strain_energy: rod}, at_most: initial}`: a response and a limit, its value at the start or a number [SI]."""
+
+    measure: Measure
+    at_most: Limit | None = None
+    at_least: Limit | None = None
+    equal: Limit | None = None
+    scale: float | None = Field(default=None, gt=0)  # what a violation is divided by; default: the limit
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather(cls, data: Any) -> Any:
+        if not isinstance(data, dict) or "measure" in data:
+            return data
+        own = (*KINDS, "scale")
+        rest = {key: value for key, value in data.items() if key not in own}
+        return {"measure": rest} | {key: data[key] for key in own if key in data}
+
+    @model_validator(mode="after")
+    def _one_limit(self) -> Self:
+        given = [key for key in KINDS if getattr(self, key) is not None]
+        if len(given) != 1:
+            text = f"has {' and '.join(given) or 'no limit'}; must have exactly one of {', '.join(KINDS)}"
+            raise PydanticCustomError("kind", "{text}", {"text": text})
+        return self
+
+    @property
+    def kind(self) -> str:
+        return next(key for key in KINDS if getattr(self, key) is not None)
+
+    @property
+    def limit(self) -> float | str:
+        return getattr(self, self.kind)
+
+    def resolved(self) -> dict[str, Any]:
+        """Return the constraint in the form of the file."""
+        return {**self.measure, self.kind: self.limit, **({"scale": self.scale} if self.scale is not None else {})}
+
+
+class Optimizer(Section):
+    """Arguments of torchmbd.multistart; more keys are options of the method."""
+
+    model_config = ConfigDict(extra="allow")
+    name: Annotated[str, _one_of(OPTIMIZERS)] = "mmfd"
+    max_iterations: PositiveInt = 60
+
+    @property
+    def options(self) -> dict[str, Any]:
+        return dict(self.model_extra or {})
+
+
+class Starts(Section):
+    """Where the optimizer starts: the design of the file (start 0) and more points between the bounds."""
+
+    sampler: Annotated[str, _one_of(SAMPLERS)] = "none"
+    count: Annotated[PositiveInt, Field(le=2**20)] | None = None  # of all starts, the initial design among them
+    seed: NonNegativeInt = 0
+    include_initial: bool = True
+    points: Annotated[list[list[float]], Len(min_length=1)] | None = None
+
+    @model_validator(mode="after")
+    def _fits_the_sampler(self) -> Self:
+        wanted = {"sobol": "count", "latin_hypercube": "count", "given": "points"}.get(self.sampler)
+        for key in ("count", "points"):
+            if (getattr(self, key) is not None) != (key == wanted):
+                verb = "needs" if key == wanted else "takes no"
+                raise PydanticCustomError("sampler", "{text}", {"text": f"sampler {self.sampler!r} {verb} {key!r}"})
+        if self.sampler == "none" and not self.include_initial:
+            raise PydanticCustomError("sampler", "sampler 'none' with include_initial: false leaves no start")
+        return self
+
+
+class Range(Section):
+    """Values of a sweep, ends included, in the unit of the variable."""
+
+    first: float = Field(alias="from")
+    last: float = Field(alias="to")
+    count: int = Field(ge=2, le=100_000)
+
+
+class Tracking(Section):
+    """Where the runs go; see torchmbd.tracking.store for the default."""
+
+    experiment: Annotated[str, Len(1, 200), Field(pattern=r"^[^\x00-\x1f]+$")] = "torchmbd"
+    uri: str | None = None
+
+    @field_validator("uri")
+    @classmethod
+    def _known_scheme(cls, uri: str | None) -> str | None:
+        if uri is not None and (fault := uri_fault(uri)):
+            raise PydanticCustomError("uri", "{text}", {"text": fault})
+        return uri
+
+
+class Figures(Section):
+    """An experiment file that draws figures."""
+
+    figures: Annotated[str, Field(pattern=FUNCTION)]
+    options: dict[str, Any] = {}
+    tracking: Tracking = Tracking()
+
+    def resolved(self) -> dict[str, Any]:
+        """Return the file with every default filled in."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+
+class Study(Section):
+    """An experiment file that optimizes, or sweeps a variable."""
+
+    model: Annotated[str, Field(pattern=FUNCTION)]
+    options: dict[str, Any] = {}
+    design: Annotated[dict[str, Variable], Len(min_length=1)]
+    simulate: Simulation
+    minimize: Measure
+    subject_to: list[Constraint] = []
+    optimizer: Optimizer | None = None
+    starts: Starts | None = None
+    sweep: Annotated[dict[str, Range], Len(1, 1)] | None = None
+    tracking: Tracking = Tracking()
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> Self:
+        extra = [key for key in ("optimizer", "starts") if getattr(self, key) is not None]
+        if self.sweep is not None and extra:
+            text = f"sweep and {' and '.join(extra)} are both given; allowed: a sweep, or an optimizer with starts"
+            raise PydanticCustomError("kind", "{text}", {"text": text})
+        for key in ("tolerance", "step"):
+            if self.sweep is not None and any(getattr(variable, key) is not None for variable in self.design.values()):
+                text = f"sweep and a {key} are both given; allowed: one of them"
+                raise PydanticCustomError("kind", "{text}", {"text": text})
+        return self
+
+    def resolved(self) -> dict[str, Any]:
+        """Return the file with every default filled in, in the form of the file."""
+        data = self.model_dump(mode="json", by_alias=True, exclude_none=True)
+        if self.sweep is None:
+            data["optimizer"] = (self.optimizer or Optimizer()).model_dump(mode="json")
+            data["starts"] = (self.starts or Starts()).model_dump(mode="json", exclude_none=True)
+        data["subject_to"] = [constraint.resolved() for constraint in self.subject_to]
+        return data

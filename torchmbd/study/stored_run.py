@@ -1,0 +1,143 @@
+"""A run of the store as Python objects again: the system with its best design, the problem, the motion.
+
+    study = mbd.load("3f2a9c", model="arm.py")    a run id or the beginning of one, or the name of a study (its latest)
+    study.system, study.x, study.value, study.motion
+
+What is read are YAML files only (config.yaml, design.yaml), by the strict reader of experiment files: no artifact is
+ever executed or unpickled. The model is code, and to load a study executes it: a store that others can write could name any
+file, so the files and modules that may be executed are those that the caller names, and no others.
+Checked in tests/study/test_stored_run.py.
+"""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from torchmbd.design import Problem
+from torchmbd.errors import InputError
+from torchmbd.integrate import Trajectory
+from torchmbd.multibody.system import System
+from torchmbd.study.assemble import problem_of
+from torchmbd.study.file_errors import Fault, StudyError, located
+from torchmbd.study.load import Plan, plan_of
+from torchmbd.study.paths import problem_key
+from torchmbd.study.yaml_file import Document, read_yaml
+from torchmbd.tracking.catalog import Entry, fetch, find
+from torchmbd.tracking.store import store_uri
+
+
+@dataclass(frozen=True)
+class LoadedStudy:
+    """A study of the store.
+
+    x      best design [n], SI units and radians
+    value  its objective, as the store has it
+    """
+
+    entry: Entry
+    plan: Plan
+    x: np.ndarray
+    value: float
+
+    @cached_property
+    def problem(self) -> Problem:
+        return problem_of(self.plan)
+
+    @property
+    def system(self) -> System:
+        """The model with the best design in its parameters."""
+        return self.plan.system
+
+    @cached_property
+    def motion(self) -> Trajectory:
+        """The motion of the best design, simulated when first asked for."""
+        return self.problem.motion(self.x)
+
+
+Models = str | Path | Sequence[str | Path]
+
+
+def load_run(run: str, uri: str | None = None, model: Models = ()) -> LoadedStudy:
+    """Load the best design of a study.
+
+    run    run id, its beginning, or the name of a study
+    uri    the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
+    model  the Python file, or module, of the model, which is executed; several where the phases come from another
+    """
+    store = store_uri(uri)
+    entry = find(store, run)
+    with tempfile.TemporaryDirectory(prefix="torchmbd-") as scratch:
+        files = {name: fetch(store, entry, name, Path(scratch)) for name in ("config.yaml", "design.yaml")}
+        for name, file in files.items():
+            if file is None:
+                raise InputError(
+                    f"run {entry.run_id[:8]} ({entry.status.lower()}) has no {name}; allowed: a study that ended"
+                )
+        config, design = (read_yaml(file) for file in files.values() if file is not None)
+    config.source = f"config.yaml of run {entry.run_id[:8]}"
+    folder = _trusted(config, [model] if isinstance(model, (str, Path)) else list(model))
+    plan = plan_of(config, folder / f"{entry.name}.yaml", ())
+    if not isinstance(plan, Plan):
+        raise InputError(f"run {entry.run_id[:8]} is one of figures; allowed: a study")
+    said = entry.tags.get("problem_key")
+    if said and said != problem_key(plan):
+        warnings.warn(
+            f"{plan.study.model} or what it reads, torchmbd or torch has changed since run {entry.run_id[:8]}: "
+            "its numbers may be others now",
+            stacklevel=3,
+        )
+    x = _insert(plan, design.data, design.source, design.lines)
+    return LoadedStudy(entry, plan, x, entry.metrics.get("objective", float("nan")))
+
+
+def _trusted(config: Document, named: list[str | Path]) -> Path:
+    """Return the folder of the files that a study executes; InputError unless the caller has named each of them."""
+    data = config.data if isinstance(config.data, dict) else {}
+    simulate = data.get("simulate")
+    given = [data.get("model"), simulate.get("phases") if isinstance(simulate, dict) else None]
+    folders = set()
+    for code in {spec.rpartition(":")[0] for spec in given if isinstance(spec, str)}:
+        parts = Path(code).parts
+        paths = [Path(name).absolute() for name in named]
+        if not code.endswith(".py") and code in named:
+            continue
+        found = [path for path in paths if code.endswith(".py") and path.parts[-len(parts) :] == parts]
+        if not found:
+            raise InputError(
+                f"model is {[str(name) for name in named]}, and {config.source} executes {code!r}; allowed: the path of that "
+                "Python file, or the name of that module, if you trust it"
+            )
+        folders.add(found[0].parents[len(parts) - 1])
+    if len(folders) > 1:
+        raise InputError(f"model is {[str(name) for name in named]}; allowed: files below one folder, as in the study")
+    return folders.pop() if folders else Path()
+
+
+def _insert(plan: Plan, data: object, source: str, lines: dict) -> np.ndarray:
+    """Set the parameters of the system to a design of the store, and return it as a vector [n]."""
+    own = dict(plan.system.named_parameters())
+    faults, parts = [], []
+    values = data if isinstance(data, dict) else {}
+    for name in plan.study.design:
+        found = values.get(name)
+        if (
+            not isinstance(found, list)
+            or not all(isinstance(x, float) for x in found)
+            or len(found) != own[name].numel()
+        ):
+            faults.append(Fault((name,), f"= {found!r}: must be a list of {own[name].numel()} numbers"))
+            continue
+        parts.append(np.array(found))
+        with torch.no_grad():
+            own[name].copy_(torch.tensor(found, dtype=own[name].dtype).reshape(own[name].shape))
+    if faults:
+        raise StudyError(source, located(faults, lines))
+    return np.concatenate(parts)

@@ -1,0 +1,67 @@
+"""`torchmbd sync`: studies whose tracking store was away, or that were killed, told once more from what is on disk.
+
+A study runs again by its own file, and its evaluations come from the disk; where they end, it ends as after Ctrl-C. So the
+store gets what it would have got. Figures are drawn again. Checked in tests/study/test_unfinished.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+
+from torchmbd.errors import MbdError
+from torchmbd.study.figures import run_figures
+from torchmbd.study.load import Plan, load
+from torchmbd.study.paths import figures_key, study_key
+from torchmbd.study.run import run_plan
+from torchmbd.study.unfinished import Unfinished, unsent
+from torchmbd.tracking.store import open_store
+
+
+class _Nothing:
+    """Evaluates nothing."""
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> NoReturn:
+        raise KeyboardInterrupt
+
+
+def send_all(console: Console) -> int:
+    """Send every study that is not in its store; return how many still are not."""
+    waiting = 0
+    studies = unsent()
+    for study in studies:
+        try:
+            sent = _send(study)
+        except (MbdError, OSError) as error:
+            console.print(f"{study.file} is not in {study.uri}: {escape(str(error))}", style="red", soft_wrap=True)
+            waiting += 1
+        else:
+            console.print(f"{sent}: in {study.uri}", soft_wrap=True)
+    if not waiting:
+        console.print("everything is in its tracking store")
+    return waiting
+
+
+def _send(study: Unfinished) -> str:
+    """Send one study and return its name; MbdError says why it cannot be sent."""
+    plan = load(study.file, study.overrides)
+    key = (study_key if isinstance(plan, Plan) else figures_key)(plan, study.uri)  # pyright: ignore[reportArgumentType]
+    if key != study.folder.name:
+        raise MbdError(
+            f"the file, its model or torchmbd has changed since; allowed: torchmbd run, which begins it anew, "
+            f"or remove {study.folder}"
+        )
+    open_store(study.uri)
+    silent = Console(quiet=True)
+    if isinstance(plan, Plan):
+        run_plan(plan, silent, uri=study.uri, source=_Nothing())
+    else:
+        run_figures(plan, silent, uri=study.uri)
+    left = [other for other in unsent() if other.folder == study.folder]
+    if left:
+        raise MbdError("the store has not taken all of it; allowed: torchmbd sync, when it is back")
+    return Path(study.file).stem

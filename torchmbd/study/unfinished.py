@@ -1,0 +1,104 @@
+"""Studies that have not finished, or are not in their tracking store: what it takes to go on with them.
+
+    .torchmbd/<study>/study.json   experiment file, overrides and store; `id`, by which its runs are found in the store;
+                                   whether all that it has told so far is there
+    .torchmbd/<study>/study.lock   held by the process of the study: the same study cannot run twice at once
+
+The folder goes when the study has finished, its store has it, and the screen has said so. As long as it is there the same
+command goes on with the study in its runs, and `torchmbd sync` sends again what is not in the store: the study is run once
+more, and every evaluation is taken from the disk. Checked in tests/study/test_unfinished.py.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import shutil
+import uuid
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from torchmbd.errors import InputError, MbdError
+from torchmbd.study.load import FiguresPlan, Plan
+from torchmbd.study.paths import place
+
+_FILE, _LOCK = "study.json", "study.lock"
+
+
+@dataclass
+class Unfinished:
+    """A study and where it stands."""
+
+    folder: Path
+    file: str  # absolute
+    overrides: list[str]
+    uri: str
+    id: str
+    sent: bool = False
+
+    def told(self) -> None:
+        """Everything that was told so far is in the store."""
+        self.sent = True
+        with contextlib.suppress(OSError):  # a disk without room: it is sent once more
+            self._write()
+
+    def conclude(self) -> None:
+        """It has finished: the same command begins another."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+    def _write(self) -> None:
+        draft = self.folder / f"{_FILE}.new"
+        draft.write_text(json.dumps({k: v for k, v in asdict(self).items() if k != "folder"}), encoding="utf-8")
+        draft.replace(self.folder / _FILE)
+
+
+@contextlib.contextmanager
+def claimed(key: str, plan: Plan | FiguresPlan, uri: str, fresh: bool = False) -> Iterator[Unfinished]:
+    """Hold a study, so that no other process runs it; MbdError if one does. `fresh`: not that of an earlier life."""
+    folder = place() / key
+    folder.mkdir(parents=True, exist_ok=True)
+    with _locked(folder) as mine:
+        if not mine:
+            raise MbdError(f"the same study is running in another process (its folder is {folder})")
+        earlier = None if fresh else _read(folder)
+        study = earlier or Unfinished(folder, str(plan.file.absolute()), list(plan.overrides), uri, uuid.uuid4().hex)
+        study.sent = False
+        study._write()
+        yield study
+
+
+def unsent() -> list[Unfinished]:
+    """Return the studies that are over, with something that is not in their store."""
+    found = []
+    for file in sorted(place().glob(f"*/{_FILE}")):
+        with contextlib.suppress(FileNotFoundError), _locked(file.parent) as over:  # its process may conclude it now
+            study = _read(file.parent) if over else None
+            if study is not None and not study.sent:
+                found.append(study)
+    return found
+
+
+def _read(folder: Path) -> Unfinished | None:
+    """Return what a folder says, None if it says nothing."""
+    try:
+        return Unfinished(folder, **json.loads((folder / _FILE).read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(
+            f"{folder / _FILE} cannot be read: {error}; allowed: remove {folder}, the study begins anew"
+        ) from error
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[bool]:
+    """Hold the lock of a folder, which ends with its process; yields whether it is held."""
+    with (folder / _LOCK).open("w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+        else:
+            yield True

@@ -1,0 +1,122 @@
+"""From plain data to a Study, or to the list of everything that is wrong with them.
+
+Pydantic's faults are rewritten in the words of the file: the path as an override spells it, the value, what is allowed
+and the nearest valid name. A faulty section does not hide the faults of the others: each is validated for itself.
+"""
+
+from __future__ import annotations
+
+import types
+from functools import cache
+from typing import Any, Union, cast, get_args, get_origin
+
+from pydantic import ValidationError, create_model
+from pydantic_core import ErrorDetails
+
+from torchmbd.errors import nearest
+from torchmbd.study.file_errors import Fault, Path, shown
+from torchmbd.study.schema import KINDS, Figures, Section, Study
+
+
+def kind_of(data: Any) -> type[Study] | type[Figures]:
+    """Return which kind of experiment a file describes."""
+    return Figures if isinstance(data, dict) and "figures" in data else Study
+
+
+def validate(data: Any, kind: type[Section] | None = None) -> tuple[dict[str, Any], list[Fault]]:
+    """Return the sections that are valid, by name, and the faults of the others; `kind`: what the file is to be."""
+    kind = kind or kind_of(data)
+    if not isinstance(data, dict):
+        keys = ", ".join(f"{key}:" for key in _keys((), kind))
+        return {}, [Fault((), f"is {shown(data)}; allowed: sections such as {keys}")]
+    try:
+        return dict(kind.model_validate(data)), []
+    except ValidationError as error:
+        faults = _faults(error, data, kind)
+    sections: dict[str, Any] = {}
+    for name in kind.model_fields:
+        if not any(fault.path[:1] == (name,) for fault in faults):
+            alone = _alone(kind, name).model_validate({name: data[name]} if name in data else {})
+            sections[name] = getattr(alone, name)
+    return sections, faults
+
+
+@cache
+def _alone(kind: type[Section], name: str) -> type[Section]:
+    """Return a model of one section of a file."""
+    field = kind.model_fields[name]
+    fields: dict[str, Any] = {name: (field.rebuild_annotation(), field.get_default(call_default_factory=True))}
+    return create_model(name, __base__=Section, **fields)
+
+
+def _faults(error: ValidationError, data: Any, kind: type[Section]) -> list[Fault]:
+    texts: dict[Path, list[str]] = {}
+    located = [(_path(details, data), details) for details in error.errors(include_url=False)]
+    for path, details in located:
+        if isinstance(details["input"], list) and any(other[:-1] == path for other, _ in located):
+            continue  # not the list is wrong but an entry of it
+        text = _text(details, path, kind)
+        if text not in texts.setdefault(path, []):
+            texts[path].append(text)
+    return [Fault(path, _either(found)) for path, found in texts.items()]
+
+
+def _path(details: ErrorDetails, data: Any) -> Path:
+    """Keep what the file itself holds of pydantic's location, not the branches of its own types."""
+    path: Path = ()
+    location = details["loc"]
+    for k, part in enumerate(location):
+        inside = part in data if isinstance(data, dict) else isinstance(data, list) and part in range(len(data))
+        if inside:
+            data, path = cast(Any, data)[part], (*path, part)
+        elif details["type"] == "missing" and k == len(location) - 1:
+            path = (*path, part)
+    return (*path, *details.get("ctx", {}).get("path", ()))
+
+
+def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str:
+    kind, value = details["type"], details["input"]
+    if kind == "missing":
+        return "is missing"
+    if kind == "extra_forbidden":
+        return f"unknown key{nearest(path[-1], _keys(path[:-1], kind_of_file))}"
+    if kind == "response" and path[0] == "subject_to" and len(path) == 3:  # perhaps a limit that is misspelt
+        return f"{details['msg']}; a limit is one of {', '.join(KINDS)}"
+    if kind == "response":
+        return details["msg"]
+    if kind == "name":
+        return f"= {shown(value)}: {details['msg']}"
+    if kind in ("model_type", "dict_type"):
+        return f"= {shown(value)}: must be a mapping (key: value)"
+    if kind == "too_short" and path == ("design",):
+        return "is empty; must have at least one parameter of the model"
+    if kind in ("too_short", "too_long") and isinstance(value, dict):
+        return f"has {len(value)} keys; must have exactly one"
+    if kind in ("kind", "sampler"):
+        return f": {details['msg']}"
+    return f"= {shown(value)}: {details['msg'].replace('Input should', 'must')}"
+
+
+def _either(texts: list[str]) -> str:
+    """Join what the branches of a union say about the same value."""
+    first, *others = texts
+    return first + "".join(f"; or {other.rpartition(': ')[2]}" for other in others)
+
+
+def _keys(path: Path, section: Any) -> list[str]:
+    """Return the keys that a part of a file may have."""
+    for part in path:
+        if isinstance(section, type) and issubclass(section, Section):
+            section = _plain(section.model_fields[str(part)].annotation)
+        else:
+            section = _plain(get_args(section)[-1])
+    return [field.alias or name for name, field in section.model_fields.items()]
+
+
+def _plain(annotation: Any) -> Any:
+    """Strip Annotated and Optional."""
+    if get_origin(annotation) in (Union, types.UnionType):
+        return next(_plain(branch) for branch in get_args(annotation) if branch is not type(None))
+    if getattr(annotation, "__metadata__", None):
+        return _plain(get_args(annotation)[0])
+    return annotation
