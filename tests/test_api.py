@@ -8,15 +8,15 @@ import sys
 import pytest
 
 import torchmbd as mbd
-from torchmbd import public
+from torchmbd import api
 
 
 def test_every_public_name_is_there():
-    assert [name for name in public.__all__ if getattr(mbd, name) is not getattr(public, name)] == []
-    assert set(public.__all__) <= set(dir(mbd))
+    assert [name for name in api.__all__ if getattr(mbd, name) is not getattr(api, name)] == []
+    assert set(api.__all__) <= set(dir(mbd))
     everything: dict[str, object] = {}
     exec("from torchmbd import *", everything)
-    assert set(public.__all__) <= set(everything)
+    assert set(api.__all__) <= set(everything)
 
 
 def test_nothing_else_is():

@@ -22,10 +22,10 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> Any:
-    public = importlib.import_module("torchmbd.api")
-    if name not in (*public.__all__, "__all__"):
+    api = importlib.import_module("torchmbd.api")
+    if name not in (*api.__all__, "__all__"):
         raise AttributeError(f"module 'torchmbd' has no attribute {name!r}")
-    return getattr(public, name)
+    return getattr(api, name)
 
 
 def __dir__() -> list[str]:

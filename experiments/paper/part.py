@@ -26,7 +26,7 @@ import torch
 import torchmbd as mbd
 
 LABELS = ("given", "inferred", "chosen")
-_UNCONCERNED = ("cli.py", "experiment", "tracking", "viz")  # of torchmbd: no number depends on them
+_UNCONCERNED = ("cli.py", "study", "tracking", "viz")  # of torchmbd: no number depends on them
 _DONE = "rows.json"
 
 

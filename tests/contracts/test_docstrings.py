@@ -8,10 +8,10 @@ from types import ModuleType
 
 import pytest
 
-from torchmbd import public
+from torchmbd import api
 from torchmbd.design import History, Measure
 
-NAMES = [name for name in public.__all__ if not isinstance(getattr(public, name), ModuleType)]
+NAMES = [name for name in api.__all__ if not isinstance(getattr(api, name), ModuleType)]
 
 
 def told(thing: object) -> str:
@@ -22,7 +22,7 @@ def told(thing: object) -> str:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_argument_is_told(name):
-    thing = getattr(public, name)
+    thing = getattr(api, name)
     assert thing.__doc__
     if inspect.isclass(thing) and issubclass(thing, Exception):
         return
@@ -34,7 +34,7 @@ def test_every_argument_is_told(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_methods_are_told(name):
-    thing = getattr(public, name)
+    thing = getattr(api, name)
     if not inspect.isclass(thing):
         return
     for key, method in vars(thing).items():
@@ -43,13 +43,11 @@ def test_methods_are_told(name):
             assert inspect.getdoc(getattr(thing, key)), f"{name}.{key}"
 
 
-RESPONSES = [
-    name for name in NAMES if inspect.isclass(x := getattr(public, name)) and issubclass(x, (History, Measure))
-]
+RESPONSES = [name for name in NAMES if inspect.isclass(x := getattr(api, name)) and issubclass(x, (History, Measure))]
 
 
 @pytest.mark.parametrize("name", RESPONSES)
 def test_responses_tell_their_shape_and_unit(name):
-    doc = getattr(public, name).__doc__
+    doc = getattr(api, name).__doc__
     assert re.search(r"\[lanes(, \w+)?\]", doc)
     assert re.search(r"\[(m|s|m/s|m/s2|J|N|Pa|Hz|kg|rad|-)\]|\bunits?\b", doc)

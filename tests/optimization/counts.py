@@ -1,4 +1,4 @@
-"""Function and gradient counts of our methods beside plain SciPy SLSQP's; `python -m tests.optimization.counts` prints the table.
+"""Function and gradient counts of our methods beside plain SciPy SLSQP's; `python -m tests.optimization.counts` prints it.
 
 Counted are distinct designs: those with values, and those of them with gradients (asked for separately, not together).
 """

@@ -184,7 +184,7 @@ def test_the_digest_of_all_sources_is_cheap():
 
 
 def test_a_copy_of_the_package_has_its_digest(tmp_path):
-    parts = ("design", "integrators")
+    parts = ("design", "integrate")
     for part in parts:
         shutil.copytree(PACKAGE / part, tmp_path / part)
     assert sources(tmp_path, parts) == sources(PACKAGE, parts)

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from tests.multibody.bodies.bdf_models import model as bdf_model
 from torchmbd.fem.mesh import rectangle
-from torchmbd.study import paths as place_module
+from torchmbd.study import paths as paths_module
 from torchmbd.study.assemble import problem_of
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import evaluations_file, place, problem_key, study_key
@@ -134,29 +134,29 @@ class Silent:
         return lambda *arguments, **options: None
 
 
-PARTS = sorted(p.name for p in place_module._PACKAGE.iterdir() if p.is_dir() and p.name != "__pycache__")
+PARTS = sorted(p.name for p in paths_module._PACKAGE.iterdir() if p.is_dir() and p.name != "__pycache__")
 
 
 @pytest.fixture(scope="module")
 def copied(tmp_path_factory):
     """A copy of the package's sources."""
     package = tmp_path_factory.mktemp("copied") / "torchmbd"
-    shutil.copytree(place_module._PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(paths_module._PACKAGE, package, ignore=shutil.ignore_patterns("__pycache__"))
     return package
 
 
 @pytest.mark.parametrize("part", [*PARTS, "errors.py", "cli.py", "integrate/native/steps.cpp"])
 def test_the_sources_that_compute_numbers_count(copied, monkeypatch, part):
     """The optimizers, the tracking, the pictures and the command line see an evaluation when it is made."""
-    before = place_module._code(place_module._PACKAGE)
+    before = paths_module._code(paths_module._PACKAGE)
     folder = copied / part
     for file in sorted(folder.glob("*.py"))[-2:] if folder.is_dir() else [folder]:
         text = file.read_text()
-        counts = part not in ("cli.py", "experiment", "tracking", "viz", "optimizers")
+        counts = part not in ("cli.py", "study", "tracking", "viz", "optimization")
         for more, changed in (("", False), ("\nx = 1;\n", counts)):
             file.write_text(text + more)
-            place_module._code.cache_clear()
-            assert (place_module._code(copied) != before) is changed, file
+            paths_module._code.cache_clear()
+            assert (paths_module._code(copied) != before) is changed, file
         file.write_text(text)
 
 
@@ -165,11 +165,11 @@ def test_the_sources_count_in_both_keys(write, copied, monkeypatch):
     file = copied / "design" / "measures.py"
     text = file.read_text()
     file.write_text(text + "\nx = 1\n")
-    place_module._code.cache_clear()
-    monkeypatch.setattr(place_module, "_PACKAGE", copied)
+    paths_module._code.cache_clear()
+    monkeypatch.setattr(paths_module, "_PACKAGE", copied)
     after = keys(write())
     file.write_text(text)
-    place_module._code.cache_clear()
+    paths_module._code.cache_clear()
     assert before[0] != after[0]
     assert before[1] != after[1]
 

@@ -34,8 +34,8 @@ import torch
 from torchmbd.errors import InputError
 from torchmbd.integrate.estimates import StepErrors, turns
 from torchmbd.integrate.integrator import Again, Integrated, Integrator
-from torchmbd.integrate.native import steps as compiled
-from torchmbd.integrate.phases import loop as phase_loop
+from torchmbd.integrate.native import steps
+from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import Course
 from torchmbd.integrate.prepared import prepare
 from torchmbd.integrate.step import Weights
@@ -97,7 +97,7 @@ class OneStep(Integrator):
 
     def stepper(self, dynamics: Dynamics, h: float) -> March:
         """As of Integrator."""
-        return compiled.march(dynamics, self.weights(h), self.iterations, self.refresh)
+        return steps.march(dynamics, self.weights(h), self.iterations, self.refresh)
 
     def sized(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
         """As of Integrator."""
@@ -144,7 +144,7 @@ class OneStep(Integrator):
 
     def integrate_phases(self, course: Course) -> dict[str, Any]:
         """As of Integrator; statistics as of `integrate`, without errors of steps."""
-        errors = phase_loop.integrate(course, self)
+        errors = loop.integrate(course, self)
         h = course.duration / course.steps
         turn = turns(course.whole, course.recorded(), h)
         errors["until"] = errors.get("until", first(turn < 0.0)).minimum(first(turn > TURN).clamp_min(1))

@@ -22,7 +22,7 @@ from torchmbd.integrate.adjoint import Adjoint
 from torchmbd.integrate.attempts import has_failed, run, steps_that_fit, validity
 from torchmbd.integrate.duration_derivative import tangents
 from torchmbd.integrate.motion import Tensors
-from torchmbd.integrate.native import backward as compiled_adjoint
+from torchmbd.integrate.native import backward
 from torchmbd.integrate.native.library import resolved
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.math.pair import Pair
@@ -116,7 +116,7 @@ class ReverseIntegration:
     def adjoint(self) -> Adjoint:
         """Of the motion."""
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
-        return Adjoint(self.dynamics, self.history, self.duration, self.integrator, failed, compiled_adjoint.sweep)
+        return Adjoint(self.dynamics, self.history, self.duration, self.integrator, failed, backward.sweep)
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """Leads from what was integrated to the whole system, as a function of the data; None: it is the whole."""

@@ -17,7 +17,7 @@ from torchmbd.integrate.flow_stepper import FlowStepper, moved
 from torchmbd.integrate.integrator import Integrated, Integrator
 from torchmbd.integrate.native.rates import RightHandSide, augment
 from torchmbd.integrate.ode import DEFAULTS, FIXED, first_step, flow
-from torchmbd.integrate.phases import loop as phase_loop
+from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import Course
 from torchmbd.integrate.prepared import initial
 from torchmbd.math.owned import whole
@@ -85,7 +85,7 @@ class Torchdiffeq(Integrator):
     def integrate_phases(self, course: Course) -> dict[str, Any]:
         """As of Integrator; statistics as of `integrate`."""
         before = course.whole.statistics["evaluations"]
-        phase_loop.integrate(course, self)
+        loop.integrate(course, self)
         return {"evaluations": course.whole.statistics["evaluations"] - before}
 
     def stepper(self, dynamics: Dynamics, h: float) -> FlowStepper:

@@ -1,7 +1,8 @@
 """Evaluation on Dask workers: a cluster on this machine, any scheduler by its address, or jobs of SLURM (cluster.py).
 
 Every worker has a batch of its own under way, of LANES designs at most, and with many starts a second one waiting for it:
-the starts of a study are in as many groups (torchmbd.optimization.multistart.batched), and no worker waits for another. Where there are
+the starts of a study are in as many groups (torchmbd.optimization.multistart.batched), and no worker waits for another.
+Where there are
 fewer batches than workers, each is cut into pieces. A worker builds the model once, from the experiment file's own words, and
 evaluates a piece as one batch. Pieces are pure functions of the designs: one that a worker takes with it when it dies is
 evaluated again by another, and nothing depends on which. What is evaluated together moves gradients in their seventh digit (an

@@ -1,4 +1,4 @@
-"""The end of a study whose variables take steps, `step: 5`: the best design on them (optimization/discrete/discrete.py).
+"""The end of a study whose variables take steps, `step: 5`: the best design on them (branch_and_bound.py).
 
 It begins where the starts of the study ended, for nothing: what they evaluated is known. Then designs on the steps are
 searched until no neighbor of the best is better.

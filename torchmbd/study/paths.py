@@ -24,7 +24,7 @@ from torchmbd.study.load import FiguresPlan, Plan
 
 _NUMBERS = ("model", "options", "simulate", "minimize", "subject_to")
 _PACKAGE = Path(__file__).parents[1]
-_UNCONCERNED = ("cli.py", "process.py", "experiment", "tracking", "viz", "optimizers")  # for an evaluation
+_UNCONCERNED = ("cli.py", "process.py", "study", "tracking", "viz", "optimization")  # for an evaluation
 _FROM_FILE = ("study/assemble.py", "study/check.py", "study/columns.py", "study/schema.py")
 
 

@@ -87,7 +87,7 @@ class Variable(Section):
 
     With a tolerance the criterion is its mean over variables that are off by up to it, and constraints hold there throughout
     (optimization/robust.py). With a step the study ends with the best design whose variables are multiples of it
-    (optimization/discrete/discrete.py).
+    (optimization/discrete/branch_and_bound.py).
     """
 
     start: Numbers | None = None  # default: as the model is built

@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from torchmbd.math.codegen import build_cache
-from torchmbd.math.codegen import compiler as native
+from torchmbd.math.codegen import build_cache, compiler
 from torchmbd.process import cache_folder, require_cache_folder
 
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
@@ -31,7 +30,7 @@ def compiled(folder: Path) -> Path:
     """A library of a page and more, as the compiler leaves it."""
     text, made = folder / "code.cpp", folder / "code.so"
     text.write_text('extern "C" { double table[4096] = {1.0}; double first() { return table[0]; } }')
-    subprocess.run([native.compiler(), "-shared", "-fPIC", "-o", str(made), str(text)], check=True)
+    subprocess.run([compiler.compiler(), "-shared", "-fPIC", "-o", str(made), str(text)], check=True)
     text.unlink()
     return made
 
@@ -66,7 +65,7 @@ def test_a_library_that_was_cut_ends_no_process(folder: Path) -> None:
 def test_what_was_kept_is_loaded(folder: Path) -> None:
     file = build_cache.keep(compiled(folder), folder / f"step-{'0' * 32}.so")
     assert list(folder.iterdir()) == [file]
-    code = native.load(file)
+    code = compiler.load(file)
     assert code is not None
     code.first.restype = ctypes.c_double
     assert code.first() == 1.0
@@ -77,7 +76,7 @@ def test_what_was_kept_is_loaded(folder: Path) -> None:
 def test_a_library_from_elsewhere_is_not_loaded(folder: Path) -> None:
     """One that works, but that torchmbd has not built."""
     with pytest.warns(UserWarning, match="is not what was built"):
-        assert native.load(compiled(folder)) is None
+        assert compiler.load(compiled(folder)) is None
 
 
 @pytest.mark.parametrize(("target", "mode"), [("folder", 0o777), ("folder", 0o770), ("file", 0o666), ("file", 0o620)])
@@ -107,8 +106,8 @@ def test_what_another_user_owns_is_refused(folder: Path, monkeypatch: pytest.Mon
 
 def test_nothing_is_built_where_others_can_write(folder: Path) -> None:
     folder.chmod(0o777)
-    assert "can be written by others" in str(native.unavailable())
-    library = native.Native("math/panels.cpp")
+    assert "can be written by others" in str(compiler.unavailable())
+    library = compiler.Native("math/panels.cpp")
     with pytest.warns(UserWarning, match="can be written by others"):
         assert library() is None
     with warnings.catch_warnings():

@@ -17,7 +17,8 @@ gap       mean shear strain of a side with linear rotations,  g_k = (w_j - w_i) 
 size_k    1 / size^2 = 1 / L_k^2 + (L_k / cell)^2 of quadrilaterals: a gap is closed by bending along the side, or by twist
           across the cell (cell: mean area at this side [m2])   [m]
 Source: C. A. Felippa (2003), see opt_membrane.py; I. Katili (1993), see dkmt_bending.py.
-Checked in tests/fem/elements/test_opt_membrane.py, tests/fem/elements/test_dkmt_bending.py, tests/fem/elements/test_plate_patch.py.
+Checked in tests/fem/elements/test_opt_membrane.py, tests/fem/elements/test_dkmt_bending.py,
+tests/fem/elements/test_plate_patch.py.
 """
 
 from __future__ import annotations

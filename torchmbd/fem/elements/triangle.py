@@ -9,7 +9,8 @@ That is as stiff as a membrane, so thin curved shells would lock: by membrane ov
 
 The drilling freedoms are softened by r where r is not small (opt_membrane.py). A flat plate has r = 0; on a curved shell
 r falls with the fourth power of the mesh size, so the limit is the same.
-Checked in tests/contracts/test_shell_elements.py, tests/fem/elements/test_plate_patch.py, tests/validation/test_curved_shells.py.
+Checked in tests/contracts/test_shell_elements.py, tests/fem/elements/test_plate_patch.py,
+tests/validation/test_curved_shells.py.
 """
 
 from __future__ import annotations

@@ -28,8 +28,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, MbdError
-from torchmbd.integrate.native import data, functions
-from torchmbd.integrate.native import simd_layout as blocks
+from torchmbd.integrate.native import data, functions, simd_layout
 from torchmbd.integrate.native.mechanism import Mechanism
 from torchmbd.math.codegen import build_cache
 from torchmbd.math.codegen.compiler import (
@@ -48,10 +47,10 @@ from torchmbd.multibody.system.topology import Topology
 from torchmbd.process import cache_folder, require_cache_folder
 
 _SOURCES = (
-    "numerics",
+    "math",
     "multibody/joints/primitive.py",
-    "forces",
-    "system",
+    "multibody/forces",
+    "multibody/system",
     "integrate/step.py",
     "math/codegen",
     "integrate/native",
@@ -121,7 +120,7 @@ class Library:
     def data_blocks(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
         """Data as the code takes them: values [block, 1, n, 8] and tangents [block, n_b, n, 8]."""
         values, tangents = data.flat_data(written_out(dynamics))
-        return blocks.blocks(values), blocks.blocks(tangents)
+        return simd_layout.blocks(values), simd_layout.blocks(tangents)
 
     def unflattened(self, dynamics: Dynamics, by: Tensor) -> dict[str, Tensor]:
         """Cotangents of the data [component..., rows, lanes] out of those of the numbers that the code takes."""

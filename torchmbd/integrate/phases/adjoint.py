@@ -6,8 +6,8 @@ A phase of a lane is three maps, each the discrete one that was integrated:
     steps    first point of the grid -> ... -> the point at which the last step begins
     exit     that point -> (t*, state at the end of a last step of another size)
 
-Entry and exit are graphs of torch, made again from what was recorded (`PhaseRecord`); variable_step.py makes steps of other sizes
-differentiable by the implicit function theorem. Regular steps are those of adjoint.py, of all lanes with the same points
+Entry and exit are graphs of torch, made again from what was recorded (`PhaseRecord`); variable_step.py makes steps of other
+sizes differentiable by the implicit function theorem. Regular steps are those of adjoint.py, of all lanes with the same points
 together. Where an event ends a phase, the size h of the last step is that at which its function g vanishes:
 
     mu = -(cotangent of h) / g_h        cotangents of x and b: mu g_x', mu g_b'

@@ -8,7 +8,8 @@
     ])
 
 The joints of a phase are those of the system without the released ones; a locked joint is held where it is when the
-phase begins (multibody/joints/lock.py). Bodies, structure stage and attached vectors are those of one whole system with all joints
+phase begins (multibody/joints/lock.py). Bodies, structure stage and attached vectors are those of one whole system with all
+joints
 and all locks; a phase has some of its constraint rows (multibody/system/selection.py). Multipliers are rows of that whole.
 A law of a force that jumps, such as eq. (39), is a phase for each of its continuous pieces: its jumps are located, not
 smoothed.

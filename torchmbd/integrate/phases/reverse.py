@@ -20,7 +20,7 @@ from torch import Tensor
 
 from torchmbd.integrate.attempts import has_failed, steps_that_fit, validity
 from torchmbd.integrate.motion import Tensors
-from torchmbd.integrate.native import backward as compiled_adjoint
+from torchmbd.integrate.native import backward
 from torchmbd.integrate.native.library import resolved
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.adjoint import MARKED, PhaseAdjoint, PhaseCotangents
@@ -154,7 +154,7 @@ class ReversePhaseIntegration:
 
     def _adjoint(self, names: Sequence[str]) -> PhaseAdjoint:
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
-        return PhaseAdjoint(self._course, self.integrator, names, failed, compiled_adjoint.sweep)
+        return PhaseAdjoint(self._course, self.integrator, names, failed, backward.sweep)
 
     def _of_data(self, found: dict[int, dict[Key, Tensor]], key: Key, like: Tensor, rows: int) -> Tensor:
         """Cotangents [component..., rows, lanes] of data [component..., 1, lanes]; of lanes that failed zero."""

@@ -31,7 +31,7 @@ from torchmbd.process import cache_folder, require_cache_folder
 
 SUFFIX = ".so"
 OPTIONS = ("-std=c++17", "-march=native", "-fno-math-errno", "-ffp-contract=fast", "-shared", "-fPIC")
-PACKAGE = Path(__file__).parent.parent
+PACKAGE = Path(__file__).parents[2]
 
 
 def compiler() -> str:

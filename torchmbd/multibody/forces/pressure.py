@@ -4,8 +4,8 @@
                            quadrilaterals the mean of both ways to cut them (mesh.py)
 
 Along the normals the load follows the body: with N_i = sum of the i-th components of one sign, the forces of its nodes in
-direction i act as one force p N_i on their mean motion (multibody/bodies/interpolation.py), so neither resultant, moment about the undeformed
-nodes nor modal forces are simplified. Normals turn with that mean, not one by one.
+direction i act as one force p N_i on their mean motion (multibody/bodies/interpolation.py), so neither resultant, moment
+about the undeformed nodes nor modal forces are simplified. Normals turn with that mean, not one by one.
 Checked in tests/multibody/forces/test_pressure.py.
 """
 

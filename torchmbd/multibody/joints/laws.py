@@ -6,7 +6,8 @@
 
 A law of one's own is a torch function of one time [] that is differentiable twice. A law that states its `slopes`
 takes many times at once. `Finite` is the law of a joint: one that gives nan or inf is an error with the joint's name.
-Each number may be a design variable, `Sine(mbd.variable(0.4), 1.5)`, as may the parameters of any torch module (parametric_law.py).
+Each number may be a design variable, `Sine(mbd.variable(0.4), 1.5)`, as may the parameters of any torch module
+(parametric_law.py).
 Source: the quintic of zero velocity and acceleration at both ends, e.g. Craig, Introduction to Robotics, eq. (7.18).
 Checked in tests/multibody/joints/test_laws.py: slopes against automatic differentiation.
 """

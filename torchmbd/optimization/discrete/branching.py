@@ -1,4 +1,4 @@
-"""Branch and bound over the boxes between allowed values; discrete.py tells the method."""
+"""Branch and bound over the boxes between allowed values; branch_and_bound.py tells the method."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from torchmbd.optimization.cache import Archive
 from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart.batched import side_by_side
-from torchmbd.optimization.multistart.multistart import Study
+from torchmbd.optimization.multistart.study import Study
 from torchmbd.optimization.optimizer import Evaluation, OptimizationResult
 from torchmbd.optimization.search import Ask, Report, Search, variable_scale
 

@@ -10,7 +10,7 @@
 Exact where the problem is convex; otherwise the pruning trusts local minima, and the certificate says what is certain.
 Source: Dakin, A tree-search algorithm for mixed integer programming problems, Computer J. 8 (1965) 250-255 (branching);
 Gupta and Ravindran, Branch and bound experiments in convex nonlinear integer programming, Management Science 31 (1985)
-1533-1546. Checked in tests/optimization/discrete/test_discrete.py.
+1533-1546. Checked in tests/optimization/discrete/test_branch_and_bound.py.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, 
 from torchmbd.optimization.cache import Archive
 from torchmbd.optimization.discrete.branching import MAX_NEIGHBORS, STEPS, Branching, Candidate
 from torchmbd.optimization.discrete.grid import Allowed, Grid
-from torchmbd.optimization.multistart.multistart import Study, multistart
 from torchmbd.optimization.multistart.sampling import Starts
+from torchmbd.optimization.multistart.study import Study, multistart
 from torchmbd.optimization.optimizer import OptimizationResult, Problem, find_method, require_count
 from torchmbd.optimization.search import Search
 
