@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import pytest
 import torch
@@ -16,6 +17,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import ply_basis
 from torchmbd.fem.materials import CRITERIA, Ply, Strength
 from torchmbd.integrate import Trajectory
+from torchmbd.math.variable import Several
 from torchmbd.results.ply_history import PlyHistory
 
 STRENGTH = Strength(Xt=1.5e6, Xc=1.2e6, Yt=4e4, Yc=2.5e5, S12=7e4, S13=6e4, S23=5e4)
@@ -25,9 +27,9 @@ STEP = 1e-5
 def system() -> mbd.System:
     """The pendulum with a strength given to its plies, upper and lower one different."""
     made = pendulum()
-    laminate = made.body("rod").laminate
+    laminate: Any = made.body("rod").laminate
     weaker = dataclasses.replace(STRENGTH, Yt=3e4)
-    laminate.plies = (Ply(**SOFT, strength=STRENGTH), Ply(**SOFT, strength=weaker))
+    laminate._plies = Several(laminate, "ply", (Ply(**SOFT, strength=STRENGTH), Ply(**SOFT, strength=weaker)))
     return made
 
 
@@ -62,7 +64,7 @@ def test_the_basis_gives_the_plies_of_the_displacements(motions):
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_the_failure_index_is_the_largest_of_all_points(criterion, motions):
     plies = PlyHistory(motions[0], "rod")
-    everywhere = CRITERIA[criterion](plies.stress(), plies.strength)
+    everywhere = CRITERIA[criterion](plies.stress(), plies.strength[:, None])
     assert_close(plies.indices(criterion, slice(3, 5)), everywhere[:, 3:5])
     assert_close(plies.failure(criterion), everywhere.amax(-1), rtol=1e-12, atol=1e-15)
     place = plies.critical(criterion)

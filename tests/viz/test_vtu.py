@@ -16,6 +16,7 @@ import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum, plate
 from torchmbd.errors import InputError
 from torchmbd.fem.materials import CRITERIA, Ply, Strength
+from torchmbd.math.variable import Several
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.viz.vtu import save_mesh, save_modes, save_motion
 
@@ -38,7 +39,8 @@ def arrays(path) -> dict[str, np.ndarray]:
 def motion() -> mbd.Trajectory:
     system = pendulum()
     strength = Strength(1.5e6, 1.2e6, 4e4, 2.5e5, 7e4)
-    system.body("rod").laminate.plies = (Ply(**SOFT, strength=strength),) * 2
+    made = system.body("rod").laminate
+    made._plies = Several(made, "ply", (Ply(**SOFT, strength=strength),) * 2)
     return mbd.simulate(system, 0.02, steps=20).require_ok()
 
 
@@ -100,7 +102,7 @@ def test_the_motion(tmp_path, motion):
         assert_allclose(found["points"], view.nodes[0, index].detach().numpy(), rtol=1e-12)
         u = view.displacements[0, index].detach() @ view.A[0, index].detach().T
         assert_allclose(found["displacement"], u.numpy(), rtol=1e-9, atol=1e-15)
-        indices = CRITERIA["tsai_wu"](plies.stress()[0, index], plies.strength).detach()
+        indices = CRITERIA["tsai_wu"](plies.stress()[0, index], plies.strength[0]).detach()
         worst = [float(indices[plies.points[:, 0] == k].max()) for k in range(view.mesh.cell_count)]
         assert_allclose(found["tsai_wu"], np.maximum(worst, 0.0), rtol=1e-9, atol=1e-15)
     arm = next(x for x in sets if x.get("name") == "arm")

@@ -2,6 +2,7 @@
 
     mbd.Sine(mbd.variable(0.4), frequency=1.5)                an amplitude that is a design variable
     mbd.SpringDamper(a, b, stiffness=mbd.variable(2e3))       a stiffness
+    mbd.Ply(E1=mbd.variable(128e9), ...)                      a modulus: a field of a frozen dataclass of numbers (`Numbers`)
 
 The same variable in several places is one design variable. Among the data of a design they are flat [k, slots, lanes].
 Checked in tests/sensitivity/test_law_variables.py.
@@ -9,11 +10,15 @@ Checked in tests/sensitivity/test_law_variables.py.
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
+from torchmbd.math.gradients import is_variable
 from torchmbd.math.owned import scalar
 from torchmbd.math.pair import linear
 
@@ -27,9 +32,90 @@ def variable(x: float | Tensor) -> nn.Parameter:
     return nn.Parameter(torch.tensor(scalar("variable", given, "one finite number"), dtype=torch.float64))
 
 
-def is_variable(x: Any) -> bool:
-    """Whether x is one number that may vary."""
-    return isinstance(x, nn.Parameter) and x.dim() == 0 and x.dtype == torch.float64 and bool(torch.isfinite(x))
+def number(x: Any) -> Any:
+    """The present number of a variable; anything else as it is."""
+    return float(x.detach()) if is_variable(x) else x
+
+
+def varies(given: Any) -> bool:
+    """Whether a field of a frozen dataclass of numbers, or of one within it, is a variable."""
+    own = [getattr(given, f.name) for f in fields(given)] if is_dataclass(given) else []
+    return any(is_variable(x) or varies(x) for x in own)
+
+
+def replaced(given: Any, values: dict[str, Any]) -> Any:
+    """A frozen dataclass with other fields, unchecked: a design has its lanes in them."""
+    result = copy.copy(given)
+    for name, x in values.items():
+        object.__setattr__(result, name, x)
+    return result
+
+
+def plain(given: Any) -> Any:
+    """A frozen dataclass of numbers whose variables are the numbers that they have now; anything else as it is."""
+    if not varies(given):
+        return given
+    own = {f.name: getattr(given, f.name) for f in fields(given)}
+    return replaced(given, {name: number(x) if is_variable(x) else plain(x) for name, x in own.items()})
+
+
+def stacked(numbers: Sequence[Any]) -> Tensor:
+    """Numbers [] and [lanes] as one tensor [*lanes, n]."""
+    own = [x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64) for x in numbers]
+    return torch.stack(torch.broadcast_tensors(*own), -1)
+
+
+class Numbers(nn.Module):
+    """A frozen dataclass of numbers, some of which vary: a parameter for each field that does, by its name.
+
+    numbers()     the dataclass of the present design, its variables [] or [lanes]
+
+    Fields that are such dataclasses are modules of their own: "strength.Xt". `given.positive` names those that are, in every
+    design.
+    """
+
+    def __init__(self, given: Any):
+        super().__init__()
+        self.given = given
+        self.positive: tuple[str, ...] = getattr(given, "positive", ())
+        for f in fields(given):
+            x = getattr(given, f.name)
+            if is_variable(x):
+                self.register_parameter(f.name, x)
+            elif varies(x):
+                self.add_module(f.name, Numbers(x))
+
+    def forward(self) -> Any:
+        return replaced(
+            self.given, self._parameters | {name: x() for name, x in self._modules.items() if x is not None}
+        )
+
+
+class Several:
+    """Dataclasses of numbers, one for each layer; those that vary are modules of `owner`.
+
+    Their names are the label, or label and first layer ("ply2") where the layers have several.
+    """
+
+    def __init__(self, owner: nn.Module, label: str, given: Sequence[Any]):
+        first: dict[int, int] = {}
+        for k, x in enumerate(given):
+            first.setdefault(id(x), k)
+        names = {i: label if len(first) == 1 else f"{label}{k}" for i, k in first.items() if varies(given[k])}
+        self.given = tuple(given)
+        self.names = tuple(names.get(id(x)) for x in given)
+        for name, x in {name: x for name, x in zip(self.names, given, strict=True) if name is not None}.items():
+            owner.add_module(name, Numbers(x))
+
+    @property
+    def vary(self) -> bool:
+        """Whether one of them does."""
+        return any(self.names)
+
+    def now(self, owner: nn.Module) -> tuple[Any, ...]:
+        """Those of the present design."""
+        made = {name: owner.get_submodule(name)() for name in self.names if name is not None}
+        return tuple(x if name is None else made[name] for x, name in zip(self.given, self.names, strict=True))
 
 
 def key(name: str) -> str:

@@ -12,7 +12,7 @@ Checked in tests/results/test_ply_history.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -37,12 +37,12 @@ class PlyHistory:
     name      of the body
     basis     ply strains and stresses of the modes [lanes, points, 5, modes], components as in PLY_COMPONENTS
     points    cell, layer and face (0 bottom, 1 top) of each point [points, 3]
-    strength  numbers of the ply's Strength at each point [points, 8]; None where a ply has none
+    strength  numbers of the ply's Strength at each point [lanes, points, 8]; None where a ply has none
     """
 
     basis: PlyBasis
     points: Int[Tensor, "points 3"]
-    strength: Float[Tensor, "points 8"] | None
+    strength: Float[Tensor, "lanes points 8"] | None
 
     def __init__(self, motion: Trajectory, name: str):
         if not hasattr(motion, "body"):
@@ -53,10 +53,9 @@ class PlyHistory:
         require_plies(body)
         recovery = _Recovery(motion.system, name)
         designs = {f"system.{key}": x for key, x in motion.designs.items()}
-        self.basis = called(recovery, designs, view.psi)
-        points = {key: ply_points(part.matrices, part.laminate) for key, part in body.plates.items()}
-        self.points = torch.cat(list(points.values()))
-        self.strength = _strength(body, points)
+        self.basis, self.strength = called(recovery, designs, view.psi)
+        points = (ply_points(part.matrices, part.laminate) for part in body.plates.values())
+        self.points = torch.cat(list(points))
 
     def stress(self, times: slice = slice(None)) -> Float[Tensor, "lanes times points 5"]:
         """Ply stresses [Pa] at the chosen output times."""
@@ -69,15 +68,15 @@ class PlyHistory:
     def indices(self, criterion: str = "tsai_wu", times: slice = slice(None)) -> Float[Tensor, "lanes times points"]:
         """Failure index of every point at the chosen output times."""
         rule, strength = self._rule(criterion)
-        return rule(self.stress(times), strength)
+        return rule(self.stress(times), strength[:, None])
 
     def critical(self, criterion: str = "tsai_wu") -> Int[Tensor, "lanes times"]:
         """Which point is nearest to failure, at each time."""
         _, strength = self._rule(criterion)
-        size = max(1, _CHUNK // len(strength))
+        size = max(1, _CHUNK // len(self.points))
         rows = []
-        for basis, w in zip(self.basis.stress.detach(), self.w.detach(), strict=True):
-            index = FailureForms(criterion, basis, strength)
+        for basis, w, own in zip(self.basis.stress.detach(), self.w.detach(), strength.detach(), strict=True):
+            index = FailureForms(criterion, basis, own)
             rows.append(torch.cat([index(part).argmax(-1) for part in w.split(size)]))
         return torch.stack(rows)
 
@@ -87,7 +86,7 @@ class PlyHistory:
         place = self.critical(criterion)
         lane = torch.arange(len(place))[:, None]
         stress = torch.einsum("ltcm,ltm->ltc", self.basis.stress[lane, place], self.w)
-        return rule(stress, strength[place])
+        return rule(stress, strength[lane, place])
 
     def extreme(self, component: int, layer: int | None = None, sign: float = 1.0) -> Float[Tensor, "lanes times"]:
         """Largest value of `sign` times a stress component [Pa] over all points, or those of one layer, at each time."""
@@ -107,15 +106,21 @@ class PlyHistory:
         return CRITERIA[criterion], self.strength
 
 
-def _strength(body: Any, points: Mapping[str, Tensor]) -> Tensor | None:
+def _strength(body: Any, lanes: int) -> Tensor | None:
     rows = []
-    for key, part in body.plates.items():
-        plies = [ply.strength for ply in part.laminate.layer_plies]
-        numbers = [strength.numbers() for strength in plies if strength is not None]
-        if len(numbers) < len(plies):
+    for part in body.plates.values():
+        numbers = of_plies(part.laminate.layer_plies)
+        if numbers is None:
             return None
-        rows.append(torch.stack(numbers)[points[key][:, 1]])
-    return torch.cat(rows)
+        points = ply_points(part.matrices, part.laminate)
+        rows.append(numbers[..., points[:, 1], :].expand(lanes, -1, -1))
+    return torch.cat(rows, 1)
+
+
+def of_plies(plies: Sequence[Any]) -> Float[Tensor, "*lanes layers 8"] | None:
+    """Strength numbers of plies; None where one has none."""
+    found = [ply.strength.numbers() for ply in plies if ply.strength is not None]
+    return torch.stack(torch.broadcast_tensors(*found), -2) if len(found) == len(plies) else None
 
 
 def require_plies(body: object) -> None:
@@ -134,12 +139,11 @@ class _Recovery(nn.Module):
         super().__init__()
         self.system, self.name = system, name
 
-    def forward(self, psi: Tensor) -> PlyBasis:
-        plates = self.system.body(self.name).plates.values()
-        parts = [ply_basis(part.matrices, part.laminate, psi) for part in plates]
-        return PlyBasis(
-            *(torch.cat([x.expand(len(psi), -1, -1, -1) for x in kind], 1) for kind in zip(*parts, strict=True))
-        )
+    def forward(self, psi: Tensor) -> tuple[PlyBasis, Tensor | None]:
+        body = self.system.body(self.name)
+        parts = [ply_basis(part.matrices, part.laminate, psi) for part in body.plates.values()]
+        wide = (torch.cat([x.expand(len(psi), -1, -1, -1) for x in kind], 1) for kind in zip(*parts, strict=True))
+        return PlyBasis(*wide), _strength(body, len(psi))
 
 
 def _at(basis: Tensor, w: Tensor) -> Tensor:

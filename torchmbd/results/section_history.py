@@ -27,6 +27,7 @@ from torchmbd.fem.elements import Beams
 from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.fem.sections import Section
 from torchmbd.math.module_call import called
+from torchmbd.results.ply_history import of_plies
 
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
@@ -40,6 +41,7 @@ _OF_PLY = [0, 1, 5, 4, 3]
 class _Part(NamedTuple):
     forces: Float[Tensor, "lanes ends 6 modes"]
     unit: Float[Tensor, "lanes points 6 6"]
+    strength: Float[Tensor, "lanes points 8"] | None
 
 
 class SectionHistory:
@@ -92,8 +94,8 @@ class SectionHistory:
         _rule(criterion)
         made, rows, strength = self._made[key], [], self._strength(key)
         ends, points = made.forces.shape[1], made.unit.shape[1]
-        for forces, unit, w in zip(*(x.detach() for x in (*made, self.w)), strict=True):
-            index = FailureForms(criterion, unit[:, _OF_PLY], strength)
+        for forces, unit, w, own in zip(*(x.detach() for x in (made.forces, made.unit, self.w, strength)), strict=True):
+            index = FailureForms(criterion, unit[:, _OF_PLY], own)
             for some in w.split(max(1, _CHUNK // (ends * points))):
                 loads = torch.einsum("esm,tm->tes", forces, some).flatten(0, 1)
                 rows.append(index(loads).unflatten(0, (-1, ends)).flatten(1).argmax(-1))
@@ -109,7 +111,7 @@ class SectionHistory:
             made = self._made[key]
             force = torch.einsum("ltsm,ltm->lts", made.forces[lane, end], self.w)
             stress = torch.einsum("ltcs,lts->ltc", made.unit[lane, point][:, :, _OF_PLY], force)
-            largest.append(_rule(criterion)(stress, self._strength(key)[point]))
+            largest.append(_rule(criterion)(stress, self._strength(key)[lane, point]))
         if not largest:
             raise InputError(
                 f"the sections of {self.name!r} have no plies; allowed: a Section, such as sections.strip(...)"
@@ -132,10 +134,12 @@ class SectionHistory:
             )
         return section
 
-    def _strength(self, key: str) -> Float[Tensor, "points 8"]:
-        section = self._section(key)
-        numbers = strengths(self.name, section)
-        return numbers[section.geometry.layer[section.stress_points[:, 0]]]
+    def _strength(self, key: str) -> Float[Tensor, "lanes points 8"]:
+        self._section(key)
+        found = self._made[key].strength
+        if found is None:
+            raise InputError(f"a ply of body {self.name!r} has no strength; allowed: Ply(..., strength=Strength(...))")
+        return found
 
 
 def beams_of(body: object) -> dict[str, Beams]:
@@ -153,12 +157,10 @@ def laminated(body: object) -> dict[str, Section]:
     return {key: part.section for key, part in beams.items() if isinstance(part.section, Section)}
 
 
-def strengths(name: str, section: Section) -> Float[Tensor, "layers 8"]:
-    """Strength numbers of the layers of a section; InputError where a ply has none."""
-    found = [ply.strength for ply in section.plies]
-    if None in found:
-        raise InputError(f"a ply of body {name!r} has no strength; allowed: Ply(..., strength=Strength(...))")
-    return torch.stack([strength.numbers() for strength in found if strength is not None])
+def _strengths(section: Section) -> Float[Tensor, "*lanes points 8"] | None:
+    """Strength numbers at the points of stress; None where a ply has none."""
+    numbers = of_plies(section.plies)
+    return None if numbers is None else numbers[..., section.geometry.layer[section.stress_points[:, 0]], :]
 
 
 def _rule(criterion: str) -> Any:
@@ -176,10 +178,13 @@ class _Recovery(nn.Module):
         super().__init__()
         self.system, self.name = system, name
 
-    def forward(self, psi: Tensor) -> list[tuple[Tensor, Tensor]]:
+    def forward(self, psi: Tensor) -> list[tuple[Tensor, Tensor, Tensor | None]]:
         lanes, made = len(psi), []
         for beams in self.system.body(self.name).beams.values():
             forces = beams.section_forces(psi).flatten(1, 2)
-            unit = beams.section.unit_stress() if isinstance(beams.section, Section) else psi.new_zeros(0, 6, 6)
-            made.append((forces, unit.expand(lanes, *unit.shape[-3:])))
+            meshed = isinstance(beams.section, Section)
+            unit = beams.section.unit_stress() if meshed else psi.new_zeros(0, 6, 6)
+            strength = _strengths(beams.section) if meshed else None
+            strength = None if strength is None else strength.expand(lanes, -1, -1)
+            made.append((forces, unit.expand(lanes, *unit.shape[-3:]), strength))
         return made

@@ -213,7 +213,7 @@ class Trajectory:
         """
         moving = [y for y in self.variables.values() if y.requires_grad]
         if moving and torch.is_grad_enabled() and not x.requires_grad:
-            nothing = torch.stack([0.0 * y.flatten(1).sum(1) for y in moving]).sum(0)
+            nothing = torch.stack([0.0 * y.reshape(len(y), -1).sum(1) for y in moving]).sum(0)
             x = x + nothing.reshape(-1, *[1] * (x.dim() - 1))
         if self.good is None or all_true(self.good):
             return x

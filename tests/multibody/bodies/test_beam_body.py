@@ -23,7 +23,7 @@ STRIP = {"width": 0.03, "ply": ANBA, "thickness": 1e-3, "cells": (6, 1)}
 
 def strip(*degrees: float) -> sections.Section:
     made = sections.strip(angles=mbd.deg(list(degrees)), **STRIP)
-    made._density.fill_(1600.0)
+    made._constant[:, -1] = 1600.0
     return made
 
 

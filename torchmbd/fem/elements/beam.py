@@ -36,7 +36,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam_curve import Curves
 from torchmbd.fem.elements.facet import STEEPNESS
 from torchmbd.math.inverse import balanced_inverse
-from torchmbd.math.owned import reals
+from torchmbd.math.owned import all_true, plain, reals
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 
@@ -52,8 +52,8 @@ class Particles(NamedTuple):
     """Point masses [kg] on rigid arms [m], carried by the middles of node pairs; a pair (k, k) is node k."""
 
     ends: Int[Tensor, "p 2"]
-    arm: Float[Tensor, "p 3"]
-    mass: Float[Tensor, " p"]
+    arm: Float[Tensor, "*lanes p 3"]
+    mass: Float[Tensor, "*lanes p"]
 
 
 class BeamMatrices:
@@ -138,7 +138,7 @@ class BeamMatrices:
             0, (-1, count)
         )
 
-    def particles(self, mass: Float[Tensor, "m places 6 6"], consistent: bool = False) -> Particles:
+    def particles(self, mass: Float[Tensor, "*lanes m places 6 6"], consistent: bool = False) -> Particles:
         """Four particles at each place of each element, from the section mass there (m and places may be 1).
 
         Places: both ends, half of the mass each; or consistent with linear shape functions (Simpson's rule): a sixth at
@@ -151,36 +151,46 @@ class BeamMatrices:
             pairs, shares = (*pairs, (i, j)), (1 / 6, 1 / 6, 2 / 3)
         shape = (m, len(pairs), 4)
         ends = torch.stack([torch.stack(pair, dim=-1) for pair in pairs], dim=1)  # [m, places, 2]
-        per_length, at = section_particles(mass.expand(m, len(pairs), 6, 6).flatten(0, 1))
+        per_length, at = section_particles(mass.expand(*mass.shape[:-4], m, len(pairs), 6, 6))
         frames = self.frames(torch.tensor([0.0, 1.0, 0.5], dtype=torch.float64)[: len(pairs)])
-        arm = at.unflatten(0, shape[:2]) @ frames[:, :, 1:]
-        arm[:, 2:] += self.curves.arrow[:, None, None]  # the middle of the arc, from that of the chord
-        whole = (
-            per_length.unflatten(0, shape[:2]) * self.length[:, None, None] * self.length.new_tensor(shares)[:, None]
-        )
-        return Particles(ends[:, :, None].expand(*shape, 2).reshape(-1, 2), arm.reshape(-1, 3), whole.flatten())
+        arm = at @ frames[:, :, 1:]
+        if consistent:  # the middle of the arc, from that of the chord
+            middle = self.curves.arrow[:, None, None].expand(m, 1, 4, 3)
+            arm = arm + torch.cat([torch.zeros_like(middle).expand(m, 2, 4, 3), middle], 1)
+        whole = per_length * self.length[:, None, None] * self.length.new_tensor(shares)[:, None]
+        return Particles(ends[:, :, None].expand(*shape, 2).reshape(-1, 2), arm.flatten(-4, -2), whole.flatten(-3))
 
 
-def section_particles(mass: Float[Tensor, "m 6 6"]) -> tuple[Float[Tensor, "m 4"], Float[Tensor, "m 4 2"]]:
-    """Four equal particles in the section's plane with its mass, center and second moments: kg/m, places (y, z) [m]."""
-    mu = mass[:, 0, 0]
-    center = torch.stack([-mass[:, 0, 5], mass[:, 0, 4]], dim=-1) / mu[:, None]
-    second = torch.stack(
-        [torch.stack([mass[:, 5, 5], -mass[:, 4, 5]], -1), torch.stack([-mass[:, 4, 5], mass[:, 4, 4]], -1)], dim=-2
+def section_particles(mass: Float[Tensor, "*n 6 6"]) -> tuple[Float[Tensor, "*n 4"], Float[Tensor, "*n 4 2"]]:
+    """Four equal particles in the section's plane with its mass, center and second moments: kg/m, places (y, z) [m].
+
+    center +- columns of L, L L' = twice the second moments about the center: a factor has derivatives where these are equal,
+    as of a tube, and principal axes have none
+    """
+    mu = mass[..., 0, 0]
+    center = torch.stack([-mass[..., 0, 5], mass[..., 0, 4]], dim=-1) / mu[..., None]
+    offset = center[..., :, None] * center[..., None, :]
+    yy, yz, zz = (
+        mass[..., i, j] * sign / mu - offset[..., a, b]
+        for i, j, sign, a, b in ((5, 5, 1.0, 0, 0), (4, 5, -1.0, 0, 1), (4, 4, 1.0, 1, 1))
     )
-    central = second / mu[:, None, None] - center[:, :, None] * center[:, None, :]
-    polar = mass[:, 3, 3] / (mass[:, 4, 4] + mass[:, 5, 5]) - 1.0
-    values, directions = torch.linalg.eigh(central)
-    if (polar.abs() > 0.01).any() or (values <= 0).any():
-        k = int(((polar.abs() > 0.01) | (values <= 0).any(1)).nonzero()[0])
+    polar = mass[..., 3, 3] / (mass[..., 4, 4] + mass[..., 5, 5]) - 1.0
+    good = (polar.abs() <= 0.01) & (yy > 0.0) & (yy * zz > yz * yz)
+    if not all_true(good):
+        wrong = plain(good).flatten().logical_not().nonzero()[0, 0]
+        own, middle = plain(mass).reshape(-1, 6, 6)[wrong], plain(center).reshape(-1, 2)[wrong]
         raise InputError(
-            f"mass of section {k}: inertias {mass[k].diagonal()[3:].tolist()} kg m with its center at "
-            f"{center[k].tolist()} m; allowed: those of a plane section, the polar one the sum of the other two "
+            f"mass of section {int(wrong)}: inertias {own.diagonal()[3:].tolist()} kg m with its center at "
+            f"{middle.tolist()} m; allowed: those of a plane section, the polar one the sum of the other two "
             "and all of them about the center positive"
         )
-    arms = (2.0 * values).sqrt()[:, None, :] * directions  # columns: along the principal axes
-    at = center[:, None] + torch.cat([arms, -arms], dim=-1).mT
-    return (mu / 4.0)[:, None].expand(-1, 4), at
+    first = (2.0 * yy).sqrt()
+    mixed = 2.0 * yz / first
+    arms = torch.stack([first, mixed, torch.zeros_like(first), (2.0 * zz - mixed * mixed).sqrt()], -1).unflatten(
+        -1, (2, 2)
+    )
+    at = center[..., None, :] + torch.cat([arms, -arms], dim=-2)
+    return (mu / 4.0)[..., None].expand(*mu.shape, 4), at
 
 
 def _transport(d: Float[Tensor, "*n 3"], turn: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 6 6"]:

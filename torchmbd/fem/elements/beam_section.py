@@ -14,7 +14,8 @@ Checked in tests/fem/elements/test_beam_section.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol, runtime_checkable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -22,15 +23,19 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import constants, refuse_gradients
+from torchmbd.math.variable import Numbers, number, stacked, varies
 
 
 @runtime_checkable
 class BeamSection(Protocol):
-    """A module with a stiffness, which may depend on parameters and carry lanes, and a constant mass."""
+    """A module with a stiffness and a mass, which may depend on parameters and carry lanes."""
+
+    @property
+    def mass_varies(self) -> bool: ...
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]: ...
 
-    def mass(self) -> Float[Tensor, "6 6"]: ...
+    def mass(self) -> Float[Tensor, "*lanes 6 6"]: ...
 
 
 class GivenSection(nn.Module):
@@ -42,6 +47,7 @@ class GivenSection(nn.Module):
 
     matrix: Tensor
     inertia: Tensor
+    mass_varies = False
 
     def __init__(self, stiffness: Sequence | Tensor, mass: Sequence | Tensor) -> None:
         super().__init__()
@@ -52,37 +58,79 @@ class GivenSection(nn.Module):
     @constants
     def isotropic(
         cls,
-        E: float,
-        nu: float,
-        density: float,
-        area: float,
-        Iyy: float,
-        Izz: float,
-        J: float,
-        shear_y: float = 5.0 / 6.0,
-        shear_z: float = 5.0 / 6.0,
-    ) -> GivenSection:
-        """A metal about its principal axes: area [m2], second moments and torsion constant [m4], shear corrections."""
-        given = {"E": E, "density": density, "area": area, "Iyy": Iyy, "Izz": Izz, "J": J}
-        for name, value in (given | {"shear_y": shear_y, "shear_z": shear_z}).items():
-            if not 0.0 < value < float("inf"):
-                raise InputError(f"GivenSection: {name} = {value!r}; allowed: a finite number > 0")
-        if not -1.0 < nu <= 0.5:
-            raise InputError(f"GivenSection: nu = {nu!r}; allowed: -1 < nu <= 0.5")
-        G = E / (2.0 * (1.0 + nu))
-        K = torch.tensor(
-            [E * area, G * area * shear_y, G * area * shear_z, G * J, E * Iyy, E * Izz], dtype=torch.float64
-        )
-        M = density * torch.tensor([area, area, area, Iyy + Izz, Iyy, Izz], dtype=torch.float64)
-        return cls(torch.diag(K), torch.diag(M))
+        E: float | Tensor,
+        nu: float | Tensor,
+        density: float | Tensor,
+        area: float | Tensor,
+        Iyy: float | Tensor,
+        Izz: float | Tensor,
+        J: float | Tensor,
+        shear_y: float | Tensor = 5.0 / 6.0,
+        shear_z: float | Tensor = 5.0 / 6.0,
+    ) -> GivenSection | IsotropicSection:
+        """A metal about its principal axes: area [m2], second moments and torsion constant [m4], shear corrections.
+
+        Each number may be mbd.variable(...): a design variable, "section.area".
+        """
+        given = Isotropic(E, nu, density, area, Iyy, Izz, J, shear_y, shear_z)
+        return IsotropicSection(given) if varies(given) else cls(given.stiffness(), given.mass())
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """Stiffness matrix of the section."""
         return self.matrix
 
-    def mass(self) -> Float[Tensor, "6 6"]:
+    def mass(self) -> Float[Tensor, "*lanes 6 6"]:
         """Mass matrix of the section, per length."""
         return self.inertia
+
+
+@dataclass(frozen=True)
+class Isotropic:
+    """Numbers of a section of metal, as of `GivenSection.isotropic`."""
+
+    positive: ClassVar[tuple[str, ...]] = ("E", "density", "area", "Iyy", "Izz", "J", "shear_y", "shear_z")
+    E: Any
+    nu: Any
+    density: Any
+    area: Any
+    Iyy: Any
+    Izz: Any
+    J: Any
+    shear_y: Any
+    shear_z: Any
+
+    def __post_init__(self) -> None:
+        for name in self.positive:
+            value = number(getattr(self, name))
+            if not 0.0 < value < float("inf"):
+                raise InputError(f"GivenSection: {name} = {value!r}; allowed: a finite number > 0")
+        if not -1.0 < number(self.nu) <= 0.5:
+            raise InputError(f"GivenSection: nu = {number(self.nu)!r}; allowed: -1 < nu <= 0.5")
+
+    def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
+        """Stiffness matrix."""
+        E, area, G = self.E, self.area, self.E / (2.0 * (1.0 + self.nu))
+        shear = [G * area * self.shear_y, G * area * self.shear_z]
+        return torch.diag_embed(stacked([E * area, *shear, G * self.J, E * self.Iyy, E * self.Izz]))
+
+    def mass(self) -> Float[Tensor, "*lanes 6 6"]:
+        """Mass matrix, per length."""
+        area, second = self.area, (self.Iyy + self.Izz, self.Iyy, self.Izz)
+        return torch.diag_embed(stacked([self.density * x for x in (area, area, area, *second)]))
+
+
+class IsotropicSection(Numbers):
+    """A section of metal, numbers of which vary; made by `GivenSection.isotropic`."""
+
+    mass_varies = True
+
+    def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
+        """Stiffness matrix of the section."""
+        return self().stiffness()
+
+    def mass(self) -> Float[Tensor, "*lanes 6 6"]:
+        """Mass matrix of the section, per length."""
+        return self().mass()
 
 
 def line_transform(offset: Float[Tensor, "*n 2"], twist: Float[Tensor, "*n"]) -> Float[Tensor, "*n 6 6"]:

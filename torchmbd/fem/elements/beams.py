@@ -56,10 +56,8 @@ class Beams:
         self._to_line = line_transform(at, _along(turn, self.matrices.stations))
         places = line_transform(at, _along(turn, torch.tensor([0.0, 1.0, 0.5])))  # start, end, middle
         self._to_ends = places[:, :2]
-        massive = places if mass == "consistent" else places[:, :2]
-        at_line = massive @ section.mass() @ massive.mT
-        ends, arm, particles = self.matrices.particles(at_line, mass == "consistent")
-        self._points = MassPoints(ends, particles, torch.zeros_like(particles), arm)
+        self._massive, self._consistent = places if mass == "consistent" else places[:, :2], mass == "consistent"
+        self._points = self._particles()
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design, or only some entries of it."""
@@ -71,8 +69,13 @@ class Beams:
         return {"section": self.section}  # pyright: ignore[reportReturnType]
 
     def masses(self) -> MassPoints:
-        """Particles at the ends (and middles) of the elements; they do not depend on the design."""
-        return self._points
+        """Particles at the ends (and middles) of the elements."""
+        return self._particles() if self.section.mass_varies else self._points
+
+    def _particles(self) -> MassPoints:
+        at_line = self._massive @ self.section.mass()[..., None, None, :, :] @ self._massive.mT
+        ends, arm, mass = self.matrices.particles(at_line, self._consistent)
+        return MassPoints(ends, mass, torch.zeros_like(mass), arm)
 
     def section_forces(self, motion: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 2 6 k"]:
         """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, about the section's own axes, for k motions."""

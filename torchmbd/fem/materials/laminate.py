@@ -17,7 +17,7 @@ gamma   gamma_xz, gamma_yz
 theta   ply angle about +z from the plate x-axis             [rad]
 z       heights of the n + 1 ply interfaces                  [m]
 
-Differentiable, forward and reverse, in angles and thicknesses; both may carry leading lanes `...`
+Differentiable, forward and reverse, in angles, thicknesses and numbers of plies; all may carry leading lanes `...`
 (one laminate per lane) when they are given through torch.func.functional_call.
 Assumed: perfect bond, small strains, plane stress in each ply.
 Source: eqs. (11)-(12) of the paper (the paper's H_2 and H_3 carry z and z^2); Jones, Mechanics of Composite Materials,
@@ -40,6 +40,7 @@ from torchmbd.fem.materials.ply import Ply
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
 from torchmbd.math.owned import parameter, real
 from torchmbd.math.plausible_units import THICKNESS, check_angles, doubt
+from torchmbd.math.variable import Several, is_variable, stacked
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _UPPER2 = ((0, 0), (0, 1), (1, 1))
@@ -81,7 +82,8 @@ class Laminate(nn.Module):
 
     A torch.nn.Parameter that is given is itself registered, not copied; computed tensors that require gradients are refused.
 
-    ply               one Ply, or one per given layer
+    ply               one Ply, or one per given layer; numbers of it that vary are parameters "ply.E1", of several plies
+                      "ply2.E1": of the third layer
     angles            [layers] rad, from bottom to top
     thickness         of every layer, or one per given layer [m]; numbers become a parameter that requires no gradient
     symmetric         the given layers are the lower half, mirrored about the mid-plane
@@ -92,9 +94,7 @@ class Laminate(nn.Module):
     positive: ClassVar[tuple[str, ...]] = ("thickness",)  # parameters that are, whatever the design
     angles: Tensor
     thickness: Tensor
-    _Q: Tensor
-    _G: Tensor
-    _density: Tensor
+    _constant: Tensor
 
     def __init__(
         self,
@@ -109,17 +109,21 @@ class Laminate(nn.Module):
         layers = self.angles.numel()
         plies = _checked_plies(ply, layers)
         self.symmetric = bool(symmetric)
-        self.plies = tuple(plies)
+        self._plies = Several(self, "ply", plies)
         self.shear_correction = _checked_correction(shear_correction)
         self.thickness = _checked_thickness(thickness, layers)
-        self.register_buffer("_Q", torch.stack([p.plane_stiffness() for p in plies]), persistent=False)
-        self.register_buffer("_G", torch.stack([p.shear_stiffness() for p in plies]), persistent=False)
-        density = torch.tensor([p.density for p in plies], dtype=torch.float64)
-        self.register_buffer("_density", density, persistent=False)
+        self.register_buffer("_constant", _constants_of(plies).detach(), persistent=False)
+
+    @property
+    def plies(self) -> tuple[Ply, ...]:
+        """The ply of every given layer, with the numbers of the present design."""
+        return self._plies.now(self)
 
     @property
     def kin(self) -> tuple:
-        """What laminates have in common that differ in their angles only."""
+        """What laminates have in common that differ in their angles only; one whose plies vary has it with none."""
+        if self._plies.vary:
+            return (id(self),)
         return self.plies, self.symmetric, self.shear_correction, tuple(self.thickness.tolist())
 
     @staticmethod
@@ -164,12 +168,22 @@ class Laminate(nn.Module):
     @property
     def layer_plies(self) -> tuple[Ply, ...]:
         """Ply of every layer, both halves of a symmetric stack."""
-        return self.plies + self.plies[::-1] if self.symmetric else self.plies
+        plies = self.plies
+        return plies + plies[::-1] if self.symmetric else plies
 
     @property
-    def layer_stiffness(self) -> tuple[Float[Tensor, "all_layers 3 3"], Float[Tensor, "all_layers 2 2"]]:
+    def layer_stiffness(self) -> tuple[Float[Tensor, "*lanes all_layers 3 3"], Float[Tensor, "*lanes all_layers 2 2"]]:
         """Stiffness of every layer in its own axes, in plane and in transverse shear [Pa]."""
-        return self._stack(self._Q, -3), self._stack(self._G, -3)
+        Q, G, _ = self._numbers.split([9, 4, 1], -1)
+        return self._stack(Q.unflatten(-1, (3, 3)), -3), self._stack(G.unflatten(-1, (2, 2)), -3)
+
+    @property
+    def _numbers(self) -> Float[Tensor, "*lanes layers 14"]:
+        return _constants_of(self.plies) if self._plies.vary else self._constant
+
+    @property
+    def _density(self) -> Float[Tensor, "*lanes layers"]:
+        return self._numbers[..., -1]
 
     @property
     def faces(self) -> Float[Tensor, "*lanes all_layers 2"]:
@@ -196,7 +210,8 @@ class Laminate(nn.Module):
     @property
     def centered(self) -> bool:
         """Whether the first moment is zero whatever the thicknesses: a symmetric stack, or one density."""
-        return self.symmetric or bool((self._density == self._density[0]).all())
+        given = {id(p.density) if is_variable(p.density) else p.density for p in self._plies.given}
+        return self.symmetric or len(given) == 1
 
     @property
     def rotary_inertia_per_area(self) -> Float[Tensor, "*lanes"]:
@@ -222,8 +237,15 @@ class Laminate(nn.Module):
         return self._stack(self.thickness), (top**2 - bottom**2) / 2.0, (top**3 - bottom**3) / 3.0
 
 
+def _constants_of(plies: Sequence[Ply]) -> Float[Tensor, "*lanes layers 14"]:
+    """Stiffness in plane (9 numbers) and in transverse shear (4), and density of every ply."""
+    rows = [(p.plane_stiffness().flatten(-2), p.shear_stiffness().flatten(-2), stacked([p.density])) for p in plies]
+    lanes = torch.broadcast_shapes(*(x.shape[:-1] for row in rows for x in row))
+    return torch.stack([torch.cat([x.expand(*lanes, -1) for x in row], -1) for row in rows], -2)
+
+
 def turned_stiffness(
-    theta: Float[Tensor, "*lanes layers"], Q: Float[Tensor, "layers 3 3"], G: Float[Tensor, "layers 2 2"]
+    theta: Float[Tensor, "*lanes layers"], Q: Float[Tensor, "*lanes layers 3 3"], G: Float[Tensor, "*lanes layers 2 2"]
 ) -> tuple[Float[Tensor, "*lanes layers 3 3"], Float[Tensor, "*lanes layers 2 2"]]:
     """Ply stiffnesses in plate axes: T' Q T and R' G R."""
     T, R = turning(theta)

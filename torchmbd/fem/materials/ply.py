@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -26,6 +27,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.materials.strength import Strength
 from torchmbd.math.plausible_units import doubt_material
+from torchmbd.math.variable import number, plain, stacked
 
 
 @dataclass(frozen=True)
@@ -37,59 +39,61 @@ class Ply:
     nu12            Poisson's ratio, strain along 2 for a stress along 1; nu12^2 < E1 / E2
     density         [kg/m3]
     strength        a Strength, for criteria of failure; None: nobody asks for it
+
+    A number may be mbd.variable(...): a design variable of the laminates and sections that are made of the ply, "ply.E1".
     """
 
-    E1: float
-    E2: float
-    G12: float
-    G13: float
-    G23: float
-    nu12: float
-    density: float
+    positive: ClassVar[tuple[str, ...]] = ("E1", "E2", "G12", "G13", "G23", "density")
+    E1: float | Tensor
+    E2: float | Tensor
+    G12: float | Tensor
+    G13: float | Tensor
+    G23: float | Tensor
+    nu12: float | Tensor
+    density: float | Tensor
     strength: Strength | None = None
 
     def __post_init__(self) -> None:
-        for name in ("E1", "E2", "G12", "G13", "G23", "density"):
-            value = getattr(self, name)
+        for name in self.positive:
+            value = number(getattr(self, name))
             if not (_is_number(value) and math.isfinite(value) and value > 0):
-                raise InputError(f"Ply: {name} = {value!r}; allowed: a finite number > 0")
-        if not (_is_number(self.nu12) and math.isfinite(self.nu12)):
-            raise InputError(f"Ply: nu12 = {self.nu12!r}; allowed: a finite number")
-        limit = math.sqrt(self.E1 / self.E2)
-        if abs(self.nu12) >= limit:
+                raise InputError(f"Ply: {name} = {value!r}; allowed: a finite number > 0, or mbd.variable(...) of one")
+        nu12 = number(self.nu12)
+        if not (_is_number(nu12) and math.isfinite(nu12)):
+            raise InputError(f"Ply: nu12 = {nu12!r}; allowed: a finite number, or mbd.variable(...) of one")
+        limit = math.sqrt(number(self.E1) / number(self.E2))
+        if abs(nu12) >= limit:
             raise InputError(
-                f"Ply: nu12 = {self.nu12!r} makes the ply stiffness not positive definite; "
+                f"Ply: nu12 = {nu12!r} makes the ply stiffness not positive definite; "
                 f"allowed: |nu12| < sqrt(E1 / E2) = {limit:.6g}"
             )
         if not (self.strength is None or isinstance(self.strength, Strength)):
             raise InputError(f"Ply: strength = {self.strength!r}; allowed: a Strength, or None")
-        moduli = {name: getattr(self, name) for name in ("E1", "E2", "G12", "G13", "G23")}
-        doubt_material("Ply", moduli, self.density, self.strength.Xt if self.strength else None)
+        own = plain(self)
+        moduli = {name: getattr(own, name) for name in ("E1", "E2", "G12", "G13", "G23")}
+        doubt_material("Ply", moduli, own.density, own.strength.Xt if own.strength else None)
 
     @classmethod
-    def isotropic(cls, E: float, nu: float, density: float, strength: Strength | None = None) -> Ply:
-        """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3]."""
+    def isotropic(cls, E: float, nu: float, density: float | Tensor, strength: Strength | None = None) -> Ply:
+        """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3], which may vary."""
         if not (_is_number(nu) and -1.0 < nu <= 0.5):
             raise InputError(f"Ply.isotropic: nu = {nu!r}; allowed: -1 < nu <= 0.5")
+        if not (_is_number(E) and E > 0):
+            raise InputError(f"Ply.isotropic: E = {E!r}; allowed: a finite number > 0; Ply(...) takes moduli that vary")
         G = E / (2.0 * (1.0 + nu))
         return cls(E1=E, E2=E, G12=G, G13=G, G23=G, nu12=nu, density=density, strength=strength)
 
-    def plane_stiffness(self) -> Float[Tensor, "3 3"]:
+    def plane_stiffness(self) -> Float[Tensor, "*lanes 3 3"]:
         """Reduced stiffness Q of plane stress [Pa]: (sig_11, sig_22, tau_12) = Q (eps_11, eps_22, gamma_12)."""
         nu21 = self.nu12 * self.E2 / self.E1
         d = 1.0 - self.nu12 * nu21
-        return torch.tensor(
-            [
-                [self.E1 / d, self.nu12 * self.E2 / d, 0.0],
-                [self.nu12 * self.E2 / d, self.E2 / d, 0.0],
-                [0.0, 0.0, self.G12],
-            ],
-            dtype=torch.float64,
-        )
+        mixed = self.nu12 * self.E2 / d
+        rows = (self.E1 / d, mixed, 0.0, mixed, self.E2 / d, 0.0, 0.0, 0.0, self.G12)
+        return stacked(rows).unflatten(-1, (3, 3))
 
-    def shear_stiffness(self) -> Float[Tensor, "2 2"]:
+    def shear_stiffness(self) -> Float[Tensor, "*lanes 2 2"]:
         """Transverse shear stiffness [Pa]: (tau_13, tau_23) = diag(G13, G23) (gamma_13, gamma_23)."""
-        return torch.diag(torch.tensor([self.G13, self.G23], dtype=torch.float64))
+        return torch.diag_embed(stacked((self.G13, self.G23)))
 
 
 def _is_number(value: object) -> bool:

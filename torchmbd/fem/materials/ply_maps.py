@@ -41,7 +41,7 @@ def ply_maps(laminate: Laminate) -> PlyMaps:
     shape, As = laminate.shear_shape(), laminate.stiffness().As[..., None, None, :, :]
     F = torch.stack([shape.at(0.0), shape.at(1.0)], dim=-3)
     shear = R.unsqueeze(-3) @ F @ As
-    strain = _diagonal(plane, shear / G.diagonal(dim1=-2, dim2=-1)[:, None, :, None])
+    strain = _diagonal(plane, shear / G.diagonal(dim1=-2, dim2=-1)[..., None, :, None])
     return PlyMaps(strain, _diagonal(Q.unsqueeze(-3) @ plane, shear))
 
 

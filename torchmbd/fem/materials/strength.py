@@ -19,12 +19,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.math.variable import number, stacked
 
 #: The stresses and strains of a ply, in this order; 1 = fibre, 3 = thickness. Shear strains are engineering strains.
 PLY_COMPONENTS = ("11", "22", "12", "13", "23")
@@ -39,29 +41,34 @@ class Strength:
     S12           shear in the plane
     S13, S23      infinite by default: transverse shear stresses do not count
     interaction   F12 / sqrt(F11 F22) of Tsai-Wu, in (-1, 1)
+
+    A finite one may be mbd.variable(...): a design variable, "ply.strength.Xt" of a laminate.
     """
 
-    Xt: float
-    Xc: float
-    Yt: float
-    Yc: float
-    S12: float
-    S13: float = math.inf
-    S23: float = math.inf
-    interaction: float = -0.5
+    positive: ClassVar[tuple[str, ...]] = ("Xt", "Xc", "Yt", "Yc", "S12", "S13", "S23")
+    Xt: float | Tensor
+    Xc: float | Tensor
+    Yt: float | Tensor
+    Yc: float | Tensor
+    S12: float | Tensor
+    S13: float | Tensor = math.inf
+    S23: float | Tensor = math.inf
+    interaction: float | Tensor = -0.5
 
     def __post_init__(self) -> None:
-        for name in ("Xt", "Xc", "Yt", "Yc", "S12", "S13", "S23"):
-            value = getattr(self, name)
+        for name in self.positive:
+            value = number(getattr(self, name))
             if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-                raise InputError(f"Strength: {name} = {value!r} Pa; allowed: a number > 0")
-        if isinstance(self.interaction, bool) or not -1.0 < self.interaction < 1.0:
-            raise InputError(f"Strength: interaction = {self.interaction!r}; allowed: -1 < interaction < 1")
+                raise InputError(f"Strength: {name} = {value!r} Pa; allowed: a number > 0, or mbd.variable(...) of one")
+        ratio = number(self.interaction)
+        if isinstance(ratio, bool) or not isinstance(ratio, int | float) or not -1.0 < ratio < 1.0:
+            raise InputError(
+                f"Strength: interaction = {ratio!r}; allowed: -1 < interaction < 1, or mbd.variable(...) of that"
+            )
 
-    def numbers(self) -> Float[Tensor, " 8"]:
+    def numbers(self) -> Float[Tensor, "*lanes 8"]:
         """Collect Xt, Xc, Yt, Yc, S12, S13, S23, interaction: the form in which the criteria take them."""
-        names = ("Xt", "Xc", "Yt", "Yc", "S12", "S13", "S23", "interaction")
-        return torch.tensor([getattr(self, name) for name in names], dtype=torch.float64)
+        return stacked([*(getattr(self, name) for name in self.positive), self.interaction])
 
 
 def tsai_wu(stress: Float[Tensor, "*n 5"], strength: Float[Tensor, "*n 8"]) -> Float[Tensor, "*n"]:

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -27,49 +28,63 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.materials import Ply, Strength
 from torchmbd.math.plausible_units import doubt_material
+from torchmbd.math.variable import number, plain, replaced, stacked, varies
 
 
 @dataclass(frozen=True)
 class Orthotropic:
-    """Elastic constants [Pa] and density [kg/m3] of a solid in its own axes (1 = fibre, 3 = through the ply)."""
+    """Elastic constants [Pa] and density [kg/m3] of a solid in its own axes (1 = fibre, 3 = through the ply).
 
-    E1: float
-    E2: float
-    E3: float
-    G12: float
-    G13: float
-    G23: float
-    nu12: float
-    nu13: float
-    nu23: float
-    density: float
+    A number may be mbd.variable(...): a design variable of the sections that are made of it, "ply.E1".
+    """
+
+    positive: ClassVar[tuple[str, ...]] = ("E1", "E2", "E3", "G12", "G13", "G23", "density")
+    E1: float | Tensor
+    E2: float | Tensor
+    E3: float | Tensor
+    G12: float | Tensor
+    G13: float | Tensor
+    G23: float | Tensor
+    nu12: float | Tensor
+    nu13: float | Tensor
+    nu23: float | Tensor
+    density: float | Tensor
     strength: Strength | None = None
 
     def __post_init__(self) -> None:
-        for name in ("E1", "E2", "E3", "G12", "G13", "G23", "density"):
-            value = getattr(self, name)
+        for name in self.positive:
+            value = number(getattr(self, name))
             if not (_is_number(value) and math.isfinite(value) and value > 0):
-                raise InputError(f"Orthotropic: {name} = {value!r}; allowed: a finite number > 0")
+                raise InputError(
+                    f"Orthotropic: {name} = {value!r}; allowed: a finite number > 0, or mbd.variable(...) of one"
+                )
         for name in ("nu12", "nu13", "nu23"):
-            value = getattr(self, name)
+            value = number(getattr(self, name))
             if not (_is_number(value) and math.isfinite(value)):
-                raise InputError(f"Orthotropic: {name} = {value!r}; allowed: a finite number")
-        normal = self._compliance()[:3, :3]
+                raise InputError(
+                    f"Orthotropic: {name} = {value!r}; allowed: a finite number, or mbd.variable(...) of one"
+                )
+        own = plain(self)
+        normal = own._compliance()[:3, :3]
         scale = normal.diagonal().rsqrt()
         if not float(torch.linalg.eigvalsh(scale[:, None] * normal * scale).min()) > 1e-9:
             raise InputError(
-                f"Orthotropic: nu12 = {self.nu12!r}, nu13 = {self.nu13!r}, nu23 = {self.nu23!r} make the compliance "
+                f"Orthotropic: nu12 = {own.nu12!r}, nu13 = {own.nu13!r}, nu23 = {own.nu23!r} make the compliance "
                 "not positive definite; allowed: |nu_ij| < sqrt(E_i / E_j), "
                 "and the determinant of the three normal strains positive"
             )
-        moduli = {name: getattr(self, name) for name in ("E1", "E2", "E3", "G12", "G13", "G23")}
-        doubt_material("Orthotropic", moduli, self.density, self.strength.Xt if self.strength else None)
+        moduli = {name: getattr(own, name) for name in ("E1", "E2", "E3", "G12", "G13", "G23")}
+        doubt_material("Orthotropic", moduli, own.density, own.strength.Xt if own.strength else None)
 
     @classmethod
-    def isotropic(cls, E: float, nu: float, density: float) -> Orthotropic:
-        """Make a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5), density [kg/m3]."""
+    def isotropic(cls, E: float, nu: float, density: float | Tensor) -> Orthotropic:
+        """Make a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5), density [kg/m3], which may vary."""
         if not (_is_number(nu) and -1.0 < nu < 0.5):
             raise InputError(f"Orthotropic.isotropic: nu = {nu!r}; allowed: -1 < nu < 0.5")
+        if not (_is_number(E) and E > 0):
+            raise InputError(
+                f"Orthotropic.isotropic: E = {E!r}; allowed: a finite number > 0; Orthotropic(...) takes moduli that vary"
+            )
         G = E / (2.0 * (1.0 + nu))
         return cls(E, E, E, G, G, G, nu, nu, nu, density)
 
@@ -80,6 +95,8 @@ class Orthotropic:
             return ply
         if not isinstance(ply, Ply):
             raise InputError(f"ply is {ply!r}; allowed: a Ply or an Orthotropic")
+        if varies(ply):
+            raise InputError(f"ply is {ply!r}, whose numbers vary; allowed: numbers, or a Section of the ply itself")
         nu23 = ply.E2 / (2.0 * ply.G23) - 1.0
         try:
             moduli = (ply.E1, ply.E2, ply.E2, ply.G12, ply.G13, ply.G23)
@@ -90,18 +107,24 @@ class Orthotropic:
                 f"(nu23 = E2 / (2 G23) - 1 = {nu23:.4g}); give all nine constants as Orthotropic"
             ) from error
 
-    def stiffness(self) -> Float[Tensor, "6 6"]:
+    def of_design(self, ply: Ply | Orthotropic) -> Orthotropic:
+        """The same with the numbers of a design, [] or [lanes], of the ply that it was made of; unchecked."""
+        if isinstance(ply, Orthotropic):
+            return ply
+        own = {name: getattr(ply, name) for name in ("E1", "E2", "G12", "G13", "G23", "nu12", "density", "strength")}
+        return replaced(self, own | {"E3": ply.E2, "nu13": ply.nu12, "nu23": ply.E2 / (2.0 * ply.G23) - 1.0})
+
+    def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """C [Pa] for strains (11, 22, 33, 23, 13, 12), shear strains gamma."""
         return torch.linalg.inv(self._compliance())
 
-    def _compliance(self) -> Tensor:
+    def _compliance(self) -> Float[Tensor, "*lanes 6 6"]:
         s12, s13, s23 = -self.nu12 / self.E1, -self.nu13 / self.E1, -self.nu23 / self.E2
-        S = torch.zeros(6, 6, dtype=torch.float64)
-        for i, modulus in enumerate((self.E1, self.E2, self.E3, self.G23, self.G13, self.G12)):
-            S[i, i] = 1.0 / modulus
-        for i, j, value in ((0, 1, s12), (0, 2, s13), (1, 2, s23)):
-            S[i, j] = S[j, i] = value
-        return S
+        normal = ((1.0 / self.E1, s12, s13), (s12, 1.0 / self.E2, s23), (s13, s23, 1.0 / self.E3))
+        shear = (1.0 / self.G23, 1.0 / self.G13, 1.0 / self.G12)
+        rows = [[*row, 0.0, 0.0, 0.0] for row in normal]
+        rows += [[0.0] * (3 + k) + [x] + [0.0] * (2 - k) for k, x in enumerate(shear)]
+        return stacked([x for row in rows for x in row]).unflatten(-1, (6, 6))
 
 
 def turned(C: Float[Tensor, "layers 6 6"], theta: Float[Tensor, "*lanes layers"]) -> Float[Tensor, "*lanes layers 6 6"]:

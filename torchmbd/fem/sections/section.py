@@ -13,7 +13,7 @@ of the section is free in all three directions. A force F and moment M that vary
 Each gives six fields of strain for unit forces; S_ij = integral of eps_i' D eps_j is the section's compliance, K = S^-1.
 The shear strains gamma are those that make this energy 1/2 V gamma.
 
-Differentiable, forward and reverse, in the ply angles (saint_venant.py), which may carry leading lanes.
+Differentiable, forward and reverse, in angles and numbers of the plies (saint_venant.py), which may carry leading lanes.
 Assumed: prismatic beam, linear elasticity, forces applied at the ends (distributed forces act on the beam only).
 Source: V. Giavotto, M. Borri, P. Mantegazza et al., Anisotropic beam theory and applications, Computers & Structures
 16 (1983) 403-413, doi:10.1016/0045-7949(83)90179-7; J. P. Blasques, User's Manual for BECAS, Risoe-R-1785 (2012).
@@ -40,6 +40,7 @@ from torchmbd.fem.sections.warping import WarpingProblem
 from torchmbd.math.inverse import balanced_inverse
 from torchmbd.math.owned import parameter
 from torchmbd.math.plausible_units import check_angles
+from torchmbd.math.variable import Several, plain, stacked
 
 #: The order of forces, moments and generalized strains.
 FORCES = ("N", "V_y", "V_z", "T", "M_y", "M_z")
@@ -57,13 +58,12 @@ class Section(nn.Module):
     """A meshed section; `.angles` [rad] is its parameter, one value for each layer that the mesh names.
 
     mesh     elements with their layers and wall angles
-    ply      one Ply or Orthotropic, or one for each layer
+    ply      one Ply or Orthotropic, or one for each layer; numbers of it that vary are parameters, as of a Laminate
     angles   of the fibre about the wall's normal, from x to the wall's tangent [layers], rad
     """
 
     angles: Tensor
-    _C: Tensor
-    _density: Tensor
+    _constant: Tensor
 
     def __init__(
         self,
@@ -81,14 +81,32 @@ class Section(nn.Module):
                 f"Section: the mesh has layers 0 to {mesh.layers - 1}, angles has {len(theta)}; "
                 "allowed: one angle for each layer"
             )
-        solids = [Orthotropic.of(p) for p in plies]
-        self.mesh, self.plies = mesh, solids
+        self._plies = Several(self, "ply", plies)
+        self._solids = [Orthotropic.of(plain(p)) for p in plies]
+        self.mesh = mesh
         self.geometry = SectionGeometry(mesh)
         self.problem = WarpingProblem(self.geometry, mesh.nodes)
         self.angles = theta
-        self.register_buffer("_C", torch.stack([p.stiffness() for p in solids]), persistent=False)
-        density = torch.tensor([p.density for p in solids], dtype=torch.float64)
-        self.register_buffer("_density", density, persistent=False)
+        self.register_buffer("_constant", _constants_of(self._solids), persistent=False)
+
+    @property
+    def plies(self) -> list[Orthotropic]:
+        """The solid of every layer, with the numbers of the present design."""
+        return [solid.of_design(ply) for solid, ply in zip(self._solids, self._plies.now(self), strict=True)]
+
+    @property
+    def mass_varies(self) -> bool:
+        """Whether the mass depends on the design."""
+        return self._plies.vary
+
+    @property
+    def _numbers(self) -> Float[Tensor, "*lanes layers 37"]:
+        return _constants_of(self.plies) if self._plies.vary else self._constant
+
+    @property
+    def _wall_stiffness(self) -> Float[Tensor, "*lanes layers 6 6"]:
+        """Of the layers, in wall axes (x, s, n) [Pa]."""
+        return turned(self._numbers[..., :36].unflatten(-1, (6, 6)), self.angles)
 
     def forward(self) -> Float[Tensor, "*lanes 6 6"]:
         """Return `stiffness()`: the form in which torch.func.functional_call asks for the section."""
@@ -100,17 +118,17 @@ class Section(nn.Module):
 
     def compliance(self) -> Float[Tensor, "*lanes 6 6"]:
         """S = K^-1."""
-        return compliance(self.problem, turned(self._C, self.angles))
+        return compliance(self.problem, self._wall_stiffness)
 
-    def mass(self) -> Float[Tensor, "6 6"]:
+    def mass(self) -> Float[Tensor, "*lanes 6 6"]:
         """Inertia per length of the velocities (v, omega) of the section's axes: kg/m, kg, kg m."""
         g = self.geometry
         Z = g.turn.mT @ g.Z  # in section axes
         rigid = torch.zeros_like(Z)
         rigid[..., [0, 1, 2], [0, 1, 2]] = 1.0
         rigid[..., :, 3:] = Z[..., :, 3:]
-        weight = g.weight * self._density[g.layer][:, None]
-        return (weight[..., None, None] * (rigid.mT @ rigid)).sum((0, 1))
+        weight = g.weight * self._numbers[..., -1][..., g.layer, None]
+        return (weight[..., None, None] * (rigid.mT @ rigid)).sum((-4, -3))
 
     def shear_center(self) -> Float[Tensor, "*lanes 2"]:
         """Where a shear force makes no twist, y and z [m] (of the section alone: without bend-twist coupling)."""
@@ -151,11 +169,18 @@ class Section(nn.Module):
 
     def unit_fields(self) -> UnitFields:
         """Strains and stresses in wall axes for unit forces (saint_venant.py)."""
-        return unit_fields(self.problem, turned(self._C, self.angles))
+        return unit_fields(self.problem, self._wall_stiffness)
 
     def _to_plies(self) -> Float[Tensor, "*lanes layers 6 6"]:
         """Turns stresses of the wall into those of the plies: T^-T, where T^-1 turns by the opposite angle."""
         return strain_rotation(-self.angles).mT
+
+
+def _constants_of(solids: Sequence[Orthotropic]) -> Float[Tensor, "*lanes layers 37"]:
+    """Stiffness (36 numbers) and density of every layer."""
+    rows = [(solid.stiffness().flatten(-2), stacked([solid.density])) for solid in solids]
+    lanes = torch.broadcast_shapes(*(x.shape[:-1] for row in rows for x in row))
+    return torch.stack([torch.cat([x.expand(*lanes, -1) for x in row], -1) for row in rows], -2)
 
 
 def _checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:

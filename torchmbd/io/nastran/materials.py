@@ -19,7 +19,7 @@ import warnings
 from dataclasses import dataclass
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.fem.elements import GivenSection
+from torchmbd.fem.elements import BeamSection, GivenSection
 from torchmbd.fem.materials import Laminate, Ply, Strength
 from torchmbd.io.nastran.cards import Card
 from torchmbd.io.nastran.data import BulkData
@@ -167,7 +167,7 @@ def _with_extra_mass(ply: Ply, card: Card, position: int, thickness: float, data
     return dataclasses.replace(ply, density=ply.density + extra / thickness) if extra else ply
 
 
-def section_of(data: BulkData, card: Card, units: Units) -> GivenSection:
+def section_of(data: BulkData, card: Card, units: Units) -> BeamSection:
     """Make the beam section of a PBAR, PBARL or PBEAM: plane 1 is x-y, so I1 bends about z."""
     material = data.material(card, card.integer(2, "MID"))
     ply = ply_of(material, units, data.weight_to_mass)

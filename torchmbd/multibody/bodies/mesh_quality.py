@@ -21,6 +21,7 @@ from torch import Tensor
 
 from torchmbd.fem.elements import Plates
 from torchmbd.fem.mesh import directed_area
+from torchmbd.math.variable import plain
 
 if TYPE_CHECKING:
     from torchmbd.multibody.bodies.flexible import FlexibleBody
@@ -85,7 +86,8 @@ def _cells(part: Plates) -> list[str]:
 
 def _plies(part: Plates) -> list[str]:
     count = len(part.matrices.members)
-    ratios = [max(p.E1, p.E2) / min(p.E1, p.E2, p.G12, p.G13, p.G23) for p in part.laminates[0].plies]
+    plies = [plain(p) for p in part.laminates[0].plies]
+    ratios = [max(p.E1, p.E2) / min(p.E1, p.E2, p.G12, p.G13, p.G23) for p in plies]
     k = max(range(len(ratios)), key=ratios.__getitem__)
     if ratios[k] < ANISOTROPY or count >= FINE:
         return []

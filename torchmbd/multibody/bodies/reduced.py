@@ -8,6 +8,7 @@ Checked in tests/multibody/bodies/test_flexible.py, tests/multibody/bodies/test_
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -23,7 +24,10 @@ from torchmbd.math.sparse import SparseMatrix
 def matrices(assembly: Assembly, points: MassPoints | None = None) -> tuple[SparseMatrix, Matrix]:
     """Stiffness and mass of the free freedoms, with the same lanes; points: what `masses` has found already."""
     K, M = assembly.stiffness(), assembly.mass(points)
-    return K, M.expand(*K.values.shape[:-1], -1) if isinstance(M, Tensor) else M
+    own = M if isinstance(M, Tensor) else M.values
+    lanes = torch.broadcast_shapes(K.values.shape[:-1], own.shape[:-1])
+    K = replace(K, values=K.values.expand(*lanes, -1))
+    return K, own.expand(*lanes, -1) if isinstance(M, Tensor) else M
 
 
 def reduced(

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from torchmbd.math.plausible_units import DENSITY, SLENDER, SOUND, doubt
+from torchmbd.math.variable import plain
 
 if TYPE_CHECKING:
     from torchmbd.multibody.bodies.flexible import FlexibleBody
@@ -28,7 +29,7 @@ def warn_units(body: FlexibleBody) -> None:
     size = float((body.mesh.nodes.amax(0) - body.mesh.nodes.amin(0)).norm())
     doubts = [] if SIZE[0] <= size <= SIZE[1] else [f"its size is {size:.3g} m"]
     for part in body.plates.values():
-        for ply in part.laminate.layer_plies:
+        for ply in map(plain, part.laminate.layer_plies):
             sound = math.sqrt(ply.E1 / ply.density)
             if not DENSITY[0] <= ply.density <= DENSITY[1]:
                 doubts.append(f"a ply has the density {ply.density:.3g} kg/m3")

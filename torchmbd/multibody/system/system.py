@@ -163,7 +163,7 @@ class System(nn.Module):
         """The same, and the mode shapes [lanes, nodes, 6, modes] of the flexible bodies by their names."""
         self._refuse_lost()
         data, structures = called(self, parameters, "stages")
-        return self._made(data), {name: made["psi"] for name, made in structures.items()}
+        return self._made(_of_all(data, parameters)), {name: made["psi"] for name, made in structures.items()}
 
     def _made(self, data: dict[str, Any]) -> Dynamics:
         return Dynamics(self.topology, self._saddle, data, self._initial, self.stabilization)
@@ -197,7 +197,7 @@ class System(nn.Module):
                 raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(given)}")
 
         def stage(values: dict[str, Tensor]) -> dict[str, Tensor]:
-            return called(self, values, "data")
+            return _of_all(called(self, values, "data"), values)
 
         with torch.no_grad():
             if tangents:
@@ -261,6 +261,13 @@ def _joined_anew(system: System, _: Any) -> None:
 
 def _joined_with(system: System, *_: Any) -> None:
     system._join(system.joints)
+
+
+def _of_all(data: dict[str, Tensor], designs: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Data of as many lanes as there are designs, also where these differ in nothing that moves, as in strengths."""
+    lanes = max((x.shape[0] for x in designs.values()), default=1)
+    mass = data["mass"]
+    return data if mass.shape[-1] == lanes else data | {"mass": mass.expand(*mass.shape[:-1], lanes)}
 
 
 def _together(parts: list[Tensor], rank: int) -> Tensor:
