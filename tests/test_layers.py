@@ -39,7 +39,6 @@ KNOWN = {
         f"torchmbd.results.{name}"
         for name in ("body_motion", "energies", "law_faults", "reaction", "singular_positions", "trajectory")
     ),
-    ("torchmbd.optimization.optimizer", "torchmbd.optimization.search"),
 }
 EMPTY = {"torchmbd.fem", "torchmbd.multibody"}  # packages of packages: they import nothing
 FILES = sorted(file for file in PACKAGE.rglob("*.py") if file != PACKAGE / "__init__.py")

@@ -23,14 +23,11 @@ import numbers
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from torchmbd.errors import InputError, nearest, unknown
-
-if TYPE_CHECKING:
-    from torchmbd.optimization.search import Search
 
 # How an optimization can end. Only "converged" claims an optimum.
 STATUSES = {
@@ -226,15 +223,6 @@ def require_problem(problem: Any) -> None:
     if missing:
         raise InputError(
             f"problem is {problem!r}, without {', '.join(missing)}; allowed: a problem, such as mbd.Problem(...)"
-        )
-
-
-def refuse_equalities(method: str, search: Search) -> None:
-    """Raise InputError if the problem has equalities, for methods that stay inside the feasible region."""
-    if search.equalities.size:
-        raise InputError(
-            f"method = {method!r} takes inequality constraints only, but constraints {search.equalities.tolist()} are "
-            "equalities: use method='slsqp', or give each as two opposite inequalities with a tolerance"
         )
 
 

@@ -82,6 +82,14 @@ class Search:
     def size(self) -> int:
         return self.start.size
 
+    def refuse_equalities(self, method: str) -> None:
+        """Raise InputError if the problem has equalities, for methods that stay inside the feasible region."""
+        if self.equalities.size:
+            raise InputError(
+                f"method = {method!r} takes inequality constraints only, but constraints {self.equalities.tolist()} are "
+                "equalities: use method='slsqp', or give each as two opposite inequalities with a tolerance"
+            )
+
     def physical(self, y: np.ndarray) -> np.ndarray:
         """Return x [n] of scaled y, inside the bounds to the last digit."""
         return np.clip(np.asarray(y, dtype=float) * self.scale, self.x_lower, self.x_upper)

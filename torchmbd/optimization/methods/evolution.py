@@ -20,7 +20,6 @@ from torchmbd.errors import InputError
 from torchmbd.optimization.optimizer import (
     Ending,
     Evaluation,
-    refuse_equalities,
     register,
     require_count,
     require_range,
@@ -42,7 +41,7 @@ def evolution(
     require_count("population", population, 2, 1000)
     for name, value in {"tol": tol, "atol": atol}.items():
         require_range(name, value, 0.0, 1.0)
-    refuse_equalities("differential_evolution", search)
+    search.refuse_equalities("differential_evolution")
     if not np.isfinite(search.upper - search.lower).all():
         raise InputError("bounds are infinite: method = 'differential_evolution' draws its designs from finite bounds")
     search.eager_gradients = False  # it would not look at them

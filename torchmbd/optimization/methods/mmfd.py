@@ -24,7 +24,7 @@ text throughout. Checked in tests/contracts/test_optimizers.py and tests/optimiz
 from __future__ import annotations
 
 from torchmbd.optimization.methods.feasible_directions import FeasibleDirections, Settings
-from torchmbd.optimization.optimizer import Ending, refuse_equalities, register, require_count, require_range
+from torchmbd.optimization.optimizer import Ending, register, require_count, require_range
 from torchmbd.optimization.search import Search
 
 
@@ -51,7 +51,7 @@ def mmfd(
     for name, value in positive.items():
         require_range(name, value, 1e-16, 1e3)
     require_count("itrmop", itrmop, 1, 1000)
-    refuse_equalities("mmfd", search)
+    search.refuse_equalities("mmfd")
     first = search.begin()
     if not first.ok:
         return Ending(search.start, "failed", f"the start could not be evaluated: {first.status}")

@@ -15,7 +15,7 @@ import numpy as np
 
 from torchmbd.errors import InputError
 from torchmbd.optimization.methods.adapters import Guard, LimitReached, Stop, run_foreign
-from torchmbd.optimization.optimizer import Ending, refuse_equalities, register, require_range
+from torchmbd.optimization.optimizer import Ending, register, require_range
 from torchmbd.optimization.search import Search
 
 EVALUATIONS_PER_ITERATION = 20  # a bound on NLopt's inner loop
@@ -44,7 +44,7 @@ def _run_nlopt(
         ) from error
     for name, value in {"ftol": ftol, "xtol": xtol, "kkt": kkt}.items():
         require_range(name, value, 1e-16, 1.0)
-    refuse_equalities(method, search)
+    search.refuse_equalities(method)
     return run_foreign(
         search, partial(_run, nlopt=nlopt, algorithm=algorithm, ftol=ftol, xtol=xtol), max_iterations, kkt
     )
