@@ -243,7 +243,7 @@ def test_bad_input_is_refused_at_the_door(given, words):
         (lambda: SmoothMax(ENERGY, sharpness=0.0), "sharpness is 0.0; allowed: a positive number"),
         (lambda: WeightedSum([]), "terms is []; allowed: pairs"),
         (lambda: WeightedSum([(1.0, AtPeaks(ENERGY))]), "measures of one number"),
-        (lambda: WeightedSum([("1", mbd.Max(ENERGY))]), "weight is '1'"),
+        (lambda: WeightedSum([("1", mbd.Max(ENERGY))]), "factor of a measure is '1'"),
         (lambda: WeightedSum([(1.0, mbd.Max(ENERGY))], normalize=(1.0, 2.0)), "normalize is (1.0, 2.0)"),
         (lambda: mbd.Max(ENERGY) + 1.0, "sum of 1.0; allowed: measures of one number"),
         (lambda: ENERGY + "x", "combined with 'x'"),

@@ -21,7 +21,7 @@ Checked in tests/contracts/test_responses.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from typing import Any, Self
 
@@ -157,23 +157,23 @@ class Measure(_Constant):
         return False
 
     def __add__(self, other: Any) -> Measure:
-        return Total((self, other))
+        return Total([(1.0, self), (1.0, other)])
 
     def __mul__(self, factor: float) -> Measure:
-        return Scaled(self, factor)
+        return Total([(factor, self)])
 
     __rmul__ = __mul__
 
     def __truediv__(self, divisor: float) -> Measure:
         if not _finite(divisor) or not divisor:
             raise InputError(f"a measure is divided by {divisor!r}; allowed: a finite number but 0")
-        return Scaled(self, 1.0 / divisor)
+        return Total([(1.0 / divisor, self)])
 
     def __neg__(self) -> Measure:
-        return Scaled(self, -1.0)
+        return Total([(-1.0, self)])
 
     def __sub__(self, other: Any) -> Measure:
-        return Total((self, Scaled(other, -1.0)))
+        return Total([(1.0, self), (-1.0, other)])
 
     def of(self, motion: Trajectory) -> Valued:
         """Value [lanes, ...] and gradient [lanes, ..., n_b], None for a motion without gradients."""
@@ -199,7 +199,7 @@ class Measure(_Constant):
         return Constraint(self, limit, "equal", scale)
 
 
-def all_measures(parts: Any, kind: str) -> None:
+def all_measures(parts: Iterable[Any], kind: str) -> None:
     """InputError unless every part is a measure of one number."""
     for part in parts:
         if not isinstance(part, Measure) or part.rows != 1:
@@ -207,61 +207,34 @@ def all_measures(parts: Any, kind: str) -> None:
 
 
 @dataclass(frozen=True)
-class Scaled(Measure):
-    """A measure times a number."""
-
-    measure: Measure
-    factor: float
-
-    def __post_init__(self) -> None:
-        all_measures([self.measure], "multiple")
-        if not _finite(self.factor):
-            raise InputError(f"factor of a measure is {self.factor!r}; allowed: a finite number")
-
-    def value(self, motion: Trajectory) -> Tensor:
-        return self.factor * self.measure.value(motion)
-
-    def check(self, system: System) -> None:
-        self.measure.check(system)
-
-    def at_start(self, motion: Trajectory) -> Measure:
-        return Scaled(self.measure.at_start(motion), self.factor)
-
-    @property
-    def until(self) -> float:
-        return self.measure.until
-
-    @property
-    def refers_to_start(self) -> bool:
-        return self.measure.refers_to_start
-
-
-@dataclass(frozen=True)
 class Total(Measure):
-    """A sum of measures."""
+    """A sum of measures, each times a number: terms are pairs (factor, measure)."""
 
-    parts: tuple[Measure, ...]
+    terms: Sequence[tuple[float, Measure]]
 
     def __post_init__(self) -> None:
-        all_measures(self.parts, "sum")
+        all_measures([measure for _, measure in self.terms], "sum")
+        for factor, _ in self.terms:
+            if not _finite(factor):
+                raise InputError(f"factor of a measure is {factor!r}; allowed: a finite number")
 
     def value(self, motion: Trajectory) -> Tensor:
-        return torch.stack([part.value(motion) for part in self.parts]).sum(0)
+        return torch.stack([factor * measure.value(motion) for factor, measure in self.terms]).sum(0)
 
     def check(self, system: System) -> None:
-        for part in self.parts:
-            part.check(system)
+        for _, measure in self.terms:
+            measure.check(system)
 
     def at_start(self, motion: Trajectory) -> Measure:
-        return Total(tuple(part.at_start(motion) for part in self.parts))
+        return Total([(factor, measure.at_start(motion)) for factor, measure in self.terms])
 
     @property
     def until(self) -> float:
-        return max(part.until for part in self.parts)
+        return max(measure.until for _, measure in self.terms)
 
     @property
     def refers_to_start(self) -> bool:
-        return any(part.refers_to_start for part in self.parts)
+        return any(measure.refers_to_start for _, measure in self.terms)
 
 
 KINDS = ("at_most", "at_least", "equal")

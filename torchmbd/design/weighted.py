@@ -10,17 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from torchmbd.design.response import Measure, all_measures
+from torchmbd.design.response import Measure, Total
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
-from torchmbd.multibody.system import System
 
 
 @dataclass(frozen=True)
-class WeightedSum(Measure):
+class WeightedSum(Total):
     """Weighted sum of measures [lanes]; eq. (38).
 
     terms      (weight, measure) pairs, at least one
@@ -28,7 +26,6 @@ class WeightedSum(Measure):
                one number for each, in the unit of its measure; None: nothing, weights carry the units
     """
 
-    terms: Sequence[tuple[float, Measure]]
     normalize: str | Sequence[float] | None = "initial"
 
     def __post_init__(self) -> None:
@@ -38,44 +35,34 @@ class WeightedSum(Measure):
             or any(not isinstance(term, (tuple, list)) or len(term) != 2 for term in self.terms)
         ):
             raise InputError(f"terms is {self.terms!r}; allowed: pairs (weight, measure), at least one")
-        all_measures([measure for _, measure in self.terms], "weighted sum")
-        for weight, _ in self.terms:
-            if isinstance(weight, (str, bool)) or not abs(float(weight)) < float("inf"):
-                raise InputError(f"weight is {weight!r}; allowed: a finite number")
+        super().__post_init__()
         scales = self.normalize
         if scales is None or scales == "initial":
             return
         if isinstance(scales, str) or len(scales) != len(self.terms) or not all(float(s) != 0.0 for s in scales):
             raise InputError(f"normalize is {scales!r}; allowed: 'initial', None, or a number but 0 for each term")
 
-    def check(self, system: System) -> None:
-        for _, measure in self.terms:
-            measure.check(system)
-
-    @property
-    def until(self) -> float:
-        return max(measure.until for _, measure in self.terms)
-
     @property
     def refers_to_start(self) -> bool:
-        return self.normalize == "initial" or any(measure.refers_to_start for _, measure in self.terms)
+        return self.normalize == "initial" or super().refers_to_start
 
     def at_start(self, motion: Trajectory) -> Measure:
-        terms = [(weight, measure.at_start(motion)) for weight, measure in self.terms]
-        if self.normalize != "initial":
-            return WeightedSum(terms, self.normalize)
-        values = [float(measure.value(motion)[0]) for _, measure in terms]
-        for (_, measure), value in zip(terms, values, strict=True):
-            if value == 0.0:
-                raise InputError(f"{measure!r} is zero at the initial design; allowed: normalize by numbers")
-        return WeightedSum(terms, values)
+        measures = [measure.at_start(motion) for _, measure in self.terms]
+        scales = self.normalize
+        if scales == "initial":
+            scales = [float(measure.value(motion)[0]) for measure in measures]
+            for measure, scale in zip(measures, scales, strict=True):
+                if scale == 0.0:
+                    raise InputError(f"{measure!r} is zero at the initial design; allowed: normalize by numbers")
+        return WeightedSum([(w, m) for (w, _), m in zip(self.terms, measures, strict=True)], scales)
 
     def value(self, motion: Trajectory) -> Tensor:
+        if self.normalize is None:
+            return super().value(motion)
         if self.normalize == "initial":
             raise InputError(
                 "weighted sum is normalized by the initial design, which a motion alone does not tell; "
                 "allowed: in a Problem, or after at_start(motion of the initial design)"
             )
-        scales = [1.0] * len(self.terms) if self.normalize is None else [float(s) for s in self.normalize]
-        parts = [weight / s * measure.value(motion) for (weight, measure), s in zip(self.terms, scales, strict=True)]
-        return torch.stack(parts).sum(0)
+        scaled = [(w / float(s), m) for (w, m), s in zip(self.terms, self.normalize, strict=True)]
+        return Total(scaled).value(motion)
