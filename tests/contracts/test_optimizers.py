@@ -187,14 +187,13 @@ def test_failures_in_part_of_the_domain_are_stepped_back_from(method, reason):
         upper=9,
     )
     result = solve(problem, method, max_iterations=60)
-    assert result.status in STATUSES
+    assert result.status == "stalled"  # the wall is no minimum
+    assert "the way down leads into designs that fail" in result.message
     assert result.failures > 0
     assert result.x[0] >= 2.0
     assert np.isfinite(result.value)
     assert result.value < result.history[0].objective
     assert all(np.isfinite(i.objective) for i in result.history)
-    if result.status == "converged":  # only what is really there: the wall is no minimum
-        assert result.kkt_residual <= 1e-2
 
 
 @pytest.mark.parametrize("method", [*METHODS, "differential_evolution"])
@@ -222,8 +221,7 @@ def test_a_gradient_that_fails_where_the_values_do_not(method, seed):
     assert result.failures > 0
     assert result.value == pytest.approx(problem.f(result.x), rel=1e-12)
     assert result.value <= result.history[0].objective
-    if np.isnan(result.kkt_residual):
-        assert "gradient could not be evaluated" in result.message
+    assert np.isnan(result.kkt_residual) == ("; its gradient could not be evaluated" in result.message)
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -30,7 +30,13 @@ from torchmbd.math.plausible_units import EXTENT, doubt
 
 
 class BeamLine:
-    """Nodes [n, 3] in m, elements [m, 2] (default: each node with the next), named node sets, middles of arcs [m, 3]."""
+    """A chain or net of beam elements.
+
+    nodes      positions [n, 3] [m]
+    elements   node pairs [m, 2]; default: each node with the next
+    node_sets  name -> node indices; default: "start" and "end" of a chain
+    middles    points halfway along elements that are arcs [m, 3] [m]
+    """
 
     nodes: Float[Tensor, "n 3"]
     elements: Int[Tensor, "m 2"]

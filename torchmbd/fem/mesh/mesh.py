@@ -1,12 +1,5 @@
 """A mesh of cells and lines in space, checked once, with names for nodes.
 
-nodes       positions in the axes of the body   [n, 3], m
-triangles   node indices, counted from 0        [m, 3]
-quads       quadrilaterals, convex, four corners in turn, flat or a little warped   [k, 4]
-lines       node pairs: beams, rigid links      [k, 2]
-node_sets   name -> node indices; a set of one node is a named node
-labels      what messages call the nodes and cells: a reader names the cards of its file
-
 Cells are counted through: all triangles, then all quadrilaterals. A directed area has the size and the normal of a cell,
 
     a = 1/2 sum_i (x_i - x_0) x (x_i+1 - x_0)
@@ -57,7 +50,15 @@ def _members(name: str, given: Sequence[int]) -> tuple[int, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mesh:
-    """Nodes [n, 3] in m, triangles [m, 3], quads [k, 4] and named node sets; see the module header for what is checked."""
+    """Cells and lines in space, with names for nodes; the module header tells what is checked.
+
+    nodes                     positions in the axes of the body [n, 3] [m]
+    triangles                 node indices, counted from 0 [m, 3]
+    quads                     quadrilaterals, convex, four corners in turn, flat or a little warped [k, 4]
+    lines                     node pairs: beams, rigid links [k, 2]
+    node_sets                 name -> node indices; a set of one node is a named node
+    node_labels, cell_labels  what messages call nodes and cells: a reader names the cards of its file
+    """
 
     nodes: Float[Tensor, "n 3"]
     triangles: Int[Tensor, "m 3"] = field(default_factory=lambda: _none(3))
