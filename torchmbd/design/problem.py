@@ -40,7 +40,7 @@ from torchmbd.math.owned import real, several
 from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.optimizer import as_numbers
-from torchmbd.results.trajectory import OK
+from torchmbd.results.motion_data import OK
 
 BOUND = "bound"  # name of the extra variable beta
 

@@ -21,7 +21,7 @@ from torchmbd.integrate.ode import fastest_vibration
 from torchmbd.integrate.stepper import ITERATION_ERROR, TURN
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.results.history import History
-from torchmbd.results.trajectory import OK
+from torchmbd.results.motion_data import OK
 
 # With sensitivities more than this is tried again carefully: gradients are those of equations that are solved.
 IMPRECISE = 1e-3

@@ -32,7 +32,7 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.system import unit_directions
 from torchmbd.results.history import History
-from torchmbd.results.trajectory import Switch
+from torchmbd.results.motion_data import Switch
 
 
 @dataclass(eq=False)

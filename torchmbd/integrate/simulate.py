@@ -44,7 +44,7 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
-from torchmbd.results.singular_positions import explained
+from torchmbd.results.singular_positions import explain
 from torchmbd.results.spin import warn_of_spin
 from torchmbd.results.time_rows import Recorded
 from torchmbd.results.trajectory import Trajectory
@@ -130,7 +130,7 @@ def simulate(
         motion.stats["gradients"] = _route(motion) if names or timed else GRADIENTS[-1]
         with torch.no_grad():
             if phases is None:
-                explained(_plain(motion))
+                explain(_plain(motion))
             motion.stats.pop("until", None)
             warn_of_spin(_plain(motion, motion.integration.validity[0, 0]))
         return motion

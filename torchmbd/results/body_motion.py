@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -23,9 +22,7 @@ from torchmbd.math.pair import Pair, value
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.bodies import Frame
 from torchmbd.multibody.joints.joint import Attached
-
-if TYPE_CHECKING:
-    from torchmbd.results.trajectory import Trajectory
+from torchmbd.results.motion_data import MotionData
 
 Where = str | int | Sequence[float] | Frame | None
 
@@ -33,7 +30,7 @@ Where = str | int | Sequence[float] | Frame | None
 class BodyMotion:
     """One body along a trajectory."""
 
-    def __init__(self, motion: Trajectory, name: str):
+    def __init__(self, motion: MotionData, name: str):
         self.motion, self.name = motion, name
         self._T = motion.dynamics.topology
         self._index = self._T.names.index(name)

@@ -18,7 +18,7 @@ Checked in tests/physics/test_energies.py: against nodal sums, and the balance t
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -28,9 +28,7 @@ from torchmbd.math.pair import dot, matvec, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.times_as_lanes import side_by_side
 from torchmbd.multibody.system.topology import Topology
-
-if TYPE_CHECKING:
-    from torchmbd.results.trajectory import Trajectory
+from torchmbd.results.motion_data import MotionData
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +55,7 @@ class Energies:
         return total - total[:, :1]
 
 
-def energies(motion: Trajectory) -> Energies:
+def energies(motion: MotionData) -> Energies:
     """Of all lanes of a motion."""
     if motion.switches and len(motion.status) != motion.lanes:
         raise InputError(
@@ -79,7 +77,7 @@ class _Samples(NamedTuple):
     begins: Tensor
 
     @classmethod
-    def of(cls, motion: Trajectory, lane: int) -> _Samples:
+    def of(cls, motion: MotionData, lane: int) -> _Samples:
         """The output times and both sides of the switches, in order; of equal times the output comes last."""
         passed = [s for s in motion.switches if bool(torch.isfinite(s.t[lane]))]
         sides = [side for s in passed for side in (s.before, s.after)]
@@ -94,7 +92,7 @@ class _Samples(NamedTuple):
         return cls(t[order], sampled("q"), sampled("v"), sampled("lam"), order >= len(sides), begins)
 
 
-def _lane(motion: Trajectory, lane: int) -> list[Tensor]:
+def _lane(motion: MotionData, lane: int) -> list[Tensor]:
     """Energies and works [times] of one lane: its times take the place of lanes."""
     T, samples = motion.dynamics.topology, _Samples.of(motion, lane)
     t, q, v, lam = samples[:4]
@@ -125,7 +123,7 @@ def _of(x: Tensor, lane: int) -> Tensor:
     return x if x.shape[-1] == 1 else x[..., lane : lane + 1]
 
 
-def _potential(motion: Trajectory, data: equations.Data, at: equations.Placement, q: Tensor) -> Tensor:
+def _potential(motion: MotionData, data: equations.Data, at: equations.Placement, q: Tensor) -> Tensor:
     T = motion.dynamics.topology
     if "gravity" not in data:
         return torch.zeros_like(q[0])
@@ -134,7 +132,7 @@ def _potential(motion: Trajectory, data: equations.Data, at: equations.Placement
     return -(weight * data["gravity"]).sum((0, 1))
 
 
-def _applied(motion: Trajectory, data: equations.Data, at: equations.Placement, v: Tensor, phase: Tensor) -> Tensor:
+def _applied(motion: MotionData, data: equations.Data, at: equations.Placement, v: Tensor, phase: Tensor) -> Tensor:
     """Power of the applied forces: what they do to the bodies times the rates; `phase`: of each time, from 0."""
     T, power = motion.dynamics.topology, torch.zeros_like(v[0])
     for k, actions in enumerate(motion.actions or (T.actions,)):

@@ -8,7 +8,6 @@ Checked in tests/multibody/forces/test_laws.py.
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING
 
 import torch
 
@@ -16,12 +15,10 @@ from torchmbd.math.pair import value
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.joints.joint import Scribe
 from torchmbd.multibody.system import equations
-
-if TYPE_CHECKING:
-    from torchmbd.results.trajectory import Trajectory
+from torchmbd.results.motion_data import MotionData
 
 
-def names(motion: Trajectory) -> dict[tuple[type, int], str]:
+def names(motion: MotionData) -> dict[tuple[type, int], str]:
     """Name of the force element of each action: (kind, number among its kind) -> name."""
     count, found = Counter(), {}
     for force in motion.system.forces:
@@ -31,7 +28,7 @@ def names(motion: Trajectory) -> dict[tuple[type, int], str]:
     return found
 
 
-def laws_at_fault(motion: Trajectory, lane: int) -> list[str]:
+def laws_at_fault(motion: MotionData, lane: int) -> list[str]:
     """What to say of the laws that are not finite where a lane went after its last finite time; [] if all are."""
     T = motion.dynamics.topology
     good = torch.isfinite(motion.q[lane]).all(1) & torch.isfinite(motion.v[lane]).all(1)

@@ -10,7 +10,6 @@ Checked in tests/results/test_reaction.py: free bodies in equilibrium.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
@@ -20,12 +19,10 @@ from torchmbd.math.pair import value
 from torchmbd.math.rotation import exponential, rotation_matrix
 from torchmbd.multibody.bodies import Frame, Ground
 from torchmbd.multibody.joints.joint import Joint
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.system import System, equations
 from torchmbd.multibody.system.times_as_lanes import side_by_side
-
-if TYPE_CHECKING:
-    from torchmbd.multibody.system import System
-    from torchmbd.results.trajectory import Trajectory
+from torchmbd.results.body_motion import BodyMotion
+from torchmbd.results.motion_data import MotionData
 
 
 @dataclass(frozen=True)
@@ -36,7 +33,7 @@ class JointReaction:
     torque: Tensor
 
 
-def reaction(motion: Trajectory, name: str) -> JointReaction:
+def reaction(motion: MotionData, name: str) -> JointReaction:
     """The reaction of the joint of that name."""
     joint = joint_named(motion.system, name)
     at = frame_point(motion, joint.a)
@@ -54,7 +51,7 @@ def joint_named(system: System, name: str) -> Joint:
     return found[0]
 
 
-def reaction_on(motion: Trajectory, joint: Joint, side: Frame, about: Tensor) -> tuple[Tensor, Tensor]:
+def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) -> tuple[Tensor, Tensor]:
     """Force, and torque about the points `about` [lanes, times, 3], on the body of one side, in ground axes."""
     T = motion.dynamics.topology
     rows = torch.tensor([name.rpartition(": ")[0] == joint.name for name in T.row_names])
@@ -69,18 +66,18 @@ def reaction_on(motion: Trajectory, joint: Joint, side: Frame, about: Tensor) ->
     return force, torque
 
 
-def frame_point(motion: Trajectory, frame: Frame) -> Tensor:
+def frame_point(motion: MotionData, frame: Frame) -> Tensor:
     """Point of a frame in ground axes [lanes, times, 3] [m]."""
     if isinstance(frame.body, Ground):
         return frame.point.expand(motion.lanes, len(motion.t), 3)
-    return motion.body(frame.body.name).at(frame).position
+    return BodyMotion(motion, frame.body.name).at(frame).position
 
 
-def frame_axes(motion: Trajectory, frame: Frame) -> Tensor:
+def frame_axes(motion: MotionData, frame: Frame) -> Tensor:
     """Axes of a frame, columns in ground axes [lanes, times, 3, 3]; those on nodes turn with them."""
     if isinstance(frame.body, Ground):
         return frame.axes.expand(motion.lanes, len(motion.t), 3, 3)
-    view = motion.body(frame.body.name)
+    view = BodyMotion(motion, frame.body.name)
     if frame.mount is None:
         return view.A @ frame.axes
     turn = frame.mount.motion(frame.body.mesh.nodes - frame.body.origin, view.psi)[:, 3:]
@@ -88,7 +85,7 @@ def frame_axes(motion: Trajectory, frame: Frame) -> Tensor:
     return view.A @ bent.movedim((0, 1), (-2, -1)) @ frame.axes
 
 
-def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Placement, Tensor]:
+def _constraint_forces(motion: MotionData, rows: Tensor) -> tuple[equations.Placement, Tensor]:
     """Attached vectors and the gradients by them [3, vectors, 1, lanes x times] of the constraint rows chosen."""
     T, data = motion.dynamics.topology, motion.dynamics.data
     lanes, times = motion.lanes, len(motion.t)
@@ -105,6 +102,6 @@ def _constraint_forces(motion: Trajectory, rows: Tensor) -> tuple[equations.Plac
     return at, equations.force_on_vectors(T, at, flat(motion.lam * rows))
 
 
-def _back(motion: Trajectory, x: Tensor) -> Tensor:
+def _back(motion: MotionData, x: Tensor) -> Tensor:
     """[3, 1, lanes x times] -> [lanes, times, 3]."""
     return x[:, 0].unflatten(-1, (motion.lanes, len(motion.t))).permute(1, 2, 0)

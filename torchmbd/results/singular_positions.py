@@ -12,16 +12,13 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
 from torchmbd.multibody.system.rank import RELATIVE, jacobians, lost_rows
 from torchmbd.results.law_faults import laws_at_fault
-
-if TYPE_CHECKING:
-    from torchmbd.results.trajectory import Trajectory
+from torchmbd.results.motion_data import MotionData
 
 NEAR = 2e-2  # of the largest singular value
 
@@ -42,12 +39,12 @@ class SingularPosition:
         )
 
 
-def singular_positions(motion: Trajectory, below: float = NEAR) -> list[SingularPosition]:
+def singular_positions(motion: MotionData, below: float = NEAR) -> list[SingularPosition]:
     """The singular positions that a motion came near to, at its output times."""
     return [found for lane in range(motion.lanes) for found in of_lane(motion, lane, below)]
 
 
-def of_lane(motion: Trajectory, lane: int, below: float = NEAR) -> list[SingularPosition]:
+def of_lane(motion: MotionData, lane: int, below: float = NEAR) -> list[SingularPosition]:
     """Those of one lane; times at which its numbers are not finite are left out."""
     T = motion.dynamics.topology
     good = torch.isfinite(motion.q[lane]).all(1)
@@ -76,8 +73,8 @@ def _minima(x: Tensor, below: float) -> list[int]:
     return torch.nonzero(low)[:, 0].tolist()
 
 
-def explained(motion: Trajectory) -> Trajectory:
-    """The motion with a word on singular positions: in the status of lanes that failed, else as a warning.
+def explain(motion: MotionData) -> None:
+    """Name singular positions: in the status of lanes that failed, else as a warning.
 
     Lanes that failed are told of laws of forces as well.
     """
@@ -89,4 +86,3 @@ def explained(motion: Trajectory) -> Trajectory:
         elif lane in tried_again:
             for near in of_lane(motion, lane):
                 warnings.warn(f"{near}; from there the motion may go on in several ways", stacklevel=4)
-    return motion

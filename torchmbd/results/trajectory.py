@@ -14,210 +14,23 @@ mode_shapes.py). A lane that failed says why in `status`; its numbers are nan fr
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any
+from dataclasses import dataclass, field
 
 import torch
-from torch import Tensor
 
-from torchmbd.errors import InputError, SimulationFailure, one_of
-from torchmbd.math.owned import all_true
-from torchmbd.multibody.forces.action import Action
-from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.errors import one_of
 from torchmbd.results.body_motion import BodyMotion
 from torchmbd.results.energies import Energies, energies
-from torchmbd.results.mode_shapes import OneLane, Shapes
+from torchmbd.results.motion_data import MotionData
 from torchmbd.results.reaction import JointReaction, reaction
 from torchmbd.results.singular_positions import SingularPosition, singular_positions
-from torchmbd.results.time_rows import Given, Recorded, Rows, Signals, detached
-
-OK = "ok"
-
-
-@dataclass(frozen=True, eq=False)
-class Moment:
-    """The state of all lanes on one side of a switch [lanes, n], with sensitivities [lanes, n, n_b]."""
-
-    q: Tensor
-    v: Tensor
-    a: Tensor
-    lam: Tensor
-    dq_db: Tensor | None = None
-    dv_db: Tensor | None = None
-    da_db: Tensor | None = None
-    dlam_db: Tensor | None = None
-
-    def detach(self) -> Moment:
-        """The same numbers without a graph of torch."""
-        return replace(self, **{name: getattr(self, name).detach() for name in ("q", "v", "a", "lam")})
-
-
-@dataclass(frozen=True, eq=False)
-class Switch:
-    """The passage of all lanes into a phase; sensitivities follow the time of the switch, which moves with the design.
-
-    t [lanes] (inf: a lane that does not get there), dt_db [lanes, n_b]; before, after: equal positions
-    """
-
-    phase: str
-    t: Tensor
-    before: Moment
-    after: Moment
-    dt_db: Tensor | None = None
-
-    def detach(self) -> Switch:
-        """The same numbers without a graph of torch."""
-        return replace(self, t=self.t.detach(), before=self.before.detach(), after=self.after.detach())
 
 
 @dataclass(eq=False)
-class Trajectory:
-    """A motion of one design or of a batch; made by `simulate`.
+class Trajectory(MotionData):
+    """A motion of one design or of a batch, made by `simulate`; its numbers are those of `MotionData`."""
 
-    t           times [times] [s]
-    q, v, a     coordinates [lanes, times, n_q] [m, -], rates [lanes, times, n_v] [m/s, rad/s] and accelerations
-    lam         multipliers [lanes, times, rows] [N, N m]
-    dq_db, ...  their sensitivities, the design axis last [..., n_b]
-    system      the model;  dynamics: its equations of motion for these designs
-    known       what measures evaluated together share
-    signals     coordinates, rates, accelerations and multipliers by rows
-    shapes      mode shapes of the designs
-    status      for each lane "ok"; "failed: ..." with the reason, its numbers nan from there on; or "unresolved: ...", all
-                numbers there, where the vibrations that they show are no more than errors of the steps
-    stats       what the integrator counted
-    designs     parameters of the lanes by name, [lanes, ...]
-    parameters  names of the design variables of the sensitivities, one for each slot
-    switches    passages into the second phase and all later ones
-    good        which lanes have not failed [lanes], also where torch.func.vmap makes several motions of one; None: all
-    actions     applied forces of each phase; none: of all the same
-    variables   designs by which the motion is differentiable, by name [lanes, ...]: inputs of torch.autograd.grad
-    integration how it was integrated, with its tangents if it has any (forward_integration.py, reverse_integration.py)
-    """
-
-    t: Tensor
-    signals: Signals = field(repr=False)
-    status: list[str]
-    stats: dict[str, Any]
-    system: Any
-    dynamics: Dynamics
-    shapes: Shapes = field(repr=False)
-    designs: dict[str, Tensor] = field(default_factory=dict)
-    parameters: tuple[str, ...] = ()
-    switches: list[Switch] = field(default_factory=list)
-    actions: tuple[tuple[Action, ...], ...] = ()
-    known: dict[Any, Any] | None = field(default=None, repr=False)  # what measures evaluated together share
-    good: Tensor | None = field(default=None, repr=False)
-    variables: dict[str, Tensor] = field(default_factory=dict, repr=False)
-    integration: Any = field(default=None, repr=False)
     _energies: dict[bool, Energies] = field(default_factory=dict, init=False, repr=False)
-
-    @property
-    def lanes(self) -> int:
-        """Number of designs."""
-        return self.signals.lanes
-
-    @property
-    def q(self) -> Tensor:
-        """Coordinates [lanes, times, n_q]."""
-        return self.signals.values("q")
-
-    @property
-    def v(self) -> Tensor:
-        """Rates [lanes, times, n_v]."""
-        return self.signals.values("v")
-
-    @property
-    def a(self) -> Tensor:
-        """Accelerations [lanes, times, n_v]."""
-        return self.signals.values("a")
-
-    @property
-    def lam(self) -> Tensor:
-        """Multipliers [lanes, times, rows], of redundant rows those of least norm; computed when somebody asks."""
-        return self.signals.values("lam")
-
-    @property
-    def dq_db(self) -> Tensor | None:
-        """Sensitivities of the coordinates [lanes, times, n_q, n_b]."""
-        return self.tangents("q")
-
-    @property
-    def dv_db(self) -> Tensor | None:
-        """Sensitivities of the rates [lanes, times, n_v, n_b]."""
-        return self.tangents("v")
-
-    @property
-    def da_db(self) -> Tensor | None:
-        """Sensitivities of the accelerations [lanes, times, n_v, n_b]."""
-        return self.tangents("a")
-
-    @property
-    def dlam_db(self) -> Tensor | None:
-        """Sensitivities of the multipliers [lanes, times, rows, n_b]."""
-        return self.tangents("lam")
-
-    def tangents(self, name: str, rows: Rows = None) -> Tensor | None:
-        """Sensitivities of rows [lanes, times, k, n_b]; InputError where gradients come by the adjoint."""
-        from_adjoint = self.integration is not None and self.stats.get("gradients") == "reverse"
-        if from_adjoint:
-            raise InputError(
-                f"d{name}_db: the gradients of this motion come by the adjoint, which has no sensitivities of coordinates; "
-                "allowed: simulate(..., gradients='forward')"
-            )
-        return self.sensitivities.tangents(name, rows)
-
-    @cached_property
-    def sensitivities(self) -> Signals:
-        """The same rows, values and tangents, as plain numbers."""
-        made = self.integration
-        if made is None or not made.variables:
-            return self.signals
-        until = self.signals.until if isinstance(self.signals, Recorded) else None
-        return Recorded(made.history, made, made.dynamics.data, until)
-
-    def detach(self) -> Trajectory:
-        """The same numbers without a graph of torch."""
-        return replace(
-            self,
-            t=self.t.detach(),
-            signals=self.signals.detach(),
-            dynamics=replace(self.dynamics, data={k: detached(x) for k, x in self.dynamics.data.items()}),
-            shapes=self.shapes.detach(),
-            designs={name: x.detach() for name, x in self.designs.items()},
-            variables={},
-            switches=[switch.detach() for switch in self.switches],
-            known=None,
-        )
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Numbers only: a graph of torch is not kept."""
-        return vars(self.detach())
-
-    @property
-    def ok(self) -> bool:
-        """Whether every lane succeeded."""
-        return all(status == OK for status in self.status)
-
-    def require_ok(self) -> Trajectory:
-        """Return self, or raise SimulationFailure with the first reason."""
-        for lane, status in enumerate(self.status):
-            if status != OK:
-                raise SimulationFailure(f"lane {lane}: {status}")
-        return self
-
-    def sound(self, x: Tensor) -> Tensor:
-        """A function [lanes, ...] of the motion, without derivatives in lanes that failed: those of nan would be nan.
-
-        One that depends on no parameter has gradients of zero.
-        """
-        moving = [y for y in self.variables.values() if y.requires_grad]
-        if moving and torch.is_grad_enabled() and not x.requires_grad:
-            nothing = torch.stack([0.0 * y.reshape(len(y), -1).sum(1) for y in moving]).sum(0)
-            x = x + nothing.reshape(-1, *[1] * (x.dim() - 1))
-        if self.good is None or all_true(self.good):
-            return x
-        return torch.where(self.good.reshape(-1, *[1] * (x.dim() - 1)), x, x.detach())
 
     def body(self, name: str) -> BodyMotion:
         """The motion of one body."""
@@ -238,28 +51,3 @@ class Trajectory:
     def singular_positions(self) -> list[SingularPosition]:
         """Where and when the motion came near a position at which its constraints lose rank."""
         return singular_positions(self)
-
-    def modes(self, name: str) -> Tensor:
-        """Mode shapes [lanes, nodes, 6, modes] of a flexible body: the structure stage of the designs, once more."""
-        T = self.dynamics.topology
-        return self.shapes.values(one_of("flexible body", name, T.names[: T.flexible]))
-
-    def at_moment(self, lane: int, t: Tensor, moment: Moment) -> Trajectory:
-        """One lane at one side of a switch at its time t [], as a motion of one time without sensitivities."""
-        one = slice(lane, lane + 1)
-        there = {name: getattr(moment, name)[one, None] for name in ("q", "v", "a", "lam")}
-        return replace(
-            self,
-            t=t[None],
-            signals=Given(there),
-            status=self.status[one],
-            dynamics=self.dynamics.some([lane]),
-            shapes=OneLane(self.shapes, lane),
-            designs={name: x[one] for name, x in self.designs.items()},
-            parameters=(),
-            good=None if self.good is None else self.good[one],
-            switches=[],
-            known=None,
-            variables={},
-            integration=None,
-        )

@@ -8,7 +8,8 @@ Checked in tests/fem/mesh/test_mesh.py.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -20,9 +21,6 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 
-if TYPE_CHECKING:
-    from torchmbd.fem.mesh.mesh import Mesh
-
 #: A cell is collapsed when a corner's height over the longest side is less than this part of that side.
 FLATNESS = 1e-6
 
@@ -33,13 +31,35 @@ SEPARATION = 1e-7
 WARP = math.radians(40.0)
 
 
+class Cells(Protocol):
+    """What is checked of a mesh; see `Mesh`."""
+
+    @property
+    def nodes(self) -> Tensor: ...
+    @property
+    def triangles(self) -> Tensor: ...
+    @property
+    def quads(self) -> Tensor: ...
+    @property
+    def lines(self) -> Tensor: ...
+    @property
+    def node_sets(self) -> Mapping[str, Sequence[int]]: ...
+    @property
+    def cells(self) -> dict[str, Tensor]: ...
+    @property
+    def cell_count(self) -> int: ...
+    def first(self, kind: str) -> int: ...
+    def cell_name(self, k: int) -> str: ...
+    def node_name(self, k: int) -> str: ...
+
+
 def directed_area(p: Float[Tensor, "m corners 3"]) -> Float[Tensor, "m 3"]:
     """Area of polygons along their normals [m2]; of a triangle half the cross product of two sides, to the last digit."""
     arms = p - p[:, :1]
     return torch.linalg.cross(arms[:, 1:-1], arms[:, 2:]).sum(1) / 2.0
 
 
-def check(mesh: Mesh) -> None:
+def check(mesh: Cells) -> None:
     """Raise InputError for the first fault of a mesh."""
     _check_nodes(mesh)
     _check_shapes(mesh)
@@ -55,7 +75,7 @@ def check(mesh: Mesh) -> None:
                 raise InputError(f"Mesh: node_sets[{name!r}] has node {k}; allowed: 0 to {len(mesh.nodes) - 1}")
 
 
-def _check_nodes(mesh: Mesh) -> None:
+def _check_nodes(mesh: Cells) -> None:
     nodes = mesh.nodes
     if nodes.ndim != 2 or nodes.shape[1] != 3 or len(nodes) < 2:
         raise InputError(f"Mesh: nodes has shape {tuple(nodes.shape)}; allowed: [n, 3] with n >= 2")
@@ -73,7 +93,7 @@ def _check_nodes(mesh: Mesh) -> None:
             )
 
 
-def _check_shapes(mesh: Mesh) -> None:
+def _check_shapes(mesh: Cells) -> None:
     for name, corners, width in (("triangles", mesh.triangles, 3), ("quads", mesh.quads, 4)):
         if corners.ndim != 2 or corners.shape[1] != width:
             raise InputError(f"Mesh: {name} has shape {tuple(corners.shape)}; allowed: [m, {width}]")
@@ -81,7 +101,7 @@ def _check_shapes(mesh: Mesh) -> None:
         raise InputError("Mesh: it has no triangles, no quads and no lines; allowed: at least one")
 
 
-def _check_cells(mesh: Mesh, corners: Tensor, start: int) -> None:
+def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
     """Check the cells of one kind; `start` is the number of the first."""
     n = len(mesh.nodes)
     bad = ((corners < 0) | (corners >= n)).any(dim=1).nonzero().flatten()
@@ -117,7 +137,7 @@ def _collapsed(corners: int) -> str:
     return "is collapsed, concave or crosses itself; allowed: convex, corners in turn"
 
 
-def _check_orphans(mesh: Mesh) -> None:
+def _check_orphans(mesh: Cells) -> None:
     n = len(mesh.nodes)
     used = torch.zeros(n, dtype=torch.bool)
     for own in (*mesh.cells.values(), mesh.lines.clamp(0, n - 1)):
@@ -128,7 +148,7 @@ def _check_orphans(mesh: Mesh) -> None:
         raise InputError(f"Mesh: {len(orphans)} orphan nodes belong to no element: {names}; remove them")
 
 
-def _check_lines(mesh: Mesh) -> None:
+def _check_lines(mesh: Cells) -> None:
     lines, n = mesh.lines, len(mesh.nodes)
     if lines.ndim != 2 or lines.shape[1] != 2:
         raise InputError(f"Mesh: lines has shape {tuple(lines.shape)}; allowed: [k, 2]")
@@ -138,7 +158,7 @@ def _check_lines(mesh: Mesh) -> None:
         raise InputError(f"Mesh: line {k} has nodes {lines[k].tolist()}; allowed: two different ones of 0 to {n - 1}")
 
 
-def _sides(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _sides(mesh: Cells) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """First and second node of every side, and its cell."""
     kinds = [corners.numpy() for corners in mesh.cells.values()]
     tail = np.concatenate([c.ravel() for c in kinds])
@@ -147,7 +167,7 @@ def _sides(mesh: Mesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return tail, head, owner
 
 
-def _check_winding(mesh: Mesh) -> None:
+def _check_winding(mesh: Cells) -> None:
     """Refuse an edge that two cells run through in the same direction: one of them is inverted."""
     tail, head, owner = _sides(mesh)
     low, high = np.minimum(tail, head), np.maximum(tail, head)
@@ -163,7 +183,7 @@ def _check_winding(mesh: Mesh) -> None:
         )
 
 
-def _check_connected(mesh: Mesh) -> None:
+def _check_connected(mesh: Cells) -> None:
     (tail, head, _), lines, n = _sides(mesh), mesh.lines.numpy(), len(mesh.nodes)
     tail, head = np.concatenate([tail, lines[:, 0]]), np.concatenate([head, lines[:, 1]])
     parts, label = connected_components(coo_array((np.ones(len(tail)), (tail, head)), shape=(n, n)), directed=False)

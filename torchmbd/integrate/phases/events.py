@@ -24,9 +24,10 @@ from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.mode_shapes import DesignShapes, GivenShapes, OneLane, shape_tangents
+from torchmbd.results.motion_data import OK
 from torchmbd.results.state import State
 from torchmbd.results.time_rows import Given, Rows, Signals
-from torchmbd.results.trajectory import OK, Trajectory
+from torchmbd.results.trajectory import Trajectory
 
 DIRECTIONS = {"falling": -1, "rising": 1, "either": 0}
 

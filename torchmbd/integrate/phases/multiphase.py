@@ -20,7 +20,7 @@ from torchmbd.integrate.phases.phase import Stage
 from torchmbd.integrate.phases.run import Course
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics
-from torchmbd.results.trajectory import OK, Switch
+from torchmbd.results.motion_data import OK, Switch
 
 SIDES = ("q", "v", "a", "lam")
 NUMBERS = 1 + 2 * len(SIDES)  # of a switch

@@ -34,7 +34,7 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes
-from torchmbd.results.trajectory import Switch
+from torchmbd.results.motion_data import Switch
 
 
 @dataclass(eq=False)

@@ -35,8 +35,8 @@ from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.selection import selected
 from torchmbd.results.history import History
+from torchmbd.results.motion_data import OK, Moment, Switch
 from torchmbd.results.state import State
-from torchmbd.results.trajectory import OK, Moment, Switch
 
 CLOSED = 1e-6  # [m] or [-]: violation of a joint that begins to act
 

@@ -111,7 +111,7 @@ class FlexibleBody(nn.Module):
         self.reduction = reduced(name, self.assembly, reduction, modes, held, self.reference, updated)
         self.modes = self.reduction.size
         self.damping = ModalDamping(name, damping)
-        warn_mesh(self)
+        warn_mesh(name, self.assembly.parts.values())
 
     def _register(self, parts: Mapping[str, Part]) -> None:
         owners = [key for key, part in parts.items() if part.modules()]
@@ -176,7 +176,7 @@ class FlexibleBody(nn.Module):
         parts = {"plate": Plates(mesh, laminate, mass=mass)}
         options = (position, axes, reference, damping, reduction, interface, updated, (), rigid)
         body = cls(name, mesh, parts, modes, *options)
-        warn_slender(body)
+        warn_slender(name, mesh, body.plates.values())
         return body
 
     @classmethod
@@ -233,7 +233,7 @@ class FlexibleBody(nn.Module):
         """
         found = MeshFile(mesh, {}) if isinstance(mesh, Mesh) else read_mesh(mesh, scale)
         body = cls(name, found.mesh, zone_parts(found, laminate, direction, mass), modes, **options)
-        warn_units(body)
+        warn_units(name, found.mesh, body.plates.values(), body.structure)
         return body
 
     @classmethod
@@ -250,7 +250,7 @@ class FlexibleBody(nn.Module):
         found = read_bdf(path, units, mass)
         options = {"reference": found.reference} | options
         body = cls(name, found.mesh, found.parts, modes, links=found.links, **options)
-        warn_units(body)
+        warn_units(name, found.mesh, body.plates.values(), body.structure)
         return body
 
     def at(

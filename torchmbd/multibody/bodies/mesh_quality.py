@@ -13,18 +13,15 @@ Checked in tests/multibody/bodies/test_mesh_quality.py.
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.fem.elements import Plates
+from torchmbd.fem.elements import Part, Plates
 from torchmbd.fem.mesh import directed_area
 from torchmbd.math.variable import plain
-
-if TYPE_CHECKING:
-    from torchmbd.multibody.bodies.flexible import FlexibleBody
 
 CORNERS = {"quad": (30.0, 150.0), "triangle": (0.0, 160.0)}  # degrees
 ASPECT = 12.0
@@ -32,17 +29,12 @@ ANISOTROPY, FINE = 1e4, 1500  # ratio of moduli; cells
 _ROUNDING = 1e-9
 
 
-def warn_mesh(body: FlexibleBody) -> None:
+def warn_mesh(name: str, parts: Iterable[Part]) -> None:
     """Warn once, naming the worst cell and its figure, if cells are skewed or slender or too coarse for their plies."""
-    doubts = [
-        doubt
-        for part in body.assembly.parts.values()
-        if isinstance(part, Plates)
-        for doubt in (*_cells(part), *_plies(part))
-    ]
+    doubts = [doubt for part in parts if isinstance(part, Plates) for doubt in (*_cells(part), *_plies(part))]
     if doubts:
         warnings.warn(
-            f"mesh of body {body.name!r}: {'; '.join(doubts)}. Results may be off; compare with a finer mesh, or one of "
+            f"mesh of body {name!r}: {'; '.join(doubts)}. Results may be off; compare with a finer mesh, or one of "
             f"better cells (corners of {CORNERS['quad'][0]:g} to {CORNERS['quad'][1]:g} degrees, below {ASPECT:g} : 1)",
             stacklevel=4,
         )

@@ -11,24 +11,24 @@ from __future__ import annotations
 
 import math
 import warnings
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import torch
 
+from torchmbd.fem.elements import Plates
+from torchmbd.fem.mesh import Mesh
 from torchmbd.math.plausible_units import DENSITY, SLENDER, SOUND, doubt
 from torchmbd.math.variable import plain
-
-if TYPE_CHECKING:
-    from torchmbd.multibody.bodies.flexible import FlexibleBody
 
 SIZE = (2e-3, 200.0)  # m
 
 
-def warn_units(body: FlexibleBody) -> None:
-    """Warn if size, density or speed of sound of a body is implausible."""
-    size = float((body.mesh.nodes.amax(0) - body.mesh.nodes.amin(0)).norm())
+def warn_units(name: str, mesh: Mesh, plates: Iterable[Plates], structure: Callable[[], dict[str, Any]]) -> None:
+    """Warn if size, density or speed of sound of a body is implausible; structure() gives its mass and frequencies."""
+    size = _size(mesh)
     doubts = [] if SIZE[0] <= size <= SIZE[1] else [f"its size is {size:.3g} m"]
-    for part in body.plates.values():
+    for part in plates:
         for ply in map(plain, part.laminate.layer_plies):
             sound = math.sqrt(ply.E1 / ply.density)
             if not DENSITY[0] <= ply.density <= DENSITY[1]:
@@ -37,18 +37,22 @@ def warn_units(body: FlexibleBody) -> None:
                 doubts.append(f"a ply has the speed of sound {sound:.3g} m/s (E1 = {ply.E1:.3g} Pa)")
     if doubts:
         with torch.no_grad():
-            made = body.structure()
+            made = structure()
         first = math.sqrt(max(float(torch.linalg.eigvalsh(made["Kr"])[0]), 0.0)) / (2.0 * math.pi)
         warnings.warn(
-            f"units of body {body.name!r}? {doubts[0]}; it is {size:.3g} m long, weighs {float(made['mass']):.3g} kg, and "
+            f"units of body {name!r}? {doubts[0]}; it is {size:.3g} m long, weighs {float(made['mass']):.3g} kg, and "
             f"its first frequency is {first:.3g} Hz. Allowed: m, kg, s, N, Pa (readers: units='mm' for mm, t, s, N, MPa)",
             stacklevel=3,
         )
 
 
-def warn_slender(body: FlexibleBody) -> None:
+def warn_slender(name: str, mesh: Mesh, plates: Iterable[Plates]) -> None:
     """Warn if the thickness of a plate does not fit its size."""
-    size = float((body.mesh.nodes.amax(0) - body.mesh.nodes.amin(0)).norm())
-    for part in body.plates.values():
+    size = _size(mesh)
+    for part in plates:
         thickness = float(part.laminate.total_thickness.detach().max())
-        doubt(f"mesh and laminate: thickness of {body.name!r} by its size", thickness / size, "", SLENDER, stacklevel=4)
+        doubt(f"mesh and laminate: thickness of {name!r} by its size", thickness / size, "", SLENDER, stacklevel=4)
+
+
+def _size(mesh: Mesh) -> float:
+    return float((mesh.nodes.amax(0) - mesh.nodes.amin(0)).norm())
