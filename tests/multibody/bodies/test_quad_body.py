@@ -12,6 +12,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.fem.elements.plate_cases import CARBON, GENERAL, KINDS, grid, irregular, mapped, rotation, turned
 from tests.mechanisms import SOFT
+from torchmbd.fem.elements import Plates, ply_basis
 from torchmbd.fem.materials import Strength
 
 
@@ -88,7 +89,7 @@ def test_uniform_states_have_their_stresses_in_every_ply():
     strain = 1e6 / 70e9
     local = torch.stack([strain * x[:, 0], -0.3 * strain * x[:, 1], 0 * x[:, 0]], dim=1)
     u = torch.cat([local @ R.T, torch.zeros_like(local)], dim=1)[..., None]
-    stress = mbd.elements.ply_basis(matrices, laminate, u).stress.detach()[..., 0]
+    stress = ply_basis(matrices, laminate, u).stress.detach()[..., 0]
     assert_close(stress, torch.tensor([1e6, 0, 0, 0, 0], dtype=torch.float64).expand(24, 5), rtol=1e-10, atol=1e-3)
 
 
@@ -101,7 +102,7 @@ def test_zones_of_a_mixed_mesh():
     body = mbd.FlexibleBody(
         "plate",
         mesh,
-        {k: mbd.elements.Plates(mesh, m, cells=zones[k]) for k, m in (("even", GENERAL), ("odd", other))},
+        {k: Plates(mesh, m, cells=zones[k]) for k, m in (("even", GENERAL), ("odd", other))},
         3,
     )
     areas = [float(mesh.areas[zones[k]].sum()) for k in ("even", "odd")]
