@@ -102,12 +102,22 @@ class Step:
 
     def residual(self, z: Any) -> Any:
         """R [n_v + rows, ...] of the unknowns z."""
-        T, w, q0, known, given, data = self._side(isinstance(z, Pair))
-        vd, lam = z[: T.n_v], z[T.n_v :]
-        q = equations.advance(T, q0, combine(known.q, w.scale, vd))
-        at = equations.placement(T, data, q, given)
-        forces = equations.dynamic_residual(T, data, at, combine(known.v, w.rate, vd), vd, lam)
+        T, w, _, _, _, data = self._side(isinstance(z, Pair))
+        at, v = self._end(z)
+        forces = equations.dynamic_residual(T, data, at, v, z[: T.n_v], z[T.n_v :])
         return cat([forces, equations.constraints(T, at) * w.inverse_scale]) if T.rows else forces
+
+    def action_states(self, z: Any) -> list[tuple]:
+        """s, s' [n, ...] and direction of each kind of action at the end of the step."""
+        at, v = self._end(z)
+        return equations.action_states(self.model.T, self._side(isinstance(z, Pair))[-1], at, v)
+
+    def _end(self, z: Any) -> tuple[equations.Placement, Any]:
+        """Where everything is at the end of the step, and the rates there."""
+        T, w, q0, known, given, data = self._side(isinstance(z, Pair))
+        vd = z[: T.n_v]
+        q = equations.advance(T, q0, combine(known.q, w.scale, vd))
+        return equations.placement(T, data, q, given), combine(known.v, w.rate, vd)
 
     def _side(self, tangents: bool) -> tuple:
         """What a residual is made of, with tangents or without."""

@@ -8,22 +8,8 @@ from torch import Tensor, nn
 
 import torchmbd as mbd
 from tests.mechanisms import tensor
-from tests.multibody.forces.test_controller import GROUND, S, arm, hinged, linear, sliding
+from tests.multibody.forces.test_controller import GROUND, S, hinged, linear, sliding
 from torchmbd.errors import InputError
-
-
-def test_native_is_refused_by_name():
-    with pytest.raises(InputError, match=r"'native'.*module Sequential of the controller 'controller'"):
-        mbd.simulate(arm(), 0.01, steps=2, backend="native")
-
-
-def test_eager_is_said(monkeypatch):
-    from torchmbd.integrate.native import library
-
-    monkeypatch.setattr(library, "_said", set())
-    monkeypatch.setattr(library, "compilation_wanted", lambda: True)
-    with pytest.warns(UserWarning, match="backend 'eager'.*controller 'controller'"):
-        assert mbd.simulate(arm(), 0.01, steps=2).stats["backend"] == "eager"
 
 
 class Given(nn.Module):

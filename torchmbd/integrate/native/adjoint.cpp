@@ -1,10 +1,13 @@
 // The steps of steps.cpp in reverse mode, from the last to the first, for LANES lanes at a time: see adjoint.py.
 //
-// Before this text stand factors.cpp and, generated (functions.py),
+// Before this text stand factors.cpp, feedback.cpp and, generated (functions.py),
 //   matrix, boundary  the iteration matrix, and what the others need of the values
 //   pull_end          adds derivatives of y' finish by z and x
 //   pull_unknowns     of mu' residual by z
 //   pull_known        of -mu' residual by x and data
+//   signals           what laws that are called back read, and
+//   pull_signals_unknowns, pull_signals_known: its derivatives by z, by x and data
+// Strengths and slopes of such laws are known at all steps before; what they read there, from a first call (`read`).
 // If factors cannot be relied on, `adjoint` returns 1 and its results mean nothing.
 
 constexpr int MOST = 12;                   // corrections of mu, as in adjoint.py
@@ -29,12 +32,16 @@ struct Job {
   double *room;                                    // scratch
   long moved_slots, corrections;                   // 1 + any; of mu, at least
   const Mechanism *mechanism;
+  long read;                                       // only the signals are wanted: no rows, no strengths
+  double *signals;                                 // [steps][block][2 called][LANES]
+  double *strengths, *law_slopes;                  // [steps][block][called][LANES], [steps][block][2][pairs][LANES]
+  double *strength_bars;                           // [steps][block][rows][called][LANES], out
 };
 
 // Bytes of scratch memory.
 extern "C" long adjoint_room(const Mechanism* m, long rows, long steps) {
   const Counts c(*m);
-  return sizeof(V) * (m->numbers + c.scratch + c.entries + 4 * c.unknowns + c.n_x * (2 + rows) + (steps + 1) * c.n_v);
+  return sizeof(V) * (m->numbers + c.scratch + c.entries + 4 * c.unknowns + c.n_x * (2 + rows) + (steps + 1) * c.n_v + 2 * m->called);
 }
 
 // Counts and places of q, v, v', lam in a state.
@@ -73,7 +80,7 @@ extern "C" long adjoint(const Job* job) {
   const long N_ = c.unknowns, n_x = c.n_x;
   V* w = (V*)J.room;
   V *K = w + c.scratch, *entries = K + m.numbers, *mu = entries + c.entries, *goal = mu + N_, *R = goal + N_, *z = R + N_;
-  V *x = z + N_, *before_y = x + n_x, *ys = before_y + n_x, *as = ys + S * n_x;
+  V *x = z + N_, *before_y = x + n_x, *ys = before_y + n_x, *as = ys + S * n_x, *worth = as + (J.steps + 1) * c.n_v;
   In in;
   point(in, m, c, w);
   in.entries = entries;
@@ -107,11 +114,20 @@ extern "C" long adjoint(const Job* job) {
       state(J, p, i, block, valid, x);
       std::memcpy((void*)(x + c.n_q + 2 * c.n_v), as + i * c.n_v, c.n_v * sizeof(V));
       in.x = x;
+      const long step = i * blocks + block;
+      if (J.read) {
+        in.signals = (V*)J.signals + step * 2 * m.called;
+        signals(in);
+        continue;
+      }
+      in.strengths = (const V*)J.strengths + step * m.called;
+      if (m.called) in.slopes = (const V*)J.law_slopes + step * 2 * m.pairs;
+      in.signal_bars = worth;
       if (i % CHECK == 0 && !reliable(in, m, c, J.stay, J.lost, K, R)) return 1;
       if (i % CHECK) renew(in, m, N_, J.stay, J.lost, K);
       boundary(in);
       for (long s = 0; s < S; s++) {
-        V *y = ys + s * n_x, *own = slopes + s * J.data;
+        V *y = ys + s * n_x, *own = slopes + s * J.data, *bars = (V*)J.strength_bars + (step * S + s) * m.called;
         std::memcpy((void*)before_y, y, n_x * sizeof(V));
         std::memset((void*)goal, 0, N_ * sizeof(V));
         std::memset((void*)y, 0, n_x * sizeof(V));
@@ -125,7 +141,13 @@ extern "C" long adjoint(const Job* job) {
         for (long k = 1; k <= MOST || k <= J.corrections; k++) {
           for (long n = 0; n < N_; n++) R[n] = -goal[n];
           in.z_bar = R;
+          in.strength_bars = bars;
+          std::memset((void*)bars, 0, m.called * sizeof(V));
           pull_unknowns(in);
+          if (m.called) {
+            signal_bars(in, m, bars, worth);
+            pull_signals_unknowns(in);
+          }
           solve_transposed(m, N_, K, R);
           for (long n = 0; n < N_; n++) mu[n] -= share * R[n];
           const V rates = largest(mu, c.n_v), held = nothing * largest(mu + c.n_v, c.rows), size = rates > held ? rates : held;
@@ -139,7 +161,12 @@ extern "C" long adjoint(const Job* job) {
         }
         worst = (left > worst) | (left != left) ? left : worst;  // a nan stays
         point_data_bars(in, own);
+        std::memset((void*)bars, 0, m.called * sizeof(V));
         pull_known(in);
+        if (m.called) {
+          signal_bars(in, m, bars, worth);
+          pull_signals_known(in);
+        }
         take(J, p, i, s, block, valid, y);
         if (!J.moving) continue;
         V* to = (V*)J.moved_slopes + ((i * blocks + block) * S + s) * J.moving;

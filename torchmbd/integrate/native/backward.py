@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.adjoint import Bars, Cotangents, Grid, Sweep, rows_of
+from torchmbd.integrate.native.feedback import FeedbackSweep
 from torchmbd.integrate.native.library import Library, library
 from torchmbd.integrate.native.simd_layout import (
     addresses,
@@ -23,6 +24,7 @@ from torchmbd.integrate.native.simd_layout import (
     shared,
     uniform,
 )
+from torchmbd.math.pair import value
 from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.results.state import State
 
@@ -40,6 +42,8 @@ class _Job(ctypes.Structure):
         ("moved_slots", ctypes.c_long),
         ("corrections", ctypes.c_long),
         ("mechanism", ctypes.c_void_p),
+        ("read", ctypes.c_long),
+        *((n, ctypes.c_void_p) for n in ("signals", "strengths", "law_slopes", "strength_bars")),
     ]
 
 
@@ -98,13 +102,44 @@ class CompiledSweep(Sweep):
         ]
         numbers = (lanes, rows, data, table.shape[1], len(steps), moving)
         job = _Job(*numbers, *addresses(arrays), moved.shape[2], self.grid.corrections, self.library.address)
+        called, worth = self._called(job, schedule) if self.library.called.places else (None, new(0))
         if self.code.adjoint(ctypes.byref(job)):
             self.code = None
             return super()._segment(number, bars, y)
         start = lanes_out(state_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         laws = torch.stack([lanes_out(x, lanes) for x in moved_slopes]) if moving else None
         by = self.library.unflattened(self.dynamics, lanes_out(slopes, lanes))
+        by |= called.cotangents(_lanes(worth, lanes)) if called else {}
         return Cotangents(by, laws, State(*start)), error.flatten()[:lanes]
+
+    def _called(self, job: _Job, schedule: Sequence[Prescribed]) -> tuple[FeedbackSweep, Tensor]:
+        """Laws that are called back, at all steps, and room for what their strengths are worth [steps, block, rows, n, 8]."""
+        assert self.code is not None
+        laws, (steps, count, rows, lanes) = self.library.called, (job.steps, len(self.values), job.rows, job.lanes)
+        n = len(laws.places)
+        signals, worth = (self.values.new_zeros(steps, count, *some, 8) for some in ((2 * n,), (rows, n)))
+        job.signals, job.rows, job.read = signals.data_ptr(), 0, 1
+        self.code.adjoint(ctypes.byref(job))
+        job.rows, job.read = rows, 0
+        data, times = self.grid.dynamics.data, torch.stack([given.t for given in schedule])
+        wanted = {name for name, x in data.items() if value(x).requires_grad}
+        plain = {name: value(x).detach() for name, x in data.items()}
+        found = FeedbackSweep(laws, plain, _lanes(signals, lanes), times, wanted)
+        arrays = [_blocks(found.strengths), _blocks(found.slopes), worth]
+        job.strengths, job.law_slopes, job.strength_bars = addresses(arrays)
+        job.kept = arrays
+        return found, worth
+
+
+def _lanes(x: Tensor, lanes: int) -> Tensor:
+    """Numbers [steps, block, ..., 8] as [steps, ..., lanes]."""
+    return x.movedim(1, -2).flatten(-2)[..., :lanes]
+
+
+def _blocks(x: Tensor) -> Tensor:
+    """The inverse of `_lanes`; the last lane fills the last block."""
+    x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], -x.shape[-1] % 8)], -1)
+    return x.unflatten(-1, (-1, 8)).movedim(-2, 1).contiguous()
 
 
 def _spaced(x: Tensor, steps: range, every: int) -> Tensor:

@@ -23,9 +23,12 @@ struct Mechanism {
   const int *product_to, *weight, *first, *second;
   const double *product_factor;
   const int *row, *column;         // unknowns of every number of the matrix
+  long called, pairs;              // actions whose laws are called back (feedback.cpp), and which strength depends on which
+  const int *pair_to, *pair_from;
 };
 
 namespace {
+enum { SCALE = 8, RATE = 9 };        // places among what all lanes share: weights of step.py
 constexpr double INACCURATE = 1e-7;  // error of a rate that is one; multipliers of redundant rows may be anything
 
 // Counts of a mechanism, and places of scratch buffers.
@@ -40,7 +43,7 @@ struct Counts {
     rows = ROWS;
     unknowns = n_v + rows;
     n_x = n_q + 3 * n_v + rows;
-    entries = ENTRIES;
+    entries = ENTRIES + m.pairs;
     data = DATA;
   }
 };
@@ -127,7 +130,11 @@ void solve(const Mechanism& m, long unknowns, const V* K, V* b) {
 // The matrix at the values of `in`; in.entries is scratch. stay, lost: see Dynamics.diagonal.
 void fill(const In& in, const Mechanism& m, const double* stay, const double* lost, V* K) {
   matrix(in);
-  const V* entries = in.entries;
+  V* entries = in.entries;
+  const N& n = in.n;
+  (void)n;
+  for (long p = 0; m.products && p < m.pairs; p++)  // as of laws that are written out
+    entries[ENTRIES + p] = -(spread(in.u[SCALE]) * in.slopes[p] + in.u[RATE] * in.slopes[m.pairs + p]);
   std::memset((void*)K, 0, m.numbers * sizeof(V));
   for (long e = 0; e < m.fills; e++) K[m.to[e]] += m.factor[e] * entries[m.from[e]];
   for (long e = 0; e < m.products; e++)

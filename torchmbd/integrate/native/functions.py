@@ -53,7 +53,15 @@ class _Traced:
         both = (data_arrays(self.program, kind, prefix) for prefix in ("d_", "e_"))
         self.data: Any = {name: Pair.of(*x) for name, x in _zipped(*both).items()}
         self.values = {name: value(x) for name, x in self.data.items()}
-        moving = ["dx", "dz", "y", "mu", *(f"e_{buffer_name(name)}" for name in self.names)]
+        moving = [
+            "dx",
+            "dz",
+            "y",
+            "mu",
+            "strength_tangents",
+            "signal_bars",
+            *(f"e_{buffer_name(name)}" for name in self.names),
+        ]
         self.module = Module(self.program, moving)
         self.shared: AnySize = 0  # numbers that all lanes share, so far
         self.entries: AnySize = 0  # of the matrix
@@ -105,7 +113,7 @@ class _Traced:
         """The whole C++ text."""
         functions = self.module.text()
         folder = Path(__file__).parent
-        drivers = "\n".join((folder / name).read_text() for name in ("factors.cpp", driver))
+        drivers = "\n".join((folder / name).read_text() for name in ("factors.cpp", "feedback.cpp", driver))
         return "\n".join([PRELUDE, self._declarations(), functions, drivers])
 
     def _declarations(self) -> str:
@@ -117,9 +125,15 @@ class _Traced:
         lines[-1] += ", ".join(f"*{name}" for name in tables or ["none"]) + "; };"
         given = "|".join(" ".join(names) for names in (sizes, tables, self._constants()))
         lines.append(f'extern "C" const char* needed() {{ return "{given}"; }}')
-        lines.append("struct In {\n  N n;\n  Tables tables;\n  V* w;\n  const long* o;")
+        lines.append("struct In {\n  N n;\n  Tables tables;\n  V* w;\n  const long* o;\n  const V* slopes;")
         fields = {"lanes": "const V", "uniform": "const double", "output": "V"}
-        always = {"x": "lanes", "z": "lanes", "dx": "lanes", "dz": "lanes", "u": "uniform"}
+        always = {"x": "lanes", "z": "lanes", "dx": "lanes", "dz": "lanes", "u": "uniform", "signals": "output"}
+        always |= {
+            "strengths": "lanes",
+            "strength_tangents": "lanes",
+            "strength_bars": "output",
+            "signal_bars": "lanes",
+        }
         kinds = {name: b.kind for name, b in program.buffers.items() if b.kind != "scratch"}
         for name, kind in (always | kinds).items():
             lines.append(f"  {fields[kind]}* {name};")
@@ -249,6 +263,9 @@ class _Step(_Traced):
     def finish(self, name: str = "next") -> list[Write]:
         return self.output(name, list(self.step.finish(self.z)))
 
+    def signals(self) -> list[Write]:
+        return self.output("signals", self.T.links.signals(self.step.action_states(self.z)))
+
     def matrix(self) -> list[Write]:
         blocks, slopes = self.step.matrix(self.z)
         found = [blocks[name] for name, _ in self.blocks.shapes()]
@@ -277,10 +294,12 @@ class _Saddle:
 def _step(kind: Kind) -> str:
     with separate():
         s = _Step(kind)
-        s.module.values = {"residual": s.residual(), "finish": s.finish(), "matrix": s.matrix()}
+        s.module.values = {"signals": s.signals(), "residual": s.residual(), "finish": s.finish(), "matrix": s.matrix()}
         residual = s.step.residual(Pair.of(s.z, s.dz)).tangent
+        signals = s.T.links.signals(s.step.action_states(Pair.of(s.z, s.dz)))
         finish = [y.tangent for y in s.step.finish(s.z, s.dz)]
         s.module.moving = {"residual_tangent": s.output("R", [residual]), "finish_tangent": s.output("next", finish)}
+        s.module.moving["signal_tangents"] = s.output("signals", [x.tangent for x in signals])
     return s.text("steps.cpp")
 
 
@@ -288,19 +307,23 @@ def _adjoint(kind: Kind) -> str:
     with separate():
         s = _Step(kind)
         p = s.program
-        residual, finish = s.residual(), s.finish()
-        s.module.values = {"matrix": s.matrix()}
-        for name in ("y", "mu"):
+        residual, finish, signals = s.residual(), s.finish(), s.signals()
+        s.module.values = {"matrix": s.matrix(), "signals": list(signals)}
+        for name in ("y", "mu", "signal_bars"):
             p.buffer(name, 0, "lanes")
-        for name in ("z_bar", "x_bar", *(f"b_{buffer_name(name)}" for name in s.names)):
+        for name in ("z_bar", "x_bar", "strength_bars", *(f"b_{buffer_name(name)}" for name in s.names)):
             p.buffer(name, 0, "output")
         p.buffers.pop("R"), p.buffers.pop("next")
-        of_state, of_z = {"x": "x_bar"}, {"z": "z_bar"}
+        of_state, of_z, of_strengths = {"x": "x_bar"}, {"z": "z_bar"}, {"strengths": "strength_bars"}
         of_data = {f"d_{buffer_name(name)}": f"b_{buffer_name(name)}" for name in s.names}
         s.module.moving = {
             "pull_end": Pullback(p, of_z | of_state)(finish, lambda index: p.load("y", index)),
-            "pull_unknowns": Pullback(p, of_z)(residual, lambda index: p.load("mu", index)),
-            "pull_known": Pullback(p, of_state | of_data)(residual, lambda index: p.call("neg", p.load("mu", index))),
+            "pull_unknowns": Pullback(p, of_z | of_strengths)(residual, lambda index: p.load("mu", index)),
+            "pull_known": Pullback(p, of_state | of_data | of_strengths)(
+                residual, lambda index: p.call("neg", p.load("mu", index))
+            ),
+            "pull_signals_unknowns": Pullback(p, of_z)(signals, lambda index: p.load("signal_bars", index)),
+            "pull_signals_known": Pullback(p, of_state | of_data)(signals, lambda index: p.load("signal_bars", index)),
         }
     return s.text("adjoint.cpp")
 
@@ -325,15 +348,21 @@ def _rates(kind: Kind) -> str:
             placed = equations.placement(T, data, q, given)  # pyright: ignore[reportArgumentType]
             return equations.stabilized_residual(T, data, placed, v, z[: T.n_v], z[T.n_v :], jets, rate)  # pyright: ignore
 
+        def signals(data: Any, q: Any, v: Any) -> list[Any]:
+            placed = equations.placement(T, data, q, given)  # pyright: ignore[reportArgumentType]
+            return T.links.signals(equations.action_states(T, data, placed, v))  # pyright: ignore
+
         placed = equations.placement(T, s.values, value(q), given)  # pyright: ignore[reportArgumentType]
         blocks = s.blocks(s.values, placed)
         matrix = [blocks[name] for name, _ in s.blocks.shapes()]
         s.module.values = {
+            "signals": s.output("signals", signals(s.values, value(q), value(v))),
             "residual": s.output("R", [residual(z * 0.0, s.values, value(q), value(v))]),
             "kinematics": s.output("next", [equations.coordinate_rates(T, value(q), value(v))]),  # pyright: ignore
             "matrix": s.output("entries", [x.solid() for x in matrix if 0 not in x.shape]),
         }
         s.module.moving = {
+            "signal_tangents": s.output("signals", [x.tangent for x in signals(s.data, q, v)]),
             "residual_tangent": s.output("R", [residual(z, s.data, q, v).tangent]),
             "kinematics_tangent": s.output("next", [equations.coordinate_rates(T, q, v).tangent]),  # pyright: ignore
         }

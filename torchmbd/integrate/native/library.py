@@ -29,6 +29,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.integrate.native import data, functions, simd_layout
+from torchmbd.integrate.native.feedback import CalledLaws, Feedback
 from torchmbd.integrate.native.mechanism import Mechanism
 from torchmbd.math.codegen import build_cache
 from torchmbd.math.codegen.compiler import (
@@ -55,7 +56,7 @@ _SOURCES = (
     "math/codegen",
     "integrate/native",
 )
-_DRIVERS = ("factors.cpp", "steps.cpp", "adjoint.cpp", "rates.cpp")
+_DRIVERS = ("factors.cpp", "feedback.cpp", "steps.cpp", "adjoint.cpp", "rates.cpp")
 _SOURCES += tuple(f"integrate/native/{name}" for name in _DRIVERS)
 BACKENDS = ("auto", "eager", "native")
 _loaded: dict[str, ctypes.CDLL] = {}
@@ -116,6 +117,16 @@ class Library:
     def address(self) -> int:
         """Where the mechanism is."""
         return ctypes.addressof(self.mechanism)
+
+    @property
+    def called(self) -> CalledLaws:
+        """Laws that the code calls back."""
+        return self.mechanism.kept[0].called
+
+    def feedback(self, dynamics: Dynamics) -> Feedback | None:
+        """What serves these calls; None: there are no such laws."""
+        laws = self.called
+        return Feedback(laws, dynamics.data, dynamics.lanes, dynamics.tangents) if laws.places else None
 
     def data_blocks(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
         """Data as the code takes them: values [block, 1, n, 8] and tangents [block, n_b, n, 8]."""

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from torchmbd.integrate.native.elimination import elimination
+from torchmbd.integrate.native.feedback import CalledLaws
 from torchmbd.integrate.native.symbolic import groups
 from torchmbd.multibody.system.saddle import places, saddle_entries, size_of
 from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
@@ -33,6 +34,8 @@ class _Struct(ctypes.Structure):
         ("products", ctypes.c_long),
         *((name, ctypes.c_void_p) for name in ("product_to", "weight", "first", "second", "product_factor")),
         *((name, ctypes.c_void_p) for name in ("row", "column")),
+        *((name, ctypes.c_long) for name in ("called", "pairs")),
+        *((name, ctypes.c_void_p) for name in ("pair_to", "pair_from")),
     ]
 
 
@@ -44,6 +47,7 @@ class Mechanism:
         self.groups = groups(T)
         actions = UnitForces(T, [(m, c[None]) for m, c in self._members()])
         self.blocks = SaddleBlocks(T, rows, actions)
+        self.called = CalledLaws([law for some in self.groups.values() for _, _, law in some])
         self.sizes, self.tables, self.constants = self._sizes(), self._tables(), self._constants()
         self._matrix(slopes)
 
@@ -159,12 +163,17 @@ class Mechanism:
         rate, action, place = self.blocks.actions.places(self.T, places(shapes), "action")
         which, rate, factor = self._expanded(rate)
         action, place = action[which], total + place[which]
-        weights = total + size_of(shapes)
+        weights, count = total + size_of(shapes), sum(len(some) for some in self.groups.values())
         found = []
         for i in range(len(self.blocks.actions.pairs) and int(action.max()) + 1):
             own = np.nonzero(action == i)[0]
             one, other = (x.ravel() for x in np.meshgrid(own, own, indexing="ij"))
             weight = np.full(len(one), weights + i)
+            found.append([rate[one], rate[other], weight, place[one], place[other], factor[one] * factor[other]])
+        for pair, (i, j) in enumerate(self.called.pairs):
+            both = (np.nonzero(action == self.called.places[k])[0] for k in (i, j))
+            one, other = (x.ravel() for x in np.meshgrid(*both, indexing="ij"))
+            weight = np.full(len(one), weights + count + pair)
             found.append([rate[one], rate[other], weight, place[one], place[other], factor[one] * factor[other]])
         return [np.concatenate(x) for x in zip(*found, strict=True)] if found else [np.empty(0, dtype=np.int64)] * 6
 
@@ -182,7 +191,10 @@ class Mechanism:
         s.fills, s.products = len(self.matrix["to"]), len(self.matrix["product_to"])
         for name, x in self.matrix.items():
             setattr(s, name, x.ctypes.data)
-        s.kept = (self, given, pointers, numbers)
+        s.called, s.pairs = len(self.called.places), len(self.called.pairs)
+        pairs = np.array(self.called.pairs, dtype=np.intc).reshape(-1, 2).T.copy()
+        s.pair_to, s.pair_from = (x.ctypes.data for x in pairs)
+        s.kept = (self, given, pointers, numbers, pairs)
         return s
 
 

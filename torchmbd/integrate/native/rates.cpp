@@ -1,7 +1,7 @@
 // The index-1 right-hand side for LANES lanes at a time: what Dynamics.rates does, around generated code.
 //
-// Before this text stand factors.cpp and, generated,
-//   residual, kinematics, matrix, boundary, residual_tangent, kinematics_tangent      (functions.py)
+// Before this text stand factors.cpp, feedback.cpp and, generated,
+//   signals, residual, kinematics, matrix, boundary, signal_tangents, residual_tangent, kinematics_tangent      (functions.py)
 
 struct Job {
   long lanes, slots, data, data_tangents, check;  // check: whether the factors can be relied on, or return 1
@@ -10,6 +10,7 @@ struct Job {
   double *dy, *lam;                           // the same; [ROWS][1 + slots][lanes]
   double *room;
   const Mechanism *mechanism;
+  const Feedback *feedback;                   // or null
 };
 
 // Bytes of scratch memory.
@@ -36,6 +37,7 @@ extern "C" long rates(const Job* job) {
   in.next = out;
   in.entries = entries;
   in.u = J.uniform;
+  if (m.called) point_feedback(in, *J.feedback);
   for (long block = 0; block * LANES < L; block++) {
     const long at = block * LANES;
     const int valid = (int)(L - at < LANES ? L - at : LANES);
@@ -58,6 +60,7 @@ extern "C" long rates(const Job* job) {
     } else {
       renew(in, m, c.unknowns, nullptr, nullptr, K);
     }
+    if (ask(in, m, J.feedback, S ? TANGENTS : STRENGTHS, 0, block)) return 2;
     residual(in);
     solve(m, c.unknowns, K, R);
     for (long n = 0; n < c.unknowns; n++) z[n] = -R[n];
@@ -67,6 +70,10 @@ extern "C" long rates(const Job* job) {
     for (long s = 0; s < S; s++) {
       take(dx, 1 + s);
       point_data_tangents(in, (const V*)J.tangents + (block * S + s) * J.data_tangents);
+      if (m.called) {
+        signal_tangents(in);
+        strength_tangents(in, m, J.feedback, s);
+      }
       residual_tangent(in);
       solve(m, c.unknowns, K, R);
       kinematics_tangent(in);

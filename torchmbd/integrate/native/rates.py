@@ -20,7 +20,7 @@ from torchmbd.multibody.system.dynamics import Dynamics
 
 LOOK = 100  # evaluations between two looks at the factors
 _NUMBERS = ("lanes", "slots", "data", "data_tangents", "check")
-_ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "room", "mechanism")
+_ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "room", "mechanism", "feedback")
 
 
 class _Job(ctypes.Structure):
@@ -39,7 +39,7 @@ class CompiledRates:
         code.rates_room.restype = code.rates.restype = ctypes.c_long
         self.values, self.tangents = library.data_blocks(dynamics)
         self.room = torch.empty(code.rates_room(library.address) // 8, dtype=torch.float64)
-        self.count = 0
+        self.count, self.feedback = 0, library.feedback(dynamics)
 
     def __call__(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
         """dy/dt [n_z, 1 + n_b, lanes] and multipliers [rows, 1 + n_b, lanes] at time t; None: not to be relied on."""
@@ -59,8 +59,14 @@ class CompiledRates:
         self.count += 1
         arrays = (uniform, self.values, self.tangents, y, dy, lam, self.room)
         assert y.shape[2] == self.dynamics.lanes
-        job = _Job(*numbers, *addresses(arrays), self.library.address)
-        return None if self.code.rates(ctypes.byref(job)) else (dy, lam)
+        if self.feedback is not None:
+            self.feedback.times = t[None]
+        back = None if self.feedback is None else self.feedback.address
+        job = _Job(*numbers, *addresses(arrays), self.library.address, back)
+        failed = self.code.rates(ctypes.byref(job))
+        if failed and self.feedback is not None:
+            self.feedback.again()
+        return None if failed else (dy, lam)
 
 
 class RightHandSide:

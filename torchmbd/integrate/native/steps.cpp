@@ -1,9 +1,9 @@
 // Steps of generalized-alpha for LANES lanes at a time: what March in generalized_alpha.py does, around generated code.
 //
-// Before this text stand factors.cpp and, generated,
-//   residual, finish, matrix, boundary, residual_tangent, finish_tangent      (functions.py)
+// Before this text stand factors.cpp, feedback.cpp and, generated,
+//   signals, residual, finish, matrix, boundary, signal_tangents, residual_tangent, finish_tangent      (functions.py)
 // A block is LANES lanes. Arrays of a block: state [slot][number], data [number], tangents of data [slot][number].
-// If factors cannot be relied on, `march` returns 1 and has done nothing.
+// If factors cannot be relied on, `march` returns 1 and has done nothing; 2 where what was called back raised.
 
 constexpr int MOST = 4;  // as in stepper.py
 
@@ -22,6 +22,7 @@ struct Job {
   const double *moved;                                           // [steps][block][1 + slots][moving][LANES]
   const Mechanism *mechanism;
   const double *passes;                                          // [block][LANES], corrections of tangents; `most` of all
+  const Feedback *feedback;                                      // or null
 };
 
 // Bytes of scratch memory, and of the factors of a block.
@@ -61,6 +62,7 @@ extern "C" long march(const Job* job) {
   in.R = R;
   in.z = z;
   in.entries = entries;
+  if (m.called) point_feedback(in, *J.feedback);
   if (J.fresh || J.look) {
     for (long block = 0; block * LANES < J.lanes; block++) {
       move(J, 0, block);
@@ -69,6 +71,7 @@ extern "C" long march(const Job* job) {
       in.x = (const V*)J.state + block * (1 + S) * n_x;
       in.u = J.given;
       start(c, in.x, z);
+      if (ask(in, m, J.feedback, SLOPES, 0, block)) return 2;
       if (!reliable(in, m, c, J.stay, J.lost, trial, R)) return 1;
     }
   }
@@ -89,11 +92,16 @@ extern "C" long march(const Job* job) {
       start(c, state, z);
       const bool always = J.refresh == 0, due = always || (J.first + i) % J.refresh == 0;
       const long renewed = J.corrections > 1 ? (J.corrections - 1 > 1 ? J.corrections - 1 : 1) : -1;
-      if (fresh) renew(in, m, N_, J.stay, J.lost, factors);
+      if (fresh) {
+        if (ask(in, m, J.feedback, SLOPES, i, block)) return 2;
+        renew(in, m, N_, J.stay, J.lost, factors);
+      }
       const bool begins = fresh;
       fresh = false;
       for (long k = 0; k < J.corrections; k++) {
-        if (always || (due && k == renewed)) renew(in, m, N_, J.stay, J.lost, factors);
+        const bool anew = always || (due && k == renewed);
+        if (ask(in, m, J.feedback, anew ? SLOPES : STRENGTHS, i, block)) return 2;
+        if (anew) renew(in, m, N_, J.stay, J.lost, factors);
         residual(in);
         solve(m, N_, factors, R);
         for (long n = 0; n < N_; n++) z[n] -= R[n];
@@ -101,7 +109,9 @@ extern "C" long march(const Job* job) {
         if (kept || k == J.corrections - 2) put(J.sizes + (2 * i + kept) * J.lanes + block * LANES, largest(R, c.n_v), valid);
         if (kept && J.corrections == 1) put(J.sizes + 2 * i * J.lanes + block * LANES, largest(R, c.n_v), valid);
       }
-      if (due && J.corrections == 1) renew(in, m, N_, J.stay, J.lost, factors);
+      const bool last = due && J.corrections == 1;
+      if ((S || last) && ask(in, m, J.feedback, S ? TANGENTS : SLOPES, i, block)) return 2;
+      if (last) renew(in, m, N_, J.stay, J.lost, factors);
       finish(in);
       if (S) boundary(in);
       for (int s = 0; s < S; s++) {
@@ -112,6 +122,10 @@ extern "C" long march(const Job* job) {
         start(c, in.dx, ds);
         const bool looks = J.look && i == 0;
         for (long k = 0; k < J.most + looks + (begins ? MOST : 0); k++) {
+          if (m.called) {
+            signal_tangents(in);
+            strength_tangents(in, m, J.feedback, s);
+          }
           residual_tangent(in);
           solve(m, N_, factors, R);
           const V done = spread(k < J.most ? (double)k : -1.0), share = passes > done ? spread(1.0) : spread(0.0);

@@ -33,7 +33,7 @@ from torchmbd.results.state import State
 _NUMBERS = ("lanes", "slots", "data", "data_tangents", "uniform", "first", "steps", "corrections", "most", "refresh")
 _NUMBERS += ("look", "fresh", "moving")
 _ARRAYS = ("given", "state", "values", "tangents", "factors", "stay", "lost", "q", "v", "vd", "lam", "sizes", "errors")
-_ARRAYS += ("room", "moved", "mechanism", "passes")
+_ARRAYS += ("room", "moved", "mechanism", "passes", "feedback")
 
 
 class _Job(ctypes.Structure):
@@ -68,6 +68,7 @@ class CompiledMarch(March):
         code.march_room.restype = code.march_factors.restype = code.march.restype = ctypes.c_long
         code.march_room.argtypes, code.march_factors.argtypes = [ctypes.c_void_p, ctypes.c_long], [ctypes.c_void_p]
         self.weights = torch.tensor(w, dtype=torch.float64)
+        self.feedback = library.feedback(dynamics)
         self.values, self.tangents = library.data_blocks(dynamics)
         self.factors = torch.empty(len(self.values) * code.march_factors(library.address) // 8, dtype=torch.float64)
         self.room = torch.empty(code.march_room(library.address, self.slots) // 8, dtype=torch.float64)
@@ -87,6 +88,8 @@ class CompiledMarch(March):
         table = uniform(self.weights, shared(self.dynamics.topology, schedule))
         for some in between_looks(len(schedule), first, self.slots):
             at = some.start
+            if self.feedback is not None:
+                self.feedback.times = torch.stack([given.t for given in schedule[some]])
             if not self._some(state, table[some], moved[some], record, first + at, place + at):
                 return super().run(self._state(state), schedule[at:], record, first + at, place + at)
         return self._state(state)
@@ -115,8 +118,11 @@ class CompiledMarch(March):
         assert self.code is not None
         assert all(part.shape[-1] == self.lanes for part in record.parts)
         *found, passes = addresses(arrays)
-        job = _Job(*numbers, *found, self.library.address, passes)
+        back = None if self.feedback is None else self.feedback.address
+        job = _Job(*numbers, *found, self.library.address, passes, back)
         if self.code.march(ctypes.byref(job)):
+            if self.feedback is not None:
+                self.feedback.again()
             self.code = None
             return False
         self.fresh = 0

@@ -20,9 +20,9 @@ from torchmbd.math.codegen.array import Array, Table
 from torchmbd.math.codegen.program import Program
 from torchmbd.math.codegen.segment_sum import SegmentSum
 from torchmbd.math.codegen.size import AnySize, Size
-from torchmbd.math.pair import value
+from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.forces.action import Turn
-from torchmbd.multibody.forces.feedback import Links
+from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.laws import OfTime, Scaled, Spring
 from torchmbd.multibody.forces.parametric_law import Varied
 from torchmbd.multibody.joints.primitive import Distance, Primitive
@@ -88,6 +88,8 @@ def form(law: Any) -> tuple[Any, list[Any]]:
         return (Scaled, shape), [law.factor, *numbers]
     if isinstance(law, OfTime) and not callable(law.law):
         return (OfTime,), [law.law, law.factor]
+    if isinstance(law, Port):
+        return (Port,), []
     return law, []
 
 
@@ -125,12 +127,16 @@ def numbers_of(shape: Any) -> int:
         return 0
     if shape[0] is Scaled:
         return 1 + numbers_of(shape[1])
+    if shape[0] is Port:
+        return 0
     return 3 if shape[0] is Spring else 2
 
 
 def _law(shape: Any, numbers: Any) -> Any:
     if not isinstance(shape, tuple):
         return shape
+    if shape[0] is Port:
+        return Port(None)  # pyright: ignore[reportArgumentType]
     if shape[0] is Scaled:
         factor = next(numbers)
         return Scaled(factor, _law(shape[1], numbers))
@@ -220,7 +226,7 @@ class SymbolicTopology:
         self.primitives = tuple(self._primitive(program, i, p) for i, (p, _) in enumerate(kind.primitives))
         self.actions = tuple(self._action(i, one) for i, one in enumerate(kind.forms))
         self.rows = sum((p.rows * primitive_count(i) for i, p in enumerate(self.primitives)), 0)
-        self.links = Links([])
+        self.links = Feedback(kind, program)
 
     @staticmethod
     def _primitive(program: Program, i: int, kind: type[Primitive]) -> Primitive:
@@ -259,6 +265,31 @@ class SymbolicTopology:
     def modal_identity(self, like: Any) -> Any:
         """The identity [modes, modes, 1, 1, 1], in memory."""
         return Array.input(like.program, "unit", (M, M, 1, 1, 1), kind="uniform")
+
+
+class Feedback:
+    """Stands for Links: the strengths of actions whose laws are called back are inputs."""
+
+    def __init__(self, kind: Kind, program: Program):
+        self.kind, self.program = kind, program
+        self.count = sum((action_count(i) for i, _ in self._forms()), 0)
+
+    def _forms(self) -> list[tuple[int, Form]]:
+        return [(i, one) for i, one in enumerate(self.kind.forms) if one.law == (Port,)]
+
+    def strengths(self, states: list[tuple], own: list[Any], t: Any, data: Any) -> list[Any]:
+        """Of all forms [n, 1, 1]."""
+        found, start = list(own), 0
+        for i, _ in self._forms():
+            n = action_count(i)
+            f, df = (Array.input(self.program, name, (n, 1, 1), start) for name in ("strengths", "strength_tangents"))
+            found[i] = Pair.of(f, df) if isinstance(states[i][0], Pair) else f
+            start = start + n
+        return found
+
+    def signals(self, states: list[tuple]) -> list[Any]:
+        """s of all actions whose laws are called back, and then s'."""
+        return [states[i][k] for k in range(2) for i, _ in self._forms()]
 
 
 class _SparseMap:

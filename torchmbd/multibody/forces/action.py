@@ -84,8 +84,8 @@ class Action:
     def slopes(self, s: Tensor, rate: Tensor, t: Any, data: Data) -> tuple[Tensor, Tensor]:
         """df/ds and df/ds' [n, ...] of plain numbers."""
         if len(self.laws) == 1:
-            return _slopes(_of(self.laws[0], data), s, rate, value(t))
-        parts = [_slopes(_of(law, data), s[i : i + 1], rate[i : i + 1], value(t)) for i, law in enumerate(self.laws)]
+            return law_slopes(_of(self.laws[0], data), s, rate, value(t))
+        parts = [law_slopes(_of(law, data), s[i : i + 1], rate[i : i + 1], value(t)) for i, law in enumerate(self.laws)]
         return torch.cat([p[0] for p in parts]), torch.cat([p[1] for p in parts])
 
 
@@ -174,13 +174,14 @@ def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:
         return _force(law.law, s, rate, t) * law.factor
     if isinstance(t, Pair) or not (hasattr(law, "slopes") and isinstance(s, Pair)):
         return lifted(law, s, rate, t)
-    by_s, by_rate = _slopes(law, value(s), value(rate), t)
+    by_s, by_rate = law_slopes(law, value(s), value(rate), t)
     return Pair.of(law(value(s), value(rate), t), by_s * s.tangent + by_rate * rate.tangent)
 
 
-def _slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+def law_slopes(law: Law, s: Tensor, rate: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+    """df/ds and df/ds' of plain numbers."""
     if isinstance(law, Scaled):
-        by_s, by_rate = _slopes(law.law, s, rate, t)
+        by_s, by_rate = law_slopes(law.law, s, rate, t)
         return by_s * law.factor, by_rate * law.factor
     own = getattr(law, "slopes", None)
     if own is not None:

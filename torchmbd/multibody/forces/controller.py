@@ -38,7 +38,7 @@ class Controller(ForceElement):
     outputs   actuators (mbd.signals): each is one number of u, a force [N] or torque [N m]
     name      of the element, and of its parameters in the system
 
-    The parameters of the module are parameters of the system, "controller.<name>". Steps are made by operators of torch.
+    The parameters of the module are parameters of the system, "controller.<name>". Native steps call it back.
     """
 
     def __init__(

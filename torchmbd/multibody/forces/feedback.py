@@ -43,10 +43,7 @@ class Control:
         plain = [value(y)[:, 0] for y in both]
         every = self._every(t)
         found = every(*plain)
-        if torch.is_grad_enabled() and plain[0].requires_grad and not found.requires_grad:
-            raise InputError(
-                f"{self.label} gives a detached tensor{_at(t)}; allowed: one that depends on its parameters"
-            )
+        self._check_attached(found, plain[0], t)
         moving = [i for i, y in enumerate(both) if isinstance(y, Pair) and len(plain[i])]
         if not moving:
             return found[:, None]
@@ -60,6 +57,26 @@ class Control:
 
         tangents: Any = torch.func.vmap(push, 1, 1)(*(both[i].tangent for i in moving))
         return Pair.of(found[:, None], tangents)
+
+    def at(self, p: Tensor, x: Tensor, t: Any) -> Tensor:
+        """u [outputs, lanes] of parameters [k, lanes or 1] and x [inputs, lanes]."""
+        return self._every(t)(p, x)
+
+    @torch.enable_grad()
+    def sloped(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
+        """The same with the graph of the parameters, and du/dx [outputs, inputs, lanes]."""
+        x = x.detach().clone().requires_grad_()
+        u = self.at(p, x, t)
+        self._check_attached(u, p, t)
+        options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
+        rows = [torch.autograd.grad(y.sum(), x, **options)[0] if y.requires_grad else torch.zeros_like(x) for y in u]
+        return u, torch.stack(rows)
+
+    def _check_attached(self, u: Tensor, p: Tensor, t: Any) -> None:
+        if torch.is_grad_enabled() and p.requires_grad and not u.requires_grad:
+            raise InputError(
+                f"{self.label} gives a detached tensor{_at(t)}; allowed: one that depends on its parameters"
+            )
 
     def jacobian(self, x: Tensor, t: Any, data: Mapping[str, Any]) -> Tensor:
         """du/dx [lanes or 1, outputs, inputs] of plain numbers."""

@@ -4,8 +4,8 @@
     df/ds, df/ds'  by differentiating the tape (math/codegen/scalar_derivatives.py), unless the law states its own `slopes`
 
 A law is traced anew for every simulation: nothing that it is made of, closures and attributes included, can be stale.
-A law with branches in Python, with operators that are not known, or that leaves torch is not written out: its system stays
-uncompiled. What was written out is compared with the law at random points.
+A law with branches in Python, with operators that are not known, or that leaves torch is not written out: native code calls it
+back (`CalledLaw`). What was written out is compared with the law at random points.
 Checked in tests/multibody/forces/test_user_laws.py.
 """
 
@@ -18,9 +18,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from torchmbd.errors import InputError
 from torchmbd.math.codegen.scalar_derivatives import derivative
 from torchmbd.math.codegen.scalars import Tape, Untraceable
-from torchmbd.multibody.forces.feedback import Port
+from torchmbd.multibody.forces.action import law_slopes
+from torchmbd.multibody.forces.feedback import Control, Port
 from torchmbd.multibody.forces.laws import LAWS, Scaled
 from torchmbd.multibody.forces.parametric_law import Varied
 
@@ -78,13 +80,49 @@ def known(law: Any) -> bool:
     return type(law) in (Written, *LAWS) and not callable(getattr(law, "law", None))
 
 
-def writable(law: Any) -> Any:
+def writable_part(law: Any) -> Any:
     """The law as numbers of a known form or as scalar operations; Untraceable where it can be neither."""
     if isinstance(law, (Varied, Scaled)):
-        return replace(law, law=writable(law.law))
-    if isinstance(law, Port):
-        raise Untraceable(f"the {law.control.label} is no scalar operation")
+        return replace(law, law=writable_part(law.law))
     return law if known(law) else written(law)
+
+
+def writable(law: Any) -> Any:
+    """The same, or a law to be called back; Untraceable for one with design variables that can be neither."""
+    if isinstance(law, Port) or known(law):
+        return law
+    if isinstance(law, Varied):
+        return writable_part(law)
+    try:
+        return writable_part(law)
+    except Untraceable:
+        return Port(CalledLaw(law), ((0, False), (1, True)), 0, center=float(getattr(law, "center", 0.0)))
+
+
+class CalledLaw(Control):
+    """A law as if it were a controller: of (s, s', t), of all lanes at once. It has no parameters."""
+
+    def __init__(self, law: Callable[..., Tensor]):
+        self.name, self.law, self.inputs, self.outputs, self.variables = "", law, 3, 1, None
+
+    @property
+    def label(self) -> str:
+        return f"law {self.law!r}"
+
+    def at(self, p: Tensor, x: Tensor, t: Any) -> Tensor:
+        """As of Control."""
+        s, rate = x[:2, None, None]
+        f = self.law(s, rate, t)
+        if not isinstance(f, Tensor) or f.shape != s.shape or f.dtype != s.dtype:
+            shown = f"{f.dtype} {list(f.shape)}" if isinstance(f, Tensor) else repr(f)
+            raise InputError(f"{self.label} gives {shown} at t = {float(t):.6g} s; allowed: {s.dtype} {list(s.shape)}")
+        return f[0]
+
+    def sloped(self, p: Tensor, x: Tensor, t: Any) -> tuple[Tensor, Tensor]:
+        """As of Control."""
+        s, rate = x[:2, None, None]
+        by = law_slopes(self.law, s, rate, t)
+        return self.at(p, x, t), torch.stack([*(y.expand(1, 1, x.shape[1])[0, 0] for y in by), x[2] * 0.0])[None]
 
 
 def written(law: Any) -> Written:

@@ -1,0 +1,188 @@
+"""Actions whose laws native code calls back: controllers, and laws of the user's own that cannot be written out.
+
+    values     f = F(s, s', t; weights)          once for every correction of a step, all lanes of a block at a time
+    slopes     df/ds, df/ds'                     for the iteration matrix and for tangents, of the pairs of actions that depend
+    tangents   dF/dweights dweights              once for a step
+    backward   f and slopes at all steps first, then native steps, then dF/dweights at all steps at once
+
+Checked in tests/integrate/native/test_feedback.py: the same numbers as by operators of torch.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Mapping, Sequence
+from itertools import product
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.integrate.native.simd_layout import LANES, addresses
+from torchmbd.math.pair import Pair, value
+from torchmbd.math.variable import key
+from torchmbd.multibody.forces.feedback import Links, Port
+
+_CALL = ctypes.CFUNCTYPE(ctypes.c_long, ctypes.c_long, ctypes.c_long, ctypes.c_long)
+_STRENGTHS, _SLOPES, _TANGENTS = range(3)  # as in feedback.cpp
+
+
+class CalledLaws:
+    """Those of a mechanism.
+
+    places   numbers of their actions among all
+    pairs    of actions, counted among these: one whose strength depends on s or s' of the other
+    """
+
+    def __init__(self, laws: Sequence[Any]):
+        self.places = [i for i, law in enumerate(laws) if isinstance(law, Port)]
+        self.links = Links([laws[i] for i in self.places]).each
+        self.pairs: list[tuple[int, int]] = []
+        self._used = []  # of each link: rows that it writes, and entries of x that s and s' of what it reads are
+        for link in self.links:
+            rows = link.writes.any(1).nonzero()[:, 0]
+            columns = link.coordinates.any(0).nonzero()[:, 0]
+            self.pairs += product(rows.tolist(), columns.tolist())
+            read = link.coordinates[:, columns]
+            by = torch.stack([read * (1.0 - link.rates)[:, None], read * link.rates[:, None]])
+            self._used.append((link.writes[rows], by))
+
+    def parameters(self, data: Mapping[str, Any]) -> list[Tensor]:
+        """Weights of each controller [k, lanes or 1]; none of a law."""
+        names = [key(link.control.name) for link in self.links]
+        none = torch.zeros(0, 1, dtype=torch.float64)
+        return [
+            value(data[name])[:, 0] if link.control.variables else none
+            for name, link in zip(names, self.links, strict=True)
+        ]
+
+    def inputs(self, signals: Tensor, t: Tensor) -> list[Tensor]:
+        """What each of them reads [inputs, lanes] out of s and s' of all [2 n, lanes]."""
+        both = torch.cat([signals, t.expand(1, signals.shape[1])])
+        return [both[link.read] for link in self.links]
+
+    def strengths(self, u: Sequence[Tensor]) -> Tensor:
+        """Of all actions [n, ...] by what each of them gives [outputs, ...]."""
+        parts = [torch.tensordot(link.writes, x, 1) for link, x in zip(self.links, u, strict=True)]
+        return sum(parts[1:], parts[0])
+
+    def slopes(self, jacobians: Sequence[Tensor]) -> Tensor:
+        """Of all pairs by s and s' [2, pairs, lanes], of du/dx [outputs, inputs, lanes]."""
+        parts = [
+            torch.einsum("ro,oil,dic->drcl", writes, J, by).flatten(1, 2)
+            for (writes, by), J in zip(self._used, jacobians, strict=True)
+        ]
+        return torch.cat(parts, 1)
+
+
+class _Struct(ctypes.Structure):
+    """As in feedback.cpp."""
+
+    _fields_ = [("call", _CALL)] + [
+        (name, ctypes.c_void_p) for name in ("signals", "strengths", "slopes", "tangents", "strength_tangents")
+    ]
+
+
+class Feedback:
+    """What is called back while steps are made. times: of the ends of the steps to come, set before these."""
+
+    def __init__(self, laws: CalledLaws, data: Mapping[str, Any], lanes: int, slots: int):
+        self.laws, self.lanes, self.times = laws, lanes, torch.zeros(1, dtype=torch.float64)
+        self.parameters = [p.clone() for p in laws.parameters(data)]
+        names = [key(link.control.name) for link in laws.links]
+        self.moves = [data[name].tangent if isinstance(data.get(name), Pair) else None for name in names]
+        n, pairs = len(laws.places), len(laws.pairs)
+        shapes = [(2 * n,), (n,), (2, pairs), (slots, n), (n,)]
+        self.arrays = [torch.zeros(*shape, LANES, dtype=torch.float64) for shape in shapes]
+        self.error: BaseException | None = None
+        self.struct = _Struct(_CALL(self._call), *addresses(self.arrays))
+
+    @property
+    def address(self) -> int:
+        """Where what native code takes is."""
+        return ctypes.addressof(self.struct)
+
+    def again(self) -> None:
+        """Raise what was raised while native code ran."""
+        error, self.error = self.error, None
+        if error is not None:
+            raise error
+
+    def _call(self, what: int, step: int, block: int) -> int:
+        try:
+            with torch.inference_mode(False):
+                self._answer(what, self.times[step], slice(block * LANES, min((block + 1) * LANES, self.lanes)))
+        except BaseException as error:  # native code cannot hand it on
+            self.error = error
+            return 1
+        return 0
+
+    def _answer(self, what: int, t: Tensor, lanes: slice) -> None:
+        signals, strengths, slopes, tangents, _ = self.arrays
+        count, links = lanes.stop - lanes.start, self.laws.links
+        x = self.laws.inputs(signals[:, :count], t)
+        p = [y if y.shape[1] == 1 else y[:, lanes] for y in self.parameters]
+        if what == _STRENGTHS:
+            _put(strengths, self.laws.strengths([a.control.at(b, c, t) for a, b, c in zip(links, p, x, strict=True)]))
+            return
+        if what == _TANGENTS:
+            p = [y if m is None else y.expand(-1, count) for y, m in zip(p, self.moves, strict=True)]
+            p = [y if m is None else y.clone().requires_grad_() for y, m in zip(p, self.moves, strict=True)]
+        found = [link.control.sloped(a, b, t) for link, a, b in zip(links, p, x, strict=True)]
+        _put(strengths, self.laws.strengths([u.detach() for u, _ in found]))
+        _put(slopes, self.laws.slopes([J for _, J in found]))
+        if what == _TANGENTS:
+            tangents.zero_()
+        for (u, _), link, a, move in zip(found, links, p, self.moves, strict=True):
+            if what == _TANGENTS and move is not None:
+                by = torch.stack([_derivative(y, a) for y in u])
+                own = torch.einsum("okl,ksl->osl", by, move if move.shape[-1] == 1 else move[..., lanes])
+                _put(tangents, tangents[..., :count] + torch.einsum("no,osl->snl", link.writes, own))
+
+
+class FeedbackSweep:
+    """The same backward: values at all steps before, weights after.
+
+    signals   [steps, 2 n, lanes], of which the strengths [steps, n, lanes] and slopes [steps, 2, pairs, lanes] are made
+    wanted    names of the weights by which derivatives are wanted
+    """
+
+    def __init__(self, laws: CalledLaws, data: Mapping[str, Any], signals: Tensor, times: Tensor, wanted: set[str]):
+        self.laws, names = laws, [key(link.control.name) for link in laws.links]
+        self.names = [name if name in wanted else None for name in names]
+        lanes = signals.shape[-1]
+        self.parameters = [
+            p if name is None else p.expand(-1, lanes).clone().requires_grad_()
+            for p, name in zip(laws.parameters(data), self.names, strict=True)
+        ]
+        strengths, slopes, self.outputs = [], [], []
+        for some, t in zip(signals, times, strict=True):
+            read = zip(laws.links, self.parameters, laws.inputs(some, t), strict=True)
+            found = [link.control.sloped(p, x, t) for link, p, x in read]
+            self.outputs.append([u for u, _ in found])
+            strengths.append(laws.strengths([u.detach() for u, _ in found]))
+            slopes.append(laws.slopes([J for _, J in found]))
+        self.strengths, self.slopes = torch.stack(strengths), torch.stack(slopes)
+
+    def cotangents(self, bars: Tensor) -> dict[str, Tensor]:
+        """By the weights [k, rows, lanes], by what all strengths are worth [steps, rows, n, lanes]."""
+        result = {}
+        for k, (name, p, link) in enumerate(zip(self.names, self.parameters, self.laws.links, strict=True)):
+            if name is None:
+                continue
+            worth = torch.einsum("no,trnl->rtol", link.writes, bars)
+            outputs = [u[k] for u in self.outputs]
+            rows = [torch.autograd.grad(outputs, p, list(own), retain_graph=True)[0] for own in worth]
+            result[name] = torch.stack(rows, 1)
+        return result
+
+
+def _put(to: Tensor, x: Tensor) -> None:
+    """Numbers of the lanes that exist into a block [..., 8]; the last of them stands for the others."""
+    to[..., : x.shape[-1]] = x
+    to[..., x.shape[-1] :] = x[..., -1:]
+
+
+def _derivative(y: Tensor, by: Tensor) -> Tensor:
+    options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
+    return torch.autograd.grad(y.sum(), by, **options)[0] if y.requires_grad else torch.zeros_like(by)
