@@ -137,7 +137,9 @@ def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[T
     moving = {name: x for name, x in dynamics.data.items() if isinstance(x, Pair)}
     data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
     model = replace(dynamics, data={})
-    made = ReverseIntegration(None, model, tuple(data), duration, False, steps, GeneralizedAlpha(), precise=True)
+    made = ReverseIntegration(
+        None, model, tuple(data), duration, False, steps, GeneralizedAlpha(), precise=True, wanted=tuple(moving)
+    )
     outputs: Any = Motion.apply(made, *data.values())
     q, v, vd, lam = outputs[:4]
     found = responses_of(

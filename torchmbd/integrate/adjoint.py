@@ -23,7 +23,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -32,7 +32,7 @@ from torch import Tensor
 
 from torchmbd.integrate.native.simd_layout import moving
 from torchmbd.integrate.one_step import OneStep
-from torchmbd.integrate.prepared import prepare
+from torchmbd.integrate.prepared import differentiable, prepare
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.stepper import March, resume
@@ -115,7 +115,7 @@ class Cotangents(NamedTuple):
 class Adjoint:
     """The adjoint of one motion.
 
-    dynamics   of the whole system, values only
+    dynamics   of the whole system, values only;  known: the same as a function of leaves, if that was made already
     history    what was integrated, by equal steps over the duration [s]
     integrator  that made the steps
     failed     lanes whose cotangents are zero
@@ -128,6 +128,7 @@ class Adjoint:
     integrator: OneStep
     failed: Sequence[int]
     sweep: Callable[[Grid], Sweep]
+    known: Dynamics | None = None
     _sweeps: dict[tuple[str, ...], list[Sweep]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
@@ -137,7 +138,7 @@ class Adjoint:
 
     def __getstate__(self) -> dict[str, Any]:
         """Without sweeps: those by compiled code hold a library, and all can be made again."""
-        return vars(self) | {"_sweeps": {}}
+        return vars(self) | {"_sweeps": {}, "known": None}
 
     @torch.no_grad()
     def __call__(self, bars: Bars, names: Sequence[str]) -> dict[str, Tensor]:
@@ -178,10 +179,17 @@ class Adjoint:
 
     def _grid(self, names: tuple[str, ...], lanes: list[int], history: History, own: list[int], every: int) -> Grid:
         """Of lanes of the batch, which are `own` in a history that has `every` times as many intervals as there are outputs."""
-        some = self.dynamics if len(lanes) == self.dynamics.lanes else self.dynamics.some(lanes)
-        leaves = {name: leaf(some.data[name].expand(*some.data[name].shape[:-1], len(lanes))) for name in names}
-        with torch.enable_grad():
-            _, left, start = prepare(replace(some, data={**some.data, **leaves}))
+        known = self.known
+        if (
+            known is None
+            or len(lanes) < known.lanes
+            or names != tuple(k for k, x in known.data.items() if x.requires_grad)
+        ):
+            known = differentiable(
+                self.dynamics.some(lanes) if len(lanes) < self.dynamics.lanes else self.dynamics, names
+            )
+        leaves = {name: known.data[name] for name in names}
+        _, left, start = prepare(known)
         stored = history.between.steps if history.between else 1
         steps = stored * (len(history.q) - 1)
         h = self.duration / steps

@@ -20,8 +20,9 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.variable_step import converged
 from torchmbd.math.pair import Pair, value
-from torchmbd.multibody.system.dynamics import Dynamics, regularized
+from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import factored
+from torchmbd.multibody.system.saddle_factors import regularized
 from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.results.state import State
 

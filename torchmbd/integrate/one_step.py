@@ -111,7 +111,7 @@ class OneStep(Integrator):
         would make it 1 % ("suggested_steps"), and the largest rotation of a body in one step [rad] ("turn").
         """
         h, every = duration / steps, self.checkpoint
-        whole, left, x = prepare(dynamics)
+        whole, left, x = prepare(dynamics).detached()
         same = left.topology is whole.topology
         times = torch.linspace(0.0, duration, steps // every + 1, dtype=torch.float64)
         expansion = None if same else Expansion.of(left.initial.condensation, whole.data, times)

@@ -25,6 +25,7 @@ from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native import backward
 from torchmbd.integrate.native.library import resolved
 from torchmbd.integrate.one_step import OneStep
+from torchmbd.integrate.prepared import differentiable
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
@@ -41,6 +42,7 @@ class ReverseIntegration:
     integrator   with a pullback of its steps
     precise   whether derivatives will be taken
     backend   of the steps, as of `simulate`
+    wanted    names of inputs that are differentiated, as far as that is known before: their start is made once
 
     dynamics, history, status, stats   what came of it
     """
@@ -54,12 +56,17 @@ class ReverseIntegration:
     integrator: OneStep
     precise: bool
     backend: str = "auto"
+    wanted: tuple[str, ...] = ()
     dynamics: Dynamics = field(init=False)
     history: History = field(init=False)
     status: list[str] = field(init=False)
     validity: Tensor = field(init=False)
     stats: dict[str, Any] = field(init=False)
     variables: tuple[str, ...] = ()  # none carries tangents along
+    _known: Dynamics | None = field(default=None, init=False, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"_known": None}  # has a graph of torch
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
@@ -72,11 +79,13 @@ class ReverseIntegration:
             )
         self.dynamics = resolved(self._with(data), self.backend)
         self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, 0, self.integrator)
-        self.history, self.stats, self.status = run(
-            self.integrator, self.dynamics, self.duration, self.steps, self.precise
-        )
+        if self.wanted:
+            self._known = differentiable(self.dynamics, self.wanted)
+        known = self._known or self.dynamics
+        self.history, self.stats, self.status = run(self.integrator, known, self.duration, self.steps, self.precise)
         h = self.history
         self.validity = validity(h, self.status, self.stats)
+        vars(self.dynamics)["rank"] = known.rank
         self.dynamics.judged()
         return h.q, h.v, h.vd, h.lam, self.validity
 
@@ -116,7 +125,7 @@ class ReverseIntegration:
     def adjoint(self) -> Adjoint:
         """Of the motion."""
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
-        return Adjoint(self.dynamics, self.history, self.duration, self.integrator, failed, backward.sweep)
+        return Adjoint(self.dynamics, self.history, self.duration, self.integrator, failed, backward.sweep, self._known)
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """Leads from what was integrated to the whole system, as a function of the data; None: it is the whole."""

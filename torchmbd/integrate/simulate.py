@@ -201,6 +201,7 @@ def _reverse(
         integrator,
         bool(names) or timed,
         backend,
+        tuple(name for name, x in data.items() if x.requires_grad),
     )
     inputs = (*data.values(), duration[None, None]) if timed else data.values()
     outputs: Any = Motion.apply(integration, *inputs)

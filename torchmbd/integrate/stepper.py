@@ -15,8 +15,9 @@ from torch import Tensor
 
 from torchmbd.integrate.pullback import PulledBack, StepPullback
 from torchmbd.math.pair import Pair, value
-from torchmbd.multibody.system.dynamics import Dynamics, regularized
+from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Eliminated, Elimination, Factored, factored, pays
+from torchmbd.multibody.system.saddle_factors import regularized
 from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.results.history import History, Record
 from torchmbd.results.state import State

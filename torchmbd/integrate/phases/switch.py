@@ -28,7 +28,7 @@ from torchmbd.math.elementwise import reciprocal
 from torchmbd.math.pair import Pair, cat, combine, dot, matvec, matvec_t, value
 from torchmbd.multibody.joints.lock import Lock
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.dynamics import Dynamics, solve
+from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.state import State
 
@@ -154,16 +154,11 @@ def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tup
 
     M dv + Phi_q' Lambda = impulse,   Phi_q (v + dv) = -Phi_t; without v: Phi_q dv = 0.
     """
-    T, data = dynamics.topology, {name: value(x) for name, x in dynamics.data.items()}
-    at = equations.placement(T, data, value(q), T.prescribed(t, data))
-    K = dynamics.saddle.matrix(data, at)
-    LU, pivots, _ = torch.linalg.lu_factor_ex(dynamics.determined(K))
-    factor = LU, pivots, K if dynamics.redundant else None
-    still = torch.zeros_like(value(q)[: T.n_v])
-    nothing = still.new_zeros(T.rows, *still.shape[1:])
+    T = dynamics.topology
 
-    def left(data: equations.Data, q: Any, impulse: Any, v: Any, dv: Tensor, Lam: Tensor) -> Any:
-        at = equations.placement(T, data, q, T.prescribed(t, data))
+    def left(data: equations.Data, at: equations.Placement, q: Any, impulse: Any, v: Any, x: Tensor) -> Any:
+        dv, Lam = x[: T.n_v], x[T.n_v :]
+        still, nothing = torch.zeros_like(dv), torch.zeros_like(Lam)
         forces = equations.dynamic_residual(T, data, at, still, dv, Lam)
         forces = forces - equations.dynamic_residual(T, data, at, still, still, nothing)
         forces = forces if impulse is None else forces - impulse
@@ -174,11 +169,7 @@ def _impulse(dynamics: Dynamics, t: Tensor, q: Any, impulse: Any, v: Any) -> tup
             rates = rates - equations.constraint_jets(T, at, data, still, still, t).velocity
         return cat([forces, rates])
 
-    push, rates = (None if x is None else value(x) for x in (impulse, v))
-    x: Any = -solve(factor, left(data, value(q), push, rates, still, nothing))
-    if isinstance(q, Pair):
-        residual = left(dynamics.data, q, impulse, v, x[: T.n_v], x[T.n_v :])
-        x = Pair.of(x, -solve(factor, residual.tangent))
+    x = dynamics.solved(left, t, q, impulse, v)
     return x[: T.n_v], x[T.n_v :]
 
 

@@ -13,13 +13,13 @@ bodies are undeformed are left out (rank.py): nothing but -1e30 on the diagonal.
 For design tangents the saddle-point matrix is factored once; the right-hand sides of eqs. (31)-(33) are tangents of
 the residual with accelerations and multipliers held fixed.
 Differentiable: plain tensors in reverse mode (torchdiffeq.odeint and backward), design tangents through `rates`.
-Checked in tests/system/, tests/sensitivity/.
+Checked in tests/multibody/system/, tests/sensitivity/.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -28,13 +28,15 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.pair import Pair, cat, linear, value
+from torchmbd.math.owned import watched
+from torchmbd.math.pair import Pair, cat, linear, slope_of, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.equations import Data
 from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.rank import Rank, confirmed, jacobians, rank_of, sound, without_modes
 from torchmbd.multibody.system.saddle import Saddle
+from torchmbd.multibody.system.saddle_factors import Diagonal, regularized
 from torchmbd.multibody.system.topology import Topology
 
 LEFT_OUT = 1e30  # on the diagonal of a row without other entries: its multiplier is zero
@@ -63,7 +65,13 @@ class Dynamics:
     initial: Any  # InitialConditions
     stabilization: float = 5e-3
     backend: str = "eager"
+    prepared: Any = field(
+        default=None, init=False, repr=False
+    )  # the start of a motion, once made (integrate/prepared.py)
     statistics: dict[str, int] = field(default_factory=lambda: {"evaluations": 0})
+
+    def __getstate__(self) -> dict[str, Any]:
+        return vars(self) | {"prepared": None}  # may have a graph of torch
 
     @property
     def lanes(self) -> int:
@@ -128,7 +136,7 @@ class Dynamics:
             found = replace(found, left_out=tuple(self.initial.condensed.rows[list(left.rank.left_out)].tolist()))
         return LeastNorm.of(self.topology, found)
 
-    def diagonal(self, everywhere: bool = False) -> tuple[Tensor, Tensor] | None:
+    def diagonal(self, everywhere: bool = False) -> Diagonal | None:
         """For the saddle-point matrix: which rows and columns stay, 1 or 0 [n], and what its diagonal loses [n].
 
         None: it is determined as it is. everywhere: regularized also without redundant rows, near singular positions.
@@ -208,27 +216,36 @@ class Dynamics:
 
     def accelerations(self, t: Tensor, q, v):
         """Accelerations a [n_v, ...] and multipliers lam [rows, ...]; eq. (9), with tangents eq. (30)."""
-        T, data = self.topology, {name: value(x) for name, x in self.data.items()}
-        qv, vv = value(q), value(v)
-        given, drives = T.prescribed(t, self.data), T.law_jets(t, self.data) if T.rows else []
-        at = equations.placement(T, data, qv, given.values())
-        K = self.saddle.matrix(data, at)
-        zero = torch.zeros_like(vv)
-        still = vv.new_zeros(T.rows, *vv.shape[1:])
-        LU, pivots, _ = torch.linalg.lu_factor_ex(self.determined(K))  # a singular lane becomes inf or nan, alone
-        factor = LU, pivots, K if self.redundant else None
-        plain = [drive and tuple(jet.map(value) for jet in drive) for drive in drives]
-        x = -solve(factor, self._residual(data, at, vv, zero, still, plain))
-        a, lam = x[: T.n_v], x[T.n_v :]
-        if not isinstance(q, Pair):
-            return a, lam
-        at = equations.placement(T, self.data, q, given)
-        residual = self._residual(self.data, at, v, a, lam, drives)
-        both = Pair.of(x, -solve(factor, residual.tangent))
-        return both[: T.n_v], both[T.n_v :]
+        T = self.topology
+
+        def residual(data: Data, at: equations.Placement, q: Any, v: Any, x: Tensor) -> Any:
+            return self._residual(data, at, v, x[: T.n_v], x[T.n_v :], T.law_jets(t, data) if T.rows else [])
+
+        x = self.solved(residual, t, q, v)
+        return x[: T.n_v], x[T.n_v :]
 
     def _residual(self, data: Data, at: equations.Placement, v, a, lam, drives: list[tuple | None]):
         return equations.stabilized_residual(self.topology, data, at, v, a, lam, drives, 1.0 / self.stabilization)
+
+    def solved(self, residual: Callable[..., Any], t: Tensor, q: Any, *given: Any) -> Any:
+        """x [n_v + rows, ...] with residual(data, placement, q, *given, x) = 0, of coordinates q [n_q, ...] and what is given.
+
+        The residual is linear in x with the saddle-point matrix. Differentiable in every mode: x is held fixed in the
+        residual, no derivative of the matrix is needed.
+        """
+        T, data = self.topology, {name: value(y) for name, y in self.data.items()}
+        qv, plain = value(q), [y if y is None else value(y) for y in given]
+        by = [y for y in (t, qv, *plain, *data.values()) if y is not None and watched(y)]
+        at = equations.placement(T, self.data, q, T.prescribed(t, self.data))
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not by):
+            fixed = at.map(lambda y: value(y).detach())
+            factors = self.saddle.factors(data, fixed, self.diagonal(), by)
+            nothing = qv.new_zeros(T.n_v + T.rows, *qv.shape[1:])
+            x = -factors.solve(residual(data, fixed, qv, *plain, nothing)).detach()
+        if not by and not isinstance(q, Pair):
+            return x
+        slopes = -factors.solve(slope_of(residual(self.data, at, q, *given, x)))
+        return Pair.of(x, slopes) if isinstance(q, Pair) else x + slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,25 +264,3 @@ class CondensedStart:
         """Initial q [n_q, 1, lanes] and v [n_v, 1, lanes]; pairs if the data of `dynamics` are."""
         q, v = self.whole.start
         return self.condensation.left(*((q, v) if dynamics.tangents else (value(q), value(v))))
-
-
-def regularized(K: Tensor, diagonal: tuple[Tensor, Tensor] | None) -> Tensor:
-    """Matrices K [lanes, n, n] with the changes of Dynamics.diagonal."""
-    if diagonal is None:
-        return K
-    stay, lost = diagonal
-    return K * (stay[:, None] * stay) - torch.diag(lost)
-
-
-def solve(factor: tuple[Tensor, Tensor, Tensor | None], rhs: Tensor) -> Tensor:
-    """Solve for right-hand sides [n, slots, lanes] with LU factors of matrices [lanes, n, n].
-
-    With the exact matrix as third entry the factors are those of a regularized one: two steps of refinement.
-    """
-    LU, pivots, exact = factor
-    b = rhs.permute(2, 0, 1)
-    x = torch.linalg.lu_solve(LU, pivots, b)
-    if exact is not None:
-        for _ in range(2):
-            x = x + torch.linalg.lu_solve(LU, pivots, b - exact @ x)
-    return x.permute(1, 2, 0)

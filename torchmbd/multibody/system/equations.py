@@ -24,6 +24,7 @@ Checked in tests/multibody/system/test_equations.py (direct nodal sums), tests/p
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,12 +63,16 @@ class Placement:
     drives: list[tuple | None]
     t: Any = None
 
+    def map(self, f: Callable[[Any], Any]) -> Placement:
+        """The same with f(x) of all numbers."""
+        A, w, A_of, rho, g = (f(x) for x in (self.A, self.w, self.A_of, self.rho, self.g))
+        arguments = [[f(x) for x in vectors] for vectors in self.arguments]
+        drives: list[tuple | None] = [drive and tuple(f(x) for x in drive) for drive in self.drives]
+        return Placement(A, w, A_of, rho, g, arguments, drives, self.t)
+
     def values(self) -> Placement:
         """The same without tangents."""
-        A, w, A_of, rho, g = (value(x) for x in (self.A, self.w, self.A_of, self.rho, self.g))
-        arguments = [[value(x) for x in vectors] for vectors in self.arguments]
-        drives: list[tuple | None] = [drive and tuple(value(x) for x in drive) for drive in self.drives]
-        return Placement(A, w, A_of, rho, g, arguments, drives, self.t)
+        return self.map(value)
 
 
 def split_q(T: Topology, q):

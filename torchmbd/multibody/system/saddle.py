@@ -12,6 +12,9 @@ Checked in tests/multibody/system/test_equations.py: every column is the differe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -19,6 +22,7 @@ from torch.nn.functional import pad
 
 from torchmbd.multibody.system.equations import Data, Placement, action_states
 from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
+from torchmbd.multibody.system.saddle_factors import LARGE, Columns, Diagonal, Factors
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.unit_forces import Block, of_actions, of_rows
 
@@ -38,6 +42,8 @@ class Saddle:
         index[row, column] = place
         self._project = None if T.rates is None else Projection(index, zero, T.rates)
         self._index = torch.from_numpy(index.reshape(-1))
+        sparse = T.rates is None and len(index) >= LARGE
+        self.columns = Columns.of(row, column, place, len(index), zero) if sparse else None
         acting = self.blocks.action_shapes()
         self.action_names = [name for name, _ in acting]
         rate, action, place = self.blocks.actions.places(T, places(acting), "action")
@@ -57,15 +63,24 @@ class Saddle:
         turn: Tensor | None = None,
     ) -> Tensor:
         """Dense saddle-point matrix [lanes, n_v + rows, n_v + rows]; arguments as of `SaddleBlocks`."""
-        blocks = self.blocks(data, at, stiffness, damping, v, a, lam, turn)
-        lanes = at.g.shape[-1] if at.g.numel() else at.A.shape[-1]
-        flat = _flat(blocks, self.names, lanes)
+        flat = self._entries(data, at, stiffness, damping, v, a, lam, turn)
         size = self.T.n_v + self.T.rows
         flat = flat.index_select(0, self._index) if self._project is None else self._project(flat)
-        K = flat.reshape(size, size, lanes).permute(2, 0, 1)
+        K = flat.reshape(size, size, -1).permute(2, 0, 1)
         if v is not None and self.T.actions:
             K = K + pad(self._action_slopes(data, at, v, stiffness, damping), (0, self.T.rows, 0, self.T.rows))
         return K
+
+    def _entries(self, data: Data, at: Placement, *arguments: Any) -> Tensor:
+        """Entries of all blocks [n + 1, lanes], the last of which is zero."""
+        lanes = at.g.shape[-1] if at.g.numel() else at.A.shape[-1]
+        return _flat(self.blocks(data, at, *arguments), self.names, lanes)
+
+    def factors(self, data: Data, at: Placement, diagonal: Diagonal | None, by: Sequence[Tensor] = ()) -> Factors:
+        """Of the matrix of the accelerations; diagonal as of Dynamics, by as of Factors."""
+        if self.columns is None:
+            return Factors(self.matrix(data, at), diagonal, None, by)
+        return Factors(self._entries(data, at)[self.columns.place].T, diagonal, self.columns, by)
 
     def _action_slopes(self, data: Data, at: Placement, v: Tensor, stiffness: float, damping: float) -> Tensor:
         """Derivatives of the applied forces through their laws [lanes, n_v, n_v]."""
