@@ -27,6 +27,11 @@ from torchmbd.errors import InputError
 P = ParamSpec("P")
 R = TypeVar("R")
 _FLOATS = (float, "float", "float | Tensor")
+_MAY_VARY = {
+    "float | Tensor": "a number, or mbd.variable(...) of one",
+    "Varying": "numbers, or a torch.nn.Parameter such as mbd.variable(...)",
+    "Angles": "numbers, or a torch.nn.Parameter",
+}
 _CONTAINERS = (list, tuple, set, frozenset)
 _CLOSED = (types.ModuleType, type, str, bytes, int, float, complex, type(None), torch.dtype, torch.device)
 _OF_MODULE = frozenset(vars(nn.Module()))
@@ -36,6 +41,10 @@ _LIBRARIES = ("torch", "numpy", "scipy", "builtins", "functools", "operator")
 def is_variable(x: Any) -> bool:
     """Whether x is one number that may vary."""
     return isinstance(x, nn.Parameter) and x.dim() == 0 and x.dtype == torch.float64 and bool(torch.isfinite(x))
+
+
+def _is_parameter(x: Any) -> bool:
+    return isinstance(x, nn.Parameter) and x.dtype == torch.float64
 
 
 def differentiated(x: Any) -> bool:
@@ -60,19 +69,20 @@ def refuse_gradients(name: str, given: Any, allowed: str = "numbers") -> None:
 def constants(f: Callable[P, R]) -> Callable[P, R]:
     """A function whose floats are numbers; InputError names an argument that is none, or that carries a gradient.
 
-    A float may be a design variable (`is_variable`) where its annotation says so: `float | Tensor`.
+    A float whose annotation is `float | Tensor` may be a design variable (`is_variable`); what is annotated `Varying` or
+    `Angles` may be a Parameter of any shape.
     """
     signature = inspect.signature(f)
     floats = {name for name, p in signature.parameters.items() if p.annotation in _FLOATS}
-    varying = {name for name, p in signature.parameters.items() if "float | Tensor" in str(p.annotation)}
+    kinds = {name: str(p.annotation).partition(" | Mapping")[0] for name, p in signature.parameters.items()}
 
     @functools.wraps(f)
     def checked(*args: P.args, **kwargs: P.kwargs) -> R:
         if any(map(_may_vary, (*args, *kwargs.values()))):
             for name, x in signature.bind(*args, **kwargs).arguments.items():
-                if name not in varying or not is_variable(x):
-                    allowed = "numbers, or mbd.variable(...) of one" if name in varying else "numbers"
-                    refuse_gradients(f"{name} of {f.__qualname__.removesuffix('.__init__')}", x, allowed)
+                allowed = _MAY_VARY.get(kinds[name])
+                if allowed is None or not (is_variable(x) or ("torch.nn" in allowed and _is_parameter(x))):
+                    refuse_gradients(f"{name} of {f.__qualname__.removesuffix('.__init__')}", x, allowed or "numbers")
         given = signature.bind_partial(*args, **kwargs).arguments
         for name in floats.intersection(given):
             if not _number(given[name]):

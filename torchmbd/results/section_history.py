@@ -160,7 +160,7 @@ def laminated(body: object) -> dict[str, Section]:
 def _strengths(section: Section) -> Float[Tensor, "*lanes points 8"] | None:
     """Strength numbers at the points of stress; None where a ply has none."""
     numbers = of_plies(section.plies)
-    return None if numbers is None else numbers[..., section.geometry.layer[section.stress_points[:, 0]], :]
+    return None if numbers is None else numbers[..., section.problem.geometry.layer[section.stress_points[:, 0]], :]
 
 
 def _rule(criterion: str) -> Any:

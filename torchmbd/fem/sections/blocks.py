@@ -7,11 +7,14 @@ Checked in tests/fem/sections/test_section_generators.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor, nn
 
 from torchmbd.fem.sections.mesh import SectionMesh
 
@@ -26,8 +29,31 @@ class Patch:
     layer: int
 
 
+def shaped(
+    build: Callable[..., Sequence[Patch]], given: Mapping[str, Any], order: int, plane_angle: float | None = None
+) -> SectionMesh:
+    """The mesh of the patches build(**given), whose points are linear in the dimensions that are given [m].
+
+    Those that are Parameters are design variables of the mesh, with the nodes of unit dimensions. plane_angle: of all elements
+    """
+    sizes = {name: x.detach().numpy() if isinstance(x, Tensor) else np.asarray(x, float) for name, x in given.items()}
+    mesh, chosen = _joined(build(**sizes), order, plane_angle)
+    for name, x in given.items():
+        if isinstance(x, nn.Parameter):
+            nothing = {other: 0.0 * size for other, size in sizes.items()}
+            units = np.eye(x.numel()).reshape(-1, *x.shape)
+            found = [_points(build(**nothing | {name: unit}))[chosen] for unit in units]
+            mesh.dimensions[name] = x, torch.from_numpy(np.stack(found))
+    return mesh
+
+
 def joined(patches: Sequence[Patch], order: int, plane_angle: float | None = None) -> SectionMesh:
-    """Merge the points that patches share and number what is left; plane_angle: of all elements, or None."""
+    """The mesh of patches; plane_angle: of all elements, or None."""
+    return _joined(patches, order, plane_angle)[0]
+
+
+def _joined(patches: Sequence[Patch], order: int, plane_angle: float | None) -> tuple[SectionMesh, NDArray[np.int64]]:
+    """Merge the points that patches share and number what is left; and which of all points these are."""
     elements, layer, start = [], [], 0
     for patch in patches:
         rows, columns = patch.points.shape[:2]
@@ -36,9 +62,13 @@ def joined(patches: Sequence[Patch], order: int, plane_angle: float | None = Non
         elements.append(block.reshape(-1, block.shape[-1]))
         layer.append(np.full(i.size, patch.layer))
         start += rows * columns
-    nodes = np.concatenate([patch.points.reshape(-1, 2) for patch in patches])
-    nodes, connectivity = _merged(nodes, np.concatenate(elements))
-    return SectionMesh(nodes, connectivity, np.concatenate(layer), plane_angle)
+    nodes = _points(patches)
+    chosen, connectivity = _merged(nodes, np.concatenate(elements))
+    return SectionMesh(nodes[chosen], connectivity, np.concatenate(layer), plane_angle), chosen
+
+
+def _points(patches: Sequence[Patch]) -> NDArray[np.float64]:
+    return np.concatenate([patch.points.reshape(-1, 2) for patch in patches])
 
 
 def line(start: float, end: float, cells: int, order: int) -> NDArray[np.float64]:
@@ -65,9 +95,9 @@ def between(low: NDArray[np.float64], high: NDArray[np.float64], cells: int, ord
 
 
 def _merged(nodes: np.ndarray, elements: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One node for each place (places that agree to a millionth of the smallest element)."""
+    """Which node stands for each place (they agree to a millionth of the smallest element), and the elements of these."""
     corners = nodes[elements]
     size = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1).min()
     _, first, inverse = np.unique(np.round(nodes / (1e-6 * size)), axis=0, return_index=True, return_inverse=True)
     used, connectivity = np.unique(inverse.ravel()[elements], return_inverse=True)
-    return nodes[first[used]], connectivity.reshape(elements.shape)
+    return first[used], connectivity.reshape(elements.shape)

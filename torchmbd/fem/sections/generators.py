@@ -7,6 +7,7 @@ is a plate in the x-y plane with normal z, and equal angles in all walls wind ar
 Elements of strip, box and I become short towards corners and edges, where warping bends most; those of a rectangle are equal.
 All lengths in m, angles in rad; the origin of the section's axes is the center of the outer dimensions.
 Rounding of corners is left out. Plies of a box meet on the diagonals of its corners.
+Width, height, radius and thickness may be Parameters (mbd.variable): design variables of the section by these names.
 Checked in tests/fem/sections/test_section_generators.py.
 """
 
@@ -22,37 +23,46 @@ from torch import Tensor
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.materials import Ply
-from torchmbd.fem.sections.blocks import Patch, between, graded, grid, joined, line
+from torchmbd.fem.sections.blocks import Patch, between, graded, grid, line, shaped
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.section import Section
 from torchmbd.math.gradients import constants
 from torchmbd.math.owned import positive
 from torchmbd.math.plausible_units import DIMENSION, THICKNESS, doubt
+from torchmbd.math.variable import number
 
 Plies = Ply | Orthotropic | Sequence[Ply | Orthotropic]
 Angles = Sequence[float] | Tensor
+Varying = float | Sequence[float] | Tensor  # numbers, or a Parameter (`constants`)
 WALLS = ("top", "right", "bottom", "left")
 
 
 @constants
 def strip(
-    width: float,
+    width: float | Tensor,
     ply: Plies,
     angles: Angles,
-    thickness: float | Sequence[float] | Tensor,
+    thickness: Varying,
     cells: tuple[int, int] = (20, 1),
     order: int = 2,
 ) -> Section:
     """A laminate as a beam: width along y, plies stacked along z; cells across the width and through each ply."""
     _positive(width=width)
     _check_cells(cells, 2, order)
-    return _stack(graded(-width / 2, width / 2, cells[0], order), ply, angles, thickness, cells[1], order)
+    layers = _layers(angles)
+    _thicknesses(thickness, layers)
+
+    def build(width: Any, thickness: Any) -> list[Patch]:
+        y = graded(-width / 2, width / 2, cells[0], order)
+        return _stack(y, np.broadcast_to(thickness, layers), cells[1], order)
+
+    return Section(shaped(build, {"width": width, "thickness": thickness}, order), ply, angles)
 
 
 @constants
 def rectangle(
-    width: float,
-    height: float,
+    width: float | Tensor,
+    height: float | Tensor,
     ply: Plies,
     angles: Angles = (0.0,),
     cells: tuple[int, int] = (8, 8),
@@ -61,17 +71,23 @@ def rectangle(
     """Width along y, height along z, shared equally by the plies; cells over the whole width and height."""
     _positive(width=width, height=height)
     _check_cells(cells, 2, order)
-    each = max(1, round(cells[1] / _layers(angles)))
-    return _stack(line(-width / 2, width / 2, cells[0], order), ply, angles, height / _layers(angles), each, order)
+    layers = _layers(angles)
+    each = max(1, round(cells[1] / layers))
+
+    def build(width: Any, height: Any) -> list[Patch]:
+        y = line(-width / 2, width / 2, cells[0], order)
+        return _stack(y, np.full(layers, height / layers), each, order)
+
+    return Section(shaped(build, {"width": width, "height": height}, order), ply, angles)
 
 
 @constants
 def box(
-    width: float,
-    height: float,
+    width: float | Tensor,
+    height: float | Tensor,
     ply: Plies,
     angles: Angles | Mapping[str, Angles],
-    thickness: float | Sequence[float] | Tensor,
+    thickness: Varying,
     cells: tuple[int, int, int] = (20, 12, 1),
     order: int = 2,
 ) -> Section:
@@ -86,55 +102,67 @@ def box(
     _check_cells(cells, 3, order)
     walls = _walls(angles)
     layers = _layers(walls["top"])
-    t = _thicknesses(thickness, layers)
-    if not 2 * t.sum() < min(width, height):
-        raise InputError(f"box: walls of {t.sum():g} m in {width:g} m x {height:g} m; allowed: less than half of both")
-    depth = t.sum() - np.concatenate([[0.0], np.cumsum(t)])
+    total = _thicknesses(thickness, layers).sum()
+    if not 2 * total < min(number(width), number(height)):
+        sizes = f"{number(width):g} m x {number(height):g} m"
+        raise InputError(f"box: walls of {total:g} m in {sizes}; allowed: less than half of both")
     shared = not isinstance(angles, Mapping)
-    patches = []
-    for w, wall in enumerate(WALLS):
-        count = cells[w % 2]
-        for k in range(layers):
-            along = graded(0.0, 1.0, count, order)
-            inner, outer = (_edge(wall, width / 2 - d, height / 2 - d, along) for d in depth[k : k + 2])
-            points = between(inner, outer, cells[2], order)
-            patches.append(Patch(points, k if shared else w * layers + k))
+
+    def build(width: Any, height: Any, thickness: Any) -> list[Patch]:
+        t = np.broadcast_to(thickness, layers)
+        depth = t.sum() - np.concatenate([[0.0], np.cumsum(t)])
+        patches = []
+        for w, wall in enumerate(WALLS):
+            count = cells[w % 2]
+            for k in range(layers):
+                along = graded(0.0, 1.0, count, order)
+                inner, outer = (_edge(wall, width / 2 - d, height / 2 - d, along) for d in depth[k : k + 2])
+                points = between(inner, outer, cells[2], order)
+                patches.append(Patch(points, k if shared else w * layers + k))
+        return patches
+
     plies = ply if shared or isinstance(ply, Ply | Orthotropic) else list(ply) * (4 if len(ply) == layers else 1)
-    return Section(
-        joined(patches, order),
-        plies,
-        np.concatenate([np.asarray(walls[w]) for w in WALLS[: 1 if shared else 4]]).tolist(),
-    )
+    own = angles if shared else np.concatenate([np.asarray(walls[w]) for w in WALLS]).tolist()
+    return Section(shaped(build, {"width": width, "height": height, "thickness": thickness}, order), plies, own)
 
 
 @constants
 def tube(
-    radius: float,
+    radius: float | Tensor,
     ply: Plies,
     angles: Angles,
-    thickness: float | Sequence[float] | Tensor,
+    thickness: Varying,
     cells: tuple[int, int] = (48, 1),
     order: int = 2,
 ) -> Section:
     """A hollow circle of this outer radius; plies from inside to outside; cells around and through each ply."""
     _positive(radius=radius)
     _check_cells(cells, 2, order)
-    t = _thicknesses(thickness, _layers(angles))
-    if not t.sum() < radius:
-        raise InputError(f"tube: thickness {t.sum():g} m of radius {radius:g} m; allowed: less than the radius")
-    radii = radius - t.sum() + np.concatenate([[0.0], np.cumsum(t)])
+    layers = _layers(angles)
+    total = _thicknesses(thickness, layers).sum()
+    if not total < number(radius):
+        raise InputError(f"tube: thickness {total:g} m of radius {number(radius):g} m; allowed: less than the radius")
     around = line(math.pi / 2, -1.5 * math.pi, cells[0], order)  # clockwise from the top
     directions = np.stack([np.cos(around), np.sin(around)], axis=-1)
-    patches = [
-        Patch(between(directions * low, directions * high, cells[1], order), layer)
-        for layer, (low, high) in enumerate(pairwise(radii))
-    ]
-    return Section(joined(patches, order), ply, angles)
+
+    def build(radius: Any, thickness: Any) -> list[Patch]:
+        t = np.broadcast_to(thickness, layers)
+        radii = radius - t.sum() + np.concatenate([[0.0], np.cumsum(t)])
+        return [
+            Patch(between(directions * low, directions * high, cells[1], order), layer)
+            for layer, (low, high) in enumerate(pairwise(radii))
+        ]
+
+    return Section(shaped(build, {"radius": radius, "thickness": thickness}, order), ply, angles)
 
 
 @constants
 def circle(
-    radius: float, ply: Ply | Orthotropic, angle: float = 0.0, cells: tuple[int, int] = (6, 4), order: int = 2
+    radius: float | Tensor,
+    ply: Ply | Orthotropic,
+    angle: float = 0.0,
+    cells: tuple[int, int] = (6, 4),
+    order: int = 2,
 ) -> Section:
     """A solid circle of one material, its plies parallel to the x-y plane.
 
@@ -142,24 +170,28 @@ def circle(
     """
     _positive(radius=radius)
     _check_cells(cells, 2, order)
-    half = 0.5 * radius
-    square = line(-half, half, cells[0], order)
-    patches = [Patch(grid(square, square), 0)]
-    for w in range(4):
-        inner = _edge(WALLS[w], half, half, line(0.0, 1.0, cells[0], order))
-        rim = line(0.75 * math.pi, 0.25 * math.pi, cells[0], order) - w * math.pi / 2
-        outer = radius * np.stack([np.cos(rim), np.sin(rim)], axis=-1)
-        patches.append(Patch(between(inner, outer, cells[1], order), 0))
-    return Section(joined(patches, order, plane_angle=0.0), ply, (angle,))
+
+    def build(radius: Any) -> list[Patch]:
+        half = 0.5 * radius
+        square = line(-half, half, cells[0], order)
+        patches = [Patch(grid(square, square), 0)]
+        for w in range(4):
+            inner = _edge(WALLS[w], half, half, line(0.0, 1.0, cells[0], order))
+            rim = line(0.75 * math.pi, 0.25 * math.pi, cells[0], order) - w * math.pi / 2
+            outer = radius * np.stack([np.cos(rim), np.sin(rim)], axis=-1)
+            patches.append(Patch(between(inner, outer, cells[1], order), 0))
+        return patches
+
+    return Section(shaped(build, {"radius": radius}, order, plane_angle=0.0), ply, (angle,))
 
 
 @constants
 def i_section(
-    width: float,
-    height: float,
+    width: float | Tensor,
+    height: float | Tensor,
     ply: Plies,
     angles: Mapping[str, Angles],
-    thickness: float | Sequence[float] | Tensor,
+    thickness: Varying,
     cells: tuple[int, int, int] = (8, 20, 1),
     order: int = 2,
 ) -> Section:
@@ -176,32 +208,35 @@ def i_section(
     names = ("top", "web", "bottom")
     _check_names(angles, names)
     layers = _layers(angles["top"])
-    t = _thicknesses(thickness, layers)
-    if not (2 * t.sum() < height and t.sum() < width):
-        raise InputError(f"i_section: walls of {t.sum():g} m do not fit into {width:g} m x {height:g} m")
-    stack = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2  # across a wall
-    across = [line(a, b, cells[2], order) for a, b in pairwise(stack)]  # of the web, and of the flanges above it
-    free = [graded(-width / 2, stack[0], cells[0], order), graded(stack[-1], width / 2, cells[0], order)]
-    patches = []
-    for block, middle in ((0, (height - t.sum()) / 2), (2, (t.sum() - height) / 2)):
+    total = _thicknesses(thickness, layers).sum()
+    if not (2 * total < number(height) and total < number(width)):
+        sizes = f"{number(width):g} m x {number(height):g} m"
+        raise InputError(f"i_section: walls of {total:g} m do not fit into {sizes}")
+
+    def build(width: Any, height: Any, thickness: Any) -> list[Patch]:
+        t = np.broadcast_to(thickness, layers)
+        stack = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2  # across a wall
+        across = [line(a, b, cells[2], order) for a, b in pairwise(stack)]  # of the web, and of the flanges above it
+        free = [graded(-width / 2, stack[0], cells[0], order), graded(stack[-1], width / 2, cells[0], order)]
+        patches = []
+        for block, middle in ((0, (height - t.sum()) / 2), (2, (t.sum() - height) / 2)):
+            for k in range(layers):
+                z = line(middle + stack[k], middle + stack[k + 1], cells[2], order)
+                patches += [Patch(grid(y, z), block * layers + k) for y in (*free, *across)]
+        web = graded(height / 2 - t.sum(), t.sum() - height / 2, cells[1], order)
         for k in range(layers):
-            z = line(middle + stack[k], middle + stack[k + 1], cells[2], order)
-            patches += [Patch(grid(y, z), block * layers + k) for y in (*free, *across)]
-    web = graded(height / 2 - t.sum(), t.sum() - height / 2, cells[1], order)
-    for k in range(layers):
-        patches.append(Patch(grid(across[k], web).transpose(1, 0, 2), layers + k))
+            patches.append(Patch(grid(across[k], web).transpose(1, 0, 2), layers + k))
+        return patches
+
     plies = ply if isinstance(ply, Ply | Orthotropic) else list(ply) * (3 if len(ply) == layers else 1)
-    return Section(joined(patches, order), plies, np.concatenate([np.asarray(angles[n]) for n in names]).tolist())
+    own = np.concatenate([np.asarray(angles[n]) for n in names]).tolist()
+    return Section(shaped(build, {"width": width, "height": height, "thickness": thickness}, order), plies, own)
 
 
-def _stack(
-    y: np.ndarray, ply: Plies, angles: Angles, thickness: float | Sequence[float] | Tensor, each: int, order: int
-) -> Section:
-    """Plies across the places y, each of so many elements through its thickness."""
-    t = _thicknesses(thickness, _layers(angles))
+def _stack(y: np.ndarray, t: np.ndarray, each: int, order: int) -> list[Patch]:
+    """Plies of thicknesses t across the places y, each of so many elements through its thickness."""
     faces = np.concatenate([[0.0], np.cumsum(t)]) - t.sum() / 2
-    patches = [Patch(grid(y, line(a, b, each, order)), layer) for layer, (a, b) in enumerate(pairwise(faces))]
-    return Section(joined(patches, order), ply, angles)
+    return [Patch(grid(y, line(a, b, each, order)), layer) for layer, (a, b) in enumerate(pairwise(faces))]
 
 
 def _edge(wall: str, y: float, z: float, along: np.ndarray) -> np.ndarray:
@@ -237,7 +272,7 @@ def _check_names(angles: Mapping[str, Angles], names: Sequence[str]) -> None:
 
 
 def _thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np.ndarray:
-    t = np.asarray(thickness, dtype=float)
+    t = np.asarray(thickness.detach() if isinstance(thickness, Tensor) else thickness, dtype=float)
     t = np.repeat(t, layers) if t.ndim == 0 else t
     if t.shape != (layers,) or layers == 0:
         raise InputError(f"{t.size} thicknesses for {layers} plies; allowed: one number, or one per ply [m]")
@@ -247,9 +282,9 @@ def _thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np
     return t
 
 
-def _positive(**lengths: float) -> None:
+def _positive(**lengths: float | Tensor) -> None:
     for name, value in lengths.items():
-        doubt(name, positive(name, value, "m"), "m", DIMENSION, stacklevel=4)
+        doubt(name, positive(name, number(value), "m"), "m", DIMENSION, stacklevel=4)
 
 
 def _check_cells(cells: Sequence[int], count: int, order: int) -> None:

@@ -8,8 +8,9 @@ Z     displacement gradient along x of a rigid section: (eps + z kappa_y - y kap
       gamma_z + y kappa_x), in wall axes
 B     strains of warping in the section's plane;  H its interpolation;  P puts (x, s, n) into eps_xx, gamma_xs, gamma_xn
 
-Strains (xx, ss, nn, sn, xn, xs). All that is here is constant: the design enters by the layers' stiffness D only,
-because strains are expressed in the axes in which plies are laid. Fields are [..., m, g, 6, columns].
+Strains (xx, ss, nn, sn, xn, xs), in the axes in which plies are laid: so angles and numbers of plies enter by the layers'
+stiffness D only, and what is here depends on the places of the nodes alone (`at`). Fields are [..., m, g, 6, columns].
+Differentiable, forward and reverse, in the nodes, which may carry leading lanes.
 Source: V. Giavotto et al., Anisotropic beam theory and applications, Computers & Structures 16 (1983) 403-413,
 doi:10.1016/0045-7949(83)90179-7.
 Checked in tests/fem/sections/test_section_laws.py.
@@ -17,35 +18,54 @@ Checked in tests/fem/sections/test_section_laws.py.
 
 from __future__ import annotations
 
+import copy
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn.functional import pad
 
+from torchmbd.errors import InputError
 from torchmbd.fem.sections.mesh import SectionMesh
 from torchmbd.fem.sections.shapes import rule, shape
+from torchmbd.math.owned import all_true
 
 AXIAL = [0, 5, 4]  # eps_xx, gamma_xs, gamma_xn: what acts on the face x = const
 
 
 class SectionGeometry:
-    """Constants of a mesh; see the module header. Elements of different kinds are padded to one size."""
+    """A mesh with its nodes at places [*lanes, n, 2]; see the module header. Elements of all kinds are padded to one size."""
 
     dofs: Int[Tensor, "m 3k"]
-    weight: Float[Tensor, "m g"]
+    weight: Float[Tensor, "*lanes m g"]
 
     def __init__(self, mesh: SectionMesh) -> None:
-        self.nodes, self.layer = len(mesh.nodes), mesh.layer
-        connectivity, weight, N, slopes, along = _padded(mesh)
-        self.connectivity, self.weight = connectivity, weight
-        self.dofs = (3 * connectivity[..., None] + torch.arange(3)).flatten(1)
-        yz = torch.einsum("mgk,mki->mgi", N, mesh.nodes[connectivity])
-        self.points = yz
+        self.nodes, self.layer, self._mesh = len(mesh.nodes), mesh.layer, mesh
+        most = max(block.shape[1] for block in mesh.elements)
+        self.connectivity = torch.cat([pad(block, (0, most - block.shape[1])) for block in mesh.elements])
+        self.dofs = (3 * self.connectivity[..., None] + torch.arange(3)).flatten(1)
+        self._place(mesh.nodes)
+
+    def at(self, nodes: Float[Tensor, "*lanes n 2"]) -> SectionGeometry:
+        """The same mesh with its nodes elsewhere; InputError where that turns an element inside out."""
+        result = copy.copy(self)
+        result._place(nodes)
+        if not all_true((result.weight >= 0.0).flatten()):
+            raise InputError(
+                "dimensions of a section turn an element inside out; allowed: walls that fit into the section"
+            )
+        return result
+
+    def _place(self, nodes: Float[Tensor, "*lanes n 2"]) -> None:
+        mesh = self._mesh
+        self.weight, N, slopes, along = _padded(mesh, nodes, self.connectivity.shape[1])
+        self.points = yz = torch.einsum("mgk,...mki->...mgi", N, nodes[..., self.connectivity, :])
         if mesh.plane_angle is not None:
             along = torch.stack([torch.cos(mesh.plane_angle), torch.sin(mesh.plane_angle)], dim=-1)[:, None]
-            along = along.expand_as(yz)
+            along = along.expand(*yz.shape[-3:])
         self.turn = _turn(along)
-        self.H = (N[..., None, :, None] * self.turn[..., None, :]).flatten(-2).flatten(1, 2)
-        self.B = _warping_strains(slopes @ self.turn[..., 1:, 1:].mT, self.turn).flatten(1, 2)
+        self.H = (N[..., None, :, None] * self.turn[..., None, :]).flatten(-2).flatten(-3, -2)
+        self.B = _warping_strains(slopes @ self.turn[..., 1:, 1:].mT, self.turn).flatten(-3, -2)
         self.Z = self.turn @ _rigid(yz)
 
     def warp_strain(self, u: Float[Tensor, "*lanes freedoms c"]) -> Tensor:
@@ -82,18 +102,15 @@ class SectionGeometry:
         columns = (self.weight[..., None, None] * strain).flatten(-4, -2)
         return columns.mT @ stress.flatten(-4, -2)
 
-    def element_stiffness(self, D: Float[Tensor, "layers 6 6"]) -> Float[Tensor, "m 3k 3k"]:
+    def element_stiffness(self, D: Float[Tensor, "*lanes layers 6 6"]) -> Float[Tensor, "*lanes m 3k 3k"]:
         """Integral of B' D B."""
-        B = self.B.unflatten(1, (-1, 6))
-        DB = (self.weight[..., None, None] * (D[self.layer, None] @ B)).flatten(1, 2)
+        B = self.B.unflatten(-2, (-1, 6))
+        DB = (self.weight[..., None, None] * (D[..., self.layer, None, :, :] @ B)).flatten(-3, -2)
         return self.B.mT @ DB
 
-    def layer_pairs(self, left: Tensor, right: Tensor, layers: int) -> Float[Tensor, "*lanes layers 6 6"]:
-        """Integral of left right' (strain fields), element sums gathered by layer: a cotangent of D."""
-        element = (self.weight[..., None, None] * left).transpose(-3, -2).flatten(-2)
-        element = element @ right.transpose(-3, -2).flatten(-2).mT
-        result = element.new_zeros(*element.shape[:-3], layers, 6, 6)
-        return result.index_add(-3, self.layer, element)
+    def element_force(self, E: Float[Tensor, "*lanes m 3k 3k"], u: Float[Tensor, "*lanes freedoms c"]) -> Tensor:
+        """E u of the elements' stiffness, at the nodes [*lanes, freedoms, c]."""
+        return self._assembled(E @ u[..., self.dofs, :])
 
     def members(self, layers: int) -> list[Tensor]:
         """Indices of the elements of each layer."""
@@ -107,44 +124,37 @@ class SectionGeometry:
         return result.index_add(-2, self.dofs.flatten(), element.flatten(-3, -2))
 
 
-def _padded(mesh: SectionMesh) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Nodes [m, k], weights [m, g], shape functions [m, g, k], their slopes in (y, z) [m, g, k, 2], side 12 [m, g, 2]."""
+def _padded(mesh: SectionMesh, nodes: Tensor, most: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Weights [..., m, g], shape functions [m, g, k], their slopes in (y, z) [..., m, g, k, 2], side 12 [..., m, g, 2]."""
     rules = [rule(block.shape[1]) for block in mesh.elements]
-    m, k, g = sum(map(len, mesh.elements)), max(b.shape[1] for b in mesh.elements), max(len(w) for _, w in rules)
-    connectivity = torch.zeros(m, k, dtype=torch.long)
-    weight = mesh.nodes.new_zeros(m, g)
-    N, slopes = mesh.nodes.new_zeros(m, g, k), mesh.nodes.new_zeros(m, g, k, 2)
-    along = mesh.nodes.new_zeros(m, g, 2)
-    along[..., 0] = 1.0
-    start = 0
+    points_most = max(len(w) for _, w in rules)
+    weights, N, slopes, along = [], [], [], []
     for block, (points, w) in zip(mesh.elements, rules, strict=True):
-        own, size, count = slice(start, start + len(block)), block.shape[1], len(w)
+        size, rest = block.shape[1], points_most - len(w)
         values, natural = shape(size, points)
-        jacobian = torch.einsum("gki,mkj->mgij", natural, mesh.nodes[block])
-        connectivity[own, :size] = block
-        weight[own, :count] = w * torch.linalg.det(jacobian)
-        N[own, :count, :size] = values
-        slopes[own, :count, :size] = natural @ torch.linalg.inv(jacobian).mT
-        along[own, :count] = jacobian[..., 0, :] / jacobian[..., 0, :].norm(dim=-1, keepdim=True)
-        start += len(block)
-    return connectivity, weight, N, slopes, along
+        jacobian = torch.einsum("gki,...mkj->...mgij", natural, nodes[..., block, :])
+        weights.append(pad(w * torch.linalg.det(jacobian), (0, rest)))
+        N.append(pad(values, (0, most - size, 0, rest)).expand(len(block), -1, -1))
+        slopes.append(pad(natural @ torch.linalg.inv(jacobian).mT, (0, 0, 0, most - size, 0, rest)))
+        first = jacobian[..., 0, :]
+        unit = first / first.norm(dim=-1, keepdim=True)
+        along.append(torch.cat([unit, unit[..., :1, :].expand(*unit.shape[:-2], rest, 2)], -2))
+    return torch.cat(weights, -2), torch.cat(N), torch.cat(slopes, -4), torch.cat(along, -3)
 
 
-def _turn(along: Tensor) -> Float[Tensor, "m g 3 3"]:
+def _turn(along: Tensor) -> Float[Tensor, "*lanes m g 3 3"]:
     """Displacements (x, y, z) -> (x, s, n)."""
     c, s = along.unbind(-1)
-    turn = along.new_zeros(*along.shape[:2], 3, 3)
-    turn[..., 0, 0] = 1.0
-    turn[..., 1, 1], turn[..., 1, 2], turn[..., 2, 1], turn[..., 2, 2] = c, s, -s, c
-    return turn
+    o = torch.zeros_like(c)
+    return torch.stack([o + 1.0, o, o, o, c, s, o, -s, c], -1).unflatten(-1, (3, 3))
 
 
-def _rigid(yz: Tensor) -> Float[Tensor, "m g 3 6"]:
-    Z = yz.new_zeros(*yz.shape[:2], 3, 6)
-    Z[..., [0, 1, 2], [0, 1, 2]] = 1.0
-    Z[..., 0, 4], Z[..., 0, 5] = yz[..., 1], -yz[..., 0]
-    Z[..., 1, 3], Z[..., 2, 3] = -yz[..., 1], yz[..., 0]
-    return Z
+def _rigid(yz: Tensor) -> Float[Tensor, "*lanes m g 3 6"]:
+    y, z = yz.unbind(-1)
+    o = torch.zeros_like(y)
+    one = o + 1.0
+    rows = [one, o, o, o, z, -y, o, one, o, -z, o, o, o, o, one, y, o, o]
+    return torch.stack(rows, -1).unflatten(-1, (3, 6))
 
 
 def _warping_strains(slopes: Tensor, turn: Tensor) -> Float[Tensor, "m g 6 3k"]:
@@ -159,7 +169,7 @@ def _warping_strains(slopes: Tensor, turn: Tensor) -> Float[Tensor, "m g 6 3k"]:
         dn[..., None] * x,
         ds[..., None] * x,
     ]
-    return torch.stack(rows, dim=2).flatten(-2)
+    return torch.stack(rows, dim=-3).flatten(-2)
 
 
 def _place(face: Tensor) -> Tensor:

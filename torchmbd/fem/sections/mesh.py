@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.sections.shapes import rule, shape
@@ -35,12 +35,17 @@ KINDS = (3, 4, 6, 8)
 
 
 class SectionMesh:
-    """See the module header. `elements` becomes a tuple of arrays, one for each kind, in the order given."""
+    """See the module header. `elements` becomes a tuple of arrays, one for each kind, in the order given.
+
+    dimensions   design variables of its shape: name -> a Parameter, and the nodes of a unit of each entry [entries, n, 2], of
+                 which the nodes are linear functions; made by the sections of generators.py
+    """
 
     nodes: Float[Tensor, "n 2"]
     elements: tuple[Int[Tensor, "m k"], ...]
     layer: Int[Tensor, " m"]
     plane_angle: Float[Tensor, " m"] | None
+    dimensions: dict[str, tuple[nn.Parameter, Tensor]]
 
     def __init__(
         self,
@@ -49,7 +54,7 @@ class SectionMesh:
         layer: ArrayLike | Tensor = 0,
         plane_angle: ArrayLike | Tensor | None = None,
     ) -> None:
-        self.nodes = reals("nodes of a SectionMesh", nodes)
+        self.nodes, self.dimensions = reals("nodes of a SectionMesh", nodes), {}
         self.elements = tuple(indices("elements of a SectionMesh", block) for block in _blocks(elements))
         count = sum(len(block) for block in self.elements)
         self.layer = _per_element("layer", indices("layer of a SectionMesh", layer), count)

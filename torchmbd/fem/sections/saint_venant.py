@@ -52,17 +52,17 @@ class UnitFields(NamedTuple):
     stress: Float[Tensor, "*lanes m g 6 6"]
 
 
-def unit_fields(problem: WarpingProblem, D: Float[Tensor, "*lanes layers 6 6"]) -> UnitFields:
-    """Solve for the six unit forces, in the order N, V_y, V_z, T, M_y, M_z. Differentiable in D."""
-    g = problem.geometry
+def unit_fields(problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*lanes layers 6 6"]) -> UnitFields:
+    """Solve for the six unit forces, in the order N, V_y, V_z, T, M_y, M_z. Differentiable in D and in the geometry g."""
+    E = g.element_stiffness(D)
     rigid = g.rigid_strain(torch.eye(6, dtype=D.dtype, device=D.device)[:, CLASSICAL])
-    u0 = -solve(problem, D, g.warp_force(g.stress(D, rigid)))
+    u0 = -solve(problem, E, g.warp_force(g.stress(D, rigid)))
     strain = rigid + g.warp_strain(u0)
     stress = g.stress(D, strain)
     S4 = balanced_inverse(g.resultant(stress)[..., CLASSICAL, :])
     U, pure, pure_stress = u0 @ S4, strain @ _columns(S4), stress @ _columns(S4)
     carried = g.carried(U @ _GROWTH)
-    u1 = solve(problem, D, g.face_force(pure_stress @ _GROWTH) - g.warp_force(g.stress(D, carried)))
+    u1 = solve(problem, E, g.face_force(pure_stress @ _GROWTH) - g.warp_force(g.stress(D, carried)))
     bent = carried + g.warp_strain(u1)
     bent_stress = g.stress(D, bent)
     rest = _columns(g.resultant(bent_stress)[..., CLASSICAL, :])
@@ -70,15 +70,20 @@ def unit_fields(problem: WarpingProblem, D: Float[Tensor, "*lanes layers 6 6"]) 
     return UnitFields(U, _ordered(pure, shear), _ordered(pure_stress, shear_stress))
 
 
-def compliance(problem: WarpingProblem, D: Float[Tensor, "*lanes layers 6 6"]) -> Float[Tensor, "*lanes 6 6"]:
-    """S."""
+def compliance(
+    problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*lanes layers 6 6"]
+) -> Float[Tensor, "*lanes 6 6"]:
+    """S; where g is not the geometry of the problem, differentiable by the chain of the solutions."""
+    if g is not problem.geometry:
+        fields = unit_fields(problem, g, D)
+        return g.energy(fields.strain, fields.stress)
     return _Compliance.apply(problem, D.reshape(-1, *D.shape[-3:])).reshape(*D.shape[:-3], 6, 6)
 
 
 class _Compliance(torch.autograd.Function):
     @staticmethod
     def forward(problem: WarpingProblem, D: Tensor) -> Tensor:
-        fields = unit_fields(problem, D)
+        fields = unit_fields(problem, problem.geometry, D)
         return problem.geometry.energy(fields.strain, fields.stress)
 
     @staticmethod
@@ -118,18 +123,19 @@ class _Slopes(FirstDerivative):
 
 def _slopes(problem: WarpingProblem, D: Float[Tensor, "lane layers 6 6"]) -> Float[Tensor, "lane 6 6 layers 6 6"]:
     g = problem.geometry
-    U, strain, stress = unit_fields(problem, D)
+    U, strain, stress = unit_fields(problem, g, D)
+    E = g.element_stiffness(D)
     eps_c, eps_v, sig_c, sig_v = strain[..., CLASSICAL], strain[..., SHEAR], stress[..., CLASSICAL], stress[..., SHEAR]
     eps_T, sig_T = eps_c @ _GROWTH, sig_c @ _GROWTH
     K4, s = balanced_inverse(g.energy(eps_c, sig_c)), g.energy(eps_c, sig_v)
     carried = g.carried(U)  # P H U
-    adjoint = solve(problem, D, torch.cat([g.face_force(sig_T), g.warp_force(g.stress(D, carried))], dim=-1))
+    adjoint = solve(problem, E, torch.cat([g.face_force(sig_T), g.warp_force(g.stress(D, carried))], dim=-1))
     y, z = adjoint[..., :2], adjoint[..., 2:]
     zeta = carried - g.warp_strain(z) - eps_c @ _columns(K4 @ g.energy(carried, sig_c).mT)
     alpha = g.warp_strain(y) + eps_c @ _columns(K4 @ s)
     swept = g.carried(y + U @ (K4 @ s))  # P H h
     rest = sig_v - g.stress(D, alpha)
-    n = solve(problem, D, g.warp_force(g.stress(D, swept)) + g.face_force(rest))
+    n = solve(problem, E, g.warp_force(g.stress(D, swept)) + g.face_force(rest))
     Y = g.energy(swept, sig_c) + g.energy(rest, carried)
     eta = swept - g.warp_strain(n) - eps_c @ _columns(K4 @ Y.mT)
     layers = D.shape[-3]

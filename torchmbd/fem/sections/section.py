@@ -13,7 +13,8 @@ of the section is free in all three directions. A force F and moment M that vary
 Each gives six fields of strain for unit forces; S_ij = integral of eps_i' D eps_j is the section's compliance, K = S^-1.
 The shear strains gamma are those that make this energy 1/2 V gamma.
 
-Differentiable, forward and reverse, in angles and numbers of the plies (saint_venant.py), which may carry leading lanes.
+Differentiable, forward and reverse, in angles and numbers of the plies (saint_venant.py) and in the dimensions of the mesh
+(geometry.py), which may carry leading lanes.
 Assumed: prismatic beam, linear elasticity, forces applied at the ends (distributed forces act on the beam only).
 Source: V. Giavotto, M. Borri, P. Mantegazza et al., Anisotropic beam theory and applications, Computers & Structures
 16 (1983) 403-413, doi:10.1016/0045-7949(83)90179-7; J. P. Blasques, User's Manual for BECAS, Risoe-R-1785 (2012).
@@ -24,7 +25,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -57,13 +58,20 @@ class SectionStress(NamedTuple):
 class Section(nn.Module):
     """A meshed section; `.angles` [rad] is its parameter, one value for each layer that the mesh names.
 
-    mesh     elements with their layers and wall angles
+    mesh     elements with their layers and wall angles; dimensions of it that vary are parameters: "width", "thickness"
     ply      one Ply or Orthotropic, or one for each layer; numbers of it that vary are parameters, as of a Laminate
     angles   of the fibre about the wall's normal, from x to the wall's tangent [layers], rad
     """
 
+    positive: ClassVar[tuple[str, ...]] = (
+        "width",
+        "height",
+        "radius",
+        "thickness",
+    )  # parameters that are, in any design
     angles: Tensor
     _constant: Tensor
+    _fixed: Tensor
 
     def __init__(
         self,
@@ -84,8 +92,12 @@ class Section(nn.Module):
         self._plies = Several(self, "ply", plies)
         self._solids = [Orthotropic.of(plain(p)) for p in plies]
         self.mesh = mesh
-        self.geometry = SectionGeometry(mesh)
-        self.problem = WarpingProblem(self.geometry, mesh.nodes)
+        self.problem = WarpingProblem(SectionGeometry(mesh), mesh.nodes)
+        fixed = mesh.nodes
+        for name, (x, nodes) in mesh.dimensions.items():
+            self.register_parameter(name, x)
+            fixed = fixed - torch.einsum("e,eni->ni", x.detach().flatten(), nodes)
+        self.register_buffer("_fixed", fixed, persistent=False)
         self.angles = theta
         self.register_buffer("_constant", _constants_of(self._solids), persistent=False)
 
@@ -97,7 +109,22 @@ class Section(nn.Module):
     @property
     def mass_varies(self) -> bool:
         """Whether the mass depends on the design."""
-        return self._plies.vary
+        return self._plies.vary or bool(self.mesh.dimensions)
+
+    @property
+    def geometry(self) -> SectionGeometry:
+        """Of the present design."""
+        return self.problem.geometry.at(self.nodes) if self.mesh.dimensions else self.problem.geometry
+
+    @property
+    def nodes(self) -> Float[Tensor, "*lanes n 2"]:
+        """Of the mesh in the present design [m]."""
+        nodes = self._fixed
+        for name, (given, of_unit) in self.mesh.dimensions.items():
+            x = getattr(self, name)
+            x = x.reshape(*x.shape[: x.dim() - given.dim()], -1)
+            nodes = nodes + torch.einsum("...e,eni->...ni", x, of_unit)
+        return nodes
 
     @property
     def _numbers(self) -> Float[Tensor, "*lanes layers 37"]:
@@ -118,7 +145,7 @@ class Section(nn.Module):
 
     def compliance(self) -> Float[Tensor, "*lanes 6 6"]:
         """S = K^-1."""
-        return compliance(self.problem, self._wall_stiffness)
+        return compliance(self.problem, self.geometry, self._wall_stiffness)
 
     def mass(self) -> Float[Tensor, "*lanes 6 6"]:
         """Inertia per length of the velocities (v, omega) of the section's axes: kg/m, kg, kg m."""
@@ -150,26 +177,27 @@ class Section(nn.Module):
             raise InputError(f"force has shape {tuple(load.shape)}; allowed: [..., 6], {', '.join(FORCES)}")
         _, strain, stress = self.unit_fields()
         load = load[..., None, None, :, None]
-        T = strain_rotation(self.angles)[..., self.geometry.layer, None, :, :]
-        back = self._to_plies()[..., self.geometry.layer, None, :, :]
-        return SectionStress((T @ strain @ load)[..., 0], (back @ stress @ load)[..., 0], self.geometry.points)
+        g = self.geometry
+        T = strain_rotation(self.angles)[..., g.layer, None, :, :]
+        back = self._to_plies()[..., g.layer, None, :, :]
+        return SectionStress((T @ strain @ load)[..., 0], (back @ stress @ load)[..., 0], g.points)
 
     @cached_property
     def stress_points(self) -> Int[Tensor, "points 2"]:
         """Element and integration point in it of every point of `unit_stress`."""
-        return (self.geometry.weight > 0).nonzero()
+        return (self.problem.geometry.weight > 0).nonzero()
 
     def unit_stress(self) -> Float[Tensor, "*lanes points 6 6"]:
         """Stresses [Pa] in ply axes (11, 22, 33, 23, 13, 12) at the `stress_points`; last axis: the six unit forces."""
         element, point = self.stress_points.unbind(1)
         return (
-            self._to_plies()[..., self.geometry.layer[element], :, :]
+            self._to_plies()[..., self.problem.geometry.layer[element], :, :]
             @ self.unit_fields().stress[..., element, point, :, :]
         )
 
     def unit_fields(self) -> UnitFields:
         """Strains and stresses in wall axes for unit forces (saint_venant.py)."""
-        return unit_fields(self.problem, self._wall_stiffness)
+        return unit_fields(self.problem, self.geometry, self._wall_stiffness)
 
     def _to_plies(self) -> Float[Tensor, "*lanes layers 6 6"]:
         """Turns stresses of the wall into those of the plies: T^-T, where T^-1 turns by the opposite angle."""

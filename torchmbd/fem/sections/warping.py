@@ -2,10 +2,10 @@
 
 The kernel of E are the section's translations and its rotation about x. Forces of warping are in equilibrium to
 rounding, because every element represents a rigid motion exactly; so these four motions are held at two nodes without
-a reaction, and neither stress nor energy knows where. Derivatives, for the derivative dD of the layers' stiffness:
+a reaction, and neither stress nor energy knows where. Derivatives, for the derivative dE of the elements' stiffness:
 
     E du = df - dE u                forward
-    f~ = E^-1 u~,  D~ = - f~ u'     reverse (strains of both, by layer)
+    f~ = E^-1 u~,  E~ = - f~ u'     reverse (of the nodes of each element)
 
 All directions share one factorization per design. Differentiable once, forward and reverse, under vmap and jacfwd.
 Checked in tests/fem/sections/test_section_gradients.py.
@@ -51,9 +51,8 @@ class WarpingProblem:
     def __getstate__(self) -> dict[str, Any]:
         return self.__dict__ | {"_factors": None}  # factors do not travel between processes
 
-    def matrix(self, D: Float[Tensor, "layers 6 6"]) -> csc_array:
+    def matrix(self, element: Float[Tensor, "m 3k 3k"]) -> csc_array:
         """E of one design, its held freedoms replaced by the identity."""
-        element = self.geometry.element_stiffness(D)
         k = element.shape[-1] // 3
         blocks = element.reshape(-1, k, 3, k, 3).transpose(2, 3).reshape(-1, 3, 3)
         data = element.new_zeros(self.blocks, 3, 3).index_add_(0, self.slot, blocks).numpy().ravel()[self._order]
@@ -61,10 +60,10 @@ class WarpingProblem:
         data[self._diagonal] = 1.0
         return csc_array((data, self._indices, self._indptr), shape=(len(self._indptr) - 1,) * 2)
 
-    def factors(self, D: Float[Tensor, "lane layers 6 6"]) -> list[SuperLU]:
-        """One factorization for each lane; kept until another D comes."""
-        if self._factors is None or not torch.equal(self._factors[0], D):
-            self._factors = (D.clone(), [self._factorize(lane) for lane in D])
+    def factors(self, E: Float[Tensor, "lane m 3k 3k"]) -> list[SuperLU]:
+        """One factorization for each lane; kept until another E comes."""
+        if self._factors is None or not torch.equal(self._factors[0], E):
+            self._factors = (E.clone(), [self._factorize(lane) for lane in E])
         return self._factors[1]
 
     def substitute(self, factors: list[SuperLU], f: Float[Tensor, "lane freedoms c"]) -> Tensor:
@@ -73,29 +72,29 @@ class WarpingProblem:
         u = [torch.from_numpy(factor.solve(right.numpy())) for factor, right in zip(factors, f, strict=True)]
         return torch.stack(u)
 
-    def _factorize(self, D: Tensor) -> SuperLU:
+    def _factorize(self, element: Tensor) -> SuperLU:
         try:
             # E is symmetric and positive definite: no pivoting, and an ordering for symmetric patterns.
             return splu(
-                self.matrix(D), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+                self.matrix(element), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
             )
         except RuntimeError as error:
             raise SimulationFailure(f"the warping problem of a section is singular: {error}") from error
 
 
 def solve(
-    problem: WarpingProblem, D: Float[Tensor, "*lanes layers 6 6"], f: Float[Tensor, "*lanes freedoms c"]
+    problem: WarpingProblem, E: Float[Tensor, "*lanes m 3k 3k"], f: Float[Tensor, "*lanes freedoms c"]
 ) -> Float[Tensor, "*lanes freedoms c"]:
-    """u = E(D)^-1 f."""
-    lanes = D.shape[:-3]
+    """u = E^-1 f; E: stiffness of the elements."""
+    lanes = E.shape[:-3]
     flat = f.expand(*lanes, *f.shape[-2:]).reshape(-1, *f.shape[-2:])
-    return _Solve.apply(problem, D.reshape(-1, *D.shape[-3:]), flat).reshape(*lanes, *f.shape[-2:])
+    return _Solve.apply(problem, E.reshape(-1, *E.shape[-3:]), flat).reshape(*lanes, *f.shape[-2:])
 
 
 class _Solve(torch.autograd.Function):
     @staticmethod
-    def forward(problem: WarpingProblem, D: Tensor, f: Tensor) -> Tensor:
-        return problem.substitute(problem.factors(D), f)
+    def forward(problem: WarpingProblem, E: Tensor, f: Tensor) -> Tensor:
+        return problem.substitute(problem.factors(E), f)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
@@ -105,51 +104,50 @@ class _Solve(torch.autograd.Function):
         ctx.save_for_backward(inputs[1], output)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor, f: Tensor) -> tuple:
-        return _batched(_Solve, info, in_dims, problem, D, f)
+    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, E: Tensor, f: Tensor) -> tuple:
+        return _batched(_Solve, info, in_dims, problem, E, f)
 
     @staticmethod
-    def jvp(ctx: Any, _: Any, dD: Tensor | None, df: Tensor | None) -> Tensor:
-        D, u = ctx.saved_tensors
+    def jvp(ctx: Any, _: Any, dE: Tensor | None, df: Tensor | None) -> Tensor:
+        E, u = ctx.saved_tensors
         right = torch.zeros_like(u) if df is None else df
-        if dD is not None:
-            g = ctx.problem.geometry
-            right = right - g.warp_force(g.stress(dD, g.warp_strain(u)))
-        return _Substitute.apply(ctx.problem, D, right)
+        if dE is not None:
+            right = right - ctx.problem.geometry.element_force(dE, u)
+        return _Substitute.apply(ctx.problem, E, right)
 
     @staticmethod
     def backward(ctx: Any, u_bar: Tensor | None) -> Any:
         if u_bar is None:
             return None, None, None
-        D, u = ctx.saved_tensors
-        g = ctx.problem.geometry
-        f_bar = _Substitute.apply(ctx.problem, D, u_bar)
-        return None, -g.layer_pairs(g.warp_strain(f_bar), g.warp_strain(u), D.shape[-3]), f_bar
+        E, u = ctx.saved_tensors
+        dofs = ctx.problem.geometry.dofs
+        f_bar: Any = _Substitute.apply(ctx.problem, E, u_bar)
+        return None, -f_bar[..., dofs, :] @ u[..., dofs, :].mT, f_bar
 
 
 class _Substitute(FirstDerivative):
-    """E^-1 f with D as a number: what derivatives of u need; its own derivatives are refused."""
+    """E^-1 f with E as a number: what derivatives of u need; its own derivatives are refused."""
 
     of = "section stiffness"
 
     @staticmethod
-    def forward(problem: WarpingProblem, D: Tensor, f: Tensor) -> Tensor:
-        return problem.substitute(problem.factors(D), f)
+    def forward(problem: WarpingProblem, E: Tensor, f: Tensor) -> Tensor:
+        return problem.substitute(problem.factors(E), f)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor, f: Tensor) -> tuple:
-        return _batched(_Substitute, info, in_dims, problem, D, f)
+    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, E: Tensor, f: Tensor) -> tuple:
+        return _batched(_Substitute, info, in_dims, problem, E, f)
 
 
-def _batched(function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor, f: Tensor) -> tuple:
+def _batched(function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, E: Tensor, f: Tensor) -> tuple:
     """vmap: over designs, new lanes in front; over right-hand sides alone, more columns of one factorization."""
     size = info.batch_size
     f = f.expand(size, *f.shape) if in_dims[2] is None else f.movedim(in_dims[2], 0)
     if in_dims[1] is None:
         wide = f.movedim(0, -1).flatten(-2)  # [lane, freedoms, c * size]
-        return function.apply(problem, D, wide).unflatten(-1, (-1, size)), 3
-    D = D.movedim(in_dims[1], 0)
-    result = function.apply(problem, D.flatten(0, 1), f.flatten(0, 1))
+        return function.apply(problem, E, wide).unflatten(-1, (-1, size)), 3
+    E = E.movedim(in_dims[1], 0)
+    result = function.apply(problem, E.flatten(0, 1), f.flatten(0, 1))
     return result.unflatten(0, (size, -1)), 0
 
 
