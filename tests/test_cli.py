@@ -18,7 +18,7 @@ from torchmbd import cli
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
-HERE = Path(__file__).parent / "experiment"
+HERE = Path(__file__).parent / "study"
 
 
 @pytest.fixture

@@ -115,6 +115,9 @@ def build_model(builder: Builder, options: Mapping[str, Any]) -> System:
 
 
 def _from_name(name: str) -> ModuleType:
+    """A module that is installed, or in the working directory as for `python -m`."""
+    if (here := str(Path.cwd())) not in sys.path:
+        sys.path.append(here)
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
