@@ -34,10 +34,11 @@ import numpy as np
 from rich.console import Console
 
 from torchmbd.optimization.multistart import multistart
+from torchmbd.optimization.multistart.workers import LANES, Workers
 from torchmbd.optimization.optimizer import Iterate
 from torchmbd.process import use_one_thread
 from torchmbd.study.assemble import problem_of, starts_of
-from torchmbd.study.dask_evaluator import LANES, Farm
+from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.journal import Journal
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import problem_key
@@ -185,17 +186,17 @@ def scaling(file: Path) -> None:
     X = rng.uniform(problem.lower, problem.upper, (2 * LANES, len(problem.lower)))
     seconds = []
     for workers in (1, 2):
-        with Farm(plan, problem_key(plan), 1, workers) as farm:
+        with study_workers(plan, problem_key(plan), 1, workers) as pool:
             batches = np.array_split(X, 2 // workers)
-            farm.evaluate(X, True)  # the model is built, the limits are known
-            rounds = [timed(partial(_all, farm, batches))[0] for _ in range(ROUNDS)]
+            pool.evaluate(X, True)  # the model is built, the limits are known
+            rounds = [timed(partial(_all, pool, batches))[0] for _ in range(ROUNDS)]
             seconds.append(float(np.median(rounds)))
     print(f"{len(X)} designs on 1 worker {seconds[0]:.2f} s, on 2 {seconds[1]:.2f} s: {seconds[0] / seconds[1]:.2f}")
 
 
-def _all(farm: Farm, batches: list[np.ndarray]) -> None:
+def _all(pool: Workers, batches: list[np.ndarray]) -> None:
     for X in batches:
-        farm.evaluate(X, True)
+        pool.evaluate(X, True)
 
 
 def workers(file: Path) -> None:

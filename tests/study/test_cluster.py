@@ -13,8 +13,9 @@ import yaml
 
 from torchmbd import cli
 from torchmbd.errors import InputError
+from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.study.cluster import load_cluster
-from torchmbd.study.dask_evaluator import LANES, Farm
+from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load_study
 
@@ -109,8 +110,8 @@ def test_workers_must_be_asked_for(slurm, folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     plan = load_study("study.yaml")
     with pytest.raises(InputError, match="workers = 0: must be 1 or more"):
-        Farm(plan, "", 1, 0, str(write(slurm)))
-    assert Farm(plan, "", 1, 3, str(write(slurm))).lanes == 3 * LANES
+        study_workers(plan, "", 1, 0, str(write(slurm)))
+    assert study_workers(plan, "", 1, 3, str(write(slurm))).lanes == 3 * LANES
     assert cli.main(["run", "study.yaml", "--scheduler", str(write(slurm, time=3))]) == 2
     assert "time = 3" in capsys.readouterr().err
     assert not (folder / "mlflow.db").exists()

@@ -18,8 +18,9 @@ import pytest
 
 from torchmbd.errors import InputError, MbdError
 from torchmbd.optimization import Evaluation
+from torchmbd.optimization.multistart.workers import Pieces, evaluate_piece
 from torchmbd.study.assemble import problem_of
-from torchmbd.study.dask_evaluator import Farm, Pieces, evaluate_piece
+from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import problem_key
 from torchmbd.tracking.store import open_store
@@ -38,22 +39,22 @@ def same(found, expected):
 
 def test_a_piece_is_what_the_problem_itself_gives(write):
     plan = load_study(write(simulate=SHORT))
-    farm = Farm(plan, problem_key(plan), 1, 2)
-    same(evaluate_piece(*farm._order, X[:2], True), problem_of(plan).evaluate(X[:2], True))
+    pool = study_workers(plan, problem_key(plan), 1, 2)
+    same(evaluate_piece(*pool.order, X[:2], True), problem_of(plan).evaluate(X[:2], True))
 
 
 def test_another_model_file_on_a_worker_is_refused(write, folder):
     plan = load_study(write(simulate=SHORT))
-    farm = Farm(plan, problem_key(plan), 1, 2)
+    pool = study_workers(plan, problem_key(plan), 1, 2)
     model = folder / "rod_model.py"
     model.write_text(model.read_text().replace("modes=4", "modes=3"))
     with pytest.raises(MbdError, match="another model file"):
-        evaluate_piece(*farm._order, X[:2], True)
+        evaluate_piece(*pool.order, X[:2], True)
 
 
 def test_bad_numbers_of_workers_are_named(write):
     with pytest.raises(InputError, match="workers = -1"):
-        Farm(load_study(write(simulate=SHORT)), "", 1, -1)
+        study_workers(load_study(write(simulate=SHORT)), "", 1, -1)
 
 
 def test_only_the_study_reaches_its_workers(write):
@@ -61,8 +62,8 @@ def test_only_the_study_reaches_its_workers(write):
     from distributed import Client, Security
 
     plan = load_study(write(simulate=SHORT))
-    with Farm(plan, problem_key(plan), 1, 2) as farm:
-        info = farm._client.scheduler_info(n_workers=-1)
+    with study_workers(plan, problem_key(plan), 1, 2) as pool:
+        info = pool._client.scheduler_info(n_workers=-1)
         own = {info["address"], *info["workers"], *(worker["nanny"] for worker in info["workers"].values())}
         assert {f"tls://{ip}:{port}" for ip, port in listening()} == own  # and no port for a dashboard
         assert len(own) == 5
@@ -82,7 +83,7 @@ def test_only_the_study_reaches_its_workers(write):
         for address, security in ((f"tcp://127.0.0.1:{port}", None), (info["address"], Security.temporary())):
             with pytest.raises(OSError, match=r"(?i)timed out|connect|certificate does not match"):
                 Client(address, security=security, timeout=2)
-        same(farm.evaluate(X[:1], True), problem_of(plan).evaluate(X[:1], True))
+        same(pool.evaluate(X[:1], True), problem_of(plan).evaluate(X[:1], True))
 
 
 def answer(connection):
@@ -105,9 +106,9 @@ def test_a_piece_that_kills_its_workers_fails_design_by_design(write):
         def release(self):
             pass
 
-    farm = Farm(load_study(write(simulate=SHORT)), "", 2, 2)
+    pool = study_workers(load_study(write(simulate=SHORT)), "", 2, 2)
     good = [Evaluation(float(k), np.zeros(2)) for k in range(4)]
-    found = Pieces(farm, [2, 3, 2], [Piece(good[:2]), Piece(), Piece(good[2:])]).evaluations()
+    found = Pieces(pool, [2, 3, 2], [Piece(good[:2]), Piece(), Piece(good[2:])]).evaluations()
     assert [e.objective for e in found if e.ok] == [0.0, 1.0, 2.0, 3.0]
     assert [e.status for e in found] == ["ok"] * 2 + ["failed: 3 workers died of it"] * 3 + ["ok"] * 2
     assert [e.constraints.shape for e in found] == [(2,)] * 7
@@ -115,21 +116,24 @@ def test_a_piece_that_kills_its_workers_fails_design_by_design(write):
 
 def test_without_cryptography_there_are_no_workers(write, monkeypatch):
     monkeypatch.setitem(sys.modules, "cryptography", None)
-    monkeypatch.delitem(sys.modules, "torchmbd.study.local_cluster", raising=False)
+    monkeypatch.delitem(sys.modules, "torchmbd.optimization.multistart.local_cluster", raising=False)
     plan = load_study(write(simulate=SHORT))
-    with pytest.raises(InputError, match=r"'cryptography': pip install 'torchmbd\[cluster\]'"), Farm(plan, "", 1, 2):
+    with (
+        pytest.raises(InputError, match=r"'cryptography': pip install 'torchmbd\[cluster\]'"),
+        study_workers(plan, "", 1, 2),
+    ):
         pass
 
 
 @pytest.mark.slow
 def test_a_worker_that_is_killed_costs_nothing(write):
     plan = load_study(write(simulate={"duration": 0.01, "steps": 100}))
-    with Farm(plan, problem_key(plan), 1, 2) as farm:
+    with study_workers(plan, problem_key(plan), 1, 2) as pool:
         expected = problem_of(plan).evaluate(X, True)
-        same(farm.evaluate(X, True), expected)
-        victim = next(iter(farm._client.run(os.getpid).values()))
+        same(pool.evaluate(X, True), expected)
+        victim = next(iter(pool._client.run(os.getpid).values()))
         os.kill(victim, signal.SIGKILL)
-        same(farm.evaluate(X, True), expected)
+        same(pool.evaluate(X, True), expected)
 
 
 @pytest.mark.slow
@@ -139,9 +143,9 @@ def test_a_scheduler_of_the_users(write):
     plan = load_study(write(simulate=SHORT))
     with (
         LocalCluster(n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster,
-        Farm(plan, problem_key(plan), 1, 0, cluster.scheduler_address) as farm,
+        study_workers(plan, problem_key(plan), 1, 0, cluster.scheduler_address) as pool,
     ):
-        same(farm.evaluate(X, True), problem_of(plan).evaluate(X, True))
+        same(pool.evaluate(X, True), problem_of(plan).evaluate(X, True))
 
 
 def listening():

@@ -10,9 +10,9 @@ from torchmbd.optimization.methods import moving_asymptotes as moving_asymptotes
 from torchmbd.optimization.methods import slsqp as slsqp
 from torchmbd.optimization.methods import trust_constr as trust_constr
 from torchmbd.optimization.multistart.minima import Minimum
-from torchmbd.optimization.multistart.processes import Processes
 from torchmbd.optimization.multistart.sampling import Starts, given, latin_hypercube, sobol
 from torchmbd.optimization.multistart.study import Study, multistart
+from torchmbd.optimization.multistart.workers import Processes
 from torchmbd.optimization.optimizer import OPTIMIZERS, STATUSES, Evaluation, Iterate, OptimizationResult, Problem
 from torchmbd.optimization.pareto import Front, ParetoPoint, pareto_front
 from torchmbd.optimization.robust import RobustProblem

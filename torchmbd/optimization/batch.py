@@ -4,9 +4,9 @@ A problem that evaluates elsewhere has, beside what torchmbd.optimization.optimi
 
     at_once                         how many batches it evaluates side by side, in about the time of one
     begin(X, gradients, among)      a Batch of designs [lanes, n]; `among` batches of this size will be under way, so that
-                                    it may take its share of the workers: size of the farm / among
+                                    it may take its share of the workers: number of workers / among
 
-Checked in tests/optimization/multistart/test_batched.py, tests/study/test_dask_evaluator.py.
+Checked in tests/optimization/multistart/test_batched.py, tests/optimization/multistart/test_workers.py.
 """
 
 from __future__ import annotations

@@ -20,8 +20,9 @@ from rich.markup import escape
 from torchmbd.design import Problem
 from torchmbd.optimization import Iterate, Study
 from torchmbd.optimization.multistart import multistart
+from torchmbd.optimization.multistart.workers import LANES, Workers
 from torchmbd.study.assemble import increments, problem_of, sought, starts_of
-from torchmbd.study.dask_evaluator import LANES, Farm
+from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.discrete_polish import lay
 from torchmbd.study.evaluations import Evaluations, Remembered
 from torchmbd.study.journal import PARENT, Journal
@@ -61,7 +62,7 @@ def run_plan(
     """
     problem, began = problem_of(plan), time.monotonic()
     sought(plan, problem)  # what is wrong with it is refused before anything is kept
-    farm = _farm(plan, problem, workers, scheduler)
+    pool = _pool(plan, problem, workers, scheduler)
     with ExitStack() as stack:
         store = Evaluations(evaluations_file(), problem_key(plan))
         stack.callback(store.close)
@@ -73,10 +74,10 @@ def run_plan(
         if fresh:  # a study that is running has been refused by then
             store.forget()
         source, lanes = source or problem, LANES
-        if farm is not None:
+        if pool is not None:
             with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):
-                stack.enter_context(farm)
-            source, lanes = farm, farm.lanes
+                stack.enter_context(pool)
+            source, lanes = pool, pool.lanes
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
         journal = Journal(plan, tracker, folder)
         remembered = Remembered(problem, store, source, journal.evaluated)
@@ -99,12 +100,12 @@ def run_plan(
         return conclude(plan, "sweep" if plan.study.sweep else "study", status, since, record, study, console)
 
 
-def _farm(plan: Plan, problem: Problem, workers: int, scheduler: str | None) -> Farm | None:
+def _pool(plan: Plan, problem: Problem, workers: int, scheduler: str | None) -> Workers | None:
     """Return the workers that are asked for, not started yet; None: this process evaluates."""
     if workers == 1 and scheduler is None:
         return None
     rows = problem.peaks + sum(constraint.measure.rows for constraint in problem.constraints)
-    return Farm(plan, problem_key(plan), rows, workers, scheduler)
+    return study_workers(plan, problem_key(plan), rows, workers, scheduler)
 
 
 def run_study(

@@ -1,4 +1,4 @@
-"""Workers on this machine that only the study itself reaches, as Dask runs what it is sent.
+"""Workers on this machine that only the process that started them reaches, as Dask runs what it is sent.
 
 The scheduler, the workers and the processes that watch over them (nannies) listen on loopback, where any user of the machine
 may connect. So all of them speak TLS, and ask for a certificate that is made for this study and exists in its processes alone.
@@ -34,12 +34,10 @@ class _Worker(Worker):
         """Open no port."""
 
 
-def start_local_cluster(workers: int) -> SpecCluster:
-    """Start so many processes of one thread each."""
+def start_local_cluster(workers: int, module: str) -> SpecCluster:
+    """Start so many processes of one thread each, `module` imported."""
     os.environ.setdefault("PYTHONSAFEPATH", "1")  # no module of the current folder hides one of Python's
-    multiprocessing.set_forkserver_preload(
-        ["distributed", "torchmbd.study.dask_evaluator"]
-    )  # imported once for all workers
+    multiprocessing.set_forkserver_preload(["distributed", "torchmbd.api", module])  # imported once for all workers
     security = Security.temporary()
     options = {"host": HOST, "protocol": "tls://", "security": security}
     own = {"worker_class": _Worker, "nthreads": 1, "memory_limit": 0, "silence_logs": logging.CRITICAL}

@@ -1,0 +1,238 @@
+"""Evaluation by Dask workers: processes of this machine, workers of any scheduler by its address, or jobs of a cluster.
+
+    with mbd.Processes(problem, 2) as shared:
+        study = mbd.multistart(shared, starts=mbd.sobol(32, seed=7))
+
+Every worker has a batch of its own under way, of LANES designs at most, and with many starts a second one waiting for it:
+the starts of a study are in as many groups (batched.py), and no worker waits for another. Where there are fewer batches than
+workers, each is cut into pieces. A worker makes the problem once and evaluates a piece as one batch. Pieces are pure functions
+of the designs: one that a worker takes with it when it dies is evaluated again by another, and nothing depends on which. What
+is evaluated together moves gradients in their seventh digit (an iteration ends for all designs of a batch at once): studies
+agree to the last digit where they have as many workers, whoever dies.
+Half a batch takes more than half its time (a step costs the same operations): it is many starts that workers speed up.
+
+One thread each: a worker must be started with OMP_NUM_THREADS=1 (the local cluster and jobs of SLURM are).
+Dask, its messages are pickled: connect to schedulers that you trust only. The local cluster answers to its own process alone
+(local_cluster.py).
+Checked in tests/optimization/multistart/test_workers.py, tests/study/test_dask_evaluator.py, tests/study/test_cluster.py.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from typing import Any, Self
+
+import cloudpickle
+import numpy as np
+import torch
+
+from torchmbd.errors import InputError, MbdError
+from torchmbd.optimization.optimizer import Evaluation, Problem, require_problem
+from torchmbd.process import ONE_THREAD, brief_warnings, use_one_thread
+
+LANES = 64  # designs in one batch of one process: more gain little, and cost memory
+_DEATHS = 3  # of workers under the same piece, until its designs count as failed
+_SETTINGS: dict[str, Any] = {
+    "distributed.scheduler.allowed-failures": _DEATHS,
+    "distributed.deploy.lost-worker-timeout": "1h",  # one that dies is started again: on a busy machine not within 15 s
+    "distributed.worker.multiprocessing-method": "forkserver",
+    "distributed.nanny.pre-spawn-environ": ONE_THREAD,
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "500ms",  # 20 ms by itself: a wake-up that interrupts the numbers
+}
+_LOUD = ("distributed", "distributed.client", "tornado.application")
+_START = 60  # seconds to wait for a scheduler, and for workers that nobody has to queue for
+
+
+class Workers:
+    """A context manager that evaluates designs of one problem on workers.
+
+    make, arguments  function that makes the problem on a worker, and what it is given (hashable)
+    rows             constraints of the problem
+    workers          how many of this machine or of `start`; 0: one for each core
+    scheduler        address of a scheduler whose workers evaluate; None: processes of this machine
+    start            makes a cluster of so many workers, which may have to queue
+    """
+
+    def __init__(
+        self,
+        make: Callable[..., Problem],
+        arguments: tuple[Any, ...],
+        rows: int = 0,
+        workers: int = 0,
+        scheduler: str | None = None,
+        start: Callable[[int], Any] | None = None,
+    ) -> None:
+        self.order = make, arguments
+        self.rows, self.scheduler = rows, scheduler
+        self._workers, self._start = workers or os.cpu_count() or 1, start
+        self._client: Any = None
+        self._cluster: Any = None
+
+    def __enter__(self) -> Self:
+        try:
+            from dask import config  # pyright: ignore[reportMissingImports]
+            from distributed import Client  # pyright: ignore[reportMissingImports]
+
+            from torchmbd.optimization.multistart.local_cluster import start_local_cluster
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: one process"
+            ) from None
+        config.set(_SETTINGS)
+        for name in _LOUD:  # with tracebacks; what matters of it is told by an MbdError
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        if self.scheduler is None:
+            start = self._start or partial(start_local_cluster, module=self.order[0].__module__)
+            self._cluster = start(self._workers)
+        try:
+            self._client = Client(self._cluster or self.scheduler, timeout=_START)
+            first = 1 if self.scheduler or self._start else self._workers
+            self._client.wait_for_workers(first, timeout=None if self._start else _START)
+        except BaseException as error:  # also Ctrl-C, while jobs wait in a queue
+            self.__exit__()
+            if not isinstance(error, (OSError, TimeoutError, ValueError)):
+                raise
+            where = self.scheduler or "this machine"
+            raise MbdError(f"no worker answers on {where} after {_START} s: {error}") from error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with contextlib.suppress(TimeoutError):  # what is being started just now ends with this process
+            if self._client is not None:
+                self._client.close(timeout=5)
+            if self._cluster is not None:
+                self._cluster.close(timeout=5)
+
+    @property
+    def size(self) -> int:
+        """Workers there are now."""
+        return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+
+    @property
+    def at_once(self) -> int:
+        """Batches under way at once: one for every worker, those that are still queuing too."""
+        return self._workers if self._start else self.size
+
+    @property
+    def lanes(self) -> int:
+        """Designs that are worth asking for at once: a full batch for every worker."""
+        return LANES * self.at_once
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        """Evaluate designs [lanes, n], a piece on each worker."""
+        return self.begin(X, gradients, 1).evaluations()
+
+    def begin(self, X: np.ndarray, gradients: bool, among: int) -> Pieces:
+        """Begin to evaluate designs [lanes, n], one of `among` batches under way."""
+        count = max(min(self.size // among, len(X)), math.ceil(len(X) / LANES))
+        parts = np.array_split(X, count)
+        futures = [self._client.submit(evaluate_piece, *self.order, part, gradients, pure=False) for part in parts]
+        return Pieces(self, [len(part) for part in parts], futures)
+
+    def dismiss(self, futures: list[Any]) -> None:
+        """Stop what nobody waits for, unless the scheduler is gone."""
+        if self._client.status == "running":
+            self._client.cancel(futures, force=True)
+
+
+@dataclass
+class Pieces:
+    """A batch on workers (torchmbd.optimization.batch)."""
+
+    workers: Workers
+    sizes: list[int]
+    futures: list[Any]  # of Dask, one for each piece
+
+    @property
+    def done(self) -> bool:
+        return all(future.done() for future in self.futures)
+
+    def notify(self, call: Callable[[], None]) -> None:
+        for future in self.futures:
+            future.add_done_callback(lambda _: call())
+
+    def evaluations(self) -> list[Evaluation]:
+        from distributed import CancelledError, KilledWorker  # pyright: ignore[reportMissingImports]
+
+        found: list[Evaluation] = []
+        try:
+            for size, future in zip(self.sizes, self.futures, strict=True):
+                try:
+                    found += future.result()
+                except KilledWorker:
+                    found += [Evaluation.failure(f"failed: {_DEATHS} workers died of it", self.workers.rows)] * size
+        except CancelledError as error:
+            raise MbdError(f"the scheduler {self.workers.scheduler or ''} is gone: {error}") from error
+        except BaseException:
+            self.cancel()
+            raise
+        for future in self.futures:
+            future.release()  # left to `__del__`, a Ctrl-C that comes in there would be lost
+        return found
+
+    def cancel(self) -> None:
+        self.workers.dismiss(self.futures)
+
+
+class Processes(Workers):
+    """`problem` with batches evaluated by `count` processes of this machine (default: as many as there are cores).
+
+    problem  such as a Problem; every process has a copy of it as it is when the `with` block begins
+    count    how many
+
+    All else is asked of the problem itself. Inside a `with` block only. A design under which three processes have died is a
+    failed evaluation. A script that uses this keeps what it does under `if __name__ == "__main__":`, since every process
+    imports it. Needs the extra `cluster`.
+    """
+
+    def __init__(self, problem: Problem, count: int | None = None) -> None:
+        if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
+            raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
+        require_problem(problem)
+        try:
+            packed = cloudpickle.dumps(problem)
+        except Exception as error:  # of whatever the problem holds
+            allowed = "one that can be pickled, with responses that hold no locks, files or threads"
+            raise InputError(
+                f"problem {problem!r} cannot be sent to other processes: {error}; allowed: {allowed}"
+            ) from error
+        super().__init__(_unpacked, (packed, torch.get_default_dtype()), workers=count or len(os.sched_getaffinity(0)))
+        self.problem = problem
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__") or "problem" not in self.__dict__:
+            raise AttributeError(name)
+        return getattr(self.problem, name)
+
+    def wait(self) -> None:
+        """Wait until every process has the problem, and what it makes once for all motions."""
+        self._client.run(_prepared, *self.order)
+
+
+def evaluate_piece(make: Callable[..., Problem], arguments: tuple, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+    """What a worker does: evaluate designs [lanes, n] of the problem that `make` makes of its arguments."""
+    return _made(make, arguments).evaluate(X, gradients)
+
+
+@cache
+def _made(make: Callable[..., Problem], arguments: tuple[Any, ...]) -> Problem:
+    use_one_thread()
+    brief_warnings()
+    return make(*arguments)
+
+
+def _unpacked(packed: bytes, dtype: torch.dtype) -> Problem:
+    torch.set_default_dtype(dtype)
+    return cloudpickle.loads(packed)
+
+
+def _prepared(make: Callable[..., Problem], arguments: tuple[Any, ...]) -> None:
+    problem = _made(make, arguments)
+    problem.evaluate(np.asarray(problem.start)[None], True)
