@@ -14,7 +14,8 @@ from numpy.testing import assert_array_equal
 
 from torchmbd.errors import MbdError
 from torchmbd.optimization import Evaluation
-from torchmbd.study.evaluations import Evaluations, Remembered
+from torchmbd.optimization.cache import Remembered
+from torchmbd.study.evaluations import Evaluations
 
 X = np.array([[0.1, np.pi], [-0.0, 1e-300], [2.0, 3.0]])
 

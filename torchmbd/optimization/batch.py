@@ -1,25 +1,20 @@
 """Designs under evaluation: a batch that is done at once, or elsewhere while the caller does other things.
 
-A problem that evaluates elsewhere has, beside what torchmbd.optimization.optimizer asks of every problem,
-
-    at_once                         how many batches it evaluates side by side, in about the time of one
-    begin(X, gradients, among)      a Batch of designs [lanes, n]; `among` batches of this size will be under way, so that
-                                    it may take its share of the workers: number of workers / among
-
 Checked in tests/optimization/multistart/test_batched.py, tests/optimization/multistart/test_workers.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from torchmbd.optimization.optimizer import Evaluation
+T = TypeVar("T")  # Evaluation or Criteria
+T_co = TypeVar("T_co", covariant=True)
 
 
-class Batch(Protocol):
+class Batch(Protocol[T_co]):
     """Designs under evaluation."""
 
     @property
@@ -31,7 +26,7 @@ class Batch(Protocol):
         """Call it, from whatever thread, each time that `done` may have become true."""
         ...
 
-    def evaluations(self) -> list[Evaluation]:
+    def evaluations(self) -> list[T_co]:
         """Wait for the evaluations, in the order of the designs; raise what evaluating has raised."""
         ...
 
@@ -40,18 +35,32 @@ class Batch(Protocol):
         ...
 
 
-class Done:
+@runtime_checkable
+class Elsewhere(Protocol):
+    """What a problem has, beside what every problem has (optimizer.py), that evaluates elsewhere."""
+
+    @property
+    def at_once(self) -> int:
+        """How many batches it evaluates side by side, in about the time of one."""
+        ...
+
+    def begin(self, X: np.ndarray, gradients: bool, among: int) -> Batch[Any]:
+        """Begin to evaluate designs [lanes, n]; `among` batches of this size will be under way, which share the workers."""
+        ...
+
+
+class Done(Generic[T]):
     """A batch that was evaluated when it was begun."""
 
     done = True
 
-    def __init__(self, evaluations: list[Evaluation]) -> None:
+    def __init__(self, evaluations: list[T]) -> None:
         self._evaluations = evaluations
 
     def notify(self, call: Callable[[], None]) -> None:
         call()
 
-    def evaluations(self) -> list[Evaluation]:
+    def evaluations(self) -> list[T]:
         return self._evaluations
 
     def cancel(self) -> None:
@@ -60,11 +69,11 @@ class Done:
 
 def at_once(problem: Any) -> int:
     """Return how many batches a problem evaluates side by side."""
-    return getattr(problem, "at_once", 1)
+    return problem.at_once if isinstance(problem, Elsewhere) else 1
 
 
-def begin(problem: Any, X: np.ndarray, gradients: bool, among: int) -> Batch:
+def begin(problem: Any, X: np.ndarray, gradients: bool, among: int) -> Batch[Any]:
     """Begin to evaluate designs [lanes, n]: here and now, or where the problem has it done."""
-    if hasattr(problem, "begin"):
+    if isinstance(problem, Elsewhere):
         return problem.begin(X, gradients, among)
     return Done(problem.evaluate(X, gradients))

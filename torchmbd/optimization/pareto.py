@@ -25,7 +25,7 @@ import numpy as np
 
 from torchmbd.errors import InputError
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
-from torchmbd.optimization.cache import Archive
+from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.criteria import Criteria, ManyCriteria
 from torchmbd.optimization.multistart.sampling import Starts, recipe
 from torchmbd.optimization.multistart.warm_start import Family
@@ -118,8 +118,8 @@ def pareto_front(
     def run_one(search: Search) -> OptimizationResult:
         return run_start(search, function, method, max_iterations, options, problem)
 
-    archive = Archive(problem)
-    family = Family(archive, run_one, box, feasibility, max_lanes)
+    cache = Cache(problem)
+    family = Family(cache, run_one, box, feasibility, max_lanes)
     anchors = _anchors(family, points, list(problem.criteria))
     found, failed = _between(family, anchors, divisions, points if everywhere else points[:0])
     points = [*anchors, *(point for point in found if point.weights.min() >= -AGAINST)]
@@ -130,8 +130,8 @@ def pareto_front(
         anchors,
         len(anchors) + len(found) - len(keep),
         failed,
-        archive.analyses,
-        archive.batches,
+        cache.computed,
+        cache.batches,
         family.interrupted,
         list(problem.criteria),
     )
@@ -149,7 +149,7 @@ def non_dominated(F: np.ndarray, same: np.ndarray | float = 0.0) -> list[int]:
 
 def _anchors(family: Family, starts: np.ndarray, names: list[str]) -> list[ParetoPoint]:
     """Return the minimum of each criterion."""
-    known = [np.abs(criteria.values) for criteria in family.archive.evaluate(starts, True) if criteria.ok]
+    known = [np.abs(criteria.values) for criteria in family.cache.evaluate(starts, True) if criteria.ok]
     if not known:
         raise InputError("start: none could be evaluated")
     if known[0].shape != (len(names),):
@@ -188,7 +188,7 @@ def _between(
 
 
 def _point(family: Family, result: OptimizationResult, weights: np.ndarray) -> ParetoPoint:
-    criteria = family.archive.evaluate(result.x[None], False)[0]
+    criteria = family.cache.evaluate(result.x[None], False)[0]
     return ParetoPoint(result.x, criteria.values, weights / np.abs(weights).sum(), result)
 
 

@@ -19,8 +19,7 @@ from __future__ import annotations
 import hashlib
 import sqlite3
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,6 @@ import numpy as np
 
 from torchmbd.errors import MbdError
 from torchmbd.optimization import Evaluation
-from torchmbd.optimization.batch import Batch, Done, at_once, begin
 
 _TABLE = """
 create table if not exists evaluations (
@@ -136,73 +134,6 @@ class Evaluations:
 
     def close(self) -> None:
         self._base.close()
-
-
-class Remembered:
-    """A problem as optimizers see it: known designs come from the store, the others from `source`.
-
-    source    what evaluates: the problem itself, or workers
-    listener  hears of every batch, known or not
-    """
-
-    def __init__(
-        self,
-        problem: Any,
-        store: Evaluations,
-        source: Any,
-        listener: Callable[[np.ndarray, list[Evaluation]], None],
-    ) -> None:
-        self.names, self.start, self.lower, self.upper = problem.names, problem.start, problem.lower, problem.upper
-        self.equalities, self.period = problem.equalities, problem.period
-        self.at_once = at_once(source)
-        self.known = self.computed = 0
-        self._store, self._source, self._listener = store, source, listener
-
-    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
-        return self.begin(X, gradients, 1).evaluations()
-
-    def begin(self, X: np.ndarray, gradients: bool, among: int) -> Batch:
-        """Look designs [lanes, n] up, and begin to evaluate those that are not known."""
-        found = self._store.find(X, gradients)
-        missing = [k for k, evaluation in enumerate(found) if evaluation is None]
-        self.computed += len(missing)
-        self.known += len(X) - len(missing)
-        if not missing:
-            return _Recalled(Done([]), lambda _: self._told(X, found))
-
-        def complete(fresh: list[Evaluation]) -> list[Evaluation]:
-            self._store.keep(X[missing], gradients, fresh)
-            for k, evaluation in zip(missing, fresh, strict=True):
-                found[k] = evaluation
-            return self._told(X, found)
-
-        return _Recalled(begin(self._source, X[missing], gradients, among), complete)
-
-    def _told(self, X: np.ndarray, found: list[Evaluation | None]) -> list[Evaluation]:
-        evaluations = [evaluation for evaluation in found if evaluation is not None]
-        self._listener(X, evaluations)
-        return evaluations
-
-
-@dataclass
-class _Recalled:
-    """A batch whose unknown part is under way; on disk, in the caller's thread, before anybody hears of it."""
-
-    unknown: Batch
-    complete: Callable[[list[Evaluation]], list[Evaluation]]
-
-    @property
-    def done(self) -> bool:
-        return self.unknown.done
-
-    def notify(self, call: Callable[[], None]) -> None:
-        self.unknown.notify(call)
-
-    def evaluations(self) -> list[Evaluation]:
-        return self.complete(self.unknown.evaluations())
-
-    def cancel(self) -> None:
-        self.unknown.cancel()
 
 
 def _numbers(evaluation: Evaluation) -> tuple[int, str, bytes]:

@@ -19,12 +19,13 @@ from rich.markup import escape
 
 from torchmbd.design import Problem
 from torchmbd.optimization import Iterate, Study
+from torchmbd.optimization.cache import Remembered
 from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.workers import LANES, Workers
 from torchmbd.study.assemble import increments, problem_of, sought, starts_of
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.discrete_polish import lay
-from torchmbd.study.evaluations import Evaluations, Remembered
+from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.journal import PARENT, Journal
 from torchmbd.study.listing import print_links_of, study_links
 from torchmbd.study.load import FiguresPlan, Plan

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
-from torchmbd.optimization.cache import Archive
+from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.discrete.branching import MAX_NEIGHBORS, STEPS, Branching, Candidate
 from torchmbd.optimization.discrete.grid import Allowed, Grid
 from torchmbd.optimization.multistart.sampling import Starts
@@ -92,9 +92,9 @@ def optimize_discrete(
     require_count("max_neighbors", max_neighbors, 0, 1_000_000)
     box = checked_box(problem)
     grid = Grid(problem, allowed, box[1], box[2], getattr(problem, "period", None), admits)
-    archive = Archive(problem)
+    cache = Cache(problem)
     relaxed = multistart(
-        archive,
+        cache,
         method,
         starts,
         max_iterations=max_iterations,
@@ -106,7 +106,7 @@ def optimize_discrete(
     def run_one(search: Search) -> OptimizationResult:
         return run_start(search, function, method, max_iterations, options, problem)
 
-    branching = Branching(archive, grid, box, run_one, feasibility, max_lanes)
+    branching = Branching(cache, grid, box, run_one, feasibility, max_lanes)
     certificate, interrupted = None, relaxed.interrupted
     try:
         interrupted |= branching.run(relaxed, max_boxes)
@@ -126,8 +126,8 @@ def optimize_discrete(
         relaxed,
         candidates,
         branching.boxes,
-        archive.analyses,
-        archive.batches,
+        cache.computed,
+        cache.batches,
         grid.size,
         list(problem.names),
     )

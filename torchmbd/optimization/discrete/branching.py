@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from torchmbd.optimization.cache import Archive
+from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart.batched import side_by_side
 from torchmbd.optimization.multistart.study import Study
@@ -44,7 +44,7 @@ class Branching:
 
     def __init__(
         self,
-        archive: Archive[Evaluation],
+        cache: Cache[Evaluation],
         grid: Grid,
         box: tuple[np.ndarray, np.ndarray, np.ndarray],
         run_one: Callable[[Search], OptimizationResult],
@@ -52,11 +52,11 @@ class Branching:
         max_lanes: int,
     ) -> None:
         start, lower, upper = box
-        self.archive, self.grid, self.run_one = archive, grid, run_one
+        self.cache, self.grid, self.run_one = cache, grid, run_one
         self.scale = variable_scale(start, lower, upper)
         self.lower = np.array([low if v is None else v[0] for low, v in zip(lower, grid.values, strict=True)])
         self.upper = np.array([high if v is None else v[-1] for high, v in zip(upper, grid.values, strict=True)])
-        self.equalities = getattr(archive, "equalities", None)
+        self.equalities = getattr(cache, "equalities", None)
         self.feasibility, self.max_lanes = feasibility, max_lanes
         self.boxes, self.queue = 0, list[Branch]()  # searched, and left
         self.best: Candidate | None = None
@@ -75,7 +75,7 @@ class Branching:
             room = min(self.max_lanes, max_boxes - self.boxes)
             wave, queue = queue[:room], queue[room:]
             ends, interrupted = side_by_side(
-                self.archive, [partial(self.search, b) for b in wave], self.run_one, self.max_lanes
+                self.cache, [partial(self.search, b) for b in wave], self.run_one, self.max_lanes
             )
             if interrupted:
                 return True
@@ -130,7 +130,7 @@ class Branching:
         rounded = [x for x in nearest if x is not None]
         for first in range(0, len(rounded), self.max_lanes):
             designs = np.array(rounded[first : first + self.max_lanes])
-            for x, evaluation in zip(designs, self.archive.evaluate(designs, False), strict=True):
+            for x, evaluation in zip(designs, self.cache.evaluate(designs, False), strict=True):
                 if evaluation.ok and np.isfinite(evaluation.objective):
                     found.append(self.candidate(x, evaluation))
         for candidate in found:
@@ -172,7 +172,7 @@ class Branching:
         """Return all evaluated designs on the values, the best first."""
         found = [
             self.candidate(x, evaluation)
-            for x, evaluation in self.archive.known.values()
+            for x, evaluation in self.cache.memory.known.values()
             if evaluation.ok and np.array_equal(self.grid.nearest(x), x) and self.grid.admits(x)
         ]
         return sorted(found, key=self.rank)

@@ -1,7 +1,7 @@
 """A family of problems over the same designs (the points of a Pareto front): solved in lockstep, warming each other.
 
 A member is a function that makes one objective and its constraints of a design's criteria. Members start between the designs
-of their neighbors. All look at one archive of evaluated designs: a member starts again if the search of another came across
+of their neighbors. All look at one memory of evaluated designs: a member starts again if the search of another came across
 a better design than its own, so they help each other out of local minima.
 """
 
@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from torchmbd.optimization.cache import Archive
+from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.criteria import Criteria
 from torchmbd.optimization.multistart.batched import side_by_side
 from torchmbd.optimization.optimizer import Evaluation, OptimizationResult
@@ -29,13 +29,13 @@ class Family:
 
     def __init__(
         self,
-        archive: Archive[Criteria],
+        cache: Cache[Criteria],
         run_one: Callable[[Search], OptimizationResult],
         box: tuple[np.ndarray, np.ndarray, np.ndarray],
         feasibility: float,
         max_lanes: int,
     ) -> None:
-        self.archive, self.run_one = archive, run_one
+        self.cache, self.run_one = cache, run_one
         self.start, self.lower, self.upper = box
         self.feasibility, self.max_lanes = feasibility, max_lanes
         self.interrupted = False
@@ -97,7 +97,7 @@ class Family:
     def _best(self, member: Member) -> tuple[tuple[bool, float], np.ndarray]:
         """Return rank and design of the best known for `member`: feasible before infeasible, then the lowest."""
         best = (True, np.inf), self.start
-        for x, criteria in self.archive.known.values():
+        for x, criteria in self.cache.memory.known.values():
             single = member(criteria)
             if single.ok:
                 violation = float(np.maximum(single.constraints, 0.0).max(initial=0.0))
@@ -111,7 +111,7 @@ class Family:
             return [None] * len(jobs)
 
         searches = [partial(self._search, member, x) for member, x in jobs]
-        ends, self.interrupted = side_by_side(self.archive, searches, self.run_one, self.max_lanes)
+        ends, self.interrupted = side_by_side(self.cache, searches, self.run_one, self.max_lanes)
         return [end if end is not None and end.violation <= self.feasibility else None for end in ends]
 
     def _search(self, member: Member, x: np.ndarray, index: int, ask: Ask, report: Report) -> Search:
