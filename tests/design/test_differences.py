@@ -75,6 +75,7 @@ def test_optimizers_take_it_as_they_take_the_problem(problem):
 class _Fails:
     """A problem whose designs fail beyond 1."""
 
+    start, lower = np.zeros(1), np.full(1, -np.inf)
     names = ("x",)
     upper = np.array([2.0])
 

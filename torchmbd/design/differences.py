@@ -19,7 +19,7 @@ import numpy as np
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.optimization import Evaluation
-from torchmbd.optimization.optimizer import as_numbers
+from torchmbd.optimization.optimizer import as_numbers, require_problem
 
 SCHEMES = ("central", "forward")
 
@@ -75,8 +75,7 @@ class Differences:
     def __init__(self, problem: Any, step: float | Sequence[float] = 1e-4, scheme: str = "central"):
         if scheme not in SCHEMES:
             raise unknown("scheme", scheme, SCHEMES)
-        if not (hasattr(problem, "names") and hasattr(problem, "evaluate")):
-            raise InputError(f"problem is {problem!r}; allowed: a problem, such as mbd.Problem(...)")
+        require_problem(problem)
         self._problem, self.step, self.scheme = problem, _steps(step, len(problem.names)), scheme
 
     def __getattr__(self, name: str) -> Any:

@@ -30,7 +30,7 @@ class Valued(NamedTuple):
 @exclusive
 def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
     """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b] by `motion.variables`."""
-    if not hasattr(motion, "known"):
+    if not isinstance(motion, Trajectory):
         raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
     shared = replace(motion, known={})  # what measures share lives as long as this
     inputs = list(motion.variables.values())

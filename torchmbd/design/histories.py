@@ -27,6 +27,7 @@ from torch import Tensor
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrate import Trajectory
+from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.system import System
 from torchmbd.results.reaction import frame_point, joint_named, reaction_on
 
@@ -86,7 +87,7 @@ class Position(History):
         body = system.body(self.body)
         if self.node is not None:
             flexible(system, self.body).at(self.node)
-        if self.point is not None and hasattr(body, "mesh"):
+        if self.point is not None and isinstance(body, FlexibleBody):
             raise InputError(f"point is {self.point!r} on the flexible body {self.body!r}; allowed: node")
         for name in (self.observer, self.axes):
             if name not in (None, GROUND):
@@ -256,11 +257,14 @@ def direction(axis: Direction) -> Tensor:
     return vector / vector.norm()
 
 
-def flexible(system: System, name: str):
+def flexible(system: System, name: str) -> FlexibleBody:
     """The flexible body of that name; InputError for a rigid one."""
     body = system.body(name)
-    if not hasattr(body, "mesh"):
-        others = ", ".join(other.name for other in system.bodies if hasattr(other, "mesh")) or "(the system has none)"
+    if not isinstance(body, FlexibleBody):
+        others = (
+            ", ".join(other.name for other in system.bodies if isinstance(other, FlexibleBody))
+            or "(the system has none)"
+        )
         raise InputError(f"body {name!r} is rigid; allowed: {others}")
     return body
 

@@ -69,7 +69,7 @@ class OfHistory(Measure):
 
 def _curve(history: History, window: Window, motion: Trajectory) -> Spline:
     """A history as a curve; measures that are evaluated together share it."""
-    if not hasattr(motion, "known"):
+    if not isinstance(motion, Trajectory):
         raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
     known = motion.known
     try:

@@ -14,7 +14,7 @@ Checked in tests/design/test_space.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Sized
 from typing import Any
 
 import numpy as np
@@ -152,7 +152,7 @@ def _parameter(entry: str) -> str:
 
 
 def _pair(what: str, x: Any) -> Any:
-    if not hasattr(x, "__len__") or len(x) != 2:
+    if not isinstance(x, Sized) or len(x) != 2:
         raise InputError(f"{what} is {x!r}; allowed: two entries, (lower, upper)")
     return x
 

@@ -23,7 +23,7 @@ import numbers
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -95,6 +95,15 @@ class Problem(Box, Protocol):
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate one design per row."""
+        ...
+
+
+@runtime_checkable
+class Simulated(Protocol):
+    """A problem that simulates a motion."""
+
+    def motion(self, x: np.ndarray) -> Any:
+        """Motion of one design [n]."""
         ...
 
 
@@ -171,7 +180,7 @@ class OptimizationResult:
     @cached_property
     def motion(self) -> Any:
         """Motion of the final design, simulated when first asked for (`problem.motion(x)`)."""
-        if not hasattr(self.problem, "motion"):
+        if not isinstance(self.problem, Simulated):
             raise AttributeError("this problem offers no motion: its class has no method `motion(x)`")
         return self.problem.motion(self.x)
 

@@ -111,6 +111,7 @@ def begin(file: Path, model: str | None = None) -> list[Path]:
 
 def parts_of(model: str, folder: Path) -> Parts:
     """Build a model, `path/to/file.py:function` below the folder or `package.module:function`, and return its parts."""
+    from torchmbd.multibody.bodies import FlexibleBody
     from torchmbd.study.file_errors import Fault
     from torchmbd.study.model import build_model, find_model
 
@@ -124,7 +125,7 @@ def parts_of(model: str, folder: Path) -> Parts:
             f"model {model!r} needs {', '.join(needed)}; allowed here: a function whose arguments have defaults"
         )
     system = build_model(function, {})
-    bodies = [body.name for body in system.bodies if hasattr(body, "mesh")]
+    bodies = [body.name for body in system.bodies if isinstance(body, FlexibleBody)]
     if not bodies:
         raise InputError(f"model {model!r} has no flexible body; allowed: a system with one at least")
     parameters = {name: x.detach().numpy() for name, x in system.named_parameters() if x.requires_grad}

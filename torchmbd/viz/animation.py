@@ -187,7 +187,7 @@ def _round(x: float) -> float:
 
 
 def _array(x: Any) -> np.ndarray:
-    return x.detach().cpu().numpy() if hasattr(x, "detach") else np.asarray(x)
+    return x.detach().cpu().numpy() if isinstance(x, torch.Tensor) else np.asarray(x)
 
 
 def _packed(x: np.ndarray) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from torch import Tensor
 
 from torchmbd.errors import InputError
 
@@ -80,7 +81,7 @@ def over_time(axes: Axes, t: Numbers, y: Numbers, label: str, color: str) -> Non
 
 def _plain(x: Any) -> np.ndarray:
     """Numbers, of a tensor without its graph."""
-    return np.asarray(x.detach() if hasattr(x, "detach") else x, dtype=float)
+    return np.asarray(x.detach() if isinstance(x, Tensor) else x, dtype=float)
 
 
 def criterion(

@@ -24,6 +24,8 @@ import numpy as np
 import torch
 
 from torchmbd.errors import InputError
+from torchmbd.fem.elements import BeamLine
+from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.results.ply_history import PlyHistory
 
 _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
@@ -83,7 +85,9 @@ def save_motion(
     frames = np.unique([*range(0, len(motion.t), stride), len(motion.t) - 1])
     entries = []
     for part, body in enumerate(motion.system.bodies):
-        frame = _flexible(motion, body, lane, criterion) if hasattr(body, "mesh") else _rigid(motion, body, lane)
+        frame = (
+            _flexible(motion, body, lane, criterion) if isinstance(body, FlexibleBody) else _rigid(motion, body, lane)
+        )
         if frame is None:
             continue
         for number, index in enumerate(frames.tolist()):
@@ -143,7 +147,7 @@ def _array(name: str, values: Any) -> str:
 
 def _cells(mesh: Any) -> list[tuple[int, Any]]:
     """Plates in the order of their numbers, then lines."""
-    if not hasattr(mesh, "cells"):
+    if isinstance(mesh, BeamLine):
         return [(_LINE, mesh.elements)]
     return [(_TRIANGLE, mesh.triangles), (_QUAD, mesh.quads), (_LINE, mesh.lines)]
 
