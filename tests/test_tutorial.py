@@ -1,21 +1,25 @@
-"""The tutorial is run as it stands there: its code, its experiment file, its commands on a coarse copy of its study."""
+"""The tutorial of the robot arm: its files, the errors that it tells of, its commands on a coarse copy of its study.
+
+Its code is run by tests/test_docs.py.
+"""
 
 from __future__ import annotations
 
-import doctest
 import re
 import shutil
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import torchmbd as mbd
-from tests.test_guides import DOCS, code
+from tests.page_blocks import blocks, commands
 from torchmbd import cli
 
-HERE = DOCS / "tutorial"
-PAGE = (HERE / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[1]
+HERE = ROOT / "experiments" / "tutorial"
+PAGE = ROOT / "docs" / "tutorials" / "robot_arm.md"
 COARSE = ["simulate.steps=40", "starts.count=2", "optimizer.max_iterations=2", "options.elements=2"]
 
 
@@ -32,16 +36,8 @@ def folder(tmp_path, monkeypatch):
     sys.modules.pop("arm", None)
 
 
-def test_code_and_numbers(folder):
-    page = doctest.DocTestParser().get_doctest(code(HERE / "README.md"), {}, "tutorial", None, 0)
-    assert len(page.examples) > 8
-    report: list[str] = []
-    doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE).run(page, out=report.append)
-    assert not report, "".join(report)
-
-
 def test_the_experiment_file_is_the_one_that_is_printed(folder, capsys):
-    [printed] = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
+    [printed] = [block.text for block in blocks(PAGE) if block.language == "yaml"]
     assert printed == (folder / "overshoot.yaml").read_text(encoding="utf-8")
     assert cli.main(["new", "draft.yaml", "--model", "arm.py:build"]) == 0
     assert "arm.section.angles" in (folder / "draft.yaml").read_text(encoding="utf-8")
@@ -57,7 +53,7 @@ def test_the_experiment_file_is_the_one_that_is_printed(folder, capsys):
 )
 def test_what_is_said_of_errors_is_what_is_seen(folder, capsys, old, new):
     """The messages of the table at the end of the page."""
-    table = re.findall(r"^\| `(.*?)` \|", PAGE, re.MULTILINE)
+    table = re.findall(r"^\| `(.*?)` \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
     (folder / "arm.py").write_text((folder / "arm.py").read_text() + "\n\ndef other():\n    return build()\n")
     file = folder / "overshoot.yaml"
     file.write_text(file.read_text().replace(old, new))
@@ -68,11 +64,9 @@ def test_what_is_said_of_errors_is_what_is_seen(folder, capsys, old, new):
 
 @pytest.mark.slow
 def test_commands(folder, capsys):
-    commands = [
-        line.split()[1:] for block in re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL) for line in block.splitlines()
-    ]
-    assert [command[0] for command in commands] == ["check", "run", "best", "report", "ui"]
-    for command in commands[:-1]:  # the last one serves until Ctrl-C: tests/study/test_browser.py
+    lines = commands(PAGE)
+    assert [line[0] for line in lines] == ["check", "run", "best", "report", "ui"]
+    for command in lines[:-1]:  # the last one serves until Ctrl-C: tests/study/test_browser.py
         assert cli.main(command + (COARSE if command[0] in ("check", "run") else [])) == 0
     assert (folder / "overshoot.html").exists()
     study = mbd.load("overshoot", model="arm.py")

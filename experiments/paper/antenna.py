@@ -193,5 +193,5 @@ PARTS = (
     Part("equation40", "Eq. (40) with other modes and meshes", vibration,
          (*SOURCES, "experiments.paper.antenna"), 3.0, {"rate": 200}),
     Part("figures19_26", "Figs. 19, 24-26: the first phase of both designs", deployment,
-         (*SOURCES, "experiments.paper.antenna"), 1.0, {"rate": 100, "modes": 14}),
+         (*SOURCES, "experiments.paper.antenna"), 1.0, {"rate": 200, "modes": 14}),
 )  # fmt: skip

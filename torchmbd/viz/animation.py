@@ -116,7 +116,7 @@ def _flexible(
     x = (nodes - r) @ A - u[0]
     shapes, weights = _low_rank(u.reshape(len(frames), -1))
     modes = shapes.reshape(len(shapes), -1, 3)
-    relative = modes - _through_joints(x, modes, sorted(joint_nodes))
+    relative = modes - through_joints(x, modes, sorted(joint_nodes))
     entry.update(
         x=_packed(x),
         triangles=_triangles(state.mesh),
@@ -137,7 +137,7 @@ def _triangles(mesh: Any) -> list[int]:
     return torch.cat([mesh.triangles, cut_quads(mesh.nodes, mesh.quads).flatten(0, 1)]).flatten().tolist()
 
 
-def _through_joints(x: np.ndarray, u: np.ndarray, joints: list[int]) -> np.ndarray:
+def through_joints(x: np.ndarray, u: np.ndarray, joints: list[int]) -> np.ndarray:
     """Return the affine fields of least norm that agree (in least squares) with u [k, n, 3] at the joint nodes."""
     if not joints:
         return np.zeros_like(u)

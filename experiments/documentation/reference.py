@@ -1,0 +1,126 @@
+"""Pages of the reference that come from the program: public names, keys of experiment files, commands.
+
+Each function returns Markdown; hooks.py puts it where a page says `<!-- insert: name -->`.
+Checked in tests/experiments/test_documentation.py.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torchmbd as mbd
+from torchmbd.study.json_schema import json_schema
+from torchmbd.study.scaffold import begin
+
+ROOT = Path(__file__).parents[2]
+GROUPS: dict[str, str] = {
+    "materials": "Ply Laminate Strength LaminationRules deg",
+    "meshes": "Mesh BeamLine mesh sections GivenSection",
+    "bodies": "Ground RigidBody FlexibleBody Frame",
+    "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
+    "ConstantSpeed Sine SmoothStep",
+    "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing Force Torque Pressure forces variable",
+    "feedback": "Controller ControlHistory signals",
+    "systems": "System Dynamics equilibrium",
+    "simulation": "simulate Trajectory Phase Event",
+    "results": "SectionHistory PlyHistory viz",
+    "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
+    "PlyFailure PlyStress history",
+    "measures": "Integral Mean RMS Max Min SmoothMax Final AtTime AtTimes AtPeaks Frequency Frequencies Mass "
+    "WeightedSum measure",
+    "problems": "Problem Constraint DesignSpace Tradeoff Differences load problem_of",
+    "optimization": "optimize multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes sobol "
+    "latin_hypercube",
+    "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
+    "errors": "MbdError InputError SimulationFailure",
+}
+
+
+def group(names: str) -> str:
+    """The public names of a group: an instruction of mkdocstrings for each, with the module that it stands in."""
+    return "\n".join(f"::: {_path(name)}\n" for name in GROUPS[names].split())
+
+
+def _path(name: str) -> str:
+    found = getattr(mbd, name)
+    module = getattr(found, "__module__", None)  # a module has none
+    return found.__name__ if module is None else f"{module}.{found.__qualname__}"
+
+
+def file(path: str) -> str:
+    """A file of the repository as a block with its name; tests/page_blocks.py writes it where the page is run."""
+    text = (ROOT / path).read_text(encoding="utf-8")
+    language = {".py": "python", ".yaml": "yaml"}[Path(path).suffix]
+    return f'```{language} title="{Path(path).name}"\n{text}```\n'
+
+
+def commands() -> str:
+    """Every command with its arguments, as the command line tells them."""
+    from torchmbd.cli import app
+
+    text = app.generate_docs(output_format="markdown")
+    return text[text.index("## torchmbd run") :]
+
+
+def first_file() -> str:
+    """The commented file that `torchmbd new arm.yaml` writes."""
+    with tempfile.TemporaryDirectory() as folder:
+        file, *_ = begin(Path(folder) / "arm.yaml")
+        return f"```yaml\n{file.read_text(encoding='utf-8')}```\n"
+
+
+def file_keys() -> str:
+    """A table of keys for each section of an experiment file, from its schema."""
+    schema = json_schema()
+    sections = {"(top of the file)": schema["else"], "(top of a file of pictures)": schema["then"]}
+    sections |= {name: schema["$defs"][name] for name in ("Variable", "Simulation", "Optimizer", "Starts", "Range")}
+    sections["Tracking"] = schema["$defs"]["Tracking"]
+    tables = [_keys(name, section) for name, section in sections.items()]
+    words = {"Measure": "of a whole motion or of the design", "History": "of every time"}
+    for name, what in words.items():
+        properties = schema["$defs"][name]["properties"]
+        rows = [f"| `{key}` | {_cell(entry.get('description', ''))} |" for key, entry in properties.items()]
+        tables.append("\n".join([f"### {name}: {what}\n", "| word | what it is |", "|---|---|", *rows, ""]))
+    return "\n".join(tables)
+
+
+def _keys(name: str, section: Mapping[str, Any]) -> str:
+    required = section.get("required", ())
+    rows = [
+        f"| `{key}` | {_kind(entry)} | {'required' if key in required else _default(entry)} |"
+        for key, entry in section["properties"].items()
+    ]
+    said = (section.get("description") or "").partition("\n")[0]
+    return "\n".join([f"### {name}\n", f"{said}\n", "| key | takes | default |", "|---|---|---|", *rows, ""])
+
+
+def _default(entry: Mapping[str, Any]) -> str:
+    return f"`{entry['default']}`" if entry.get("default") is not None else ""
+
+
+def _kind(entry: Mapping[str, Any]) -> str:
+    """What a key takes, in words."""
+    if "$ref" in entry:
+        return entry["$ref"].rpartition("/")[2]
+    if "enum" in entry:
+        return ", ".join(f"`{word}`" for word in entry["enum"])
+    if "anyOf" in entry:
+        return " or ".join(dict.fromkeys(_kind(kind) for kind in entry["anyOf"] if kind.get("type") != "null"))
+    if "const" in entry:
+        return f"`{entry['const']}`"
+    if entry.get("type") == "array":
+        return f"list of {_kind(entry['items'])}" if "items" in entry else "list"
+    if entry.get("type") == "object":
+        inner = entry.get("additionalProperties")
+        return f"mapping of names to {_kind(inner)}" if isinstance(inner, Mapping) else "mapping"
+    limits = {"exclusiveMinimum": ">", "minimum": ">=", "maximum": "<=", "exclusiveMaximum": "<"}
+    bounds = [f"{sign} {entry[key]}" for key, sign in limits.items() if key in entry]
+    kind: str = entry.get("type", "any")
+    return " ".join(["text" if kind == "string" else kind, *bounds])
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|")

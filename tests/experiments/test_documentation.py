@@ -1,0 +1,65 @@
+"""Generated parts of the documentation: public names have their places, tables come from the program, pictures from motions."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import torchmbd as mbd
+from experiments import validation
+from experiments.documentation import reference
+from experiments.documentation.animated_svg import animated_svg, drawing
+from experiments.paper.part import Finding, Part, Row
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def test_every_public_name_stands_in_the_reference_once():
+    names = [name for group in reference.GROUPS.values() for name in group.split()]
+    assert sorted(names) == sorted(mbd.__all__)
+    pages = "".join(page.read_text(encoding="utf-8") for page in (DOCS / "reference").glob("*.md"))
+    for group in reference.GROUPS:
+        assert pages.count(f"<!-- insert: group {group} -->") == 1, group
+    assert "::: torchmbd.fem.materials.laminate.Laminate\n" in reference.group("materials")
+
+
+def test_commands_and_keys_are_those_of_the_program():
+    commands = reference.commands()
+    for word in ("## torchmbd run", "--scheduler", "## torchmbd sync"):
+        assert word in commands
+    keys = reference.file_keys()
+    for word in (
+        "| `model` |",
+        "| `spectral_radius` |",
+        "`trust-constr`",
+        "| `ply_failure` |",
+        "| `duration` | number > 0 | required |",
+    ):
+        assert word in keys
+    assert reference.first_file().startswith("```yaml\n# ")
+
+
+def test_rows_of_the_paper_become_tables():
+    part = Part("table9", "Table 9: a title", lambda folder: [], (), 1.0)
+    rows = [Row("energy (J)", 2.0, 2.1, "given", "a | b"), Row("angles (deg)", None, "0/90", "chosen")]
+    page = validation.page([Finding(part, rows, [], 3.0, False)])
+    assert "| energy (J) | 2 | 2.1 | 1.050 | given | a \\| b |\n| angles (deg) |  | 0/90 |  | chosen |  |" in page
+    assert "`python -m experiments.paper table9`, 3 s" in page
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_picture_shows_the_motion(tmp_path):
+    arm = mbd.RigidBody("arm", 1.0, (0.01, 0.01, 0.01), position=(0.5, 0, 0))
+    hinge = mbd.Revolute(mbd.Ground().at(), arm.at(-0.5, 0, 0), axis="z")
+    drive = mbd.Drive(mbd.Ground(), arm, axis="z", speed=2.0)
+    motion = mbd.simulate(mbd.System([arm], [hinge, drive]), 1.0, steps=20, gradients="none")
+    lines = drawing(motion, frames=5, along={"arm": [(-0.5, 0, 0), (0.5, 0, 0)]})
+    angle = 2.0 * np.linspace(0.0, 1.0, 5)
+    np.testing.assert_allclose(lines[0].points[:, 1], np.stack([np.cos(angle), np.sin(angle)], -1), atol=1e-6)
+    file = animated_svg([("an arm", lines), ("again", lines)], tmp_path / "arm.svg")
+    tags = [element.tag.rpartition("}")[2] for element in ElementTree.parse(file).iter()]
+    assert tags.count("animate") == 2
+    assert tags.count("text") == 2
