@@ -10,8 +10,8 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "torchmbd"
 # From the ground up; packages of one line do not import each other.
 LAYERS = (
-    {"errors", "process"},
-    {"math"},
+    {"errors", "process", "summary"},
+    {"math", "viz.figures"},
     {"fem.mesh", "fem.materials"},
     {"fem.elements", "fem.sections"},
     {"fem.reduction"},
@@ -30,7 +30,7 @@ LAYERS = (
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}
 # Narrower than their layer: modes are those of any K and M, optimizers know arrays only.
-ONLY = {"fem.reduction": {"errors", "math"}, "optimization": {"errors", "process"}}
+ONLY = {"fem.reduction": {"errors", "math"}, "optimization": {"errors", "process", "summary", "viz.figures"}}
 EMPTY = {"torchmbd.fem", "torchmbd.multibody"}  # packages of packages: they import nothing
 FILES = sorted(file for file in PACKAGE.rglob("*.py") if file != PACKAGE / "__init__.py")
 

@@ -41,6 +41,7 @@ from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.optimizer import as_numbers
 from torchmbd.results.motion_data import OK
+from torchmbd.summary import Summary, few
 
 BOUND = "bound"  # name of the extra variable beta
 
@@ -66,7 +67,7 @@ def constraints_of(subject_to: Any) -> list[Constraint]:
     return several("subject_to", given, Constraint, "constraints, such as Max(...) <= 'initial'")
 
 
-class Problem:
+class Problem(Summary):
     """A transient optimization problem.
 
     system      the model; its parameters are the candidates for design variables
@@ -133,6 +134,19 @@ class Problem:
         require_room(
             system, 1, integrator.kept(steps) if steps else FEWEST, self._tangents, self.gradients == "reverse"
         )
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        start = [f"{name} = {x:.6g}" for name, x in zip(self.names, self.start, strict=True)]
+        return [
+            ("minimize", self.objective),
+            ("subject to", few(self.constraints)),
+            ("variables", few(start)),
+            (
+                "motion",
+                f"{self.duration:g} s, {self.simulation['method']}, steps {self.simulation['steps'] or 'by default'}",
+            ),
+            ("gradients", self.gradients),
+        ]
 
     def _way(self, integrator: Integrator) -> str:
         """The cheaper way to gradients, by counting."""

@@ -27,6 +27,7 @@ from torchmbd.optimization.optimizer import (
     require_problem,
     require_range,
 )
+from torchmbd.optimization.progress import both, shown
 from torchmbd.optimization.search import Interrupted, OutOfAnalyses, Search, variable_scale
 
 MAX_ITERATIONS = 100
@@ -44,6 +45,7 @@ def optimize(
     feasibility: float = FEASIBILITY,
     eager_gradients: bool = True,
     max_analyses: int | None = None,
+    progress: bool | None = None,
     **options: Any,
 ) -> OptimizationResult:
     """Minimize from one start.
@@ -57,6 +59,7 @@ def optimize(
     feasibility      violation of a constraint that still counts as none [-]
     eager_gradients  ask for gradients together with all values (a simulation saved per iteration), not afterwards
     max_analyses     simulations at most; None: any number
+    progress         a bar of the iterations on standard error; None: in a terminal or a notebook
     options          the method's own
 
     A simulation that fails is stepped back from, and counted in the result. Raises InputError for an unknown method or
@@ -67,19 +70,21 @@ def optimize(
     require_limits(max_iterations, max_analyses)
     require_range("feasibility", feasibility, 0.0, 1.0)
 
-    search = Search(
-        problem.evaluate,
-        x,
-        lower,
-        upper,
-        scale=variable_scale(x, lower, upper) if scaling else None,
-        equalities=getattr(problem, "equalities", None),
-        feasibility=feasibility,
-        eager_gradients=eager_gradients,
-        max_analyses=max_analyses,
-        report=callback,
-    )
-    return run_start(search, function, method, max_iterations, options, problem)
+    with shown(progress, method, max_iterations) as show:
+        report = both(lambda one: show(one.iteration, one.objective), callback)
+        search = Search(
+            problem.evaluate,
+            x,
+            lower,
+            upper,
+            scale=variable_scale(x, lower, upper) if scaling else None,
+            equalities=getattr(problem, "equalities", None),
+            feasibility=feasibility,
+            eager_gradients=eager_gradients,
+            max_analyses=max_analyses,
+            report=report,
+        )
+        return run_start(search, function, method, max_iterations, options, problem)
 
 
 def require_limits(max_iterations: int, max_analyses: int | None) -> None:

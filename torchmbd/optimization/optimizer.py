@@ -23,11 +23,15 @@ import numbers
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from torchmbd.errors import InputError, nearest, unknown
+from torchmbd.summary import Summary, few
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # How an optimization can end. Only "converged" claims an optimum.
 STATUSES = {
@@ -130,8 +134,20 @@ class Ending:
     message: str
 
 
-@dataclass(frozen=True)
-class OptimizationResult:
+def plotted(results: Sequence[OptimizationResult], best: OptimizationResult | None, title: str) -> Figure:
+    """Figure of the objective and the largest violation of several starts over their iterations; the best stands out."""
+    from torchmbd.viz.figures import convergence
+
+    names = {f"start {result.start}": result.history for result in results if result.history}
+    values, violations = (
+        {name: [getattr(one, what) for one in history] for name, history in names.items()}
+        for what in ("objective", "violation")
+    )
+    return convergence(values, violations, None if best is None else f"start {best.start}", title)
+
+
+@dataclass(frozen=True, repr=False)
+class OptimizationResult(Summary):
     """The end of one start, in physical units.
 
     x                     design [n], the best that was found
@@ -171,6 +187,20 @@ class OptimizationResult:
     names: list[str] = field(default_factory=list)
     start: int = 0
     problem: Any = field(default=None, repr=False, compare=False)
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        names = self.names or [f"x[{k}]" for k in range(len(self.x))]
+        return [
+            ("status", f"{self.status}: {self.message}"),
+            ("value", f"{self.value:.8g}"),
+            ("violation", f"{self.violation:.3g}"),
+            ("x", few([f"{name} = {x:.6g}" for name, x in zip(names, self.x, strict=True)])),
+            ("method", f"{self.method}, {self.iterations} iterations, {self.analyses} simulations"),
+        ]
+
+    def plot(self, title: str = "objective") -> Figure:
+        """Figure of the objective and the largest violation over the iterations."""
+        return plotted([self], self, title)
 
     @property
     def converged(self) -> bool:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -23,11 +24,15 @@ from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.bodies import Frame
 from torchmbd.multibody.joints.joint import Attached
 from torchmbd.results.motion_data import MotionData
+from torchmbd.summary import Summary
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Where = str | int | Sequence[float] | Frame | None
 
 
-class BodyMotion:
+class BodyMotion(Summary):
     """One body along a trajectory."""
 
     def __init__(self, motion: MotionData, name: str):
@@ -136,6 +141,25 @@ class BodyMotion:
         body = self.motion.system.body(self.name)
         local = body.mesh.nodes - body.origin + self.displacements
         return self.r[:, :, None] + torch.einsum("ltij,ltnj->ltni", self.A, local)
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each lane and time: origin x, y, z [m], its velocity vx, vy, vz [m/s], Euler parameters e0 to e3, angular
+        velocity in body axes wx, wy, wz [rad/s], modal coordinates w1, w2, ...; indexed by lane and t [s]."""
+        import pandas as pd
+
+        parts = {"xyz": self.r, "vx vy vz": self._origin_rates("v"), "e0 e1 e2 e3": self.p, "wx wy wz": self.omega}
+        columns = [name for names in parts for name in (names.split() if " " in names else names)]
+        numbers = [*parts.values()]
+        if self._index < self._T.flexible:
+            numbers.append(self.w)
+            columns += [f"w{k + 1}" for k in range(self.w.shape[-1])]
+        x = torch.cat(numbers, -1).detach()
+        index = pd.MultiIndex.from_product([range(x.shape[0]), self.motion.t.detach().tolist()], names=["lane", "t"])
+        return pd.DataFrame(x.flatten(0, 1).numpy(), index=index, columns=columns)
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        kind = f"flexible, {self.w.shape[-1]} modes" if self._index < self._T.flexible else "rigid"
+        return [("body", f"{self.name} ({kind})"), *self.motion._summary()[:3]]
 
     def at(self, where: Where = None) -> PointMotion:
         """A point of the body.

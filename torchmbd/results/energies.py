@@ -17,7 +17,7 @@ Checked in tests/physics/test_energies.py: against nodal sums, and the balance t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import torch
@@ -29,10 +29,11 @@ from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.times_as_lanes import side_by_side
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.motion_data import MotionData
+from torchmbd.summary import Summary
 
 
-@dataclass(frozen=True, eq=False)
-class Energies:
+@dataclass(frozen=True, eq=False, repr=False)
+class Energies(Summary):
     """Energies of a motion and the work done on it; see the module header."""
 
     kinetic: Tensor
@@ -42,6 +43,13 @@ class Energies:
     applied: Tensor
     driven: Tensor
     lost: Tensor
+
+    def _summary(self) -> list[tuple[str, str]]:
+        return [
+            (one.name, f"{float(x[0, 0]):.6g} to {float(x[0, -1]):.6g} J, at most {float(x[0].max()):.6g} J (lane 0)")
+            for one in fields(self)
+            for x in (getattr(self, one.name).detach(),)
+        ]
 
     @property
     def stored(self) -> Tensor:

@@ -18,6 +18,7 @@ from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.results.mode_shapes import OneLane, Shapes
 from torchmbd.results.time_rows import Given, Recorded, Rows, Signals, detached
+from torchmbd.summary import Summary, few
 
 OK = "ok"
 
@@ -58,8 +59,8 @@ class Switch:
         return replace(self, t=self.t.detach(), before=self.before.detach(), after=self.after.detach())
 
 
-@dataclass(eq=False)
-class MotionData:
+@dataclass(eq=False, repr=False)
+class MotionData(Summary):
     """The numbers of a motion of one design or of a batch; `Trajectory` (trajectory.py) adds what is read from them.
 
     t           times [times] [s]
@@ -97,6 +98,18 @@ class MotionData:
     good: Tensor | None = field(default=None, repr=False)
     variables: dict[str, Tensor] = field(default_factory=dict, repr=False)
     integration: Any = field(default=None, repr=False)
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        T, wrong = self.dynamics.topology, [status for status in self.status if status != OK]
+        status = f"{len(wrong)} of {len(self.status)} lanes: {wrong[0]}" if wrong else OK
+        rows = [
+            ("status", status),
+            ("lanes", self.lanes),
+            ("time", f"{float(self.t[0]):g} to {float(self.t[-1]):g} s, {len(self.t)} times"),
+            ("bodies", few(T.names)),
+            ("coordinates", f"{T.n_q} (q), {T.n_v} rates (v, a), {T.rows} multipliers (lam)"),
+        ]
+        return rows + [(name, self.stats[name]) for name in ("backend", "gradients") if name in self.stats]
 
     @property
     def lanes(self) -> int:

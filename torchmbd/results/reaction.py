@@ -23,14 +23,22 @@ from torchmbd.multibody.system import System, equations
 from torchmbd.multibody.system.times_as_lanes import side_by_side
 from torchmbd.results.body_motion import BodyMotion
 from torchmbd.results.motion_data import MotionData
+from torchmbd.summary import Summary
 
 
-@dataclass(frozen=True)
-class JointReaction:
+@dataclass(frozen=True, repr=False)
+class JointReaction(Summary):
     """force [lanes, times, 3] [N] and torque [lanes, times, 3] [N m] on body b at frame a, in its axes; of all rows."""
 
     force: Tensor
     torque: Tensor
+
+    def _summary(self) -> list[tuple[str, str]]:
+        sizes = {"force": (self.force, "N"), "torque": (self.torque, "N m")}
+        return [
+            (name, f"[lanes, times, 3] = {list(x.shape)}, at most {float(x.detach().norm(dim=-1).max()):.6g} {unit}")
+            for name, (x, unit) in sizes.items()
+        ]
 
 
 def reaction(motion: MotionData, name: str) -> JointReaction:

@@ -15,6 +15,7 @@ mode_shapes.py). A lane that failed says why in `status`; its numbers are nan fr
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -25,8 +26,11 @@ from torchmbd.results.motion_data import MotionData
 from torchmbd.results.reaction import JointReaction, reaction
 from torchmbd.results.singular_positions import SingularPosition, singular_positions
 
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
-@dataclass(eq=False)
+
+@dataclass(eq=False, repr=False)
 class Trajectory(MotionData):
     """A motion of one design or of a batch, made by `simulate`; its numbers are those of `MotionData`."""
 
@@ -39,6 +43,10 @@ class Trajectory(MotionData):
     def reaction(self, joint: str) -> JointReaction:
         """Force and torque of a joint on its second body, in the frame of its first."""
         return reaction(self, joint)
+
+    def to_dataframe(self, body: str) -> DataFrame:
+        """The motion of one body: a row for each lane and time (see `BodyMotion.to_dataframe`)."""
+        return self.body(body).to_dataframe()
 
     @property
     def energies(self) -> Energies:

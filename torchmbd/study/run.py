@@ -148,6 +148,7 @@ def run_study(
             callback,
             journal.result,
             max_iterations=optimizer.max_iterations,
+            progress=False,  # the terminal shows the starts already
             **options,
         )
     best = study.best

@@ -32,6 +32,7 @@ from torchmbd.multibody.joints.drive import VARIABLES as OF_DRIVES
 from torchmbd.multibody.joints.joint import Joint
 from torchmbd.multibody.system import topology
 from torchmbd.multibody.system.description import Description, check_connected, describe
+from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
 from torchmbd.multibody.system.initial import InitialConditions, given_start
@@ -124,6 +125,9 @@ class System(nn.Module):
     def describe(self) -> Description:
         """Bodies, joints, rank, freedoms, mass and first frequencies: print it, or use its numbers."""
         return describe(self)
+
+    def _repr_html_(self) -> str:
+        return html(self)
 
     def body(self, name: str) -> Any:
         """The body of that name; InputError names the nearest."""

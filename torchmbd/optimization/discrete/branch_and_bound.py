@@ -100,6 +100,7 @@ def optimize_discrete(
         max_iterations=max_iterations,
         max_lanes=max_lanes,
         feasibility=feasibility,
+        progress=False,
         **options,
     )
 

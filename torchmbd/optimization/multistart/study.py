@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,14 +19,21 @@ from torchmbd.optimization.optimizer import (
     OptimizationResult,
     Problem,
     find_method,
+    plotted,
     require_count,
     require_range,
 )
+from torchmbd.optimization.progress import both, shown
 from torchmbd.optimization.search import Ask, Report, Search, variable_scale
+from torchmbd.summary import Summary, few
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 
-@dataclass(frozen=True)
-class Study:
+@dataclass(frozen=True, repr=False)
+class Study(Summary):
     """The results of a multistart, in the order of the starts."""
 
     results: list[OptimizationResult]
@@ -34,6 +41,33 @@ class Study:
     interrupted: bool = False
     stopped_early: bool = False  # by `minima_left`
     starts: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))  # [count, n], also those not reached
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        best = self.best
+        found = "none is feasible" if best is None else f"{best.value:.8g}, start {best.start} ({best.status})"
+        values = few([f"{one.value:.6g}" for one in self.minima])
+        return [
+            ("starts", f"{len(self.results)} of {len(self.starts)}, {self.converged} converged"),
+            ("best", found),
+            ("minima", f"{len(self.minima)}: {values}" if self.minima else "none"),
+            ("simulations", f"{self.analyses}, {self.gradient_evaluations} of them with gradients"),
+        ]
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each start: status, value, violation, iterations, analyses, and the design by its names."""
+        import pandas as pd
+
+        rows = [
+            {"start": r.start, "status": r.status, "value": r.value, "violation": r.violation}
+            | {"iterations": r.iterations, "analyses": r.analyses}
+            | dict(zip(r.names or [f"x[{k}]" for k in range(len(r.x))], r.x, strict=True))
+            for r in self.results
+        ]
+        return pd.DataFrame(rows).set_index("start") if rows else pd.DataFrame()
+
+    def plot(self, title: str = "objective") -> Figure:
+        """Figure of the objective and the largest violation of every start over its iterations; the best stands out."""
+        return plotted(self.results, self.best, title)
 
     @property
     def best(self) -> OptimizationResult | None:
@@ -79,6 +113,7 @@ def multistart(
     eager_gradients: bool = True,
     max_analyses: int | None = None,
     minima_left: float | None = None,
+    progress: bool | None = None,
     **options: Any,
 ) -> Study:
     """Minimize from every start; the starts' simulations are evaluated together.
@@ -89,6 +124,7 @@ def multistart(
     max_lanes    designs under evaluation at most
     scaling      variables by the problem's start, for all starts alike
     minima_left  begin no further start once the estimated number of unknown minima is below it
+    progress     a bar of the starts on standard error; None: in a terminal or a notebook
     method, callback, max_iterations, feasibility, eager_gradients, max_analyses, options   as in `optimize`
 
     A start that fails says so in its result. Ctrl-C ends every start and returns what there is, `interrupted` set.
@@ -130,6 +166,14 @@ def multistart(
 
     runners = [partial(runner, k) for k in range(len(points))]
     groups = at_once(problem) if minima_left is None else 1  # what is known by then must not depend on timing
-    lockstep = Lockstep(problem, runners, max_lanes, callback, go_on, ended, groups)
-    results = lockstep.run()
+    done: list[OptimizationResult] = []
+
+    with shown(progress, f"{method}, starts", len(points)) as show:
+
+        def count(result: OptimizationResult) -> None:
+            done.append(result)
+            show(len(done), min((one.value for one in done if one.violation <= feasibility), default=np.nan))
+
+        lockstep = Lockstep(problem, runners, max_lanes, callback, go_on, both(count, ended), groups)
+        results = lockstep.run()
     return Study(results, find(results), lockstep.interrupted, lockstep.stopped_early, points)

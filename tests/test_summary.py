@@ -1,0 +1,54 @@
+"""What objects say of themselves in a terminal and in a notebook: short, whatever they hold; and data frames."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.mechanisms import pendulum
+from torchmbd.summary import few, table
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return mbd.simulate(pendulum(), 0.02, steps=100)
+
+
+def test_no_description_is_longer_than_a_screen(motion):
+    name = motion.dynamics.topology.names[0]
+    joint = motion.system.joints[0].name
+    for found in (motion, motion.body(name), motion.energies, motion.reaction(joint), motion.system):
+        assert 20 < len(repr(found)) < 1500
+        assert len(repr(found).splitlines()) < 20
+        assert found._repr_html_().startswith(("<b>", "<svg"))
+    assert "0 to 0.02 s, 101 times" in repr(motion)
+
+
+def test_a_failed_lane_is_told(motion):
+    from dataclasses import replace
+
+    assert "1 of 1 lanes: failed: so" in repr(replace(motion, status=["failed: so"]))
+
+
+def test_the_diagram_has_every_body_and_joint(motion):
+    drawn = motion.system._repr_html_()
+    for named in (*motion.system.bodies, *motion.system.joints):
+        assert f">{named.name}</text>" in drawn
+
+
+def test_text_in_tables_is_text():
+    assert "<script>" not in table([("<script>", 1)])
+    assert few(list("abcdefgh")) == "a, b, c, d, e, f, ... (8 in all)"
+    assert few([]) == "none"
+
+
+def test_a_motion_as_a_data_frame(motion):
+    name = motion.dynamics.topology.names[0]
+    frame = motion.to_dataframe(name)
+    view = motion.body(name)
+    assert frame.index.names == ["lane", "t"]
+    assert len(frame) == motion.lanes * len(motion.t)
+    columns = torch.tensor(frame[["x", "y", "z"]].to_numpy())
+    assert torch.equal(columns, view.r.flatten(0, 1))
+    assert torch.equal(torch.tensor(frame[["wx", "wy", "wz"]].to_numpy()), view.omega.flatten(0, 1))
