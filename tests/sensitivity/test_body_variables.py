@@ -203,7 +203,7 @@ def test_what_no_parameter_can_be_is_refused_by_name():
         "Parameter of torch.float32": lambda: mbd.RigidBody(*body, velocity=nn.Parameter(torch.zeros(3))),
         "axes of 'b' carries": lambda: mbd.RigidBody(*body, axes=nn.Parameter(torch.eye(3, dtype=torch.float64))),
         "inertia of 'b'": lambda: mbd.RigidBody("b", 1.0, parameter(1.0, 1.0, 5.0)),
-        "point on 'b' carries": lambda: mbd.RigidBody(*body).at(mbd.variable(0.1)),
+        "point on 'b' carries": lambda: mbd.RigidBody(*body).at(2.0 * mbd.variable(0.1)),
     }
     for message, make in cases.items():
         with pytest.raises(InputError, match=message):

@@ -199,9 +199,7 @@ REFUSED: dict[str, Callable[[Any], Any]] = {
     "velocity": lambda v: mbd.RigidBody("b", 1.0, (1.0, 1.0, 1.0), velocity=(v, 0.0, 0.0)),
     "angular_velocity": lambda v: mbd.RigidBody("b", 1.0, (1.0, 1.0, 1.0), angular_velocity=(v, 0.0, 0.0)),
     "axes": lambda v: mbd.RigidBody("b", 1.0, (1.0, 1.0, 1.0), axes=[[v, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
-    "point on": lambda v: box("b").at(v, 0.0, 0.0),
     "axes ": lambda v: box("b").at(axes=[[v, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
-    "point": lambda v: GROUND.at(0.0, v, 0.0),
     "a frame": lambda v: mbd.Frame(box("b"), torch.stack([v, v, v])),
     "offset": lambda v: plate("p").at("left", offset=(v, 0.0, 0.0)),
     "weights": lambda v: plate("p").at([0, 1], weights=[v, 1.0]),
@@ -228,7 +226,7 @@ REFUSED: dict[str, Callable[[Any], Any]] = {
     "window of Integral": lambda v: mbd.Integral(mbd.StrainEnergy("p"), window=(0.0, v)),
     "sharpness": lambda v: mbd.SmoothMax(mbd.StrainEnergy("p"), sharpness=v),
     "limit of Constraint": lambda v: mbd.Max(mbd.StrainEnergy("p")) <= v,
-    "factor": lambda v: v * mbd.Max(mbd.StrainEnergy("p")),
+    "terms of Total": lambda v: v * mbd.Max(mbd.StrainEnergy("p")),
     "terms of WeightedSum": lambda v: mbd.WeightedSum([(v, mbd.Mass())]),
     "center of Angle": lambda v: mbd.Angle("p", "z", center=v),
     "point of Position": lambda v: mbd.Position("b", "x", point=(v, 0.0, 0.0)),
@@ -248,6 +246,8 @@ def test_a_number_without_a_gradient_refuses_a_variable(name, kind):
 
 
 TAKEN: dict[str, Callable[[Any], Any]] = {
+    "point on": lambda v: box("b").at(v, 0.0, 0.0),
+    "point": lambda v: GROUND.at(0.0, v, 0.0),
     "E of GivenSection": lambda v: mbd.GivenSection.isotropic(v, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0),
     "E1": lambda v: mbd.Ply(v, 0.5, *[0.2] * 3, nu12=0.2, density=1e3),
     "width of rectangle": lambda v: mbd.sections.rectangle(v, 0.2, STEEL, cells=(1, 1)),

@@ -169,6 +169,16 @@ class BodyMotion(Summary):
         return PointMotion.of(self, where)
 
 
+def point_of(motion: MotionData, frame: Frame) -> Tensor:
+    """Point of a frame in the axes of its body [lanes or 1, 1, 3] [m], as the designs have it."""
+    if frame.place is None:
+        return frame.point[None, None]
+    places = [attached.place for attached in motion.dynamics.topology.attached]
+    if frame.place not in places:
+        return frame.present[None, None]
+    return value(motion.dynamics.data["x"])[:, places.index(frame.place), 0].T[:, None]
+
+
 @dataclass(frozen=True)
 class PointMotion:
     """One point of a body along a trajectory [lanes, times, 3]; see the module header.
@@ -191,7 +201,7 @@ class PointMotion:
         if frame is None:
             return cls(body, still, still, still, still)
         if frame.mount is None:
-            return cls(body, still, frame.point + still, still, still)
+            return cls(body, still, point_of(body.motion, frame) + still, still, still)
         psi = Attached(frame.body, frame.point, frame.mount, True).modal_rows(body.psi)
         u, slow, fast = (torch.einsum("lim,ltm->lti", psi, x) for x in (body.w, body.wd, body.wdd))
         return cls(body, u, frame.point + u, slow, fast)

@@ -21,7 +21,7 @@ from torchmbd.multibody.bodies import Frame, Ground
 from torchmbd.multibody.joints.joint import Joint
 from torchmbd.multibody.system import System, equations
 from torchmbd.multibody.system.times_as_lanes import side_by_side
-from torchmbd.results.body_motion import BodyMotion
+from torchmbd.results.body_motion import BodyMotion, point_of
 from torchmbd.results.motion_data import MotionData
 from torchmbd.summary import Summary
 
@@ -77,7 +77,7 @@ def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) ->
 def frame_point(motion: MotionData, frame: Frame) -> Tensor:
     """Point of a frame in ground axes [lanes, times, 3] [m]."""
     if isinstance(frame.body, Ground):
-        return frame.point.expand(motion.lanes, len(motion.t), 3)
+        return point_of(motion, frame).expand(motion.lanes, len(motion.t), 3)
     return BodyMotion(motion, frame.body.name).at(frame).position
 
 

@@ -38,7 +38,7 @@ from torchmbd.fem.reduction import CutCluster, inertia_invariants
 from torchmbd.io.mesh_file import MeshFile, read_mesh
 from torchmbd.io.nastran.body import read_bdf
 from torchmbd.multibody.bodies.beam_parts import beam_parts
-from torchmbd.multibody.bodies.frame import Frame, identifier, move, place, rotation, vector
+from torchmbd.multibody.bodies.frame import Frame, bend, identifier, move, put, rotation, vector
 from torchmbd.multibody.bodies.interpolation import Mount, node_indices, rigid_links
 from torchmbd.multibody.bodies.mesh_quality import warn_mesh
 from torchmbd.multibody.bodies.modal_damping import ModalDamping
@@ -78,6 +78,8 @@ class FlexibleBody(nn.Module):
     axes: Tensor
     velocity: Tensor
     angular_velocity: Tensor
+    modal: Tensor
+    modal_velocity: Tensor
 
     def __init__(
         self,
@@ -99,7 +101,7 @@ class FlexibleBody(nn.Module):
         self.name = identifier("flexible body", name)
         self.mesh = mesh
         _check_parts(name, mesh, parts)
-        place(self, position, axes)
+        put(self, position, axes)
         links, self.parts = [*links, *rigid_links(mesh, rigid)], dict(parts)
         joined = merged(self.parts)
         self.reference = reference_nodes(mesh, joined, reference, links)
@@ -111,6 +113,7 @@ class FlexibleBody(nn.Module):
         self.reduction = reduced(name, self.assembly, reduction, modes, held, self.reference, updated)
         self.modes = self.reduction.size
         self.damping = ModalDamping(name, damping)
+        bend(self, None, None)
         warn_mesh(name, self.assembly.parts.values())
 
     def _register(self, parts: Mapping[str, Part]) -> None:
@@ -274,8 +277,14 @@ class FlexibleBody(nn.Module):
         angular_velocity: Sequence[float] | Tensor | None = None,
     ) -> Self:
         """Give the body an initial velocity of its origin, in ground axes [m/s], and an angular velocity, in body axes
-        [rad/s], kept as far as the joints allow; None: as they ask. The modes start at rest. Returns the body."""
+        [rad/s], kept as far as the joints allow; None: as they ask. Returns the body."""
         move(self, velocity, angular_velocity)
+        return self
+
+    def bent(self, modal: Sequence[float] | Tensor | None = None, rate: Sequence[float] | Tensor | None = None) -> Self:
+        """Give the modes initial coordinates and rates [modes], of the shapes that the body has in each design (`structure`);
+        None: zero. A torch.nn.Parameter is a design variable, "rod.modal", "rod.modal_velocity". Returns the body."""
+        bend(self, modal, rate)
         return self
 
     def damped(self, ratio: float | Sequence[float]) -> Self:

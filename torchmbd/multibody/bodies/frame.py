@@ -25,6 +25,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import refuse_gradients
 from torchmbd.math.owned import parameter
+from torchmbd.math.variable import Numbers, is_variable, number, stacked
 from torchmbd.multibody.bodies.interpolation import Mount
 
 
@@ -40,15 +41,17 @@ class Body(Protocol):
 class Frame:
     """A point and a triad of axes attached to a body.
 
-    point   position in the undeformed body, in body axes [3] [m]
+    point   position in the undeformed body, in body axes [3] [m]; of coordinates that vary what they were
     axes    columns: the axes of the frame in body axes [3, 3]
     mount   mesh nodes that carry the frame; None on a rigid body
+    place   coordinates of the point of which some vary, a module: Numbers of Point; None: none does
     """
 
     body: Any
     point: Tensor
     axes: Tensor = field(default_factory=lambda: torch.eye(3, dtype=torch.float64))
     mount: Mount | None = None
+    place: Numbers | None = None
 
     def __post_init__(self) -> None:
         if not all(hasattr(self.body, name) for name in ("name", "position", "axes", "at")):
@@ -62,16 +65,44 @@ class Frame:
             allowed = "nodes of its mesh, as body.at(...) mounts it" if hasattr(self.body, "mesh") else "None"
             raise InputError(f"mount of a Frame on {self.body.name!r} is {self.mount!r}; allowed: {allowed}")
 
+    @property
+    def present(self) -> Tensor:
+        """The point as it is now, without a gradient."""
+        return self.point if self.place is None else self.place().vector().detach()
+
     def axis(self, name: str) -> Tensor:
         """Unit vector "x", "y" or "z" of the frame, in body axes [3]."""
         return self.axes[:, axis_index(name)]
 
     def __repr__(self) -> str:
         if self.mount is None:
-            where = ", ".join(f"{float(x):.6g}" for x in self.point)
+            where = ", ".join(f"{float(x):.6g}" for x in self.present)
         else:
             where = f"node {self.mount.nodes[0]}" if len(self.mount.nodes) == 1 else f"nodes {list(self.mount.nodes)}"
         return f"{self.body.name}.at({where})"
+
+
+@dataclass(frozen=True)
+class Point:
+    """Coordinates [m] of a point of a body, in its axes."""
+
+    x: Any
+    y: Any
+    z: Any
+
+    def vector(self) -> Tensor:
+        """[*lanes, 3]."""
+        return stacked((self.x, self.y, self.z))
+
+
+def frame_at(name: str, body: Any, given: tuple, axes: Sequence | Tensor | None) -> Frame:
+    """A frame at a point in body axes [m], coordinates of which may be variables; InputError names the argument."""
+    allowed = "three finite numbers, or mbd.variable(...) of one"
+    point = numbers(name, [number(x) for x in given], allowed)
+    if point.shape != (3,) or not bool(torch.isfinite(point).all()):
+        raise InputError(f"{name} is {given!r}; allowed: {allowed}")
+    place = Numbers(Point(*given)) if any(map(is_variable, given)) else None
+    return Frame(body, point, rotation("axes", axes), place=place)
 
 
 def axis_index(name: str) -> int:
@@ -136,7 +167,7 @@ def identifier(kind: str, name: str) -> str:
     return name
 
 
-def place(
+def put(
     body: nn.Module,
     position: Sequence[float] | Tensor,
     axes: Sequence | Tensor | None,
@@ -150,6 +181,7 @@ def place(
 
 
 VELOCITIES = ("velocity", "angular_velocity")
+MODAL = ("modal", "modal_velocity")  # of flexible bodies
 
 
 def move(
@@ -159,6 +191,21 @@ def move(
     for key, x in zip(VELOCITIES, (velocity, angular_velocity), strict=True):
         keep(body, key, vector_or_parameter(f"{key} of {body.name!r}", (0.0, 0.0, 0.0) if x is None else x))
     body.moves = tuple(x is not None for x in (velocity, angular_velocity))
+
+
+def bend(body: Any, *given: Sequence[float] | Tensor | None) -> None:
+    """Give the modes of a flexible body initial coordinates and rates [modes]; None: zero."""
+    for key, x in zip(MODAL, given, strict=True):
+        name, allowed = (
+            f"{key} of {body.name!r}",
+            f"{body.modes} finite numbers, one for each mode, or a torch.nn.Parameter",
+        )
+        plain = x.detach() if isinstance(x, nn.Parameter) else torch.zeros(body.modes) if x is None else x
+        found = numbers(name, plain, allowed)
+        if found.shape != (body.modes,) or not bool(torch.isfinite(found).all()):
+            raise InputError(f"{name} is {x!r}; allowed: {allowed}")
+        keep(body, key, parameter(name, x) if isinstance(x, nn.Parameter) else found)
+    body.bends = any(x is not None for x in given)
 
 
 def moves(body: Any) -> list[bool]:

@@ -18,16 +18,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.math.owned import parameter, positive
 from torchmbd.math.plausible_units import GYRATION, doubt
-from torchmbd.multibody.bodies.frame import (
-    Frame,
-    identifier,
-    keep,
-    numbers,
-    place,
-    rotation,
-    vector,
-    vector_or_parameter,
-)
+from torchmbd.multibody.bodies.frame import Frame, frame_at, identifier, keep, numbers, put, vector_or_parameter
 
 
 class Ground:
@@ -37,9 +28,18 @@ class Ground:
     position = torch.zeros(3, dtype=torch.float64)
     axes = torch.eye(3, dtype=torch.float64)
 
-    def at(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, axes: Sequence | Tensor | None = None) -> Frame:
-        """Frame at a point in ground axes [m]; `axes`: columns of its triad (default: ground axes)."""
-        return Frame(self, vector("point", (x, y, z)), rotation("axes", axes))
+    def at(
+        self,
+        x: float | Tensor = 0.0,
+        y: float | Tensor = 0.0,
+        z: float | Tensor = 0.0,
+        axes: Sequence | Tensor | None = None,
+    ) -> Frame:
+        """Frame at a point in ground axes [m]; `axes`: columns of its triad (default: ground axes).
+
+        x, y, z   each may be mbd.variable(...): a design variable of the joint or force, "hinge_a.x"
+        """
+        return frame_at("point", self, (x, y, z), axes)
 
 
 class RigidBody(nn.Module):
@@ -80,7 +80,7 @@ class RigidBody(nn.Module):
         self.name = identifier("rigid body", name)
         varies = isinstance(mass, nn.Parameter)
         m = positive(f"mass of {name!r}", mass.detach() if varies else mass, "kg")
-        place(self, position, axes, velocity, angular_velocity)
+        put(self, position, axes, velocity, angular_velocity)
         J = _inertia(name, inertia)
         self._principal = isinstance(inertia, nn.Parameter) and inertia.dim() == 1
         radius = float(torch.linalg.eigvalsh(J)[-1] / m) ** 0.5
@@ -89,9 +89,18 @@ class RigidBody(nn.Module):
         keep(self, "center", vector_or_parameter(f"center of {name!r}", center))
         keep(self, "inertia", parameter(f"inertia of {name!r}", inertia) if isinstance(inertia, nn.Parameter) else J)
 
-    def at(self, x: float = 0.0, y: float = 0.0, z: float = 0.0, axes: Sequence | Tensor | None = None) -> Frame:
-        """Frame at a point in body axes [m]; `axes`: columns of its triad in body axes."""
-        return Frame(self, vector(f"point on {self.name!r}", (x, y, z)), rotation("axes", axes))
+    def at(
+        self,
+        x: float | Tensor = 0.0,
+        y: float | Tensor = 0.0,
+        z: float | Tensor = 0.0,
+        axes: Sequence | Tensor | None = None,
+    ) -> Frame:
+        """Frame at a point in body axes [m]; `axes`: columns of its triad in body axes.
+
+        x, y, z   each may be mbd.variable(...): a design variable of the joint or force, "hinge_b.x"
+        """
+        return frame_at(f"point on {self.name!r}", self, (x, y, z), axes)
 
     def invariants(self) -> dict[str, Tensor]:
         """Mass, first and second moments about the origin of the body (keys as in fem/reduction/invariants.py)."""

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.variable import Variables
+from torchmbd.math.variable import Numbers, Variables
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.bodies.interpolation import Mount
 from torchmbd.multibody.bodies.rigid import Ground
@@ -42,6 +42,11 @@ class Attached:
     vector: Tensor
     mount: Mount | None
     is_point: bool
+    place: Numbers | None = None  # coordinates that vary
+
+    def now(self) -> Tensor:
+        """The vector in the present design [*lanes, 3]."""
+        return self.vector if self.place is None else self.place().vector()
 
     def modal_rows(self, psi: Tensor) -> Tensor:
         """How the vector moves with the modes: rows [..., 3, modes] out of the motion psi [..., nodes, 6, modes]."""
@@ -61,16 +66,16 @@ class Scribe:
     vectors: list[Attached] = field(default_factory=list)
     _known: dict[tuple, int] = field(default_factory=dict)
 
-    def _add(self, body: Any, vector: Tensor, mount: Mount | None, is_point: bool) -> int:
-        key = (id(body), mount, is_point, tuple(vector.tolist()))
+    def _add(self, body: Any, vector: Tensor, mount: Mount | None, is_point: bool, place: Numbers | None = None) -> int:
+        key = (id(body), mount, is_point, tuple(vector.tolist()), id(place))
         if key not in self._known:
             self._known[key] = len(self.vectors)
-            self.vectors.append(Attached(body, vector, mount, is_point))
+            self.vectors.append(Attached(body, vector, mount, is_point, place))
         return self._known[key]
 
     def point(self, frame: Frame) -> int:
         """Index of the frame's point."""
-        return self._add(frame.body, frame.point, frame.mount, True)
+        return self._add(frame.body, frame.present, frame.mount, True, frame.place)
 
     def axis(self, frame: Frame, axis: str) -> int:
         """Index of an axis of the frame."""
@@ -83,6 +88,11 @@ class Scribe:
 
     def twin_point(self, frame: Frame, other: Frame) -> int:
         """Index of the point on the other body that coincides now with the point of the first frame."""
+        if frame.place is not None:
+            raise InputError(
+                f"{frame!r} has coordinates that vary, but a displacement is measured from where it is at the given positions; "
+                "allowed: numbers"
+            )
         for body in (frame.body, other.body):
             if isinstance(body.position, nn.Parameter):
                 raise InputError(
@@ -111,6 +121,11 @@ class Joint:
     def equations(self, scribe: Scribe) -> Iterator[Equation]:
         """Yield the primitives of the joint."""
         raise NotImplementedError(type(self).__name__)
+
+    @property
+    def frames(self) -> tuple[Frame, Frame]:
+        """Both frames."""
+        return self.a, self.b
 
     @property
     def variables(self) -> Variables | None:

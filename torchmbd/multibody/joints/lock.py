@@ -93,7 +93,7 @@ def _phi(joint: Joint, twist: Tensor) -> Tensor:
     scribe = Scribe()
     equations = list(joint.equations(scribe))
     axes = joint.a.body.axes @ joint.a.axes
-    origin = joint.a.body.position.detach() + joint.a.body.axes @ joint.a.point
+    origin = joint.a.body.position.detach() + joint.a.body.axes @ joint.a.present
     shift, turn = axes @ twist[:3], axes @ twist[3:]
 
     def ground(x: Attached) -> Tensor:

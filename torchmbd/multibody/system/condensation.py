@@ -92,10 +92,14 @@ def _holds(T: Topology) -> list[_Hold]:
     # A body with applied forces keeps its equations of motion: the forces may depend on its rates.
     loaded = set() if T.action_slots is None else set(T.vector_body[T.action_slots].tolist())
     holds = {b: _Hold(b, [], [], []) for b in range(T.flexible, T.bodies) if b not in loaded}
+    placed = T.placed  # what holds in one design need not in another
     for primitive, rows in T.row_slices():
         n = len(primitive.members[0])
         bodies = torch.stack([T.vector_body[m] for m in primitive.members]).T.tolist()
         for j, on in enumerate(bodies):
+            if placed.intersection(int(m[j]) for m in primitive.members):
+                for b in on:
+                    holds.pop(b, None)
             moving = {b for b in on if b < T.bodies}
             if len(moving) != 1 or (hold := holds.get(min(moving))) is None:
                 continue

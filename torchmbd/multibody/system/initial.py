@@ -60,12 +60,16 @@ def given_start(T: Topology, bodies: list[Any]) -> dict[str, Tensor]:
 
     def rows(*kinds: list[Tensor]) -> Tensor:
         lanes = max((x.shape[0] for kind in kinds for x in kind if x.dim() > 1), default=1)
-        wide = [torch.stack([x.expand(lanes, -1) for x in kind], -1).flatten(1) for kind in kinds]
-        modal = wide[0].new_zeros(lanes, T.modes * T.flexible)
-        return torch.cat([*wide, modal], 1).T[:, None]
+        wide = [torch.stack([x.expand(lanes, -1) for x in kind], -1).flatten(1) for kind in kinds if kind]
+        return torch.cat(wide, 1).T[:, None]
 
-    q = rows([b.position for b in bodies], [euler_parameters(b.axes) for b in bodies])
-    return {"q0": q, "v0": rows([b.velocity for b in bodies], [b.angular_velocity for b in bodies])}
+    def modal(name: str) -> list[Tensor]:
+        own = (getattr(b, name) for b in bodies[: T.flexible])
+        return [torch.nn.functional.pad(x, (0, T.modes - x.shape[-1])) for x in own]
+
+    q = rows([b.position for b in bodies], [euler_parameters(b.axes) for b in bodies], modal("modal"))
+    v = rows([b.velocity for b in bodies], [b.angular_velocity for b in bodies], modal("modal_velocity"))
+    return {"q0": q, "v0": v}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +119,7 @@ class InitialConditions:
         if (
             not T.rows
             or T.varied
+            or T.placed
             or START[0] in dynamics.data
             or isinstance(x, Pair)
             or x.requires_grad

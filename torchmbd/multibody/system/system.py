@@ -23,7 +23,7 @@ from torchmbd.math.owned import positive, refuse_derivatives, several
 from torchmbd.math.pair import Pair
 from torchmbd.math.variable import key
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
-from torchmbd.multibody.bodies.frame import VELOCITIES, vector
+from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES, vector
 from torchmbd.multibody.forces.controller import VARIABLES as OF_CONTROLLERS
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.force import ForceElement
@@ -41,7 +41,7 @@ from torchmbd.multibody.system.state_equation import StateEquation
 
 # Numbers of a system and of its bodies by which nothing is differentiated, and those of bodies that Parameters are.
 _CONSTANTS = ("gravity", "axes")
-_OF_START = ("position", *VELOCITIES)
+_OF_START = ("position", *VELOCITIES, *MODAL)
 _VARIABLES = ("mass", "center", "inertia", *_OF_START)
 
 
@@ -101,12 +101,17 @@ class System(nn.Module):
         elements = [*self.joints, *self.forces]
         names = [element.name for element in elements]
         for element in elements:
-            if element.variables is None:
-                continue
-            name = element.name
-            if names.count(name) > 1 or "." in name or hasattr(self, name) or hasattr(StateEquation, name):
-                raise InputError(f"{name!r} has design variables; allowed: a name of its own, without a point")
-            self.add_module(name, element.variables.module)
+            own = {f"{element.name}_{side}": frame.place for side, frame in zip("ab", element.frames, strict=False)}
+            own |= {element.name: None if element.variables is None else element.variables.module}
+            for name, module in own.items():
+                if module is None:
+                    continue
+                taken = names.count(element.name) > 1 or hasattr(self, name) or hasattr(StateEquation, name)
+                if taken or "." in name:
+                    raise InputError(
+                        f"{element.name!r} has design variables; allowed: a name of its own, without a point"
+                    )
+                self.add_module(name, module)
 
     def _join(self, joints: Sequence[Joint]) -> None:
         self.joints = list(joints)
@@ -246,12 +251,14 @@ class System(nn.Module):
                 stages, [b.damping.matrix(s["Kr"]) for b, s in zip(flexible, stages, strict=True)], T.modes
             )
             data["Y"] = _vector_modes(T, stages)
-        x = [attached.vector for attached in T.attached]
-        data["x"] = torch.stack(x, 1)[:, :, None, None] if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
+        x = [attached.now() for attached in T.attached]
+        data["x"] = _together(x, 1) if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
         for element in (*self.joints, *self.forces):
             if element.variables is not None:
                 data[key(element.name)] = element.variables.flat()
-        if any(name in body._parameters for body in self.bodies for name in _OF_START):
+        if any(body.bends for body in flexible) or any(
+            name in body._parameters for body in self.bodies for name in _OF_START
+        ):
             data |= given_start(T, [*flexible, *rigid])
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]

@@ -177,6 +177,11 @@ class Topology:
         return _arguments(g.index_select(1, self.action_slots), self.actions)
 
     @property
+    def placed(self) -> set[int]:
+        """Attached vectors that vary with the design."""
+        return {i for i, attached in enumerate(self.attached) if attached.place is not None}
+
+    @property
     def varied(self) -> list[int]:
         """Kinds of primitives with laws that have design variables."""
         return [i for i, p in enumerate(self.primitives) if p.varies]
