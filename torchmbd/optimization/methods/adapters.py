@@ -24,8 +24,6 @@ RUNS = 4
 SMALLEST_UNIT = 1e-9  # of the start's objective
 FAR_BELOW = 0.05  # of the objective at the start of a run
 WALL = 1e3  # times the last objective
-LITTLE = 0.5  # a run that leaves more than this share of the violation is not repeated
-PATIENCE, NO_PROGRESS = 8, 0.9  # so many iterations may leave this share of violation and objective
 LOOSE = 2e-2  # no claim of success is believed beyond this Kuhn-Tucker residual
 
 
@@ -35,10 +33,6 @@ class OnTheWall(Exception):
 
 class LimitReached(Exception):
     """A package would go beyond the limit of iterations."""
-
-
-class Stuck(Exception):
-    """A package has long been unable to reduce a violation, or the objective in spite of it."""
 
 
 @dataclass(frozen=True)
@@ -90,12 +84,6 @@ class Guard:
         self.remaining -= 1
         self._recorded.add(y.tobytes())
         self.search.record(y)
-        window = self.search.history[-PATIENCE:]
-        violations, objectives = [i.violation for i in window], [i.objective for i in window]
-        grossly = len(window) == PATIENCE and min(violations) > 1e3 * self.search.feasibility
-        lower = min(objectives[1:]) < objectives[0] - (1.0 - NO_PROGRESS) * abs(objectives[0])
-        if grossly and not lower and min(violations[1:]) > NO_PROGRESS * violations[0]:
-            raise Stuck
 
     def objective(self, y: np.ndarray) -> float:
         return self.value(y).objective / self.unit
@@ -127,7 +115,7 @@ def run_foreign(search: Search, run: Callable[[Guard], Stop], max_iterations: in
     walls: list[np.ndarray] = []
     unit, message = 1.0, ""
     for number in range(RUNS):
-        before, failures, violated = y, search.failures, search.violation(search.evaluate(y))
+        before, failures = y, search.failures
         remaining = max_iterations - (len(search.history) - 1)
         stop = _guarded(Guard(search, y, unit, walls, remaining, number), run) if remaining > 0 else None
         if stop is None:
@@ -144,8 +132,7 @@ def run_foreign(search: Search, run: Callable[[Guard], Stop], max_iterations: in
         success = stop.success and not walls and search.failures == failures and quality.residual <= LOOSE
         if feasible and (success or quality.residual <= kkt):
             return Ending(y, "converged", message if success else f"{message}: a Kuhn-Tucker point")
-        hopeless = not feasible and search.violation(evaluation) > LITTLE * violated
-        if (np.array_equal(before, y) or hopeless) and not walls:
+        if (np.array_equal(before, y) or not feasible) and not walls:
             break
     return _ending(search, y if search.best is None else search.best, message, max_iterations)
 
@@ -163,9 +150,6 @@ def _guarded(guard: Guard, run: Callable[[Guard], Stop]) -> Stop | None:
         reason = final.status
     except LimitReached:
         return None
-    except Stuck:
-        assert search.best is not None
-        return Stop(search.best, False, f"{PATIENCE} iterations reduced neither the violation nor the objective")
     except OnTheWall as wall:
         reason = str(wall)
     assert search.best is not None
