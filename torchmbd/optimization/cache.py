@@ -38,12 +38,13 @@ class Memory(Generic[T]):
         self.known: dict[bytes, tuple[np.ndarray, T]] = {}
 
     def find(self, X: np.ndarray, gradients: bool) -> list[T | None]:
-        return [self._answer(x.tobytes(), gradients) for x in X]
+        return [self.answer(x.tobytes(), gradients) for x in X]
 
     def keep(self, X: np.ndarray, gradients: bool, evaluations: Sequence[T]) -> None:
         self.known.update({x.tobytes(): (x, answer) for x, answer in zip(X, evaluations, strict=True)})
 
-    def _answer(self, key: bytes, gradients: bool) -> T | None:
+    def answer(self, key: bytes, gradients: bool) -> T | None:
+        """Return what is known of a design, by its bytes; with gradients where these are asked for, and it has not failed."""
         answer: Any = self.known[key][1] if key in self.known else None
         return None if answer is None or (gradients and answer.ok and not answer.differentiated) else answer
 

@@ -16,6 +16,7 @@ from operator import itemgetter
 import numpy as np
 
 from torchmbd.errors import InputError
+from torchmbd.optimization.cache import Memory
 from torchmbd.optimization.optimizer import Evaluation, Iterate
 
 Ask = Callable[[np.ndarray, bool], list[Evaluation]]  # designs [k, n] in one batch
@@ -75,7 +76,7 @@ class Search:
         self.analyses = self.gradient_evaluations = self.failures = 0
         self._ask, self._report = ask, report
         self.equalities = np.zeros(0, dtype=int) if equalities is None else np.asarray(equalities, dtype=int)
-        self._cache: dict[bytes, Evaluation] = {}  # physical units, by the bytes of x
+        self._memory = Memory[Evaluation]()  # physical units
         self._ranks: dict[bytes, tuple[tuple[bool, float], np.ndarray]] = {}  # with y, of what succeeded
 
     @property
@@ -115,16 +116,17 @@ class Search:
     def prefetch(self, Y: Sequence[np.ndarray], gradients: bool = True) -> None:
         """Evaluate several designs (scaled) in one batch, for `evaluate` to find them in the cache."""
         X = {x.tobytes(): x for x in map(self.physical, Y)}
-        self._fetch([x for key, x in X.items() if not self._known(key, gradients)], gradients)
+        self._fetch([x for key, x in X.items() if self._memory.answer(key, gradients) is None], gradients)
 
     def evaluate_known(self, y: np.ndarray) -> Evaluation:
         """Return what is known at `y` without a new simulation; a failure if nothing is."""
-        return self._scaled(self._cache.get(self.physical(y).tobytes(), Evaluation.failure("never evaluated")))
+        known = self._memory.answer(self.physical(y).tobytes(), gradients=False)
+        return self._scaled(Evaluation.failure("never evaluated") if known is None else known)
 
     def record(self, y: np.ndarray) -> None:
         """Add `y`, evaluated before, to the history as the next accepted iterate, and report it."""
         x = self.physical(y)
-        seen = self._cache[x.tobytes()]
+        seen = self._evaluated(x)
         violation = self.violation(seen) if seen.ok else float("nan")
         iterate = Iterate(
             self.index, len(self.history), x, seen.objective, violation, seen.constraints, self.analyses, seen.status
@@ -162,13 +164,13 @@ class Search:
         return mask
 
     def _evaluate_physical(self, x: np.ndarray, gradients: bool) -> Evaluation:
-        if not self._known(x.tobytes(), gradients):
+        if self._memory.answer(x.tobytes(), gradients) is None:
             self._fetch([x], gradients)
-        return self._cache[x.tobytes()]
+        return self._evaluated(x)
 
-    def _known(self, key: bytes, gradients: bool) -> bool:
-        seen = self._cache.get(key)
-        return seen is not None and (not seen.ok or not gradients or seen.objective_gradient is not None)
+    def _evaluated(self, x: np.ndarray) -> Evaluation:
+        """Return what was found of a design x [n], in physical units."""
+        return self._memory.known[x.tobytes()][1]
 
     def _fetch(self, designs: list[np.ndarray], gradients: bool) -> None:
         room = len(designs) if self.max_analyses is None else max(self.max_analyses - self.analyses, 0)
@@ -186,7 +188,7 @@ class Search:
                 self.equality = self._equality_mask(evaluation.constraints.size)
             if not evaluation.ok:
                 self._ranks.pop(x.tobytes(), None)  # its values were known, its gradient fails
-            self._cache[x.tobytes()] = evaluation
+            self._memory.known[x.tobytes()] = x, evaluation
         if len(allowed) < len(designs):
             raise OutOfAnalyses
 

@@ -22,6 +22,7 @@ from rich.console import Console
 from torchmbd.design import Problem
 from torchmbd.design.response_spec import words
 from torchmbd.integrate import Trajectory, simulate
+from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.study.assemble import increments, problem_of, sought, starts_of, tolerances
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.load import FiguresPlan, Plan
@@ -30,7 +31,6 @@ from torchmbd.study.schema import Optimizer
 from torchmbd.tracking.store import store_uri
 
 _PER_ITERATION = 1.5  # analyses
-_LANES = 64  # in one batch at most: as multistart does
 _SHARES = (0.02, 0.06)  # of the motion that are measured
 _FEWEST = 4  # steps
 _COPIES = 3.0
@@ -51,7 +51,7 @@ def estimate(plan: Plan, problem: Problem) -> Estimate:
     """Measure two short motions and extrapolate."""
     starts = np.repeat(_starts(plan, problem), getattr(sought(plan, problem), "simulations", 1), axis=0)
     gradients = plan.study.sweep is None
-    X = starts[:_LANES]
+    X = starts[:LANES]
     optimizer = plan.study.optimizer or Optimizer()
     each = math.ceil(_PER_ITERATION * optimizer.max_iterations) if gradients else 1
     times, size = [], 0.0
@@ -64,7 +64,7 @@ def estimate(plan: Plan, problem: Problem) -> Estimate:
     (a, fast), (b, slow) = times[0], times[-1]
     rate = max((slow - fast) / (b - a), 0.0) if b > a else fast / a
     batch = max(fast - rate * a, 0.0) + rate
-    batches = each * math.ceil(len(starts) / _LANES)
+    batches = each * math.ceil(len(starts) / LANES)
     base = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return Estimate(each * len(starts), len(X), batch, batches * batch, base + _COPIES * size)
 
