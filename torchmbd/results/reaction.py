@@ -62,7 +62,7 @@ def joint_named(system: System, name: str) -> Joint:
 def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) -> tuple[Tensor, Tensor]:
     """Force, and torque about the points `about` [lanes, times, 3], on the body of one side, in ground axes."""
     T = motion.dynamics.topology
-    rows = torch.tensor([name.rpartition(": ")[0] == joint.name for name in T.row_names])
+    rows = torch.tensor([name == joint.name for name in T.row_joints])
     at, gradient = _constraint_forces(motion, rows)
     force = torque = torch.zeros_like(motion.v[..., :3])
     for i, attached in enumerate(T.attached):

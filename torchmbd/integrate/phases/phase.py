@@ -147,7 +147,7 @@ def plan(system: System, phases: Sequence[Phase], duration: float) -> tuple[Syst
 
 
 def _rows(T: Topology, joints: set[str]) -> list[int]:
-    return [i for i, name in enumerate(T.row_names) if name.rpartition(": ")[0] in joints]
+    return [i for i, name in enumerate(T.row_joints) if name in joints]
 
 
 def _acting(system: System, phase: str, laws: Mapping[str, Law]) -> tuple[Action, ...]:

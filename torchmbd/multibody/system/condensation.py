@@ -269,6 +269,7 @@ def _condensation(T: Topology, carriers: dict[int, Carrier], guided: dict[int, T
         [number[b] for b in T.vector_body[vectors].tolist()],
         primitives,
         tuple(T.row_names[i] for i in rows),
+        tuple(T.row_joints[i] for i in rows),
         tuple(
             replace(a, members=tuple(torch.tensor([place[int(i)] for i in m]) for m in a.members)) for a in T.actions
         ),

@@ -82,7 +82,7 @@ def describe(system: Any) -> Description:
     freedoms = 6 * T.bodies + sum(T.own_modes) - found.rank
     return Description(
         bodies=tuple(_body(body, mass[body.name]) for body in system.bodies),
-        joints=tuple(_joint(joint, T.row_names) for joint in system.joints),
+        joints=tuple(_joint(joint, T.row_joints) for joint in system.joints),
         forces=tuple(_force(force) for force in system.forces),
         rows=T.rows,
         rank=found.rank,
@@ -116,8 +116,8 @@ def _body(body: Any, mass: float) -> Entry:
     return Entry(body.name, "rigid", {"mass [kg]": f"{mass:.6g}", "modes": 0})
 
 
-def _joint(joint: Any, row_names: tuple[str, ...]) -> Entry:
-    rows = sum(name.rpartition(": ")[0] == joint.name for name in row_names)
+def _joint(joint: Any, row_joints: tuple[str, ...]) -> Entry:
+    rows = row_joints.count(joint.name)
     return Entry(joint.name, type(joint).__name__, {"rows": rows, "between": f"{joint.a!r} - {joint.b!r}"})
 
 

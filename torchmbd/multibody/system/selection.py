@@ -29,5 +29,6 @@ def selected(T: Topology, rows: Sequence[int]) -> Topology:
         primitives=tuple(primitives),
         slots=torch.tensor(slots, dtype=torch.long),
         row_names=tuple(T.row_names[i] for i in sorted(wanted)),
+        row_joints=tuple(T.row_joints[i] for i in sorted(wanted)),
         vector_fold=Fold(slots, len(T.attached)),
     )

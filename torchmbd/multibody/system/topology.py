@@ -121,6 +121,7 @@ class Topology:
     primitives: tuple[Primitive, ...]
     slots: Tensor  # vectors of all arguments of all primitives, in order
     row_names: tuple[str, ...]
+    row_joints: tuple[str, ...]  # the joint of each row
     vector_fold: Fold  # slots of constraint forces -> vectors
     body_fold: Fold  # [forces of points | torques] of vectors -> [forces | torques] of bodies
     modal_fold: Fold  # modal forces of flexible vectors -> flexible bodies
@@ -258,9 +259,9 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[Force
     attached = tuple(scribe.vectors[i] for i in arrangement)
     body_of = [number.get(id(x.body), ground) for x in attached]
     own = tuple(body.modes for body in order[:flexible])
-    primitives, rows = _group(equations, position)
+    primitives, rows, row_joints = _group(equations, position)
     actions = _group_actions(applied, position)
-    return assemble([body.name for body in order], own, attached, body_of, primitives, rows, actions)
+    return assemble([body.name for body in order], own, attached, body_of, primitives, rows, row_joints, actions)
 
 
 def assemble(
@@ -270,6 +271,7 @@ def assemble(
     body_of: list[int],
     primitives: tuple[Primitive, ...],
     row_names: tuple[str, ...],
+    row_joints: tuple[str, ...],
     actions: tuple[Action, ...] = (),
     carriers: tuple[Carrier, ...] = (),
     rates: Tensor | None = None,
@@ -297,6 +299,7 @@ def assemble(
         primitives=primitives,
         slots=torch.tensor(slots, dtype=torch.long),
         row_names=row_names,
+        row_joints=row_joints,
         vector_fold=Fold(slots, len(attached)),
         body_fold=Fold(force_of + torque_of, 2 * n),
         modal_fold=Fold(bent, flexible),
@@ -356,9 +359,9 @@ def _group_actions(applied: list[Applied], position: dict[int, int]) -> tuple[Ac
 
 def _group(
     equations: list[tuple[Joint, Equation]], position: dict[int, int]
-) -> tuple[tuple[Primitive, ...], tuple[str, ...]]:
-    """Collect the equations kind by kind; rows of a kind run component first."""
-    primitives, names = [], []
+) -> tuple[tuple[Primitive, ...], tuple[str, ...], tuple[str, ...]]:
+    """Collect the equations kind by kind, names of rows and their joints; rows of a kind run component first."""
+    primitives, names, owners = [], [], []
     for kind in KINDS:
         mine = [(joint, equation) for joint, equation in equations if equation.kind is kind]
         if not mine:
@@ -370,7 +373,8 @@ def _group(
         for component in range(kind.rows):
             suffix = f" {'xyz'[component]}" if kind.rows == 3 else ""
             names += [f"{joint.name}: {kind.__name__.lower()}{suffix}" for joint, _ in mine]
-    return tuple(primitives), _numbered(names)
+            owners += [joint.name for joint, _ in mine]
+    return tuple(primitives), _numbered(names), tuple(owners)
 
 
 def _numbered(names: list[str]) -> tuple[str, ...]:
