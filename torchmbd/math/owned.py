@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 from torch import Tensor, nn
-from torch._C._functorch import get_unwrapped, is_functorch_wrapped_tensor
+from torch.func import debug_unwrap
 
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import differentiated, refuse_gradients
@@ -44,16 +44,19 @@ def whole(given: Any) -> bool:
     return isinstance(given, numbers.Integral) and not isinstance(given, bool)
 
 
+def transformed(x: Tensor) -> bool:
+    """Whether a transform of torch.func (vmap, grad, jvp) looks at x."""
+    return debug_unwrap(x, recurse=False) is not x
+
+
 def watched(x: Tensor) -> bool:
     """Whether torch differentiates by x here: autograd in grad mode, dual numbers, or a transform of torch.func."""
-    return is_functorch_wrapped_tensor(x) or (differentiated(x) and (torch.is_grad_enabled() or not x.requires_grad))
+    return transformed(x) or (differentiated(x) and (torch.is_grad_enabled() or not x.requires_grad))
 
 
 def plain(x: Tensor) -> Tensor:
     """The numbers of x without transforms of torch.func; a batch of these has an axis more."""
-    while is_functorch_wrapped_tensor(x):
-        x = get_unwrapped(x)
-    return x.detach()
+    return debug_unwrap(x).detach()
 
 
 def all_true(x: Tensor) -> bool:
