@@ -10,7 +10,7 @@ Checked in tests/experiments/test_documentation.py.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -63,7 +63,12 @@ def _chained(edges: list[list[int]]) -> list[list[int]]:
 
 
 def drawing(
-    motion: Any, frames: int = 60, view: str = "xy", scale: float = 1.0, lane: int = 0, along: Sequence | None = None
+    motion: Any,
+    frames: int = 60,
+    view: str = "xy",
+    scale: float = 1.0,
+    lane: int = 0,
+    along: Mapping[str, Any] | None = None,
 ) -> list[Line]:
     """Lines of all bodies of a motion.
 
@@ -81,6 +86,7 @@ def drawing(
         if state.mesh is None:
             held = [_array(side.point) for side in sides if side.body.name == body.name]
             local = np.unique(np.array(shown.get(body.name, held)).reshape(-1, 3).round(9), axis=0)
+            local = _around(local) if len(local) > 3 else local
             width = 4.0 if len(local) > 1 else 14.0
             lines.append(Line(_seen(r[:, None] + np.einsum("tij,nj->tni", A, local), view), INK, width))
             continue
@@ -94,6 +100,15 @@ def drawing(
     for point in np.unique(np.array(fixed).reshape(-1, 3).round(9), axis=0):
         lines.append(Line(np.repeat(_seen(point[None, None], view), len(number), 0), GROUND, 9.0))
     return lines
+
+
+def _around(points: np.ndarray) -> np.ndarray:
+    """Points [n, 3] near a plane in their order around its middle, the first again at the end."""
+    centered = points - points.mean(0)
+    plane = np.linalg.svd(centered, full_matrices=False)[2][:2]
+    x, y = plane @ centered.T
+    order = np.argsort(np.arctan2(y, x))
+    return points[[*order, order[0]]]
 
 
 def _seen(x: np.ndarray, view: str) -> np.ndarray:

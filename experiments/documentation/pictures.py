@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -42,7 +44,54 @@ def slider_crank(folder: Path) -> Path:
     return animated_svg(columns, folder / "slider_crank.svg")
 
 
-PICTURES: dict[str, Callable[[Path], Path]] = {"slider_crank": slider_crank}
+def robot_arm(folder: Path) -> Path:
+    """The arm of the tutorial from above, both plies at 45 degrees and as the tutorial's study leaves them."""
+    from experiments.tutorial.arm import build
+
+    designs = {"arm.section.angles": torch.stack([mbd.deg([45.0, -45.0]), mbd.deg([-14.34, 0.73])])}
+    motion = mbd.simulate(build(), 0.7, steps=175, designs=designs, gradients="none").require_ok()
+    texts = ("plies at 45/-45 degrees", "optimized, -14/1 degrees")
+    columns = [(text, drawing(motion, 57, scale=3.0, lane=k)) for k, text in enumerate(texts)]
+    return animated_svg(columns, folder / "robot_arm.svg")
+
+
+def two_link_arm(folder: Path) -> Path:
+    """The two-link arm whose elbow latches."""
+    from experiments.two_link_arm import build, phases
+
+    motion = mbd.simulate(build(), 1.2, steps=400, phases=phases(), gradients="none", spectral_radius=0.7).require_ok()
+    tip = {"fore": [(-0.15, 0, 0), (0.15, 0, 0)]}
+    return animated_svg([("", drawing(motion, 61, along=tip))], folder / "two_link_arm.svg")
+
+
+def antenna(folder: Path) -> Path:
+    """The first phase of the antenna from the side."""
+    from experiments.sar_antenna import build
+
+    motion = mbd.simulate(build((55.0, -55.0), modes=4), 7.9, steps=1580, gradients="none")
+    return animated_svg([("", drawing(motion, 61, view="xz"))], folder / "antenna.svg", seconds=6.0)
+
+
+def _of_gallery(name: str, **how: Any) -> Callable[[Path], Path]:
+    def picture(folder: Path) -> Path:
+        seconds = how.pop("seconds", 4.0)
+        motion = importlib.import_module(f"experiments.gallery.{name}").motion().require_ok()
+        return animated_svg([("", drawing(motion, **how))], folder / f"{name}.svg", seconds)
+
+    return picture
+
+
+PICTURES: dict[str, Callable[[Path], Path]] = {
+    "slider_crank": slider_crank,
+    "robot_arm": robot_arm,
+    "two_link_arm": two_link_arm,
+    "antenna": antenna,
+    "four_bar": _of_gallery("four_bar", scale=20.0),
+    "chain": _of_gallery("chain", frames=81),
+    "spacecraft": _of_gallery("spacecraft", view="iso"),
+    "delta_robot": _of_gallery("delta_robot", frames=41, scale=50.0, view="iso"),
+    "flapping_blade": _of_gallery("flapping_blade", scale=3.0, view="xz"),
+}
 
 
 def main() -> None:

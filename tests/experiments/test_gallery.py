@@ -1,0 +1,35 @@
+"""The mechanisms of the gallery are what their pictures show: closed, no row redundant, with their freedoms."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+
+import pytest
+import torch
+
+import torchmbd as mbd
+from experiments import gallery
+from experiments.documentation.pictures import PICTURES
+
+ROOT = Path(__file__).parents[2]
+MODULES = sorted(file.stem for file in Path(str(gallery.__file__)).parent.glob("[a-z]*.py"))
+RIGID = {"four_bar": 0, "chain": 5, "spacecraft": 0, "delta_robot": 0, "flapping_blade": 0}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_mechanism_is_closed_and_has_its_freedoms(name):
+    system = importlib.import_module(f"experiments.gallery.{name}").build()
+    told = str(system.describe())
+    assert "redundant   none" in told, told
+    assert f"({RIGID[name]} of rigid bodies)" in told, told
+    motion = mbd.simulate(system, 1e-3, steps=4, gradients="none", backend="eager")
+    assert bool(torch.isfinite(motion.q).all())
+
+
+def test_every_picture_is_shown_and_small():
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    files = {file.stem: file.stat().st_size for file in (ROOT / "docs" / "images").iterdir()}
+    assert set(files) == set(PICTURES)
+    assert all(f"images/{name}.svg" in page for name in PICTURES)
+    assert sum(files.values()) < 1_000_000
