@@ -118,7 +118,7 @@ def test_compiled_functions_compute_lanes(tmp_path: Path) -> None:
         call += " if (in->w) f(*in); return size; }"
         (tmp_path / "f.cpp").write_text("\n".join([PRELUDE, head, module.text(), call]))
         made = tmp_path / f"{abs(hash(name))}.so"
-        options = ["-O1", "-std=c++17", "-march=native", "-shared", "-fPIC"]
+        options = ["-DLANES=8", "-O1", "-std=c++17", "-march=native", "-shared", "-fPIC"]
         subprocess.run(["g++", *options, "-o", str(made), str(tmp_path / "f.cpp")], check=True)
         code = ctypes.CDLL(str(made))
         code.call.restype = ctypes.c_long

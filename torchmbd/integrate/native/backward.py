@@ -16,6 +16,7 @@ from torchmbd.integrate.adjoint import Bars, Cotangents, Grid, Sweep, rows_of
 from torchmbd.integrate.native.feedback import FeedbackSweep
 from torchmbd.integrate.native.library import Library, library
 from torchmbd.integrate.native.simd_layout import (
+    LANES,
     addresses,
     blocks,
     in_all_lanes,
@@ -85,8 +86,8 @@ class CompiledSweep(Sweep):
         h, a = self._history(number, schedule)
         count, data, moving = len(self.values), self.values.shape[2], moved.shape[3]
         new = self.values.new_zeros
-        slopes, moved_slopes = new(count, rows, data, 8), new(len(steps), count, rows, moving, 8)
-        state_slopes, error = blocks(torch.cat([in_all_lanes(x, lanes) for x in y])), new(count, 8)
+        slopes, moved_slopes = new(count, rows, data, LANES), new(len(steps), count, rows, moving, LANES)
+        state_slopes, error = blocks(torch.cat([in_all_lanes(x, lanes) for x in y])), new(count, LANES)
         room = torch.empty(self.code.adjoint_room(self.library.address, rows, len(steps)) // 8, dtype=torch.float64)
         arrays = [table, *(x.contiguous() for x in (h.q, h.v, h.vd, h.lam))]
         arrays += [x if x is None else _spaced(x, steps, self.grid.every) for x in bars]
@@ -113,11 +114,11 @@ class CompiledSweep(Sweep):
         return Cotangents(by, laws, State(*start)), error.flatten()[:lanes]
 
     def _called(self, job: _Job, schedule: Sequence[Prescribed]) -> tuple[FeedbackSweep, Tensor]:
-        """Laws that are called back, at all steps, and room for what their strengths are worth [steps, block, rows, n, 8]."""
+        """Laws that are called back, and room for what their strengths are worth [steps, block, rows, n, LANES]."""
         assert self.code is not None
         laws, (steps, count, rows, lanes) = self.library.called, (job.steps, len(self.values), job.rows, job.lanes)
         n = len(laws.places)
-        signals, worth = (self.values.new_zeros(steps, count, *some, 8) for some in ((2 * n,), (rows, n)))
+        signals, worth = (self.values.new_zeros(steps, count, *some, LANES) for some in ((2 * n,), (rows, n)))
         job.signals, job.rows, job.read = signals.data_ptr(), 0, 1
         self.code.adjoint(ctypes.byref(job))
         job.rows, job.read = rows, 0
@@ -132,14 +133,14 @@ class CompiledSweep(Sweep):
 
 
 def _lanes(x: Tensor, lanes: int) -> Tensor:
-    """Numbers [steps, block, ..., 8] as [steps, ..., lanes]."""
+    """Numbers [steps, block, ..., LANES] as [steps, ..., lanes]."""
     return x.movedim(1, -2).flatten(-2)[..., :lanes]
 
 
 def _blocks(x: Tensor) -> Tensor:
     """The inverse of `_lanes`; the last lane fills the last block."""
-    x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], -x.shape[-1] % 8)], -1)
-    return x.unflatten(-1, (-1, 8)).movedim(-2, 1).contiguous()
+    x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], -x.shape[-1] % LANES)], -1)
+    return x.unflatten(-1, (-1, LANES)).movedim(-2, 1).contiguous()
 
 
 def _spaced(x: Tensor, steps: range, every: int) -> Tensor:

@@ -178,7 +178,7 @@ class FeedbackSweep:
 
 
 def _put(to: Tensor, x: Tensor) -> None:
-    """Numbers of the lanes that exist into a block [..., 8]; the last of them stands for the others."""
+    """Numbers of the lanes that exist into a block [..., LANES]; the last of them stands for the others."""
     to[..., : x.shape[-1]] = x
     to[..., x.shape[-1] :] = x[..., -1:]
 

@@ -129,7 +129,7 @@ class Library:
         return Feedback(laws, dynamics.data, dynamics.lanes, dynamics.tangents) if laws.places else None
 
     def data_blocks(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
-        """Data as the code takes them: values [block, 1, n, 8] and tangents [block, n_b, n, 8]."""
+        """Data as the code takes them: values [block, 1, n, LANES] and tangents [block, n_b, n, LANES]."""
         values, tangents = data.flat_data(written_out(dynamics))
         return simd_layout.blocks(values), simd_layout.blocks(tangents)
 
@@ -201,7 +201,7 @@ def written_out(dynamics: Dynamics) -> Dynamics:
 
 def key(dynamics: Dynamics, kind: str = "step") -> str:
     """Name of the library of a system, for this source, these versions and this processor."""
-    facts = repr([kind, _facts(data.kind_of(dynamics))])
+    facts = repr([kind, simd_layout.LANES, _facts(data.kind_of(dynamics))])
     return hashlib.sha256(facts.encode() + surroundings(_SOURCES).encode()).hexdigest()[:32]
 
 
@@ -223,7 +223,11 @@ def build(dynamics: Dynamics, kind: str, name: str) -> Path:
     with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
         code, made = Path(work) / "code.cpp", Path(work) / "code.so"
         code.write_text(functions.source(data.kind_of(dynamics), kind))
-        done = subprocess.run([compiler(), "-O2", *OPTIONS, "-o", str(made), str(code)], capture_output=True, text=True)
+        done = subprocess.run(
+            [compiler(), "-O2", *OPTIONS, f"-DLANES={simd_layout.LANES}", "-o", str(made), str(code)],
+            capture_output=True,
+            text=True,
+        )
         if done.returncode:
             names = ", ".join(dynamics.topology.names)
             raise MbdError(f"{compiler()} failed on the {kind} of {names}: {done.stderr[-2000:]}")

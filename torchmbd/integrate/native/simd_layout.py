@@ -1,4 +1,4 @@
-"""Numbers of a batch as compiled code takes them: blocks of eight lanes, each together.
+"""Numbers of a batch as compiled code takes them: blocks of LANES lanes, each together.
 
 Checked in tests/integrate/native/test_steps.py.
 """
@@ -13,11 +13,13 @@ from torch import Tensor
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
-LANES = 8
+# One vector of AVX: of the lanes of a single design three are idle; twice as many make no batch faster, but a single design of
+# ten or more bodies half as fast.
+LANES = 4
 
 
 def blocks(x: Tensor) -> Tensor:
-    """Numbers [n, slots, lanes] as [block, slots, n, 8]; the last lane fills the last block."""
+    """Numbers [n, slots, lanes] as [block, slots, n, LANES]; the last lane fills the last block."""
     missing = -x.shape[-1] % LANES
     if missing:
         x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], missing)], -1)
@@ -41,7 +43,7 @@ def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
 
 
 def moving_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, slots: int) -> Tensor:
-    """What laws with design variables prescribe [times, block, 1 + n_b, n, 8]."""
+    """What laws with design variables prescribe [times, block, 1 + n_b, n, LANES]."""
     if not T.varied:
         return torch.zeros(len(schedule), 0, 0, 0, LANES, dtype=torch.float64)
     return torch.stack([blocks(x) for x in moving(T, schedule, lanes, slots)])

@@ -1,6 +1,6 @@
 """Steps of generalized-alpha by compiled code (library.py): the same march as in generalized_alpha.py, the same numbers.
 
-Lanes go in blocks of eight, each through many steps at a time, so that a block's numbers stay near the processor; one
+Lanes go in blocks (simd_layout.py), each through many steps at a time, so that a block's numbers stay near the processor; one
 call of the library does all steps between two looks at the tangents.
 Checked in tests/integrate/native/test_steps.py.
 """
@@ -132,7 +132,7 @@ class CompiledMarch(March):
         return True
 
     def _state(self, state: Tensor) -> State:
-        """A state out of blocks [block, slot, number, 8]."""
+        """A state out of blocks [block, slot, number, LANES]."""
         T = self.dynamics.topology
         parts = lanes_out(state, self.lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         return State(*(Pair(y) if self.slots else y for y in parts))

@@ -20,9 +20,6 @@ from torchmbd.math.codegen.size import AnySize, Index, Variable, variables
 # Numbers that are the same for all lanes (laws, the time, the step) stay doubles until they meet others.
 PRELUDE = """#include <cmath>
 #include <cstring>
-#ifndef LANES
-#define LANES 8
-#endif
 typedef double V __attribute__((vector_size(8 * LANES)));
 #define PART static __attribute__((noinline)) void
 static inline V spread(double x) { V y; for (int l = 0; l < LANES; l++) y[l] = x; return y; }
