@@ -9,6 +9,7 @@ Parts (default: all):
     structure       structure stage with tangents
     variables       cost of one more variable
     batches         fixed cost of a batch, and cost of ply failure
+    adjoint         gradients beside values, and values under no_grad beside their parts
     angles          gradient by 288 and by 3,000 angles over one simulation
     mesh            motion stage on a fine mesh
     chain           cost per link of a flexible chain
@@ -40,6 +41,7 @@ from rich.console import Console
 import torchmbd as mbd
 from experiments import benchmark_costs as costs
 from experiments import benchmark_motion, exudyn_peer
+from experiments.benchmark_adjoint import adjoint
 from experiments.benchmark_angles import many_angles
 from experiments.benchmark_batches import batches
 from experiments.benchmark_integrators import work_precision
@@ -54,6 +56,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "structure": costs.structure,
     "variables": costs.variables,
     "batches": batches,
+    "adjoint": adjoint,
     "angles": many_angles,
     "mesh": costs.mesh,
     "chain": costs.chain,
@@ -76,6 +79,8 @@ FIGURES = (
     "structure_reverse_ms",
     "batch_fixed_ms",
     "failure_ratio",
+    "adjoint_ratio",
+    "no_grad_ratio",
     "many_angles",
     "many_angles_3000",
     "many_angles_gb",

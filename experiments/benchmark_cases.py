@@ -132,9 +132,9 @@ def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> t
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
 
 
-def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[Tensor, Tensor]:
-    """The same, with the gradients of both responses by the adjoint of the steps."""
-    moving = {name: x for name, x in dynamics.data.items() if isinstance(x, Pair)}
+def differentiable_motion(dynamics: Dynamics, duration: float, steps: int) -> tuple[Tensor, dict[str, Tensor]]:
+    """`responses` [2, lanes] as a function of the data that move with the design, by the adjoint of the steps."""
+    moving = [name for name, x in dynamics.data.items() if isinstance(x, Pair)]
     data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
     model = replace(dynamics, data={})
     made = ReverseIntegration(
@@ -142,16 +142,21 @@ def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[T
     )
     outputs: Any = Motion.apply(made, *data.values())
     q, v, vd, lam = outputs[:4]
-    found = responses_of(
-        duration, energy(replace(dynamics, data=data), History(q, v, vd, lam, made.expansion(data)))[0]
-    )
-    rows, leaves = found.sum(-1), [data[name] for name in moving]
-    slopes = torch.vmap(lambda weights: torch.autograd.grad(rows, leaves, weights, retain_graph=True))(
+    history = History(q, v, vd, lam, made.expansion(data))
+    found = responses_of(duration, energy(replace(dynamics, data=data), history)[0])
+    return found, {name: data[name] for name in moving}
+
+
+def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[Tensor, Tensor]:
+    """As `motion`, with the gradients of both responses by the adjoint of the steps."""
+    found, leaves = differentiable_motion(dynamics, duration, steps)
+    rows = found.sum(-1)
+    slopes = torch.vmap(lambda weights: torch.autograd.grad(rows, list(leaves.values()), weights, retain_graph=True))(
         torch.eye(2).double()
     )
     parts = [
-        torch.einsum("rkl,kbl->rlb", by.flatten(1, -3)[:, :, 0], x.tangent.flatten(0, -3))
-        for by, x in zip(slopes, moving.values(), strict=True)
+        torch.einsum("rkl,kbl->rlb", by.flatten(1, -3)[:, :, 0], dynamics.data[name].tangent.flatten(0, -3))
+        for name, by in zip(leaves, slopes, strict=True)
     ]
     return found.detach(), torch.stack(parts).sum(0)
 
