@@ -53,5 +53,6 @@ def _gradients(rows: Tensor, inputs: Sequence[Tensor]) -> Tensor:
     def pulled(weights: Tensor) -> tuple[Tensor, ...]:
         return torch.autograd.grad(rows, inputs, weights, **options)
 
-    found = torch.vmap(pulled)(torch.eye(len(rows), dtype=rows.dtype))  # all rows in one pass, as `Motion` does them
+    unit = torch.eye(len(rows), dtype=rows.dtype)  # all rows in one pass, as `Motion` does them
+    found = torch.vmap(pulled)(unit) if len(rows) > 1 else pulled(unit[0])
     return torch.cat([x.reshape(len(rows), len(y), -1) for x, y in zip(found, inputs, strict=True)], -1).transpose(0, 1)

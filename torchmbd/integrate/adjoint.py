@@ -98,6 +98,8 @@ class Grid:
         if not used:
             return {}
         rows = [x if x.shape[-1] == y.shape[-1] else x.sum(-1, keepdim=True) for y, x in used]
+        if rows[0].shape[-2] == 1:  # torch.vmap takes as long as another row
+            return dict(zip(self.leaves, pulled(*rows), strict=True))
         found = torch.vmap(pulled)(*(x.movedim(-2, 0).unsqueeze(-2) for x in rows))
         return {name: x.squeeze(-2).movedim(0, -2) for name, x in zip(self.leaves, found, strict=True)}
 
