@@ -211,7 +211,6 @@ REFUSED: dict[str, Callable[[Any], Any]] = {
     "stabilization": lambda v: mbd.System([box("b")], stabilization=v, free=["b"]),
     "nodes of a BeamLine": lambda v: mbd.BeamLine([[0.0, 0.0, 0.0], [v, 0.0, 0.0]]),
     "middles of a BeamLine": lambda v: mbd.BeamLine([[0.0] * 3, [1.0, 0.0, 0.0]], middles=[[v, 0.0, 0.0]]),
-    "length of BeamLine": lambda v: mbd.BeamLine.straight(v),
     "radius of BeamLine": lambda v: mbd.BeamLine.arc(v, 1.0),
     "nodes of a Mesh": lambda v: mbd.Mesh(SQUARE.nodes * v, SQUARE.triangles),
     "rectangle: length": lambda v: mbd.mesh.rectangle(length=v, width=0.1, cells=(2, 2)),
@@ -247,6 +246,7 @@ def test_a_number_without_a_gradient_refuses_a_variable(name, kind):
 
 TAKEN: dict[str, Callable[[Any], Any]] = {
     "point on": lambda v: box("b").at(v, 0.0, 0.0),
+    "length of BeamLine": lambda v: mbd.BeamLine.straight(v),
     "point": lambda v: GROUND.at(0.0, v, 0.0),
     "E of GivenSection": lambda v: mbd.GivenSection.isotropic(v, 0.3, 1.0, 1.0, 1.0, 1.0, 1.0),
     "E1": lambda v: mbd.Ply(v, 0.5, *[0.2] * 3, nu12=0.2, density=1e3),

@@ -16,9 +16,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.fem.elements.beam_nodes import varying_nodes
+from torchmbd.math.module_call import called
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.bodies import Frame
@@ -139,7 +141,7 @@ class BodyMotion(Summary):
         """Positions of the deformed mesh in ground axes [lanes, times, nodes, 3] [m]."""
         self._flexible()
         body = self.motion.system.body(self.name)
-        local = body.mesh.nodes - body.origin + self.displacements
+        local = _places(self.motion, body)[:, None] + self.displacements
         return self.r[:, :, None] + torch.einsum("ltij,ltnj->ltni", self.A, local)
 
     def to_dataframe(self) -> DataFrame:
@@ -169,8 +171,31 @@ class BodyMotion(Summary):
         return PointMotion.of(self, where)
 
 
+class _Places(nn.Module):
+    """Nodes of a body as a module of the whole system, so that designs go by their names."""
+
+    def __init__(self, system: Any, name: str):
+        super().__init__()
+        self.system, self.name = system, name
+
+    def forward(self) -> Tensor:
+        return self.system.body(self.name).places()
+
+
+def _places(motion: MotionData, body: Any) -> Tensor:
+    """Nodes of the undeformed body from its origin [lanes or 1, n, 3] [m]."""
+    if not varying_nodes(body.mesh):
+        return (body.mesh.nodes - body.origin)[None]
+    designs = {f"system.{name}": x for name, x in motion.designs.items()}
+    found = called(_Places(motion.system, body.name), designs)
+    return found if found.dim() == 3 else found[None]
+
+
 def point_of(motion: MotionData, frame: Frame) -> Tensor:
     """Point of a frame in the axes of its body [lanes or 1, 1, 3] [m], as the designs have it."""
+    if frame.mount is not None and varying_nodes(frame.body.mesh):
+        nominal = frame.mount.center(frame.body.mesh.nodes - frame.body.origin)
+        return (frame.mount.center(_places(motion, frame.body)) + frame.point - nominal)[:, None]
     if frame.place is None:
         return frame.point[None, None]
     places = [attached.place for attached in motion.dynamics.topology.attached]
@@ -204,7 +229,7 @@ class PointMotion:
             return cls(body, still, point_of(body.motion, frame) + still, still, still)
         psi = Attached(frame.body, frame.point, frame.mount, True).modal_rows(body.psi)
         u, slow, fast = (torch.einsum("lim,ltm->lti", psi, x) for x in (body.w, body.wd, body.wdd))
-        return cls(body, u, frame.point + u, slow, fast)
+        return cls(body, u, point_of(body.motion, frame) + u, slow, fast)
 
     @property
     def position(self) -> Tensor:

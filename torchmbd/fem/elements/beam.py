@@ -24,6 +24,7 @@ Checked in tests/elements/test_beam_*.py, tests/validation/test_beam_*.py.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
@@ -80,26 +81,36 @@ class BeamMatrices:
         self.mesh = mesh
         self.members = torch.arange(len(mesh.elements)) if members is None else torch.as_tensor(members)
         self.elements = mesh.elements[self.members]
-        start, end = mesh.nodes[self.elements].unbind(1)
-        self.curves = Curves.through(start, end, None if mesh.middles is None else mesh.middles[self.members])
-        self.length = self.curves.length
         self._orientation = orientation
-        span = end - start
-        chord = span.norm(dim=1)
-        self.axes = self._frames((span / chord[:, None])[:, None])[:, 0]
+        points, weights = (torch.from_numpy(x) / 2.0 for x in np.polynomial.legendre.leggauss(stations))
+        self.stations, self._weights = 0.5 + points, weights
         freedoms = (6 * self.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
         rows, cols = freedoms[:, :, None].expand(-1, 12, 12), freedoms[:, None, :].expand(-1, 12, 12)
         self.pattern, self._slot = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
-        turn = torch.zeros(len(span), 6, 6, dtype=torch.float64)
-        turn[:, :3, :3] = turn[:, 3:, 3:] = self.axes
+        self._place(mesh.nodes)
+
+    def at(self, nodes: Float[Tensor, "*lanes n 3"]) -> BeamMatrices:
+        """The same elements with the nodes elsewhere, differentiable in these."""
+        result = copy.copy(self)
+        result._place(nodes)
+        return result
+
+    def _place(self, nodes: Float[Tensor, "*lanes n 3"]) -> None:
+        start, end = nodes[..., self.elements, :].unbind(-2)
+        middles = self.mesh.middles
+        self.curves = Curves.through(start, end, None if middles is None else middles[self.members])
+        self.length = self.curves.length
+        span = end - start
+        chord = span.norm(dim=-1)
+        self.axes = self._frames((span / chord[..., None])[..., None, :])[..., 0, :, :]
+        none = torch.zeros_like(self.axes)
+        turn = torch.cat([torch.cat([self.axes, none], -1), torch.cat([none, self.axes], -1)], -2)
         along = torch.stack([chord, torch.zeros_like(chord), torch.zeros_like(chord)], dim=-1)
         self._whole = _transport(along, torch.eye(3, dtype=torch.float64))
         self._ends = torch.cat([-self._whole.mT @ turn, turn], dim=-1)  # u_2 - A u_1 in local axes  [m, 6, 12]
-        points, weights = (torch.from_numpy(x) / 2.0 for x in np.polynomial.legendre.leggauss(stations))
-        self.stations, self._weights = 0.5 + points, weights
         place, tangent = self.curves.at(self.stations)
-        before = (end[:, None] - place) @ self.axes.mT  # d of the header, in the axes of the chord
-        self._carry = _transport(before, self._frames(tangent) @ self.axes[:, None].mT)  # [m, g, 6, 6]
+        before = (end[..., None, :] - place) @ self.axes.mT  # d of the header, in the axes of the chord
+        self._carry = _transport(before, self._frames(tangent) @ self.axes[..., None, :, :].mT)  # [m, g, 6, 6]
 
     def values(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> Float[Tensor, "*lanes nnz"]:
         """K values on the pattern, from the section stiffness at each station (m and g may be 1 where it is the same)."""
@@ -114,7 +125,7 @@ class BeamMatrices:
 
     def flexibility(self, compliance: Float[Tensor, "*lanes m g 6 6"]) -> Float[Tensor, "*lanes m 6 6"]:
         """F of the module header."""
-        weight = self.length[:, None] * self._weights
+        weight = self.length[..., None] * self._weights
         return (weight[..., None, None] * (self._carry.mT @ compliance @ self._carry)).sum(-3)
 
     def forces(
@@ -123,8 +134,8 @@ class BeamMatrices:
         """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, in its axes there, for k motions of the nodes."""
         k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
         end = k @ (self._ends @ motion[..., self.elements, :, :].flatten(-3, -2))
-        turned = self.frames(torch.tensor([0.0, 1.0], dtype=torch.float64)) @ self.axes[:, None].mT
-        here = _transport(end.new_zeros(len(self.length), 2, 3), turned)
+        turned = self.frames(torch.tensor([0.0, 1.0], dtype=torch.float64)) @ self.axes[..., None, :, :].mT
+        here = _transport(turned.new_zeros(turned.shape[:-1]), turned)
         return here @ torch.stack([self._whole @ end, end], dim=-3)
 
     def frames(self, t: Float[Tensor, " g"]) -> Float[Tensor, "m g 3 3"]:
@@ -132,11 +143,7 @@ class BeamMatrices:
         return self._frames(self.curves.at(t)[1])
 
     def _frames(self, tangent: Float[Tensor, "m g 3"]) -> Float[Tensor, "m g 3 3"]:
-        count = tangent.shape[1]
-        members = self.members.repeat_interleave(count)
-        return _axes(tangent.flatten(0, 1), self._orientation, members, len(self.mesh.elements)).unflatten(
-            0, (-1, count)
-        )
+        return _axes(tangent, self._orientation, self.members, len(self.mesh.elements))
 
     def particles(self, mass: Float[Tensor, "*lanes m places 6 6"], consistent: bool = False) -> Particles:
         """Four particles at each place of each element, from the section mass there (m and places may be 1).
@@ -144,7 +151,7 @@ class BeamMatrices:
         Places: both ends, half of the mass each; or consistent with linear shape functions (Simpson's rule): a sixth at
         each end, two thirds at the middle, which moves with the mean of the ends.
         """
-        m = len(self.length)
+        m = len(self.elements)
         i, j = self.elements.unbind(1)
         pairs, shares = ((i, i), (j, j)), (0.5, 0.5)
         if consistent:
@@ -153,11 +160,11 @@ class BeamMatrices:
         ends = torch.stack([torch.stack(pair, dim=-1) for pair in pairs], dim=1)  # [m, places, 2]
         per_length, at = section_particles(mass.expand(*mass.shape[:-4], m, len(pairs), 6, 6))
         frames = self.frames(torch.tensor([0.0, 1.0, 0.5], dtype=torch.float64)[: len(pairs)])
-        arm = at @ frames[:, :, 1:]
+        arm = at @ frames[..., 1:, :]
         if consistent:  # the middle of the arc, from that of the chord
             middle = self.curves.arrow[:, None, None].expand(m, 1, 4, 3)
             arm = arm + torch.cat([torch.zeros_like(middle).expand(m, 2, 4, 3), middle], 1)
-        whole = per_length * self.length[:, None, None] * self.length.new_tensor(shares)[:, None]
+        whole = per_length * self.length[..., None, None] * self.length.new_tensor(shares)[:, None]
         return Particles(ends[:, :, None].expand(*shape, 2).reshape(-1, 2), arm.flatten(-4, -2), whole.flatten(-3))
 
 
@@ -202,21 +209,25 @@ def _transport(d: Float[Tensor, "*n 3"], turn: Float[Tensor, "*n 3 3"]) -> Float
     return torch.cat([torch.cat([turn, torch.zeros_like(turn)], -1), torch.cat([turn @ arm, turn], -1)], -2)
 
 
-def _axes(e_x: Tensor, orientation: Sequence[float] | Tensor, members: Tensor, count: int) -> Float[Tensor, "m 3 3"]:
+def _axes(
+    e_x: Float[Tensor, "*lanes m g 3"], orientation: Sequence[float] | Tensor, members: Tensor, count: int
+) -> Float[Tensor, "*lanes m g 3 3"]:
     d = reals("orientation", orientation)
     if d.shape not in ((3,), (count, 3)) or not torch.isfinite(d).all():
         raise InputError(
             f"orientation has shape {tuple(d.shape)}; allowed: [3], or one for each element [m, 3], finite"
         )
-    d = d.expand_as(e_x) if d.ndim == 1 else d[members]
-    e_y = d - (d * e_x).sum(1, keepdim=True) * e_x
-    size = e_y.norm(dim=1, keepdim=True)
-    steep = (~(size > STEEPNESS * d.norm(dim=1, keepdim=True))).flatten().nonzero().flatten()
-    if len(steep):
-        k = int(steep[0])
+    d = (d if d.ndim == 1 else d[members][:, None]).expand_as(e_x)
+    e_y = d - (d * e_x).sum(-1, keepdim=True) * e_x
+    size = e_y.norm(dim=-1, keepdim=True)
+    good = size > STEEPNESS * d.norm(dim=-1, keepdim=True)
+    if not all_true(good):
+        k = int(plain(good).flatten().logical_not().nonzero()[0, 0])
+        element = int(members[k // e_x.shape[-2] % len(members)])
+        along, across = (plain(x).reshape(-1, 3)[k].tolist() for x in (e_x, d.contiguous()))
         raise InputError(
-            f"orientation {d[k].tolist()} lies along element {int(members[k])}, direction {e_x[k].tolist()}; "
+            f"orientation {across} lies along element {element}, direction {along}; "
             "allowed: a direction across the beam, to which the section's y-axis is turned"
         )
     e_y = e_y / size
-    return torch.stack([e_x, e_y, torch.linalg.cross(e_x, e_y)], dim=1)
+    return torch.stack([e_x, e_y, torch.linalg.cross(e_x, e_y)], dim=-2)

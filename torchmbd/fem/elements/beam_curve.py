@@ -33,27 +33,27 @@ class Curves(NamedTuple):
     @classmethod
     def through(cls, start: Tensor, end: Tensor, middle: Tensor | None) -> Curves:
         """Arcs through three points each; no middles: straight."""
-        chord = (end - start).norm(dim=1)
+        chord = (end - start).norm(dim=-1)
         arrow = torch.zeros_like(start) if middle is None else middle - 0.5 * (start + end)
-        rise = arrow.norm(dim=1)
+        rise = arrow.norm(dim=-1)
         flat = rise <= FLAT * chord
-        arrow, rise = torch.where(flat[:, None], 0.0, arrow), torch.where(flat, 0.0, rise)
+        arrow, rise = torch.where(flat[..., None], 0.0, arrow), torch.where(flat, 0.0, rise)
         angle = 4.0 * torch.atan2(2.0 * rise, chord)
         length = torch.where(flat, chord, chord * angle / 2.0 / torch.sin(torch.where(flat, 1.0, angle / 2.0)))
         return cls(start, end, arrow, angle, length)
 
     def at(self, t: Float[Tensor, " g"]) -> tuple[Float[Tensor, "m g 3"], Float[Tensor, "m g 3"]]:
         """Places [m] and unit tangents at parts t of the lengths."""
-        span = (self.end - self.start)[:, None]
-        flat = (self.angle == 0.0)[:, None]
-        half = torch.where(flat, 1.0, self.angle[:, None] / 2.0)
+        span = (self.end - self.start)[..., None, :]
+        flat = (self.angle == 0.0)[..., None]
+        half = torch.where(flat, 1.0, self.angle[..., None] / 2.0)
         theta = half * (2.0 * t - 1.0)
         along = torch.where(flat, 2.0 * t - 1.0, torch.sin(theta) / torch.sin(half))
         over = torch.where(flat, 0.0, (torch.cos(theta) - torch.cos(half)) / (1.0 - torch.cos(half)))
-        middle = 0.5 * (self.start + self.end)[:, None]
-        place = middle + 0.5 * along[..., None] * span + over[..., None] * self.arrow[:, None]
-        e, rise = span / span.norm(dim=-1, keepdim=True), self.arrow.norm(dim=-1, keepdim=True)[:, None]
-        n = self.arrow[:, None] / torch.where(rise > 0.0, rise, 1.0)
+        middle = 0.5 * (self.start + self.end)[..., None, :]
+        place = middle + 0.5 * along[..., None] * span + over[..., None] * self.arrow[..., None, :]
+        e, rise = span / span.norm(dim=-1, keepdim=True), self.arrow.norm(dim=-1, keepdim=True)[..., None, :]
+        n = self.arrow[..., None, :] / torch.where(rise > 0.0, rise, 1.0)
         cosine, sine = (
             torch.where(flat, limit, f(theta))[..., None] for f, limit in ((torch.cos, 1.0), (torch.sin, 0.0))
         )

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,18 +22,20 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
-from torch import Tensor
+from torch import Tensor, nn
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.fem.elements.beam_nodes import Straight, made, shape_of
 from torchmbd.math.gradients import constants
 from torchmbd.math.owned import indices, reals
 from torchmbd.math.plausible_units import EXTENT, doubt
+from torchmbd.math.variable import Variables, is_variable, number
 
 
 class BeamLine:
     """A chain or net of beam elements.
 
-    nodes      positions [n, 3] [m]
+    nodes      positions [n, 3] [m]; a torch.nn.Parameter or a module that returns them is a design (beam_nodes.py)
     elements   node pairs [m, 2]; default: each node with the next
     node_sets  name -> node indices; default: "start" and "end" of a chain
     middles    points halfway along elements that are arcs [m, 3] [m]
@@ -42,15 +45,20 @@ class BeamLine:
     elements: Int[Tensor, "m 2"]
     node_sets: Mapping[str, Sequence[int]]
     middles: Float[Tensor, "m 3"] | None
+    shape: nn.Module | None
 
     def __init__(
         self,
-        nodes: ArrayLike | Tensor,
+        nodes: ArrayLike | Tensor | nn.Module,
         elements: ArrayLike | Tensor | None = None,
         node_sets: Mapping[str, Sequence[int]] | None = None,
         middles: ArrayLike | Tensor | None = None,
     ) -> None:
-        self.nodes = reals("nodes of a BeamLine", nodes)
+        self.shape = shape_of(nodes)
+        self.variables = Variables.of(self.shape)
+        self.nodes = reals("nodes of a BeamLine", made(self.shape) if self.shape is not None else nodes)  # pyright: ignore[reportArgumentType]
+        if self.shape is not None and middles is not None:
+            raise InputError("nodes of a BeamLine vary and it has middles; allowed: numbers, or straight elements")
         _check_nodes(self.nodes)
         chain = np.array(list(pairwise(range(len(self.nodes)))))
         self.elements = indices("elements of a BeamLine", chain if elements is None else elements)
@@ -68,16 +76,22 @@ class BeamLine:
 
     @classmethod
     @constants
-    def straight(cls, length: float, elements: int = 16, direction: Sequence[float] = (1.0, 0.0, 0.0)) -> BeamLine:
-        """From the origin along `direction`, equal elements. Nodes "start", "end", and "center" where there is one."""
-        if not 0.0 < length < float("inf"):
+    def straight(
+        cls, length: float | Tensor, elements: int = 16, direction: Sequence[float] = (1.0, 0.0, 0.0)
+    ) -> BeamLine:
+        """From the origin along `direction`, equal elements. Nodes "start", "end", and "center" where there is one.
+
+        length   [m]; mbd.variable(...) is a design variable of the body, "rod.line.length"
+        """
+        if not 0.0 < number(length) < float("inf"):
             raise InputError(f"BeamLine: length = {length!r} m; allowed: a finite number > 0")
         if not isinstance(elements, int) or isinstance(elements, bool) or elements < 1:
             raise InputError(f"BeamLine: elements = {elements!r}; allowed: an integer >= 1")
         d = np.asarray(direction, dtype=float)
         if d.shape != (3,) or not np.isfinite(d).all() or not d.any():
             raise InputError(f"BeamLine: direction = {direction!r}; allowed: three finite numbers, not all zero")
-        nodes = np.linspace(0.0, length, elements + 1)[:, None] * d / np.linalg.norm(d)
+        unit = np.linspace(0.0, 1.0, elements + 1)[:, None] * d / np.linalg.norm(d)
+        nodes: Any = Straight(length, torch.from_numpy(unit)) if is_variable(length) else unit * float(length)
         sets = {"start": [0], "end": [elements]} | ({"center": [elements // 2]} if elements % 2 == 0 else {})
         return cls(nodes, node_sets=sets)
 

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.beam import BeamMatrices, Line
+from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
 from torchmbd.fem.elements.beam_section import BeamSection, line_transform
 from torchmbd.fem.elements.part import MassPoints
 from torchmbd.fem.elements.plates import MASSES
@@ -51,6 +52,7 @@ class Beams:
         self.section = section
         at, turn = _placed(offset, twist, len(mesh.elements), elements)
         turning = turn.shape[1] == 2 or mesh.middles is not None
+        self._line = mesh
         self.matrices = BeamMatrices(mesh, orientation, elements, TURNING if turning else 2)
         self.pattern = self.matrices.pattern
         self._to_line = line_transform(at, _along(turn, self.matrices.stations))
@@ -61,7 +63,7 @@ class Beams:
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design, or only some entries of it."""
-        found = self.matrices.values(self._stiffness())
+        found = self._present.values(self._stiffness())
         return found if entries is None else found[..., entries]
 
     def modules(self) -> dict[str, nn.Module]:
@@ -70,16 +72,21 @@ class Beams:
 
     def masses(self) -> MassPoints:
         """Particles at the ends (and middles) of the elements."""
-        return self._particles() if self.section.mass_varies else self._points
+        return self._particles() if self.section.mass_varies or varying_nodes(self._line) else self._points
+
+    @property
+    def _present(self) -> BeamMatrices:
+        """The elements in the present design."""
+        return self.matrices.at(present_nodes(self._line)) if varying_nodes(self._line) else self.matrices
 
     def _particles(self) -> MassPoints:
         at_line = self._massive @ self.section.mass()[..., None, None, :, :] @ self._massive.mT
-        ends, arm, mass = self.matrices.particles(at_line, self._consistent)
+        ends, arm, mass = self._present.particles(at_line, self._consistent)
         return MassPoints(ends, mass, torch.zeros_like(mass), arm)
 
     def section_forces(self, motion: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 2 6 k"]:
         """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, about the section's own axes, for k motions."""
-        return torch.linalg.inv(self._to_ends) @ self.matrices.forces(self._stiffness(), motion)
+        return torch.linalg.inv(self._to_ends) @ self._present.forces(self._stiffness(), motion)
 
     @property
     def ends(self) -> Int[Tensor, "places 2"]:

@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
@@ -32,6 +33,7 @@ from torchmbd.fem.elements import (
     RigidLink,
     merged,
 )
+from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
@@ -106,6 +108,10 @@ class FlexibleBody(nn.Module):
         joined = merged(self.parts)
         self.reference = reference_nodes(mesh, joined, reference, links)
         self.origin = mesh.nodes[self.reference].mean(0)
+        if varying_nodes(mesh):
+            if links:
+                raise InputError(f"nodes of {name!r} vary, and some are linked; allowed: numbers, or no links")
+            self.add_module("line", mesh.shape)  # pyright: ignore[reportAttributeAccessIssue]
         self._register(parts)
         self.assembly = Assembly(mesh, joined, self.reference, links)
         self.free = self.assembly.freedoms.free
@@ -269,7 +275,18 @@ class FlexibleBody(nn.Module):
         axes, offset   columns of its triad, and the rigid arm from the center of the nodes [m], in body axes
         """
         mount, x = Mount.on(node_indices(self.mesh, node), weights), self.mesh.nodes - self.origin
+        if varying_nodes(self.mesh) and len(mount.nodes) > 1:
+            raise InputError(
+                f"frame on nodes {list(mount.nodes)} of {self.name!r}, whose nodes vary; allowed: one node"
+            )
         return Frame(self, mount.center(x) + vector("offset", offset), rotation("axes", axes), mount)
+
+    def places(self) -> Float[Tensor, "*lanes n 3"]:
+        """Nodes of the undeformed body from its origin in the present design [m]."""
+        if not varying_nodes(self.mesh):
+            return self.mesh.nodes - self.origin
+        nodes = present_nodes(self.mesh)
+        return nodes - nodes[..., self.reference, :].mean(-2, keepdim=True)
 
     def moving(
         self,
@@ -305,6 +322,6 @@ class FlexibleBody(nn.Module):
             raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
         psi = self.assembly.freedoms.expand(basis.vectors)
         _, mass, rotary, arm = points
-        x = self.assembly.places(self.mesh.nodes - self.origin, arm)
+        x = self.assembly.places(self.places(), arm)
         result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi, arm))
         return result | {"Kr": basis.stiffness, "psi": psi}

@@ -53,7 +53,7 @@ class Mount:
 
     def center(self, x: Float[Tensor, "n 3"]) -> Float[Tensor, " 3"]:
         """Center of the nodes of a mesh with positions x [m]."""
-        return self._w(x) @ x[list(self.nodes)]
+        return (self._w(x)[:, None] * x[..., list(self.nodes), :]).sum(-2)
 
     def motion(self, x: Float[Tensor, "n 3"], psi: Float[Tensor, "*lanes n 6 m"]) -> Float[Tensor, "*lanes 6 m"]:
         """Translation of the center and rotation, out of the motion psi of all nodes."""

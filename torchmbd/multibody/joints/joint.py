@@ -20,6 +20,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
+from torchmbd.fem.elements.beam_nodes import varying_nodes
 from torchmbd.math.variable import Numbers, Variables
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.bodies.interpolation import Mount
@@ -44,9 +45,23 @@ class Attached:
     is_point: bool
     place: Numbers | None = None  # coordinates that vary
 
+    @property
+    def varies(self) -> bool:
+        """Whether it depends on the design."""
+        on_nodes = self.is_point and self.mount is not None and varying_nodes(self.body.mesh)
+        return on_nodes or self.place is not None
+
     def now(self) -> Tensor:
         """The vector in the present design [*lanes, 3]."""
-        return self.vector if self.place is None else self.place().vector()
+        if self.place is not None:
+            return self.place().vector()
+        if self.mount is None or not self.varies:
+            return self.vector
+        return (
+            self.vector
+            + self.mount.center(self.body.places())
+            - self.mount.center(self.body.mesh.nodes - self.body.origin)
+        )
 
     def modal_rows(self, psi: Tensor) -> Tensor:
         """How the vector moves with the modes: rows [..., 3, modes] out of the motion psi [..., nodes, 6, modes]."""
@@ -88,7 +103,8 @@ class Scribe:
 
     def twin_point(self, frame: Frame, other: Frame) -> int:
         """Index of the point on the other body that coincides now with the point of the first frame."""
-        if frame.place is not None:
+        varying = any(f.mount is not None and varying_nodes(f.body.mesh) for f in (frame, other))
+        if frame.place is not None or varying:
             raise InputError(
                 f"{frame!r} has coordinates that vary, but a displacement is measured from where it is at the given positions; "
                 "allowed: numbers"

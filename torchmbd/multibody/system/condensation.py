@@ -97,11 +97,11 @@ def _holds(T: Topology) -> list[_Hold]:
         n = len(primitive.members[0])
         bodies = torch.stack([T.vector_body[m] for m in primitive.members]).T.tolist()
         for j, on in enumerate(bodies):
-            if placed.intersection(int(m[j]) for m in primitive.members):
-                for b in on:
-                    holds.pop(b, None)
             moving = {b for b in on if b < T.bodies}
             if len(moving) != 1 or (hold := holds.get(min(moving))) is None:
+                continue
+            if placed.intersection(int(m[j]) for m in primitive.members):
+                del holds[min(moving)]
                 continue
             mine = [rows.start + c * n + j for c in range(primitive.rows)]
             if primitive.driven:

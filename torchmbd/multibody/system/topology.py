@@ -180,7 +180,7 @@ class Topology:
     @property
     def placed(self) -> set[int]:
         """Attached vectors that vary with the design."""
-        return {i for i, attached in enumerate(self.attached) if attached.place is not None}
+        return {i for i, attached in enumerate(self.attached) if attached.varies}
 
     @property
     def varied(self) -> list[int]:

@@ -1,0 +1,87 @@
+"""Nodes of a beam line that are functions of parameters: geometry as a design.
+
+    BeamLine(torch.nn.Parameter(nodes))               the nodes themselves: "rod.line.nodes"
+    BeamLine.straight(length=mbd.variable(0.3))       a length: "rod.line.length"
+    BeamLine(module)                                  any torch module without arguments that returns nodes [n, 3] [m]
+
+A module is evaluated for each design, so it needs to know nothing of lanes. Straight elements only.
+Checked in tests/sensitivity/test_node_variables.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.owned import parameter
+from torchmbd.math.variable import Variables
+
+
+class Nodes(nn.Module):
+    """Nodes that are a parameter [n, 3]."""
+
+    nodes: Tensor
+
+    def __init__(self, nodes: nn.Parameter):
+        super().__init__()
+        self.nodes = parameter("nodes of a BeamLine", nodes)
+
+    def forward(self) -> Tensor:
+        return self.nodes
+
+
+class Straight(nn.Module):
+    """Nodes at shares of a length [m]."""
+
+    positive = ("length",)
+    length: Tensor
+    _unit: Tensor
+
+    def __init__(self, length: Any, unit: Float[Tensor, "n 3"]):
+        super().__init__()
+        self.length = length
+        self.register_buffer("_unit", unit, persistent=False)
+
+    def forward(self) -> Tensor:
+        return self.length * self._unit
+
+
+def shape_of(given: Any) -> nn.Module | None:
+    """The module that makes the nodes, if they vary."""
+    if isinstance(given, nn.Parameter):
+        return Nodes(given)
+    return given if isinstance(given, nn.Module) else None
+
+
+def made(shape: nn.Module) -> Tensor:
+    """Nodes of a module as they are now [n, 3], without a gradient; InputError where it gives something else."""
+    with torch.no_grad():
+        found = shape()
+    if not isinstance(found, Tensor) or found.dtype != torch.float64 or found.ndim != 2 or found.shape[1] != 3:
+        allowed = "nodes [n, 3] in float64"
+        raise InputError(f"the module of a BeamLine returns {found!r}; allowed: {allowed}")
+    return found.detach().clone()
+
+
+def varying_nodes(mesh: Any) -> bool:
+    """Whether the nodes of a mesh depend on the design."""
+    return getattr(mesh, "shape", None) is not None
+
+
+def present_nodes(mesh: Any) -> Float[Tensor, "*lanes n 3"]:
+    """Nodes of a mesh in the present design [m]."""
+    if not varying_nodes(mesh):
+        return mesh.nodes
+    variables: Variables = mesh.variables
+    flat = variables.flat()[:, 0]
+
+    def one(x: Tensor) -> Tensor:
+        return torch.func.functional_call(variables.module, variables.named(x), ())
+
+    found: Any = torch.func.vmap(one, 1)(flat)
+    alone = all(x.dim() == len(variables.shapes[name]) for name, x in variables.module.named_parameters())
+    return found[0] if alone else found
