@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import pytest
 import torch
 from torch import Tensor, nn
@@ -97,6 +100,15 @@ def test_one_length_serves_the_body_and_a_joint_beside_it():
     system = mbd.System([rod, stick], joints, gravity=GRAVITY)
     assert [n for n, _ in system.named_parameters() if n.endswith(("length", ".x"))] == ["rod.line.length"]
     check(system, ["rod.line.length"])
+
+
+def test_a_system_is_copied_and_pickled():
+    system = arm(LINES["length"]())
+    for again in (copy.deepcopy(system), pickle.loads(pickle.dumps(system))):
+        again.get_parameter("rod.line.length").data.mul_(1.1)
+        found = mbd.simulate(again, 0.01, steps=3).body("rod").nodes
+        wanted = mbd.simulate(system, 0.01, steps=3, designs={"rod.line.length": tensor(0.33)}).body("rod").nodes
+        assert_close(found, wanted, rtol=0, atol=1e-10)
 
 
 def test_what_is_refused():

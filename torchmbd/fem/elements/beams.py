@@ -59,7 +59,8 @@ class Beams:
         places = line_transform(at, _along(turn, torch.tensor([0.0, 1.0, 0.5])))  # start, end, middle
         self._to_ends = places[:, :2]
         self._massive, self._consistent = places if mass == "consistent" else places[:, :2], mass == "consistent"
-        self._points = self._particles()
+        with torch.no_grad():
+            self._points = self._particles()
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design, or only some entries of it."""
