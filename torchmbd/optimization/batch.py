@@ -37,12 +37,10 @@ class Batch(Protocol[T_co]):
 
 @runtime_checkable
 class Elsewhere(Protocol):
-    """What a problem has, beside what every problem has (optimizer.py), that evaluates elsewhere."""
+    """What a problem has, beside what every problem has (optimizer.py), that evaluates elsewhere.
 
-    @property
-    def at_once(self) -> int:
-        """How many batches it evaluates side by side, in about the time of one."""
-        ...
+    Its number `at_once` tells how many batches it evaluates side by side, in about the time of one.
+    """
 
     def begin(self, X: np.ndarray, gradients: bool, among: int) -> Batch[Any]:
         """Begin to evaluate designs [lanes, n]; `among` batches of this size will be under way, which share the workers."""
@@ -69,7 +67,7 @@ class Done(Generic[T]):
 
 def at_once(problem: Any) -> int:
     """Return how many batches a problem evaluates side by side."""
-    return problem.at_once if isinstance(problem, Elsewhere) else 1
+    return getattr(problem, "at_once", 1)
 
 
 def begin(problem: Any, X: np.ndarray, gradients: bool, among: int) -> Batch[Any]:

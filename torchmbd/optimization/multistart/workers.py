@@ -113,7 +113,7 @@ class Workers:
     @property
     def size(self) -> int:
         """Workers there are now."""
-        return max(1, len(self._client.scheduler_info(n_workers=-1)["workers"]))
+        return max(1, len(self._client.scheduler_info(n_workers=-1).get("workers", ())))  # a lost scheduler tells none
 
     @property
     def at_once(self) -> int:
