@@ -13,6 +13,9 @@ Parts (default: all):
     angles          gradient by 288 and by 3,000 angles over one simulation
     mesh            motion stage on a fine mesh
     chain           cost per link of a flexible chain
+    chains          chains of 5 to 50 links
+    loops           twelve flexible bodies in closed loops, with springs and a controller
+    build           from an empty cache to native steps
     gradients       error of the gradients
     start           a fresh process to its first step
     memory          peak memory per lane
@@ -39,8 +42,8 @@ import torch
 from rich.console import Console
 
 import torchmbd as mbd
+from experiments import benchmark_chains, benchmark_motion, exudyn_peer
 from experiments import benchmark_costs as costs
-from experiments import benchmark_motion, exudyn_peer
 from experiments.benchmark_adjoint import adjoint
 from experiments.benchmark_angles import many_angles
 from experiments.benchmark_batches import batches
@@ -60,6 +63,9 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "angles": many_angles,
     "mesh": costs.mesh,
     "chain": costs.chain,
+    "chains": benchmark_chains.chains,
+    "loops": benchmark_chains.closed,
+    "build": benchmark_chains.build,
     "gradients": costs.gradient_error,
     "start": costs.start,
     "memory": costs.memory,
@@ -88,6 +94,13 @@ FIGURES = (
     "tenth_variable_tangents",
     "mesh_ratio",
     "chain_ratio",
+    "chain_5",
+    "chain_10",
+    "chain_20",
+    "chain_50",
+    "closed_loops",
+    "build_s",
+    "cached_s",
     "gradient_error",
     "warm_start_s",
     "mb_per_lane",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 import torchmbd as mbd
-from experiments import slider_crank
+from experiments import closed_loops, exudyn_peer, slider_crank
 from torchmbd.design.spline import Spline
 from torchmbd.integrate.generalized_alpha import GeneralizedAlpha
 from torchmbd.integrate.motion import Motion
@@ -39,7 +39,7 @@ class Case:
     system: mbd.System
     duration: float
     variables: Mapping[str, float]
-    peer: str  # function of experiments/exudyn_peer.py
+    peer: Callable[..., Any]  # the same in Exudyn: (system, designs) -> simulations
 
     @property
     def count(self) -> int:
@@ -63,7 +63,9 @@ class Case:
 def crank3(modes: int = 8, cells: tuple[int, int] = (24, 4)) -> Case:
     """The slider-crank of the paper, three layers, three angles."""
     system = slider_crank.build(3, modes=modes, cells=cells, joint="spherical")
-    return Case("slider-crank, 3 angles", system, slider_crank.DURATION, {"rod.laminate.angles": 0.1}, "slider_crank")
+    return Case(
+        "slider-crank, 3 angles", system, slider_crank.DURATION, {"rod.laminate.angles": 0.1}, exudyn_peer.slider_crank
+    )
 
 
 def crank8(modes: int = 8, cells: tuple[int, int] = (24, 4)) -> Case:
@@ -71,7 +73,7 @@ def crank8(modes: int = 8, cells: tuple[int, int] = (24, 4)) -> Case:
     system = slider_crank.build(4, modes=modes, cells=cells, joint="spherical")
     variables = {"rod.laminate.angles": 0.1, "rod.laminate.thickness": 0.1 * slider_crank.THICKNESS / 4}
     title = "slider-crank, 4 angles, 4 thicknesses"
-    return Case(title, system, slider_crank.DURATION, variables, "slider_crank")
+    return Case(title, system, slider_crank.DURATION, variables, exudyn_peer.slider_crank)
 
 
 def pendulum(links: int = 2, modes: int = 8, cells: tuple[int, int] = (16, 2), duration: float = 0.06) -> Case:
@@ -88,7 +90,13 @@ def pendulum(links: int = 2, modes: int = 8, cells: tuple[int, int] = (16, 2), d
     joints = [mbd.Spherical(end, body.at("left")) for end, body in zip(ends, bodies, strict=False)]
     system = mbd.System(bodies, joints, gravity=(0.0, -9.81, 0.0))
     variables = {f"link{i}.laminate.angles": 0.5 for i in range(links)}
-    return Case(f"pendulum of {links} laminated links", system, duration, variables, "chain")
+    return Case(f"pendulum of {links} laminated links", system, duration, variables, exudyn_peer.chain)
+
+
+def loops(modes: int = 8, cells: tuple[int, int] = (16, 2), duration: float = 0.06) -> Case:
+    """The cube of experiments/closed_loops.py, three angles of each of its twelve links."""
+    variables = {f"link{i}.laminate.angles": 0.5 for i in range(12)}
+    return Case("closed loops", closed_loops.build(modes, cells), duration, variables, closed_loops.peer)
 
 
 def energy(dynamics: Dynamics, history: History) -> Tensor:
@@ -132,9 +140,11 @@ def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> t
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
 
 
-def differentiable_motion(dynamics: Dynamics, duration: float, steps: int) -> tuple[Tensor, dict[str, Tensor]]:
-    """`responses` [2, lanes] as a function of the data that move with the design, by the adjoint of the steps."""
-    moving = [name for name, x in dynamics.data.items() if isinstance(x, Pair)]
+def differentiable_motion(
+    dynamics: Dynamics, duration: float, steps: int, names: Collection[str] = ()
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """`responses` [2, lanes] as a function of data, those of `names` and those that move with the design, by the adjoint."""
+    moving = [name for name, x in dynamics.data.items() if isinstance(x, Pair) or name in names]
     data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
     model = replace(dynamics, data={})
     made = ReverseIntegration(
@@ -147,13 +157,20 @@ def differentiable_motion(dynamics: Dynamics, duration: float, steps: int) -> tu
     return found, {name: data[name] for name in moving}
 
 
-def motion_backwards(dynamics: Dynamics, duration: float, steps: int) -> tuple[Tensor, Tensor]:
-    """As `motion`, with the gradients of both responses by the adjoint of the steps."""
-    found, leaves = differentiable_motion(dynamics, duration, steps)
+def motion_backwards(
+    dynamics: Dynamics, duration: float, steps: int, names: Collection[str] = ()
+) -> tuple[Tensor, Tensor]:
+    """As `motion`, with the gradients of both responses by the adjoint of the steps.
+
+    names   of data; the gradients are then by these alone, [2, n, lanes]
+    """
+    found, leaves = differentiable_motion(dynamics, duration, steps, names)
     rows = found.sum(-1)
     slopes = torch.vmap(lambda weights: torch.autograd.grad(rows, list(leaves.values()), weights, retain_graph=True))(
         torch.eye(2).double()
     )
+    if names:
+        return found.detach(), torch.cat([by.flatten(1, -3)[:, :, 0] for by in slopes], 1)
     parts = [
         torch.einsum("rkl,kbl->rlb", by.flatten(1, -3)[:, :, 0], dynamics.data[name].tangent.flatten(0, -3))
         for name, by in zip(leaves, slopes, strict=True)

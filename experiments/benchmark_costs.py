@@ -20,19 +20,21 @@ from typing import Any
 
 import torch
 
-from experiments import gradients, slider_crank
+from experiments import exudyn_peer, gradients, slider_crank
 from experiments.benchmark_cases import (
     Case,
     compilation,
     compiled_ready,
     crank3,
     interleaved,
+    loops,
     motion,
     motion_backwards,
     pendulum,
 )
 from experiments.benchmark_modes import rod
 from experiments.benchmark_report import Cell, Grid, Result, Settings
+from torchmbd.integrate.native import library
 from torchmbd.math.codegen.compiler import unavailable
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics
@@ -68,7 +70,7 @@ def variables(settings: Settings) -> Result:
     the whole motion.
     """
     system = slider_crank.build(10)
-    case = Case("ten angles", system, slider_crank.DURATION, {ANGLES: 1.0}, "slider_crank")
+    case = Case("ten angles", system, slider_crank.DURATION, {ANGLES: 1.0}, exudyn_peer.slider_crank)
     whole = case.dynamics(LANES, gradients=True)
     some = {n: _first_tangents(whole, n) for n in TANGENTS}
     batches = {"values": whole.values()} | {str(n): dynamics for n, dynamics in some.items()}
@@ -126,19 +128,22 @@ def _widened(dynamics: Dynamics, lanes: int) -> Dynamics:
 
 
 def chain(settings: Settings) -> Result:
-    """Cost per link of flexible pendulum chains, values, uncompiled: the largest over that of five links."""
-    lanes, steps, modes = 4, 10, 4
-    counts = (5, 10) if settings.quick else (2, 5, 10, 20, 50)
+    """Cost per link of flexible pendulum chains, values: that of the longest over that of five links."""
+    lanes, steps, modes = 8, 100, 4
+    counts = (5, 10) if settings.quick else (5, 10, 20, 50, 100)
     functions = {}
     for links in counts:
         case = pendulum(links, modes=modes, cells=(8, 2))
         functions[str(links)] = _stage(_widened(case.system.dynamics(), lanes), steps, 0.06 * steps / STEPS)
-    with compilation(False):
+    ready = not settings.quick and unavailable() is None
+    with compilation(ready):
+        for function in functions.values():
+            function()
         seconds = interleaved(functions, min(settings.repeat, 3))
     rows: list[list[Cell]] = [[int(n), 1e3 * s / steps, 1e3 * s / steps / int(n)] for n, s in seconds.items()]
     last = str(counts[-1])
     figure = (seconds[last] / int(last)) / (seconds["5"] / 5)
-    title = f"chain of flexible links, {lanes} lanes, {modes} modes each, eager"
+    title = f"chain of flexible links, {lanes} lanes, {modes} modes each, {'compiled' if ready else 'eager'}"
     columns = ["links", "ms per step", "ms per step and link"]
     return Result({"chain_ratio": None if settings.quick else figure}, [Grid(title, columns, rows)])
 
@@ -156,7 +161,7 @@ def gradient_error(settings: Settings) -> Result:
     return Result({"gradient_error": None if settings.quick else worst}, [Grid(title, columns, rows)])
 
 
-def _fresh(*arguments: str, **environment: str) -> dict[str, Any]:
+def fresh(*arguments: str, **environment: str) -> dict[str, Any]:
     """Run this file in a fresh process; what it printed."""
     command = [sys.executable, "-m", "experiments.benchmark_costs", *arguments]
     root = Path(__file__).parent.parent
@@ -171,7 +176,7 @@ def start(settings: Settings) -> Result:
     seconds = []
     for _ in range(1 if settings.quick else 3):
         begin = time.time()
-        seconds.append(_fresh("first-step", TORCHMBD_COMPILE="1")["at"] - begin)
+        seconds.append(fresh("first-step", TORCHMBD_COMPILE="1")["at"] - begin)
     rows = [["process to first step", min(seconds), max(seconds)]]
     return Result(
         {"warm_start_s": min(seconds)}, [Grid("start, compiled code at hand", ["what", "least s", "most s"], rows)]
@@ -185,7 +190,7 @@ def memory(settings: Settings) -> Result:
     ready = compiled_ready(crank3().dynamics(few, gradients=True), build=not settings.quick)
     flag = {"TORCHMBD_COMPILE": "1" if ready else "0"}
     # The structure stage of a batch has memory of its own: here every lane is the same design.
-    mb = [_fresh("memory", str(lanes), str(steps), **flag)["mb"] for lanes in (few, many)]
+    mb = [fresh("memory", str(lanes), str(steps), **flag)["mb"] for lanes in (few, many)]
     figure = (mb[1] - mb[0]) / (many - few)
     rows = [[few, mb[0]], [many, mb[1]]]
     title = f"largest resident set, {steps} steps, 3 variables"
@@ -197,7 +202,7 @@ def compile_time(settings: Settings) -> Result:
     if settings.quick or not _compiler():
         return Result({"compile_s": None})
     with tempfile.TemporaryDirectory() as empty:
-        seconds = _fresh("compile", TORCHMBD_COMPILE="1", TORCHMBD_CACHE=empty)["seconds"]
+        seconds = fresh("compile", TORCHMBD_COMPILE="1", TORCHMBD_CACHE=empty)["seconds"]
     return Result({"compile_s": seconds}, [Grid("compilation", ["what", "s"], [["cold", seconds]])])
 
 
@@ -227,6 +232,12 @@ def main(arguments: list[str]) -> None:
         }
         motion(replace(dynamics, data=data), slider_crank.DURATION * steps / STEPS, steps)
         print(json.dumps({"mb": _resident_mb()}))
+    elif what == "ready":
+        dynamics = (pendulum(50) if arguments[1] == "chain" else loops()).dynamics(1, gradients=False)
+        begin = time.perf_counter()
+        native = library.resolved(dynamics, "native")
+        library.library(native.condensed())
+        print(json.dumps({"seconds": time.perf_counter() - begin}))
     elif what == "compile":
         dynamics = crank3().dynamics(2, gradients=True)
         begin = time.perf_counter()

@@ -58,9 +58,7 @@ def accuracy(run: Callable[[int], Tensor], ladder: tuple[int, ...] = LADDER, con
 
 def peer_runs(case: Case, lanes: int) -> list[Callable[[float, int], Any]]:
     """The peer's simulations of the first designs."""
-    from experiments import exudyn_peer
-
-    return getattr(exudyn_peer, case.peer)(case.system, case.designs(lanes))
+    return case.peer(case.system, case.designs(lanes))
 
 
 def both_accuracies(case: Case, settings: Settings) -> tuple[Accuracy, Accuracy | None]:

@@ -5,7 +5,8 @@ structure stage. Exudyn has translations of nodes only: the rotary inertia of th
 are normalized with it) and the inertia of the whole body, not the Coriolis terms.
 
 Everything is chosen in Exudyn's favor: its fast binary (without range checks), one thread, a crank and a slider of one
-coordinate each, dense linear solver, modified Newton, and only the time of `SolveDynamic` is counted.
+coordinate each, dense or sparse linear solver, whichever is faster at this size, modified Newton, and only the time of
+`SolveDynamic` is counted.
 Needs the package `exudyn` (https://github.com/jgerstm/EXUDYN).
 """
 
@@ -29,6 +30,9 @@ from torch.func import functional_call
 import torchmbd as mbd
 from experiments.panel import CORNERS, FORCE, FREE, LINKS, corners
 from experiments.slider_crank import CRANK, ROD, SLIDER_MASS, SPEED
+
+# Flexible bodies of 8 modes from which on the sparse solver was the faster one, as measured.
+SPARSE_FROM = 3
 
 
 def load(part: str = "") -> Any:
@@ -141,6 +145,26 @@ class Model:
         """Keep two markers at a distance."""
         self._add("ConnectorDistance", markerNumbers=[a, b], distance=length)
 
+    def mass(self, mass: float, position: np.ndarray) -> Any:
+        """A point mass under gravity."""
+        items = load(".itemInterface")
+
+        node = self.mbs.AddNode(items.NodePoint(referenceCoordinates=list(position)))
+        found = self._add("MassPoint", mass=mass, nodeNumber=node)
+        self.push(self.point(found), [0.0, -mass * self.gravity, 0.0])
+        return found
+
+    def spring(self, a: Any, b: Any, stiffness: float, damping: float, length: float) -> None:
+        """Spring and damper along the line of two markers."""
+        self._add(
+            "ConnectorSpringDamper", markerNumbers=[a, b], stiffness=stiffness, damping=damping, referenceLength=length
+        )
+
+    def hold(self, marker: Any, place: np.ndarray, stiffness: float, damping: float) -> None:
+        """Pull a marker to a place, in each of the ground axes."""
+        numbers = {"stiffness": [stiffness] * 3, "damping": [damping] * 3}
+        self._add("ConnectorCartesianSpringDamper", markerNumbers=[self.point(self.ground, place), marker], **numbers)
+
     def push(self, marker: Any, force: Sequence[float]) -> None:
         """A constant force in ground axes [N]."""
         self.mbs.AddLoad(load(".itemInterface").LoadForceVector(markerNumber=marker, loadVector=list(force)))
@@ -215,7 +239,9 @@ class Model:
         self.mbs.Assemble()
         settings = self.exu.SimulationSettings()
         settings.parallel.numberOfThreads = 1
-        settings.linearSolver.solverType = self.exu.LinearSolverType.EigenDense
+        kinds = self.exu.LinearSolverType
+        sparse = len(self.energies) >= SPARSE_FROM
+        settings.linearSolver.solverType = kinds.EigenSparse if sparse else kinds.EigenDense
         settings.solution.file.write = False
         settings.solution.sensors.writePeriod = duration / steps
         settings.timeIntegration.endTime = duration

@@ -18,7 +18,7 @@ from experiments import (
     exudyn_peer,
     slider_crank,
 )
-from experiments.benchmark_cases import Case, compilation, compiled_ready, crank3, interleaved, motion, pendulum
+from experiments.benchmark_cases import Case, compilation, compiled_ready, crank3, interleaved, loops, motion, pendulum
 from experiments.benchmark_report import Settings
 
 
@@ -34,16 +34,24 @@ def small() -> Case:
 def spherical_crank(angles) -> Case:
     """The slider-crank with the joint that the peer has at the slider."""
     system = slider_crank.build(len(angles), angles, cells=(8, 2), modes=4, joint="spherical")
-    return Case("", system, 0.01, {"rod.laminate.angles": 0.3}, "slider_crank")
+    return Case("", system, 0.01, {"rod.laminate.angles": 0.3}, exudyn_peer.slider_crank)
 
 
-@pytest.mark.parametrize("case", [small(), spherical_crank([45.0, -45.0, 45.0])], ids=["pendulum", "slider-crank"])
-def test_both_codes_simulate_the_same_mechanism(case):
+CASES = {
+    "pendulum": small,
+    "slider-crank": lambda: spherical_crank([45.0, -45.0, 45.0]),
+    "closed loops": lambda: loops(modes=3, cells=(6, 2), duration=0.01),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_both_codes_simulate_the_same_mechanism(name):
+    case = CASES[name]()
     pytest.importorskip("exudyn")
     steps, lanes = 200, 2
     ours = mbd.simulate(case.system, case.duration, steps=steps, designs=case.designs(lanes)).require_ok()
     U = sum(ours.body(body.name).strain_energy for body in case.system.bodies if hasattr(body, "mesh"))
-    runs = getattr(exudyn_peer, case.peer)(case.system, case.designs(lanes))
+    runs = case.peer(case.system, case.designs(lanes))
     for lane, run in enumerate(runs):
         found = run(case.duration, steps)
         np.testing.assert_allclose(found.t, ours.t.numpy(), atol=1e-9)

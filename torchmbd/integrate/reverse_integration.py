@@ -77,7 +77,7 @@ class ReverseIntegration:
             raise InputError(
                 f"duration requires a gradient and checkpoint is {self.integrator.checkpoint}; allowed: checkpoint=1"
             )
-        self.dynamics = resolved(self._with(data), self.backend)
+        self.dynamics = resolved(self._with(data), self.backend, also=["adjoint"])
         self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, 0, self.integrator)
         if self.wanted:
             self._known = differentiable(self.dynamics, self.wanted)

@@ -53,6 +53,22 @@ def called(module: nn.Module, values: Mapping[str, Tensor], *args: Any) -> Any:
     return torch.func.functional_call(module, given, args, tie_weights=False)
 
 
+class _Holder(nn.Module):
+    """Runs a function while its module is called with other values."""
+
+    def __init__(self, module: nn.Module):
+        super().__init__()
+        self.module = module
+
+    def forward(self, run: Callable[[], Any]) -> Any:
+        return run()
+
+
+def holding(module: nn.Module, values: Mapping[str, Tensor], run: Callable[[], R]) -> R:
+    """run(), in which the module has other values of its named parameters."""
+    return called(_Holder(module), {f"module.{name}": x for name, x in values.items()}, run)
+
+
 class _Outside(torch.autograd.Function):
     """An operation whose forward pass runs a function: torch.func lowers it through all transforms first."""
 

@@ -145,7 +145,7 @@ def test_a_key_is_that_of_a_kind() -> None:
 def test_a_compiler_that_fails_is_told(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "false")
     with pytest.raises(MbdError, match="false failed on the step of rod"):
-        library.build(dynamics(modes=1), "step", "name")
+        library.build("name", "step", "", "rod")
     assert list(cache.iterdir()) == []
 
 

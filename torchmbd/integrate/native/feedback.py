@@ -11,9 +11,10 @@ Checked in tests/integrate/native/test_feedback.py: the same numbers as by opera
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import product
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -21,8 +22,9 @@ from torch import Tensor
 from torchmbd.integrate.native.simd_layout import LANES, addresses
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.variable import key
-from torchmbd.multibody.forces.feedback import Links, Port
+from torchmbd.multibody.forces.feedback import Links, Port, derivative
 
+R = TypeVar("R")
 _CALL = ctypes.CFUNCTYPE(ctypes.c_long, ctypes.c_long, ctypes.c_long, ctypes.c_long)
 _STRENGTHS, _SLOPES, _TANGENTS = range(3)  # as in feedback.cpp
 
@@ -38,14 +40,14 @@ class CalledLaws:
         self.places = [i for i, law in enumerate(laws) if isinstance(law, Port)]
         self.links = Links([laws[i] for i in self.places]).each
         self.pairs: list[tuple[int, int]] = []
-        self._used = []  # of each link: rows that it writes, and entries of x that s and s' of what it reads are
+        self._maps = []  # of each link: slopes of its pairs [2, pairs] out of du/dx [outputs inputs]
         for link in self.links:
             rows = link.writes.any(1).nonzero()[:, 0]
             columns = link.coordinates.any(0).nonzero()[:, 0]
             self.pairs += product(rows.tolist(), columns.tolist())
             read = link.coordinates[:, columns]
             by = torch.stack([read * (1.0 - link.rates)[:, None], read * link.rates[:, None]])
-            self._used.append((link.writes[rows], by))
+            self._maps.append(torch.einsum("ro,dic->drcoi", link.writes[rows], by).flatten(3).flatten(1, 2))
 
     def parameters(self, data: Mapping[str, Any]) -> list[Tensor]:
         """Weights of each controller [k, lanes or 1]; none of a law."""
@@ -63,16 +65,20 @@ class CalledLaws:
 
     def strengths(self, u: Sequence[Tensor]) -> Tensor:
         """Of all actions [n, ...] by what each of them gives [outputs, ...]."""
-        parts = [torch.tensordot(link.writes, x, 1) for link, x in zip(self.links, u, strict=True)]
+        parts = [link.writes @ x for link, x in zip(self.links, u, strict=True)]
         return sum(parts[1:], parts[0])
 
     def slopes(self, jacobians: Sequence[Tensor]) -> Tensor:
         """Of all pairs by s and s' [2, pairs, lanes], of du/dx [outputs, inputs, lanes]."""
-        parts = [
-            torch.einsum("ro,oil,dic->drcl", writes, J, by).flatten(1, 2)
-            for (writes, by), J in zip(self._used, jacobians, strict=True)
-        ]
-        return torch.cat(parts, 1)
+        parts = [by @ J.flatten(0, 1) for by, J in zip(self._maps, jacobians, strict=True)]
+        return torch.cat(parts, 1) if len(parts) > 1 else parts[0]
+
+    def held(self, parameters: Sequence[Tensor], run: Callable[[], R]) -> R:
+        """run(), in which modules have parameters that are the same for all lanes."""
+        for link, p in zip(self.links, parameters, strict=True):
+            if p.shape[1] == 1:
+                run = partial(link.control.holding, p, run)
+        return run()
 
 
 class _Struct(ctypes.Structure):
@@ -94,6 +100,7 @@ class Feedback:
         n, pairs = len(laws.places), len(laws.pairs)
         shapes = [(2 * n,), (n,), (2, pairs), (slots, n), (n,)]
         self.arrays = [torch.zeros(*shape, LANES, dtype=torch.float64) for shape in shapes]
+        self.own = [p[:0] if p.shape[1] == 1 else p for p in self.parameters]
         self.error: BaseException | None = None
         self.struct = _Struct(_CALL(self._call), *addresses(self.arrays))
 
@@ -102,15 +109,17 @@ class Feedback:
         """Where what native code takes is."""
         return ctypes.addressof(self.struct)
 
-    def again(self) -> None:
-        """Raise what was raised while native code ran."""
-        error, self.error = self.error, None
+    def run(self, f: Callable[[], int]) -> int:
+        """f() by native code, which calls back; raises what is raised there."""
+        found, error = self.laws.held(self.parameters, f), self.error
         if error is not None:
+            self.error = None
             raise error
+        return found
 
     def _call(self, what: int, step: int, block: int) -> int:
         try:
-            with torch.inference_mode(False):
+            with torch.inference_mode(False), torch.set_grad_enabled(what == _TANGENTS):
                 self._answer(what, self.times[step], slice(block * LANES, min((block + 1) * LANES, self.lanes)))
         except BaseException as error:  # native code cannot hand it on
             self.error = error
@@ -121,13 +130,15 @@ class Feedback:
         signals, strengths, slopes, tangents, _ = self.arrays
         count, links = lanes.stop - lanes.start, self.laws.links
         x = self.laws.inputs(signals[:, :count], t)
-        p = [y if y.shape[1] == 1 else y[:, lanes] for y in self.parameters]
+        p = [y if y.shape[1] == 1 else y[:, lanes] for y in self.own]
         if what == _STRENGTHS:
             _put(strengths, self.laws.strengths([a.control.at(b, c, t) for a, b, c in zip(links, p, x, strict=True)]))
             return
         if what == _TANGENTS:
-            p = [y if m is None else y.expand(-1, count) for y, m in zip(p, self.moves, strict=True)]
-            p = [y if m is None else y.clone().requires_grad_() for y, m in zip(p, self.moves, strict=True)]
+            p = [
+                y if move is None else (all_ if all_.shape[1] == 1 else y).expand(-1, count).clone().requires_grad_()
+                for y, all_, move in zip(p, self.parameters, self.moves, strict=True)
+            ]
         found = [link.control.sloped(a, b, t) for link, a, b in zip(links, p, x, strict=True)]
         _put(strengths, self.laws.strengths([u.detach() for u, _ in found]))
         _put(slopes, self.laws.slopes([J for _, J in found]))
@@ -135,7 +146,7 @@ class Feedback:
             tangents.zero_()
         for (u, _), link, a, move in zip(found, links, p, self.moves, strict=True):
             if what == _TANGENTS and move is not None:
-                by = torch.stack([_derivative(y, a) for y in u])
+                by = torch.stack([derivative(y, a) for y in u])
                 own = torch.einsum("okl,ksl->osl", by, move if move.shape[-1] == 1 else move[..., lanes])
                 _put(tangents, tangents[..., :count] + torch.einsum("no,osl->snl", link.writes, own))
 
@@ -155,14 +166,20 @@ class FeedbackSweep:
             p if name is None else p.expand(-1, lanes).clone().requires_grad_()
             for p, name in zip(laws.parameters(data), self.names, strict=True)
         ]
-        strengths, slopes, self.outputs = [], [], []
-        for some, t in zip(signals, times, strict=True):
-            read = zip(laws.links, self.parameters, laws.inputs(some, t), strict=True)
-            found = [link.control.sloped(p, x, t) for link, p, x in read]
-            self.outputs.append([u for u, _ in found])
-            strengths.append(laws.strengths([u.detach() for u, _ in found]))
-            slopes.append(laws.slopes([J for _, J in found]))
-        self.strengths, self.slopes = torch.stack(strengths), torch.stack(slopes)
+        self.outputs: list[list[Tensor]] = []
+        with torch.enable_grad():
+            found = laws.held(self.parameters, lambda: [self._at(*both) for both in zip(signals, times, strict=True)])
+        self.strengths, self.slopes = (torch.stack(x) for x in zip(*found, strict=True))
+
+    def _at(self, signals: Tensor, t: Tensor) -> tuple[Tensor, Tensor]:
+        """Strengths and slopes at one time."""
+        found, laws = [], self.laws
+        for link, p, x in zip(laws.links, self.parameters, laws.inputs(signals, t), strict=True):
+            u, J = link.control.sloped(p[:0] if p.shape[1] == 1 else p, x, t)
+            link.control.check_attached(u, p, t)
+            found.append((u, J))
+        self.outputs.append([u for u, _ in found])
+        return laws.strengths([u.detach() for u, _ in found]), laws.slopes([J for _, J in found])
 
     def cotangents(self, bars: Tensor) -> dict[str, Tensor]:
         """By the weights [k, rows, lanes], by what all strengths are worth [steps, rows, n, lanes]."""
@@ -179,10 +196,8 @@ class FeedbackSweep:
 
 def _put(to: Tensor, x: Tensor) -> None:
     """Numbers of the lanes that exist into a block [..., LANES]; the last of them stands for the others."""
+    if x.shape[-1] in (1, LANES):
+        to.copy_(x)
+        return
     to[..., : x.shape[-1]] = x
     to[..., x.shape[-1] :] = x[..., -1:]
-
-
-def _derivative(y: Tensor, by: Tensor) -> Tensor:
-    options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-    return torch.autograd.grad(y.sum(), by, **options)[0] if y.requires_grad else torch.zeros_like(by)

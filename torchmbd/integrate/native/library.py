@@ -19,7 +19,10 @@ import hashlib
 import subprocess
 import tempfile
 import warnings
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from itertools import repeat
 from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -64,16 +67,17 @@ _failed: dict[str, str] = {}  # builds that failed, and why
 _said: set[str] = set()
 
 
-def resolved(dynamics: Dynamics, backend: str, kind: str | None = "step") -> Dynamics:
+def resolved(dynamics: Dynamics, backend: str, kind: str | None = "step", also: Sequence[str] = ()) -> Dynamics:
     """The dynamics with the backend of its steps, "eager" or "native".
 
     kind   of code that is needed first, which is built here; None: what is needed is not known yet (phases)
+    also   kinds that will be needed, which are built at the same time
 
     "auto": native where there is a compiler and the code of the system can be written and compiled in reasonable time; what
     speaks against it is said once. "native": InputError where it cannot be. Kinds other than steps are built when needed.
     """
     left = dynamics.condensed() if kind == "step" else dynamics
-    why = None if backend == "eager" else _obstacle(left, backend, kind)
+    why = None if backend == "eager" else _obstacle(left, backend, kind, also)
     if backend == "native" and why is not None:
         raise InputError(f"backend is 'native', but {why}; allowed: 'eager' or 'auto'")
     if why is not None and why not in _said:
@@ -83,7 +87,7 @@ def resolved(dynamics: Dynamics, backend: str, kind: str | None = "step") -> Dyn
     return replace(dynamics, backend="native" if native else "eager")
 
 
-def _obstacle(dynamics: Dynamics, backend: str, kind: str | None) -> str | None:
+def _obstacle(dynamics: Dynamics, backend: str, kind: str | None, also: Sequence[str]) -> str | None:
     """Why there is no native code for a system; None: there is, or it is not wanted."""
     if not wanted(backend):
         return None
@@ -95,10 +99,8 @@ def _obstacle(dynamics: Dynamics, backend: str, kind: str | None) -> str | None:
         return f"a law of a force cannot be compiled: {error}"
     if kind is None:
         return None
-    name = key(known, kind)
-    if name not in _loaded and name not in _failed:
-        _load(known, kind, name)
-    return _failed.get(name)
+    _load(known, [kind, *also])
+    return _failed.get(key(known, kind))
 
 
 def wanted(backend: str) -> bool:
@@ -144,12 +146,12 @@ def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
         return None
     known = written_out(dynamics)
     name = key(known, kind)
-    if name not in _loaded and name not in _failed:
-        _load(known, kind, name)
-        if name in _failed:
-            warnings.warn(
-                f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}", stacklevel=3
-            )
+    _load(known, [kind])
+    if name in _failed and name not in _said:
+        _said.add(name)
+        warnings.warn(
+            f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}", stacklevel=3
+        )
     code = _loaded.get(name)
     return None if code is None else Library(code, _mechanism(dynamics.topology, known, kind, code))
 
@@ -165,20 +167,37 @@ def _mechanism(T: Topology, known: Dynamics, kind: str, code: ctypes.CDLL) -> An
     return own[name]
 
 
-def _load(dynamics: Dynamics, kind: str, name: str) -> None:
-    """Load a library, and build it first if it is missing."""
-    code = load(_path(name, kind))
-    if code is None:
-        try:
-            build(dynamics, kind, name)
-        except (MbdError, OSError) as error:
-            _failed[name] = str(error)
-            return
+def _load(dynamics: Dynamics, kinds: Sequence[str]) -> None:
+    """Load libraries; those that are missing are built first, side by side."""
+    missing: dict[str, str] = {}
+    for kind in kinds:
+        name = key(dynamics, kind)
+        if name in _loaded or name in _failed:
+            continue
         code = load(_path(name, kind))
-    if code is None:
-        _failed[name] = f"{_path(name, kind)} cannot be loaded"
-    else:
-        _loaded[name] = code
+        if code is None:
+            missing[kind] = name
+        else:
+            _loaded[name] = code
+    if not missing:
+        return
+    texts = [functions.source(data.kind_of(dynamics), kind) for kind in missing]  # tracing is of one thread
+    system = ", ".join(dynamics.topology.names)
+    with ThreadPoolExecutor(len(missing)) as pool:
+        for name, path, why in pool.map(_built, missing.values(), missing, texts, repeat(system)):
+            code = load(path) if why is None else None
+            if code is None:
+                _failed[name] = why or f"{path} cannot be loaded"
+            else:
+                _loaded[name] = code
+
+
+def _built(name: str, kind: str, text: str, system: str) -> tuple[str, Path, str | None]:
+    """Name and place of a library that is compiled, and why that failed or None."""
+    try:
+        return name, build(name, kind, text, system), None
+    except (MbdError, OSError) as error:
+        return name, _path(name, kind), str(error)
 
 
 def path_of(dynamics: Dynamics, kind: str = "step") -> Path:
@@ -218,17 +237,16 @@ def _facts(x: Any) -> Any:
     return (type(x).__qualname__, _facts(vars(x))) if hasattr(x, "__dict__") else repr(x)
 
 
-def build(dynamics: Dynamics, kind: str, name: str) -> Path:
-    """Write and compile the code of a system; the library appears complete or not at all."""
+def build(name: str, kind: str, text: str, system: str) -> Path:
+    """Compile code of a system, by the names of its bodies; the library appears complete or not at all."""
     with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
         code, made = Path(work) / "code.cpp", Path(work) / "code.so"
-        code.write_text(functions.source(data.kind_of(dynamics), kind))
+        code.write_text(text)
         done = subprocess.run(
             [compiler(), "-O2", *OPTIONS, f"-DLANES={simd_layout.LANES}", "-o", str(made), str(code)],
             capture_output=True,
             text=True,
         )
         if done.returncode:
-            names = ", ".join(dynamics.topology.names)
-            raise MbdError(f"{compiler()} failed on the {kind} of {names}: {done.stderr[-2000:]}")
+            raise MbdError(f"{compiler()} failed on the {kind} of {system}: {done.stderr[-2000:]}")
         return build_cache.keep(made, _path(name, kind))

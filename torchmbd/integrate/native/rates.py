@@ -8,6 +8,7 @@ Checked in tests/integrate/native/test_steps.py.
 from __future__ import annotations
 
 import ctypes
+from functools import partial
 from typing import Any
 
 import torch
@@ -63,9 +64,8 @@ class CompiledRates:
             self.feedback.times = t[None]
         back = None if self.feedback is None else self.feedback.address
         job = _Job(*numbers, *addresses(arrays), self.library.address, back)
-        failed = self.code.rates(ctypes.byref(job))
-        if failed and self.feedback is not None:
-            self.feedback.again()
+        run = partial(self.code.rates, ctypes.byref(job))
+        failed = run() if self.feedback is None else self.feedback.run(run)
         return None if failed else (dy, lam)
 
 

@@ -8,7 +8,8 @@ Checked in tests/integrate/native/test_steps.py.
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -120,9 +121,7 @@ class CompiledMarch(March):
         *found, passes = addresses(arrays)
         back = None if self.feedback is None else self.feedback.address
         job = _Job(*numbers, *found, self.library.address, passes, back)
-        if self.code.march(ctypes.byref(job)):
-            if self.feedback is not None:
-                self.feedback.again()
+        if self._called(partial(self.code.march, ctypes.byref(job))):
             self.code = None
             return False
         self.fresh = 0
@@ -130,6 +129,9 @@ class CompiledMarch(March):
         if look and self.slots:
             self.look(*errors)
         return True
+
+    def _called(self, f: Callable[[], int]) -> int:
+        return f() if self.feedback is None else self.feedback.run(f)
 
     def _state(self, state: Tensor) -> State:
         """A state out of blocks [block, slot, number, LANES]."""

@@ -15,15 +15,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.module_call import called
+from torchmbd.math.module_call import called, holding
 from torchmbd.math.pair import Pair, cat, constant_map, value
 from torchmbd.math.variable import Variables, key
+
+R = TypeVar("R")
 
 
 class Control:
@@ -43,7 +45,7 @@ class Control:
         plain = [value(y)[:, 0] for y in both]
         every = self._every(t)
         found = every(*plain)
-        self._check_attached(found, plain[0], t)
+        self.check_attached(found, plain[0], t)
         moving = [i for i, y in enumerate(both) if isinstance(y, Pair) and len(plain[i])]
         if not moving:
             return found[:, None]
@@ -58,8 +60,12 @@ class Control:
         tangents: Any = torch.func.vmap(push, 1, 1)(*(both[i].tangent for i in moving))
         return Pair.of(found[:, None], tangents)
 
+    def holding(self, p: Tensor, run: Callable[[], R]) -> R:
+        """run(), in which the module has the parameters [k, 1], and is called without any."""
+        return holding(self.module, self.variables.named(p[:, 0]), run) if self.variables else run()
+
     def at(self, p: Tensor, x: Tensor, t: Any) -> Tensor:
-        """u [outputs, lanes] of parameters [k, lanes or 1] and x [inputs, lanes]."""
+        """u [outputs, lanes] of parameters [k, lanes or 1], k = 0: its own, and x [inputs, lanes]."""
         return self._every(t)(p, x)
 
     @torch.enable_grad()
@@ -67,12 +73,10 @@ class Control:
         """The same with the graph of the parameters, and du/dx [outputs, inputs, lanes]."""
         x = x.detach().clone().requires_grad_()
         u = self.at(p, x, t)
-        self._check_attached(u, p, t)
-        options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
-        rows = [torch.autograd.grad(y.sum(), x, **options)[0] if y.requires_grad else torch.zeros_like(x) for y in u]
-        return u, torch.stack(rows)
+        return u, torch.stack([derivative(y, x) for y in u])
 
-    def _check_attached(self, u: Tensor, p: Tensor, t: Any) -> None:
+    def check_attached(self, u: Tensor, p: Tensor, t: Any) -> None:
+        """InputError where the output does not depend on parameters by which derivatives are wanted."""
         if torch.is_grad_enabled() and p.requires_grad and not u.requires_grad:
             raise InputError(
                 f"{self.label} gives a detached tensor{_at(t)}; allowed: one that depends on its parameters"
@@ -91,7 +95,7 @@ class Control:
         """u [outputs] of one lane: parameters [k] and x [inputs]."""
 
         def one(p: Tensor, x: Tensor) -> Tensor:
-            given = {} if self.variables is None else self.variables.named(p)
+            given = {} if self.variables is None or not len(p) else self.variables.named(p)
             u = called(self.module, given, x[None]) if given else self.module(x[None])
             self.check(u, 1, t)
             return u[0]
@@ -118,6 +122,12 @@ class Control:
             raise InputError(
                 f"{self.label} gives {shown}{_at(t)}; allowed: torch.float64 [{lanes}, {self.outputs}] ([lanes, outputs])"
             )
+
+
+def derivative(y: Tensor, by: Tensor) -> Tensor:
+    """Of sum(y), like `by`; zero where y does not depend on it."""
+    options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
+    return torch.autograd.grad(y.sum(), by, **options)[0] if y.requires_grad else torch.zeros_like(by)
 
 
 def _at(t: Any) -> str:
