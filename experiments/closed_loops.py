@@ -25,7 +25,7 @@ EDGE, WIDTH, LEG, HUB = 0.3, 0.03, 0.1, 0.2  # [m], of a hub [kg]
 GRAVITY = 9.81  # along -y
 STIFFNESS, DAMPING = 2e3, 2.0  # of a spring
 GAIN, RATE, SHIFT = 4e3, 8.0, (0.01, 0.02, -0.01)  # of the controller, and where it pushes its hub
-CORNERS = tuple(product((0, 1), repeat=3))
+CORNERS: tuple[tuple[int, ...], ...] = tuple(product((0, 1), repeat=3))
 HELD = (1, 1, 1)
 
 

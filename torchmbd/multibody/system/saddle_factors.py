@@ -76,7 +76,7 @@ class SparseFactors:
     """Of matrices with entries [lanes, entry]."""
 
     def __init__(self, K: Tensor, diagonal: Diagonal | None, columns: Columns):
-        entries = K.numpy()
+        entries = np.ascontiguousarray(K.numpy())  # SuperLU takes no strides
         self.exact = None if diagonal is None else [columns.matrix(x) for x in entries]
         if diagonal is not None:
             stay, lost = (x.numpy() for x in diagonal)
