@@ -63,7 +63,7 @@ def print_study(study: Study, stored: dict | None) -> None:
 
 
 def simulations_to(value: float, results: Sequence[mbd.OptimizationResult]) -> int | None:
-    """Simulations after which searches in lockstep have the first feasible design of `value` at most; None if never."""
+    """Simulations after which searches in common batches have the first feasible design of `value` at most; None if never."""
     reached = [i.analyses for r in results for i in r.history if i.objective <= value and i.violation <= 1e-6]
     return sum(min(r.analyses, min(reached)) for r in results) if reached else None
 

@@ -3,7 +3,7 @@
     minimize eq. (40), the integral of U2 + U3 over 3 s, with the peak energies (41) of both panels at most those of the start
 
     mmfd      two angles that the panels share, from 55/-55; the optimum once more with double mesh, double modes, half the step
-    starts    the same from 32 Sobol starts in lockstep: distinct minima, peak memory
+    starts    the same from 32 Sobol starts in common batches: distinct minima, peak memory
     discrete  angles in increments of 5 degrees
     angles    four angles (two for each panel) and eight (four layers of each panel), from the start of Table 7
     trusses   two angles of the panels and two of wound trusses

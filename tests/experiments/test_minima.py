@@ -1,4 +1,4 @@
-"""How many simulations a search needs to come near the best, with gradients in lockstep and without."""
+"""How many simulations a search needs to come near the best, with gradients in common batches and without."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ def pushed() -> mbd.System:
 CASES: dict[str, tuple[Callable[[], mbd.System], float]] = {
     "a flexible double pendulum": (pendulum, 0.01),
     "a driven arm": (lambda: arm("sine"), 0.05),
-    "a carrier": (lambda: slider_crank.build(3, cells=(8, 2), modes=3), 3e-3),
+    "a prescribed body": (lambda: slider_crank.build(3, cells=(8, 2), modes=3), 3e-3),
     "redundant constraints": (four_bar, 0.02),
     "forces that depend on time": (pushed, 0.02),
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from torchmbd.math.module_call import called
+from torchmbd.math.module_call import call_module
 
 
 class Power(nn.Module):
@@ -34,13 +34,13 @@ def products() -> list[tuple[Product, nn.Parameter]]:
 def test_a_parameter_changes_wherever_it_is_held():
     for module, x in products():
         new = torch.tensor(5.0)
-        found = torch.func.jvp(lambda y, m=module: called(m, {"first.x": y}, 2.0), (new,), (torch.ones(()),))
+        found = torch.func.jvp(lambda y, m=module: call_module(m, {"first.x": y}, 2.0), (new,), (torch.ones(()),))
         assert [float(x) for x in found] == [50.0, 20.0]
         assert module.first.x is x
         assert module.second.x is x
-        assert float(called(module, {}, 2.0)) == 18.0
+        assert float(call_module(module, {}, 2.0)) == 18.0
 
 
 def test_parameters_that_are_apart_stay_apart():
     module = Product(Power(nn.Parameter(torch.tensor(3.0))), Power(nn.Parameter(torch.tensor(4.0))))
-    assert float(called(module, {"first.x": torch.tensor(5.0)}, 1.0)) == 20.0
+    assert float(call_module(module, {"first.x": torch.tensor(5.0)}, 1.0)) == 20.0

@@ -16,7 +16,7 @@ NAMES = ("q", "v", "a")
 
 @pytest.fixture(scope="module")
 def motion():
-    """The slider-crank: crank condensed to a carrier, slider guided; two designs with sensitivities."""
+    """The slider-crank: crank condensed to a prescribed body, slider guided; two designs with sensitivities."""
     designs = {ANGLES: torch.tensor([[0.3, -0.2], [0.5, 0.9]], dtype=torch.float64)}
     system = build(2, modes=3, cells=(6, 2))
     return mbd.simulate(

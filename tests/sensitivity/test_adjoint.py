@@ -14,7 +14,7 @@ from tests.mechanisms import finished, pendulum, spoilt, sprung
 from tests.sensitivity.adjoint_cases import CASES
 from torchmbd.design.differentiate import differentiate
 from torchmbd.integrate import adjoint, pullback
-from torchmbd.integrate.native.backward import CompiledSweep
+from torchmbd.integrate.native.backward import NativeAdjointSolver
 from torchmbd.multibody.system import System
 from torchmbd.results import history
 
@@ -65,10 +65,10 @@ def test_compiled_and_eager_agree(name, native):
     fast = differentiate(everything, motion).gradient
     own = motion.integration.adjoint
     ((inputs, [sweep]),) = own._sweeps.items()
-    assert isinstance(sweep, CompiledSweep)
+    assert isinstance(sweep, NativeAdjointSolver)
     assert sweep.code is not None
     assert float(own.error.max()) < 1e-6
-    own._sweeps[inputs] = [adjoint.Sweep(sweep.grid)]
+    own._sweeps[inputs] = [adjoint.AdjointSolver(sweep.grid)]
     eager = differentiate(everything, motion).gradient
     assert float(((fast - eager).abs().amax((0, 1)) / eager.abs().amax((0, 1))).max()) < 1e-8
 
@@ -98,10 +98,10 @@ def test_the_compiled_error_is_the_largest_of_all_steps(native):
     differentiate(everything, motion)
     own = motion.integration.adjoint
     ((inputs, [sweep]),) = own._sweeps.items()
-    assert isinstance(sweep, CompiledSweep)
+    assert isinstance(sweep, NativeAdjointSolver)
     compiled_error = own.error.clone()
     own.error.zero_()
-    own._sweeps[inputs] = [adjoint.Sweep(sweep.grid)]
+    own._sweeps[inputs] = [adjoint.AdjointSolver(sweep.grid)]
     differentiate(everything, motion)
     assert_close(compiled_error, own.error, rtol=0.1, atol=0)
 

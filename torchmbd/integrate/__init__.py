@@ -1,4 +1,4 @@
-"""Integrators: torchdiffeq and generalized-alpha behind one door, with sensitivities."""
+"""Integrators: torchdiffeq and generalized-alpha by one contract, with sensitivities."""
 
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.phase import Phase

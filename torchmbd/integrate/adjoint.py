@@ -13,7 +13,7 @@ agree within what their iterations leave. mu comes from the factors of the itera
 itself, with corrections until they are small. b are the numbers of the reduced model: torch differentiates the structure
 stage that they come from.
 
-`Adjoint` is kept by the integration (reverse_integration.py); `Sweep` makes the steps by operators of torch,
+`Adjoint` is kept by the integration (reverse_integration.py); `AdjointSolver` makes the steps by operators of torch,
 backward.py by compiled code. Through phases it is adjoint.py; not for the methods of torchdiffeq.
 Checked in tests/sensitivity/test_adjoint.py, tests/contracts/test_adjoint.py (all joints and forces).
 Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapter 15 (implicit functions).
@@ -35,7 +35,7 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.prepared import differentiable, prepare
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Model, Weights
-from torchmbd.integrate.stepper import March, resume
+from torchmbd.integrate.stepper import EagerStepper, resume
 from torchmbd.math.pair import value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Prescribed
@@ -47,12 +47,12 @@ POOR = 1e-5  # worth a warning
 
 
 # What responses take from q, v, a, lam, in this order [times, n, rows, lanes]; None: nothing.
-Bars = Sequence[Tensor | None]
+MotionCotangents = Sequence[Tensor | None]
 
 
-def rows_of(bars: Bars) -> int:
+def rows_of(of_motion: MotionCotangents) -> int:
     """Number of responses."""
-    return next((x.shape[2] for x in bars if x is not None), 0)
+    return next((x.shape[2] for x in of_motion if x is not None), 0)
 
 
 @dataclass
@@ -79,16 +79,16 @@ class Grid:
 
     def cotangents(self, by: Cotangents) -> dict[str, Tensor]:
         """By the leaves [component..., rows, lanes]: through the start, the laws of drives and the condensation."""
-        outputs, bars = [*self.start], [*by.start]
+        outputs, of_motion = [*self.start], [*by.start]
         for name, x in by.data.items():
             outputs.append(self.dynamics.data[name])
-            bars.append(x)
+            of_motion.append(x)
         if by.laws is not None:
             with torch.enable_grad():
                 T = self.dynamics.topology
                 outputs.append(moving(T, T.schedule(self.times[1:], self.dynamics.data), len(self.lanes), 0))
-            bars.append(by.laws)
-        used = [(y, x) for y, x in zip(outputs, bars, strict=True) if y.requires_grad]
+            of_motion.append(by.laws)
+        used = [(y, x) for y, x in zip(outputs, of_motion, strict=True) if y.requires_grad]
         leaves = list(self.leaves.values())
         options: dict[str, Any] = {"retain_graph": True, "allow_unused": True, "materialize_grads": True}
 
@@ -121,7 +121,7 @@ class Adjoint:
     history    what was integrated, by equal steps over the duration [s]
     integrator  that made the steps
     failed     lanes whose cotangents are zero
-    sweep      makes a Sweep of a grid
+    sweep      makes a AdjointSolver of a grid
     """
 
     dynamics: Dynamics
@@ -129,9 +129,9 @@ class Adjoint:
     duration: float
     integrator: OneStep
     failed: Sequence[int]
-    sweep: Callable[[Grid], Sweep]
+    adjoint_solver: Callable[[Grid], AdjointSolver]
     known: Dynamics | None = None
-    _sweeps: dict[tuple[str, ...], list[Sweep]] = field(default_factory=dict, init=False, repr=False)
+    _solvers: dict[tuple[str, ...], list[AdjointSolver]] = field(default_factory=dict, init=False, repr=False)
 
     @cached_property
     def error(self) -> Tensor:
@@ -143,16 +143,16 @@ class Adjoint:
         return vars(self) | {"_sweeps": {}, "known": None}
 
     @torch.no_grad()
-    def __call__(self, bars: Bars, names: Sequence[str]) -> dict[str, Tensor]:
+    def __call__(self, of_motion: MotionCotangents, names: Sequence[str]) -> dict[str, Tensor]:
         """Cotangents of the data of these names [component..., rows, lanes]."""
-        lanes, rows = self.dynamics.lanes, rows_of(bars)
+        lanes, rows = self.dynamics.lanes, rows_of(of_motion)
         shapes = {name: self.dynamics.data[name].shape[:-2] for name in names}
         result = {name: torch.zeros(*shape, rows, lanes, dtype=torch.float64) for name, shape in shapes.items()}
-        for sweep in self._swept(tuple(names)):
-            some = sweep.grid.lanes
-            own = bars if len(some) == lanes else [x if x is None else x[..., some] for x in bars]
-            found, error = sweep(own)
-            for name, x in sweep.grid.cotangents(found).items():
+        for adjoint_solver in self._solvers_of(tuple(names)):
+            some = adjoint_solver.grid.lanes
+            own = of_motion if len(some) == lanes else [x if x is None else x[..., some] for x in of_motion]
+            found, error = adjoint_solver(own)
+            for name, x in adjoint_solver.grid.cotangents(found).items():
                 result[name][..., some] = x
             self.error[some] = self.error[some].maximum(error)
         for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
@@ -163,11 +163,11 @@ class Adjoint:
             )
         return result
 
-    def _swept(self, names: tuple[str, ...]) -> list[Sweep]:
+    def _solvers_of(self, names: tuple[str, ...]) -> list[AdjointSolver]:
         """One for the lanes with the steps that were asked for, one for each lane that had to take smaller ones."""
-        if names not in self._sweeps:
-            self._sweeps[names] = [self.sweep(grid) for grid in self.grids(names)]
-        return self._sweeps[names]
+        if names not in self._solvers:
+            self._solvers[names] = [self.adjoint_solver(grid) for grid in self.grids(names)]
+        return self._solvers[names]
 
     def grids(self, names: tuple[str, ...] = ()) -> list[Grid]:
         """Of all lanes that have not failed."""
@@ -200,8 +200,8 @@ class Adjoint:
         return Grid(lanes, history.lanes(own), leaves, left, start, weights, times, stored * every, corrections)
 
 
-class Sweep:
-    """The way back through one grid by operators of torch, one segment of steps after the other, the last one first.
+class AdjointSolver:
+    """The adjoint through one grid by operators of torch, one segment of steps after the other, the last one first.
 
     So the memory that it takes besides the history does not grow with the number of steps.
     """
@@ -211,24 +211,24 @@ class Sweep:
         T, lanes = self.dynamics.topology, len(grid.lanes)
         self.data = {name: leaf(x.expand(*x.shape[:-2], 1, lanes)) for name, x in self.dynamics.data.items()}
         model = Model(T, self.dynamics.saddle, grid.weights, self.data)
-        self.stepper = March(self.dynamics, model, (1, grid.corrections), refresh=1)
+        self.stepper = EagerStepper(self.dynamics, model, (1, grid.corrections), refresh=1)
         between = grid.history.between
         self.segments = segments(len(grid.times) - 1, between.steps if between else 1)
         self.accelerations = between.a if between else self._accelerations()
 
-    def __call__(self, bars: Bars) -> tuple[Cotangents, Tensor]:
+    def __call__(self, of_motion: MotionCotangents) -> tuple[Cotangents, Tensor]:
         """Cotangents of the steps, from those of the outputs, and their estimated relative error [lanes]."""
-        y, by, laws = self._taken(bars, len(self.grid.times) - 1), {}, []
+        y, by, laws = self._taken(of_motion, len(self.grid.times) - 1), {}, []
         error = torch.zeros(len(self.grid.lanes), dtype=torch.float64)
         for number in reversed(range(len(self.segments))):
-            found, left = self._segment(number, bars, y)
+            found, left = self._segment(number, of_motion, y)
             by = {name: x + by.get(name, 0.0) for name, x in found.data.items()}
             laws.append(found.laws)
             y, error = found.start, error.maximum(left)
         varied = self.dynamics.topology.varied
         return Cotangents(by, torch.cat(laws[::-1]) if varied else None, y), error
 
-    def _segment(self, number: int, bars: Bars, y: State) -> tuple[Cotangents, Tensor]:
+    def _segment(self, number: int, of_motion: MotionCotangents, y: State) -> tuple[Cotangents, Tensor]:
         """As of `__call__`, of one segment from the cotangents y of its last state; `start` are those of its first state."""
         steps, lanes = self.segments[number], len(self.grid.lanes)
         T = self.dynamics.topology
@@ -238,7 +238,7 @@ class Sweep:
         laws, error = [], torch.zeros(lanes, dtype=torch.float64)
         for i in reversed(range(len(steps))):
             found = self.stepper.pullback(states[i], states[i + 1], schedule[i], y)
-            y = State(*(a + b for a, b in zip(found.state, self._taken(bars, steps[i]), strict=True)))
+            y = State(*(a + b for a, b in zip(found.state, self._taken(of_motion, steps[i]), strict=True)))
             by = {name: x + found.data[name] for name, x in by.items()}
             laws.append(torch.cat(list(found.laws.values())) if found.laws else None)
             error = error.maximum(found.error)
@@ -280,10 +280,10 @@ class Sweep:
             found.append(State(h.q[i], h.v[i], h.vd[i], a, h.lam[i]))
         return found
 
-    def _taken(self, bars: Bars, i: int) -> State:
+    def _taken(self, of_motion: MotionCotangents, i: int) -> State:
         """What the outputs take from the state after i steps."""
-        h, rows, (row, beside) = self.grid.history, rows_of(bars), divmod(i, self.grid.every)
-        both = zip(bars, (h.q, h.v, h.vd, h.lam), strict=True)
+        h, rows, (row, beside) = self.grid.history, rows_of(of_motion), divmod(i, self.grid.every)
+        both = zip(of_motion, (h.q, h.v, h.vd, h.lam), strict=True)
         parts = [y.new_zeros(y.shape[1], rows, y.shape[-1]) if x is None or beside else x[row] for x, y in both]
         q, v, vd, lam = parts
         return State(q, v, vd, torch.zeros_like(vd), lam)

@@ -1,4 +1,4 @@
-"""The door of `simulate`: arguments that are wrong are refused, with their name, value and what is allowed.
+"""Arguments of `simulate`: wrong ones are refused, with their name, value and what is allowed.
 
 Checked in tests/integrate/test_simulate.py.
 """

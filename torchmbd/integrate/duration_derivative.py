@@ -2,7 +2,8 @@
 
     h = T / n,   t_i = i T / n          dh/dT = 1/n,   dt_i/dT = i/n
 
-The size of a step is in the weights of the method; the time in what drives prescribe, where carriers are and in forces that
+The size of a step is in the weights of the method; the time in what drives prescribe, where prescribed bodies are and in
+forces that
 depend on time. One tangent is carried along the states that were recorded, by the eager operations of a step (step.py),
 iterated to rounding. With it both modes are a product: one number T moves all outputs.
 Checked in tests/integrate/test_duration.py.

@@ -25,7 +25,7 @@ from torchmbd.integrate.native.library import resolved
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.multiphase import integrate, numbers_of, switches_of
 from torchmbd.integrate.phases.phase import Phase, plan
-from torchmbd.integrate.phases.run import Course
+from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import Dynamics, System
@@ -64,7 +64,7 @@ class ForwardIntegration:
     switches: list[Switch] = field(default_factory=list, init=False)
     actions: tuple[tuple[Action, ...], ...] = field(default=(), init=False)
     moving: tuple[str, ...] = field(default=(), init=False)
-    _course: Course | None = field(default=None, init=False)
+    _multiphase: MultiphaseRun | None = field(default=None, init=False)
     _tangents: list[Tensor] = field(default_factory=list, init=False)
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
@@ -100,7 +100,7 @@ class ForwardIntegration:
         self.dynamics.judged()
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
-        self.system, stages = plan(self.system, phases, self.duration)
+        self.system, phase_models = plan(self.system, phases, self.duration)
         dynamics = resolved(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
         self.steps = steps = self.steps or steps_that_fit(
             self.system, dynamics, self.duration, len(self.labels), self.integrator
@@ -108,10 +108,10 @@ class ForwardIntegration:
         directions = unit_directions({name: designs[name] for name in self.variables})
         views = Views.of(self.system, dynamics, designs, directions)
 
-        course, stats, status = integrate(dynamics, stages, views, self.duration, steps, self.integrator)
-        self._course, self.dynamics, self.history = course, course.whole, course.history
-        self.stats, self.status, self.switches = stats, status, course.switches
-        self.actions = tuple(stage.topology.actions for stage in stages)
+        multiphase, stats, status = integrate(dynamics, phase_models, views, self.duration, steps, self.integrator)
+        self._multiphase, self.dynamics, self.history = multiphase, multiphase.whole, multiphase.history
+        self.stats, self.status, self.switches = stats, status, multiphase.switches
+        self.actions = tuple(phase_model.topology.actions for phase_model in phase_models)
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         """As of `Integration`."""
@@ -150,8 +150,8 @@ class ForwardIntegration:
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
         """As of ReverseIntegration, with as many slots as the history has."""
-        if self._course is not None:
-            return self._course.multipliers(history, data)
+        if self._multiphase is not None:
+            return self._multiphase.multipliers(history, data)
         return history.settled(self.dynamics.least_norm, self.duration, data)
 
     def switches_of(self, numbers: Sequence[Tensor]) -> list[Switch]:

@@ -21,7 +21,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, get_type_hints
 
 from torch import Tensor
 
-from torchmbd.integrate.phases.run import Course
+from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.pullback import PulledBack
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Prescribed
@@ -105,8 +105,8 @@ class Integrator(ABC):
         """States at steps + 1 equal times, with tangents where the dynamics have any; a lane that fails is nan."""
 
     @abstractmethod
-    def integrate_phases(self, course: Course) -> dict[str, Any]:
-        """Integrate all lanes through all phases, into the record of the course; statistics."""
+    def integrate_phases(self, multiphase: MultiphaseRun) -> dict[str, Any]:
+        """Integrate all lanes through all phases, into the record of the multiphase run; statistics."""
 
     @abstractmethod
     def stepper(self, dynamics: Dynamics, h: float) -> Stepper:

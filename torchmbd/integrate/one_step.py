@@ -36,10 +36,10 @@ from torchmbd.integrate.estimates import StepErrors, turns
 from torchmbd.integrate.integrator import Again, Integrated, Integrator
 from torchmbd.integrate.native import steps
 from torchmbd.integrate.phases import loop
-from torchmbd.integrate.phases.run import Course
+from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import prepare
 from torchmbd.integrate.step import Weights
-from torchmbd.integrate.stepper import TURN, IterationErrors, March, first, resume
+from torchmbd.integrate.stepper import TURN, EagerStepper, IterationErrors, first, resume
 from torchmbd.integrate.variable_step import sized
 from torchmbd.math.owned import whole
 from torchmbd.math.pair import value
@@ -95,9 +95,9 @@ class OneStep(Integrator):
     def weights(self, h: Any) -> Weights:
         """Weights of a step of size h [s]: a float, or a number [1, 1] that may be a pair (variable_step.py)."""
 
-    def stepper(self, dynamics: Dynamics, h: float) -> March:
+    def stepper(self, dynamics: Dynamics, h: float) -> EagerStepper:
         """As of Integrator."""
-        return steps.march(dynamics, self.weights(h), self.iterations, self.refresh)
+        return steps.stepper_of(dynamics, self.weights(h), self.iterations, self.refresh)
 
     def sized(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
         """As of Integrator."""
@@ -142,13 +142,13 @@ class OneStep(Integrator):
         between = Between(every, resumed, self) if every > 1 else None
         return Integrated(replace(record.history(expansion), between=between), statistics)
 
-    def integrate_phases(self, course: Course) -> dict[str, Any]:
+    def integrate_phases(self, multiphase: MultiphaseRun) -> dict[str, Any]:
         """As of Integrator; statistics as of `integrate`, without errors of steps."""
-        errors = loop.integrate(course, self)
-        h = course.duration / course.steps
-        turn = turns(course.whole, course.recorded(), h)
+        errors = loop.integrate(multiphase, self)
+        h = multiphase.duration / multiphase.steps
+        turn = turns(multiphase.whole, multiphase.recorded(), h)
         errors["until"] = errors.get("until", first(turn < 0.0)).minimum(first(turn > TURN).clamp_min(1))
-        return {"steps": course.steps, "step_size": h, "turn": turn.amax(0)} | errors
+        return {"steps": multiphase.steps, "step_size": h, "turn": turn.amax(0)} | errors
 
     def again(self) -> Again | None:
         """First with a new matrix for every correction, and more of these; then with half the step.

@@ -125,7 +125,9 @@ class ReverseIntegration:
     def adjoint(self) -> Adjoint:
         """Of the motion."""
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
-        return Adjoint(self.dynamics, self.history, self.duration, self.integrator, failed, backward.sweep, self._known)
+        return Adjoint(
+            self.dynamics, self.history, self.duration, self.integrator, failed, backward.adjoint_solver, self._known
+        )
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """Leads from what was integrated to the whole system, as a function of the data; None: it is the whole."""

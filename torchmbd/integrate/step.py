@@ -159,7 +159,7 @@ class Step:
 
 
 class Model:
-    """What all steps of a simulation share; makes steps. Of the eager march; native/functions.py traces the same."""
+    """What all steps of a simulation share; makes steps. Of the eager stepper; native/functions.py traces the same."""
 
     def __init__(self, T: Topology, saddle: Saddle, w: Weights, data: equations.Data):
         self.T, self.saddle, self.w, self.data = T, saddle, w, data

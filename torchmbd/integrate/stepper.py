@@ -1,6 +1,6 @@
-"""The march of an integrator: steps one after another, factors of the iteration matrix, and what iterations leave.
+"""The eager stepper of an integrator: steps one after another, factors of the iteration matrix, and what iterations leave.
 
-`March` is the eager one: operators of torch on all lanes. steps.py has the same by compiled code.
+`EagerStepper` is the eager one: operators of torch on all lanes. steps.py has the same by compiled code.
 Checked in tests/integrate/.
 """
 
@@ -80,7 +80,7 @@ def first(bad: Tensor) -> Tensor:
     return torch.where(bad.any(0), bad.int().argmax(0), len(bad))
 
 
-class March:
+class EagerStepper:
     """Steps of one simulation; keeps the factors and what the iterations leave."""
 
     def __init__(self, dynamics: Dynamics, model: Any, iterations: tuple[int, int], refresh: int):
@@ -214,7 +214,7 @@ class March:
         return {"tangent_error": torch.stack(self.tangent_error).amax(0)} if self.tangent_error else {}
 
 
-def resume(stepper: March, x: State, schedule: Sequence[Prescribed], number: int) -> tuple[State, History]:
+def resume(stepper: EagerStepper, x: State, schedule: Sequence[Prescribed], number: int) -> tuple[State, History]:
     """The last state of steps from x, the first of that number, and all states.
 
     The stepper forgets its factors: so the steps can be made again as they were.

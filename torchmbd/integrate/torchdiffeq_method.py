@@ -18,7 +18,7 @@ from torchmbd.integrate.integrator import Integrated, Integrator
 from torchmbd.integrate.native.rates import RightHandSide, augment
 from torchmbd.integrate.ode import DEFAULTS, FIXED, first_step, flow
 from torchmbd.integrate.phases import loop
-from torchmbd.integrate.phases.run import Course
+from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import initial
 from torchmbd.math.owned import whole
 from torchmbd.multibody.system.dynamics import Dynamics
@@ -82,11 +82,11 @@ class Torchdiffeq(Integrator):
         a, lam = (torch.stack(x) for x in zip(*(f.accelerations(t, z) for t, z in states), strict=True))
         return History(y[:, : T.n_q], y[:, T.n_q :], a, lam)
 
-    def integrate_phases(self, course: Course) -> dict[str, Any]:
+    def integrate_phases(self, multiphase: MultiphaseRun) -> dict[str, Any]:
         """As of Integrator; statistics as of `integrate`."""
-        before = course.whole.statistics["evaluations"]
-        loop.integrate(course, self)
-        return {"evaluations": course.whole.statistics["evaluations"] - before}
+        before = multiphase.whole.statistics["evaluations"]
+        loop.integrate(multiphase, self)
+        return {"evaluations": multiphase.whole.statistics["evaluations"] - before}
 
     def stepper(self, dynamics: Dynamics, h: float) -> FlowStepper:
         """As of Integrator."""

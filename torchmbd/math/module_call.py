@@ -39,7 +39,7 @@ def exclusive(f: Callable[P, R]) -> Callable[P, R]:
 
 
 @exclusive
-def called(module: nn.Module, values: Mapping[str, Tensor], *args: Any) -> Any:
+def call_module(module: nn.Module, values: Mapping[str, Tensor], *args: Any) -> Any:
     """module(*args) with the named parameters at other values; differentiable by these."""
     places: dict[tuple[int, str], str] = {}
     own: dict[str, Tensor] = {}
@@ -66,7 +66,7 @@ class _Holder(nn.Module):
 
 def holding(module: nn.Module, values: Mapping[str, Tensor], run: Callable[[], R]) -> R:
     """run(), in which the module has other values of its named parameters."""
-    return called(_Holder(module), {f"module.{name}": x for name, x in values.items()}, run)
+    return call_module(_Holder(module), {f"module.{name}": x for name, x in values.items()}, run)
 
 
 class _Outside(torch.autograd.Function):

@@ -1,4 +1,4 @@
-"""Optimizers behind one door: arrays only, no mechanics."""
+"""Optimizers by one contract: arrays only, no mechanics."""
 
 from torchmbd.optimization.api import optimize
 from torchmbd.optimization.criteria import Criteria, ManyCriteria

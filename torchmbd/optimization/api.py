@@ -1,4 +1,4 @@
-"""The door: check the input, run one start, and tell the end in physical units.
+"""`optimize`: check the input, run one start, and tell the end in physical units.
 
 `optimize` is what users call for one start; `run_start` is what it shares with `multistart`.
 """

@@ -1,4 +1,4 @@
-"""What an optimizer is: a function that searches one start, behind one door.
+"""What an optimizer is: a function that searches one start.
 
     minimize f(x)  subject to  c_i(x) <= 0,  lower <= x <= upper          (eq. 14)
 

@@ -7,7 +7,7 @@
 4. What is no Pareto point is dropped: dominated points (of local fronts, behind a gap), and points where the multipliers
    mu_i give a criterion a negative weight in   w = e_k + sum_i mu_i (g^k - g^i),   so that all could be better at once.
 
-The points are solved in waves of doubling size, the farthest from the solved ones first; each wave runs in lockstep (its
+The points are solved in waves of doubling size, the farthest from the solved ones first; each wave runs in common batches (its
 simulations are one batch), from designs between those of the points solved before (warm_start.py).
 
 Source: Messac, Ismail-Yahaya and Mattson, The normalized normal constraint method for generating the Pareto frontier,

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam_nodes import varying_nodes
-from torchmbd.math.module_call import called
+from torchmbd.math.module_call import call_module
 from torchmbd.math.pair import Pair, value
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.bodies import Frame
@@ -187,15 +187,15 @@ def _places(motion: MotionData, body: Any) -> Tensor:
     if not varying_nodes(body.mesh):
         return (body.mesh.nodes - body.origin)[None]
     designs = {f"system.{name}": x for name, x in motion.designs.items()}
-    found = called(_Places(motion.system, body.name), designs)
+    found = call_module(_Places(motion.system, body.name), designs)
     return found if found.dim() == 3 else found[None]
 
 
 def point_of(motion: MotionData, frame: Frame) -> Tensor:
     """Point of a frame in the axes of its body [lanes or 1, 1, 3] [m], as the designs have it."""
-    if frame.mount is not None and varying_nodes(frame.body.mesh):
-        nominal = frame.mount.center(frame.body.mesh.nodes - frame.body.origin)
-        return (frame.mount.center(_places(motion, frame.body)) + frame.point - nominal)[:, None]
+    if frame.interpolation is not None and varying_nodes(frame.body.mesh):
+        nominal = frame.interpolation.center(frame.body.mesh.nodes - frame.body.origin)
+        return (frame.interpolation.center(_places(motion, frame.body)) + frame.point - nominal)[:, None]
     if frame.place is None:
         return frame.point[None, None]
     places = [attached.place for attached in motion.dynamics.topology.attached]
@@ -225,9 +225,9 @@ class PointMotion:
         still = torch.zeros_like(body.r)
         if frame is None:
             return cls(body, still, still, still, still)
-        if frame.mount is None:
+        if frame.interpolation is None:
             return cls(body, still, point_of(body.motion, frame) + still, still, still)
-        psi = Attached(frame.body, frame.point, frame.mount, True).modal_rows(body.psi)
+        psi = Attached(frame.body, frame.point, frame.interpolation, True).modal_rows(body.psi)
         u, slow, fast = (torch.einsum("lim,ltm->lti", psi, x) for x in (body.w, body.wd, body.wdd))
         return cls(body, u, point_of(body.motion, frame) + u, slow, fast)
 

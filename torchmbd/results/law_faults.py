@@ -13,7 +13,7 @@ import torch
 
 from torchmbd.math.pair import value
 from torchmbd.multibody.forces.feedback import Port
-from torchmbd.multibody.joints.joint import Scribe
+from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.system import equations
 from torchmbd.results.motion_data import MotionData
 
@@ -22,7 +22,7 @@ def names(motion: MotionData) -> dict[tuple[type, int], str]:
     """Name of the force element of each action: (kind, number among its kind) -> name."""
     count, found = Counter(), {}
     for force in motion.system.forces:
-        for action in force.actions(Scribe()):
+        for action in force.actions(AttachmentTable()):
             found[action.kind, count[action.kind]] = force.name
             count[action.kind] += 1
     return found

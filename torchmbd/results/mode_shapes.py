@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.math.module_call import called
+from torchmbd.math.module_call import call_module
 from torchmbd.math.owned import all_true, watched
 
 
@@ -66,7 +66,7 @@ class DesignShapes(Shapes):
         return DesignShapes(self.system, designs, self.lanes, self.good)
 
     def _values(self, name: str) -> Tensor:
-        return self._of_all(called(self.system, self.designs, name)["psi"])
+        return self._of_all(call_module(self.system, self.designs, name)["psi"])
 
     def _of_all(self, psi: Tensor) -> Tensor:
         wide = psi if psi.dim() == 4 else psi[None].expand(self.lanes, *psi.shape)
@@ -118,7 +118,7 @@ def shape_tangents(system: Any, designs: Mapping[str, Tensor], directions: Mappi
     moving = {key: designs[key] for key in directions}
 
     def stage(some: dict[str, Tensor]) -> Tensor:
-        return called(system, {**designs, **some}, name)["psi"]
+        return call_module(system, {**designs, **some}, name)["psi"]
 
     def push(direction: dict[str, Tensor]) -> Tensor:
         return torch.func.jvp(stage, (moving,), (direction,))[1]

@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements import PlyBasis, ply_basis, ply_points
 from torchmbd.fem.materials import CRITERIA, FailureForms
-from torchmbd.math.module_call import called
+from torchmbd.math.module_call import call_module
 
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
@@ -53,7 +53,7 @@ class PlyHistory:
         require_plies(body)
         recovery = _Recovery(motion.system, name)
         designs = {f"system.{key}": x for key, x in motion.designs.items()}
-        self.basis, self.strength = called(recovery, designs, view.psi)
+        self.basis, self.strength = call_module(recovery, designs, view.psi)
         points = (ply_points(part.matrices, part.laminate) for part in body.plates.values())
         self.points = torch.cat(list(points))
 

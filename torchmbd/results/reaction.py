@@ -86,9 +86,9 @@ def frame_axes(motion: MotionData, frame: Frame) -> Tensor:
     if isinstance(frame.body, Ground):
         return frame.axes.expand(motion.lanes, len(motion.t), 3, 3)
     view = BodyMotion(motion, frame.body.name)
-    if frame.mount is None:
+    if frame.interpolation is None:
         return view.A @ frame.axes
-    turn = frame.mount.motion(frame.body.mesh.nodes - frame.body.origin, view.psi)[:, 3:]
+    turn = frame.interpolation.motion(frame.body.mesh.nodes - frame.body.origin, view.psi)[:, 3:]
     bent = rotation_matrix(exponential(torch.einsum("lim,ltm->ilt", turn, view.w)))
     return view.A @ bent.movedim((0, 1), (-2, -1)) @ frame.axes
 

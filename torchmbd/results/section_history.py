@@ -26,7 +26,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements import Beams
 from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.fem.sections import Section
-from torchmbd.math.module_call import called
+from torchmbd.math.module_call import call_module
 from torchmbd.results.ply_history import of_plies
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class SectionHistory:
         self._body = motion.system.body(name)
         self._beams = beams_of(self._body)
         designs = {f"system.{key}": x for key, x in motion.designs.items()}
-        made = called(_Recovery(motion.system, name), designs, view.psi)
+        made = call_module(_Recovery(motion.system, name), designs, view.psi)
         self._made = {key: _Part(*part) for key, part in zip(self._beams, made, strict=True)}
 
     @property

@@ -3,7 +3,7 @@
     Fault       path `optimizer.max_iterations`, line 12, text "= -1: input should be greater than 0"
     StudyError  all faults of one file; its text is what the terminal shows
 
-Raised at the door only (loader, overrides, schema, names of the model). Checked in tests/study/.
+Raised where input enters only (loader, overrides, schema, names of the model). Checked in tests/study/.
 """
 
 from __future__ import annotations

@@ -86,7 +86,9 @@ def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
             entry |= {"points": points.tolist(), "center": center[0].tolist()}
             local = (points if len(points) > 1 else np.concatenate([points, center]))[None]
         else:
-            local, size = _flexible(entry, state, lane, frames, {node for side in mine for node in side.mount.nodes})
+            local, size = _flexible(
+                entry, state, lane, frames, {node for side in mine for node in side.interpolation.nodes}
+            )
             largest = max(largest, size)
         visited.append(r[:, None] + np.einsum("tij,tnj->tni", A, np.broadcast_to(local, (len(r), *local.shape[1:]))))
         bodies.append(entry)
@@ -171,9 +173,9 @@ def _markers(joint: Any, index: dict[str, int]) -> list[dict[str, Any]]:
 
 def _node(side: Any) -> int | None:
     """The mesh node to draw a frame at."""
-    if side.mount is None:
+    if side.interpolation is None:
         return None
-    return side.mount.nearest(side.body.mesh.nodes - side.body.origin, side.point)
+    return side.interpolation.nearest(side.body.mesh.nodes - side.body.origin, side.point)
 
 
 def _unique(points: Iterable[list[float]]) -> list[list[float]]:

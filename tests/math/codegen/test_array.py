@@ -22,7 +22,7 @@ from torchmbd.math.codegen.emit import PRELUDE
 from torchmbd.math.codegen.module import Module
 from torchmbd.math.codegen.pieces import Pieces
 from torchmbd.math.codegen.program import Program, Write
-from torchmbd.math.codegen.segment_sum import SegmentSum
+from torchmbd.math.codegen.segment_sum import SymbolicSegmentSum
 from torchmbd.math.codegen.size import Size, Untraceable, at, place
 from torchmbd.math.pair import cat, contract, cross, matmul, matvec
 from torchmbd.multibody.system.topology import Fold
@@ -55,7 +55,7 @@ class Tables:
 
     def __init__(self, traced: bool):
         self.body = Table("body", K) if traced else torch.tensor(BODY)
-        self.sum: Any = SegmentSum(Table("group", K), N) if traced else Fold(GROUP, SIZES["N"])
+        self.sum: Any = SymbolicSegmentSum(Table("group", K), N) if traced else Fold(GROUP, SIZES["N"])
         self.n: Any = N if traced else SIZES["N"]
 
 

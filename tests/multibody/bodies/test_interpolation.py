@@ -10,8 +10,8 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import cross_matrix, laminate, plate, tensor, turned
 from torchmbd.errors import InputError
-from torchmbd.multibody.bodies.interpolation import Mount
-from torchmbd.multibody.joints.joint import Attached, Scribe
+from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
+from torchmbd.multibody.joints.joint import Attached, AttachmentTable
 
 MESH = mbd.mesh.rectangle(length=0.3, width=0.1, cells=(4, 2))
 EDGE, CORNERS = MESH.node_sets["left_edge"], (0, 5, 14)
@@ -31,27 +31,29 @@ def rigid(x: Tensor, u: Tensor, th: Tensor) -> Tensor:
 
 @every
 def test_a_rigid_motion_is_the_motion_of_the_frame(nodes):
-    mount, u, th = Mount.on(*nodes), tensor(0.2, -0.1, 0.5), tensor(0.3, 0.7, -0.4)
-    found = mount.motion(MESH.nodes, rigid(MESH.nodes, u, th))[:, 0]
-    center = mount.center(MESH.nodes)
+    interpolation, u, th = InterpolationConstraint.on(*nodes), tensor(0.2, -0.1, 0.5), tensor(0.3, 0.7, -0.4)
+    found = interpolation.motion(MESH.nodes, rigid(MESH.nodes, u, th))[:, 0]
+    center = interpolation.center(MESH.nodes)
     assert_close(found, torch.cat([u + torch.linalg.cross(th, center), th]), rtol=0, atol=1e-14)
 
 
 @every
 def test_the_mean_motion_is_the_best_fit(nodes):
     """Against a least-squares solution of all displacements; where they tell no rotation, against the nodes' own."""
-    mount = Mount.on(*nodes)
+    interpolation = InterpolationConstraint.on(*nodes)
     psi = torch.randn(15, 6, 1, generator=torch.Generator().manual_seed(4), dtype=torch.float64)
-    d = MESH.nodes[list(mount.nodes)] - mount.center(MESH.nodes)
+    d = MESH.nodes[list(interpolation.nodes)] - interpolation.center(MESH.nodes)
     fields = torch.cat([torch.cat([torch.eye(3).double(), -cross_matrix(x)], 1) for x in d])
-    root = tensor(*mount.weights).sqrt().repeat_interleave(3)
-    wanted = torch.linalg.pinv(root[:, None] * fields, rtol=1e-9) @ (root * psi[list(mount.nodes), :3, 0].flatten())
-    own = tensor(*mount.weights) @ psi[list(mount.nodes), 3:, 0]
-    if len(mount.nodes) == 1:
+    root = tensor(*interpolation.weights).sqrt().repeat_interleave(3)
+    wanted = torch.linalg.pinv(root[:, None] * fields, rtol=1e-9) @ (
+        root * psi[list(interpolation.nodes), :3, 0].flatten()
+    )
+    own = tensor(*interpolation.weights) @ psi[list(interpolation.nodes), 3:, 0]
+    if len(interpolation.nodes) == 1:
         wanted[3:] = own
-    elif len(mount.nodes) == 3 and float(d[:, 0].abs().max()) == 0.0:  # a line along y
+    elif len(interpolation.nodes) == 3 and float(d[:, 0].abs().max()) == 0.0:  # a line along y
         wanted[4] = own[1]
-    assert_close(mount.motion(MESH.nodes, psi)[:, 0], wanted, rtol=0, atol=1e-13)
+    assert_close(interpolation.motion(MESH.nodes, psi)[:, 0], wanted, rtol=0, atol=1e-13)
 
 
 def test_an_arm_moves_with_its_nodes():
@@ -60,9 +62,9 @@ def test_an_arm_moves_with_its_nodes():
     assert_close(frame.point, tensor(-0.13, -0.05, 0.03), rtol=0, atol=1e-15)
     u, th = tensor(1e-3, 2e-3, -1e-3), tensor(2e-3, -1e-3, 3e-3)
     x = MESH.nodes - body.origin
-    scribe = Scribe()
-    scribe.point(frame), scribe.axis(frame, "y")
-    point, axis = (attached.modal_rows(rigid(x, u, th))[:, 0] for attached in scribe.vectors)
+    attachments = AttachmentTable()
+    attachments.point(frame), attachments.axis(frame, "y")
+    point, axis = (attached.modal_rows(rigid(x, u, th))[:, 0] for attached in attachments.vectors)
     assert_close(point, u + torch.linalg.cross(th, frame.point), rtol=0, atol=1e-16)
     assert_close(axis, torch.linalg.cross(th, frame.axis("y")), rtol=0, atol=1e-16)
 
@@ -111,8 +113,10 @@ def test_a_rigid_set_moves_as_its_leader():
         d = (MESH.nodes[node] - MESH.nodes[nodes[0]])[:, None].expand(3, 3)
         assert_close(psi[node, 3:], lead[3:], rtol=0, atol=1e-14)
         assert_close(psi[node, :3], lead[:3] + torch.linalg.cross(lead[3:], d, dim=0), rtol=0, atol=1e-14)
-    one, mean = (Attached(body, body.at(n).point, body.at(n).mount, False) for n in (nodes[0], "right_edge"))
-    assert_close(one.modal_rows(psi), Attached(body, one.vector, mean.mount, False).modal_rows(psi), rtol=0, atol=1e-13)
+    one, mean = (Attached(body, body.at(n).point, body.at(n).interpolation, False) for n in (nodes[0], "right_edge"))
+    assert_close(
+        one.modal_rows(psi), Attached(body, one.vector, mean.interpolation, False).modal_rows(psi), rtol=0, atol=1e-13
+    )
 
 
 @pytest.mark.parametrize(

@@ -86,7 +86,7 @@ def compared(system: mbd.System, duration: float, steps: int, monkeypatch: pytes
 def test_a_driven_body_is_a_carrier(angle, monkeypatch):
     """The law does not start at zero or runs backwards; the drive names the moving body first."""
     system = driven(angle)
-    assert [carrier.name for carrier in left(system).topology.carriers] == ["arm"]
+    assert [carrier.name for carrier in left(system).topology.prescribed_bodies] == ["arm"]
     assert left(system).topology.n_v + left(system).topology.rows == 6 + 4
     _, pairs = compared(system, 0.4, 400, monkeypatch)
     for x, expected in pairs:
@@ -99,7 +99,7 @@ def test_a_driven_body_is_a_carrier(angle, monkeypatch):
 def test_guided_bodies_keep_their_freedom_only(monkeypatch):
     system = guided()
     c = left(system)
-    assert [carrier.name for carrier in c.topology.carriers] == ["block"]
+    assert [carrier.name for carrier in c.topology.prescribed_bodies] == ["block"]
     assert (c.topology.n_v, c.topology.rows) == (1 + 1 + 6, 1 + 3)
     found, pairs = compared(system, 0.3, 300, monkeypatch)
     for x, expected in pairs:

@@ -203,9 +203,11 @@ def four_bar(planar: bool = False) -> mbd.System:
 class _InPlane(Joint):
     """The in-plane equations of a hinge about z."""
 
-    def equations(self, scribe):
+    def equations(self, attachments):
         for axis in "xy":
-            yield Equation(Plane, (scribe.point(self.a), scribe.point(self.b), scribe.axis(self.a, axis)))
+            yield Equation(
+                Plane, (attachments.point(self.a), attachments.point(self.b), attachments.axis(self.a, axis))
+            )
 
 
 def test_what_cannot_close_is_named_with_its_residual():

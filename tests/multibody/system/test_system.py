@@ -275,12 +275,12 @@ def test_a_kind_that_is_in_no_tuple_is_refused_by_its_name():
     body = box("arm")
 
     class Odd(Joint):
-        def equations(self, scribe):
-            yield Equation(_Nameless, (scribe.point(self.a), scribe.point(self.b)))
+        def equations(self, attachments):
+            yield Equation(_Nameless, (attachments.point(self.a), attachments.point(self.b)))
 
     class Pull(ForceElement):
-        def actions(self, scribe):
-            yield Applied(_Nameless, (scribe.point(self.frames[0]),), None)
+        def actions(self, attachments):
+            yield Applied(_Nameless, (attachments.point(self.frames[0]),), None)
 
     ground = mbd.Ground().at()
     with pytest.raises(mbd.InputError, match=r"'odd' has the kind '_Nameless'.*allowed: Coincide"):

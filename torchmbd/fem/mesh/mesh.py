@@ -6,7 +6,7 @@ Cells are counted through: all triangles, then all quadrilaterals. A directed ar
 
 The winding of a cell (right-hand rule) gives its normal, and so which ply is the bottom one: neighbours must be
 wound in the same sense.
-Bad input is refused at the door (mesh_checks.py), and named by element: an InputError tells which cell or node.
+Bad input is refused where it enters (mesh_checks.py), and named by element: an InputError tells which cell or node.
 Checked in tests/fem/mesh/test_mesh.py.
 """
 

@@ -9,7 +9,7 @@ plane_angle   from y to the wall's tangent s, about +x; None: s runs along the e
 
 Wall axes are x (along the beam), s = (cos, sin)(plane_angle) and the wall's normal n = x cross s, in which plies are
 stacked. At plane_angle 0, (x, s, n) = (x, y, z): a wall is then a plate in the x-y plane, laminate and all.
-Bad input is refused here, at the door, and named by element.
+Bad input is refused here and named by element.
 Checked in tests/fem/sections/test_section_mesh.py.
 """
 

@@ -20,7 +20,7 @@ struct Job {
   long lanes, rows, data, uniform, steps, moving;  // numbers of each; moving: last of the data, which change with the step
   const double *given;                             // [steps][uniform]
   const double *recorded[4];                       // q, v, v', lam [steps + 1][number][1][lanes]
-  const double *bars[4];                           // what responses take from them [steps + 1][number][rows][lanes], or null
+  const double *of_motion[4];                           // what responses take from them [steps + 1][number][rows][lanes], or null
   const double *start;                             // a at the start [block][N_V][LANES]
   double *values;                                  // [block][data][LANES]
   const double *moved;                             // [steps][block][1 + any][moving][LANES]
@@ -67,8 +67,8 @@ static void state(const Job& J, const Parts& p, long i, long block, int valid, V
 // Adds what a response takes from state i.
 static void take(const Job& J, const Parts& p, long i, long s, long block, int valid, V* y) {
   for (int k = 0; k < 4; k++)
-    for (long n = 0; J.bars[k] && n < p.count[k]; n++)
-      y[p.at[k] + n] += get(J.bars[k] + ((i * p.count[k] + n) * J.rows + s) * J.lanes + block * LANES, valid);
+    for (long n = 0; J.of_motion[k] && n < p.count[k]; n++)
+      y[p.at[k] + n] += get(J.of_motion[k] + ((i * p.count[k] + n) * J.rows + s) * J.lanes + block * LANES, valid);
 }
 
 extern "C" long adjoint(const Job* job) {
@@ -127,7 +127,7 @@ extern "C" long adjoint(const Job* job) {
       if (i % CHECK) renew(in, m, N_, J.stay, J.lost, K);
       boundary(in);
       for (long s = 0; s < S; s++) {
-        V *y = ys + s * n_x, *own = slopes + s * J.data, *bars = (V*)J.strength_bars + (step * S + s) * m.called;
+        V *y = ys + s * n_x, *own = slopes + s * J.data, *of_motion = (V*)J.strength_bars + (step * S + s) * m.called;
         std::memcpy((void*)before_y, y, n_x * sizeof(V));
         std::memset((void*)goal, 0, N_ * sizeof(V));
         std::memset((void*)y, 0, n_x * sizeof(V));
@@ -141,11 +141,11 @@ extern "C" long adjoint(const Job* job) {
         for (long k = 1; k <= MOST || k <= J.corrections; k++) {
           for (long n = 0; n < N_; n++) R[n] = -goal[n];
           in.z_bar = R;
-          in.strength_bars = bars;
-          std::memset((void*)bars, 0, m.called * sizeof(V));
+          in.strength_bars = of_motion;
+          std::memset((void*)of_motion, 0, m.called * sizeof(V));
           pull_unknowns(in);
           if (m.called) {
-            signal_bars(in, m, bars, worth);
+            signal_bars(in, m, of_motion, worth);
             pull_signals_unknowns(in);
           }
           solve_transposed(m, N_, K, R);
@@ -161,10 +161,10 @@ extern "C" long adjoint(const Job* job) {
         }
         worst = (left > worst) | (left != left) ? left : worst;  // a nan stays
         point_data_bars(in, own);
-        std::memset((void*)bars, 0, m.called * sizeof(V));
+        std::memset((void*)of_motion, 0, m.called * sizeof(V));
         pull_known(in);
         if (m.called) {
-          signal_bars(in, m, bars, worth);
+          signal_bars(in, m, of_motion, worth);
           pull_signals_known(in);
         }
         take(J, p, i, s, block, valid, y);

@@ -1,4 +1,4 @@
-"""The way back through equal steps by compiled code (adjoint.cpp): the same numbers as Sweep (adjoint.py).
+"""The adjoint through equal steps by compiled code (adjoint.cpp): the same numbers as AdjointSolver (adjoint.py).
 
 Checked in tests/sensitivity/test_adjoint.py.
 """
@@ -12,7 +12,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.adjoint import Bars, Cotangents, Grid, Sweep, rows_of
+from torchmbd.integrate.adjoint import AdjointSolver, Cotangents, Grid, MotionCotangents, rows_of
 from torchmbd.integrate.native.feedback import FeedbackSweep
 from torchmbd.integrate.native.library import Library, library
 from torchmbd.integrate.native.simd_layout import (
@@ -48,14 +48,14 @@ class _Job(ctypes.Structure):
     ]
 
 
-def sweep(grid: Grid) -> Sweep:
-    """The way back through a grid: by compiled code if its library is there."""
+def adjoint_solver(grid: Grid) -> AdjointSolver:
+    """The adjoint through a grid: by compiled code if its library is there."""
     code = library(grid.dynamics, "adjoint")
-    return Sweep(grid) if code is None else CompiledSweep(code, grid)
+    return AdjointSolver(grid) if code is None else NativeAdjointSolver(code, grid)
 
 
-class CompiledSweep(Sweep):
-    """Sweep by a library. Where its factors cannot be relied on, it goes the eager way."""
+class NativeAdjointSolver(AdjointSolver):
+    """AdjointSolver by a library. Where its factors cannot be relied on, it goes the eager way."""
 
     def __init__(self, library: Library, grid: Grid):
         super().__init__(grid)
@@ -78,10 +78,10 @@ class CompiledSweep(Sweep):
         same = uniform(self.weights, shared(T, schedule))
         return schedule, same, moving_blocks(T, schedule, len(self.grid.lanes), 0)
 
-    def _segment(self, number: int, bars: Bars, y: State) -> tuple[Cotangents, Tensor]:
+    def _segment(self, number: int, of_motion: MotionCotangents, y: State) -> tuple[Cotangents, Tensor]:
         if self.code is None:
-            return super()._segment(number, bars, y)
-        T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), rows_of(bars), self.segments[number]
+            return super()._segment(number, of_motion, y)
+        T, lanes, rows, steps = self.dynamics.topology, len(self.grid.lanes), rows_of(of_motion), self.segments[number]
         schedule, table, moved = self._known(number) if number else self._known_at_first
         h, a = self._history(number, schedule)
         count, data, moving = len(self.values), self.values.shape[2], moved.shape[3]
@@ -90,7 +90,7 @@ class CompiledSweep(Sweep):
         state_slopes, error = blocks(torch.cat([in_all_lanes(x, lanes) for x in y])), new(count, LANES)
         room = torch.empty(self.code.adjoint_room(self.library.address, rows, len(steps)) // 8, dtype=torch.float64)
         arrays = [table, *(x.contiguous() for x in (h.q, h.v, h.vd, h.lam))]
-        arrays += [x if x is None else _spaced(x, steps, self.grid.every) for x in bars]
+        arrays += [x if x is None else _spaced(x, steps, self.grid.every) for x in of_motion]
         arrays += [blocks(in_all_lanes(a, lanes)), self.values, moved]
         arrays += [
             *(self.stepper.diagonal or (None, None)),
@@ -106,7 +106,7 @@ class CompiledSweep(Sweep):
         called, worth = self._called(job, schedule) if self.library.called.places else (None, new(0))
         if self.code.adjoint(ctypes.byref(job)):
             self.code = None
-            return super()._segment(number, bars, y)
+            return super()._segment(number, of_motion, y)
         start = lanes_out(state_slopes, lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
         laws = torch.stack([lanes_out(x, lanes) for x in moved_slopes]) if moving else None
         by = self.library.unflattened(self.dynamics, lanes_out(slopes, lanes))

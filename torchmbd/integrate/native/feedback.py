@@ -181,13 +181,13 @@ class FeedbackSweep:
         self.outputs.append([u for u, _ in found])
         return laws.strengths([u.detach() for u, _ in found]), laws.slopes([J for _, J in found])
 
-    def cotangents(self, bars: Tensor) -> dict[str, Tensor]:
+    def cotangents(self, of_motion: Tensor) -> dict[str, Tensor]:
         """By the weights [k, rows, lanes], by what all strengths are worth [steps, rows, n, lanes]."""
         result = {}
         for k, (name, p, link) in enumerate(zip(self.names, self.parameters, self.laws.links, strict=True)):
             if name is None:
                 continue
-            worth = torch.einsum("no,trnl->rtol", link.writes, bars)
+            worth = torch.einsum("no,trnl->rtol", link.writes, of_motion)
             outputs = [u[k] for u in self.outputs]
             rows = [torch.autograd.grad(outputs, p, list(own), retain_graph=True)[0] for own in worth]
             result[name] = torch.stack(rows, 1)

@@ -1,9 +1,9 @@
-// Steps of generalized-alpha for LANES lanes at a time: what March in generalized_alpha.py does, around generated code.
+// Steps of generalized-alpha for LANES lanes at a time: what EagerStepper in stepper.py does, around generated code.
 //
 // Before this text stand factors.cpp, feedback.cpp and, generated,
 //   signals, residual, finish, matrix, boundary, signal_tangents, residual_tangent, finish_tangent      (functions.py)
 // A block is LANES lanes. Arrays of a block: state [slot][number], data [number], tangents of data [slot][number].
-// If factors cannot be relied on, `march` returns 1 and has done nothing; 2 where what was called back raised.
+// If factors cannot be relied on, `run_steps` returns 1 and has done nothing; 2 where what was called back raised.
 
 constexpr int MOST = 4;  // as in stepper.py
 
@@ -26,12 +26,12 @@ struct Job {
 };
 
 // Bytes of scratch memory, and of the factors of a block.
-extern "C" long march_room(const Mechanism* m, long slots) {
+extern "C" long steps_room(const Mechanism* m, long slots) {
   const Counts c(*m);
   return sizeof(V) * (m->numbers + c.scratch + c.entries + (2 + slots) * c.unknowns + (1 + slots) * c.n_x);
 }
 
-extern "C" long march_factors(const Mechanism* m) { return sizeof(V) * m->numbers; }
+extern "C" long steps_factors(const Mechanism* m) { return sizeof(V) * m->numbers; }
 
 // Unknowns (v', lam) that a step starts from: those of the state.
 static void start(const Counts& c, const V* x, V* z) {
@@ -49,7 +49,7 @@ static void move(const Job& J, long step, long block) {
     std::memcpy((void*)((V*)J.tangents + (block * J.slots + s + 1) * J.data_tangents - n), from + (s + 1) * n, n * sizeof(V));
 }
 
-extern "C" long march(const Job* job) {
+extern "C" long run_steps(const Job* job) {
   const Job& J = *job;
   const int S = (int)J.slots;
   const Mechanism& m = *J.mechanism;

@@ -1,4 +1,5 @@
-"""Steps of generalized-alpha by compiled code (library.py): the same march as in generalized_alpha.py, the same numbers.
+"""Steps of generalized-alpha by compiled code (library.py): the same steps as EagerStepper (stepper.py) makes, the same
+numbers.
 
 Lanes go in blocks (simd_layout.py), each through many steps at a time, so that a block's numbers stay near the processor; one
 call of the library does all steps between two looks at the tangents.
@@ -25,7 +26,7 @@ from torchmbd.integrate.native.simd_layout import (
     uniform,
 )
 from torchmbd.integrate.step import Model, Weights
-from torchmbd.integrate.stepper import CHECK, March, Record, between_looks
+from torchmbd.integrate.stepper import CHECK, EagerStepper, Record, between_looks
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Prescribed
@@ -43,16 +44,16 @@ class _Job(ctypes.Structure):
     _fields_ = [(n, ctypes.c_long) for n in _NUMBERS] + [(n, ctypes.c_void_p) for n in _ARRAYS]
 
 
-def march(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: int) -> March:
-    """The march of a system: by compiled code where its backend is native."""
+def stepper_of(dynamics: Dynamics, w: Weights, iterations: tuple[int, int], refresh: int) -> EagerStepper:
+    """The stepper of a system: by compiled code where its backend is native."""
     code = library(dynamics)
     if code is None:
-        return March(dynamics, Model.of(dynamics, w), iterations, refresh)
-    return CompiledMarch(code, dynamics, w, iterations, refresh)
+        return EagerStepper(dynamics, Model.of(dynamics, w), iterations, refresh)
+    return NativeStepper(code, dynamics, w, iterations, refresh)
 
 
-class CompiledMarch(March):
-    """March by a library. Where its factors cannot be relied on, it goes on the eager way."""
+class NativeStepper(EagerStepper):
+    """EagerStepper by a library. Where its factors cannot be relied on, it goes on the eager way."""
 
     def __init__(
         self,
@@ -66,13 +67,13 @@ class CompiledMarch(March):
         self.code: ctypes.CDLL | None = library.code
         code, self.library = library.code, library
         self.lanes, self.slots, self.fresh = dynamics.lanes, dynamics.tangents, 1
-        code.march_room.restype = code.march_factors.restype = code.march.restype = ctypes.c_long
-        code.march_room.argtypes, code.march_factors.argtypes = [ctypes.c_void_p, ctypes.c_long], [ctypes.c_void_p]
+        code.steps_room.restype = code.steps_factors.restype = code.run_steps.restype = ctypes.c_long
+        code.steps_room.argtypes, code.steps_factors.argtypes = [ctypes.c_void_p, ctypes.c_long], [ctypes.c_void_p]
         self.weights = torch.tensor(w, dtype=torch.float64)
         self.feedback = library.feedback(dynamics)
         self.values, self.tangents = library.data_blocks(dynamics)
-        self.factors = torch.empty(len(self.values) * code.march_factors(library.address) // 8, dtype=torch.float64)
-        self.room = torch.empty(code.march_room(library.address, self.slots) // 8, dtype=torch.float64)
+        self.factors = torch.empty(len(self.values) * code.steps_factors(library.address) // 8, dtype=torch.float64)
+        self.room = torch.empty(code.steps_room(library.address, self.slots) // 8, dtype=torch.float64)
 
     def forget(self) -> None:
         super().forget()
@@ -121,7 +122,7 @@ class CompiledMarch(March):
         *found, passes = addresses(arrays)
         back = None if self.feedback is None else self.feedback.address
         job = _Job(*numbers, *found, self.library.address, passes, back)
-        if self._called(partial(self.code.march, ctypes.byref(job))):
+        if self._called(partial(self.code.run_steps, ctypes.byref(job))):
             self.code = None
             return False
         self.fresh = 0

@@ -1,7 +1,7 @@
 """A topology whose counts and tables are known at run time: what the equations of motion are traced with.
 
-    sizes    B bodies, F flexible, M modes, V vectors, W vectors of flexible bodies, C carriers and the ground, U independent
-             rates, E and G entries of the maps between them and all rates; P0, P1, ... primitives of each kind,
+    sizes    B bodies, F flexible, M modes, V vectors, W vectors of flexible bodies, C prescribed bodies and the ground, U
+    independent rates, E and G entries of the maps between them and all rates; P0, P1, ... primitives of each kind,
              A0, A1, ... actions of each kind and form of law; of unit multipliers (R) and unit strengths (D): slots
              on flexible bodies, pairs, pairs with flexible bodies (RT, RP, RF)
 
@@ -18,13 +18,13 @@ from torch import Tensor
 
 from torchmbd.math.codegen.array import Array, Table
 from torchmbd.math.codegen.program import Program
-from torchmbd.math.codegen.segment_sum import SegmentSum
+from torchmbd.math.codegen.segment_sum import SymbolicSegmentSum
 from torchmbd.math.codegen.size import AnySize, Size
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.forces.action import Turn
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.laws import OfTime, Scaled, Spring
-from torchmbd.multibody.forces.parametric_law import Varied
+from torchmbd.multibody.forces.parametric_law import ParametricLaw
 from torchmbd.multibody.joints.primitive import Distance, Primitive
 from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
 from torchmbd.multibody.system.topology import Topology
@@ -74,7 +74,7 @@ class Kind(NamedTuple):
 
 def form(law: Any) -> tuple[Any, list[Any]]:
     """Form of a law, and its numbers in order; a number of the design is (key, row of the data)."""
-    if isinstance(law, Varied):
+    if isinstance(law, ParametricLaw):
         rows = dict(law.rows)
         shape, numbers = form(law.law)
         names = _FIELDS[type(law.law)]
@@ -107,7 +107,7 @@ def groups(T: Topology) -> dict[Form, list[tuple[int, int, Any]]]:
 
 
 @dataclass(frozen=True)
-class _Numbered(Varied):
+class _Numbered(ParametricLaw):
     """The law of all actions of a form; its numbers are data."""
 
     middle: float = 0.0
@@ -210,15 +210,15 @@ class SymbolicTopology:
         self.flexible = F if kind.flexible else 0
         self.modes = M if kind.flexible else 0
         self.attached_flexible = W if kind.attached_flexible else 0
-        self.vectors, self.known, self.carriers = V, C, ()
+        self.vectors, self.known, self.prescribed_bodies = V, C, ()
         self.n_q, self.n_rates = 7 * B + self.modes * self.flexible, 6 * B + self.modes * self.flexible
         self.n_v = U if kind.condensed else self.n_rates
         self.vector_body, self.vector_origin = Table("vector_body", V), Table("vector_origin", V)
         self.vector_flexible = Table("vector_flexible", W)
-        self.vector_fold = SegmentSum(Table("slots", V), V)
-        self.action_fold = SegmentSum(Table("action_slots", V), V)
-        self.body_fold = SegmentSum(Table("body_groups", 2 * V), 2 * B)
-        self.modal_fold = SegmentSum(self.vector_flexible, self.flexible)
+        self.vector_fold = SymbolicSegmentSum(Table("slots", V), V)
+        self.action_fold = SymbolicSegmentSum(Table("action_slots", V), V)
+        self.body_fold = SymbolicSegmentSum(Table("body_groups", 2 * V), 2 * B)
+        self.modal_fold = SymbolicSegmentSum(self.vector_flexible, self.flexible)
         self.spread = self.gather = None
         if kind.condensed:
             self.spread = _SparseMap(program, "spread", E, self.n_rates)
@@ -297,7 +297,7 @@ class _SparseMap:
 
     def __init__(self, program: Program, name: str, entries: Size, rows: AnySize):
         self.column, self.rows = Table(f"{name}_column", entries), rows
-        self.sum = SegmentSum(Table(f"{name}_row", entries), rows)
+        self.sum = SymbolicSegmentSum(Table(f"{name}_row", entries), rows)
         self.factor = Array.input(program, f"{name}_factor", (entries, 1, 1), kind="uniform")
 
     def __call__(self, x: Any) -> Any:
@@ -316,11 +316,11 @@ class _UnitForces:
         bent, pairs, bent_pairs = (Size(f"{letter}{x}") for x in "TPF")
         self.pairs, self.flexible_pairs, self._letter = pairs, bent_pairs if flexible else 0, letter
         self.pair_body, self.slot_vector = Table(f"{name}_pair_body", pairs), Table(f"{name}_slot_vector", slots)
-        self.turn_fold = SegmentSum(Table(f"{name}_slot_pair", slots), pairs)
-        self.force_fold = SegmentSum(Table(f"{name}_point_pair", slots), pairs)
+        self.turn_fold = SymbolicSegmentSum(Table(f"{name}_slot_pair", slots), pairs)
+        self.force_fold = SymbolicSegmentSum(Table(f"{name}_point_pair", slots), pairs)
         self.flexible_slots = Table(f"{name}_bent_slot", bent)
         self.flexible_vector = Table(f"{name}_bent_vector", bent)
-        self.modal_fold = SegmentSum(Table(f"{name}_bent_pair", bent), self.flexible_pairs)
+        self.modal_fold = SymbolicSegmentSum(Table(f"{name}_bent_pair", bent), self.flexible_pairs)
 
     def shapes(self, modes: Any, name: str) -> list[tuple[str, tuple]]:
         return [
@@ -339,7 +339,7 @@ class SymbolicBlocks(SaddleBlocks):
         strengths = sum((len(a.arguments) * action_count(i) for i, a in enumerate(T.actions)), 0)
         self.rows: Any = _UnitForces("row", "R", rows, T.kind.row_flexible)
         self.actions: Any = _UnitForces("action", "D", strengths, T.kind.action_flexible)
-        self._body_fold = SegmentSum(Table("vector_body_only", V), B)
+        self._body_fold = SymbolicSegmentSum(Table("vector_body_only", V), B)
 
 
 def data_arrays(program: Program, kind: Kind, prefix: str) -> dict[str, Any]:

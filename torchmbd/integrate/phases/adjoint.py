@@ -26,11 +26,11 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.adjoint import POOR, Bars, Grid, Sweep
+from torchmbd.integrate.adjoint import POOR, AdjointSolver, Grid, MotionCotangents
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.lane_leaves import Key, LaneLeaves, pulled, rows_first, shaped, zeros
-from torchmbd.integrate.phases.run import Course, PhaseRecord
+from torchmbd.integrate.phases.run import MultiphaseRun, PhaseRecord
 from torchmbd.integrate.phases.switch import marked, pick, together
 from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Weights
@@ -51,7 +51,7 @@ class PhaseCotangents:
     switches  for each its time, and q, v, a, lam before and after it [n, rows, lanes]
     """
 
-    motion: Bars
+    motion: MotionCotangents
     data: Mapping[str, Tensor | None]
     switches: Sequence[Sequence[Tensor | None]]
 
@@ -74,27 +74,27 @@ class _Lane:
 
 @dataclass(eq=False)
 class PhaseAdjoint:
-    """The adjoint of one course, of values only.
+    """The adjoint of one multiphase run, of values only.
 
     integrator  that made the steps
     wanted      names of data by which gradients are wanted
     failed      lanes whose cotangents are zero
-    sweep       makes a Sweep of a grid
+    sweep       makes a AdjointSolver of a grid
     error       estimated relative error of the gradients asked for so far [lanes]
     """
 
-    course: Course
+    multiphase: MultiphaseRun
     integrator: OneStep
     wanted: Sequence[str]
     failed: Sequence[int]
-    sweep: Callable[[Grid], Sweep]
+    adjoint_solver: Callable[[Grid], AdjointSolver]
 
     def __post_init__(self) -> None:
-        self.h = self.course.duration / self.course.steps
+        self.h = self.multiphase.duration / self.multiphase.steps
         self.weights: Weights = self.integrator.weights(self.h)
-        self.error = torch.zeros(self.course.whole.lanes, dtype=torch.float64)
-        locks = any(stage.locks for stage in self.course.stages)
-        marks = [name for name in MARKED if locks and name in self.course.given]
+        self.error = torch.zeros(self.multiphase.whole.lanes, dtype=torch.float64)
+        locks = any(phase_model.locks for phase_model in self.multiphase.phase_models)
+        marks = [name for name in MARKED if locks and name in self.multiphase.given]
         self._leaf_names = [*self.wanted, *(name for name in marks if name not in self.wanted)]
 
     @torch.no_grad()
@@ -105,7 +105,7 @@ class PhaseAdjoint:
             for name, x in cotangents.data.items():
                 if x is not None:
                     one.by["data", name] = rows_first(x, one.lane)
-        for record in reversed(self.course.records):
+        for record in reversed(self.multiphase.records):
             for one in lanes:
                 self._exit(record, one, rows)
             self._steps(record, lanes, cotangents.motion, rows)
@@ -126,15 +126,15 @@ class PhaseAdjoint:
         if one.lane not in record.exit:
             return
         assert one.exit is not None
-        stage = self.course.stages[record.number]
+        phase_model = self.multiphase.phase_models[record.number]
         k, base = record.base[one.lane]
         with torch.enable_grad():
-            leaves = LaneLeaves(self.course.views, one.lane, record.dynamics, self._leaf_names)
+            leaves = LaneLeaves(self.multiphase.views, one.lane, record.dynamics, self._leaf_names)
             t, base = leaf(t), base.map(leaf)
-            begin = t if k is None else torch.full_like(t, float(self.course.times[k]))
+            begin = t if k is None else torch.full_like(t, float(self.multiphase.times[k]))
             size = leaf(record.exit[one.lane].t - begin)
-            event = stage.phase.until if isinstance(stage.phase.until, Event) else None
-            end = begin + size if event is not None else self.course.end(stage, t)
+            event = phase_model.phase.until if isinstance(phase_model.phase.until, Event) else None
+            end = begin + size if event is not None else self.multiphase.end(phase_model, t)
             y = self.integrator.sized(leaves.dynamics, base, end - begin if event is None else size, end)
             g = None if event is None else event.of(leaves.views.at(0, leaves.dynamics, end, y))[0]
         inputs = [size, t, *base, *leaves.leaves.values()]
@@ -153,12 +153,12 @@ class PhaseAdjoint:
         else:
             one.end = by_state
 
-    def _steps(self, record: PhaseRecord, lanes: Sequence[_Lane], cotangents: Bars, rows: int) -> None:
+    def _steps(self, record: PhaseRecord, lanes: Sequence[_Lane], cotangents: MotionCotangents, rows: int) -> None:
         """From the last regular steps of all lanes to their first points of the grid."""
         groups: dict[tuple[int, int], list[_Lane]] = {}
         for one in lanes:
             one.arrival = None
-            first, own = int(record.first[one.lane]), self.course.number[:, one.lane] == record.number
+            first, own = int(record.first[one.lane]), self.multiphase.number[:, one.lane] == record.number
             base = record.base[one.lane][0] if one.lane in record.base else None
             last = max([first - 1 if base is None else base, *torch.nonzero(own)[:, 0].tolist()])
             if last >= first:
@@ -166,17 +166,19 @@ class PhaseAdjoint:
         for (first, last), some in groups.items():
             self._run(record, range(first, last + 1), some, cotangents, rows)
 
-    def _run(self, record: PhaseRecord, points: range, some: list[_Lane], cotangents: Bars, rows: int) -> None:
+    def _run(
+        self, record: PhaseRecord, points: range, some: list[_Lane], cotangents: MotionCotangents, rows: int
+    ) -> None:
         """The same for lanes with equal points of the grid."""
-        c, lanes = self.course, [one.lane for one in some]
-        at, stage = slice(points.start, points.stop), c.stages[record.number]
-        q, v, vd, lam = (x[at, :, :, lanes] for x in (c.q, c.v, c.vd, c.lam[:, stage.rows]))
+        c, lanes = self.multiphase, [one.lane for one in some]
+        at, phase_model = slice(points.start, points.stop), c.phase_models[record.number]
+        q, v, vd, lam = (x[at, :, :, lanes] for x in (c.q, c.v, c.vd, c.lam[:, phase_model.rows]))
         history = History(q, v, vd, lam)
         own = (c.number[at, lanes] == record.number)[:, None, None]
         given = [
             torch.zeros(len(points), n.shape[1], rows, len(lanes), dtype=torch.float64)
             if x is None
-            else torch.where(own, (x[:, stage.rows] if i == 3 else x)[at, :, :, lanes], 0.0)
+            else torch.where(own, (x[:, phase_model.rows] if i == 3 else x)[at, :, :, lanes], 0.0)
             for i, (x, n) in enumerate(zip(cotangents, (q, v, vd, lam), strict=True))
         ]
         by_a = torch.zeros_like(given[2][0])
@@ -190,7 +192,7 @@ class PhaseAdjoint:
             by_start = State(given[0][0], given[1][0], given[2][0], by_a, given[3][0])
             found: dict[Key, Tensor] = {}
         else:
-            by_start, found = self._swept(record, points, lanes, history, start, given)
+            by_start, found = self._solvers_of(record, points, lanes, history, start, given)
             by_start = by_start._replace(a=by_start.a + by_a)
         for i, one in enumerate(some):
             one.arrival = [x[..., i].movedim(-1, 0)[..., None, None] for x in by_start]
@@ -210,7 +212,7 @@ class PhaseAdjoint:
         given[2][1 : k + 1, :, :, lane] += w.share * powers
         return w.a_from_a**k * a
 
-    def _swept(
+    def _solvers_of(
         self,
         record: PhaseRecord,
         points: range,
@@ -225,19 +227,19 @@ class PhaseAdjoint:
         leaves = {name: leaf(x.expand(*x.shape[:-1], len(lanes))) for name, x in names.items()}
         dynamics = replace(dynamics, data={**dynamics.data, **leaves})
         state = {f"state {name}": x for name, x in zip(State._fields, start, strict=True)}
-        times = self.course.times[points.start : points.stop]
+        times = self.multiphase.times[points.start : points.stop]
         corrections = self.integrator.iterations[1]
         grid = Grid(lanes, history, leaves | state, dynamics, start, self.weights, times, 1, corrections)
-        of_steps, error = self.sweep(grid)(cotangents)
+        of_steps, error = self.adjoint_solver(grid)(cotangents)
         self.error[lanes] = self.error[lanes].maximum(error)
         found = grid.cotangents(of_steps)
         return State(*(found[name] for name in state)), {("data", name): found[name] for name in leaves}
 
     def _entry(self, record: PhaseRecord, one: _Lane, cotangents: PhaseCotangents, rows: int) -> None:
         """From the first point of the grid, and the state after the switch, to the state before it."""
-        c, number, lane = self.course, record.number, one.lane
+        c, number, lane = self.multiphase, record.number, one.lane
         whole = replace(c.whole, data=c.records[number - 1].dynamics.data if number else c.given)
-        stage = c.stages[number]
+        phase_model = c.phase_models[number]
         with torch.enable_grad():
             leaves = LaneLeaves(c.views, lane, whole, self._leaf_names)
             before = record.entry.lane(lane)
@@ -246,7 +248,7 @@ class PhaseAdjoint:
             else:
                 q, v = c.closed(leaves.dynamics)
                 t, x = before.t, before.x._replace(q=q, v=v)
-            data = marked(whole.topology, leaves.dynamics.data, x.q, stage.locks)
+            data = marked(whole.topology, leaves.dynamics.data, x.q, phase_model.locks)
             dynamics = c.dynamics_of(number, replace(leaves.dynamics, data=data))
             after = c.after(number, leaves.views, 0, dynamics, t, x)
             outputs, given = self._entered(record, one, dynamics, t, after, cotangents.motion)
@@ -258,7 +260,7 @@ class PhaseAdjoint:
                 own = cotangents.switches[number - 1]
                 given += [None if y is None else rows_first(y, lane) for y in own]
                 given[len(given) - len(own)] = shaped(given[len(given) - len(own)], t)
-        for name in MARKED if stage.locks else ():
+        for name in MARKED if phase_model.locks else ():
             if name in data:
                 outputs.append(data[name])
                 given.append(one.by.pop(("data", name), None))
@@ -268,10 +270,10 @@ class PhaseAdjoint:
         one.add(list(leaves.leaves), found[len(inputs) :])
 
     def _entered(
-        self, record: PhaseRecord, one: _Lane, dynamics: Dynamics, t: Tensor, after: State, motion: Bars
+        self, record: PhaseRecord, one: _Lane, dynamics: Dynamics, t: Tensor, after: State, motion: MotionCotangents
     ) -> tuple[list[Tensor], list[Tensor | None]]:
         """What follows from a switch, with its cotangents: time, state after it, the arrival, points of the grid between."""
-        c, lane, stage = self.course, one.lane, self.course.stages[record.number]
+        c, lane, phase_model = self.multiphase, one.lane, self.multiphase.phase_models[record.number]
         assert one.start is not None
         outputs: list[Tensor] = [t, *after]
         given: list[Tensor | None] = [*one.start]
@@ -287,5 +289,5 @@ class PhaseAdjoint:
             for i, (part, cotangent) in enumerate(zip((y.q, y.v, y.vd, y.lam), motion, strict=True)):
                 if cotangent is not None:
                     outputs.append(part)
-                    given.append(rows_first((cotangent[:, stage.rows] if i == 3 else cotangent)[k], lane))
+                    given.append(rows_first((cotangent[:, phase_model.rows] if i == 3 else cotangent)[k], lane))
         return outputs, given

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.events import Event
-from torchmbd.integrate.phases.run import Course, Passage, PhaseRecord
+from torchmbd.integrate.phases.run import MultiphaseRun, PhaseExit, PhaseRecord
 from torchmbd.integrate.phases.switch import lane_of, pick
 from torchmbd.integrate.variable_step import narrowed, shortly_after, widened, widened_data
 from torchmbd.math.pair import Pair, value
@@ -34,35 +34,40 @@ _ROUND = 1e-13  # of the size
 _MOST = 40  # iterations for the size of a last step
 
 
-def integrate(course: Course, integrator: Integrator) -> dict[str, Tensor]:
+def integrate(multiphase: MultiphaseRun, integrator: Integrator) -> dict[str, Tensor]:
     """Integrate all lanes through all stages; what the iterations leave, as of Stepper.errors, largest of all stages."""
-    passage, errors = course.start(), {}
-    for number in range(len(course.stages)):
-        passage, found = _Leg(course, number, passage, integrator).run()
+    phase_exit, errors = multiphase.start(), {}
+    for number in range(len(multiphase.phase_models)):
+        phase_exit, found = _PhaseLoop(multiphase, number, phase_exit, integrator).run()
         for name, x in found.items():
             errors[name] = (torch.minimum if name == "until" else torch.maximum)(errors.get(name, x), x)
     return errors
 
 
-class _Leg:
+class _PhaseLoop:
     """All lanes in one stage, from `entry` to where they leave it."""
 
-    def __init__(self, course: Course, number: int, entry: Passage, integrator: Integrator):
-        self.course, self.number, self.stage, self.integrator = course, number, course.stages[number], integrator
-        self.h, self.times = course.duration / course.steps, course.times
+    def __init__(self, multiphase: MultiphaseRun, number: int, entry: PhaseExit, integrator: Integrator):
+        self.multiphase, self.number, self.phase_model, self.integrator = (
+            multiphase,
+            number,
+            multiphase.phase_models[number],
+            integrator,
+        )
+        self.h, self.times = multiphase.duration / multiphase.steps, multiphase.times
         self.short = max(integrator.shortest, _SAME)
-        self.dynamics, x = course.enter(number, entry)
-        self.ends = course.end(self.stage, entry.t)
-        self.entry, self.alive = Passage(entry.t, x), course.arrived(entry)
+        self.dynamics, x = multiphase.enter(number, entry)
+        self.ends = multiphase.end(self.phase_model, entry.t)
+        self.entry, self.alive = PhaseExit(entry.t, x), multiphase.arrived(entry)
         self.lanes = len(self.alive)
         self.first = torch.tensor([self._first(lane) for lane in range(self.lanes)])
-        self.event = self.stage.phase.until if isinstance(self.stage.phase.until, Event) else None
+        self.event = self.phase_model.phase.until if isinstance(self.phase_model.phase.until, Event) else None
         self.g = self._start_values()
         self.record = PhaseRecord(number, self.dynamics, entry, x, self.first)
-        course.records.append(self.record)
+        multiphase.records.append(self.record)
 
-    def run(self) -> tuple[Passage, dict[str, Tensor]]:
-        """Step until every lane has left the stage, or to the end; what the iterations leave, as of Stepper.errors."""
+    def run(self) -> tuple[PhaseExit, dict[str, Tensor]]:
+        """Step until every lane has left the phase, or to the end; what the iterations leave, as of Stepper.errors."""
         d, x = self.dynamics, self.entry.x
         stepper = self.integrator.stepper(d, self.h)
         self._put_shortly_after()
@@ -78,18 +83,18 @@ class _Leg:
                 stepper.forget()
                 inside[lane] = True
             passed, g = self._passed(i, x, inside)
-            self.course.put(self.stage, i, inside & ~(passed & self._beyond(i)), x)
+            self.multiphase.put(self.phase_model, i, inside & ~(passed & self._beyond(i)), x)
             for lane in torch.nonzero(passed)[:, 0].tolist():
                 self.record.exit[lane] = self._leave(lane, i, (recent, older), g)
             self.g = torch.where(inside, g, self.g)
             inside, alive = inside & ~passed, alive & ~passed
             if not bool(alive.any()):
                 break
-        errors = stepper.errors(self.course.recorded(), self.course.duration, numbers) if numbers else {}
+        errors = stepper.errors(self.multiphase.recorded(), self.multiphase.duration, numbers) if numbers else {}
         for lane, reason in stepper.failed.items():
-            self.course.fail(lane, reason)
+            self.multiphase.fail(lane, reason)
         staying = torch.nonzero(alive)[:, 0].tolist()
-        return self.course.passage(self.stage, self.entry, self.record.exit, staying), errors
+        return self.multiphase.phase_exit(self.phase_model, self.entry, self.record.exit, staying), errors
 
     def _first(self, lane: int) -> int:
         """The first point of the grid that a lane steps to."""
@@ -104,7 +109,7 @@ class _Leg:
     def _on_grid(self, lane: int, k: int) -> bool:
         """Whether a lane enters at a point of the grid, whatever the design."""
         t = float(value(self.entry.t)[0, lane])
-        return not self.course.moves[self.number] and abs(t - k * self.h) < _SAME * self.h
+        return not self.multiphase.moves[self.number] and abs(t - k * self.h) < _SAME * self.h
 
     def _arrival(self, lane: int) -> State:
         """The state of a lane at its first point of the grid."""
@@ -123,22 +128,24 @@ class _Leg:
             between = self.alive & (t <= self.times[k] + _SAME * self.h) & (k < self.first)
             if bool(between.any()):
                 h = self._time(k) - self.entry.t
-                self.course.put(self.stage, k, between, shortly_after(self.dynamics.topology, self.entry.x, h))
+                self.multiphase.put(
+                    self.phase_model, k, between, shortly_after(self.dynamics.topology, self.entry.x, h)
+                )
 
     def _start_values(self) -> Tensor:
         """The event's function [lanes] where the lanes enter."""
         g = torch.zeros(self.lanes, dtype=torch.float64)
         if self.event is not None:
             for lane in torch.nonzero(self.alive)[:, 0].tolist():
-                g[lane] = self.course.views.value(
+                g[lane] = self.multiphase.views.value(
                     self.event, lane, lane_of(self.dynamics, lane), *self.entry.lane(lane)
                 )
         return g
 
     def _passed(self, i: int, x: State, inside: Tensor) -> tuple[Tensor, Tensor]:
-        """Which lanes leave the stage before, or little after, a point of the grid; and the event's function there."""
+        """Which lanes leave the phase before, or little after, a point of the grid; and the event's function there."""
         if self.event is not None:
-            g = self.course.views.values(self.event, self.dynamics, self.times[i], x)
+            g = self.multiphase.views.values(self.event, self.dynamics, self.times[i], x)
             return inside & self.event.passed(self.g, g), g
         if self.ends is None:
             return torch.zeros_like(inside), self.g
@@ -150,25 +157,25 @@ class _Leg:
             return torch.ones_like(self.alive)
         return self.times[i] > value(self.ends)[0] - _SAME * self.h
 
-    def _leave(self, lane: int, i: int, states: tuple[State, State], g: Tensor) -> Passage:
+    def _leave(self, lane: int, i: int, states: tuple[State, State], g: Tensor) -> PhaseExit:
         """Where a lane leaves between the point i of the grid and the one before, or its entry."""
         points = [i - 1 - k for k in range(min(2, i - int(self.first[lane])))]
         share = float(self.g[lane] / (self.g[lane] - g[lane]))
         skipped = self.event is not None and share < self.integrator.shortest and bool(points)
         k = [*points, None][int(skipped)]
-        before = self.entry if k is None else Passage(self._time(k), states[int(skipped)])
+        before = self.entry if k is None else PhaseExit(self._time(k), states[int(skipped)])
         t, x = before.lane(lane)
         self.record.base[lane] = k, x
         if self.event is None:
             end = pick(self.ends, [lane])
-            return Passage(end, self.integrator.sized(lane_of(self.dynamics, lane), x, end - t, end))
-        return self._located(self.event, lane, Passage(t, x), float(self.times[i] - value(t)[0, 0]), share)
+            return PhaseExit(end, self.integrator.sized(lane_of(self.dynamics, lane), x, end - t, end))
+        return self._located(self.event, lane, PhaseExit(t, x), float(self.times[i] - value(t)[0, 0]), share)
 
     def _time(self, i: int) -> Any:
         """A time of the grid, which no design moves."""
         return self.entry.t * 0.0 + float(self.times[i])
 
-    def _located(self, event: Event, lane: int, base: Passage, most: float, share: float) -> Passage:
+    def _located(self, event: Event, lane: int, base: PhaseExit, most: float, share: float) -> PhaseExit:
         """Where the event's function of a lane vanishes, within the time `most` after a point."""
         wide = widened_data(lane_of(self.dynamics, lane))
         x, t = base.x.map(widened), widened(base.t)
@@ -180,14 +187,14 @@ class _Leg:
         for _ in range(_MOST):
             size = one + h
             y = self.integrator.sized(wide, x, size, t + size)
-            g, slope = self.course.views.slopes(event, lane, wide, t + size, y)
+            g, slope = self.multiphase.views.slopes(event, lane, wide, t + size, y)
             low, high = (h, high) if float(g) * sign > 0.0 else (low, h)
             better = h - float(g / slope[-1])
             if abs(better - h) <= _ROUND * most:
                 break
             h = better if low < better < high else 0.5 * (low + high)
         rate = -slope[:-1] / slope[-1]
-        return Passage(narrowed(t + size, rate), y.map(lambda z: narrowed(z, rate)))
+        return PhaseExit(narrowed(t + size, rate), y.map(lambda z: narrowed(z, rate)))
 
 
 def _placed(x: State, lane: int, new: State) -> State:

@@ -16,8 +16,8 @@ from torch import Tensor
 from torchmbd.integrate.attempts import status_of
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.phase import Stage
-from torchmbd.integrate.phases.run import Course
+from torchmbd.integrate.phases.phase import PhaseModel
+from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.motion_data import OK, Switch
@@ -27,23 +27,32 @@ NUMBERS = 1 + 2 * len(SIDES)  # of a switch
 
 
 def integrate(
-    dynamics: Dynamics, stages: list[Stage], views: Views, duration: float, steps: int, integrator: Integrator
-) -> tuple[Course, dict[str, Any], list[str]]:
+    dynamics: Dynamics,
+    phase_models: list[PhaseModel],
+    views: Views,
+    duration: float,
+    steps: int,
+    integrator: Integrator,
+) -> tuple[MultiphaseRun, dict[str, Any], list[str]]:
     """Through all stages, once more and carefully where lanes failed; with statistics and status of the lanes."""
 
-    def attempt(integrator: Integrator) -> tuple[Course, dict[str, Any], list[str]]:
-        course = Course(dynamics, stages, views, duration, steps)
-        stats = integrator.integrate_phases(course)
-        found = status_of(course.history, duration, stats)
-        return course, stats, [own if own != OK else other for own, other in zip(course.status, found, strict=True)]
+    def attempt(integrator: Integrator) -> tuple[MultiphaseRun, dict[str, Any], list[str]]:
+        multiphase = MultiphaseRun(dynamics, phase_models, views, duration, steps)
+        stats = integrator.integrate_phases(multiphase)
+        found = status_of(multiphase.history, duration, stats)
+        return (
+            multiphase,
+            stats,
+            [own if own != OK else other for own, other in zip(multiphase.status, found, strict=True)],
+        )
 
-    course, stats, status = attempt(integrator)
+    multiphase, stats, status = attempt(integrator)
     again = integrator.again()
     if again is not None and again.steps == 1 and any(x != OK for x in status):
         other, counts, better = attempt(again.integrator)
         if better.count(OK) > status.count(OK):
             return other, counts | {"renewed": list(range(len(status)))}, better
-    return course, stats, status
+    return multiphase, stats, status
 
 
 def numbers_of(switch: Switch) -> list[Any]:

@@ -35,7 +35,7 @@ from torchmbd.math.owned import real
 from torchmbd.multibody.forces.action import Action, Law
 from torchmbd.multibody.forces.laws import checked
 from torchmbd.multibody.joints import Drive, Joint
-from torchmbd.multibody.joints.joint import Scribe
+from torchmbd.multibody.joints.joint import AttachmentTable
 from torchmbd.multibody.joints.lock import Lock
 from torchmbd.multibody.system import System
 from torchmbd.multibody.system.saddle import Saddle
@@ -94,7 +94,7 @@ def _positive(x: Any) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Stage:
+class PhaseModel:
     """A phase of one system.
 
     topology, saddle  its joints and locks;  rows: its constraint rows among those of the whole
@@ -111,7 +111,7 @@ class Stage:
     row_names: tuple[str, ...]
 
 
-def plan(system: System, phases: Sequence[Phase], duration: float) -> tuple[System, list[Stage]]:
+def plan(system: System, phases: Sequence[Phase], duration: float) -> tuple[System, list[PhaseModel]]:
     """The system with all joints and locks, and its stages; InputError names what a phase cannot have."""
     if not isinstance(phases, (list, tuple)) or not phases or not all(isinstance(phase, Phase) for phase in phases):
         raise InputError(f"phases is {phases!r}; allowed: a list of at least one mbd.Phase")
@@ -133,17 +133,17 @@ def plan(system: System, phases: Sequence[Phase], duration: float) -> tuple[Syst
         for name, some in zip(names, locked, strict=True)
     ]
     whole = system.with_joints([*system.joints, *(lock for some in locks for lock in some)])
-    stages = []
+    phase_models = []
     for k, phase in enumerate(phases):
         gone = {joint.name for joint in released[k]}
         start = {joint.name for joint in system.joints} - gone
         active = start | {lock.name for lock in locks[k]}
         rows, first = (_rows(whole.topology, some) for some in (active, start))
         topology = replace(selected(whole.topology, rows), actions=_acting(whole, names[k], phase.laws))
-        stages.append(
-            Stage(phase, names[k], topology, Saddle(topology), rows, first, locks[k], whole.topology.row_names)
+        phase_models.append(
+            PhaseModel(phase, names[k], topology, Saddle(topology), rows, first, locks[k], whole.topology.row_names)
         )
-    return whole, stages
+    return whole, phase_models
 
 
 def _rows(T: Topology, joints: set[str]) -> list[int]:
@@ -159,11 +159,11 @@ def _acting(system: System, phase: str, laws: Mapping[str, Law]) -> tuple[Action
         if name not in named:
             raise unknown(f"in laws of phase {phase!r} the force", name, named)
         own = [force for force in system.forces if force.name == name]
-        if len(own) > 1 or len(list(own[0].actions(Scribe()))) != 1:
+        if len(own) > 1 or len(list(own[0].actions(AttachmentTable()))) != 1:
             raise InputError(f"laws of phase {phase!r} names {name!r}; allowed: one force element of a single action")
         checked(f"{name} in phase {phase}", law)
     for force in system.forces:
-        for action in force.actions(Scribe()):
+        for action in force.actions(AttachmentTable()):
             if force.name in laws:
                 changed[of_kind[action.kind]][count[action.kind]] = laws[force.name]
             count[action.kind] += 1

@@ -27,8 +27,8 @@ from torchmbd.integrate.phases.adjoint import MARKED, PhaseAdjoint, PhaseCotange
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.lane_leaves import Key
 from torchmbd.integrate.phases.multiphase import NUMBERS, integrate, numbers_of, switches_of
-from torchmbd.integrate.phases.phase import Stage
-from torchmbd.integrate.phases.run import Course
+from torchmbd.integrate.phases.phase import PhaseModel
+from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
@@ -52,7 +52,7 @@ class ReversePhaseIntegration:
     """
 
     system: System
-    stages: list[Stage]
+    phase_models: list[PhaseModel]
     model: Dynamics
     names: tuple[str, ...]
     designs: tuple[str, ...]
@@ -67,12 +67,16 @@ class ReversePhaseIntegration:
     stats: dict[str, Any] = field(init=False)
     switches: list[Switch] = field(default_factory=list, init=False)
     variables: tuple[str, ...] = ()  # none carries tangents along
-    _course: Course = field(init=False, repr=False)
+    _multiphase: MultiphaseRun = field(init=False, repr=False)
 
     @property
     def moving(self) -> tuple[str, ...]:
         """Data that locks change."""
-        return tuple(name for name in MARKED if name in self.names and any(stage.locks for stage in self.stages))
+        return tuple(
+            name
+            for name in MARKED
+            if name in self.names and any(phase_model.locks for phase_model in self.phase_models)
+        )
 
     def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """As of `Integration`."""
@@ -80,27 +84,31 @@ class ReversePhaseIntegration:
         model = resolved(replace(self.model, data=data), self.backend, None)
         self.steps = self.steps or steps_that_fit(self.system, model, self.duration, 0, self.integrator)
         views = Views.of(self.system, model, designs)
-        self._course, self.stats, self.status = self._through(model, views)
-        self.dynamics, self.history, self.switches = self._course.whole, self._course.history, self._course.switches
+        self._multiphase, self.stats, self.status = self._through(model, views)
+        self.dynamics, self.history, self.switches = (
+            self._multiphase.whole,
+            self._multiphase.history,
+            self._multiphase.switches,
+        )
         self.validity = validity(self.history, self.status, self.stats)
-        return self._outputs(self._course)
+        return self._outputs(self._multiphase)
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         """As of `Integration`."""
         own = dict(zip(self.names, directions, strict=False))
-        given = self._course.given
+        given = self._multiphase.given
         data = {name: x if own[name] is None else Pair.of(x, _tensor(own[name])) for name, x in given.items()}
-        designs = self._course.views.whole.designs
+        designs = self._multiphase.views.whole.designs
         moves = zip(self.designs, directions[len(self.names) :], strict=True)
         along = {name: dx.movedim((-2, -1), (0, 1)) for name, dx in moves if dx is not None}
         along = {name: dx.expand(len(dx), len(designs[name]), *dx.shape[2:]) for name, dx in along.items()}
         model = replace(self.dynamics, data=data)
-        course, stats, _ = self._through(model, Views.of(self.system, model, designs, along))
+        multiphase, stats, _ = self._through(model, Views.of(self.system, model, designs, along))
         self.stats["tangent_error"] = stats.get("tangent_error")
-        h, count = course.history, next(x.shape[-2] for x in directions if x is not None)
+        h, count = multiphase.history, next(x.shape[-2] for x in directions if x is not None)
         numbers: list[Any] = [*(Pair(x) for x in (h.q, h.v, h.vd, h.lam)), self.validity]
-        numbers += [course.whole.data[name] for name in self.moving]
-        numbers += [x for switch in course.switches for x in numbers_of(switch)]
+        numbers += [multiphase.whole.data[name] for name in self.moving]
+        numbers += [x for switch in multiphase.switches for x in numbers_of(switch)]
         found = (x.tangent if isinstance(x, Pair) else x.new_zeros(*x.shape[:-2], count, x.shape[-1]) for x in numbers)
         return [torch.where(self.validity[1] > 0.0, x, 0.0) for x in found]
 
@@ -113,7 +121,7 @@ class ReversePhaseIntegration:
         found = self._adjoint(names)(
             PhaseCotangents(outputs[:4], dict(zip(self.moving, outputs[5:marks], strict=True)), switches), rows
         )
-        data = {name: self._of_data(found, ("data", name), self._course.given[name], rows) for name in names}
+        data = {name: self._of_data(found, ("data", name), self._multiphase.given[name], rows) for name in names}
         designs = self._of_designs(found, rows) if any(wanted[len(self.names) :]) else {}
         return [data.get(name) for name in self.names] + [designs.get(name) for name in self.designs]
 
@@ -123,7 +131,7 @@ class ReversePhaseIntegration:
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
         """As of ReverseIntegration."""
-        return self._course.multipliers(history, data)
+        return self._multiphase.multipliers(history, data)
 
     def switches_of(self, numbers: Sequence[Tensor]) -> list[Switch]:
         """The switches with their numbers as differentiable outputs."""
@@ -134,12 +142,12 @@ class ReversePhaseIntegration:
         data = dict(zip(self.names, inputs[:n], strict=True))
         return data, {k: x.squeeze(-2).movedim(-1, 0) for k, x in zip(self.designs, inputs[n:], strict=True)}
 
-    def _through(self, model: Dynamics, views: Views) -> tuple[Course, dict[str, Any], list[str]]:
+    def _through(self, model: Dynamics, views: Views) -> tuple[MultiphaseRun, dict[str, Any], list[str]]:
         assert self.steps is not None
-        return integrate(model, self.stages, views, self.duration, self.steps, self.integrator)
+        return integrate(model, self.phase_models, views, self.duration, self.steps, self.integrator)
 
-    def _outputs(self, course: Course) -> tuple[Tensor, ...]:
-        h, data = course.history, course.whole.data
+    def _outputs(self, multiphase: MultiphaseRun) -> tuple[Tensor, ...]:
+        h, data = multiphase.history, multiphase.whole.data
         lanes = h.q.shape[-1]
         marks = [data[name].expand(*data[name].shape[:-1], lanes) for name in self.moving]
         return (
@@ -149,12 +157,12 @@ class ReversePhaseIntegration:
             h.lam,
             self.validity,
             *marks,
-            *(value(x) for s in course.switches for x in numbers_of(s)),
+            *(value(x) for s in multiphase.switches for x in numbers_of(s)),
         )
 
     def _adjoint(self, names: Sequence[str]) -> PhaseAdjoint:
         failed = [lane for lane, status in enumerate(self.status) if has_failed(status)]
-        return PhaseAdjoint(self._course, self.integrator, names, failed, backward.sweep)
+        return PhaseAdjoint(self._multiphase, self.integrator, names, failed, backward.adjoint_solver)
 
     def _of_data(self, found: dict[int, dict[Key, Tensor]], key: Key, like: Tensor, rows: int) -> Tensor:
         """Cotangents [component..., rows, lanes] of data [component..., 1, lanes]; of lanes that failed zero."""
@@ -166,7 +174,7 @@ class ReversePhaseIntegration:
 
     def _of_designs(self, found: dict[int, dict[Key, Tensor]], rows: int) -> dict[str, Tensor]:
         """Of designs [component..., rows, lanes]: their own, and those of the mode shapes through the structure stage."""
-        whole = self._course.views.whole
+        whole = self._multiphase.views.whole
         lanes = len(self.status)
         kinds = {key for by in found.values() for key in by if key[0] != "data"}
         with torch.enable_grad():

@@ -1,7 +1,7 @@
-"""The course of a motion through its phases: what both families of integrators share.
+"""A motion through its phases: what both families of integrators share.
 
 A motion is recorded on one grid of times for all lanes. Lanes pass from phase to phase at their own times t*, between the
-grid's. A `Passage` is where each of them stands, with *total* derivatives by the design; a `Switch` is its presentation.
+grid's. A `PhaseExit` is where each of them stands, with *total* derivatives by the design; a `Switch` is its presentation.
 On the grid, derivatives are taken at fixed times.
 Checked in tests/integrate/phases/test_phase.py.
 """
@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from torchmbd.integrate.phases.events import Event, Views
-from torchmbd.integrate.phases.phase import Stage
+from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.switch import (
-    Opening,
+    InitialState,
     accelerations,
     at_time,
     jump,
@@ -41,14 +41,14 @@ from torchmbd.results.state import State
 CLOSED = 1e-6  # [m] or [-]: violation of a joint that begins to act
 
 
-class Passage(NamedTuple):
+class PhaseExit(NamedTuple):
     """Where lanes leave a phase: time t [1 + n_b, lanes] (inf: a lane that does not get there) and state."""
 
     t: Any
     x: State
 
-    def lane(self, lane: int) -> Passage:
-        return Passage(pick(self.t, [lane]), self.x.map(lambda y: pick(y, [lane])))
+    def lane(self, lane: int) -> PhaseExit:
+        return PhaseExit(pick(self.t, [lane]), self.x.map(lambda y: pick(y, [lane])))
 
 
 @dataclass
@@ -65,24 +65,24 @@ class PhaseRecord:
 
     number: int
     dynamics: Dynamics
-    entry: Passage
+    entry: PhaseExit
     start: State
     first: Tensor
     arrival: dict[int, State] = field(default_factory=dict)
     on_grid: dict[int, bool] = field(default_factory=dict)
     base: dict[int, tuple[int | None, State]] = field(default_factory=dict)
-    exit: dict[int, Passage] = field(default_factory=dict)
+    exit: dict[int, PhaseExit] = field(default_factory=dict)
 
 
 @dataclass
-class Course:
+class MultiphaseRun:
     """One simulation through all stages.
 
     whole   dynamics of the system with all joints and locks; its data take up the marks of the locks
     """
 
     whole: Dynamics
-    stages: list[Stage]
+    phase_models: list[PhaseModel]
     views: Views
     duration: float
     steps: int
@@ -94,10 +94,10 @@ class Course:
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
         self.status = [OK] * lanes
         self.given = self.whole.data  # without marks
-        # Whether the time at which a stage begins depends on the design.
+        # Whether the time at which a phase begins depends on the design.
         self.moves = [False]
-        for stage in self.stages[:-1]:
-            until = stage.phase.until
+        for phase_model in self.phase_models[:-1]:
+            until = phase_model.phase.until
             self.moves.append(isinstance(until, Event) or (until is None and self.moves[-1]))
         self.least_norm: list[LeastNorm | None] = []
 
@@ -139,18 +139,18 @@ class Course:
             self.fail(lane, f"the motion is not finite from t = {float(self.times[first[0, 0]]):.6g} s on")
         return bool(len(first))
 
-    def start(self) -> Passage:
+    def start(self) -> PhaseExit:
         """Consistent initial positions and velocities under the joints that close the mechanism."""
         q, v = (self._wide(x) for x in self.closed(self.whole))
-        self.opening = Opening(value(q)[..., :1], value(v)[..., :1])
+        self.initial_state = InitialState(value(q)[..., :1], value(v)[..., :1])
         t = self._wide(torch.zeros(1, self.whole.lanes, dtype=torch.float64))
-        return Passage(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
+        return PhaseExit(t, State(q, v, v * 0.0, v * 0.0, v[:0]))
 
     def closed(self, whole: Dynamics) -> tuple[Any, Any]:
         """Initial q and v for the data of some dynamics of the whole."""
-        first = selected(whole.topology, self.stages[0].start)
-        opening = replace(whole.initial, topology=first)
-        return opening.solve(replace(whole, topology=first, saddle=Saddle(first), initial=opening))
+        first = selected(whole.topology, self.phase_models[0].start)
+        initial_state = replace(whole.initial, topology=first)
+        return initial_state.solve(replace(whole, topology=first, saddle=Saddle(first), initial=initial_state))
 
     def _wide(self, x: Any) -> Any:
         """All lanes and tangents of a number."""
@@ -159,29 +159,29 @@ class Course:
             return Pair(x.full.expand(*x.shape[:-1], lanes)) if isinstance(x, Pair) else x.expand(*x.shape[:-1], lanes)
         return Pair.of(x, x.new_zeros(*x.shape[:-2], n, lanes))
 
-    def enter(self, number: int, passage: Passage) -> tuple[Dynamics, State]:
-        """The dynamics of a stage and the state in which its lanes begin, with consistent accelerations."""
-        data = marked(self.whole.topology, self.whole.data, passage.x.q, self.stages[number].locks)
+    def enter(self, number: int, phase_exit: PhaseExit) -> tuple[Dynamics, State]:
+        """The dynamics of a phase and the state in which its lanes begin, with consistent accelerations."""
+        data = marked(self.whole.topology, self.whole.data, phase_exit.x.q, self.phase_models[number].locks)
         self.whole = replace(self.whole, data=data)
-        dynamics, stage = self.dynamics_of(number, self.whole), self.stages[number]
-        self.least_norm.append(LeastNorm.of(self.whole.topology, dynamics.rank, stage.rows))
-        parts = [self._begin(number, lane, lane_of(dynamics, lane), passage) for lane in range(self.whole.lanes)]
+        dynamics, phase_model = self.dynamics_of(number, self.whole), self.phase_models[number]
+        self.least_norm.append(LeastNorm.of(self.whole.topology, dynamics.rank, phase_model.rows))
+        parts = [self._begin(number, lane, lane_of(dynamics, lane), phase_exit) for lane in range(self.whole.lanes)]
         state = together(parts)
         if number:
-            self.switches.append(self._switch(number, passage, state))
+            self.switches.append(self._switch(number, phase_exit, state))
         return dynamics, state
 
     def dynamics_of(self, number: int, whole: Dynamics) -> Dynamics:
-        """Of a stage, with the data of the whole."""
-        stage = self.stages[number]
-        return replace(whole, topology=stage.topology, saddle=stage.saddle, initial=self.opening)
+        """Of a phase, with the data of the whole."""
+        phase_model = self.phase_models[number]
+        return replace(whole, topology=phase_model.topology, saddle=phase_model.saddle, initial=self.initial_state)
 
-    def _switch(self, number: int, passage: Passage, after: State) -> Switch:
-        t = passage.t
+    def _switch(self, number: int, phase_exit: PhaseExit, after: State) -> Switch:
+        t = phase_exit.t
         return Switch(
-            self.stages[number].name,
+            self.phase_models[number].name,
             value(t)[0],
-            _moment(passage.x, self._multipliers(number - 1, t, passage.x)),
+            _moment(phase_exit.x, self._multipliers(number - 1, t, phase_exit.x)),
             _moment(after, self._multipliers(number, t, after)),
             t.tangent.T if isinstance(t, Pair) else None,
         )
@@ -196,18 +196,18 @@ class Course:
         return side_by_side(parts)
 
     def settled(self, number: int, data: equations.Data | None, t: Any, q: Any, lam: Any) -> Any:
-        """Multipliers of all rows of one lane from those of a stage; data None: as they are."""
-        n, rows = self.whole.topology.rows, torch.tensor(self.stages[number].rows, dtype=torch.long)
+        """Multipliers of all rows of one lane from those of a phase; data None: as they are."""
+        n, rows = self.whole.topology.rows, torch.tensor(self.phase_models[number].rows, dtype=torch.long)
         lam = linear(lambda y: y.new_zeros(n, *y.shape[1:]).index_copy(0, rows, y), lam)
         least = self.least_norm[number]
         return lam if least is None or data is None else least.at_own_time(data, t, q, lam)
 
-    def _begin(self, number: int, lane: int, dynamics: Dynamics, passage: Passage) -> State:
+    def _begin(self, number: int, lane: int, dynamics: Dynamics, phase_exit: PhaseExit) -> State:
         """The state of one lane after a switch."""
-        t, x = passage.lane(lane)
+        t, x = phase_exit.lane(lane)
         if not bool(torch.isfinite(value(x.q)).all()):
-            self.fail(lane, f"the motion is not finite when phase {self.stages[number].name!r} begins")
-        if not self.arrived(passage)[lane]:
+            self.fail(lane, f"the motion is not finite when phase {self.phase_models[number].name!r} begins")
+        if not self.arrived(phase_exit)[lane]:
             rows = value(x.q).new_zeros(dynamics.topology.rows, *x.q.shape[1:])
             q, v = x.q * torch.nan, x.v * torch.nan
             return State(q, v, v, v, Pair(rows) if isinstance(x.q, Pair) else rows)
@@ -216,9 +216,9 @@ class Course:
         return self.after(number, self.views, lane, dynamics, t, x)
 
     def after(self, number: int, views: Views, lane: int, dynamics: Dynamics, t: Any, x: State) -> State:
-        """The state of one lane after the switch that begins a stage, from the state before it."""
+        """The state of one lane after the switch that begins a phase, from the state before it."""
         (v,) = at_time(jump, dynamics, t, x.q, x.v)
-        ended = self.stages[number - 1].phase if number else None
+        ended = self.phase_models[number - 1].phase if number else None
         if ended is not None and ended.impact is not None and isinstance(ended.until, Event):
             v = mapped(ended.impact, ended.until, views, lane, dynamics, t, x._replace(v=v))
         a, lam = at_time(accelerations, dynamics, t, x.q, v)
@@ -226,8 +226,8 @@ class Course:
 
     def _check_closed(self, number: int, lane: int, dynamics: Dynamics, t: Any, q: Any) -> None:
         """Fail a lane in which a joint begins to act that is not closed."""
-        T, before = dynamics.topology, set(self.stages[number - 1].rows)
-        new = [k for k, row in enumerate(self.stages[number].rows) if row not in before]
+        T, before = dynamics.topology, set(self.phase_models[number - 1].rows)
+        new = [k for k, row in enumerate(self.phase_models[number].rows) if row not in before]
         if not new:
             return
         values = {name: value(x) for name, x in dynamics.data.items()}
@@ -237,23 +237,29 @@ class Course:
         if bool(phi[worst] > CLOSED):
             self.fail(
                 lane,
-                f"{T.row_names[worst]} misses by {float(phi[worst]):.3g} when phase {self.stages[number].name!r} begins "
+                f"{T.row_names[worst]} misses by {float(phi[worst]):.3g} when phase {self.phase_models[number].name!r} begins "
                 f"at t = {float(value(t)[0, 0]):.6g} s: a joint that begins to act must be closed",
             )
 
-    def arrived(self, passage: Passage) -> Tensor:
+    def arrived(self, phase_exit: PhaseExit) -> Tensor:
         """Which lanes take part in what follows [lanes]."""
         good = torch.tensor([status == OK for status in self.status])
-        return torch.isfinite(value(passage.t)[0]) & good
+        return torch.isfinite(value(phase_exit.t)[0]) & good
 
-    def end(self, stage: Stage, t: Any) -> Any:
-        """Times at which a stage ends that begins at t, where that is known: a number [1 + n_b, lanes]."""
-        if not isinstance(stage.phase.until, (int, float)):
-            return None if stage.phase.lasting is None else t + torch.full_like(value(t), float(stage.phase.lasting))
-        until = float(stage.phase.until)
+    def end(self, phase_model: PhaseModel, t: Any) -> Any:
+        """Times at which a phase ends that begins at t, where that is known: a number [1 + n_b, lanes]."""
+        if not isinstance(phase_model.phase.until, (int, float)):
+            return (
+                None
+                if phase_model.phase.lasting is None
+                else t + torch.full_like(value(t), float(phase_model.phase.lasting))
+            )
+        until = float(phase_model.phase.until)
         for lane in torch.nonzero(torch.isfinite(value(t)[0]) & (value(t)[0] >= until))[:, 0].tolist():
             begins = float(value(t)[0, lane])
-            self.fail(lane, f"phase {stage.name!r} begins at t = {begins:.6g} s, after its end at t = {until:g} s")
+            self.fail(
+                lane, f"phase {phase_model.name!r} begins at t = {begins:.6g} s, after its end at t = {until:g} s"
+            )
         return t * 0.0 + torch.full_like(value(t), until)
 
     def fail(self, lane: int, reason: str) -> None:
@@ -261,36 +267,38 @@ class Course:
         if self.status[lane] == OK:
             self.status[lane] = f"failed: {reason}"
 
-    def never_ends(self, stage: Stage, lane: int) -> None:
-        """Note that a lane stays in a stage until the simulation ends."""
-        what = "its event does not occur" if stage.phase.lasting is None else "it lasts longer than"
+    def never_ends(self, phase_model: PhaseModel, lane: int) -> None:
+        """Note that a lane stays in a phase until the simulation ends."""
+        what = "its event does not occur" if phase_model.phase.lasting is None else "it lasts longer than"
         self.fail(
-            lane, f"phase {stage.name!r} never ends: {what} before the simulation ends at t = {self.duration:g} s"
+            lane, f"phase {phase_model.name!r} never ends: {what} before the simulation ends at t = {self.duration:g} s"
         )
 
-    def put(self, stage: Stage, i: int, lanes: Tensor, x: State) -> None:
+    def put(self, phase_model: PhaseModel, i: int, lanes: Tensor, x: State) -> None:
         """Record a state, of all lanes or of one, for some lanes (a mask) at a time of the grid."""
         full = (y.full if isinstance(y, Pair) else y for y in (x.q, x.v, x.vd, x.lam))
         q, v, vd, lam = (y.expand(*y.shape[:-1], len(lanes)) for y in full)
         for record, y in ((self.q, q), (self.v, v), (self.vd, vd)):
             record[i, ..., lanes] = y[..., lanes]
         rows = torch.zeros_like(self.lam[i])
-        rows[stage.rows] = lam
+        rows[phase_model.rows] = lam
         self.lam[i, ..., lanes] = rows[..., lanes]
-        self.number[i, lanes] = self.stages.index(stage)
+        self.number[i, lanes] = self.phase_models.index(phase_model)
 
-    def passage(self, stage: Stage, entry: Passage, left: dict[int, Passage], staying: list[int]) -> Passage:
-        """Where all lanes left a stage that they entered at `entry`; those that did not are at an infinite time.
+    def phase_exit(
+        self, phase_model: PhaseModel, entry: PhaseExit, left: dict[int, PhaseExit], staying: list[int]
+    ) -> PhaseExit:
+        """Where all lanes left a phase that they entered at `entry`; those that did not are at an infinite time.
 
         left     passages of the lanes that left
-        staying  lanes that were in the stage when the simulation ended: an error, unless it is the last
+        staying  lanes that were in the phase when the simulation ended: an error, unless it is the last
         """
         for lane in staying:
-            if not self.broken(lane) and stage is not self.stages[-1]:
-                self.never_ends(stage, lane)
-        nowhere = Passage(entry.t * 0.0 + torch.inf, entry.x)
+            if not self.broken(lane) and phase_model is not self.phase_models[-1]:
+                self.never_ends(phase_model, lane)
+        nowhere = PhaseExit(entry.t * 0.0 + torch.inf, entry.x)
         parts = [left.get(lane) or nowhere.lane(lane) for lane in range(self.whole.lanes)]
-        return Passage(side_by_side([p.t for p in parts]), together([p.x for p in parts]))
+        return PhaseExit(side_by_side([p.t for p in parts]), together([p.x for p in parts]))
 
 
 def _moment(x: State, lam: Any) -> Moment:

@@ -34,7 +34,7 @@ from torchmbd.results.state import State
 
 
 @dataclass(frozen=True, eq=False)
-class Opening:
+class InitialState:
     """Where a simulation of phases started: there, bodies undeformed, the rank of the constraints of each is judged."""
 
     q: Tensor

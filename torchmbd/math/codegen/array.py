@@ -2,7 +2,7 @@
 
     Array    an axis is a number of components, which are written out one by one, or a loop of a size known at run time
     Pieces   several arrays flattened and joined along one axis, such as the coordinates of all bodies (pieces.py)
-    Table    integers that are known at run time, for `index_select` and `SegmentSum` (segment_sum.py)
+    Table    integers that are known at run time, for `index_select` and `SymbolicSegmentSum` (segment_sum.py)
 
 Operators of torch are in operators.py. One that is not known there, or a shape that does not fit for every size, is an
 `Untraceable`: nothing is guessed.

@@ -1,4 +1,4 @@
-"""Sums of segments: what torch has `Fold` for (multibody/system/topology.py), with a table that is known at run time."""
+"""Sums of segments: as `SegmentSum` (multibody/system/topology.py), with a table that is known at run time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from torchmbd.math.codegen.size import AnySize, Index, at
 from torchmbd.math.pair import Pair, value
 
 
-class SegmentSum:
+class SymbolicSegmentSum:
     """Sum the columns of arrays [k, n, ...], side by side, into groups [k, groups, ...]: `table` has the group of each.
 
     Group number `groups`, one more than there are, is left out. k may be flattened.

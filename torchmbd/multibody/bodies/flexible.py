@@ -41,7 +41,7 @@ from torchmbd.io.mesh_file import MeshFile, read_mesh
 from torchmbd.io.nastran.body import read_bdf
 from torchmbd.multibody.bodies.beam_parts import beam_parts
 from torchmbd.multibody.bodies.frame import Frame, bend, identifier, move, put, rotation, vector
-from torchmbd.multibody.bodies.interpolation import Mount, node_indices, rigid_links
+from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices, rigid_links
 from torchmbd.multibody.bodies.mesh_quality import warn_mesh
 from torchmbd.multibody.bodies.modal_damping import ModalDamping
 from torchmbd.multibody.bodies.reduced import matrices, reduced
@@ -274,12 +274,15 @@ class FlexibleBody(nn.Module):
         node           name or index of a node, name of a node set, or a list with weights (None: equal ones)
         axes, offset   columns of its triad, and the rigid arm from the center of the nodes [m], in body axes
         """
-        mount, x = Mount.on(node_indices(self.mesh, node), weights), self.mesh.nodes - self.origin
-        if varying_nodes(self.mesh) and len(mount.nodes) > 1:
+        interpolation, x = (
+            InterpolationConstraint.on(node_indices(self.mesh, node), weights),
+            self.mesh.nodes - self.origin,
+        )
+        if varying_nodes(self.mesh) and len(interpolation.nodes) > 1:
             raise InputError(
-                f"frame on nodes {list(mount.nodes)} of {self.name!r}, whose nodes vary; allowed: one node"
+                f"frame on nodes {list(interpolation.nodes)} of {self.name!r}, whose nodes vary; allowed: one node"
             )
-        return Frame(self, mount.center(x) + vector("offset", offset), rotation("axes", axes), mount)
+        return Frame(self, interpolation.center(x) + vector("offset", offset), rotation("axes", axes), interpolation)
 
     def places(self) -> Float[Tensor, "*lanes n 3"]:
         """Nodes of the undeformed body from its origin in the present design [m]."""

@@ -26,7 +26,7 @@ from torchmbd.errors import InputError
 from torchmbd.math.gradients import refuse_gradients
 from torchmbd.math.owned import parameter
 from torchmbd.math.variable import Numbers, is_variable, number, stacked
-from torchmbd.multibody.bodies.interpolation import Mount
+from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 
 
 class Body(Protocol):
@@ -50,7 +50,7 @@ class Frame:
     body: Any
     point: Tensor
     axes: Tensor = field(default_factory=lambda: torch.eye(3, dtype=torch.float64))
-    mount: Mount | None = None
+    interpolation: InterpolationConstraint | None = None
     place: Numbers | None = None
 
     def __post_init__(self) -> None:
@@ -59,11 +59,11 @@ class Frame:
         refuse_gradients(f"a frame on {self.body.name!r}", (self.point, self.axes))
         object.__setattr__(self, "point", vector(f"point of a Frame on {self.body.name!r}", self.point))
         object.__setattr__(self, "axes", rotation(f"axes of a Frame on {self.body.name!r}", self.axes))
-        if hasattr(self.body, "mesh") != isinstance(self.mount, Mount) or not isinstance(
-            self.mount, (Mount, type(None))
+        if hasattr(self.body, "mesh") != isinstance(self.interpolation, InterpolationConstraint) or not isinstance(
+            self.interpolation, (InterpolationConstraint, type(None))
         ):
             allowed = "nodes of its mesh, as body.at(...) mounts it" if hasattr(self.body, "mesh") else "None"
-            raise InputError(f"mount of a Frame on {self.body.name!r} is {self.mount!r}; allowed: {allowed}")
+            raise InputError(f"mount of a Frame on {self.body.name!r} is {self.interpolation!r}; allowed: {allowed}")
 
     @property
     def present(self) -> Tensor:
@@ -75,10 +75,14 @@ class Frame:
         return self.axes[:, axis_index(name)]
 
     def __repr__(self) -> str:
-        if self.mount is None:
+        if self.interpolation is None:
             where = ", ".join(f"{float(x):.6g}" for x in self.present)
         else:
-            where = f"node {self.mount.nodes[0]}" if len(self.mount.nodes) == 1 else f"nodes {list(self.mount.nodes)}"
+            where = (
+                f"node {self.interpolation.nodes[0]}"
+                if len(self.interpolation.nodes) == 1
+                else f"nodes {list(self.interpolation.nodes)}"
+            )
         return f"{self.body.name}.at({where})"
 
 

@@ -1,4 +1,4 @@
-"""Mounts: the nodes of a flexible body that carry a frame, and the mean motion of them that the frame takes.
+"""Interpolation constraints: the nodes of a flexible body that carry a frame, and the mean motion of them that the frame takes.
 
     c = sum w x,  d = x - c                            w: weights of the nodes, sum 1
     u = sum w u_k                                      displacement of the center c
@@ -32,14 +32,14 @@ _FLAT = 1e-10  # share of the largest eigenvalue of T that counts as zero
 
 
 @dataclass(frozen=True)
-class Mount:
+class InterpolationConstraint:
     """Nodes with weights; see the module header. Hashable, so that equal ones are one."""
 
     nodes: tuple[int, ...]
     weights: tuple[float, ...]
 
     @classmethod
-    def on(cls, nodes: Sequence[int], weights: Sequence[float] | None = None) -> Mount:
+    def on(cls, nodes: Sequence[int], weights: Sequence[float] | None = None) -> InterpolationConstraint:
         """Mount on nodes with positive weights of any size; None: equal ones."""
         allowed = "a positive number for each node"
         if weights is not None and (

@@ -40,7 +40,7 @@ from torchmbd.math.elementwise import lifted, reciprocal, slopes, sqrt
 from torchmbd.math.pair import Pair, cat, cross, dot, linear, value
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.laws import Scaled, Spring
-from torchmbd.multibody.forces.parametric_law import Varied
+from torchmbd.multibody.forces.parametric_law import ParametricLaw
 
 Law = Callable[[Tensor, Tensor, Tensor], Tensor]
 Data = Mapping[str, Any]  # of a design: name -> number (multibody/system/equations.py)
@@ -161,7 +161,7 @@ class Twist(Action):
 
 def _of(law: Law, data: Data) -> Law:
     """The law of a design."""
-    return law.at(data) if isinstance(law, Varied) else law
+    return law.at(data) if isinstance(law, ParametricLaw) else law
 
 
 def _force(law: Law, s: Any, rate: Any, t: Any) -> Any:

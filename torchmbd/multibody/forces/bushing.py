@@ -16,7 +16,7 @@ from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.forces.action import Along, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.forces.laws import Spring, numbers
-from torchmbd.multibody.joints.joint import Scribe, others
+from torchmbd.multibody.joints.joint import AttachmentTable, others
 
 
 class Bushing(ForceElement):
@@ -55,11 +55,13 @@ class Bushing(ForceElement):
             result.append(self.varying.law(Spring(k[i], c[i]), stiffness=own[0], damping=own[1]))
         return result
 
-    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+    def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
         for axis, along, about in zip("xyz", self.along, self.about, strict=True):
             if along != Spring():
-                yield Applied(Along, (scribe.point(a), scribe.point(b), scribe.axis(a, axis)), along)
+                yield Applied(Along, (attachments.point(a), attachments.point(b), attachments.axis(a, axis)), along)
             if about != Spring():
                 x, y = others(axis)
-                yield Applied(Turn, (scribe.axis(a, x), scribe.axis(a, y), scribe.twin(a, x, b)), about)
+                yield Applied(
+                    Turn, (attachments.axis(a, x), attachments.axis(a, y), attachments.coincident_axis(a, x, b)), about
+                )

@@ -24,7 +24,7 @@ from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.feedback import Control, Port
 from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.forces.signals import Actuator, Coordinate, Signal
-from torchmbd.multibody.joints.joint import Scribe
+from torchmbd.multibody.joints.joint import AttachmentTable
 
 # How a controller may vary with the design.
 VARIABLES = "parameters of the module; constant tensors"
@@ -61,16 +61,16 @@ class Controller(ForceElement):
     def variables(self) -> Variables | None:
         return self.control.variables
 
-    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+    def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         read: dict[tuple, list[tuple[int, bool]]] = {}
-        found = [one for x in self.inputs for one in x.coordinates(scribe)]
+        found = [one for x in self.inputs for one in x.coordinates(attachments)]
         for row, x in enumerate(found):
             if isinstance(x, Coordinate):
                 read.setdefault((x.kind, x.vectors, x.center), []).append((row, x.rate))
         for (kind, vectors, center), rows in read.items():
             yield Applied(kind, vectors, Port(self.control, reads=tuple(rows), center=center))
         for k, x in enumerate(self.outputs):
-            for kind, vectors, sign in x.efforts(scribe):
+            for kind, vectors, sign in x.efforts(attachments):
                 yield Applied(kind, vectors, Port(self.control, writes=k, sign=sign))
 
 

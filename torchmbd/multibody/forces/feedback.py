@@ -21,7 +21,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.module_call import called, holding
+from torchmbd.math.module_call import call_module, holding
 from torchmbd.math.pair import Pair, cat, constant_map, value
 from torchmbd.math.variable import Variables, key
 
@@ -96,7 +96,7 @@ class Control:
 
         def one(p: Tensor, x: Tensor) -> Tensor:
             given = {} if self.variables is None or not len(p) else self.variables.named(p)
-            u = called(self.module, given, x[None]) if given else self.module(x[None])
+            u = call_module(self.module, given, x[None]) if given else self.module(x[None])
             self.check(u, 1, t)
             return u[0]
 

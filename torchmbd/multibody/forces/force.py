@@ -17,7 +17,7 @@ from torchmbd.math.variable import Variables
 from torchmbd.multibody.bodies.frame import Frame
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.parametric_law import Varying
-from torchmbd.multibody.joints.joint import Scribe
+from torchmbd.multibody.joints.joint import AttachmentTable
 
 
 class Applied(NamedTuple):
@@ -52,7 +52,7 @@ class ForceElement:
         """Design variables, parameters of the system by the element's name; None: there are none."""
         return self.varying.variables
 
-    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+    def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         """Yield the actions of the element."""
         raise NotImplementedError(type(self).__name__)
 

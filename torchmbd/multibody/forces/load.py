@@ -15,7 +15,7 @@ from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Push, Twist
 from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.forces.laws import OfTime, Scaled, checked, numbers, tried
-from torchmbd.multibody.joints.joint import Scribe
+from torchmbd.multibody.joints.joint import AttachmentTable
 
 Vector = Sequence[float | Tensor] | Callable[[Tensor], Tensor] | Scaled
 
@@ -31,8 +31,8 @@ class _Load(ForceElement):
         parts = _parts(self.name, vector)
         self.laws = [checked(self.name, self.varying.in_time(x, axis)) for axis, x in zip("xyz", parts, strict=True)]
 
-    def _axis(self, scribe: Scribe, axis: str) -> int:
-        return scribe.axis(Ground().at() if self.axes == "ground" else self.frames[0], axis)
+    def _axis(self, attachments: AttachmentTable, axis: str) -> int:
+        return attachments.axis(Ground().at() if self.axes == "ground" else self.frames[0], axis)
 
 
 def _parts(name: str, vector: Any) -> list[Any]:
@@ -65,10 +65,10 @@ class Force(_Load):
     mbd.forces.Scaled(mbd.variable(1.0), function) has "push.factor".
     """
 
-    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+    def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         for axis, law in zip("xyz", self.laws, strict=True):
             if law != OfTime(0.0):
-                yield Applied(Push, (scribe.point(self.frames[0]), self._axis(scribe, axis)), law)
+                yield Applied(Push, (attachments.point(self.frames[0]), self._axis(attachments, axis)), law)
 
 
 class Torque(_Load):
@@ -77,8 +77,8 @@ class Torque(_Load):
     vector  [N m], or a torch function of time, [] [s] -> [3] [N m]; others as of Force
     """
 
-    def actions(self, scribe: Scribe) -> Iterator[Applied]:
-        triad = tuple(scribe.axis(self.frames[0], axis) for axis in "xyz")
+    def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
+        triad = tuple(attachments.axis(self.frames[0], axis) for axis in "xyz")
         for axis, law in zip("xyz", self.laws, strict=True):
             if law != OfTime(0.0):
-                yield Applied(Twist, (self._axis(scribe, axis), *triad), law)
+                yield Applied(Twist, (self._axis(attachments, axis), *triad), law)

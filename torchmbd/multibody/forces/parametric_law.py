@@ -24,7 +24,7 @@ _KINDS = (Spring, Scaled)
 
 
 @dataclass(frozen=True)
-class Varied:
+class ParametricLaw:
     """A law, and which of its fields is which row of the data."""
 
     key: str
@@ -60,7 +60,7 @@ class Varying:
         own = {field: finite(f"{label} of {self.name!r}", getattr(law, field)) for field, label in called.items()}
         rows = tuple((field, self._row(called[field], x)) for field, x in own.items() if is_variable(x))
         law = replace(law, **{field: x.item() if is_variable(x) else x for field, x in own.items()})
-        return Varied(key(self.name), rows, law) if rows else law
+        return ParametricLaw(key(self.name), rows, law) if rows else law
 
     def in_time(self, x: Any, label: str, size: float = 1.0) -> Any:
         """The law size x(t) of a number, a variable called `label`, a function of time, or Scaled of one."""

@@ -24,7 +24,7 @@ from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Push
 from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.forces.laws import Scaled, checked
-from torchmbd.multibody.joints.joint import Scribe
+from torchmbd.multibody.joints.joint import AttachmentTable
 
 _NOTHING = 1e-12  # share of the largest component of area
 
@@ -55,10 +55,10 @@ class Pressure(ForceElement):
         super().__init__((self.parts[0][0],), name or f"pressure_{body.name}")
         self.laws = [checked(self.name, self.varying.in_time(pressure, "pressure", area)) for _, _, area in self.parts]
 
-    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+    def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         for (frame, axis, _), law in zip(self.parts, self.laws, strict=True):
-            along = scribe.axis(frame if self.follows else Ground().at(), axis)
-            yield Applied(Push, (scribe.point(frame), along), law)
+            along = attachments.axis(frame if self.follows else Ground().at(), axis)
+            yield Applied(Push, (attachments.point(frame), along), law)
 
 
 Part = tuple[Frame, str, float]  # on the nodes that take a part of the load, its axis, the area [m2] directed along it

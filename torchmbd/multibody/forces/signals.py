@@ -18,7 +18,7 @@ from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.bodies.rigid import Ground
 from torchmbd.multibody.forces.action import Along, Push, Turn, Twist
 from torchmbd.multibody.joints.cylindrical import Cylindrical
-from torchmbd.multibody.joints.joint import Scribe, others
+from torchmbd.multibody.joints.joint import AttachmentTable, others
 from torchmbd.multibody.joints.laws import finite
 from torchmbd.multibody.joints.prismatic import Prismatic
 from torchmbd.multibody.joints.revolute import Revolute
@@ -47,7 +47,7 @@ class Signal:
     size = 1
     frames: tuple[Frame, ...] = ()
 
-    def coordinates(self, scribe: Scribe) -> Sequence[Coordinate | None]:
+    def coordinates(self, attachments: AttachmentTable) -> Sequence[Coordinate | None]:
         """Of each of its numbers; None is the time."""
         raise NotImplementedError(type(self).__name__)
 
@@ -55,7 +55,7 @@ class Signal:
 class Time(Signal):
     """The time [s]."""
 
-    def coordinates(self, scribe: Scribe) -> Sequence[Coordinate | None]:
+    def coordinates(self, attachments: AttachmentTable) -> Sequence[Coordinate | None]:
         return (None,)
 
 
@@ -77,10 +77,10 @@ class JointAngle(_OfJoint):
         super().__init__(joint)
         self.center = finite("center", center)
 
-    def coordinates(self, scribe: Scribe) -> Sequence[Coordinate | None]:
+    def coordinates(self, attachments: AttachmentTable) -> Sequence[Coordinate | None]:
         a, b = self.frames
         x, y = others(self.joint.axis)
-        vectors = scribe.axis(a, x), scribe.axis(a, y), scribe.twin(a, x, b)
+        vectors = attachments.axis(a, x), attachments.axis(a, y), attachments.coincident_axis(a, x, b)
         return (Coordinate(Turn, vectors, self._rate, self.center),)
 
 
@@ -98,8 +98,8 @@ class JointTravel(_OfJoint):
 
     _joints = (Prismatic, Cylindrical)
 
-    def coordinates(self, scribe: Scribe) -> Sequence[Coordinate | None]:
-        return (Coordinate(Along, _along(self.joint, scribe), self._rate),)
+    def coordinates(self, attachments: AttachmentTable) -> Sequence[Coordinate | None]:
+        return (Coordinate(Along, _along(self.joint, attachments), self._rate),)
 
 
 class JointSpeed(JointTravel):
@@ -117,10 +117,10 @@ class PointPosition(Signal):
     def __init__(self, frame: Frame):
         self.frames = (_frame(self, frame),)
 
-    def coordinates(self, scribe: Scribe) -> Sequence[Coordinate | None]:
+    def coordinates(self, attachments: AttachmentTable) -> Sequence[Coordinate | None]:
         ground, (frame,) = Ground().at(), self.frames
-        points = scribe.point(ground), scribe.point(frame)
-        return [Coordinate(Along, (*points, scribe.axis(ground, axis)), self._rate) for axis in "xyz"]
+        points = attachments.point(ground), attachments.point(frame)
+        return [Coordinate(Along, (*points, attachments.axis(ground, axis)), self._rate) for axis in "xyz"]
 
 
 class PointVelocity(PointPosition):
@@ -134,7 +134,7 @@ class Actuator:
 
     frames: tuple[Frame, ...] = ()
 
-    def efforts(self, scribe: Scribe) -> Sequence[Effort]:
+    def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
         """The actions that it sets."""
         raise NotImplementedError(type(self).__name__)
 
@@ -148,12 +148,12 @@ class TorqueOn(Actuator):
         if a.body is b.body or (isinstance(a.body, Ground) and isinstance(b.body, Ground)):
             raise InputError(f"{type(self).__name__} acts between {a!r} and {b!r}; allowed: two different bodies")
 
-    def efforts(self, scribe: Scribe) -> Sequence[Effort]:
-        u = scribe.axis(self.frames[0], self.axis)
+    def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
+        u = attachments.axis(self.frames[0], self.axis)
         found = []
         for frame, sign in zip(self.frames, (-1.0, 1.0), strict=True):
             if not isinstance(frame.body, Ground):
-                found.append(Effort(Twist, (u, *(scribe.axis(frame, axis) for axis in "xyz")), sign))
+                found.append(Effort(Twist, (u, *(attachments.axis(frame, axis) for axis in "xyz")), sign))
         return found
 
 
@@ -172,8 +172,8 @@ class JointForce(Actuator):
         self.joint = _joined(self, joint, (Prismatic, Cylindrical))
         self.frames = (joint.a, joint.b)
 
-    def efforts(self, scribe: Scribe) -> Sequence[Effort]:
-        return (Effort(Along, _along(self.joint, scribe)),)
+    def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
+        return (Effort(Along, _along(self.joint, attachments)),)
 
 
 class ForceOn(Actuator):
@@ -190,14 +190,18 @@ class ForceOn(Actuator):
         if isinstance(frame.body, Ground):
             raise InputError(f"ForceOn acts on {frame!r}; allowed: a frame on a body")
 
-    def efforts(self, scribe: Scribe) -> Sequence[Effort]:
+    def efforts(self, attachments: AttachmentTable) -> Sequence[Effort]:
         (frame,) = self.frames
         owner = Ground().at() if self.axes == "ground" else frame
-        return (Effort(Push, (scribe.point(frame), scribe.axis(owner, self.axis))),)
+        return (Effort(Push, (attachments.point(frame), attachments.axis(owner, self.axis))),)
 
 
-def _along(joint: Any, scribe: Scribe) -> tuple[int, ...]:
-    return scribe.twin_point(joint.b, joint.a), scribe.point(joint.b), scribe.axis(joint.a, joint.axis)
+def _along(joint: Any, attachments: AttachmentTable) -> tuple[int, ...]:
+    return (
+        attachments.coincident_point(joint.b, joint.a),
+        attachments.point(joint.b),
+        attachments.axis(joint.a, joint.axis),
+    )
 
 
 def _joined(owner: Any, joint: Any, kinds: tuple[type, ...]) -> Any:

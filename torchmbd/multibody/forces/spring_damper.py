@@ -17,7 +17,7 @@ from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.forces.action import Along, Law, Length, Turn
 from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.forces.laws import Spring, checked
-from torchmbd.multibody.joints.joint import Scribe, others
+from torchmbd.multibody.joints.joint import AttachmentTable, others
 
 
 class _Between(ForceElement):
@@ -50,9 +50,9 @@ class SpringDamper(_Between):
     law        f(l, l', t) [N], positive when it pushes the points apart
     """
 
-    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+    def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
-        yield Applied(Length, (scribe.point(a), scribe.point(b)), self.law)
+        yield Applied(Length, (attachments.point(a), attachments.point(b)), self.law)
 
 
 class AxialSpringDamper(_Between):
@@ -67,9 +67,9 @@ class AxialSpringDamper(_Between):
         axis_index(axis)
         self.axis = axis
 
-    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+    def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
-        yield Applied(Along, (scribe.point(a), scribe.point(b), scribe.axis(a, self.axis)), self.law)
+        yield Applied(Along, (attachments.point(a), attachments.point(b), attachments.axis(a, self.axis)), self.law)
 
 
 class RotationalSpringDamper(_Between):
@@ -87,7 +87,7 @@ class RotationalSpringDamper(_Between):
         axis_index(axis)
         self.axis = axis
 
-    def actions(self, scribe: Scribe) -> Iterator[Applied]:
+    def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         a, b = self.frames
         x, y = others(self.axis)
-        yield Applied(Turn, (scribe.axis(a, x), scribe.axis(a, y), scribe.axis(b, x)), self.law)
+        yield Applied(Turn, (attachments.axis(a, x), attachments.axis(a, y), attachments.axis(b, x)), self.law)

@@ -24,7 +24,7 @@ from torchmbd.math.codegen.scalars import Tape, Untraceable
 from torchmbd.multibody.forces.action import law_slopes
 from torchmbd.multibody.forces.feedback import Control, Port
 from torchmbd.multibody.forces.laws import LAWS, Scaled
-from torchmbd.multibody.forces.parametric_law import Varied
+from torchmbd.multibody.forces.parametric_law import ParametricLaw
 
 _INPUTS = ("s", "rate", "t")
 _TORCH: dict[str, Callable[..., Tensor]] = {
@@ -75,14 +75,14 @@ class Written:
 
 def known(law: Any) -> bool:
     """Whether a law is of this library, with nothing of the user's own in it."""
-    if isinstance(law, (Varied, Scaled)):
+    if isinstance(law, (ParametricLaw, Scaled)):
         return known(law.law)
     return type(law) in (Written, *LAWS) and not callable(getattr(law, "law", None))
 
 
 def writable_part(law: Any) -> Any:
     """The law as numbers of a known form or as scalar operations; Untraceable where it can be neither."""
-    if isinstance(law, (Varied, Scaled)):
+    if isinstance(law, (ParametricLaw, Scaled)):
         return replace(law, law=writable_part(law.law))
     return law if known(law) else written(law)
 
@@ -91,7 +91,7 @@ def writable(law: Any) -> Any:
     """The same, or a law to be called back; Untraceable for one with design variables that can be neither."""
     if isinstance(law, Port) or known(law):
         return law
-    if isinstance(law, Varied):
+    if isinstance(law, ParametricLaw):
         return writable_part(law)
     try:
         return writable_part(law)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import Equation, Joint, Scribe, others
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, others
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
@@ -16,9 +16,9 @@ class Cylindrical(Joint):
         super().__init__(a, b, name)
         self.axis = self.common_axis(axis)
 
-    def equations(self, scribe: Scribe) -> Iterator[Equation]:
-        points = scribe.point(self.a), scribe.point(self.b)
-        slide = scribe.twin(self.a, self.axis, self.b)
+    def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
+        points = attachments.point(self.a), attachments.point(self.b)
+        slide = attachments.coincident_axis(self.a, self.axis, self.b)
         for normal in others(self.axis):
-            yield Equation(Plane, (*points, scribe.axis(self.a, normal)))
-            yield Equation(Perpendicular, (scribe.axis(self.a, normal), slide))
+            yield Equation(Plane, (*points, attachments.axis(self.a, normal)))
+            yield Equation(Perpendicular, (attachments.axis(self.a, normal), slide))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from torchmbd.math.owned import positive
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import Equation, Joint, Scribe
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Distance as DistancePrimitive
 
 
@@ -17,5 +17,5 @@ class Distance(Joint):
         super().__init__(a, b, name)
         self.length = positive(f"length of {self.name!r}", length, "m")
 
-    def equations(self, scribe: Scribe) -> Iterator[Equation]:
-        yield Equation(DistancePrimitive, (scribe.point(self.a), scribe.point(self.b)), self.length)
+    def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
+        yield Equation(DistancePrimitive, (attachments.point(self.a), attachments.point(self.b)), self.length)

@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import refuse_gradients, refuse_lost
 from torchmbd.math.variable import Variables
-from torchmbd.multibody.joints.joint import Equation, Joint, Scribe, as_frame, others
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, as_frame, others
 from torchmbd.multibody.joints.laws import ConstantSpeed, Finite, finite
-from torchmbd.multibody.joints.parametric_law import Varied
+from torchmbd.multibody.joints.parametric_law import ParametricDrive
 from torchmbd.multibody.joints.primitive import Angle, Law, Travel
 
 # How a law may vary with the design.
@@ -63,15 +63,19 @@ class Drive(Joint):
 
     @property
     def variables(self) -> Variables | None:
-        return self.law.variables if isinstance(self.law, Varied) else None
+        return self.law.variables if isinstance(self.law, ParametricDrive) else None
 
-    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+    def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         if self.travels:
-            points = scribe.twin_point(self.b, self.a), scribe.point(self.b)
-            yield Equation(Travel, (*points, scribe.axis(self.a, self.axis)), self.law)
+            points = attachments.coincident_point(self.b, self.a), attachments.point(self.b)
+            yield Equation(Travel, (*points, attachments.axis(self.a, self.axis)), self.law)
         else:
             x, y = others(self.axis)
-            axes = scribe.axis(self.a, x), scribe.axis(self.a, y), scribe.twin(self.a, x, self.b)
+            axes = (
+                attachments.axis(self.a, x),
+                attachments.axis(self.a, y),
+                attachments.coincident_axis(self.a, x, self.b),
+            )
             yield Equation(Angle, axes, self.law)
 
 
@@ -95,4 +99,4 @@ def _checked(name: str, key: str, law: Any) -> Finite:
     refuse_lost(f"{key} of {name!r}", law, VARIABLES, law if isinstance(law, nn.Module) else None)
     if variables is None:
         refuse_gradients(f"what {key} of {name!r} returns", start, VARIABLES)
-    return Finite(name, prescribed) if variables is None else Varied(name, variables)
+    return Finite(name, prescribed) if variables is None else ParametricDrive(name, variables)

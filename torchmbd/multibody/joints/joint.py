@@ -5,7 +5,7 @@ A joint names its equations once, at the given initial positions of the bodies; 
     class Revolute(Joint):
         def equations(self, scribe): yield Coincide, scribe.point(a), scribe.point(b) ...
 
-`Scribe` turns points and axes of frames into indices of attached vectors. The axes of a joint are those of its
+`AttachmentTable` turns points and axes of frames into indices of attached vectors. The axes of a joint are those of its
 first frame; their *twin* on the second body is scribed where it lies at the given initial positions, as a fitter
 would mark it.
 """
@@ -23,7 +23,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements.beam_nodes import varying_nodes
 from torchmbd.math.variable import Numbers, Variables
 from torchmbd.multibody.bodies.frame import Frame, axis_index
-from torchmbd.multibody.bodies.interpolation import Mount
+from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.bodies.rigid import Ground
 
 
@@ -41,69 +41,76 @@ class Attached:
 
     body: Any
     vector: Tensor
-    mount: Mount | None
+    interpolation: InterpolationConstraint | None
     is_point: bool
     place: Numbers | None = None  # coordinates that vary
 
     @property
     def varies(self) -> bool:
         """Whether it depends on the design."""
-        on_nodes = self.is_point and self.mount is not None and varying_nodes(self.body.mesh)
+        on_nodes = self.is_point and self.interpolation is not None and varying_nodes(self.body.mesh)
         return on_nodes or self.place is not None
 
     def now(self) -> Tensor:
         """The vector in the present design [*lanes, 3]."""
         if self.place is not None:
             return self.place().vector()
-        if self.mount is None or not self.varies:
+        if self.interpolation is None or not self.varies:
             return self.vector
         return (
             self.vector
-            + self.mount.center(self.body.places())
-            - self.mount.center(self.body.mesh.nodes - self.body.origin)
+            + self.interpolation.center(self.body.places())
+            - self.interpolation.center(self.body.mesh.nodes - self.body.origin)
         )
 
     def modal_rows(self, psi: Tensor) -> Tensor:
         """How the vector moves with the modes: rows [..., 3, modes] out of the motion psi [..., nodes, 6, modes]."""
-        if self.mount is None:
+        if self.interpolation is None:
             return torch.zeros_like(psi[..., 0, :3, :])
         x = self.body.mesh.nodes - self.body.origin
-        moved = self.mount.motion(x, psi)
-        lever = self.vector - self.mount.center(x) if self.is_point else self.vector
+        moved = self.interpolation.motion(x, psi)
+        lever = self.vector - self.interpolation.center(x) if self.is_point else self.vector
         turned = torch.linalg.cross(moved[..., 3:, :], lever[:, None].expand_as(moved[..., 3:, :]), dim=-2)
         return moved[..., :3, :] + turned if self.is_point else turned
 
 
 @dataclass
-class Scribe:
+class AttachmentTable:
     """Collects the attached vectors of all joints and forces; equal ones are stored once."""
 
     vectors: list[Attached] = field(default_factory=list)
     _known: dict[tuple, int] = field(default_factory=dict)
 
-    def _add(self, body: Any, vector: Tensor, mount: Mount | None, is_point: bool, place: Numbers | None = None) -> int:
-        key = (id(body), mount, is_point, tuple(vector.tolist()), id(place))
+    def _add(
+        self,
+        body: Any,
+        vector: Tensor,
+        interpolation: InterpolationConstraint | None,
+        is_point: bool,
+        place: Numbers | None = None,
+    ) -> int:
+        key = (id(body), interpolation, is_point, tuple(vector.tolist()), id(place))
         if key not in self._known:
             self._known[key] = len(self.vectors)
-            self.vectors.append(Attached(body, vector, mount, is_point, place))
+            self.vectors.append(Attached(body, vector, interpolation, is_point, place))
         return self._known[key]
 
     def point(self, frame: Frame) -> int:
         """Index of the frame's point."""
-        return self._add(frame.body, frame.present, frame.mount, True, frame.place)
+        return self._add(frame.body, frame.present, frame.interpolation, True, frame.place)
 
     def axis(self, frame: Frame, axis: str) -> int:
         """Index of an axis of the frame."""
-        return self._add(frame.body, frame.axis(axis), frame.mount, False)
+        return self._add(frame.body, frame.axis(axis), frame.interpolation, False)
 
-    def twin(self, frame: Frame, axis: str, other: Frame) -> int:
+    def coincident_axis(self, frame: Frame, axis: str, other: Frame) -> int:
         """Index of the axis on the other body that coincides now with an axis of the first frame."""
         ground = frame.body.axes @ frame.axis(axis)
-        return self._add(other.body, other.body.axes.T @ ground, other.mount, False)
+        return self._add(other.body, other.body.axes.T @ ground, other.interpolation, False)
 
-    def twin_point(self, frame: Frame, other: Frame) -> int:
+    def coincident_point(self, frame: Frame, other: Frame) -> int:
         """Index of the point on the other body that coincides now with the point of the first frame."""
-        varying = any(f.mount is not None and varying_nodes(f.body.mesh) for f in (frame, other))
+        varying = any(f.interpolation is not None and varying_nodes(f.body.mesh) for f in (frame, other))
         if frame.place is not None or varying:
             raise InputError(
                 f"{frame!r} has coordinates that vary, but a displacement is measured from where it is at the given positions; "
@@ -116,7 +123,7 @@ class Scribe:
                     f"{other!r} are at the given positions; allowed: a position without a gradient"
                 )
         ground = frame.body.position + frame.body.axes @ frame.point
-        return self._add(other.body, other.body.axes.T @ (ground - other.body.position), other.mount, True)
+        return self._add(other.body, other.body.axes.T @ (ground - other.body.position), other.interpolation, True)
 
 
 class Joint:
@@ -134,7 +141,7 @@ class Joint:
         self.a, self.b = a, b
         self.name = name or f"{kind.lower()}_{a.body.name}_{b.body.name}"
 
-    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+    def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         """Yield the primitives of the joint."""
         raise NotImplementedError(type(self).__name__)
 

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.multibody.joints.joint import Attached, Equation, Joint, Scribe
+from torchmbd.multibody.joints.joint import Attached, AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 _RANK = 1e-6  # share of the largest singular value that counts as zero: the given positions are approximate
@@ -51,10 +51,10 @@ class Lock(Joint):
         if not self.freedoms:
             raise InputError(f"{joint.name!r} cannot be locked: it leaves no freedom; allowed: a joint that moves")
 
-    def equations(self, scribe: Scribe) -> Iterator[Equation]:
-        own = scribe.vectors
-        points = scribe.point(self.a), scribe.point(self.b)
-        axes_a, axes_b = ([scribe.axis(frame, k) for k in "xyz"] for frame in (self.a, self.b))
+    def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
+        own = attachments.vectors
+        points = attachments.point(self.a), attachments.point(self.b)
+        axes_a, axes_b = ([attachments.axis(frame, k) for k in "xyz"] for frame in (self.a, self.b))
         first = len(own)
         own += [replace(own[i]) for i in (points[0], *axes_b)]
         self.marks = Marks(
@@ -90,8 +90,8 @@ def freedoms(joint: Joint) -> list[int]:
 
 def _phi(joint: Joint, twist: Tensor) -> Tensor:
     """Violations [rows] of a joint at the given positions, body b moved by a twist [6] in the axes of frame a."""
-    scribe = Scribe()
-    equations = list(joint.equations(scribe))
+    attachments = AttachmentTable()
+    equations = list(joint.equations(attachments))
     axes = joint.a.body.axes @ joint.a.axes
     origin = joint.a.body.position.detach() + joint.a.body.axes @ joint.a.present
     shift, turn = axes @ twist[:3], axes @ twist[3:]
@@ -104,7 +104,7 @@ def _phi(joint: Joint, twist: Tensor) -> Tensor:
         turned = g + torch.linalg.cross(turn, g - origin if x.is_point else g)
         return turned + shift if x.is_point else turned
 
-    vectors = [ground(x)[:, None, None, None] for x in scribe.vectors]
+    vectors = [ground(x)[:, None, None, None] for x in attachments.vectors]
     rows = []
     for kind, members, data in equations:
         primitive = kind((torch.zeros(1, dtype=torch.long),), (data,))

@@ -23,7 +23,7 @@ from torchmbd.multibody.joints.laws import Finite
 from torchmbd.multibody.joints.primitive import slopes
 
 
-class Varied(Finite):
+class ParametricDrive(Finite):
     """The law of the joint `name`, a module with parameters."""
 
     def __init__(self, name: str, variables: Variables):

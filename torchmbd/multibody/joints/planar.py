@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import Equation, Joint, Scribe, others
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, others
 from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
@@ -16,8 +16,10 @@ class Planar(Joint):
         super().__init__(a, b, name)
         self.normal = self.common_axis(normal)
 
-    def equations(self, scribe: Scribe) -> Iterator[Equation]:
-        yield Equation(Plane, (scribe.point(self.a), scribe.point(self.b), scribe.axis(self.a, self.normal)))
-        upright = scribe.twin(self.a, self.normal, self.b)
+    def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
+        yield Equation(
+            Plane, (attachments.point(self.a), attachments.point(self.b), attachments.axis(self.a, self.normal))
+        )
+        upright = attachments.coincident_axis(self.a, self.normal, self.b)
         for axis in others(self.normal):
-            yield Equation(Perpendicular, (scribe.axis(self.a, axis), upright))
+            yield Equation(Perpendicular, (attachments.axis(self.a, axis), upright))

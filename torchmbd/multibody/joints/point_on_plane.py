@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from torchmbd.multibody.bodies.frame import Frame, axis_index
-from torchmbd.multibody.joints.joint import Equation, Joint, Scribe
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Plane
 
 
@@ -17,5 +17,7 @@ class PointOnPlane(Joint):
         axis_index(normal)
         self.normal = normal
 
-    def equations(self, scribe: Scribe) -> Iterator[Equation]:
-        yield Equation(Plane, (scribe.point(self.a), scribe.point(self.b), scribe.axis(self.a, self.normal)))
+    def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
+        yield Equation(
+            Plane, (attachments.point(self.a), attachments.point(self.b), attachments.axis(self.a, self.normal))
+        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from torchmbd.multibody.bodies.frame import Frame
-from torchmbd.multibody.joints.joint import Equation, Joint, Scribe, others
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, others
 from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 
 
@@ -16,8 +16,8 @@ class Revolute(Joint):
         super().__init__(a, b, name)
         self.axis = self.common_axis(axis)
 
-    def equations(self, scribe: Scribe) -> Iterator[Equation]:
-        yield Equation(Coincide, (scribe.point(self.a), scribe.point(self.b)))
-        hinge = scribe.twin(self.a, self.axis, self.b)
+    def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
+        yield Equation(Coincide, (attachments.point(self.a), attachments.point(self.b)))
+        hinge = attachments.coincident_axis(self.a, self.axis, self.b)
         for normal in others(self.axis):
-            yield Equation(Perpendicular, (scribe.axis(self.a, normal), hinge))
+            yield Equation(Perpendicular, (attachments.axis(self.a, normal), hinge))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from torchmbd.errors import InputError
 from torchmbd.multibody.bodies.frame import Frame, axis_index
-from torchmbd.multibody.joints.joint import Equation, Joint, Scribe
+from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 
 
@@ -26,7 +26,9 @@ class Universal(Joint):
             axis_index(axis)
         self.axes = axes
 
-    def equations(self, scribe: Scribe) -> Iterator[Equation]:
+    def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         first, second = self.axes
-        yield Equation(Coincide, (scribe.point(self.a), scribe.point(self.b)))
-        yield Equation(Perpendicular, (scribe.axis(self.a, first), scribe.twin(self.a, second, self.b)))
+        yield Equation(Coincide, (attachments.point(self.a), attachments.point(self.b)))
+        yield Equation(
+            Perpendicular, (attachments.axis(self.a, first), attachments.coincident_axis(self.a, second, self.b))
+        )

@@ -1,7 +1,7 @@
 """Condensation: joints to the ground that hold a rigid body simply are solved once and for all, not in every step.
 
     driven or held   the joints to the ground leave a rigid body nothing but its drive: its motion is known, it becomes a
-                     carrier like the ground itself
+                     prescribed body like the ground itself
     guided           the joints to the ground leave it a constant subspace N of rates, v = N u (a slider on a prismatic
                      joint, a wheel that turns about its origin): their rows and the rates across N go
 
@@ -23,7 +23,7 @@ from torch import Tensor
 from torchmbd.math.rotation import rotation_matrix, skew
 from torchmbd.multibody.joints.primitive import Primitive, values_at
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.prescribed_body import Carrier
+from torchmbd.multibody.system.prescribed_body import PrescribedBody
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.topology import Topology, assemble
 
@@ -168,7 +168,7 @@ def condense(T: Topology, q: Tensor) -> Condensation | None:
     poses = _Poses(T)
     q = poses.closed(q, holds)
     J = poses.jacobian(q)
-    carriers: dict[int, Carrier] = {}
+    prescribed_bodies: dict[int, PrescribedBody] = {}
     guided: dict[int, Tensor] = {}
     gone: set[int] = set()
     for hold in holds:
@@ -177,16 +177,16 @@ def condense(T: Topology, q: Tensor) -> Condensation | None:
         free = _null(J[hold.rows][:, poses.columns(hold.body)])
         known = not any(hasattr(law, "numbers") for law in hold.laws)  # the same motion in every design
         if known and free.shape[1] == len(hold.driven) <= 1:
-            carrier = _carrier(poses, q, hold, free)
-            if carrier is not None:
-                carriers[hold.body] = carrier
+            prescribed_body = _prescribed_body(poses, q, hold, free)
+            if prescribed_body is not None:
+                prescribed_bodies[hold.body] = prescribed_body
                 gone |= {*hold.rows, *hold.driven}
                 continue
         if free.shape[1] and _constant(poses, q, hold, free):
             guided[hold.body] = free
             gone |= set(hold.rows)
     # A system whose whole motion is known keeps its bodies: an integrator needs unknowns.
-    return _condensation(T, carriers, guided, gone) if gone and len(carriers) < T.bodies else None
+    return _condensation(T, prescribed_bodies, guided, gone) if gone and len(prescribed_bodies) < T.bodies else None
 
 
 def _null(J: Tensor) -> Tensor:
@@ -213,12 +213,12 @@ def _constant(poses: _Poses, q: Tensor, hold: _Hold, free: Tensor) -> bool:
     return True
 
 
-def _carrier(poses: _Poses, q: Tensor, hold: _Hold, free: Tensor) -> Carrier | None:
-    """The body as a carrier, if its joints hold at any angle of its drive."""
+def _prescribed_body(poses: _Poses, q: Tensor, hold: _Hold, free: Tensor) -> PrescribedBody | None:
+    """The body with a prescribed motion, if its joints hold at any angle of its drive."""
     T, b = poses.T, hold.body
     A, r = rotation_matrix(q[T.p_slice(b)][:, None, None])[..., 0, 0], q[T.r_slice(b)]
     if not hold.driven:
-        return Carrier(T.names[b], A, r, torch.zeros_like(A), r)
+        return PrescribedBody(T.names[b], A, r, torch.zeros_like(A), r)
     turning = A @ free[3:, 0]
     if float(turning.norm()) < _HELD:
         return None
@@ -226,23 +226,25 @@ def _carrier(poses: _Poses, q: Tensor, hold: _Hold, free: Tensor) -> Carrier | N
     center = r + torch.linalg.cross(axis, free[:3, 0] / turning.norm())
     for sign in (1.0, -1.0):
         spin = skew((sign * axis)[:, None, None])[..., 0, 0]
-        carrier = Carrier(T.names[b], A, r, spin, center, hold.laws[0])
-        if all(_holds_at(poses, q, hold, carrier, angle) for angle in _FAR):
-            return carrier
+        prescribed_body = PrescribedBody(T.names[b], A, r, spin, center, hold.laws[0])
+        if all(_holds_at(poses, q, hold, prescribed_body, angle) for angle in _FAR):
+            return prescribed_body
     return None
 
 
-def _holds_at(poses: _Poses, q: Tensor, hold: _Hold, carrier: Carrier, angle: float) -> bool:
+def _holds_at(poses: _Poses, q: Tensor, hold: _Hold, prescribed_body: PrescribedBody, angle: float) -> bool:
     turned = q.clone()
-    p, r = carrier.turned(q.new_tensor([angle]))
+    p, r = prescribed_body.turned(q.new_tensor([angle]))
     turned[poses.T.p_slice(hold.body)], turned[poses.T.r_slice(hold.body)] = p[0], r[0]
     return float(poses.phi(turned, angle)[hold.rows + hold.driven].abs().max()) < _HELD
 
 
-def _condensation(T: Topology, carriers: dict[int, Carrier], guided: dict[int, Tensor], gone: set[int]) -> Condensation:
-    bodies = [b for b in range(T.bodies) if b not in carriers]
+def _condensation(
+    T: Topology, prescribed_bodies: dict[int, PrescribedBody], guided: dict[int, Tensor], gone: set[int]
+) -> Condensation:
+    bodies = [b for b in range(T.bodies) if b not in prescribed_bodies]
     number = {b: i for i, b in enumerate(bodies)}
-    number |= {b: len(bodies) + i for i, b in enumerate([*carriers, T.bodies])}
+    number |= {b: len(bodies) + i for i, b in enumerate([*prescribed_bodies, T.bodies])}
     rows = [i for i in range(T.rows) if i not in gone]
     parts, used = [], set()
     for primitive, own in T.row_slices():
@@ -273,7 +275,7 @@ def _condensation(T: Topology, carriers: dict[int, Carrier], guided: dict[int, T
         tuple(
             replace(a, members=tuple(torch.tensor([place[int(i)] for i in m]) for m in a.members)) for a in T.actions
         ),
-        tuple(carriers.values()),
+        tuple(prescribed_bodies.values()),
         rates,
     )
     return Condensation(

@@ -44,7 +44,7 @@ Data = dict[str, Any]  # name -> tensor or pair, [component..., 1, lanes]
 class Placement:
     """Where everything is: rotations of the bodies and the attached vectors.
 
-    A     [3, 3, bodies + carriers]   rotations, the ground last
+    A     [3, 3, bodies + prescribed bodies]   rotations, the ground last
     w     [modes, flexible]
     A_of  [3, 3, vectors]      rotation of the body of each vector
     rho   [3, vectors]         vectors in body axes
@@ -191,9 +191,9 @@ def constraint_jets(T: Topology, at: Placement, data: Data, v, a, t: Tensor) -> 
 def driven_jets(T: Topology, at: Placement, data: Data, v, a, drives: list[tuple | None]) -> Jet:
     """The same for laws that are known with their slopes.
 
-    Of systems whose only carrier is the ground: a condensed one starts from the state of the whole.
+    Of systems whose only prescribed body is the ground: a condensed one starts from the state of the whole.
     """
-    assert not T.carriers
+    assert not T.prescribed_bodies
     parts = [T.arguments(part) for part in vector_jets(T, at, data, v, a).parts]
     phi = []
     for i, (primitive, drive) in enumerate(zip(T.primitives, drives, strict=True)):
@@ -233,7 +233,8 @@ def vector_jets(T: Topology, at: Placement, data: Data, v, a) -> Jet:
 
 
 def vector_velocities(T: Topology, at: Placement, data: Data, v):
-    """Velocities of the attached vectors [3, vectors, ...], in ground axes; of those on carriers as if they were at rest."""
+    """Velocities of the attached vectors [3, vectors, ...], in ground axes; of those on prescribed bodies as if they were
+    at rest."""
     rd, om, wd = split_v(T, v)
     om = _with_carriers(T, om, 1).index_select(1, T.vector_body)
     velocity = cross(om, at.rho)
@@ -245,7 +246,7 @@ def vector_velocities(T: Topology, at: Placement, data: Data, v):
 
 
 def _with_carriers(T: Topology, x, dim: int):
-    """Append zeros for the carriers and the ground."""
+    """Append zeros for the prescribed bodies and the ground."""
 
     def zeros(y: Tensor) -> Tensor:
         return y.new_zeros(*y.shape[:dim], T.known, *y.shape[dim + 1 :])

@@ -1,7 +1,7 @@
 """The whole system's coordinates and multipliers from those of the system that a condensation left.
 
     bodies that were left    their own rows; rates through the constant map of guided bodies
-    carriers                 known motions: they have no design tangents
+    prescribed bodies                 known motions: they have no design tangents
     multipliers of rows that went: reactions.py
 
 By rows, when somebody asks: most of a motion is never looked at.
@@ -30,12 +30,15 @@ class Expansion:
     times: Tensor
     known: list[
         tuple[int, tuple[Tensor, ...]]
-    ]  # number of each carrier in the whole, and its q, v, a [times, components]
+    ]  # number of each prescribed body in the whole, and its q, v, a [times, components]
 
     @classmethod
     def of(cls, c: Condensation, data: Data, times: Tensor) -> Expansion:
-        """Asks the laws of the carriers now: they may be others when somebody looks."""
-        known = [(c.whole.names.index(carrier.name), carrier.motion(times)) for carrier in c.topology.carriers]
+        """Asks the laws of the prescribed bodies now: they may be others when somebody looks."""
+        known = [
+            (c.whole.names.index(prescribed_body.name), prescribed_body.motion(times))
+            for prescribed_body in c.topology.prescribed_bodies
+        ]
         return cls(c, data, times, known)
 
     def rows(self, order: int, x: Tensor, index: Sequence[int] | None = None, known: bool = True) -> Tensor:

@@ -1,4 +1,5 @@
-"""Carriers: bodies whose motion is known, because joints to the ground and a drive leave them no freedom (condensation.py).
+"""Prescribed bodies: their motion is known, because joints to the ground and a drive leave them no freedom
+(condensation.py).
 
     angle(t) = law(t) - law(0)        A(t) = turn(angle) A,   r(t) = r + (turn(angle) - 1) (r - center)
 
@@ -18,7 +19,7 @@ from torchmbd.multibody.joints.primitive import slopes_at, values_at
 
 
 @dataclass(frozen=True)
-class Carrier:
+class PrescribedBody:
     """A body that turns about an axis fixed in the ground, by the change of a law since the start.
 
     A, r   pose at the start [3, 3], [3]

@@ -20,7 +20,7 @@ from torch import Tensor
 from torchmbd.math.pair import cat, cross, matmul, matvec, matvec_t
 from torchmbd.math.rotation import axial, skew
 from torchmbd.multibody.system.equations import Data, Placement, moments, split_v, total_on_vectors
-from torchmbd.multibody.system.topology import Fold, Topology
+from torchmbd.multibody.system.topology import SegmentSum, Topology
 from torchmbd.multibody.system.unit_forces import Block, UnitForces
 
 Moments = tuple[Tensor, Tensor, Tensor | None]  # S, P and G of equations.moments
@@ -31,7 +31,7 @@ class SaddleBlocks:
 
     def __init__(self, T: Topology, rows: UnitForces, actions: UnitForces):
         self.T, self.rows, self.actions = T, rows, actions
-        self._body_fold = Fold([b if b < T.bodies else -1 for b in T.vector_body.tolist()], T.bodies)
+        self._body_fold = SegmentSum([b if b < T.bodies else -1 for b in T.vector_body.tolist()], T.bodies)
 
     def shapes(self) -> list[Block]:
         """Names and shapes, in the order of the entries."""

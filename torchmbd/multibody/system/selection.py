@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import torch
 
-from torchmbd.multibody.system.topology import Fold, Topology
+from torchmbd.multibody.system.topology import SegmentSum, Topology
 
 
 def selected(T: Topology, rows: Sequence[int]) -> Topology:
@@ -30,5 +30,5 @@ def selected(T: Topology, rows: Sequence[int]) -> Topology:
         slots=torch.tensor(slots, dtype=torch.long),
         row_names=tuple(T.row_names[i] for i in sorted(wanted)),
         row_joints=tuple(T.row_joints[i] for i in sorted(wanted)),
-        vector_fold=Fold(slots, len(T.attached)),
+        vector_fold=SegmentSum(slots, len(T.attached)),
     )

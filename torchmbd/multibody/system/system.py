@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.math.gradients import refuse_lost
-from torchmbd.math.module_call import called, exclusive
+from torchmbd.math.module_call import call_module, exclusive
 from torchmbd.math.owned import positive, refuse_derivatives, several
 from torchmbd.math.pair import Pair
 from torchmbd.math.variable import key
@@ -171,7 +171,7 @@ class System(nn.Module):
     def stages(self, parameters: Mapping[str, Tensor]) -> tuple[Dynamics, dict[str, Tensor]]:
         """The same, and the mode shapes [lanes, nodes, 6, modes] of the flexible bodies by their names."""
         self._refuse_lost()
-        data, structures = called(self, parameters, "stages")
+        data, structures = call_module(self, parameters, "stages")
         return self._made(_of_all(data, parameters)), {name: made["psi"] for name, made in structures.items()}
 
     def _made(self, data: dict[str, Any]) -> Dynamics:
@@ -206,7 +206,7 @@ class System(nn.Module):
                 raise InputError(f"tangents names {name!r}; allowed: names among the given parameters, {list(given)}")
 
         def stage(values: dict[str, Tensor]) -> dict[str, Tensor]:
-            return _of_all(called(self, values, "data"), values)
+            return _of_all(call_module(self, values, "data"), values)
 
         with torch.no_grad():
             if tangents:

@@ -1,6 +1,6 @@
 """What is known at several times as one, the times in the place of lanes: a whole motion is evaluated at once.
 
-Of systems whose only carrier is the ground.
+Of systems whose only prescribed body is the ground.
 Checked in tests/physics/test_energies.py, tests/results/test_reaction.py, tests/multibody/system/test_condensation.py.
 """
 

@@ -7,11 +7,12 @@ Order of the unknowns (flexible bodies come first):
     lam: rows of the primitives, kind by kind (multibody/joints/primitive.py)
 
 `modes` is the largest number of modes; bodies with fewer are padded with modes that never move.
-Carriers are bodies whose motion is known: the ground, and before it those that a condensation took out (prescribed_body.py).
+Prescribed bodies are bodies whose motion is known: the ground, and before it those that a condensation took out
+(prescribed_body.py).
 They follow the bodies in `vector_body`. `rates`, where a condensation left it, gives the rates of all bodies from
 independent ones; v and a then hold the independent ones, and nobody but `split_v` and `dynamic_residual` knows.
 
-Sums over attached vectors are gathers from a padded table (`Fold`): one gather and one sum whatever the number of
+Sums over attached vectors are gathers from a padded table (`SegmentSum`): one gather and one sum whatever the number of
 joints, and no atomic additions.
 """
 
@@ -33,12 +34,12 @@ from torchmbd.multibody.forces.action import KINDS as ACTIONS
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.forces.feedback import Links
 from torchmbd.multibody.forces.force import Applied, ForceElement
-from torchmbd.multibody.joints.joint import Attached, Equation, Joint, Scribe
+from torchmbd.multibody.joints.joint import Attached, AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import KINDS, Primitive
-from torchmbd.multibody.system.prescribed_body import Carrier
+from torchmbd.multibody.system.prescribed_body import PrescribedBody
 
 
-class Fold:
+class SegmentSum:
     """Sum columns of a number into groups: [k, n, ...] -> [k, groups, ...]."""
 
     def __init__(self, group: Sequence[int], groups: int):
@@ -54,7 +55,7 @@ class Fold:
         self.padded = any(padding in m for m in table)
 
     def __call__(self, *parts):
-        """Fold the columns of all parts, side by side."""
+        """Sum the columns of all parts, side by side."""
         if self.width == 0:
             return linear(lambda y: y.new_zeros(y.shape[0], self.groups, *y.shape[2:]), parts[0])
         columns = list(parts)
@@ -88,11 +89,11 @@ class SparseMap:
 
 
 class Prescribed(NamedTuple):
-    """What is known at a time: what the laws prescribe for each kind of primitive, and where the carriers are."""
+    """What is known at a time: what the laws prescribe for each kind of primitive, and where the prescribed bodies are."""
 
     laws: list[tuple | None]
-    A: Tensor  # rotations [3, 3, carriers, 1, 1], the ground last
-    r: Tensor  # origins [3, carriers, 1, 1]
+    A: Tensor  # rotations [3, 3, prescribed bodies, 1, 1], the ground last
+    r: Tensor  # origins [3, prescribed bodies, 1, 1]
     t: Any  # the time [1, 1] or []
 
     def shared(self, varied: Sequence[int]) -> Prescribed:
@@ -122,13 +123,13 @@ class Topology:
     slots: Tensor  # vectors of all arguments of all primitives, in order
     row_names: tuple[str, ...]
     row_joints: tuple[str, ...]  # the joint of each row
-    vector_fold: Fold  # slots of constraint forces -> vectors
-    body_fold: Fold  # [forces of points | torques] of vectors -> [forces | torques] of bodies
-    modal_fold: Fold  # modal forces of flexible vectors -> flexible bodies
+    vector_fold: SegmentSum  # slots of constraint forces -> vectors
+    body_fold: SegmentSum  # [forces of points | torques] of vectors -> [forces | torques] of bodies
+    modal_fold: SegmentSum  # modal forces of flexible vectors -> flexible bodies
     actions: tuple[Action, ...] = ()
     action_slots: Tensor | None = None  # vectors of all arguments of all actions, in order
-    action_fold: Fold | None = None  # slots of applied forces -> vectors
-    carriers: tuple[Carrier, ...] = ()
+    action_fold: SegmentSum | None = None  # slots of applied forces -> vectors
+    prescribed_bodies: tuple[PrescribedBody, ...] = ()
     rates: Tensor | None = None  # [rates of all bodies, independent rates]
     spread: SparseMap | None = None  # the same
     gather: SparseMap | None = None  # its transpose
@@ -162,8 +163,8 @@ class Topology:
 
     @property
     def known(self) -> int:
-        """Bodies whose motion is known: the carriers and the ground."""
-        return 1 + len(self.carriers)
+        """How many bodies have a known motion: the prescribed ones and the ground."""
+        return 1 + len(self.prescribed_bodies)
 
     @property
     def rows(self) -> int:
@@ -202,7 +203,7 @@ class Topology:
         """What is known at times [n], for each of them; data as of `law_jets`."""
         n = len(times)
         laws = [p.prescribed(times, data) if p.driven else None for p in self.primitives]
-        poses = [carrier.poses(times) for carrier in self.carriers]
+        poses = [prescribed_body.poses(times) for prescribed_body in self.prescribed_bodies]
         eye = torch.eye(3, dtype=times.dtype, device=times.device)
         poses.append((eye[..., None].expand(3, 3, n), times.new_zeros(3, n)))
         A, r = (torch.stack(x, -2)[..., None, None].movedim(-3, 0).contiguous() for x in zip(*poses, strict=True))
@@ -250,13 +251,13 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[Force
     number = {id(body): i for i, body in enumerate(order)}
     flexible = sum(hasattr(body, "mesh") for body in order)
     ground = len(order)
-    scribe = Scribe()
-    equations = [(joint, equation) for joint in joints for equation in _checked(joint, scribe, number)]
-    applied = [action for force in forces for action in _acting(force, scribe, number)]
-    bends = [number.get(id(x.body), ground) < flexible for x in scribe.vectors]
+    attachments = AttachmentTable()
+    equations = [(joint, equation) for joint in joints for equation in _checked(joint, attachments, number)]
+    applied = [action for force in forces for action in _acting(force, attachments, number)]
+    bends = [number.get(id(x.body), ground) < flexible for x in attachments.vectors]
     arrangement = sorted(range(len(bends)), key=lambda i: not bends[i])
     position = {old: new for new, old in enumerate(arrangement)}
-    attached = tuple(scribe.vectors[i] for i in arrangement)
+    attached = tuple(attachments.vectors[i] for i in arrangement)
     body_of = [number.get(id(x.body), ground) for x in attached]
     own = tuple(body.modes for body in order[:flexible])
     primitives, rows, row_joints = _group(equations, position)
@@ -273,11 +274,12 @@ def assemble(
     row_names: tuple[str, ...],
     row_joints: tuple[str, ...],
     actions: tuple[Action, ...] = (),
-    carriers: tuple[Carrier, ...] = (),
+    prescribed_bodies: tuple[PrescribedBody, ...] = (),
     rates: Tensor | None = None,
 ) -> Topology:
-    """Make the index tensors. body_of: body of each attached vector, carriers after the bodies; flexible bodies first."""
-    n, flexible, ground = len(names), len(own_modes), len(names) + len(carriers)
+    """Make the index tensors. body_of: body of each attached vector, prescribed bodies after the bodies; flexible bodies
+    first."""
+    n, flexible, ground = len(names), len(own_modes), len(names) + len(prescribed_bodies)
     slots, action_slots = (
         [int(i) for kind in kinds for member in kind.members for i in member] for kinds in (primitives, actions)
     )
@@ -300,35 +302,35 @@ def assemble(
         slots=torch.tensor(slots, dtype=torch.long),
         row_names=row_names,
         row_joints=row_joints,
-        vector_fold=Fold(slots, len(attached)),
-        body_fold=Fold(force_of + torque_of, 2 * n),
-        modal_fold=Fold(bent, flexible),
+        vector_fold=SegmentSum(slots, len(attached)),
+        body_fold=SegmentSum(force_of + torque_of, 2 * n),
+        modal_fold=SegmentSum(bent, flexible),
         actions=actions,
         action_slots=torch.tensor(action_slots, dtype=torch.long) if actions else None,
-        action_fold=Fold(action_slots, len(attached)) if actions else None,
-        carriers=carriers,
+        action_fold=SegmentSum(action_slots, len(attached)) if actions else None,
+        prescribed_bodies=prescribed_bodies,
         rates=rates,
         spread=None if rates is None else SparseMap(rates),
         gather=None if rates is None else SparseMap(rates.T),
     )
 
 
-def _checked(joint: Joint, scribe: Scribe, number: dict[int, int]) -> list[Equation]:
+def _checked(joint: Joint, attachments: AttachmentTable, number: dict[int, int]) -> list[Equation]:
     for frame in (joint.a, joint.b):
         if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
                 f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
             )
-    return _known(joint, list(joint.equations(scribe)), KINDS)
+    return _known(joint, list(joint.equations(attachments)), KINDS)
 
 
-def _acting(force: ForceElement, scribe: Scribe, number: dict[int, int]) -> list[Applied]:
+def _acting(force: ForceElement, attachments: AttachmentTable, number: dict[int, int]) -> list[Applied]:
     for frame in (*force.frames, *force.measured):
         if id(frame.body) not in number and not isinstance(frame.body, Ground):
             raise InputError(
                 f"force {force.name!r} acts on body {frame.body.name!r}, which is not among the bodies of the system"
             )
-    return _known(force, list(force.actions(scribe)), ACTIONS)
+    return _known(force, list(force.actions(attachments)), ACTIONS)
 
 
 Named = TypeVar("Named", Equation, Applied)

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from torchmbd.math.pair import cross, matvec_t
-from torchmbd.multibody.system.topology import Fold, Topology
+from torchmbd.multibody.system.topology import SegmentSum, Topology
 
 Block = tuple[str, tuple[int, ...]]  # name and shape
 
@@ -41,14 +41,14 @@ class UnitForces:
         self.pair_body = torch.tensor([b for _, b in self.pairs], dtype=torch.long)
         self.slot_vector = torch.tensor(slot_vector, dtype=torch.long)
         self.slot_pair, self.point_pair = pair_of, points
-        self.turn_fold, self.force_fold = Fold(pair_of, len(self.pairs)), Fold(points, len(self.pairs))
+        self.turn_fold, self.force_fold = SegmentSum(pair_of, len(self.pairs)), SegmentSum(points, len(self.pairs))
         flexible = [i for i, v in enumerate(slot_vector) if v < T.attached_flexible]
         self.flexible_slots = torch.tensor(flexible, dtype=torch.long)
         self.flexible_vector = self.slot_vector[self.flexible_slots]
         self.flexible_pairs = [key for key in self.pairs if key[1] < T.flexible]
         bent = {key: i for i, key in enumerate(self.flexible_pairs)}
         self.flexible_pair = [bent[self.pairs[pair_of[i]]] for i in flexible]
-        self.modal_fold = Fold(self.flexible_pair, len(bent))
+        self.modal_fold = SegmentSum(self.flexible_pair, len(bent))
 
     def blocks(self, data: Any, at: Any, force: Any, name: str) -> dict[str, Any]:
         """Forces and torques [3, pairs], modal forces [modes, flexible pairs] of the forces of slots [3, slots, ...]."""

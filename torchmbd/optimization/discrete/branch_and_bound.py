@@ -3,7 +3,7 @@
 1. Relaxation: local searches from all starts with continuous variables; their distinct minima are the roots.
 2. Branches: the variable farthest from its values gets two boxes, up to the value below and from the value above. Each box
    is searched again with gradients, from where its parent ended; a box whose minimum is no better than the best design on
-   the values is dropped with all that lies in it. The boxes of a wave run in lockstep: their simulations are one batch.
+   the values is dropped with all that lies in it. The boxes of a wave run in common batches: their simulations are one batch.
 3. Confirmation: every minimum found is rounded and evaluated in full. Only evaluated designs are results.
 4. Certificate: all neighbors of the best design within two increments are evaluated; from a better one it goes on.
 

@@ -1,4 +1,4 @@
-"""Optimizers of other packages behind our door: what they see, when they are begun afresh, how they end.
+"""Optimizers of other packages as methods: what they see, when they are begun afresh, how they end.
 
 Packages take a run over not-a-number for success (SciPy) or never return from it (NLopt), so they never see one. A failed
 evaluation is told as a wall: an objective far above the last one, from which line searches, trust regions and conservative
@@ -27,7 +27,7 @@ WALL = 1e3  # times the last objective
 LOOSE = 2e-2  # no claim of success is believed beyond this Kuhn-Tucker residual
 
 
-class OnTheWall(Exception):
+class EvaluationFailed(Exception):
     """A package wants a gradient where the evaluation failed."""
 
 
@@ -44,7 +44,7 @@ class Stop:
     message: str
 
 
-class Guard:
+class WrappedProblem:
     """The problem as a package sees it, the objective in `unit`, inside the box `lower`, `upper` around the begin `y`."""
 
     def __init__(
@@ -72,7 +72,7 @@ class Guard:
         evaluation = self.search.evaluate(y, gradients=True)
         if not evaluation.ok:
             self.walls.append(np.array(y))
-            raise OnTheWall(evaluation.status)
+            raise EvaluationFailed(evaluation.status)
         return evaluation
 
     def record(self, y: np.ndarray) -> None:
@@ -102,7 +102,7 @@ class Guard:
         return dc[rows]
 
 
-def run_foreign(search: Search, run: Callable[[Guard], Stop], max_iterations: int, kkt: float) -> Ending:
+def run_adapted(search: Search, run: Callable[[WrappedProblem], Stop], max_iterations: int, kkt: float) -> Ending:
     """Run a package, afresh where that helps, and say how it ended; `kkt`: residual at which an early stop is good enough."""
     first = search.begin()
     if not first.ok:
@@ -117,7 +117,7 @@ def run_foreign(search: Search, run: Callable[[Guard], Stop], max_iterations: in
     for number in range(RUNS):
         before, failures = y, search.failures
         remaining = max_iterations - (len(search.history) - 1)
-        stop = _guarded(Guard(search, y, unit, walls, remaining, number), run) if remaining > 0 else None
+        stop = _run_wrapped(WrappedProblem(search, y, unit, walls, remaining, number), run) if remaining > 0 else None
         if stop is None:
             break
         message = stop.message
@@ -137,20 +137,20 @@ def run_foreign(search: Search, run: Callable[[Guard], Stop], max_iterations: in
     return _ending(search, y if search.best is None else search.best, message, max_iterations)
 
 
-def _guarded(guard: Guard, run: Callable[[Guard], Stop]) -> Stop | None:
+def _run_wrapped(wrapped: WrappedProblem, run: Callable[[WrappedProblem], Stop]) -> Stop | None:
     """Run once; None if the limit of iterations ended it."""
-    search = guard.search
+    search = wrapped.search
     try:
-        stop = run(guard)
+        stop = run(wrapped)
         final = search.evaluate(stop.y, gradients=True)
         if final.ok:
-            guard.record(stop.y)
+            wrapped.record(stop.y)
             return stop
-        guard.walls.append(stop.y)
+        wrapped.walls.append(stop.y)
         reason = final.status
     except LimitReached:
         return None
-    except OnTheWall as wall:
+    except EvaluationFailed as wall:
         reason = str(wall)
     assert search.best is not None
     return Stop(search.best, False, f"stopped at a failed evaluation ({reason})")

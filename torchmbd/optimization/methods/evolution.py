@@ -1,4 +1,4 @@
-"""SciPy's differential evolution behind the door: no gradients, one batch per generation. For comparison.
+"""SciPy's differential evolution: no gradients, one batch per generation. For comparison.
 
 It needs finite bounds and many times the analyses of a method with gradients, and its end is as good as its population is
 narrow: use it to doubt the minima that a multistart found, not to find them. Constraints by Lampinen's rules (feasible

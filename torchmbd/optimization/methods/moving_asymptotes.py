@@ -1,4 +1,4 @@
-"""NLopt's MMA and CCSAQ (method of moving asymptotes, conservative convex separable approximations) behind the door.
+"""NLopt's MMA and CCSAQ (method of moving asymptotes, conservative convex separable approximations).
 
 They accept only designs better than their conservative approximation promised; NLopt does not tell which, so an iterate here
 is an evaluation that is better than all before it.
@@ -14,7 +14,7 @@ from importlib import import_module
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.optimization.methods.adapters import Guard, LimitReached, Stop, run_foreign
+from torchmbd.optimization.methods.adapters import LimitReached, Stop, WrappedProblem, run_adapted
 from torchmbd.optimization.optimizer import Ending, register, require_range
 from torchmbd.optimization.search import Search
 
@@ -45,28 +45,28 @@ def _run_nlopt(
     for name, value in {"ftol": ftol, "xtol": xtol, "kkt": kkt}.items():
         require_range(name, value, 1e-16, 1.0)
     search.refuse_equalities(method)
-    return run_foreign(
+    return run_adapted(
         search, partial(_run, nlopt=nlopt, algorithm=algorithm, ftol=ftol, xtol=xtol), max_iterations, kkt
     )
 
 
-def _run(guard: Guard, nlopt, algorithm: str, ftol: float, xtol: float) -> Stop:
-    search = guard.search
-    optimizer = nlopt.opt(getattr(nlopt, algorithm), guard.y.size)
-    calls = _Calls(guard, optimizer)
-    optimizer.set_lower_bounds(guard.lower)
-    optimizer.set_upper_bounds(guard.upper)
+def _run(wrapped: WrappedProblem, nlopt, algorithm: str, ftol: float, xtol: float) -> Stop:
+    search = wrapped.search
+    optimizer = nlopt.opt(getattr(nlopt, algorithm), wrapped.y.size)
+    calls = _Calls(wrapped, optimizer)
+    optimizer.set_lower_bounds(wrapped.lower)
+    optimizer.set_upper_bounds(wrapped.upper)
     optimizer.set_min_objective(calls.objective)
-    if guard.unequal.size:
-        optimizer.add_inequality_mconstraint(calls.constraints, np.full(guard.unequal.size, 0.5 * search.feasibility))
+    if wrapped.unequal.size:
+        optimizer.add_inequality_mconstraint(calls.constraints, np.full(wrapped.unequal.size, 0.5 * search.feasibility))
     optimizer.set_ftol_rel(ftol)
     optimizer.set_xtol_rel(xtol)
-    optimizer.set_maxeval(EVALUATIONS_PER_ITERATION * max(guard.remaining, 1))
+    optimizer.set_maxeval(EVALUATIONS_PER_ITERATION * max(wrapped.remaining, 1))
     gave_up = ""
     try:
-        y = optimizer.optimize(guard.y)
+        y = optimizer.optimize(wrapped.y)
     except (nlopt.ForcedStop, RuntimeError, ValueError) as error:  # stopped by us, or its generic failure (round-off)
-        y, gave_up = guard.y if search.best is None else search.best, f"NLopt gave up: {error}"
+        y, gave_up = wrapped.y if search.best is None else search.best, f"NLopt gave up: {error}"
     if calls.raised:
         raise calls.raised[0]
     if gave_up:
@@ -74,35 +74,35 @@ def _run(guard: Guard, nlopt, algorithm: str, ftol: float, xtol: float) -> Stop:
     code = optimizer.last_optimize_result()
     if code == nlopt.MAXEVAL_REACHED:
         raise LimitReached
-    return Stop(np.clip(y, guard.lower, guard.upper), code > 0, f"NLopt's criteria hold (code {code})")
+    return Stop(np.clip(y, wrapped.lower, wrapped.upper), code > 0, f"NLopt's criteria hold (code {code})")
 
 
 class _Calls:
     """What NLopt calls. It does not pass on every exception, so the first is kept in `raised` and the run stopped."""
 
-    def __init__(self, guard: Guard, optimizer) -> None:
-        self.guard, self.optimizer = guard, optimizer
+    def __init__(self, wrapped: WrappedProblem, optimizer) -> None:
+        self.wrapped, self.optimizer = wrapped, optimizer
         self.raised: list[BaseException] = []
 
     def objective(self, y: np.ndarray, slope: np.ndarray) -> float:
-        guard, search = self.guard, self.guard.search
+        wrapped, search = self.wrapped, self.wrapped.search
         try:
             good = search.evaluate(y, gradients=slope.size > 0).ok
             if slope.size:
-                slope[:] = guard.slope(y) if good else 0.0  # not used: a design on the wall is not accepted
+                slope[:] = wrapped.slope(y) if good else 0.0  # not used: a design on the wall is not accepted
             if good and search.best is not None and np.array_equal(search.best, y):
-                guard.record(np.array(y))
-            return guard.objective(y)
+                wrapped.record(np.array(y))
+            return wrapped.objective(y)
         except BaseException as error:
             return self._stop(error)
 
     def constraints(self, values: np.ndarray, y: np.ndarray, slopes: np.ndarray) -> None:
-        guard = self.guard
+        wrapped = self.wrapped
         try:
-            good = guard.search.evaluate(y, gradients=slopes.size > 0).ok
-            values[:] = guard.constraints(y, guard.unequal)
+            good = wrapped.search.evaluate(y, gradients=slopes.size > 0).ok
+            values[:] = wrapped.constraints(y, wrapped.unequal)
             if slopes.size:
-                slopes[:] = guard.jacobian(y, guard.unequal) if good else 0.0
+                slopes[:] = wrapped.jacobian(y, wrapped.unequal) if good else 0.0
         except BaseException as error:
             self._stop(error)
 

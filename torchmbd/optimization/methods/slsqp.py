@@ -1,4 +1,4 @@
-"""SciPy's SLSQP (Kraft's sequential least squares programming) behind the door.
+"""SciPy's SLSQP (Kraft's sequential least squares programming).
 
 Source: scipy.optimize.minimize, method "SLSQP"; Kraft, A software package for sequential quadratic programming, DFVLR-FB
 88-28 (1988).
@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from scipy.optimize import minimize
 
-from torchmbd.optimization.methods.adapters import Guard, Stop, run_foreign
+from torchmbd.optimization.methods.adapters import Stop, WrappedProblem, run_adapted
 from torchmbd.optimization.optimizer import Ending, register, require_range
 from torchmbd.optimization.search import Search
 
@@ -30,13 +30,13 @@ def slsqp(search: Search, max_iterations: int, *, ftol: float = 1e-6, kkt: float
     require_range("ftol", ftol, 1e-16, 1.0)
     require_range("kkt", kkt, 1e-16, 1.0)
     # SLSQP measures constraints by the same tolerance.
-    return run_foreign(search, partial(_run, ftol=min(ftol, search.feasibility)), max_iterations, kkt)
+    return run_adapted(search, partial(_run, ftol=min(ftol, search.feasibility)), max_iterations, kkt)
 
 
-def _run(guard: Guard, ftol: float) -> Stop:
+def _run(wrapped: WrappedProblem, ftol: float) -> Stop:
     def slope(y: np.ndarray) -> np.ndarray:
-        df = guard.slope(y)
-        guard.record(y)  # SciPy asks for gradients exactly where it accepted a step
+        df = wrapped.slope(y)
+        wrapped.record(y)  # SciPy asks for gradients exactly where it accepted a step
         return df
 
     def negative(function, y: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -45,22 +45,22 @@ def _run(guard: Guard, ftol: float) -> Stop:
     constraints = [
         {
             "type": kind,
-            "fun": partial(negative, guard.constraints),
-            "jac": partial(negative, guard.jacobian),
+            "fun": partial(negative, wrapped.constraints),
+            "jac": partial(negative, wrapped.jacobian),
             "args": (rows,),
         }
-        for kind, rows in (("eq", guard.equal), ("ineq", guard.unequal))
+        for kind, rows in (("eq", wrapped.equal), ("ineq", wrapped.unequal))
         if rows.size
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         result = minimize(
-            guard.objective,
-            guard.y,
+            wrapped.objective,
+            wrapped.y,
             jac=slope,
             method="SLSQP",
-            bounds=list(zip(guard.lower, guard.upper, strict=True)),
+            bounds=list(zip(wrapped.lower, wrapped.upper, strict=True)),
             constraints=constraints,
-            options={"maxiter": guard.remaining, "ftol": ftol},
+            options={"maxiter": wrapped.remaining, "ftol": ftol},
         )
     return Stop(result.x, bool(result.success), SENTENCES.get(int(result.status), f"SLSQP: {result.message}"))

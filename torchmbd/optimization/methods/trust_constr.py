@@ -1,4 +1,4 @@
-"""SciPy's trust-constr (a trust-region interior point method) behind the door.
+"""SciPy's trust-constr (a trust-region interior point method).
 
 The slowest and the most patient of the family: a second opinion on ill-conditioned problems.
 Source: scipy.optimize.minimize, method "trust-constr"; Byrd, Hribar and Nocedal, SIAM J. Optim. 9 (1999) 877-900.
@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from scipy.optimize import BFGS, Bounds, NonlinearConstraint, minimize
 
-from torchmbd.optimization.methods.adapters import Guard, Stop, run_foreign
+from torchmbd.optimization.methods.adapters import Stop, WrappedProblem, run_adapted
 from torchmbd.optimization.optimizer import Ending, register, require_range
 from torchmbd.optimization.search import Search
 
@@ -34,44 +34,46 @@ def trust_constr(
     for name, value in {"gtol": gtol, "xtol": xtol, "initial_radius": initial_radius, "kkt": kkt}.items():
         require_range(name, value, 1e-16, 1e3)
     options = {"gtol": gtol, "xtol": xtol, "initial_tr_radius": initial_radius}
-    return run_foreign(search, partial(_run, options=options), max_iterations, kkt)
+    return run_adapted(search, partial(_run, options=options), max_iterations, kkt)
 
 
-def _run(guard: Guard, options: dict[str, float]) -> Stop:
+def _run(wrapped: WrappedProblem, options: dict[str, float]) -> Stop:
     # Its barrier needs a start inside the bounds; a later run begins nearer to them, with a lower barrier.
-    room = np.minimum(INSIDE * np.maximum(np.abs(guard.y), 1.0), 0.25 * (guard.upper - guard.lower)) * guard.shrink
-    inside = np.clip(guard.y, guard.lower + room, guard.upper - room)
+    room = (
+        np.minimum(INSIDE * np.maximum(np.abs(wrapped.y), 1.0), 0.25 * (wrapped.upper - wrapped.lower)) * wrapped.shrink
+    )
+    inside = np.clip(wrapped.y, wrapped.lower + room, wrapped.upper - room)
 
     def accepted(y: np.ndarray, state) -> bool:
-        guard.record(np.array(y))
+        wrapped.record(np.array(y))
         return False
 
     constraints = [
         NonlinearConstraint(
-            partial(guard.constraints, rows=rows),
+            partial(wrapped.constraints, rows=rows),
             low,
             0.0,
-            jac=partial(guard.jacobian, rows=rows),  # type: ignore[arg-type]
+            jac=partial(wrapped.jacobian, rows=rows),  # type: ignore[arg-type]
             hess=BFGS(),
         )
-        for low, rows in ((0.0, guard.equal), (-np.inf, guard.unequal))
+        for low, rows in ((0.0, wrapped.equal), (-np.inf, wrapped.unequal))
         if rows.size
     ]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of quasi-Newton updates skipped along straight valleys
         result = minimize(
-            guard.objective,
+            wrapped.objective,
             inside,
-            jac=guard.slope,
+            jac=wrapped.slope,
             hess=BFGS(),
             method="trust-constr",
-            bounds=Bounds(guard.lower, guard.upper, keep_feasible=True),  # type: ignore[arg-type]
+            bounds=Bounds(wrapped.lower, wrapped.upper, keep_feasible=True),  # type: ignore[arg-type]
             constraints=constraints,
             callback=accepted,
             options={
-                "maxiter": 10 * guard.remaining + 10,
-                "initial_barrier_parameter": BARRIER * guard.shrink,
-                "initial_barrier_tolerance": BARRIER * guard.shrink,
+                "maxiter": 10 * wrapped.remaining + 10,
+                "initial_barrier_parameter": BARRIER * wrapped.shrink,
+                "initial_barrier_tolerance": BARRIER * wrapped.shrink,
                 **options,
             },
         )

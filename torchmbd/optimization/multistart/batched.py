@@ -69,7 +69,7 @@ class Group:
     found: list[Evaluation] = field(default_factory=list)  # of the parts that are done
 
 
-class Lockstep:
+class BatchedSearches:
     """Runs `runners` (one per start), `max_lanes` at once; `go_on(results)` is asked before each further start.
 
     `callback` hears of every iterate, `ended` of every result, as they come. `groups` of starts, each of its own pace.
@@ -241,9 +241,9 @@ def side_by_side(
     def runner(index: int, ask: Ask, report: Report) -> OptimizationResult:
         return run_one(searches[index](index, ask, report))
 
-    lockstep = Lockstep(problem, [partial(runner, k) for k in range(len(searches))], max_lanes, None)
+    batched = BatchedSearches(problem, [partial(runner, k) for k in range(len(searches))], max_lanes, None)
     ends: list[OptimizationResult | None] = [None] * len(searches)
-    for result in lockstep.run():
+    for result in batched.run():
         if result.status not in ("failed", "infeasible", "interrupted"):
             ends[result.start] = result
-    return ends, lockstep.interrupted
+    return ends, batched.interrupted

@@ -1,4 +1,4 @@
-"""Local searches from many starts, in lockstep, and what they say together."""
+"""Local searches from many starts, in common batches, and what they say together."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.batch import at_once
-from torchmbd.optimization.multistart.batched import Lockstep
+from torchmbd.optimization.multistart.batched import BatchedSearches
 from torchmbd.optimization.multistart.minima import Minimum, covered_share, distinct_minima, expected_minima
 from torchmbd.optimization.multistart.sampling import Starts, recipe
 from torchmbd.optimization.optimizer import (
@@ -174,6 +174,6 @@ def multistart(
             done.append(result)
             show(len(done), min((one.value for one in done if one.violation <= feasibility), default=np.nan))
 
-        lockstep = Lockstep(problem, runners, max_lanes, callback, go_on, both(count, ended), groups)
-        results = lockstep.run()
-    return Study(results, find(results), lockstep.interrupted, lockstep.stopped_early, points)
+        batched = BatchedSearches(problem, runners, max_lanes, callback, go_on, both(count, ended), groups)
+        results = batched.run()
+    return Study(results, find(results), batched.interrupted, batched.stopped_early, points)

@@ -1,4 +1,4 @@
-"""A family of problems over the same designs (the points of a Pareto front): solved in lockstep, warming each other.
+"""A family of problems over the same designs (the points of a Pareto front): solved in common batches, warming each other.
 
 A member is a function that makes one objective and its constraints of a design's criteria. Members start between the designs
 of their neighbors. All look at one memory of evaluated designs: a member starts again if the search of another came across
@@ -106,7 +106,7 @@ class Family:
         return best
 
     def _run(self, jobs: list[tuple[Member, np.ndarray]]) -> list[OptimizationResult | None]:
-        """Run members from designs in lockstep; None where no feasible design was found."""
+        """Run members from designs in common batches; None where no feasible design was found."""
         if self.interrupted or not jobs:
             return [None] * len(jobs)
 
