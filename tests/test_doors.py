@@ -35,8 +35,8 @@ CASES: dict[str, tuple[Callable[[], Any], str]] = {
     "point of a frame": (lambda: mbd.Frame(BOX, "x"), "point of a Frame on 'b' is 'x'"),
     "point of two numbers": (lambda: mbd.Frame(BOX, torch.zeros(2)), "point of a Frame on 'b' is tensor"),
     "axes of a frame": (lambda: mbd.Frame(BOX, ORIGIN, axes="x"), "axes of a Frame on 'b' is 'x'"),
-    "mount of a rigid frame": (lambda: mbd.Frame(BOX, ORIGIN, mount=3), "mount of a Frame on 'b' is 3"),
-    "no mount": (lambda: mbd.Frame(ROD, ORIGIN), "mount of a Frame on 'rod' is None"),
+    "mount of a rigid frame": (lambda: mbd.Frame(BOX, ORIGIN, interpolation=3), "interpolation of a Frame on 'b' is 3"),
+    "no mount": (lambda: mbd.Frame(ROD, ORIGIN), "interpolation of a Frame on 'rod' is None"),
     "until": (lambda: mbd.Phase(until="x"), "until of a phase is 'x'"),
     "a variable until": (lambda: mbd.Phase(until=mbd.variable(0.1)), "until of a phase is Parameter"),
     "lock": (lambda: mbd.Phase(lock=None), "lock of a phase is None"),
@@ -102,7 +102,7 @@ def test_it_is_refused_by_name(case):
 def test_what_is_right_is_taken_in_any_shape():
     frame = mbd.Frame(BOX, [0.1, 0, 0], [[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     assert frame.point.tolist() == [0.1, 0.0, 0.0]
-    assert ROD.at(np.array([0, 1]), weights=np.array([1.0, 3.0])).mount.weights == (0.25, 0.75)
+    assert ROD.at(np.array([0, 1]), weights=np.array([1.0, 3.0])).interpolation.weights == (0.25, 0.75)
     assert mbd.Mesh(SQUARE.nodes, SQUARE.triangles, {"a": np.array([0, 1])}, quads=SQUARE.quads).node_sets["a"] == (
         0,
         1,

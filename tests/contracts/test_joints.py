@@ -264,7 +264,7 @@ def test_axes_bend_with_their_node(pair):
     at = equations.placement(T, data, q, T.prescribed(torch.zeros((), dtype=torch.float64)))
     for k, attached in enumerate(T.attached[: T.attached_flexible]):
         flexible = T.names.index(attached.body.name)
-        moves = attached.body.structure()["psi"].detach()[attached.mount.nodes[0]] @ (w * (1.0 + flexible))
+        moves = attached.body.structure()["psi"].detach()[attached.interpolation.nodes[0]] @ (w * (1.0 + flexible))
         change = moves[:3] if attached.is_point else cross_matrix(moves[3:]) @ attached.vector
         assert_close(at.g[:, k, 0, 0], attached.vector + change, rtol=0, atol=1e-15)
     assert T.attached_flexible >= 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,6 +12,8 @@ from torch import Tensor
 import torchmbd as mbd
 from tests.mechanisms import pendulum
 from torchmbd.design import RMS, AtTime, AtTimes, Final, Frequency, Mass, Mean, Min, SmoothMax, history
+from torchmbd.results.time_rows import Given
+from torchmbd.results.trajectory import Trajectory
 
 
 @history
@@ -24,7 +25,10 @@ def wave(motion):
 
 def clock(n: int) -> Any:
     """As much of a motion as these measures look at: n times in 0..1 [s]."""
-    return SimpleNamespace(t=torch.linspace(0, 1, n, dtype=torch.float64), lanes=2, switches=[], known=None)
+    rows = {name: torch.zeros(2, n, 1, dtype=torch.float64) for name in ("q", "v", "a", "lam")}
+    nothing: Any = None
+    times = torch.linspace(0, 1, n, dtype=torch.float64)
+    return Trajectory(times, Given(rows), ["ok", "ok"], {}, None, nothing, nothing)
 
 
 def exact(t: float) -> float:

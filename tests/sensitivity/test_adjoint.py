@@ -64,11 +64,11 @@ def test_compiled_and_eager_agree(name, native):
     motion = finished(mbd.simulate(system, duration, gradients="reverse", backend="native", **options))
     fast = differentiate(everything, motion).gradient
     own = motion.integration.adjoint
-    ((inputs, [sweep]),) = own._sweeps.items()
-    assert isinstance(sweep, NativeAdjointSolver)
-    assert sweep.code is not None
+    ((inputs, [solver]),) = own._solvers.items()
+    assert isinstance(solver, NativeAdjointSolver)
+    assert solver.code is not None
     assert float(own.error.max()) < 1e-6
-    own._sweeps[inputs] = [adjoint.AdjointSolver(sweep.grid)]
+    own._solvers[inputs] = [adjoint.AdjointSolver(solver.grid)]
     eager = differentiate(everything, motion).gradient
     assert float(((fast - eager).abs().amax((0, 1)) / eager.abs().amax((0, 1))).max()) < 1e-8
 
@@ -97,11 +97,11 @@ def test_the_compiled_error_is_the_largest_of_all_steps(native):
     motion = finished(mbd.simulate(system, duration, gradients="reverse", backend="native", **options))
     differentiate(everything, motion)
     own = motion.integration.adjoint
-    ((inputs, [sweep]),) = own._sweeps.items()
-    assert isinstance(sweep, NativeAdjointSolver)
+    ((inputs, [solver]),) = own._solvers.items()
+    assert isinstance(solver, NativeAdjointSolver)
     compiled_error = own.error.clone()
     own.error.zero_()
-    own._sweeps[inputs] = [adjoint.AdjointSolver(sweep.grid)]
+    own._solvers[inputs] = [adjoint.AdjointSolver(solver.grid)]
     differentiate(everything, motion)
     assert_close(compiled_error, own.error, rtol=0.1, atol=0)
 

@@ -25,7 +25,7 @@ from torchmbd.math.codegen.program import Program, Write
 from torchmbd.math.codegen.segment_sum import SymbolicSegmentSum
 from torchmbd.math.codegen.size import Size, Untraceable, at, place
 from torchmbd.math.pair import cat, contract, cross, matmul, matvec
-from torchmbd.multibody.system.topology import Fold
+from torchmbd.multibody.system.topology import SegmentSum
 
 N, M, K = Size("N"), Size("M"), Size("K")
 SIZES = {"N": 4, "M": 3, "K": 6}
@@ -55,7 +55,7 @@ class Tables:
 
     def __init__(self, traced: bool):
         self.body = Table("body", K) if traced else torch.tensor(BODY)
-        self.sum: Any = SymbolicSegmentSum(Table("group", K), N) if traced else Fold(GROUP, SIZES["N"])
+        self.sum: Any = SymbolicSegmentSum(Table("group", K), N) if traced else SegmentSum(GROUP, SIZES["N"])
         self.n: Any = N if traced else SIZES["N"]
 
 

@@ -221,7 +221,7 @@ def test_a_drive_takes_bodies_of_every_kind():
     """Without a frame it acts on the axes of the body; on a flexible body, those of its reference node."""
     body = plate("rod", reference="left")
     drive = mbd.Drive(mbd.Ground(), body, axis="x", speed=2.0)
-    assert drive.b.mount.nodes == tuple(body.reference)
+    assert drive.b.interpolation.nodes == tuple(body.reference)
     system = mbd.System([body], [drive])
     z = system().initial_state()[0].detach()
     assert_close(z[system.topology.n_q :][3:6], tensor(2.0, 0.0, 0.0), rtol=1e-12, atol=1e-12)

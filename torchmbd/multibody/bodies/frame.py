@@ -43,7 +43,7 @@ class Frame:
 
     point   position in the undeformed body, in body axes [3] [m]; of coordinates that vary what they were
     axes    columns: the axes of the frame in body axes [3, 3]
-    mount   mesh nodes that carry the frame; None on a rigid body
+    interpolation   mesh nodes that carry the frame; None on a rigid body
     place   coordinates of the point of which some vary, a module: Numbers of Point; None: none does
     """
 
@@ -63,7 +63,9 @@ class Frame:
             self.interpolation, (InterpolationConstraint, type(None))
         ):
             allowed = "nodes of its mesh, as body.at(...) mounts it" if hasattr(self.body, "mesh") else "None"
-            raise InputError(f"mount of a Frame on {self.body.name!r} is {self.interpolation!r}; allowed: {allowed}")
+            raise InputError(
+                f"interpolation of a Frame on {self.body.name!r} is {self.interpolation!r}; allowed: {allowed}"
+            )
 
     @property
     def present(self) -> Tensor:

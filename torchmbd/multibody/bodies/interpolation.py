@@ -76,7 +76,7 @@ class InterpolationConstraint:
         return torch.cat([u, turn], dim=-2)
 
     def nearest(self, x: Float[Tensor, "n 3"], point: Float[Tensor, " 3"]) -> int:
-        """The node of the mount that is nearest to a point."""
+        """The node of them that is nearest to a point."""
         return self.nodes[int((x[list(self.nodes)] - point).norm(dim=1).argmin())]
 
     def _w(self, x: Tensor) -> Tensor:
