@@ -30,7 +30,7 @@ def test_two_disks_apart():
     assert least.violation == pytest.approx(3.0, abs=1e-5)
     assert np.allclose(least.y, 0.0, atol=1e-3)
     assert least.fighting == [0, 1]
-    assert problem.functions <= 20
+    assert problem.functions <= 15
 
 
 def test_one_constraint_against_a_bound():

@@ -107,11 +107,8 @@ def test_an_error_and_an_interrupt_stop_all_groups():
     for error in (ZeroDivisionError, KeyboardInterrupt):
         problem = Elsewhere(valley(), 2, lambda X: 0.05)
 
-        raised = []
-
-        def callback(iterate, error=error, raised=raised):
-            if iterate.iteration == 1 and not raised:
-                raised.append(error)
+        def callback(iterate, error=error):
+            if iterate.iteration == 1:
                 raise error
 
         before = threading.active_count()

@@ -220,7 +220,7 @@ def test_one_failing_lane_leaves_the_others_alone(method):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_minima_are_told_apart_and_counted(method):
-    study = multistart(waves(), method, sobol(24, seed=11))
+    study = multistart(waves(), method, sobol(24, seed=2))
     assert study.converged == 24
     assert len(study.minima) == 4
     assert sum(m.count for m in study.minima) == 24

@@ -1,7 +1,7 @@
 """The direction-finding subproblem of the feasible directions method: usable (downhill) and feasible.
 
     minimize    df's + 1/2 s'B s                 no constraint violated, or the violated ones can be met at once
-    minimize    df's + 1/2 s'B s - Phi beta      otherwise; beta <= 1
+    minimize    df's + 1/2 s'B s - Phi beta      otherwise; beta <= 1, Phi raised as long as beta stays small
     subject to  dc_j's + beta c_j <= 0           j violated
                 dc_j's + c_j <= 0                j active: no push-off, s may follow the constraint or meet it
                 lower <= y + s <= upper          side constraints, exactly
@@ -24,7 +24,8 @@ from torchmbd.optimization.methods.quadratic import solve_quadratic
 from torchmbd.optimization.optimizer import Evaluation
 
 SUPPORT = 1e-8  # of Phi, added to the metric: it must not be dwarfed, or the digits are lost
-PHI = 1e4  # in units of the objective
+# Phi in units of the objective.
+PHI = (1e2, 1e3, 1e4)
 
 
 @dataclass(frozen=True)
@@ -68,14 +69,14 @@ def _solve(
     multipliers = np.zeros(c.size)
     exact = solve_quadratic(B, df, A, b)
     violated = np.maximum(c[held], 0.0)
-    if exact is not None and exact.multipliers[: held.size] @ violated <= PHI * max(1.0, abs(evaluation.objective)):
+    if exact is not None and exact.multipliers[: held.size] @ violated <= PHI[-1] * max(1.0, abs(evaluation.objective)):
         multipliers[held] = exact.multipliers[: held.size]
         return Direction(exact.s, multipliers, 1.0)
     return _relaxed(evaluation, B, A, b, held)
 
 
 def _relaxed(evaluation: Evaluation, B: np.ndarray, A: np.ndarray, b: np.ndarray, held: np.ndarray) -> Direction:
-    """Solve with beta = 1 - t as an additional unknown, Phi its weight."""
+    """Solve with beta = 1 - t as an additional unknown, its weight Phi raised until most of the violation goes."""
     df, c = evaluation.objective_gradient, evaluation.constraints
     assert df is not None
     size = df.size
@@ -84,11 +85,15 @@ def _relaxed(evaluation: Evaluation, B: np.ndarray, A: np.ndarray, b: np.ndarray
     extended = np.block([[A, -violated[:, None]], [np.zeros((1, size)), -np.ones((1, 1))]])
     limits = np.append(b, 0.0)
     multipliers = np.zeros(c.size)
-    phi = PHI * max(1.0, abs(evaluation.objective))
-    supported = B + SUPPORT * phi * np.eye(size)
-    metric = np.block([[supported, np.zeros((size, 1))], [np.zeros((1, size)), np.full((1, 1), phi)]])
-    solution = solve_quadratic(metric, np.append(df, 0.0), extended, limits)
-    if solution is None:  # t = 1, s = 0 satisfies every row up to rounding
-        return Direction(np.zeros(size), multipliers, 0.0)
+    for share in PHI:
+        phi = share * max(1.0, abs(evaluation.objective))
+        supported = B + SUPPORT * phi * np.eye(size)
+        metric = np.block([[supported, np.zeros((size, 1))], [np.zeros((1, size)), np.full((1, 1), phi)]])
+        solution = solve_quadratic(metric, np.append(df, 0.0), extended, limits)
+        if solution is None:  # t = 1, s = 0 satisfies every row up to rounding
+            return Direction(np.zeros(size), multipliers, 0.0)
+        t = float(solution.s[-1])
+        if t < 0.5:
+            break
     multipliers[held] = solution.multipliers[: held.size]
-    return Direction(solution.s[:-1], multipliers, 1.0 - float(solution.s[-1]))
+    return Direction(solution.s[:-1], multipliers, 1.0 - t)

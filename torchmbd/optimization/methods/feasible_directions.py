@@ -15,6 +15,9 @@ from torchmbd.optimization.optimizer import Ending, Evaluation
 from torchmbd.optimization.search import Search
 from torchmbd.optimization.stationary import departure
 
+# Longest change of a variable in one step, times the step just made: after one cut short, and after a full one of that length.
+REACH_IF_SHORT, REACH_IF_FULL = 3.0, 10.0
+PATIENCE = 5  # times ITRMOP iterations at rest may go on while a constraint is still violated
 RESETS = 2  # fresh starts of the metric before the search gives up
 ESCAPE = 0.25  # length of a step away from a saddle point (scaled)
 AT_REST = 0.1  # of the option kkt: a residual that needs no second look where the objective is at rest
@@ -31,6 +34,8 @@ class Settings:
     delobj: float
     dabobj: float
     itrmop: int
+    dobj1: float
+    dx1: float
     kkt: float
     second_order: bool
 
@@ -44,6 +49,8 @@ class FeasibleDirections:
         self.weights = np.zeros(self.here.constraints.size)
         self.resets = self.quiet = 0
         self.believed = np.inf  # the objective where it was at rest, and nearly optimal
+        self.reach = np.inf  # longest change of a variable in one step (scaled)
+        self.metric.reset(self.first_curvature(self.weights))
 
     def run(self, max_iterations: int) -> Ending:
         """Iterate until an ending is found; one at a saddle point is none."""
@@ -66,9 +73,15 @@ class FeasibleDirections:
         return self.accept(direction, trial, line)
 
     def direction(self) -> Direction:
-        """Return the direction to search along."""
+        """Return the direction to search along, within reach."""
         search, active = self.search, self.here.constraints >= self.settings.ct * self.unit()
-        return find_direction(self.here, self.y, search.lower, search.upper, self.metric.B, active)
+        lower, upper = np.maximum(search.lower, self.y - self.reach), np.minimum(search.upper, self.y + self.reach)
+        direction = find_direction(self.here, self.y, lower, upper, self.metric.B, active)
+        if direction.beta == 1.0 and np.abs(direction.s).max(initial=0.0) >= 0.999 * self.reach:
+            # Our own limit takes the multipliers of the constraints upon itself: those of the design tell more.
+            multipliers = np.maximum(direction.multipliers, self.quality().multipliers)
+            direction = Direction(direction.s, multipliers, direction.beta)
+        return direction
 
     def unit(self) -> np.ndarray:
         """Return what makes a distance of each constraint [m]: its gradient's length where that exceeds one."""
@@ -94,6 +107,8 @@ class FeasibleDirections:
     def kuhn_tucker(self, direction: Direction) -> Ending | None:
         """Return the ending if the direction promises nothing, and the Lagrangian's gradient vanishes indeed."""
         if self.search.violation(self.here) > self.search.feasibility:
+            return None
+        if np.abs(direction.s).max(initial=0.0) >= 0.999 * self.reach:  # short by our own limit
             return None
         if self.promise(direction) > 0.3 * self.negligible or self.quality().residual > self.settings.kkt:
             return None
@@ -131,22 +146,32 @@ class FeasibleDirections:
         q = after.objective_gradient - df + (after.constraint_gradients - dc).T @ direction.multipliers
         step = trial.y - self.y
         self.metric.learn(step, q)
+        self.extend(trial.alpha, step, direction)
         self.y, self.here = trial.y, after
         search.record(self.y)
         self.quiet = self.quiet + 1 if abs(after.objective - before.objective) <= self.negligible else 0
         return self.at_rest(direction, line) if self.quiet >= self.settings.itrmop else None
 
+    def extend(self, alpha: float, step: np.ndarray, direction: Direction) -> None:
+        """Set the reach of the next step by how this one went."""
+        length = float(np.abs(step).max())
+        if alpha < 1.0:
+            self.reach = REACH_IF_SHORT * length
+        elif float(np.abs(direction.s).max()) >= 0.9 * self.reach:
+            self.reach *= REACH_IF_FULL
+
     def at_rest(self, direction: Direction, line: LineSearch) -> Ending | None:
         """Say what it means that the objective no longer changes, or None to go on."""
         search = self.search
         if search.violation(self.here) > search.feasibility:
-            return self.no_step(direction, line)
+            patient = self.quiet < PATIENCE * self.settings.itrmop
+            return None if patient else self.no_step(direction, line)
         if line.failures:  # steps this short are no sign of an optimum
             return Ending(self.y, "stalled", f"the way down leads into designs that fail: {line.reason}")
         residual = self.quality().residual
         if residual <= LOOSE:
             self.believed = self.here.objective
-        if residual > AT_REST * self.settings.kkt and self.afresh():
+        if residual > AT_REST * self.settings.kkt and self.afresh(direction):
             return None
         if self.here.objective >= self.believed - 10.0 * self.negligible:  # since then nothing came of a fresh start
             return Ending(self.y, "converged", f"the objective no longer changes ({self.quiet} iterations)")
@@ -177,6 +202,7 @@ class FeasibleDirections:
             gain = 0.0 if trial is None else self.here.objective - trial.evaluation.objective
             if trial is not None and gain > self.negligible:
                 self.quiet = 0
+                self.reach = max(self.reach, ESCAPE)
                 return self.accept(direction, trial, line) is None
         return False
 
@@ -187,7 +213,7 @@ class FeasibleDirections:
         precise = self.promise(direction) <= 10.0 * self.negligible and self.quality().residual <= self.settings.kkt
         if feasible and precise:
             return Ending(self.y, "converged", "the Kuhn-Tucker conditions hold to the precision of the evaluations")
-        if self.afresh():
+        if self.afresh(direction):
             return None
         if line.failures and line.failures == line.used:
             return Ending(self.y, "stalled", f"every design tried around x failed: {line.reason}")
@@ -201,14 +227,31 @@ class FeasibleDirections:
             "contradict each other or the bounds",
         )
 
-    def afresh(self) -> bool:
+    def afresh(self, direction: Direction) -> bool:
         """Forget what was learnt and go on; False if that has been done often enough."""
         if self.resets >= RESETS:
             return False
         self.resets += 1
         self.quiet = 0
-        self.metric.reset()
+        self.reach = np.inf
+        self.metric.reset(self.first_curvature(direction.multipliers))
         return True
+
+    def first_curvature(self, multipliers: np.ndarray) -> float:
+        """Return the curvature for which the first step changes objective and variables by DOBJ1 and DX1 at most."""
+        df, dc = self.here.objective_gradient, self.here.constraint_gradients
+        assert df is not None
+        assert dc is not None
+        slope = df + dc.T @ multipliers
+        outward = (self.y <= self.search.lower) & (slope > 0.0) | (self.y >= self.search.upper) & (slope < 0.0)
+        slope = np.where(outward, 0.0, slope)
+        largest = np.abs(slope).max(initial=0.0)
+        if largest == 0.0:
+            return 1.0
+        step = self.settings.dx1 * max(float(np.abs(self.y).max()), 0.1) / largest
+        if self.here.objective != 0.0:
+            step = min(step, self.settings.dobj1 * abs(self.here.objective) / float(slope @ slope))
+        return 1.0 / step
 
 
 def penalty(weights: np.ndarray, direction: Direction, here: Evaluation, B: np.ndarray) -> np.ndarray:

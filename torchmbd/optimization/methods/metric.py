@@ -16,9 +16,9 @@ import numpy as np
 
 STIFF = 0.2  # s'q below this share of s'B s: the metric is too stiff
 SOFTEN_AT_MOST = 0.01  # by this factor in one step
-CONDITION = (
-    1e-6  # smallest eigenvalue kept of known second derivatives, which come by differences, as a share of the largest
-)
+SOFTEST = 1e-11  # smallest eigenvalue kept, as a share of the first guess
+CONDITION = 1e-10  # smallest eigenvalue kept, as a share of the largest
+KNOWN_CONDITION = 1e-6  # the same where second derivatives are known, by differences
 SOFT = 0.15  # a negative curvature counts as this share of it
 
 
@@ -28,22 +28,24 @@ class VariableMetric:
     def __init__(self, size: int) -> None:
         self.B = np.eye(size)
         self.fresh = True
+        self.floor = 0.0
 
     @property
     def stretch(self) -> float:
         """How many times longer a step must be promised before it is tried: only the first is a guess."""
         return 1.5 if self.fresh else np.inf
 
-    def reset(self) -> None:
-        """Forget what was learnt."""
-        self.B = np.eye(len(self.B))
+    def reset(self, curvature: float) -> None:
+        """Forget what was learnt; `curvature` sizes the next step."""
+        self.B = np.eye(len(self.B)) * curvature
+        self.floor = SOFTEST * curvature
         self.fresh = True
 
     def know(self, H: np.ndarray) -> None:
         """Take in the second derivatives H [n, n]; where they are negative the metric is soft: leave quickly."""
         values, vectors = np.linalg.eigh(H)
         values = np.where(values < 0.0, -SOFT * values, values)
-        self.B = (vectors * np.maximum(values, CONDITION * values.max())) @ vectors.T
+        self.B = self.bounded((vectors * values) @ vectors.T, KNOWN_CONDITION)
         self.fresh = False
 
     def learn(self, s: np.ndarray, q: np.ndarray) -> None:
@@ -61,4 +63,11 @@ class VariableMetric:
             B, Bs, sBs = B * ratio, Bs * ratio, sBs * ratio
         theta = 1.0 if sq >= 0.2 * sBs else 0.8 * sBs / (sBs - sq)
         r = theta * q + (1.0 - theta) * Bs
-        self.B = B - np.outer(Bs, Bs) / sBs + np.outer(r, r) / (s @ r)
+        B = B - np.outer(Bs, Bs) / sBs + np.outer(r, r) / (s @ r)
+        self.B = self.bounded(B, CONDITION)
+
+    def bounded(self, B: np.ndarray, condition: float) -> np.ndarray:
+        """Return B with its eigenvalues raised to `condition` times the largest, and to the floor, where below."""
+        values, vectors = np.linalg.eigh(0.5 * (B + B.T))
+        least = max(condition * values[-1], self.floor)
+        return B if values[0] >= least else (vectors * np.maximum(values, least)) @ vectors.T

@@ -14,7 +14,7 @@ the step. The end must be a minimum, not only a Kuhn-Tucker point (curvature.py)
 
 Options have the names of DOT. What differs from DOT: the metric of a direction is learnt along the way (metric.py), all
 constraints are linearized and not only the active, an exact penalty arbitrates the line search, the tolerances are tighter
-(DOT: DELOBJ 1e-3, CTMIN 3e-3 at the end also), and the first direction is that of the scaled gradient itself (DOT: DOBJ1, DX1).
+(DOT: DELOBJ 1e-3, CTMIN 3e-3 at the end also) and the first step is bolder (DOT: DOBJ1 0.1).
 
 Source: Vanderplaats, An efficient feasible directions algorithm for design synthesis, AIAA J. 22 (1984) 1633-1640;
 Vanderplaats, Numerical Optimization Techniques for Engineering Design; DOT user's manual (options and criteria). Own
@@ -38,16 +38,19 @@ def mmfd(
     delobj: float = 1e-6,
     dabobj: float = 1e-8,
     itrmop: int = 2,
+    dobj1: float = 0.5,
+    dx1: float = 1.0,
     kkt: float = 1e-3,
     second_order: bool = True,
 ) -> Ending:
     """Run the method on one start.
 
-    `second_order`: check that the end is no saddle point and leave it if it is; costs as many analyses as there are ways
-    along the active constraints, in one batch.
+    `dobj1`, `dx1`: share of objective and variables that the first step may change. `second_order`: check that the end
+    is no saddle point and leave it if it is; costs as many analyses as there are ways along the active constraints, in
+    one batch.
     """
     require_range("ct", ct, -1.0, 0.0)
-    positive = {"ctmin": ctmin, "delobj": delobj, "dabobj": dabobj, "kkt": kkt}
+    positive = {"ctmin": ctmin, "delobj": delobj, "dabobj": dabobj, "dobj1": dobj1, "dx1": dx1, "kkt": kkt}
     for name, value in positive.items():
         require_range(name, value, 1e-16, 1e3)
     require_count("itrmop", itrmop, 1, 1000)
@@ -55,5 +58,5 @@ def mmfd(
     first = search.begin()
     if not first.ok:
         return Ending(search.start, "failed", f"the start could not be evaluated: {first.status}")
-    settings = Settings(ct, ctmin, delobj, dabobj, itrmop, kkt, second_order)
+    settings = Settings(ct, ctmin, delobj, dabobj, itrmop, dobj1, dx1, kkt, second_order)
     return FeasibleDirections(search, settings, first).run(max_iterations)
