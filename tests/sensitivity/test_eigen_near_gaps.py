@@ -3,8 +3,8 @@
     K(b) = D Q(b) Lambda(b) Q(b)' D,   M = D D,   Q(b) = exp(b W) Q_0,   psi = D^-1 q,   dpsi = D^-1 W q
 
 Q_0 is a Hadamard matrix over a power of two, D, W and Lambda are small multiples of powers of two: K, M and dK have no
-rounding at b = 0. A solver mixes two modes at a relative gap g by rounding / g, so derivatives of single modes are known to
-rounding / g^2: as well as a K that is rounded itself, of any other family, tells them.
+rounding at b = 0. In the families of eigen_families.py rounding of K itself moves derivatives of vectors by rounding / gap^2.
+What rounding leaves depends on the order in which a processor adds: 0.6 to 1.7e-7 at the nearest gap.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from torchmbd.fem.reduction import eigenpair_branches, eigenpairs
 
 ONE, ZERO = (torch.full((1,), x, dtype=torch.float64) for x in (1.0, 0.0))
 N_MODES = 4
-ROUNDING = 100 * torch.finfo(torch.float64).eps  # of K, whose largest eigenvalue is 70 times the least
 
 
 def exact(size: int, gap: float, with_mass: bool) -> tuple[Tensor, ...]:
@@ -40,10 +39,11 @@ def relative(found: Tensor, expected: Tensor) -> float:
     return float((torch.linalg.norm(found - expected, dim=-2) / torch.linalg.norm(expected, dim=-2)).max())
 
 
-@pytest.mark.parametrize("exponent", [-7, -13, -16])
+# Rounding of K, 70 eps, over the square of the gap is 7e-5 at the least of them; blocks of eight columns leave 3.5e-7.
+@pytest.mark.parametrize(("exponent", "tolerance"), [(-7, 1e-10), (-13, 1e-8), (-16, 5e-7)])
 @pytest.mark.parametrize("with_mass", [False, True], ids=["", "M"])
 @pytest.mark.parametrize("size", [16, 256], ids=["dense", "krylov"])
-def test_vectors_and_their_derivatives_are_what_the_numbers_tell(size, with_mass, exponent):
+def test_vectors_and_their_derivatives_are_what_the_numbers_tell(size, with_mass, exponent, tolerance):
     K, M, dK, psi, d_psi, slopes = exact(size, 2.0**exponent, with_mass)
     (values, vectors), (d_values, d_vectors) = jvp(lambda K: tuple(eigenpairs(K, M, N_MODES)), (K,), (dK,))
     branches = eigenpair_branches(lambda b: (K + b * dK, M), ZERO, ONE, N_MODES, orders=1)
@@ -51,8 +51,8 @@ def test_vectors_and_their_derivatives_are_what_the_numbers_tell(size, with_mass
     torch.testing.assert_close(d_values, slopes, rtol=1e-8, atol=0)
     for V, dV in ((vectors, d_vectors), (branches.vectors, branches.vector_slopes)):
         sign = torch.sign((V * M[:, None] * psi).sum(0))
-        assert relative(V * sign, psi) < ROUNDING / 2.0**exponent
-        assert relative(dV * sign, d_psi) < ROUNDING / 4.0**exponent
+        assert relative(V * sign, psi) < 1e-11
+        assert relative(dV * sign, d_psi) < tolerance
 
 
 def test_lanes_near_and_far_from_a_gap_go_together():
@@ -66,4 +66,4 @@ def test_lanes_near_and_far_from_a_gap_go_together():
     for found in routes.values():
         for lane, case in enumerate((near, far)):
             sign = torch.sign((eigenpairs(case[0], case[1], N_MODES).vectors * case[1][:, None] * case[3]).sum(0))
-            assert relative(found[lane] * sign, case[4]) < (ROUNDING / 4.0**-13, 1e-12)[lane]
+            assert relative(found[lane] * sign, case[4]) < 1e-9

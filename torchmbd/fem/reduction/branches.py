@@ -33,8 +33,10 @@ from torch import Tensor
 from torch.func import jvp
 
 from torchmbd.errors import InputError
-from torchmbd.fem.reduction.basis import CLUSTER, open_pencil, solve
+from torchmbd.fem.reduction.basis import CLUSTER, open_pencil, rounding, solve
+from torchmbd.fem.reduction.eigenpairs import clusters
 from torchmbd.fem.reduction.forms import Dense, Diagonal
+from torchmbd.fem.reduction.near_modes import Sharpen
 from torchmbd.fem.reduction.series import retained_series
 from torchmbd.fem.reduction.signs import signs
 from torchmbd.fem.reduction.transport import Pencil
@@ -84,6 +86,7 @@ def eigenpair_branches(
         return K, M
 
     values, psi = solve(pencil, n, K, M, cluster)
+    psi = psi @ Sharpen.apply(pencil, K, M, psi, ~clusters(values, rounding(pencil, K, M), cluster))
     series = taylor(along, orders)
     Psi, Kr = retained_series(pencil, values, psi, [K for K, _ in series], [M for _, M in series])
     found = sorted(_split(Kr, cluster, values.abs().max().item(), 0), key=lambda branch: branch.order)

@@ -12,7 +12,8 @@ These are the derivatives of Nelson's method (each is unique); the solves are sh
 What happens where eigenvalues meet, C being the block of dKr that belongs to them:
 
 - *Vectors closer than `cluster`*: dR = 0 within. The cluster moves as a span, without turning in itself. (Individual
-  vectors are known to rounding / gap, and their derivatives to rounding / gap^2.)
+  vectors are known to rounding / gap, and their derivatives to rounding / gap^2, whatever the method: of K and M rounded
+  to double precision more is not to be had. near_modes.py gets that far.)
 - *Eigenvalues that are repeated*, that is, closer than rounding can tell. Forward mode: the eigenvalues of C in rising
   order, the one-sided derivatives of the sorted eigenvalues along each direction. They are not linear in the
   direction, for no linear derivative exists where the C of several variables do not commute. Reverse mode: the mean of
@@ -40,6 +41,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.reduction.basis import CLUSTER, modal_basis, open_pencil, rounding
+from torchmbd.fem.reduction.near_modes import Sharpen
 from torchmbd.fem.reduction.spectral import chained
 from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.sparse import SparseMatrix
@@ -64,9 +66,13 @@ def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, clust
     """
     basis = modal_basis(K, M, n, cluster)
     pencil, K_values, M_values, lanes = open_pencil(K, M, n)
-    known_to = rounding(pencil, K_values.detach(), M_values.detach())
-    values, R = _Split.apply(basis.stiffness, known_to.reshape(lanes), cluster)
-    return Eigenpairs(values, basis.vectors @ R)
+    K_values, M_values, Kr, psi = (x.detach() for x in (K_values, M_values, *basis[::-1]))
+    known_to = rounding(pencil, K_values, M_values)
+    values = Kr.diagonal(dim1=-2, dim2=-1).reshape(-1, n)
+    apart = ~clusters(values, known_to, cluster)
+    turn = Sharpen.apply(pencil, K_values, M_values, psi.reshape(-1, *psi.shape[-2:]), apart).reshape(*lanes, n, n)
+    values, R = _Split.apply(turn.mT @ basis.stiffness @ turn, known_to.reshape(lanes), cluster)
+    return Eigenpairs(values, basis.vectors @ (turn @ R))
 
 
 def clusters(values: Tensor, known_to: Tensor, cluster: float) -> Tensor:
