@@ -63,7 +63,7 @@ def test_gradients_by_the_drive(system):
 
 def test_its_file_runs_for_two_iterations(tmp_path):
     """Design variables of the drive beside ply angles; phases by name."""
-    small = ["options.cells=[4, 2]", "options.modes=2", "simulate.duration=0.5", "simulate.steps=50", "starts.count=1"]
+    small = ["options.cells=[4, 2]", "options.modes=2", "simulate.duration=0.5", "simulate.steps=25", "starts.count=1"]
     plan = load_study(FILE, [*small, "simulate.iterations=[6, 2]", "optimizer.max_iterations=2"])
     tracker = MlflowTracker("swing", f"sqlite:///{tmp_path / 'runs.db'}")
     assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
