@@ -65,10 +65,12 @@ def run(
     for name in (*_LOOKED_AT, "tangent_error"):
         if name in stats:
             stats[name][lanes] = counts[name][source]
+    failed_first = [lane for lane in lanes if has_failed(status[lane])]  # others were imprecise
     for i, lane in cured:
         status[lane] = retried[i]
     halved = lanes if often == 2 else [failed[i] for i in counts.get("halved", [])]
-    stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved]}
+    first = sorted({*failed_first, *(failed[i] for i in counts.get("failed_first", []))})
+    stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved], "failed_first": first}
     return replace(history, **parts, finer=_finer(better, often, cured)), stats, status
 
 

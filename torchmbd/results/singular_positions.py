@@ -4,7 +4,7 @@
 
 A mechanism has the rank of its start almost everywhere; where s comes near zero it gains a freedom for a moment, its
 motion may branch, and multipliers grow like 1/s. Minima of s below a threshold are reported; a motion that failed says
-in its status where it came near one, one whose steps had to be taken again (simulate.py) warns.
+in its status where it came near one, one that failed before its steps were taken again (integrate/attempts.py) warns.
 Checked in tests/results/test_singular_positions.py: four-bars that fold flat.
 """
 
@@ -78,11 +78,11 @@ def explain(motion: MotionData) -> None:
 
     Lanes that failed are told of laws of forces as well.
     """
-    tried_again = {*motion.stats.get("renewed", ()), *motion.stats.get("halved", ())}
+    failed_first = motion.stats.get("failed_first", ())
     for lane, status in enumerate(motion.status):
         if status.startswith("failed"):
             near = of_lane(motion, lane)[:1]  # what follows the first is no motion to trust
             motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
-        elif lane in tried_again:
+        elif lane in failed_first:
             for near in of_lane(motion, lane):
                 warnings.warn(f"{near}; from there the motion may go on in several ways", stacklevel=4)

@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.attempts import status_of
+from torchmbd.integrate.attempts import has_failed, status_of
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.phase import PhaseModel
@@ -51,7 +51,8 @@ def integrate(
     if again is not None and again.steps == 1 and any(x != OK for x in status):
         other, counts, better = attempt(again.integrator)
         if better.count(OK) > status.count(OK):
-            return other, counts | {"renewed": list(range(len(status)))}, better
+            failed = [lane for lane, reason in enumerate(status) if has_failed(reason)]
+            return other, counts | {"renewed": list(range(len(status))), "failed_first": failed}, better
     return multiphase, stats, status
 
 
