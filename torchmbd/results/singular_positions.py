@@ -57,13 +57,14 @@ def of_lane(motion: MotionData, lane: int, below: float = NEAR) -> list[Singular
         J[:, list(dynamics.rank.left_out)] = 0.0
         sound = torch.isfinite(J).all(2).all(1)
         t = t[sound]
-        U, s, _ = torch.linalg.svd(J[sound], full_matrices=False)
-    rank = int((s > RELATIVE * s[:, :1]).sum(1).max())
-    last = s[:, rank - 1] / s[:, 0]
-    return [
-        SingularPosition(lane, float(t[i]), float(last[i]), lost_rows(T, U[i, :, rank - 1]))
-        for i in _minima(last, below)
-    ]
+        J = J[sound]
+        s = torch.linalg.svdvals(J)
+        rank = int((s > RELATIVE * s[:, :1]).sum(1).max())
+        last = s[:, rank - 1] / s[:, 0]
+        low = _minima(last, below)
+        U = torch.linalg.svd(J[low], full_matrices=False)[0]
+    rows = (lost_rows(T, x[:, rank - 1]) for x in U)
+    return [SingularPosition(lane, float(t[i]), float(last[i]), names) for i, names in zip(low, rows, strict=True)]
 
 
 def _minima(x: Tensor, below: float) -> list[int]:

@@ -39,7 +39,7 @@ _WEAK = 0.01  # of the largest elastic part of a row of the same body
 _SHARE = 0.3  # of the largest entry of a left vector: rows that are named
 _WAY = 0.2  # [rad] largest rotation to a position elsewhere
 _STEPS, _CLOSED = 30, 1e-11  # of Newton's method there; [m] or [-]
-_TOGETHER = 64  # times whose Jacobians are made at once
+_TOGETHER = 2**20  # entries of Jacobians that are made at once
 
 
 @dataclass(frozen=True)
@@ -200,8 +200,9 @@ def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
     T, saddle = dynamics.topology, dynamics.saddle
     data = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
     schedule, parts = T.schedule(times, data), []
-    for start in range(0, len(q), _TOGETHER):
-        some = slice(start, start + _TOGETHER)
+    count = max(1, _TOGETHER // (T.rows * T.n_v))
+    for start in range(0, len(q), count):
+        some = slice(start, start + count)
         at = equations.placement(T, data, q[some].T[:, None], side_by_side(schedule[some]).values())
         parts.append(saddle.jacobian(data, at))
     J = torch.cat(parts)
