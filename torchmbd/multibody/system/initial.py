@@ -221,14 +221,16 @@ class _Tied:
         at = equations.placement(T, data, q, T.prescribed(t, data))
         rows, rigid = J.shape[1:]
         own = torch.ones(rigid, dtype=torch.bool, device=J.device) if given is None else given[:rigid]
-        G, F, small = J * own, J * ~own, _RANK * torch.linalg.matrix_norm(J, 2)
-        free = (
-            torch.zeros_like(J).mT
-            if bool(own.all())
-            else torch.linalg.pinv(F, atol=small, rtol=torch.zeros_like(small))
-        )
-        Q = torch.eye(rows, dtype=J.dtype, device=J.device) - F @ free
-        C = torch.linalg.pinv(Q @ G, atol=small, rtol=torch.zeros_like(small)) @ Q
+        whole, small = _pseudo_inverse(J)
+        G, F, none = J * own, J * ~own, torch.zeros_like(whole)
+        if bool(own.all()):
+            C, free = whole, none
+        elif not bool(own.any()):
+            C, free = none, whole
+        else:
+            free = torch.linalg.pinv(F, atol=small, rtol=torch.zeros_like(small))
+            Q = torch.eye(rows, dtype=J.dtype, device=J.device) - F @ free
+            C = torch.linalg.pinv(Q @ G, atol=small, rtol=torch.zeros_like(small)) @ Q
         return cls(dynamics, at, t, G, F, C, free, own[:, None, None])
 
     def violation(self):
@@ -275,6 +277,14 @@ class _Tied:
 
     def _whole(self, rigid: Tensor) -> Tensor:
         return torch.cat([rigid, rigid.new_zeros(self.dynamics.topology.n_v - len(rigid), *rigid.shape[1:])])
+
+
+def _pseudo_inverse(J: Tensor) -> tuple[Tensor, Tensor]:
+    """J+ [lanes, n, rows], and the size of a singular value that counts as zero [lanes]."""
+    U, s, V = torch.linalg.svd(J, full_matrices=False)
+    small = _RANK * s[:, 0]
+    inverse = torch.where(s > small[:, None], 1.0 / s, 0.0)
+    return V.mT @ (inverse[..., None] * U.mT), small
 
 
 def _times(A: Tensor, x: Tensor) -> Tensor:
