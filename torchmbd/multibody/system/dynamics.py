@@ -181,7 +181,9 @@ class Dynamics:
         )
 
     def some(self, lanes: Sequence[int]) -> Dynamics:
-        """The dynamics of some designs of the batch."""
+        """The dynamics of some designs of the batch; itself of all, with what is known of their start."""
+        if list(lanes) == list(range(self.lanes)):
+            return self
         index = torch.tensor(list(lanes))
 
         def pick(x: Tensor) -> Tensor:
