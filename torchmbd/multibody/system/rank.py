@@ -200,7 +200,7 @@ def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
     T, saddle = dynamics.topology, dynamics.saddle
     data = {name: value(x).detach()[..., :1] for name, x in dynamics.data.items()}
     schedule, parts = T.schedule(times, data), []
-    count = max(1, _TOGETHER // (T.rows * T.n_v))
+    count = max(1, _TOGETHER // max(1, T.rows * T.n_v))
     for start in range(0, len(q), count):
         some = slice(start, start + count)
         at = equations.placement(T, data, q[some].T[:, None], side_by_side(schedule[some]).values())
