@@ -20,7 +20,7 @@ LAYERS = (
     {"multibody.joints"},
     {"multibody.forces"},
     {"multibody.system"},
-    {"results"},
+    {"results", "examples"},
     {"integrate"},
     {"optimization"},
     {"design"},

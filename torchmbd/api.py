@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from torchmbd import viz
+from torchmbd import examples, viz
 from torchmbd.design import (
     RMS,
     Acceleration,
@@ -106,8 +106,12 @@ def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Pa
 
     run    run id, its beginning, or the name of a study (its latest run)
     uri    the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
-    model  the Python file, or module, of the model. It is executed, and nothing else that the store may name:
-           "studies/arm.py", "package.module"; several where the phases come from another
+    model  the Python file, or module, of the model: "studies/arm.py", "package.module"; several where the phases come
+           from another. Nothing else that the store may name is executed
+
+    >>> study = mbd.load("arm", model="arm_model.py")  # after `torchmbd new arm.yaml` and `torchmbd run arm.yaml`
+    >>> study.x.shape, study.value > 0.0, study.motion.status
+    ((2,), True, ['ok'])
     """
     from torchmbd.study.stored_run import load_run  # the experiment floor is imported when a study is wanted
 
@@ -120,8 +124,12 @@ def problem_of(file: str | Path, *assignments: str) -> Problem:
     file         the experiment file (YAML)
     assignments  overrides of single values, as at the command line: "options.layers=2"
 
-    Tolerances and steps of the file are left to the caller (RobustProblem, optimize_discrete), and nothing is tracked.
-    Raises InputError with every fault of the file.
+    The tolerances of the file and the increments of its variables are left to the caller (RobustProblem, optimize_discrete).
+    Nothing is tracked. Raises InputError with every fault of the file.
+
+    >>> problem = mbd.problem_of("arm.yaml", "simulate.steps=100")  # after `torchmbd new arm.yaml`
+    >>> problem.names
+    ['arm.laminate.angles[0]', 'arm.laminate.angles[1]']
     """
     from torchmbd.study.assemble import problem_of
     from torchmbd.study.load import load_study
@@ -210,6 +218,7 @@ __all__ = [
     "eigenpair_branches",
     "eigenpairs",
     "equilibrium",
+    "examples",
     "forces",
     "history",
     "latin_hypercube",

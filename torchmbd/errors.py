@@ -10,15 +10,32 @@ from collections.abc import Iterable
 
 
 class MbdError(Exception):
-    """Whatever torchmbd raises on purpose."""
+    """Base of all errors that torchmbd raises on purpose.
+
+    >>> issubclass(mbd.InputError, mbd.MbdError) and issubclass(mbd.SimulationFailure, mbd.MbdError)
+    True
+    """
 
 
 class InputError(MbdError, ValueError):
-    """An argument is wrong. The message names the argument, the value and what is allowed."""
+    """An argument is wrong. The message names the argument, the value and what is allowed.
+
+    >>> mbd.examples.pendulum().body("bop")
+    Traceback (most recent call last):
+        ...
+    torchmbd.errors.InputError: body 'bop' does not exist; allowed: bob; did you mean 'bob'?
+    """
 
 
 class SimulationFailure(MbdError):
-    """A motion could not be computed: no numbers exist that could be returned."""
+    """A motion could not be computed: no numbers exist that could be returned.
+
+    A failure of single designs of a batch is no exception but a status; `require_ok` turns it into this error.
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
+    >>> motion.require_ok() is motion  # raises SimulationFailure where a lane has failed
+    True
+    """
 
 
 def nearest(name: object, allowed: Iterable[object]) -> str:

@@ -1,8 +1,9 @@
-"""Docstrings as the reference shows them: the first sentence as text, the rest as it stands, with its columns."""
+"""Docstrings as the reference shows them: the first sentence as text, the rest with its columns, examples as code."""
 
 from __future__ import annotations
 
 import inspect
+from itertools import groupby
 from typing import Any
 
 import griffe  # pyright: ignore[reportMissingImports]
@@ -18,9 +19,16 @@ class Columns(griffe.Extension):
 
 
 def verbatim_columns(docstring: str) -> str:
-    """The first paragraph, then the rest as a block of text."""
+    """The first paragraph, then the rest as blocks of text and of examples."""
     first, _, rest = inspect.cleandoc(docstring).partition("\n\n")
-    lines = first.splitlines()
-    sentence = f"{lines[0]}\n" if len(lines) == 1 else ""
-    block = rest if sentence else f"{first}\n\n{rest}".rstrip()
-    return f"{sentence}\n```text\n{block}\n```\n" if block.strip() else sentence
+    if "\n" in first:
+        first, rest = "", f"{first}\n\n{rest}".rstrip()
+    parts = [first.replace("[", "&#91;")] if first else []  # shapes and units, no links
+    for language, paragraphs in groupby(rest.split("\n\n") if rest.strip() else [], _language):
+        text = "\n\n".join(paragraphs).strip("\n")
+        parts.append(f"```{language}\n{text}\n```")
+    return "\n\n".join(parts) + "\n"
+
+
+def _language(paragraph: str) -> str:
+    return "pycon" if paragraph.startswith(">>> ") else "text"

@@ -24,7 +24,7 @@ GROUPS: dict[str, str] = {
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing Force Torque Pressure forces variable",
     "feedback": "Controller ControlHistory signals",
-    "systems": "System Dynamics equilibrium",
+    "systems": "System Dynamics equilibrium examples",
     "simulation": "simulate Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "

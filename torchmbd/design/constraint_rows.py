@@ -29,8 +29,15 @@ from torchmbd.errors import InputError
 class AtTimes(OfHistory):
     """A history at many times [lanes, rows], in its unit: one limit holds for all; eq. (23).
 
-    count  how many equally spaced times of the window, ends included
+    count  number of equally spaced times of the window, ends included
     times  [s], instead of count and window
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
+    >>> rows = mbd.AtTimes(mbd.Position("bob", "y"), count=6)
+    >>> rows(motion).shape
+    torch.Size([1, 6])
+    >>> rows <= -0.9  # six constraints
+    Constraint(measure=AtTimes(history=Position(body='bob', axis='y'...), limit=-0.9, kind='at_most', scale=None)
     """
 
     count: int = 101
@@ -64,7 +71,12 @@ class AtTimes(OfHistory):
 class AtPeaks(OfHistory):
     """The highest local maxima of a history [lanes, count], in its unit, the highest first; eqs. (20), (22).
 
-    count  how many; where there are fewer, low values fill up
+    count  number of peaks; missing peaks are filled with values that lie below all others
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(), 3.0, steps=150)
+    >>> peaks = mbd.AtPeaks(mbd.Position("bob", "y"), count=2)(motion)
+    >>> peaks.shape
+    torch.Size([1, 2])
     """
 
     count: int = 8

@@ -70,6 +70,12 @@ class Differences:
     problem   what to evaluate
     step      Delta b of eq. (29) in the units of the design [rad for angles], one for all or one for each variable
     scheme    "central" or "forward"
+
+    >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Integral(mbd.StrainEnergy("arm")), steps=20)
+    >>> [exact] = problem.evaluate(problem.start[None], True)
+    >>> [approximate] = mbd.Differences(problem).evaluate(problem.start[None], True)
+    >>> bool(np.allclose(exact.objective_gradient, approximate.objective_gradient, rtol=1e-4))
+    True
     """
 
     def __init__(self, problem: Any, step: float | Sequence[float] = 1e-4, scheme: str = "central"):

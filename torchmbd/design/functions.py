@@ -54,10 +54,18 @@ def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[i
 def history(function: Callable[[Any], Tensor]) -> History:
     """Make a history of a function of the motion.
 
-    function  motion -> [lanes, times], any unit, written with torch operations: the gradient is that of these, and of what
-              has left torch (detach, numpy, float) there is none
-    Of several lanes, or of none; what it looks at is told in torchmbd/results/trajectory.py. InputError where it returns
-    another shape, when it is called.
+    function  motion -> [lanes, times], any unit, of torch operations. Its gradient is theirs; what leaves torch
+              (detach, numpy, float) has none
+
+    The function serves one design and many. torchmbd/results/trajectory.py lists what a motion offers. A call raises
+    InputError where the function returns another shape.
+
+    >>> @mbd.history
+    ... def reach(motion):
+    ...     return motion.body("tool").at((0, 0, 0)).position[..., 0]  # [m]
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> round(mbd.Max(reach)(motion).item(), 3)
+    0.5
     """
     return FunctionHistory(function)
 
@@ -65,7 +73,16 @@ def history(function: Callable[[Any], Tensor]) -> History:
 def measure(function: Callable[[Any], Tensor]) -> Measure:
     """Make a measure of a function of the motion.
 
-    function  motion -> [lanes], any unit, written with torch operations, as of `history`
-    InputError where it returns another shape, when it is called.
+    function  motion -> [lanes], any unit, of torch operations, as for `history`
+
+    A call raises InputError where the function returns another shape.
+
+    >>> @mbd.measure
+    ... def spread(motion):
+    ...     return motion.body("arm").strain_energy.std(dim=-1)  # [J]
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> value, gradient = spread.value_and_gradient(motion)
+    >>> value.shape, gradient.shape
+    (torch.Size([1]), torch.Size([1, 2]))
     """
     return FunctionMeasure(function)

@@ -27,12 +27,18 @@ DIRECTIONS = (0.0, 90.0, 45.0, -45.0)
 
 @dataclass(frozen=True)
 class LaminationRules:
-    """Which rules to keep.
+    """Which rules a stack of plies keeps.
 
     symmetric, balanced  switch the rules on
     max_step             largest angle between neighboring plies [deg]; None: any
     min_share            smallest share of the thickness along each of 0, 90, 45, -45 degrees; 0: none
     tolerance            angles that differ by less are equal [deg]
+
+    >>> rules = mbd.LaminationRules(symmetric=True, balanced=True)
+    >>> rules.admits([45, -45, -45, 45])
+    True
+    >>> len(rules.broken([45, 0]))
+    2
     """
 
     symmetric: bool = False

@@ -99,14 +99,27 @@ def _jumps(history: History, motion: Trajectory) -> tuple[Jump, ...]:
 
 
 class Integral(OfHistory):
-    """Integral of a history over time [lanes], in the unit of the history times s; eq. (21)."""
+    """Integral of a history over time [lanes], in the unit of the history times s; eq. (21).
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
+    >>> round(mbd.Integral(mbd.Velocity("bob", "x"))(motion).item(), 2)  # the way in x [m]
+    0.32
+    >>> window = mbd.Integral(mbd.Velocity("bob", "x"), window=(0.0, 0.1))
+    >>> round(window(motion).item(), 3)
+    0.098
+    """
 
     def reduce(self, curve: Spline) -> Tensor:
         return curve.integral()
 
 
 class Mean(OfHistory):
-    """Mean of a history over time [lanes], in the unit of the history."""
+    """Mean of a history over time [lanes], in the unit of the history.
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
+    >>> round(mbd.Mean(mbd.Velocity("bob", "x"))(motion).item(), 2)  # [m/s]
+    0.63
+    """
 
     def reduce(self, curve: Spline) -> Tensor:
         return curve.integral() / (curve.t[-1] - curve.t[0])
@@ -115,7 +128,12 @@ class Mean(OfHistory):
 class RMS(OfHistory):
     """Root of the mean square of a history over time [lanes], in the unit of the history.
 
-    Not differentiable where the history vanishes throughout.
+    It has no gradient where the history is zero at all times.
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> bending = mbd.Displacement("arm", "z", node="right")
+    >>> round(1e3 * mbd.RMS(bending)(motion).item(), 1)  # [mm]
+    1.2
     """
 
     def reduce(self, curve: Spline) -> Tensor:
@@ -123,9 +141,14 @@ class RMS(OfHistory):
 
 
 class Max(OfHistory):
-    """Largest value of a history [lanes], in its unit, located between the samples; eq. (18).
+    """Largest value of a history [lanes], in its unit; eq. (18). A spline finds the peak between the output times.
 
-    Where two peaks are equally high the gradient is that of one of them: AtPeaks keeps both.
+    Where two peaks are equally high, the gradient is that of one of them. `AtPeaks` keeps both.
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(speed=1.0), 1.0, steps=40)
+    >>> top = mbd.Max(mbd.Position("bob", "y"))
+    >>> round(top(motion).item(), 3)  # v^2 / (2 g) above -1 m
+    -0.949
     """
 
     def reduce(self, curve: Spline) -> Tensor:
@@ -133,14 +156,24 @@ class Max(OfHistory):
 
 
 class Min(OfHistory):
-    """Smallest value of a history [lanes], in its unit, located between the samples."""
+    """Smallest value of a history [lanes], in its unit. A spline finds it between the output times.
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(), 1.0, steps=40)
+    >>> round(mbd.Min(mbd.Position("bob", "y"))(motion).item(), 3)  # [m]
+    -1.0
+    """
 
     def reduce(self, curve: Spline) -> Tensor:
         return -curve.negative().maximum()
 
 
 class Final(OfHistory):
-    """Value of a history at the end of the motion, or of the window [lanes], in its unit."""
+    """Value of a history at the end of the motion, or of the window [lanes], in its unit.
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
+    >>> round(mbd.Final(mbd.Angle("bob", "z"))(motion).item(), 2)  # [rad]
+    0.32
+    """
 
     def reduce(self, curve: Spline) -> Tensor:
         return curve.y[..., -1]
@@ -151,7 +184,11 @@ class AtTime(Measure):
     """Value of a history at one time [lanes], in its unit.
 
     history  y(t) [lanes, times]
-    time     [s], zero or positive, up to the duration of the motion
+    time     [s], from zero to the duration of the motion
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
+    >>> round(mbd.AtTime(mbd.Position("bob", "x"), 0.1)(motion).item(), 3)  # [m]
+    0.098
     """
 
     history: History
@@ -175,11 +212,21 @@ class AtTime(Measure):
 
 @dataclass(frozen=True)
 class SmoothMax(OfHistory):
-    """Aggregate of all samples [lanes], in the unit of the history: their largest, or up to c ln(samples) / rho more.
+    """Smooth maximum of all samples [lanes], in the unit of the history.
 
-    sharpness  rho, positive: the larger, the nearer to the largest, and the more like a kink [-]
+    It lies between the largest sample and c ln(samples) / rho above it.
+
+
+    sharpness  rho, positive: the larger, the nearer to the largest sample, and the less smooth [-]
     scale      c, positive: the size of the history, in its unit
     Source: Kreisselmeier and Steinhauser (1979).
+
+    >>> motion = mbd.simulate(mbd.examples.pendulum(), 1.0, steps=40)
+    >>> speed = mbd.Velocity("bob", "x")
+    >>> bool(mbd.SmoothMax(speed)(motion) > mbd.Max(speed)(motion))
+    True
+    >>> round(mbd.SmoothMax(speed, sharpness=1000.0)(motion).item(), 2)  # [m/s]
+    1.0
     """
 
     sharpness: float = 50.0
@@ -202,8 +249,14 @@ class Frequency(Measure):
 
     body    its name
     number  1 is the lowest; up to the number of retained modes
-    Where frequencies coincide (their squares to 1e-6), each has a corner. The gradient is then the mean of their slopes, a
-    subgradient in the sense of Clarke; `eigenpair_branches` has the one-sided slopes, and Frequencies a gradient.
+
+    Where frequencies coincide (their squares agree to 1e-6), each has a corner. The gradient is then the mean of their
+    slopes, a subgradient in the sense of Clarke. `eigenpair_branches` gives the one-sided slopes; `Frequencies` has a gradient.
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
+    >>> value, gradient = mbd.Frequency("arm", 1).value_and_gradient(motion)
+    >>> value.shape, gradient.shape  # one design, two ply angles
+    (torch.Size([1]), torch.Size([1, 2]))
     """
 
     body: str
@@ -226,9 +279,16 @@ class Frequencies(Measure):
 
     body     its name
     cluster  numbers of the modes, as (2, 3); 1 is the lowest, up to the number of retained modes
-    power    1: root of the mean square; the further below zero, the nearer to the lowest; above, to the highest [-]
-    Of a body fixed at its reference nodes. Differentiable where frequencies of the cluster cross or coincide; where one of
-    them coincides with a mode that is left out, the gradient is a subgradient, as of Frequency.
+    power    1: root of the mean square. The further below zero, the nearer to the lowest frequency; the further above one,
+             the nearer to the highest [-]
+
+    The body is fixed at its reference nodes. The mean is differentiable where frequencies of the cluster cross or coincide.
+    Where one of them coincides with a mode outside the cluster, the gradient is a subgradient, as of `Frequency`.
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
+    >>> low, high = (mbd.Frequency("arm", k)(motion) for k in (1, 2))
+    >>> bool(low < mbd.Frequencies("arm", (1, 2), power=-4.0)(motion) < high)
+    True
     """
 
     body: str
@@ -259,7 +319,11 @@ class Frequencies(Measure):
 class Mass(Measure):
     """Mass [lanes] [kg].
 
-    body  its name; None: of all bodies
+    body  its name; None: all bodies together
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
+    >>> round(mbd.Mass("arm")(motion).item(), 4)  # 1586 kg/m3 x 0.5 m x 0.05 m x 2 mm
+    0.0793
     """
 
     body: str | None = None

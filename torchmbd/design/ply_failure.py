@@ -25,10 +25,17 @@ from torchmbd.results.section_history import SectionHistory, laminated
 
 @dataclass(frozen=True)
 class PlyFailure(History):
-    """Failure index of a laminated body [lanes, times] [-]: below one nothing fails.
+    """Failure index of a laminated body [lanes, times] [-]: nothing fails where it is below one.
 
-    body       its name; plies with a Strength
+    body       its name; its plies have a Strength
     criterion  "tsai_wu", "tsai_wu_irf" (grows in proportion to the load) or "max_stress" (fem/materials/strength.py)
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> index = mbd.PlyFailure("arm")
+    >>> index(motion).shape
+    torch.Size([1, 41])
+    >>> mbd.Max(index) <= 1.0  # as a constraint
+    Constraint(...)
     """
 
     body: str

@@ -32,6 +32,11 @@ class PlyStress(History):
     component  "11" along the fibers, "22" across, "12", "13", "23" shear, in the axes of the ply
     layer      0 at the bottom; None: all
     extreme    "highest" or "lowest"
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> along = mbd.PlyStress("arm", "11")
+    >>> 1e6 < mbd.Max(along)(motion).item() < 1e9
+    True
     """
 
     body: str

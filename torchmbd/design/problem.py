@@ -80,9 +80,23 @@ class Problem(Summary):
     start       initial design [n]; default: the system's own
     links       entries that follow others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
     bound       (start, upper) of the extra variable, where `minimize` has several rows
-    gradients   "reverse" or "forward", as in `simulate`; "auto": reverse where there is an adjoint and where there are no more
-                numbers of objective and constraints than design variables. `problem.gradients` says which
+    gradients   "reverse" or "forward", as in `simulate`; "auto": reverse where the method has an adjoint and objective and
+                constraints have no more numbers than there are design variables. `problem.gradients` says which
     method, steps, phases, backend, options   as in `simulate`
+
+    >>> problem = mbd.Problem(
+    ...     mbd.examples.arm(),
+    ...     duration=0.1,
+    ...     steps=40,
+    ...     minimize=mbd.Integral(mbd.StrainEnergy("arm")),
+    ...     subject_to=[mbd.Max(mbd.Displacement("arm", "z", node="right")) <= "initial"],
+    ...     bounds=mbd.deg([-90, 90]),
+    ... )
+    >>> problem.names
+    ['arm.laminate.angles[0]', 'arm.laminate.angles[1]']
+    >>> [found] = problem.evaluate(problem.start[None], True)  # of one design, with gradients
+    >>> found.status, found.objective_gradient.shape, found.constraint_gradients.shape
+    ('ok', (2,), (1, 2))
     """
 
     def __init__(

@@ -180,7 +180,15 @@ class Measure(_Constant):
         return differentiate(self.value, motion)
 
     def value_and_gradient(self, motion: Trajectory) -> Valued:
-        """Value and gradient. Raises InputError for a motion without gradients."""
+        """Value [lanes, ...] and gradient by the design variables [lanes, ..., n_b].
+
+        Raises InputError for a motion without gradients.
+
+        >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+        >>> value, gradient = mbd.Integral(mbd.StrainEnergy("arm")).value_and_gradient(motion)
+        >>> value.shape, gradient.shape  # one design, two ply angles
+        (torch.Size([1]), torch.Size([1, 2]))
+        """
         result = self.of(motion)
         if result.gradient is None:
             raise InputError(
@@ -242,14 +250,20 @@ KINDS = ("at_most", "at_least", "equal")
 
 @dataclass(frozen=True)
 class Constraint(_Constant):
-    """measure <= limit (37), >= or = limit; written Max(...) <= 0.5, Min(...) >= "initial", Final(...).equals(0.0).
+    """A limit on a measure, eq. (37); written Max(...) <= 0.5, Min(...) >= "initial" or Final(...).equals(0.0).
 
-    measure  g, one number or several rows of a kind
+    measure  g, one number or several rows
     limit    c, in the unit of the measure; "initial": the value at the initial design, the largest of several rows
     kind     "at_most", "at_least" or "equal"
     scale    what the violation is divided by, in the unit of the measure; None: |c|, or 1 for c = 0
 
-    Optimizers see (g - c) / scale, feasible where not positive.
+    Optimizers see (g - c) / scale; a design is feasible where it is not positive.
+
+    >>> limit = mbd.Max(mbd.StrainEnergy("arm")) <= "initial"
+    >>> limit.kind, limit.limit
+    ('at_most', 'initial')
+    >>> (mbd.Frequency("arm") >= 50.0).kind
+    'at_least'
     """
 
     measure: Measure

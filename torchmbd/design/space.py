@@ -36,6 +36,13 @@ class DesignSpace:
     bounds     (lower, upper): numbers for all entries, or one for each; or a mapping: parameter name -> such a pair
     start      initial design [n]; default: the system's own values
     links      entry -> {entry: factor, ..., "constant": offset}: entries that follow others
+
+    >>> mirrored = {"arm.laminate.angles[1]": {"arm.laminate.angles[0]": -1.0}}
+    >>> space = mbd.DesignSpace(mbd.examples.arm(), bounds=mbd.deg([-90, 90]), links=mirrored)
+    >>> space.names
+    ['arm.laminate.angles[0]']
+    >>> space.designs(mbd.deg([[30.0]]))["arm.laminate.angles"].rad2deg().round().tolist()
+    [[30.0, -30.0]]
     """
 
     def __init__(

@@ -32,6 +32,19 @@ class Tradeoff:
     minimize          name -> measure of one number, two at least
     subject_to        inequalities, as in Problem
     options           bounds, variables, start, links, method, steps, phases and options of the method, as in Problem
+
+    >>> energy, mass = mbd.Integral(mbd.StrainEnergy("arm")), mbd.Mass("arm")
+    >>> tradeoff = mbd.Tradeoff(
+    ...     mbd.examples.arm(),
+    ...     0.05,
+    ...     {"energy": energy, "mass": mass},
+    ...     variables=["arm.laminate.thickness"],
+    ...     bounds=(0.5e-3, 2e-3),
+    ...     steps=20,
+    ... )
+    >>> [found] = tradeoff.evaluate(tradeoff.start[None], True)
+    >>> found.values.shape, found.gradients.shape  # two criteria, two thicknesses
+    ((2,), (2, 2))
     """
 
     def __init__(

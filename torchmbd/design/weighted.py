@@ -24,6 +24,11 @@ class WeightedSum(Total):
     terms      (weight, measure) pairs, at least one
     normalize  what each measure is divided by: "initial", its value at the initial design (the sum has no unit then);
                one number for each, in the unit of its measure; None: nothing, weights carry the units
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.01, steps=4)
+    >>> both = mbd.WeightedSum([(0.5, mbd.Mass("arm")), (0.5, mbd.Mass("tool"))], normalize=None)
+    >>> round(both(motion).item(), 4)  # (0.0793 + 0.2) / 2
+    0.1396
     """
 
     normalize: str | Sequence[float] | None = "initial"

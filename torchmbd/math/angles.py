@@ -20,7 +20,11 @@ def deg(degrees: float | Sequence[float] | Tensor) -> Tensor:
     """Turn degrees [deg] into radians [rad], as a float64 tensor of the same shape.
 
     degrees  a number, numbers in lists, or a tensor, whose gradient is kept
-    InputError for what are no numbers.
+
+    Raises InputError for anything that is not a number.
+
+    >>> mbd.deg([0, 90])
+    tensor([0.0000, 1.5708], dtype=torch.float64)
     """
     try:
         given = torch.as_tensor(degrees, dtype=torch.float64)

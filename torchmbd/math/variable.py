@@ -24,9 +24,15 @@ from torchmbd.math.pair import linear
 
 
 def variable(x: float | Tensor) -> nn.Parameter:
-    """A number as a design variable: a parameter [] of the law, load or drive in which it stands.
+    """A number as a design variable: a parameter [] of the law, load, drive or dimension in which it stands.
 
-    x  where it starts, finite [unit of its place]
+    x  its first value, finite, in the unit of its place
+
+    >>> arm = mbd.RigidBody("arm", 1.0, (0.01, 0.01, 0.01))
+    >>> push = mbd.Force(arm.at(), (mbd.variable(2.0), 0.0, 0.0), name="push")
+    >>> system = mbd.System([arm], [mbd.Prismatic(mbd.Ground().at(), arm.at(), axis="x")], [push])
+    >>> [(name, number.item()) for name, number in system.named_parameters()]
+    [('push.x', 2.0)]
     """
     given = x.detach() if isinstance(x, Tensor) else x
     return nn.Parameter(torch.tensor(scalar("variable", given, "one finite number"), dtype=torch.float64))

@@ -64,6 +64,12 @@ def optimize(
 
     A simulation that fails is stepped back from, and counted in the result. Raises InputError for an unknown method or
     option, crossed bounds, a start outside the bounds, wrong lengths.
+
+    >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
+    >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
+    >>> result = mbd.optimize(problem, max_iterations=3)
+    >>> bool(result.value < result.history[0].objective)
+    True
     """
     function = find_method(method, options)
     x, lower, upper = checked_box(problem, start)

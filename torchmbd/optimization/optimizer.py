@@ -150,7 +150,7 @@ def plotted(results: Sequence[OptimizationResult], best: OptimizationResult | No
 class OptimizationResult(Summary):
     """The end of one start, in physical units.
 
-    x                     design [n], the best that was found
+    x                     the best design that was found [n]
     value                 objective there; nan: the start could not be evaluated
     constraints           [m], satisfied where <= 0
     violation             the largest of a constraint, 0 where all are satisfied
@@ -167,6 +167,14 @@ class OptimizationResult(Summary):
     names                 of the design variables [n]
     start                 which start of a multistart it was
     problem               what was minimized
+
+    >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
+    >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
+    >>> result = mbd.optimize(problem, max_iterations=2)
+    >>> result.status, result.x.shape, len(result.history)
+    ('max_iterations', (2,), 3)
+    >>> result.motion.status  # of the best design
+    ['ok']
     """
 
     x: np.ndarray

@@ -103,6 +103,19 @@ def pareto_front(
 
     Raises InputError as `optimize`, for fewer than two criteria, and where no feasible design is found for an anchor. Ctrl-C
     returns what there is, once the anchors are known.
+
+    >>> deflection, mass = mbd.RMS(mbd.Displacement("arm", "z", node="right")), mbd.Mass("arm")
+    >>> tradeoff = mbd.Tradeoff(
+    ...     mbd.examples.arm(),
+    ...     0.05,
+    ...     {"deflection": deflection, "mass": mass},
+    ...     variables=["arm.laminate.thickness"],
+    ...     bounds=(0.5e-3, 2e-3),
+    ...     steps=10,
+    ... )
+    >>> front = mbd.pareto_front(tradeoff, divisions=2, max_iterations=3)
+    >>> front.criteria.shape  # points, criteria
+    (3, 2)
     """
     function = find_method(method, options)
     require_limits(max_iterations, None)

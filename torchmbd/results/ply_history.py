@@ -38,6 +38,13 @@ class PlyHistory:
     basis     ply strains and stresses of the modes [lanes, points, 5, modes], components as in PLY_COMPONENTS
     points    cell, layer and face (0 bottom, 1 top) of each point [points, 3]
     strength  numbers of the ply's Strength at each point [lanes, points, 8]; None where a ply has none
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> plies = mbd.PlyHistory(motion, "arm")
+    >>> plies.failure("tsai_wu").shape  # index of the critical point, at each time
+    torch.Size([1, 41])
+    >>> plies.stress(times=slice(-1, None)).shape  # lanes, times, points, components [Pa]
+    torch.Size([1, 1, 32, 5])
     """
 
     basis: PlyBasis

@@ -49,7 +49,16 @@ class SectionHistory:
 
     motion  a Trajectory
     name    of the body
-    Its methods have forces [N], moments [N m] and stresses [Pa], lanes first, then times.
+
+    Its methods return forces [N], moments [N m] and stresses [Pa], lanes first, then times.
+
+    >>> tube = mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3, cells=(12, 1))
+    >>> rod = mbd.FlexibleBody.beam("rod", mbd.BeamLine.straight(0.5, 2), tube, modes=2, reference="start")
+    >>> push = mbd.Force(rod.at("end"), (0, 0, 10.0))
+    >>> motion = mbd.simulate(mbd.System([rod], [mbd.Fixed(mbd.Ground().at(), rod.at("start"))], [push]), 0.01, steps=80)
+    >>> beams = mbd.SectionHistory(motion, "rod")
+    >>> beams.parts, beams.forces().shape  # lanes, times, ends, (N, V_y, V_z, T, M_y, M_z)
+    (('section0',), torch.Size([1, 81, 4, 6]))
     """
 
     def __init__(self, motion: Trajectory, name: str):

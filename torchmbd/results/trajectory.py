@@ -32,7 +32,16 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False, repr=False)
 class Trajectory(MotionData):
-    """A motion of one design or of a batch, made by `simulate`; its numbers are those of `MotionData`."""
+    """A motion of one design or of a batch, made by `simulate`; its numbers are those of `MotionData`.
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> motion.status, motion.t.shape, motion.body("arm").nodes.shape  # lanes, times, nodes, x y z
+    (['ok'], torch.Size([41]), torch.Size([1, 41, 15, 3]))
+    >>> motion.reaction("hinge").force.shape  # [N]
+    torch.Size([1, 41, 3])
+    >>> motion.to_dataframe("tool").shape  # a row for each time
+    (41, 13)
+    """
 
     _energies: dict[bool, Energies] = field(default_factory=dict, init=False, repr=False)
 

@@ -1,4 +1,9 @@
-"""Pictures: figures of studies, and the animation of a motion."""
+"""Pictures: figures of studies, and the animation of a motion.
+
+>>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+>>> mbd.viz.animate(motion, "arm.html").name  # open it in a browser
+'arm.html'
+"""
 
 from torchmbd.viz.animation import animate
 from torchmbd.viz.design_map import design_map

@@ -47,6 +47,10 @@ def animate(
     lane        which design of the batch
     scale       exaggeration of the deformation at the opening; None: the largest is drawn as 5 % of the picture
     max_frames  of more time points every n-th is kept
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> mbd.viz.animate(motion, "arm.html", title="An arm swings").name
+    'arm.html'
     """
     path = Path(path)
     if path.suffix not in (".html", ".htm"):

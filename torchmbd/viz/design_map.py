@@ -38,6 +38,11 @@ def design_map(
     objectives  their objectives [k]
     ends        number of the minimum in which a search ended; searches without one are gray
     visited     designs [m, n] and objectives [m] of every evaluation; those that are not finite are left out
+
+    >>> path = np.array([[45.0, -45.0], [20.0, -20.0]])  # designs of one search [deg]
+    >>> figure = mbd.viz.design_map({"start 0": path}, {"start 0": np.array([2.0, 1.0])}, ["ply 1 [deg]", "ply 2 [deg]"])
+    >>> figure.axes[0].get_xlabel()
+    'ply 1 [deg]'
     """
     sizes = {np.asarray(path).shape[1:] for path in paths.values()}
     if sizes not in ({(1,)}, {(2,)}) or len(headings) != next(iter(sizes))[0]:

@@ -30,7 +30,12 @@ def convergence(
     best: str | None = None,
     ylabel: str = "objective",
 ) -> Figure:
-    """Objective and largest constraint violation of every start over its iterations; the best start stands out."""
+    """Objective and largest constraint violation of every start over its iterations; the best start stands out.
+
+    >>> figure = mbd.viz.convergence({"start 0": [2.0, 1.5, 1.2]}, {"start 0": [0.0, 0.0, 0.0]})
+    >>> [axes.get_ylabel() for axes in figure.axes]
+    ['objective', 'violation']
+    """
     if not objectives or not any(len(values) for values in objectives.values()):
         raise InputError("objectives is empty; allowed: at least one start with one iteration")
     figure, (top, bottom) = figure_of(5.4, rows=2, ratios=(3, 1))
@@ -55,7 +60,18 @@ def convergence(
 
 
 def energy_over_time(t: Numbers, energies: Mapping[str, Numbers], body: str = "") -> Figure:
-    """Deformation energy of a body in several designs of one motion (Fig. 9). t [s], energies [J] by the design's name."""
+    """Strain energy of a body in several designs of one motion (Fig. 9).
+
+    t         times [s]
+    energies  name of the design -> energy at these times [J]
+    body      name of the body, for the label
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> energy = motion.body("arm").strain_energy[0]
+    >>> figure = mbd.viz.energy_over_time(motion.t, {"45/-45 degrees": energy}, body="arm")
+    >>> figure.axes[0].get_ylabel()
+    'strain energy of arm [J]'
+    """
     figure, (axes,) = figure_of(3.4)
     for (label, energy), color in zip(energies.items(), CYCLE * len(energies), strict=False):
         over_time(axes, t, energy, label, color)
@@ -95,6 +111,10 @@ def criterion(
     values    design variable, ascending, in the unit of `xlabel`
     criteria  name -> criterion divided by its value at the start design; nan where it could not be evaluated
     mark      design variable of the start design
+
+    >>> figure = mbd.viz.criterion([0, 45, 90], {"energy": [1.0, 0.6, 0.8]}, "ply angle [deg]", mark=0)
+    >>> figure.axes[0].get_xlabel()
+    'ply angle [deg]'
     """
     figure, (axes,) = figure_of(3.6)
     x = np.asarray(values, dtype=float)
@@ -117,7 +137,12 @@ def criterion(
 
 
 def save(figure: Figure, path: str | Path) -> Path:
-    """Write a figure; the ending of the name chooses the format."""
+    """Write a figure; the ending of the name chooses the format.
+
+    >>> figure = mbd.viz.energy_over_time([0.0, 1.0], {"start": [0.0, 2.0]})
+    >>> mbd.viz.save(figure, "energy.svg").name
+    'energy.svg'
+    """
     path = Path(path)
     if path.suffix not in (".png", ".pdf", ".svg"):
         raise InputError(f"path = {str(path)!r}: allowed endings: .png, .pdf, .svg")

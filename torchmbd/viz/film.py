@@ -33,6 +33,10 @@ def film(
     scale    exaggeration of the deformation; None: the largest is drawn as 5 % of the picture
     view     axis along which one looks, "x", "y" or "z"; None: the shortest side of the visited space
     seconds  how long the film lasts, however long the motion [s]
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> mbd.viz.film(motion, "arm.gif", seconds=0.2, frames_per_second=10).name
+    'arm.gif'
     """
     from matplotlib.animation import FuncAnimation, writers
     from matplotlib.figure import Figure

@@ -33,7 +33,11 @@ _LINE, _TRIANGLE, _QUAD = 3, 5, 9  # VTK's numbers of cells
 
 
 def save_mesh(body: Any, path: str | Path) -> Path:
-    """Write the undeformed mesh of a flexible body, or a mesh; body axes with the mesh's own origin."""
+    """Write the undeformed mesh of a flexible body, or a mesh; body axes with the mesh's own origin.
+
+    >>> mbd.viz.save_mesh(mbd.mesh.rectangle(0.5, 0.05, (4, 2)), "plate.vtu").name
+    'plate.vtu'
+    """
     mesh = getattr(body, "mesh", body)
     fields = {}
     plates = getattr(body, "plates", {})
@@ -46,7 +50,11 @@ def save_mesh(body: Any, path: str | Path) -> Path:
 
 
 def save_modes(body: Any, path: str | Path) -> Path:
-    """Write the modes of a flexible body as vector fields "mode_1_12.3Hz", ..., normalized to the size of the body."""
+    """Write the modes of a flexible body as vector fields "mode_1_12.3Hz", ..., normalized to the size of the body.
+
+    >>> mbd.viz.save_modes(mbd.examples.arm().body("arm"), "arm.vtu").name
+    'arm.vtu'
+    """
     with torch.no_grad():
         made = body.structure()
     values, turn = torch.linalg.eigh(made["Kr"])
@@ -68,6 +76,10 @@ def save_motion(
     path        of the .pvd file to open; frames go to a folder of its name
     max_frames  of more time points every n-th is kept
     criterion   failure index to be written on the cells: "tsai_wu", "tsai_wu_irf", "max_stress"; None: none
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=4)
+    >>> mbd.viz.save_motion(motion, "arm.pvd", criterion="tsai_wu").name
+    'arm.pvd'
     """
     path = Path(path)
     if path.suffix != ".pvd":

@@ -35,10 +35,17 @@ from torchmbd.math.variable import Variables, is_variable, number
 class BeamLine:
     """A chain or net of beam elements.
 
-    nodes      positions [n, 3] [m]; a torch.nn.Parameter or a module that returns them is a design (beam_nodes.py)
+    nodes      positions [n, 3] [m]; a torch.nn.Parameter, or a module that returns them, is a design variable (beam_nodes.py)
     elements   node pairs [m, 2]; default: each node with the next
     node_sets  name -> node indices; default: "start" and "end" of a chain
     middles    points halfway along elements that are arcs [m, 3] [m]
+
+    >>> line = mbd.BeamLine.straight(1.2, elements=4)
+    >>> line.nodes[line.node("end")].tolist()  # [m]
+    [1.2, 0.0, 0.0]
+    >>> arc = mbd.BeamLine.arc(radius=0.5, angle=np.pi / 2, elements=4)
+    >>> arc.nodes[arc.node("end")].round(decimals=6).tolist()
+    [0.5, 0.5, 0.0]
     """
 
     nodes: Float[Tensor, "n 3"]

@@ -43,6 +43,11 @@ class GivenSection(nn.Module):
 
     stiffness   6 x 6, symmetric and positive definite
     mass        6 x 6, symmetric and positive definite, of a plane section (polar inertia = sum of the other two)
+
+    >>> area, I = 1e-4, 8.3e-10  # a square rod of 10 mm [m2], [m4]
+    >>> rod = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=area, Iyy=I, Izz=I, J=1.4e-9)
+    >>> round(rod.stiffness()[0, 0].item() / 1e6, 3)  # E A [MN]
+    21.0
     """
 
     matrix: Tensor

@@ -80,7 +80,7 @@ class LaminateStiffness(NamedTuple):
 class Laminate(nn.Module):
     """A stack of plies; `.angles` [rad] and `.thickness` [m] are parameters, one value per given layer.
 
-    A torch.nn.Parameter that is given is itself registered, not copied; computed tensors that require gradients are refused.
+    A torch.nn.Parameter is registered itself, not copied; computed tensors that require gradients are refused.
 
     ply               one Ply, or one per given layer; numbers of it that vary are parameters "ply.E1", of several plies
                       "ply2.E1": of the third layer
@@ -89,6 +89,15 @@ class Laminate(nn.Module):
     symmetric         the given layers are the lower half, mirrored about the mid-plane
     shear_correction  "energy": the transverse shear stiffness of equal energy, a full matrix that follows the stack
                       (5/6 of G h if it is homogeneous); or a number that multiplies the sum of the plies' G t
+
+    >>> laminate = mbd.Laminate(mbd.examples.carbon(), angles=mbd.deg([0, 90]), thickness=0.5e-3, symmetric=True)
+    >>> laminate.total_thickness.item()  # four layers [m]
+    0.002
+    >>> stiffness = laminate.stiffness()
+    >>> stiffness.A.shape, stiffness.D.shape  # [N/m], [N m]
+    (torch.Size([3, 3]), torch.Size([3, 3]))
+    >>> bool(stiffness.D[0, 0] > stiffness.D[1, 1])  # the outer plies bend along x
+    True
     """
 
     positive: ClassVar[tuple[str, ...]] = ("thickness",)  # parameters that are, whatever the design

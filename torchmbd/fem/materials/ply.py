@@ -38,9 +38,14 @@ class Ply:
     G12, G13, G23   shear moduli [Pa]
     nu12            Poisson's ratio, strain along 2 for a stress along 1; nu12^2 < E1 / E2
     density         [kg/m3]
-    strength        a Strength, for criteria of failure; None: nobody asks for it
+    strength        a Strength, for criteria of failure; None: no criterion can be evaluated
 
     A number may be mbd.variable(...): a design variable of the laminates and sections that are made of the ply, "ply.E1".
+
+    >>> carbon = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
+    >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
+    >>> round(steel.G12 / 1e9, 2)  # E / 2 (1 + nu) [GPa]
+    80.77
     """
 
     positive: ClassVar[tuple[str, ...]] = ("E1", "E2", "G12", "G13", "G23", "density")

@@ -1,4 +1,8 @@
-"""Meshes of triangles, quadrilaterals and lines, and their generators."""
+"""Meshes of triangles, quadrilaterals and lines, and their generators.
+
+>>> mbd.mesh.rectangle(length=0.5, width=0.05, cells=(8, 2))
+Mesh(27 nodes, 0 triangles, 16 quadrilaterals, 0 lines)
+"""
 
 from torchmbd.fem.mesh.mesh import Mesh, Pieces
 from torchmbd.fem.mesh.mesh_checks import directed_area

@@ -58,6 +58,11 @@ class Mesh:
     lines                     node pairs: beams, rigid links [k, 2]
     node_sets                 name -> node indices; a set of one node is a named node
     node_labels, cell_labels  what messages call nodes and cells: a reader names the cards of its file
+
+    >>> corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=torch.float64)
+    >>> mesh = mbd.Mesh(corners, quads=torch.tensor([[0, 1, 2, 3]]), node_sets={"tip": [2]})
+    >>> mesh, mesh.node("tip"), mesh.areas.tolist()
+    (Mesh(4 nodes, 0 triangles, 1 quadrilaterals, 0 lines), 2, [1.0])
     """
 
     nodes: Float[Tensor, "n 3"]

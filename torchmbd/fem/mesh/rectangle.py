@@ -33,6 +33,10 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
     Node sets: "left_edge", "right_edge" (x = -+length/2), "bottom_edge", "top_edge" (y = -+width/2), the corners
     "corner_left_bottom" and so on, and where a node exists there: "left", "right", "bottom", "top" (middles of
     the edges) and "center".
+
+    >>> plate = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(8, 2))
+    >>> plate.nodes[plate.node("right")].tolist()  # [m]
+    [0.25, 0.0, 0.0]
     """
     for name, value in (("length", length), ("width", width)):
         doubt(f"rectangle: {name}", positive(f"rectangle: {name}", value, "m"), "m", EXTENT)

@@ -63,12 +63,19 @@ class ModalBasis(NamedTuple):
 def modal_basis(K: Matrix, M: Matrix, n: int, cluster: float = CLUSTER, updated: bool = True) -> ModalBasis:
     """Reduce to the n lowest modes.
 
-    K: dense [..., N, N] or SparseMatrix. M: the same, or a vector [..., N], the diagonal of a lumped mass. Leading
-    lanes broadcast. cluster: smallest gap to the first discarded mode that is accepted, relative to its eigenvalue.
-    updated: True, derivatives of the modes are part of all derivatives; False, modes are held fixed and only Kr has a
-    derivative, Psi' dK Psi (eq. 36; for comparison, it is wrong in general).
+    K        dense [..., N, N] or SparseMatrix; leading lanes broadcast
+    M        the same, or a vector [..., N], the diagonal of a lumped mass
+    cluster  smallest accepted gap to the first discarded mode, relative to its eigenvalue
+    updated  True: derivatives of the modes are part of all derivatives; False: modes are held fixed and only Kr has a
+             derivative, Psi' dK Psi (eq. 36; for comparison, it is wrong in general)
+
     Raises InputError: entries not finite, K or M not symmetric, M not positive definite, n out of range; CutCluster, an
     InputError that knows its lanes, where n cuts a cluster.
+
+    >>> K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64)  # three masses in a chain
+    >>> basis = mbd.modal_basis(K, torch.ones(3, dtype=torch.float64), 2)
+    >>> basis.vectors.shape, basis.stiffness.diagonal().round(decimals=4).tolist()  # 2 - sqrt(2), 2
+    (torch.Size([3, 2]), [0.5858, 2.0])
     """
     if not updated:
         return fixed_modes(K, M, lambda K, M: modal_basis(K, M, n, cluster))

@@ -70,10 +70,17 @@ def eigenpair_branches(
 ) -> Branches:
     """Differentiate the n lowest modes at b along a direction.
 
-    matrices: from a design vector to K and M (forms as for modal_basis), in operations that torch.func.jvp can nest.
-    cluster: relative distance below which eigenvalues, and then their slopes, count as equal; n must not cut a cluster.
-    orders: derivatives of K and M that are used; `orders - 1` is the last that may split a cluster.
+    matrices  from a design vector to K and M (forms as for modal_basis), in operations that torch.func.jvp can nest
+    cluster   relative distance below which eigenvalues, and then their slopes, count as equal; n must not cut a cluster
+    orders    number of derivatives of K and M that are used; the last but one may still split a cluster
+
     Raises InputError as modal_basis does, and when orders is smaller than 1.
+
+    >>> def matrices(b):  # two modes of equal frequency at b = 0
+    ...     return torch.diag(torch.stack([1.0 + b[0], 1.0 - b[0]])), torch.ones(2, dtype=torch.float64)
+    >>> b, direction = torch.zeros(1, dtype=torch.float64), torch.ones(1, dtype=torch.float64)
+    >>> mbd.eigenpair_branches(matrices, b, direction, 2).value_slopes.tolist()
+    [-1.0, 1.0]
     """
     if orders < 1:
         raise InputError(f"orders = {orders!r}; at least 1 is needed")

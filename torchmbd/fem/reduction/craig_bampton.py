@@ -52,8 +52,16 @@ def craig_bampton(
 ) -> ModalBasis:
     """Reduce to the interface freedoms and the n lowest fixed-interface modes: m = len(interface) + n modes.
 
-    K, M, cluster, updated: as for modal_basis. interface: rows of K, each once. n = 0: static condensation.
-    Raises InputError as modal_basis does, when the interface is none, and when K is singular with the interface held.
+    K, M, cluster, updated   as for modal_basis
+    n                        number of fixed-interface modes; 0: static condensation
+    interface                rows of K, each once
+
+    Raises InputError as modal_basis does, when the interface is empty, and when K is singular with the interface held.
+
+    >>> K = torch.tensor([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]], dtype=torch.float64)  # a free chain of three masses
+    >>> basis = mbd.craig_bampton(K, torch.ones(3, dtype=torch.float64), n=1, interface=[0, 2])
+    >>> basis.vectors.shape
+    torch.Size([3, 3])
     """
     if not updated:
         return fixed_modes(K, M, lambda K, M: craig_bampton(K, M, n, interface, cluster))

@@ -59,10 +59,18 @@ class Eigenpairs(NamedTuple):
 def eigenpairs(K: Tensor | SparseMatrix, M: Tensor | SparseMatrix, n: int, cluster: float = CLUSTER) -> Eigenpairs:
     """Find the n lowest modes of K psi = lambda M psi.
 
-    K: dense [..., N, N] or SparseMatrix. M: the same, or a vector [..., N], the diagonal of a lumped mass.
-    cluster: relative distance below which neighbors are one cluster, which n must not cut; see the module header.
-    Raises InputError as modal_basis does; and from a backward pass through values and vectors of one cluster together, or
-    through one of its vectors alone.
+    K        dense [..., N, N] or SparseMatrix
+    M        the same, or a vector [..., N], the diagonal of a lumped mass
+    cluster  relative distance below which neighbors are one cluster, which n must not cut; see the module header
+
+    Raises InputError as modal_basis does. A backward pass through values and vectors of one cluster together, or through
+    one of its vectors alone, raises it too.
+
+    >>> K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64, requires_grad=True)
+    >>> values, vectors = mbd.eigenpairs(K, torch.ones(3, dtype=torch.float64), 1)
+    >>> values.sum().backward()
+    >>> K.grad.round(decimals=3).tolist()  # psi psi'
+    [[0.25, 0.354, 0.25], [0.354, 0.5, 0.354], [0.25, 0.354, 0.25]]
     """
     basis = modal_basis(K, M, n, cluster)
     pencil, K_values, M_values, lanes = open_pencil(K, M, n)

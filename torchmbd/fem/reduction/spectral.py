@@ -38,10 +38,17 @@ def spectral_function(
 ) -> Float[Tensor, "*lanes freedoms k"]:
     """Psi g(Kr) Psi' [..., N, N], or its product with columns [..., N, k], which never makes the square matrix.
 
-    basis    of modal_basis or craig_bampton: its derivatives are those of K and M
+    basis    of modal_basis or craig_bampton; derivatives are those of its K and M
     g        of eigenvalues of any shape, element by element, in torch operations, with a derivative between any two of
-             them; what it depends on besides has its gradient, too. Such as `lambda x: torch.exp(-x * t)`
+             them, such as `lambda x: torch.exp(-x * t)`. Other tensors in it have their gradients too
+
     Source: module header. Raises InputError where g does not return a float64 tensor of the shape that it is given.
+
+    >>> K = torch.tensor([[2.0, -1, 0], [-1, 2, -1], [0, -1, 2]], dtype=torch.float64)
+    >>> basis = mbd.modal_basis(K, torch.ones(3, dtype=torch.float64), 3)
+    >>> root = mbd.spectral_function(basis, torch.sqrt)
+    >>> torch.allclose(root @ root, K)
+    True
     """
     dKr = basis.stiffness - basis.stiffness.detach()  # zero, with the derivatives of Kr
     values, V = torch.linalg.eigh(basis.stiffness.detach())

@@ -1,4 +1,11 @@
-"""Cross-sections of beams: 2-D finite elements with free warping; stiffness, mass, centers, stresses."""
+"""Cross-sections of beams: 2-D finite elements with free warping; stiffness, mass, centers, stresses.
+
+>>> section = mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([45, -45]), thickness=0.5e-3, cells=(16, 1))
+>>> section.stiffness().shape  # of strains and curvatures to forces and moments
+torch.Size([6, 6])
+>>> [name for name, _ in section.named_parameters()]
+['angles']
+"""
 
 from torchmbd.fem.sections.generators import box, circle, i_section, rectangle, strip, tube
 from torchmbd.fem.sections.mesh import SectionMesh

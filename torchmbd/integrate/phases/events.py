@@ -34,10 +34,16 @@ DIRECTIONS = {"falling": -1, "rising": 1, "either": 0}
 
 @dataclass(frozen=True)
 class Event:
-    """`Event(function, direction="either")`: when a function of the motion passes zero.
+    """The time when a function of the motion passes zero; it ends a phase.
 
     function   motion -> [lanes, times], written with torch operations; or a history, such as Position("mass", "z")
     direction  "falling", "rising" or "either"
+
+    >>> turn = mbd.Event(mbd.Velocity("bob", "x"), "falling")  # the pendulum stops at its highest point
+    >>> phases = [mbd.Phase(until=turn), mbd.Phase()]
+    >>> motion = mbd.simulate(mbd.examples.pendulum(speed=0.1), 1.0, steps=50, phases=phases)
+    >>> round(motion.switches[0].t.item(), 3)  # a quarter of the period of 2.006 s
+    0.502
     """
 
     function: Any

@@ -55,6 +55,14 @@ class Phase:
     impact   at the event that ends the phase: the coefficient of restitution of the event's function as a gap,
              from 0 to 1; or a map of the velocities, motion -> [lanes, times, n_v]
     name     for messages; default: its number, from 1
+
+    >>> bob = mbd.RigidBody("bob", 1.0, (0.01, 0.01, 0.01), position=(0, -1, 0))
+    >>> hook = mbd.Fixed(mbd.Ground().at(0, -1, 0), bob.at(), name="hook")
+    >>> system = mbd.System([bob], [hook], gravity=(0, 0, -9.81))
+    >>> phases = [mbd.Phase(until=0.1), mbd.Phase(release=["hook"])]
+    >>> motion = mbd.simulate(system, 0.3, steps=30, phases=phases)
+    >>> round(mbd.Final(mbd.Position("bob", "z"))(motion).item(), 4)  # a free fall of 0.2 s
+    -0.1962
     """
 
     until: float | Event | None = None

@@ -67,13 +67,22 @@ def _check_parts(name: str, mesh: Any, parts: Any) -> None:
 class FlexibleBody(nn.Module):
     """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_mesh` or `.from_bdf`.
 
-    The body frame sits at the reference node (the mean of several) with the axes of the mesh. The modules of the parts,
-    such as a laminate, are registered by their names; where several parts have any, by the names of the parts.
+    The body frame sits at the reference node (the mean of several) with the axes of the mesh. Modules of parts, such as
+    a laminate, are registered by their own names; where several parts have modules, by the names of the parts.
 
     parts   name -> part of the assembly
     links   nodes that follow others
     rigid   sets of nodes that move as one rigid body; the first of each leads and may carry what the whole set carries
     name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface, updated   as in `plate`
+
+    >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
+    >>> plate = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 2))
+    >>> body = mbd.FlexibleBody.plate("plate", plate, laminate, modes=2, reference="left_edge")
+    >>> Kr = body.structure()["Kr"].detach()
+    >>> (torch.linalg.eigvalsh(Kr).sqrt() / (2 * torch.pi)).round().tolist()  # natural frequencies [Hz]
+    [4.0, 27.0]
+    >>> [name for name, _ in body.named_parameters()]
+    ['laminate.angles', 'laminate.thickness']
     """
 
     position: Tensor
@@ -308,7 +317,10 @@ class FlexibleBody(nn.Module):
         return self
 
     def damped(self, ratio: float | Sequence[float]) -> Self:
-        """Give the modes damping ratios, besides `damping`: one, or one for each by growing frequency. Returns the body."""
+        """Give the modes damping ratios, in addition to `damping`. Returns the body.
+
+        ratio  one for all modes, or one for each, lowest frequency first [-]
+        """
         self.damping = self.damping.with_ratios(ratio, self.modes)
         return self
 

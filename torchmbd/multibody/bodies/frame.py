@@ -39,12 +39,17 @@ class Body(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """A point and a triad of axes attached to a body.
+    """A point and a triad of axes attached to a body; made by `body.at(...)`.
 
-    point   position in the undeformed body, in body axes [3] [m]; of coordinates that vary what they were
+    point   position in the undeformed body, in body axes [3] [m]; where coordinates vary, their first values
     axes    columns: the axes of the frame in body axes [3, 3]
     interpolation   mesh nodes that carry the frame; None on a rigid body
-    place   coordinates of the point of which some vary, a module: Numbers of Point; None: none does
+    place   a module (Numbers of Point) with the coordinates of the point that vary; None: none does
+
+    >>> body = mbd.RigidBody("tool", 0.2, (1e-4, 1e-4, 1e-4))
+    >>> frame = body.at(0.02, 0, 0, axes=[[0, -1, 0], [1, 0, 0], [0, 0, 1]])  # columns: its x is the body's y
+    >>> frame.axis("x").tolist()
+    [0.0, 1.0, 0.0]
     """
 
     body: Any

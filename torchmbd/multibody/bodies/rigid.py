@@ -22,7 +22,11 @@ from torchmbd.multibody.bodies.frame import Frame, frame_at, identifier, keep, n
 
 
 class Ground:
-    """The inertial frame; joints attach bodies to it."""
+    """The inertial frame; joints attach bodies to it.
+
+    >>> mbd.Ground().at(0.1, 0, 0)
+    ground.at(0.1, 0, 0)
+    """
 
     name = "ground"
     position = torch.zeros(3, dtype=torch.float64)
@@ -50,10 +54,15 @@ class RigidBody(nn.Module):
     inertia           about the center of mass: (Jxx, Jyy, Jzz) or a symmetric 3 x 3 matrix [kg m2]
     center            center of mass in body axes [m]
     position, axes    approximate initial origin in ground axes [m] and rotation (columns: body axes); joints close the rest
-    velocity          initial velocity of the origin in ground axes [m/s], kept as far as the joints allow; None: as they ask
+    velocity          initial velocity of the origin in ground axes [m/s], kept as far as the joints allow; None: the
+                      smallest that the joints and drives allow
     angular_velocity  initial angular velocity in body axes [rad/s], likewise
 
     Each of these but the axes is a design variable where it is given as a torch.nn.Parameter.
+
+    >>> tool = mbd.RigidBody("tool", mass=0.2, inertia=(1e-4, 1e-4, 2e-4), center=(0.01, 0, 0), position=(0.5, 0, 0))
+    >>> tool.at(0.02, 0, 0)  # a point in body axes, for joints and forces
+    tool.at(0.02, 0, 0)
     """
 
     positive: ClassVar[tuple[str, ...]] = ("mass",)  # parameters that are, whatever the design

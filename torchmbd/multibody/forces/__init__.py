@@ -1,4 +1,11 @@
-"""Applied forces: lists of actions between frames. A new force element is one file and one line here."""
+"""Applied forces: lists of actions between frames. A new force element is one file and one line here.
+
+Laws of springs stand here too: Gap, Table, Pieces, Scaled.
+
+>>> stop = mbd.forces.Gap(stiffness=1e4, limit=0.1, sign=-1.0)  # it acts where s > 0.1 m
+>>> [round(stop(torch.tensor(s), torch.tensor(0.0), 0.0).item()) for s in (0.05, 0.11)]  # [N]
+[0, -100]
+"""
 
 from torchmbd.multibody.forces.bushing import Bushing
 from torchmbd.multibody.forces.control_history import ControlHistory

@@ -20,10 +20,19 @@ from torchmbd.multibody.joints.joint import AttachmentTable, others
 
 
 class Bushing(ForceElement):
-    """`Bushing(a, b, stiffness=(kx, ky, kz), damping=..., turning_stiffness=(kxx, kyy, kzz), turning_damping=...)`.
+    """An elastic mount between two frames: springs and dampers along three axes, and about them.
 
-    [N/m], [N s/m], [N m/rad], [N m s/rad]; one number stands for all three axes
-    Each number may be a design variable: "mount.stiffness", or "mount.stiffness_x" of one axis.
+    stiffness, damping                    along x, y, z of frame a [N/m], [N s/m]
+    turning_stiffness, turning_damping    about them [N m/rad], [N m s/rad]
+
+    One number stands for all three axes. A number may be a design variable: "mount.stiffness", or "mount.stiffness_x" of
+    one axis.
+
+    >>> engine = mbd.RigidBody("engine", 50.0, (1.0, 1.0, 1.0))
+    >>> mount = mbd.Bushing(mbd.Ground().at(), engine.at(), stiffness=(1e5, 1e5, 2e5), turning_stiffness=1e4, name="mount")
+    >>> rest = mbd.equilibrium(mbd.System([engine], [], [mount], free=["engine"]))
+    >>> rest.frequencies[0].round(decimals=2).tolist()  # [Hz]
+    [7.12, 7.12, 10.07, 15.92, 15.92, 15.92]
     """
 
     def __init__(

@@ -15,13 +15,17 @@ _EARLY = 1e-9  # of an interval: a time that rounding puts before its node is th
 
 
 class ControlHistory(nn.Module):
-    """`ControlHistory(values, duration)`: u(t) of a Controller whose only input is mbd.signals.Time().
+    """Open-loop control u(t): the module of a Controller whose only input is mbd.signals.Time().
 
     values     [times, actuators] [N] or [N m]; a parameter
     duration   [s]
     kind       "linear": between values at `times` equal times 0 ... duration; "hold": each value holds for duration / times
 
     Before and after, the first and the last value hold.
+
+    >>> push = mbd.ControlHistory([[0.0], [2.0], [0.0]], duration=1.0)
+    >>> push(torch.tensor([[0.25]], dtype=torch.float64)).tolist()  # [N]
+    [[1.0]]
     """
 
     def __init__(self, values: Any, duration: float, kind: str = "linear"):

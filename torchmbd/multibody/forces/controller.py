@@ -31,14 +31,22 @@ VARIABLES = "parameters of the module; constant tensors"
 
 
 class Controller(ForceElement):
-    """`Controller(module, inputs=[...], outputs=[...])`: feedback u = module(x).
+    """Feedback u = module(x): the module reads signals of the motion and sets forces and torques.
 
     module    a torch module, x [lanes, inputs] -> u [lanes, outputs], float64, a function of its inputs alone
     inputs    signals (mbd.signals): each is one number of x, a position or velocity three, in this order
     outputs   actuators (mbd.signals): each is one number of u, a force [N] or torque [N m]
     name      of the element, and of its parameters in the system
 
-    The parameters of the module are parameters of the system, "controller.<name>". Native steps call it back.
+    The parameters of the module are parameters of the system, "controller.<name>". Native steps call the module back.
+
+    >>> arm = mbd.RigidBody("arm", 1.0, (0.01, 0.02, 0.02))
+    >>> hinge = mbd.Revolute(mbd.Ground().at(), arm.at(), axis="z")
+    >>> gains = torch.nn.Linear(2, 1, bias=False).double()
+    >>> inputs = [mbd.signals.JointAngle(hinge), mbd.signals.JointRate(hinge)]
+    >>> servo = mbd.Controller(gains, inputs, [mbd.signals.JointTorque(hinge)], name="servo")
+    >>> [name for name, _ in mbd.System([arm], [hinge], [servo]).named_parameters()]
+    ['servo.weight']
     """
 
     def __init__(

@@ -63,6 +63,12 @@ class Force(_Load):
 
     Design variables: Force(frame, (mbd.variable(2.0), 0.0, 0.0), name="push") has "push.x", and
     mbd.forces.Scaled(mbd.variable(1.0), function) has "push.factor".
+
+    >>> block = mbd.RigidBody("block", 2.0, (0.01, 0.01, 0.01))
+    >>> system = mbd.System([block], [], [mbd.Force(block.at(), (4.0, 0, 0))], free=["block"])
+    >>> motion = mbd.simulate(system, 1.0, steps=10)
+    >>> round(mbd.Final(mbd.Position("block", "x"))(motion).item(), 6)  # F t^2 / (2 m) [m]
+    1.0
     """
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
@@ -75,6 +81,12 @@ class Torque(_Load):
     """`Torque(frame, (mx, my, mz))`: a torque on the body, or on the node, of a frame.
 
     vector  [N m], or a torch function of time, [] [s] -> [3] [N m]; others as of Force
+
+    >>> wheel = mbd.RigidBody("wheel", 2.0, (0.5, 0.5, 0.5))
+    >>> system = mbd.System([wheel], [], [mbd.Torque(wheel.at(), (0, 0, 1.0))], free=["wheel"])
+    >>> motion = mbd.simulate(system, 1.0, steps=10)
+    >>> round(motion.body("wheel").omega[0, -1, 2].item(), 6)  # M t / J [rad/s]
+    2.0
     """
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:

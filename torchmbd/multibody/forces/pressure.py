@@ -36,6 +36,14 @@ class Pressure(ForceElement):
     pressure   a number, or a torch function of time, [] [s] -> [] [Pa]; a design variable "NAME.pressure" as
                mbd.variable(5e3), "NAME.factor" as mbd.forces.Scaled(mbd.variable(1.0), function)
     direction  in ground axes, which the load then keeps, whatever its length [3]
+
+    >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([0, 90]), thickness=1e-3)
+    >>> wing = mbd.FlexibleBody.plate("wing", mbd.mesh.rectangle(0.5, 0.1, (4, 2)), laminate, 2, reference="left_edge")
+    >>> hold = mbd.Fixed(mbd.Ground().at(-0.25, 0, 0), wing.at("left"))
+    >>> system = mbd.System([wing], [hold], [mbd.Pressure(wing, 100.0)])
+    >>> motion = mbd.simulate(system, 0.1, steps=40)
+    >>> bool(mbd.Max(mbd.Displacement("wing", "z", node="right"))(motion) > 0)
+    True
     """
 
     def __init__(

@@ -1,10 +1,16 @@
-"""What a controller reads and what it sets: inputs and outputs of `Controller` (controller.py), by their names.
+"""Inputs and outputs of a `Controller`.
 
     inputs     JointAngle, JointRate, JointTravel, JointSpeed, PointPosition, PointVelocity, Time
     outputs    JointTorque, JointForce, TorqueOn, ForceOn
 
 Angles and travels of joints are measured from the given initial positions, angles within half a turn of their `center`.
 Positions and velocities are in ground axes. Each input or output is one action, or some, of the kinds of action.py.
+
+>>> [hinge] = mbd.examples.pendulum().joints
+>>> inputs, outputs = [mbd.signals.JointAngle(hinge), mbd.signals.Time()], [mbd.signals.JointTorque(hinge)]
+>>> mbd.Controller(torch.nn.Linear(2, 1).double(), inputs, outputs, name="servo").name
+'servo'
+
 Checked in tests/multibody/forces/test_controller.py.
 """
 

@@ -44,10 +44,17 @@ class _Between(ForceElement):
 
 
 class SpringDamper(_Between):
-    """`SpringDamper(a, b, stiffness=k, damping=c, rest=l0)` or `SpringDamper(a, b, law=f)`: along the line a-b.
+    """Spring and damper along the line from a to b, linear or of a law of yours.
 
     stiffness [N/m], damping [N s/m], rest: unstretched length [m]
-    law        f(l, l', t) [N], positive when it pushes the points apart
+    law        f(l, l', t) [N], positive when it pushes the points apart; instead of the three numbers
+
+    >>> ball = mbd.RigidBody("ball", 1.0, (0.01, 0.01, 0.01), position=(0, 0, -0.5))
+    >>> spring = mbd.SpringDamper(mbd.Ground().at(), ball.at(), stiffness=200.0, damping=1.0, rest=0.5, name="spring")
+    >>> system = mbd.System([ball], [], [spring], gravity=(0, 0, -9.81), free=["ball"])
+    >>> motion = mbd.simulate(system, 0.1, steps=10)
+    >>> round(mbd.Final(mbd.Position("ball", "z"))(motion).item(), 3)  # [m]
+    -0.54
     """
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
@@ -56,10 +63,16 @@ class SpringDamper(_Between):
 
 
 class AxialSpringDamper(_Between):
-    """`AxialSpringDamper(a, b, axis="x", ...)`: along an axis of frame a, s = (g_b - g_a) . axis, of a sliding joint.
+    """Spring and damper along an axis of frame a: s = (g_b - g_a) . axis, for a sliding joint.
 
-    stiffness [N/m], damping [N s/m], rest [m]; law f(s, s', t) [N] on b along the axis
-    given  these, and the name
+    given  stiffness [N/m], damping [N s/m], rest [m], or a law f(s, s', t) [N] on b along the axis; and the name
+
+    >>> ground, block = mbd.Ground(), mbd.RigidBody("block", 2.0, (0.01, 0.01, 0.01))
+    >>> slide = mbd.Prismatic(ground.at(), block.at(), axis="x")
+    >>> spring = mbd.AxialSpringDamper(ground.at(), block.at(), axis="x", stiffness=200.0)
+    >>> rest = mbd.equilibrium(mbd.System([block], [slide], [spring]))
+    >>> round(rest.frequencies.item(), 4)  # sqrt(200 / 2) / (2 pi) [Hz]
+    1.5915
     """
 
     def __init__(self, a: Frame, b: Frame, axis: str = "x", **given):
@@ -73,13 +86,20 @@ class AxialSpringDamper(_Between):
 
 
 class RotationalSpringDamper(_Between):
-    """`RotationalSpringDamper(a, b, axis="z", ...)`: about an axis of frame a, of a hinge.
+    """Spring and damper about an axis of frame a, for a hinge.
 
     The angle is that of the axis after `axis` (z -> x) of frame b from the same axis of frame a; within half a turn of the
     rest angle, or of `law.center`.
 
-    stiffness [N m/rad], damping [N m s/rad], rest [rad]; law f(theta, theta', t) [N m] on b about the axis
-    given  these, and the name
+    given  stiffness [N m/rad], damping [N m s/rad], rest [rad], or a law f(theta, theta', t) [N m] on b about the axis;
+           and the name
+
+    >>> ground, arm = mbd.Ground(), mbd.RigidBody("arm", 1.0, (0.02, 0.02, 0.02))
+    >>> hinge = mbd.Revolute(ground.at(), arm.at(), axis="z")
+    >>> spring = mbd.RotationalSpringDamper(ground.at(), arm.at(), axis="z", stiffness=2.0)
+    >>> rest = mbd.equilibrium(mbd.System([arm], [hinge], [spring]))
+    >>> round(rest.frequencies.item(), 4)  # sqrt(2 / 0.02) / (2 pi) [Hz]
+    1.5915
     """
 
     def __init__(self, a: Frame, b: Frame, axis: str = "z", **given):

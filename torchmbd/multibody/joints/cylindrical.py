@@ -10,7 +10,13 @@ from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
 class Cylindrical(Joint):
-    """`Cylindrical(a, b, axis="z")`: the point of b slides along `axis` of frame a; b may turn about it."""
+    """`Cylindrical(a, b, axis="z")`: the point of b slides along `axis` of frame a; b may turn about it. Four equations.
+
+    >>> piston = mbd.RigidBody("piston", 1.0, (0.01, 0.01, 0.01))
+    >>> guide = mbd.Cylindrical(mbd.Ground().at(), piston.at(), axis="z")
+    >>> mbd.System([piston], [guide]).describe().freedoms
+    2
+    """
 
     def __init__(self, a: Frame, b: Frame, axis: str = "z", name: str | None = None):
         super().__init__(a, b, name)

@@ -11,7 +11,13 @@ from torchmbd.multibody.joints.primitive import Distance as DistancePrimitive
 
 
 class Distance(Joint):
-    """`Distance(a, b, length=...)`: the points of both frames keep their distance `length` > 0 [m]."""
+    """`Distance(a, b, length=...)`: the points of both frames keep their distance `length` > 0 [m]. One equation.
+
+    >>> ball = mbd.RigidBody("ball", 1.0, (0.01, 0.01, 0.01), position=(0, -0.7, 0))
+    >>> rope = mbd.Distance(mbd.Ground().at(), ball.at(), length=0.7)
+    >>> mbd.System([ball], [rope]).describe().freedoms
+    5
+    """
 
     def __init__(self, a: Frame, b: Frame, length: float, name: str | None = None):
         super().__init__(a, b, name)

@@ -34,7 +34,14 @@ class Drive(Joint):
     The numbers of a law may be design variables: speed=mbd.variable(2.0), angle=mbd.SmoothStep(mbd.variable(0.5), 1.0).
     They are parameters of the system, named by the joint: "motor.speed", "motor.size".
 
-    Add a joint that leaves this motion free (Revolute, Prismatic, Cylindrical): a drive holds nothing else.
+    A drive is one equation. It needs a joint that leaves this motion free: Revolute, Prismatic or Cylindrical.
+
+    >>> ground, crank = mbd.Ground(), mbd.RigidBody("crank", 1.0, (0.01, 0.01, 0.01))
+    >>> hinge = mbd.Revolute(ground.at(), crank.at(), axis="z")
+    >>> motor = mbd.Drive(ground, crank, axis="z", speed=2.0, name="motor")
+    >>> motion = mbd.simulate(mbd.System([crank], [hinge, motor]), 0.5, steps=10)
+    >>> round(mbd.Angle("crank", "z")(motion)[0, -1].item(), 6)  # 2 rad/s x 0.5 s
+    1.0
     """
 
     def __init__(

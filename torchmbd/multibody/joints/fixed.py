@@ -9,7 +9,13 @@ from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 
 
 class Fixed(Joint):
-    """`Fixed(a, b)`: points coincide, and the rotation of the given initial positions stays."""
+    """`Fixed(a, b)`: the points coincide, and the relative rotation keeps its initial value. Six equations.
+
+    >>> tool = mbd.RigidBody("tool", 1.0, (0.01, 0.01, 0.01))
+    >>> grip = mbd.Fixed(mbd.Ground().at(), tool.at())
+    >>> mbd.System([tool], [grip]).describe().freedoms
+    0
+    """
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         yield Equation(Coincide, (attachments.point(self.a), attachments.point(self.b)))

@@ -28,7 +28,11 @@ Slopes = tuple[Tensor, Tensor, Tensor]
 
 
 class ConstantSpeed(nn.Module):
-    """x(t) = speed * t; speed in [rad/s] or [m/s]."""
+    """x(t) = speed * t; speed in [rad/s] or [m/s].
+
+    >>> mbd.ConstantSpeed(3.0)(torch.tensor([0.0, 2.0], dtype=torch.float64)).tolist()
+    [0.0, 6.0]
+    """
 
     def __init__(self, speed: float | Tensor):
         super().__init__()
@@ -46,6 +50,10 @@ class SmoothStep(nn.Module):
     """From 0 to `size` [rad] or [m] between `start` and `start + duration` [s], at rest before and after.
 
     Velocity and acceleration are continuous; the largest velocity is 1.875 size / duration.
+
+    >>> law = mbd.SmoothStep(size=1.0, duration=0.4, start=0.1)
+    >>> law(torch.tensor([0.1, 0.3, 0.9], dtype=torch.float64)).round(decimals=9).tolist()
+    [0.0, 0.5, 1.0]
     """
 
     def __init__(self, size: float | Tensor, duration: float | Tensor, start: float | Tensor = 0.0):
@@ -71,7 +79,12 @@ class SmoothStep(nn.Module):
 
 
 class Sine(nn.Module):
-    """x(t) = amplitude sin(2 pi frequency t); amplitude in [rad] or [m], frequency in [Hz]."""
+    """x(t) = amplitude sin(2 pi frequency t); amplitude in [rad] or [m], frequency in [Hz].
+
+    >>> law = mbd.Sine(amplitude=0.1, frequency=2.0)
+    >>> law(torch.tensor(0.125, dtype=torch.float64)).item()  # a quarter of the period
+    0.1
+    """
 
     def __init__(self, amplitude: float | Tensor, frequency: float | Tensor):
         super().__init__()

@@ -10,7 +10,13 @@ from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
 class Planar(Joint):
-    """`Planar(a, b, normal="z")`: the point of b stays in the plane of frame a across `normal`; b turns about it."""
+    """`Planar(a, b, normal="z")`: the point of b stays in the plane of frame a across `normal`; b turns about the normal.
+
+    >>> puck = mbd.RigidBody("puck", 1.0, (0.01, 0.01, 0.01))
+    >>> table = mbd.Planar(mbd.Ground().at(), puck.at(), normal="z")
+    >>> mbd.System([puck], [table]).describe().freedoms
+    3
+    """
 
     def __init__(self, a: Frame, b: Frame, normal: str = "z", name: str | None = None):
         super().__init__(a, b, name)

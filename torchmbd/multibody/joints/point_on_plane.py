@@ -10,7 +10,13 @@ from torchmbd.multibody.joints.primitive import Plane
 
 
 class PointOnPlane(Joint):
-    """`PointOnPlane(a, b, normal="z")`: the point of b stays in the plane through frame a across `normal`."""
+    """`PointOnPlane(a, b, normal="z")`: the point of b stays in the plane through frame a across `normal`. One equation.
+
+    >>> foot = mbd.RigidBody("foot", 1.0, (0.01, 0.01, 0.01))
+    >>> floor = mbd.PointOnPlane(mbd.Ground().at(), foot.at(), normal="z")
+    >>> mbd.System([foot], [floor]).describe().freedoms
+    5
+    """
 
     def __init__(self, a: Frame, b: Frame, normal: str = "z", name: str | None = None):
         super().__init__(a, b, name)

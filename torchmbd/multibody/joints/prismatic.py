@@ -10,7 +10,13 @@ from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 
 
 class Prismatic(Joint):
-    """`Prismatic(a, b, axis="x")`: the point of b slides along `axis` of frame a."""
+    """`Prismatic(a, b, axis="x")`: the point of b slides along `axis` of frame a; b does not turn. Five equations.
+
+    >>> block = mbd.RigidBody("block", 1.0, (0.01, 0.01, 0.01))
+    >>> slide = mbd.Prismatic(mbd.Ground().at(), block.at(), axis="x")
+    >>> mbd.System([block], [slide]).describe().freedoms
+    1
+    """
 
     def __init__(self, a: Frame, b: Frame, axis: str = "x", name: str | None = None):
         super().__init__(a, b, name)

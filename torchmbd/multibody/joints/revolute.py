@@ -10,7 +10,13 @@ from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 
 
 class Revolute(Joint):
-    """`Revolute(a, b, axis="z")`: hinge at the points of both frames; `axis` of frame a."""
+    """`Revolute(a, b, axis="z")`: hinge at the points of both frames, about `axis` of frame a. Five equations.
+
+    >>> arm = mbd.RigidBody("arm", 1.0, (0.01, 0.01, 0.01))
+    >>> hinge = mbd.Revolute(mbd.Ground().at(), arm.at(-0.5, 0, 0), axis="z", name="hinge")
+    >>> mbd.System([arm], [hinge]).describe().freedoms
+    1
+    """
 
     def __init__(self, a: Frame, b: Frame, axis: str = "z", name: str | None = None):
         super().__init__(a, b, name)

@@ -9,7 +9,13 @@ from torchmbd.multibody.joints.primitive import Coincide
 
 
 class Spherical(Joint):
-    """`Spherical(a, b)`: the points of frames a and b coincide."""
+    """`Spherical(a, b)`: the points of frames a and b coincide. Three equations.
+
+    >>> arm = mbd.RigidBody("arm", 1.0, (0.01, 0.01, 0.01))
+    >>> ball = mbd.Spherical(mbd.Ground().at(), arm.at(-0.5, 0, 0))
+    >>> mbd.System([arm], [ball]).describe().freedoms
+    3
+    """
 
     def equations(self, attachments: AttachmentTable) -> Iterator[Equation]:
         yield Equation(Coincide, (attachments.point(self.a), attachments.point(self.b)))

@@ -11,9 +11,14 @@ from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 
 
 class Universal(Joint):
-    """`Universal(a, b, axes="yz")`: two letters, both axes of frame a at the start.
+    """`Universal(a, b, axes="yz")`: two letters, both axes of frame a at the start. Four equations.
 
     The first arm of the cross stays with body a, the second with body b.
+
+    >>> arm = mbd.RigidBody("arm", 1.0, (0.01, 0.01, 0.01))
+    >>> cross = mbd.Universal(mbd.Ground().at(), arm.at(-0.5, 0, 0), axes="yz")
+    >>> mbd.System([arm], [cross]).describe().freedoms
+    2
     """
 
     def __init__(self, a: Frame, b: Frame, axes: str = "yz", name: str | None = None):

@@ -47,16 +47,22 @@ REGULARIZATION = (
 
 @dataclass(eq=False)
 class Dynamics:
-    """Frozen equations of motion of one design or of a batch of designs (lanes); see also state_equation.py.
+    """Equations of motion of a batch of designs (lanes), made by `System.dynamics`; see also state_equation.py.
 
     Called with t [] [s] and z [lanes, n] it is the right-hand side dz/dt for torchdiffeq, from `initial_state()`.
 
-    topology       bodies, joints and forces as arrays of indices;  saddle: how their matrix is laid out
-    initial        how joints are closed at the start
-    statistics     how often it was evaluated
+    topology       bodies, joints and forces as arrays of indices
+    saddle         the layout of their saddle-point matrix
     data           name -> tensor or pair [component..., 1, lanes]; a lane axis of one holds for all
+    initial        how joints are closed at the start
     stabilization  time constant of the constraint stabilization [s]
     backend        what makes steps: "eager" or "native" (integrate/native/library.py)
+    statistics     how often it was evaluated
+
+    >>> dynamics = mbd.examples.pendulum().dynamics()
+    >>> z = dynamics.initial_state()
+    >>> z.shape, dynamics(torch.tensor(0.0), z).shape  # position, Euler parameters and velocities of one body
+    (torch.Size([1, 13]), torch.Size([1, 13]))
     """
 
     topology: Topology

@@ -54,6 +54,10 @@ def equilibrium(model: Any) -> Equilibrium:
 
     Returns q [lanes, n_q] [m, -], multipliers lam [lanes, rows] [N, N m], and frequencies [lanes, freedoms] [Hz].
     Raises InputError with the forces that remain if there is none.
+
+    >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
+    >>> round(rest.frequencies.item(), 4), rest.stable  # sqrt(9.81 / 2) / (2 pi) [Hz]
+    (0.3525, True)
     """
     if not (hasattr(model, "with_joints") or hasattr(model, "initial_state")):
         raise InputError(f"equilibrium of {model!r}; allowed: a System or its Dynamics")

@@ -54,6 +54,13 @@ class System(nn.Module):
     gravity        acceleration of gravity in ground axes [m/s2]
     stabilization  time constant of the constraint stabilization of ODE methods [s]
     free           names of bodies that no joint holds on purpose
+
+    >>> ground, bob = mbd.Ground(), mbd.RigidBody("bob", 1.0, (0.01, 0.01, 0.01), position=(0, -1, 0))
+    >>> hinge = mbd.Revolute(ground.at(), bob.at(0, 1, 0), axis="z", name="hinge")
+    >>> system = mbd.System([bob], [hinge], gravity=(0, -9.81, 0))
+    >>> found = system.describe()  # print(found) shows it as tables
+    >>> found.rank, found.freedoms
+    (5, 1)
     """
 
     gravity: Tensor | None
@@ -128,7 +135,17 @@ class System(nn.Module):
 
     @exclusive
     def describe(self) -> Description:
-        """Bodies, joints, rank, freedoms, mass and first frequencies: print it, or use its numbers."""
+        """Bodies, joints, rank, freedoms, mass and first frequencies: print it, or use its numbers.
+
+        >>> print(mbd.examples.pendulum().describe())
+        body  kind   mass [kg]  modes
+        bob   rigid  1          0
+        ...
+        rows        5, rank 5
+        redundant   none
+        freedoms    1 (1 of rigid bodies)
+        ...
+        """
         return describe(self)
 
     def _repr_html_(self) -> str:

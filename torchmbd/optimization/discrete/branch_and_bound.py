@@ -85,6 +85,12 @@ def optimize_discrete(
     method, starts, max_iterations, max_lanes, feasibility, options   of the relaxation, as in `multistart`
 
     Continuous variables keep their values among neighbors. Raises InputError as `multistart`, and where no value is in bounds.
+
+    >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
+    >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-45, 45]))
+    >>> found = mbd.optimize_discrete(problem, mbd.deg(45), max_iterations=3)
+    >>> np.degrees(found.best.x).round(6).tolist(), found.size  # of 3 x 3 designs
+    ([0.0, 0.0], 9)
     """
     function = find_method(method, options)
     require_limits(max_iterations, None)

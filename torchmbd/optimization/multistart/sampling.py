@@ -19,7 +19,7 @@ from torchmbd.optimization.optimizer import Box, as_numbers, require_count
 
 @dataclass(frozen=True)
 class Starts:
-    """A recipe for start designs; `points(problem)` are they, [count, n] in physical units."""
+    """A rule for start designs: `points(problem)` returns them, [count, n] in physical units."""
 
     name: str
     count: int
@@ -32,10 +32,15 @@ class Starts:
 def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
     """Start designs of a scrambled Sobol sequence over the bounds of the problem [count, n].
 
-    count            how many
+    count            number of designs
     seed             of the scrambling; the same seed, the same points
     include_initial  the first of them is the problem's own start
-    InputError for bounds that are not finite, when the points are drawn. Source: Owen scrambling of scipy.stats.qmc.
+
+    `points(problem)` raises InputError for bounds that are not finite. Source: Owen scrambling of scipy.stats.qmc.
+
+    >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Mass(), bounds=mbd.deg([-90, 90]))
+    >>> mbd.sobol(4, seed=7).points(problem).shape
+    (4, 2)
     """
     require_count("count", count, 1, 2**20)
     require_count("seed", seed, 0, 2**63)
@@ -48,6 +53,11 @@ def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Sta
 
     count, seed, include_initial   as in `sobol`
     Source: Latin hypercube of scipy.stats.qmc.
+
+    >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Mass(), bounds=mbd.deg([-90, 90]))
+    >>> points = mbd.latin_hypercube(4, seed=7).points(problem)
+    >>> sorted(np.floor((points[:, 0] / np.pi + 0.5) * 4).astype(int).tolist())  # one in each quarter of the range
+    [0, 1, 2, 3]
     """
     require_count("count", count, 1, 2**20)
     require_count("seed", seed, 0, 2**63)

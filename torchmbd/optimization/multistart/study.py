@@ -128,6 +128,14 @@ def multistart(
     method, callback, max_iterations, feasibility, eager_gradients, max_analyses, options   as in `optimize`
 
     A start that fails says so in its result. Ctrl-C ends every start and returns what there is, `interrupted` set.
+
+    >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
+    >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
+    >>> study = mbd.multistart(problem, starts=mbd.sobol(2, seed=1), max_iterations=2)
+    >>> study.to_dataframe().columns[:3].tolist()
+    ['status', 'value', 'violation']
+    >>> study.best.value == min(result.value for result in study.results)
+    True
     """
     function = find_method(method, options)
     require_limits(max_iterations, max_analyses)

@@ -182,14 +182,20 @@ class Pieces:
 
 
 class Processes(Workers):
-    """`problem` with batches evaluated by `count` processes of this machine (default: as many as there are cores).
+    """`problem` with its batches evaluated by `count` processes of this machine (default: one for each core).
 
     problem  such as a Problem; every process has a copy of it as it is when the `with` block begins
-    count    how many
+    count    number of processes
 
-    All else is asked of the problem itself. Inside a `with` block only. A design under which three processes have died is a
-    failed evaluation. A script that uses this keeps what it does under `if __name__ == "__main__":`, since every process
-    imports it. Needs the extra `cluster`.
+    Every other attribute is that of the problem itself. It works inside a `with` block only. A design under which three
+    processes have died is a failed evaluation. Every process imports the script that uses this: keep its actions under
+    `if __name__ == "__main__":`. Needs the extra `cluster`.
+
+    >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
+    >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
+    >>> shared = mbd.Processes(problem, 2)
+    >>> shared.names == problem.names  # with shared: mbd.multistart(shared, starts=mbd.sobol(32, seed=1))
+    True
     """
 
     def __init__(self, problem: Problem, count: int | None = None) -> None:

@@ -1,0 +1,74 @@
+"""Every public name has an example in its docstring, and every example is run and gives what stands there."""
+
+from __future__ import annotations
+
+import contextlib
+import doctest
+import inspect
+import io
+import shutil
+from collections.abc import Iterator
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from torchmbd import cli
+
+FLAGS = doctest.NORMALIZE_WHITESPACE | doctest.ELLIPSIS
+
+
+def _members(module: ModuleType) -> list[str]:
+    """What a public module offers: its list, or the classes that it defines."""
+    defined = [n for n, x in vars(module).items() if getattr(x, "__module__", None) == module.__name__ and n[0] != "_"]
+    return list(getattr(module, "__all__", defined))
+
+
+def _objects() -> Iterator[tuple[str, Any]]:
+    """Public names, and the members of public modules."""
+    for name in mbd.__all__:
+        found = getattr(mbd, name)
+        yield name, found
+        if isinstance(found, ModuleType):
+            yield from ((f"{name}.{member}", getattr(found, member)) for member in _members(found))
+
+
+def _methods(found: Any) -> list[Any]:
+    """Functions, properties and class methods that a class itself has."""
+    members = (
+        [getattr(x, "__func__", x) for n, x in vars(found).items() if n[0] != "_"] if inspect.isclass(found) else []
+    )
+    return [x for x in members if isinstance(x, property) or callable(x)]
+
+
+@pytest.mark.parametrize("name", mbd.__all__)
+def test_every_public_name_has_an_example(name):
+    assert ">>> " in (inspect.getdoc(getattr(mbd, name)) or ""), f"mbd.{name}: an example is missing in its docstring"
+
+
+@pytest.fixture(scope="module")
+def studied(tmp_path_factory, empty_store):
+    """A folder in which `torchmbd new arm.yaml` and `torchmbd run arm.yaml`, a short one, were typed."""
+    folder = tmp_path_factory.mktemp("studied")
+    shutil.copy(empty_store, folder / "mlflow.db")
+    short = ["simulate.duration=0.05", "simulate.steps=20", "starts.count=1", "optimizer.max_iterations=1"]
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(io.StringIO()):
+        patch.chdir(folder)
+        assert cli.main(["new", "arm.yaml"]) == 0
+        assert cli.main(["run", "arm.yaml", *short]) == 0
+    return folder
+
+
+@pytest.mark.parametrize(("name", "found"), _objects(), ids=lambda x: x if isinstance(x, str) else "")
+def test_examples(name, found, tmp_path, monkeypatch, request):
+    monkeypatch.chdir(request.getfixturevalue("studied") if name in ("load", "problem_of") else tmp_path)
+    for told in (found, *_methods(found)):
+        text = inspect.cleandoc(told.__doc__ or "")
+        names = {"mbd": mbd, "torch": torch, "np": np}
+        test = doctest.DocTestParser().get_doctest(text, names, f"mbd.{name}", None, None)
+        report: list[str] = []
+        doctest.DocTestRunner(optionflags=FLAGS).run(test, out=report.append)
+        assert not report, "".join(report)
