@@ -50,7 +50,7 @@ from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.materials import Laminate, Ply, Strength
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
-from torchmbd.integrate import Event, Phase, Trajectory, simulate
+from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
@@ -82,7 +82,7 @@ from torchmbd.multibody.joints import (
     Spherical,
     Universal,
 )
-from torchmbd.multibody.system import Dynamics, System, equilibrium
+from torchmbd.multibody.system import Dynamics, System
 from torchmbd.optimization import (
     OptimizationResult,
     Processes,
@@ -158,6 +158,7 @@ __all__ = [
     "Distance",
     "Drive",
     "Dynamics",
+    "Equilibrium",
     "Event",
     "Final",
     "Fixed",

@@ -30,7 +30,7 @@ from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
-from torchmbd.integrate.arguments import check, check_backend, check_gradients
+from torchmbd.integrate.arguments import check, check_backend, check_gradients, start_of
 from torchmbd.integrate.attempts import FEWEST, default_steps
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.memory import lanes_at_once, require_room
@@ -77,7 +77,8 @@ class Problem(Summary):
     bounds      (lower, upper) of the design variables: numbers for all, one for each, or a mapping from parameter
                 names to such pairs [rad for angles]
     variables   names of parameters; default: every parameter that requires a gradient
-    start       initial design [n]; default: the system's own
+    start       initial design [n]; default: the system's own. A word, "equilibrium", is `motion_start`
+    motion_start   where every motion starts: `start` of `simulate`, such as "equilibrium"
     links       entries that follow others, {"rod.laminate.angles[1]": {"rod.laminate.angles[0]": -1.0}} (space.py)
     bound       (start, upper) of the extra variable, where `minimize` has several rows
     gradients   "reverse" or "forward", as in `simulate`; "auto": reverse where the method has an adjoint and objective and
@@ -115,6 +116,7 @@ class Problem(Summary):
         phases: Sequence[Phase] | None = None,
         gradients: str = "auto",
         backend: str = "auto",
+        motion_start: Any = "assembled",
         **options: Any,
     ):
         if not isinstance(system, System):
@@ -122,6 +124,9 @@ class Problem(Summary):
         if not isinstance(minimize, Measure):
             raise InputError(f"minimize is {minimize!r}; allowed: a measure, such as Integral(StrainEnergy('rod'))")
         subject_to = constraints_of(subject_to)
+        if isinstance(start, str):
+            start, motion_start = None, start
+        start_of(system, motion_start)
         integrator = check(duration, method, steps, options, phases is not None)
         if phases is not None:
             plan(system, phases, duration)
@@ -138,6 +143,7 @@ class Problem(Summary):
         self.constraints = subject_to
         self.space = DesignSpace(system, variables, bounds, start, links)
         self.simulation = {"method": method, "steps": steps, "phases": phases, "backend": backend, **options}
+        self.simulation |= {} if motion_start == "assembled" else {"start": motion_start}
         # Rows of the extra variable come first among the constraints.
         self.peaks = minimize.rows if minimize.rows > 1 else 0
         self._bound = bound

@@ -4,7 +4,8 @@ from torchmbd.integrate.phases.events import Event
 from torchmbd.integrate.phases.phase import Phase
 from torchmbd.integrate.registry import METHODS
 from torchmbd.integrate.simulate import simulate
+from torchmbd.integrate.statics import Equilibrium, equilibrium
 from torchmbd.results.motion_data import Moment, Switch
 from torchmbd.results.trajectory import Trajectory
 
-__all__ = ["METHODS", "Event", "Moment", "Phase", "Switch", "Trajectory", "simulate"]
+__all__ = ["METHODS", "Equilibrium", "Event", "Moment", "Phase", "Switch", "Trajectory", "equilibrium", "simulate"]

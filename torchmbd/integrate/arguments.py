@@ -21,7 +21,8 @@ from torchmbd.integrate.native.library import BACKENDS
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
 from torchmbd.math.owned import all_true, plain, watched, whole
 from torchmbd.math.plausible_units import check_parameter
-from torchmbd.multibody.system import System
+from torchmbd.multibody.system import Start, System
+from torchmbd.results.motion_data import MotionData
 
 GRADIENTS = ("auto", "forward", "reverse", "none")
 
@@ -89,6 +90,22 @@ def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
 def check_backend(backend: Any) -> None:
     """InputError for a backend that does not exist."""
     one_of("backend", backend, BACKENDS)
+
+
+def start_of(system: System, start: Any) -> Start:
+    """Where motions start; InputError says what is allowed."""
+    if isinstance(start, MotionData):
+        return Start.of_motion(system, start.q[:, -1], start.v[:, -1])
+    return Start.of(system, start)
+
+
+def check_start(start: Start, gradients: str, forward: bool) -> None:
+    """InputError where derivatives by what is given for the start would be lost."""
+    if start.watched and gradients != "none" and forward:
+        raise InputError(
+            "start is being differentiated, which tangents do not carry; allowed: gradients='reverse' or 'auto' of a one-step "
+            "method, or Parameters given to the bodies (bent, moving, position)"
+        )
 
 
 def check_designs(system: System, designs: Any) -> dict[str, Tensor]:

@@ -47,7 +47,12 @@ def run(
     poor = [False] * len(status)
     if precise and again is not None and again.steps == 1:
         poor = (stats["iteration_error"] > IMPRECISE).tolist()
-    failed = [lane for lane, reason in enumerate(status) if has_failed(reason) or poor[lane]]
+    _without_start(dynamics.faults, status, stats, history)
+    failed = [
+        lane
+        for lane, reason in enumerate(status)
+        if lane not in dynamics.faults and (has_failed(reason) or poor[lane])
+    ]
     if not failed or again is None:
         return history, stats, status
     often = again.steps
@@ -72,6 +77,13 @@ def run(
     first = sorted({*failed_first, *(failed[i] for i in counts.get("failed_first", []))})
     stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved], "failed_first": first}
     return replace(history, **parts, finer=_finer(better, often, cured)), stats, status
+
+
+def _without_start(faults: dict[int, str], status: list[str], stats: dict[str, Any], history: History) -> None:
+    """Note lanes that start nowhere: no time of theirs has numbers."""
+    for lane, reason in faults.items():
+        status[lane] = f"failed: {reason}"
+        stats.setdefault("until", torch.full((len(status),), len(history.q)))[lane] = 0
 
 
 def _finer(better: History, often: int, cured: list[tuple[int, int]]) -> dict:

@@ -24,10 +24,12 @@ from torchmbd.integrate.arguments import (
     check_backend,
     check_designs,
     check_gradients,
+    check_start,
     check_timed,
     check_variables,
     refuse_dual_level,
     seconds_of,
+    start_of,
 )
 from torchmbd.integrate.attempts import FEWEST
 from torchmbd.integrate.forward_integration import ForwardIntegration
@@ -61,6 +63,7 @@ def simulate(
     gradients: str = "auto",
     variables: Sequence[str] | None = None,
     backend: str = "auto",
+    start: str | Mapping[str, Any] | Trajectory = "assembled",
     **options: Any,
 ) -> Trajectory:
     """Simulate one design, or a batch of designs that do not see each other (lanes).
@@ -83,6 +86,10 @@ def simulate(
     backend     what makes the steps: "native" (C++, compiled once for kinds of joints and forces), "eager" (operators of torch,
                 the reference) or "auto": native where there is a compiler and all laws can be traced. The same call gives the
                 same numbers every time
+    start       "assembled": bodies as they were given, joints closed, flexible bodies undeformed or `bent`. "equilibrium": at
+                rest under gravity and forces, drives where they are at t = 0. A motion: its last state. Or numbers [...] or
+                [lanes, ...] for some bodies, {"rod.modal": ..., "load.velocity": ...}: position, axes, velocity,
+                angular_velocity, modal, modal_velocity. Joints are closed and rates made compatible from there
     variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
     options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
@@ -103,6 +110,8 @@ def simulate(
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
     integrator = check(duration, method, steps, options, phases is not None)
+    begins = start_of(system, start)
+    system = system if start == "assembled" else system.starting(begins)
     steps = None if steps is None else int(steps)
     given = check_designs(system, designs)
     seconds = seconds_of(duration)
@@ -112,19 +121,21 @@ def simulate(
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
     with torch.inference_mode(False), torch.set_grad_enabled(grad):
         timed = check_timed(duration, gradients, integrator, phases is not None)
-        names = _variables(system, given, gradients, variables, timed)
+        names = variables_of(system, given, gradients, variables, timed)
+        one_way = gradients == "forward" or not isinstance(integrator, OneStep)
+        check_start(begins, gradients, one_way)
         if gradients != "none":
             _require_wanted(names, given)
         own = dict(system.named_parameters())
-        batch = _same_lanes({name: own[name][None] for name in names if name not in given} | given)
+        batch = same_lanes({name: own[name][None] for name in names if name not in given} | given, begins.lanes)
         if gradients in ("forward", "reverse"):
             batch = {k: _leaf(x) if k in names and not watched(x) else x for k, x in batch.items()}
         count = sum(x[0].numel() for name, x in batch.items() if name in names)
-        lanes = max((len(x) for x in batch.values()), default=1)
+        lanes = max((len(x) for x in batch.values()), default=begins.lanes)
         require_room(system, lanes, integrator.kept(steps) if steps else FEWEST, count, gradients != "forward")
         if gradients == "forward" or phases is not None or not integrator.adjoint:
             refuse_dual_level(batch)
-        if gradients == "forward" or not isinstance(integrator, OneStep):
+        if one_way:
             labels = labels_of(system, names)
             integration = ForwardIntegration(
                 system, tuple(batch), tuple(names), labels, seconds, steps, integrator, phases, backend
@@ -135,7 +146,7 @@ def simulate(
         else:
             motion = _reverse(system, batch, names, duration if timed else seconds, steps, integrator, backend)
         motion.stats["backend"] = motion.integration.dynamics.backend
-        motion.stats["gradients"] = _route(motion) if names or timed else GRADIENTS[-1]
+        motion.stats["gradients"] = _route(motion) if names or timed or begins.watched else GRADIENTS[-1]
         with torch.no_grad():
             if phases is None:
                 explain(_plain(motion))
@@ -159,7 +170,7 @@ def _plain(motion: Trajectory, until: Tensor | None = None) -> Trajectory:
     )
 
 
-def _variables(
+def variables_of(
     system: System, given: Mapping[str, Tensor], gradients: str, variables: Sequence[str] | None, timed: bool
 ) -> list[str]:
     """Names of the parameters by which the motion is differentiated."""
@@ -207,7 +218,7 @@ def _reverse(
         timed,
         steps,
         integrator,
-        bool(names) or timed,
+        bool(names) or timed or any(x.requires_grad for x in data.values()),
         backend,
         tuple(name for name, x in data.items() if x.requires_grad),
     )
@@ -215,7 +226,7 @@ def _reverse(
     outputs: Any = Motion.apply(integration, *inputs)
     if not torch.is_grad_enabled():
         shapes = {}  # they are made when somebody asks, and take no room before
-    motion = _presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names, shapes)
+    motion = presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names, shapes)
     return _timed(motion, duration) if timed else motion
 
 
@@ -250,7 +261,7 @@ def _reverse_phases(
     outputs: Any = Motion.apply(integration, *data.values(), *_lanes_last(batch))
     end = 5 + len(integration.moving)
     data = dict(data) | dict(zip(integration.moving, outputs[5:end], strict=True))
-    motion = _presented(whole, integration, outputs[:5], data, batch, labels_of(system, names), names)
+    motion = presented(whole, integration, outputs[:5], data, batch, labels_of(system, names), names)
     motion.switches = integration.switches_of(outputs[end:])
     motion.actions = tuple(stage.topology.actions for stage in stages)
     return motion
@@ -267,13 +278,13 @@ def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Traje
     end = 5 + len(integration.moving)
     data = dict(integration.dynamics.data) | dict(zip(integration.moving, outputs[5:end], strict=True))
     names, labels = list(integration.variables), integration.labels
-    motion = _presented(integration.system, integration, outputs[:5], data, batch, labels, names)
+    motion = presented(integration.system, integration, outputs[:5], data, batch, labels, names)
     motion.switches = integration.switches_of(outputs[end:])
     motion.actions = integration.actions
     return motion
 
 
-def _presented(
+def presented(
     system: System,
     integration: ReverseIntegration | ReversePhaseIntegration | ForwardIntegration,
     outputs: Sequence[Tensor],
@@ -317,9 +328,11 @@ def _leaf(x: Tensor) -> Tensor:
     return x.detach().clone().requires_grad_()
 
 
-def _same_lanes(batch: dict[str, Tensor]) -> dict[str, Tensor]:
+def same_lanes(batch: dict[str, Tensor], least: int = 1) -> dict[str, Tensor]:
+    """least: lanes of the start."""
     counts = {name: x.shape[0] for name, x in batch.items()}
-    lanes = max(counts.values(), default=1)
-    if not {1, lanes}.issuperset(counts.values()):
-        raise InputError(f"designs have lanes {counts}; allowed: the same number for all, or one")
+    lanes = max([*counts.values(), least])
+    if not {1, lanes}.issuperset([*counts.values(), least]):
+        told = f" and start {least}" if least > 1 else ""
+        raise InputError(f"designs have lanes {counts}{told}; allowed: the same number for all, or one")
     return {name: x.clone().expand(lanes, *x.shape[1:]) for name, x in batch.items()}

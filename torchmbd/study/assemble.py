@@ -37,6 +37,7 @@ def problem_of(plan: Plan) -> Problem:
         phases=plan.phases,
         gradients=study.simulate.gradients,
         backend=study.simulate.backend,
+        motion_start=study.simulate.start,
         **study.simulate.options,
     )
 

@@ -15,6 +15,7 @@ import torch
 
 from torchmbd.design.response_spec import leaf, measure_of, terms
 from torchmbd.errors import InputError, nearest
+from torchmbd.integrate.arguments import start_of
 from torchmbd.integrate.memory import require_room
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.math.plausible_units import check_parameter
@@ -197,6 +198,18 @@ def _start_faults(sections: Sections, system: System) -> list[Fault]:
             text = f"from {span.first:g} to {span.last:g}: must lie between {lower[index]:g} and {upper[index]:g}"
             faults.append(Fault(("sweep", name), text))
     return faults
+
+
+def _start_faults(sections: Sections, system: System) -> list[Fault]:
+    """What is wrong with the start of the motions for the model."""
+    simulation: Simulation | None = sections.get("simulate")
+    if simulation is None:
+        return []
+    try:
+        start_of(system, simulation.start)
+    except InputError as error:
+        return [Fault(("simulate", "start"), f": {error}")]
+    return []
 
 
 def _memory_faults(sections: Sections, system: System) -> list[Fault]:

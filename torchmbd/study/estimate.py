@@ -97,6 +97,7 @@ def _short(plan: Plan, problem: Problem, X: np.ndarray, gradients: bool, share: 
             gradients=problem.gradients if gradients else "none",
             variables=problem.space.variables,
             backend=told.backend,
+            start=told.start,
             designs=problem.space.designs(X),
             phases=plan.phases,
             **told.options,

@@ -39,6 +39,7 @@ from torchmbd.design.response_spec import SpecError, measure_of
 from torchmbd.errors import nearest
 from torchmbd.integrate.arguments import BACKENDS, GRADIENTS
 from torchmbd.integrate.registry import DEFAULT, METHODS
+from torchmbd.multibody.system.start import STARTS
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.tracking.store import uri_fault
 
@@ -114,6 +115,7 @@ class Simulation(Section):
     steps: PositiveInt | None = None
     phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
     backend: Annotated[str, _one_of(BACKENDS)] = "auto"  # of the steps
+    start: Annotated[str, _one_of(STARTS)] | dict[str, list[float]] = STARTS[0]  # of every motion
     gradients: Annotated[str, _one_of(GRADIENTS[:-1])] = "auto"  # by the adjoint (reverse) or tangents (forward)
 
     @model_validator(mode="after")

@@ -48,7 +48,7 @@ def test_a_double_pendulum_hangs_down_and_swings(start):
     found = mbd.equilibrium(double_pendulum(*start))
     assert found.stable
     assert found.frequencies[0].tolist() == pytest.approx(frequencies_of_the_double_pendulum(), rel=1e-9)
-    p = found.q[0, 6:14].reshape(4, 2)
+    p = found.q[0, 0, 6:14].reshape(4, 2)
     assert_close(rotation_matrix(p)[..., 0], torch.eye(3).double(), rtol=0, atol=1e-9)
     weight = sum(m for m, *_ in BARS) * G
     assert float(found.lam.norm(dim=-1).max()) > weight  # of both hinges
@@ -137,9 +137,9 @@ def test_damping_is_in_the_poles():
 def test_lanes_have_their_own_equilibrium():
     system = pendulum()
     angles = torch.stack([mbd.deg([20.0, -50.0]), mbd.deg([80.0, 10.0])])
-    found = mbd.equilibrium(system.dynamics({"rod.laminate.angles": angles}))
-    assert found.q.shape == (2, system.topology.n_q)
-    alone = mbd.equilibrium(system.dynamics({"rod.laminate.angles": angles[1:]}))
+    found = mbd.equilibrium(system, designs={"rod.laminate.angles": angles})
+    assert found.q.shape == (2, 1, system.topology.n_q)
+    alone = mbd.equilibrium(system, designs={"rod.laminate.angles": angles[1:]})
     assert_close(found.frequencies[1], alone.frequencies[0], rtol=1e-8, atol=1e-8)
     assert float((found.frequencies[0] - found.frequencies[1]).abs().max()) > 1e-3
 
@@ -158,7 +158,7 @@ def test_springs_and_dampers_count():
     spring = mbd.AxialSpringDamper(ground.at(), a.at(), axis="y", stiffness=k, damping=c, rest=-0.1)
     system = mbd.System([a], [mbd.Prismatic(ground.at(), a.at(), axis="y")], [spring], gravity=(0.0, -G, 0.0))
     found = mbd.equilibrium(system)
-    assert float(found.q[0, 1]) == pytest.approx(-0.1 - m * G / k, rel=1e-10)
+    assert float(found.q[0, 0, 1]) == pytest.approx(-0.1 - m * G / k, rel=1e-10)
     assert float(found.frequencies[0, 0]) == pytest.approx(math.sqrt(k / m) / (2 * math.pi), rel=1e-12)
     assert found.vibrations[0].poles.real.tolist() == pytest.approx([-c / (2 * m)] * 2, rel=1e-10)
     assert system.describe().frequencies == pytest.approx(found.frequencies[0].tolist())

@@ -34,6 +34,7 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.least_norm import LeastNorm
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.selection import selected
+from torchmbd.multibody.system.start import RestingConditions
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK, Moment, Switch
 from torchmbd.results.state import State
@@ -148,9 +149,19 @@ class MultiphaseRun:
 
     def closed(self, whole: Dynamics) -> tuple[Any, Any]:
         """Initial q and v for the data of some dynamics of the whole."""
-        first = selected(whole.topology, self.phase_models[0].start)
-        initial_state = replace(whole.initial, topology=first)
-        return initial_state.solve(replace(whole, topology=first, saddle=Saddle(first), initial=initial_state))
+        phase_model = self.phase_models[0]
+        first = selected(whole.topology, phase_model.start)
+        initial = replace(whole.initial, topology=first)
+        free = replace(whole, topology=first, saddle=Saddle(first), initial=initial)
+        if not isinstance(initial, RestingConditions):
+            return initial.solve(free)
+        q, v = initial.assembled(free)  # locks hold there, and what they hold sags
+        held = replace(whole, data=marked(whole.topology, whole.data, self._wide(q), phase_model.locks))
+        held = replace(held, topology=phase_model.topology, saddle=phase_model.saddle)
+        q = initial.resting(held, q)
+        for lane, reason in held.faults.items():
+            self.fail(lane, reason)
+        return q, initial.compatible(replace(free, data=held.data), q, v)
 
     def _wide(self, x: Any) -> Any:
         """All lanes and tangents of a number."""

@@ -2,7 +2,7 @@
 
 from torchmbd.multibody.system.description import Description
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.equilibrium import Equilibrium, equilibrium
+from torchmbd.multibody.system.start import Start
 from torchmbd.multibody.system.system import System
 
-__all__ = ["Description", "Dynamics", "Equilibrium", "System", "equilibrium"]
+__all__ = ["Description", "Dynamics", "Start", "System"]

@@ -75,6 +75,7 @@ class Dynamics:
         default=None, init=False, repr=False
     )  # the start of a motion, once made (integrate/prepared.py)
     statistics: dict[str, int] = field(default_factory=lambda: {"evaluations": 0})
+    faults: dict[int, str] = field(default_factory=dict, init=False, repr=False)  # lanes without a start, and why
 
     def __getstate__(self) -> dict[str, Any]:
         return vars(self) | {"prepared": None}  # may have a graph of torch

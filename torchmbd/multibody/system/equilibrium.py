@@ -1,13 +1,17 @@
-"""Static equilibrium of an assembled mechanism, and its vibrations about it.
+"""Static equilibrium of an assembled mechanism, as a function of the design.
 
-    f(q) + Phi_q' lam = 0,  Phi(q, t0) = 0
+    f(q, b) + Phi_q' lam = 0,  Phi(q, t, b) = 0
 
     dq = -Phi_q^+ Phi + N z,   |N' K N| z = -N' (f + K dq_0)          |A|: symmetric part, eigenvalues taken positive
 
 With positive eigenvalues every step goes downhill in energy, so a conservative mechanism ends at a stable equilibrium
 and not at the nearest extremum (but one that starts exactly at an unstable one stays there, and says so). Steps are
-limited in size.
-Checked in tests/multibody/system/test_equilibrium.py.
+limited in size. Derivatives by the design are those of one more step with the exact matrix, the implicit function theorem:
+
+    dq/db = -(J^+ Phi_b + N (N' K N)^-1 N' (f_b + Phi_q,b' lam - K J^+ Phi_b))
+
+Drives are held where they are at the time: their rates count for nothing.
+Checked in tests/multibody/system/test_equilibrium.py, tests/sensitivity/test_rest.py.
 """
 
 from __future__ import annotations
@@ -18,60 +22,77 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
-from torchmbd.math.module_call import exclusive
+from torchmbd.math.jet import Jet
+from torchmbd.math.pair import cat, linear, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import AtRest, Vibrations
 
 _STEPS, _LARGEST = 200, 0.3  # Newton steps; largest increment of a coordinate [m], [rad]
-_FORCE, _CLOSED = 1e-10, 1e-11  # forces that remain, of the largest; violation of a joint
+_FORCE, _CLOSED = 1e-10, 1e-11  # forces that remain, of the largest on the way; violation of a joint
+_ROUNDING = 1e-14  # of stiffness times coordinates
+_NO_STIFFNESS = 1e-13  # of the largest eigenvalue of N' K N: rounding
 
 
 @dataclass(frozen=True)
-class Equilibrium:
-    """Positions q [lanes, n_q] and multipliers lam [lanes, rows] at rest; vibrations about it, one for each lane."""
+class Balance:
+    """Where one design rests.
+
+    q [n_q], lam [rows]   coordinates and least multipliers
+    answer [n_v, n_v + rows]   increment of q that a residual (f, Phi) asks for, but for its sign
+    missing   why there is no equilibrium, else ""; q is then where the search began
+    doubt     what makes it none to start from: a freedom without stiffness, or an unstable one, else ""
+    """
 
     q: Tensor
     lam: Tensor
-    vibrations: list[Vibrations]
-
-    @property
-    def frequencies(self) -> Tensor:
-        """Natural frequencies [lanes, freedoms] [Hz]; see Vibrations."""
-        return torch.stack([x.frequencies for x in self.vibrations])
-
-    @property
-    def stable(self) -> bool:
-        """Whether no freedom of any lane is unstable."""
-        return not bool(self.frequencies.isnan().any())
+    answer: Tensor
+    missing: str
+    doubt: str
 
 
-@exclusive
-def equilibrium(model: Any) -> Equilibrium:
-    """Static equilibrium near the initial position, drives held at t = 0.
-
-    model  a System (one design) or its Dynamics (lanes)
-
-    Returns q [lanes, n_q] [m, -], multipliers lam [lanes, rows] [N, N m], and frequencies [lanes, freedoms] [Hz].
-    Raises InputError with the forces that remain if there is none.
-
-    >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
-    >>> round(rest.frequencies.item(), 4), rest.stable  # sqrt(9.81 / 2) / (2 pi) [Hz]
-    (0.3525, True)
-    """
-    if not (hasattr(model, "with_joints") or hasattr(model, "initial_state")):
-        raise InputError(f"equilibrium of {model!r}; allowed: a System or its Dynamics")
-    dynamics = (model.dynamics() if hasattr(model, "with_joints") else model).values()
-    q, lam, vibrations = [], [], []
+def search(dynamics: Any, q: Any, t: Tensor, follow: bool = False) -> list[Balance]:
+    """Where the lanes of a whole system rest at time t, near q [n_q, 1, lanes]; follow: each near where the one before does."""
+    start, found = value(q).detach(), []
     with torch.no_grad():
-        start, _ = dynamics.initial.solve(dynamics)
+        values = dynamics.values()
         for lane in range(dynamics.lanes):
-            one = dynamics.some([lane])
-            at, rest = _settle(one, start[:, 0, lane if start.shape[-1] > 1 else 0])
-            q.append(at)
-            lam.append(rest.lam)
-            vibrations.append(Vibrations.of(rest))
-    return Equilibrium(torch.stack(q), torch.stack(lam), vibrations)
+            near = found[-1].q if follow and found else start[:, 0, min(lane, start.shape[-1] - 1)]
+            found.append(_balanced(values.some([lane]), near, t))
+    return found
+
+
+def rest(dynamics: Any, found: list[Balance], t: Tensor) -> Any:
+    """Coordinates of rest [n_q, 1, lanes], with derivatives where the data have any and where there is an equilibrium."""
+    T, data = dynamics.topology, dynamics.data
+    at, lam = (torch.stack([getattr(x, name) for x in found], -1)[:, None] for name in ("q", "lam"))
+    answer = torch.stack([x.answer for x in found])
+    place = equations.placement(T, data, at, T.prescribed(t, data))
+    still = at.new_zeros(T.n_v, 1, at.shape[-1])
+    left = equations.dynamic_residual(T, data, place, still, still, lam)
+    if T.rows:
+        left = cat([left, equations.constraints(T, place)])
+
+    def step(x: Tensor) -> Tensor:
+        return -(answer @ x.permute(2, 0, 1)).permute(1, 2, 0)
+
+    return equations.advance(T, at, linear(step, left))
+
+
+def reactions(dynamics: Any, q: Any, t: Tensor) -> Any:
+    """Multipliers [rows, ...] at rest at q [n_q, ...] at time t, drives held; with derivatives as q and the data have."""
+    T = dynamics.topology
+    still = value(q).new_zeros(T.n_v, 1, value(q).shape[-1])
+
+    def residual(data: equations.Data, at: equations.Placement, q: Any, x: Tensor) -> Any:
+        drives = [drive and tuple(_held(jet) for jet in drive) for drive in T.law_jets(t, data)]
+        return equations.stabilized_residual(T, data, at, still, x[: T.n_v], x[T.n_v :], drives, 0.0)
+
+    return dynamics.carried(dynamics.solved(residual, t, q)[T.n_v :])
+
+
+def _held(jet: Jet) -> Jet:
+    """A law that stays where it is."""
+    return Jet(jet.value, 0.0 * jet.velocity, 0.0 * jet.acceleration)
 
 
 def vibrations(dynamics: Any) -> Vibrations:
@@ -81,26 +102,39 @@ def vibrations(dynamics: Any) -> Vibrations:
         return Vibrations.of(AtRest.of(dynamics.values(), q[:, 0, 0], q.new_zeros(())))
 
 
-def _settle(dynamics: Any, q: Tensor) -> tuple[Tensor, AtRest]:
-    T, t = dynamics.topology, q.new_zeros(())
-    rest = AtRest.of(dynamics, q, t)
+def _balanced(dynamics: Any, start: Tensor, t: Tensor) -> Balance:
+    """Of one lane."""
+    T, q = dynamics.topology, start
+    rest, largest = AtRest.of(dynamics, q, t), 0.0
     for _ in range(_STEPS):
-        if _settled(rest):
-            return q, rest
+        largest = max(largest, float(rest.forces.abs().max()))
+        if _settled(rest, _FORCE * largest + _ROUNDING * _elastic(T, rest, q)):
+            return Balance(q, rest.lam, _answer(rest), "", _doubt(T, rest))
+        if not bool(torch.isfinite(rest.forces).all()):
+            break
         q = equations.advance(T, q[:, None, None], _step(rest)[:, None, None])[:, 0, 0]
         rest = AtRest.of(dynamics, q, t)
-    left = rest.remaining.abs()
+    left = rest.remaining.abs().nan_to_num(torch.inf)
     worst = int(rest.own[int(left.argmax())])
-    raise InputError(
-        f"no static equilibrium in {_STEPS} steps: {float(left.max()):.3g} N or N m remain on {_name(T, worst)}; "
+    missing = (
+        f"no static equilibrium in {_STEPS} steps: {float(left.max()):.3g} N or N m remain on {_force(T, worst)}; "
         "allowed: a mechanism whose forces can balance, and initial positions near that"
     )
+    nothing = start.new_zeros(T.n_v, T.n_v + T.rows)
+    return Balance(start, start.new_zeros(T.rows), nothing, missing, "")
 
 
-def _settled(rest: AtRest) -> bool:
-    scale = float(rest.forces.abs().max()) + 1e-300
+def _settled(rest: AtRest, small: float) -> bool:
+    """Whether joints are closed and what remains is a small force."""
     closed = not rest.phi.numel() or float(rest.phi.abs().max()) < _CLOSED
-    return closed and _largest(rest) < _FORCE * scale
+    return closed and _largest(rest) <= small
+
+
+def _elastic(T: Any, rest: AtRest, q: Tensor) -> float:
+    """Size of the terms that cancel in elastic forces: stiffness times coordinates."""
+    n = 3 * T.bodies
+    size = torch.cat([q[:n], torch.ones_like(q[:n]), q[7 * T.bodies :]]).abs()
+    return float((rest.K.abs() @ size).max())
 
 
 def _largest(rest: AtRest) -> float:
@@ -111,8 +145,7 @@ def _largest(rest: AtRest) -> float:
 def _step(rest: AtRest) -> Tensor:
     own, J = rest.own, rest.Phi_q[:, rest.own]
     close = -torch.linalg.pinv(J, rtol=1e-9) @ rest.phi
-    K = rest.reduced(rest.K)
-    values, vectors = torch.linalg.eigh(0.5 * (K + K.T))
+    values, vectors = _stiffness(rest)
     largest = float(values.abs().max()) if len(values) else 0.0
     stiff = values.abs().clamp_min(1e-9 * largest or 1.0)
     downhill = rest.N.T @ (rest.remaining + rest.K[own][:, own] @ close)
@@ -123,9 +156,57 @@ def _step(rest: AtRest) -> Tensor:
     return step
 
 
-def _name(T: Any, row: int) -> str:
-    if row < 6 * T.bodies:
+def _stiffness(rest: AtRest) -> tuple[Tensor, Tensor]:
+    """Eigenvalues and vectors of the symmetric part of N' K N."""
+    K = rest.reduced(rest.K)
+    values, vectors = torch.linalg.eigh(0.5 * (K + K.T))
+    return values, vectors
+
+
+def _answer(rest: AtRest) -> Tensor:
+    """Of `Balance`; freedoms without stiffness stay where they are."""
+    own, n = rest.own, len(rest.forces)
+    close = torch.linalg.pinv(rest.Phi_q[:, own], rtol=1e-9)
+    K = rest.reduced(rest.K)
+    inverse = K
+    if len(K):
+        values, _ = _stiffness(rest)
+        free = bool(values.abs().min() <= _NO_STIFFNESS * values.abs().max())
+        inverse = torch.linalg.pinv(K, rtol=_NO_STIFFNESS) if free else torch.linalg.inv(K)
+    slide = rest.N @ inverse @ rest.N.T
+    answer = rest.forces.new_zeros(n, n + len(rest.phi))
+    answer[own[:, None], own] = slide
+    answer[own, n:] = close - slide @ rest.K[own][:, own] @ close
+    return answer
+
+
+def _doubt(T: Any, rest: AtRest) -> str:
+    """Of `Balance`."""
+    values, vectors = _stiffness(rest)
+    if not len(values) or float(values[0]) > _NO_STIFFNESS * float(values.abs().max()):
+        return ""
+    row = int(rest.own[int((rest.N @ vectors[:, 0]).abs().argmax())])
+    if float(values[0]) < -_NO_STIFFNESS * float(values.abs().max()):
         return (
-            f"{'force' if row < 3 * T.bodies else 'torque'} {'xyz'[row // T.bodies % 3]} of {T.names[row % T.bodies]!r}"
+            f"the static equilibrium is unstable: {_freedom(T, row)} falls away from it; "
+            "allowed: initial positions near a stable one, or start='assembled'"
         )
+    return (
+        f"the mechanism is free to move without a force: {_freedom(T, row)} has no static equilibrium of its own; "
+        "allowed: a drive, a lock, a spring or a joint that holds it, or start='assembled'"
+    )
+
+
+def _force(T: Any, row: int) -> str:
+    return _row(T, row, "force", "torque")
+
+
+def _freedom(T: Any, row: int) -> str:
+    return _row(T, row, "displacement", "rotation")
+
+
+def _row(T: Any, row: int, straight: str, about: str) -> str:
+    if row < 6 * T.bodies:
+        kind = straight if row < 3 * T.bodies else about
+        return f"{kind} {'xyz'[row // T.bodies % 3]} of {T.names[row % T.bodies]!r}"
     return f"a mode of {T.names[(row - 6 * T.bodies) % T.flexible]!r}"

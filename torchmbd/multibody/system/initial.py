@@ -145,6 +145,11 @@ class InitialConditions:
         return tuple(x.expand(-1, 1, dynamics.lanes).contiguous() for x in (dynamics.alike.q, dynamics.alike.v))
 
     def _closed(self, dynamics: Any):
+        q, v = self.assembled(dynamics)
+        return q, self.compatible(dynamics, q, v)
+
+    def assembled(self, dynamics: Any):
+        """Positions q that close the joints, and rates v as they were given [n, 1, lanes]; as of `solve`."""
         T, data = self.topology, dynamics.data
         device = value(data["x"]).device
         lanes = dynamics.lanes
@@ -164,11 +169,17 @@ class InitialConditions:
             q = equations.advance(T, q, s + tied.turned(s) - tied.least(phi + tied.rates(s) - tied.rates(0.0 * s)))
         else:
             self._refuse(value(phi).detach())
-        q = equations.advance(T, q, -tied.least(phi))
-        tied = _Tied.of(dynamics, q, t, self.given.to(device))
+        return equations.advance(T, q, -tied.least(phi)), v
+
+    def compatible(self, dynamics: Any, q: Any, v: Any):
+        """Rates that the joints allow at closed positions q, nearest to v; all are [n, 1, lanes]."""
+        if not self.topology.rows:
+            return v
+        t = torch.zeros((), dtype=torch.float64, device=value(q).device)
+        tied = _Tied.of(dynamics, q, t, self.given.to(t.device))
         s = -tied.least(value(tied.rates(v)).detach())
         self._tell(value(v).detach()[:, 0], s[:, 0])
-        return q, v + s + tied.turned(s) - tied.least(tied.rates(v + s))
+        return v + s + tied.turned(s) - tied.least(tied.rates(v + s))
 
     def _tell(self, v: Tensor, s: Tensor) -> None:
         """Warn of velocities that were given and are not kept [n_v, lanes]."""

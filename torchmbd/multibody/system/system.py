@@ -35,8 +35,9 @@ from torchmbd.multibody.system.description import Description, check_connected, 
 from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
-from torchmbd.multibody.system.initial import InitialConditions, given_start
+from torchmbd.multibody.system.initial import START, given_start
 from torchmbd.multibody.system.saddle import Saddle
+from torchmbd.multibody.system.start import Start
 from torchmbd.multibody.system.state_equation import StateEquation
 
 # Numbers of a system and of its bodies by which nothing is differentiated, and those of bodies that Parameters are.
@@ -75,6 +76,7 @@ class System(nn.Module):
         free: Sequence[str] = (),
     ):
         super().__init__()
+        self._start = Start()
         bodies, joints, forces, free = (
             several(name, given, kinds, allowed)
             for name, given, kinds, allowed in (
@@ -125,12 +127,19 @@ class System(nn.Module):
         self.topology = topology.build(self.bodies, self.joints, self.forces)
         ordered = [self.body(name) for name in self.topology.names]
         self._saddle = Saddle(self.topology)
-        self._initial = InitialConditions.of(self.topology, ordered)
+        self._initial = self._start.conditions(self.topology, ordered)
 
     def with_joints(self, joints: Sequence[Joint]) -> Self:
         """The same bodies, forces and parameters under other joints; bodies and parameters are shared."""
         other = copy.copy(self)
         other._join(several("joints", joints, Joint, "joints, such as mbd.Revolute(...)"))
+        return other
+
+    def starting(self, start: Start) -> Self:
+        """The same system whose motions start elsewhere; bodies and parameters are shared."""
+        other = copy.copy(self)
+        other._start = start
+        other._join(self.joints)
         return other
 
     @exclusive
@@ -275,8 +284,9 @@ class System(nn.Module):
                 data[key(element.name)] = element.variables.flat()
         if any(body.bends for body in flexible) or any(
             name in body._parameters for body in self.bodies for name in _OF_START
-        ):
+        ) or self._start.tensors:
             data |= given_start(T, [*flexible, *rigid])
+            data |= self._start.data(T, [*flexible, *rigid], {name: data[name] for name in START})
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data

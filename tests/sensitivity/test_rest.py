@@ -1,0 +1,119 @@
+"""Gradients of motions that start in static equilibrium, of equilibria themselves, and by what is given for a start."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import GRAVITY, SOFT, box, finished, laminate, plate, tensor, turned
+from tests.sensitivity.number_cases import GROUND, check, check_native, differences, number
+
+V = mbd.variable
+NAMES = ("rod.laminate.angles", "hinge_a.x", "tip_a.y", "spring.stiffness", "push.x", "motor.amplitude")
+
+
+def hanging(driven: bool = True) -> mbd.System:
+    """An arm on a hinge, held by a spring or turned by a drive that runs at the start, and a soft plate at its end."""
+    tip, swing = tensor(0.2, 0.1, -0.05), turned(-0.5, 0.2, 0.9)
+    arm = box("arm", position=(0.1, 0.05, -0.02), axes=turned(0.4, -0.7, 0.3))
+    origin = arm.position + arm.axes @ tip - swing @ tensor(-0.15, 0.0, 0.0)
+    rod = plate("rod", 2, made_of=laminate((20.0, -50.0), 3e-3, SOFT), position=origin, axes=swing)
+    foot = GROUND.at(V(0.1), 0.05, -0.02, axes=turned(0.2, 0.5, -0.4))
+    joints = [
+        mbd.Revolute(foot, arm.at(), axis="x", name="hinge"),
+        mbd.Universal(arm.at(0.2, V(0.1), -0.05), rod.at("left"), axes="zx", name="tip"),
+    ]
+    if driven:
+        joints.append(mbd.Drive(foot, arm.at(), axis="x", angle=mbd.Sine(V(0.4), 1.5), name="motor"))
+    forces = [
+        mbd.SpringDamper(GROUND.at(), arm.at(0.1, 0.0, 0.02), stiffness=V(20.0), damping=0.3, name="spring"),
+        mbd.Force(rod.at("right"), (V(0.3), -0.2, 0.1), name="push"),
+    ]
+    return mbd.System([arm, rod], joints, forces, gravity=GRAVITY)
+
+
+def resting(system: mbd.System, designs: dict[str, Tensor], **options) -> Tensor:
+    return number(system, designs, start="equilibrium", **options)
+
+
+def static(system: mbd.System, designs: dict[str, Tensor], times=(0.0, 0.1), **options) -> Tensor:
+    """Positions, reactions and energies of an equilibrium at two times [lanes]."""
+    found = mbd.equilibrium(system, times=times, designs=designs)
+    parts = [found.body("rod").nodes, found.body("arm").p, 0.1 * found.lam, found.reaction("hinge").torque]
+    return sum((y * (1.0 + y)).flatten(1).sum(1) for y in parts) + found.body("rod").strain_energy.sum(1)
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_gradients_of_motions_from_rest(driven):
+    check(hanging(driven), [*NAMES[: 6 if driven else 5]], resting)
+
+
+def test_both_backends(native):
+    check_native(hanging(), list(NAMES), resting)
+
+
+def test_gradients_of_equilibria():
+    system = hanging()
+    start = {name: system.get_parameter(name).detach().clone() for name in NAMES}
+    x = {name: y.clone().requires_grad_() for name, y in start.items()}
+    static(system, x).sum().backward()
+    forward = torch.func.jacfwd(lambda b: static(system, b)[0])(start)
+    reverse = torch.func.jacrev(lambda b: static(system, b)[0])(start)
+    for name, y in x.items():
+        size = float(y.grad.abs().max())
+        assert_close(forward[name], y.grad, rtol=0, atol=1e-8 * size)
+        assert_close(reverse[name], y.grad, rtol=0, atol=1e-8 * size)
+        wanted = differences(lambda b: static(system, b), system, name)
+        assert_close(y.grad, wanted, rtol=0, atol=1e-6 * size, msg=lambda m, n=name: f"{n}: {m}")
+
+
+def test_phases_from_rest():
+    """A locked hinge holds what hangs at it; forward and reverse agree, and with differences."""
+    phases = [mbd.Phase(until=0.008, lock=["hinge"]), mbd.Phase()]
+    system = hanging(False)
+
+    def locked(system: mbd.System, designs: dict[str, Tensor], **options) -> Tensor:
+        motion = finished(
+            mbd.simulate(
+                system,
+                0.02,
+                steps=6,
+                iterations=(8, 4),
+                designs=designs,
+                phases=phases,
+                start="equilibrium",
+                **options,
+            )
+        )
+        return (motion.q[:, :, :14].square() + motion.q[:, :, :14]).sum((1, 2)) + motion.body("rod").nodes.sum((1, 2, 3))
+
+    check(system, ["rod.laminate.angles", "hinge_a.x", "push.x"], locked)
+
+
+@pytest.mark.filterwarnings("ignore:the joints do not allow the initial velocities")
+def test_gradients_by_what_is_given_for_the_start():
+    """Reverse mode: by modal coordinates, rates, and through a motion into the next."""
+    system = hanging(False)
+
+    def f(w: Tensor, v: Tensor) -> Tensor:
+        motion = mbd.simulate(
+            system, 0.02, steps=6, iterations=(8, 4), start={"rod.modal": w, "arm.angular_velocity": v}
+        )
+        more = mbd.simulate(system, 0.02, steps=6, iterations=(8, 4), start=motion)
+        return more.body("rod").nodes.square().sum() + more.v.square().sum()
+
+    w, v = tensor(1e-3, -5e-4).requires_grad_(), tensor(0.3, -0.2, 0.5).requires_grad_()
+    f(w, v).backward()
+    for x, k in ((w, 0), (v, 1)):
+        for e in torch.eye(len(x), dtype=x.dtype):
+            h = 1e-3 * float(x.detach().abs().max())
+
+            def slope(h: float, e=e, k=k) -> Tensor:
+                ends = [f(*(y.detach() + s * h * e * (i == k) if i == k else y.detach() for i, y in enumerate((w, v)))) for s in (1.0, -1.0)]
+                return ((ends[0] - ends[1]) / (2.0 * h)).detach()
+
+            wanted = (4.0 * slope(h) - slope(2.0 * h)) / 3.0
+            assert_close(x.grad @ e, wanted, rtol=1e-6, atol=1e-6 * float(x.grad.abs().max()))

@@ -1,0 +1,225 @@
+"""Static equilibrium as a motion: `equilibrium(system)` is a differentiable operation of PyTorch, as `simulate` is.
+
+    parameters --structure stage--> data --Motion--> q, lam at rest at one or several times --torch--> responses
+
+At each time drives and loads are held where their laws put them, and the mechanism is where all forces balance, found from
+where it rested at the time before: quasi-static steps. Rates and accelerations are zero.
+Checked in tests/integrate/test_statics.py, tests/sensitivity/test_rest.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.integrate.arguments import GRADIENTS, check_designs, start_of
+from torchmbd.integrate.motion import Motion, Tensors
+from torchmbd.integrate.pullback import leaf
+from torchmbd.integrate.simulate import labels_of, presented, same_lanes, variables_of
+from torchmbd.math.module_call import exclusive
+from torchmbd.math.owned import reals
+from torchmbd.math.pair import Pair
+from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system.equilibrium import Balance, reactions, rest, search
+from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.multibody.system.linearized import AtRest, Vibrations
+from torchmbd.results.history import History
+from torchmbd.results.motion_data import OK
+from torchmbd.results.trajectory import Trajectory
+
+
+@dataclass(eq=False, repr=False)
+class Equilibrium(Trajectory):
+    """A motion at rest at each of its times: coordinates, multipliers, bodies, reactions and stresses as of any motion.
+
+    Vibrations are those about the last time.
+    """
+
+    @cached_property
+    def vibrations(self) -> list[Vibrations]:
+        """Small vibrations about the equilibrium at the last time, of each lane."""
+        return [self._at_rest(lane, -1) for lane in range(self.lanes)]
+
+    @property
+    def frequencies(self) -> Tensor:
+        """Natural frequencies [lanes, freedoms] [Hz] at the last time; see Vibrations. Values only."""
+        return torch.stack([x.frequencies for x in self.vibrations])
+
+    @property
+    def stable(self) -> bool:
+        """Whether no freedom of any lane is unstable, at any time."""
+        found = [self._at_rest(lane, k) for lane in range(self.lanes) for k in range(len(self.t) - 1)]
+        return not any(bool(x.frequencies.isnan().any()) for x in [*found, *self.vibrations])
+
+    def _at_rest(self, lane: int, time: int) -> Vibrations:
+        with torch.no_grad():
+            dynamics = self.dynamics.values().some([lane])
+            return Vibrations.of(AtRest.of(dynamics, self.q[lane, time].detach(), self.t[time].detach()))
+
+
+@dataclass(eq=False)
+class StaticIntegration:
+    """Equilibria at given times as an `Integration` of `Motion`; data of the model by `names` in, as ReverseIntegration.
+
+    follow   each lane is searched from where the one before rests
+    """
+
+    model: Dynamics
+    names: tuple[str, ...]
+    times: Tensor
+    follow: bool
+    dynamics: Dynamics = field(init=False)
+    history: History = field(init=False)
+    status: list[str] = field(init=False)
+    validity: Tensor = field(init=False)
+    stats: dict[str, Any] = field(default_factory=dict, init=False)
+    variables: tuple[str, ...] = ()
+    _found: list[list[Balance]] = field(default_factory=list, init=False, repr=False)
+
+    @property
+    def duration(self) -> float:
+        """The last time [s]."""
+        return float(self.times[-1])
+
+    def values(self, inputs: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """As of `Integration`."""
+        self.dynamics = replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
+        q, _ = self.dynamics.initial.solve(self.dynamics)
+        for t in self.times:
+            self._found.append(search(self.dynamics, q, t, self.follow))
+            self._refuse(t, self._found[-1])
+            q = rest(self.dynamics, self._found[-1], t)
+        self.status = [OK] * self.dynamics.lanes
+        q, lam = self._numbers(self.dynamics)
+        v = q.new_zeros(len(q), self.dynamics.topology.n_v, 1, q.shape[-1])
+        self.history = History(q, v, v, lam, times=self.times)
+        self.dynamics.judged()
+        self.validity = torch.tensor([[float(len(q))], [1.0]], dtype=torch.float64).expand(2, q.shape[-1])[:, None]
+        return q, v, v.clone(), lam, self.validity.clone()
+
+    def tangents(self, directions: Tensors) -> list[Tensor]:
+        """As of `Integration`."""
+        data = self.dynamics.data
+        moving = {n: Pair.of(data[n], dx) for n, dx in zip(self.names, directions, strict=True) if dx is not None}
+        count = max(dx.shape[-2] for dx in directions if dx is not None)
+        q, lam = self._numbers(replace(self.dynamics, data=data | moving))
+        dq, dlam = (
+            x[:, :, 1:] if x.shape[2] > 1 else x.new_zeros(*x.shape[:2], count, x.shape[3]) for x in (q, lam)
+        )
+        still = dq.new_zeros(len(q), self.dynamics.topology.n_v, count, q.shape[-1])
+        return [dq, still, still.clone(), dlam, self.validity.new_zeros(2, count, len(self.status))]
+
+    def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
+        """As of `Integration`."""
+        lanes = self.dynamics.lanes
+        leaves = {
+            name: leaf(x.expand(*x.shape[:-1], lanes).contiguous())
+            for (name, x), one in zip(self.dynamics.data.items(), wanted, strict=True)
+            if one
+        }
+        with torch.enable_grad():
+            q, lam = self._numbers(replace(self.dynamics, data=self.dynamics.data | leaves))
+        pulled = [(y, bar) for y, bar in ((q, outputs[0]), (lam, outputs[3])) if bar is not None and y.requires_grad]
+        if not pulled:
+            return [None] * len(self.names)
+        rows = max(bar.shape[-2] for _, bar in pulled)
+        found: dict[str, list[Tensor]] = {name: [] for name in leaves}
+        for row in range(rows):
+            by = torch.autograd.grad(
+                [y for y, _ in pulled],
+                list(leaves.values()),
+                [bar[..., row : row + 1, :].expand_as(y) for y, bar in pulled],
+                retain_graph=True,
+                allow_unused=True,
+                materialize_grads=True,
+            )
+            for name, x in zip(leaves, by, strict=True):
+                found[name].append(x)
+        return [torch.cat(found[name], -2) if name in found else None for name in self.names]
+
+    def expansion(self, data: dict[str, Any]) -> Expansion | None:
+        """As of ReverseIntegration."""
+        return None
+
+    def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
+        """As of ReverseIntegration."""
+        return history.settled(self.dynamics.least_norm, self.duration, data)
+
+    def _numbers(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
+        """q and lam [times, n, slots, lanes] as functions of the data."""
+        rows: list[tuple[Tensor, Tensor]] = []
+        for t, found in zip(self.times, self._found, strict=True):
+            q = rest(dynamics, found, t)
+            lam = reactions(dynamics, q, t)
+            rows.append((q.full if isinstance(q, Pair) else q, lam.full if isinstance(lam, Pair) else lam))
+        q, lam = (torch.stack(x) for x in zip(*rows, strict=True))
+        return q, lam
+
+    def _refuse(self, t: Tensor, found: list[Balance]) -> None:
+        for lane, one in enumerate(found):
+            if one.missing:
+                where = f" of lane {lane}" * (len(found) > 1) + f" at t = {float(t):g} s" * (len(self.times) > 1)
+                raise InputError(one.missing + (f" ({where.strip()})" if where else ""))
+
+
+@exclusive
+def equilibrium(
+    system: System,
+    times: float | Sequence[float] | Tensor = 0.0,
+    designs: Mapping[str, Tensor] | None = None,
+    variables: Sequence[str] | None = None,
+    start: Any = "assembled",
+    follow: bool = False,
+) -> Equilibrium:
+    """Static equilibrium near the start: a motion at rest, with bodies, reactions, stresses, frequencies.
+
+    A differentiable function of the parameters as `simulate` is, forward and reverse.
+
+    times       at which loads and drives are held [s], ascending: quasi-static steps, each from where the last one rested
+    designs     as of `simulate`; lanes
+    variables   as of `simulate`
+    start       where the search begins: "assembled", a motion, or numbers for bodies, as of `simulate`
+    follow      each lane is searched from where the one before rests: a path of loads or other values,
+                designs={"push.z": torch.linspace(0.0, -100.0, 11)}
+
+    Raises InputError with the forces that remain if there is none. One that is free or unstable is returned: its frequencies are
+    zero or nan, and freedoms without stiffness stay where they are.
+    """
+    if not isinstance(system, System):
+        raise InputError(f"equilibrium of {system!r}; allowed: a System")
+    t = _times(times)
+    begins = start_of(system, start)
+    if begins.rests:
+        raise InputError("start is 'equilibrium', which is looked for; allowed: 'assembled', a motion or numbers")
+    system = system.starting(begins)
+    given = check_designs(system, designs)
+    with torch.inference_mode(False), torch.set_grad_enabled(torch.is_grad_enabled()):
+        names = variables_of(system, given, "auto", variables, False)
+        own = dict(system.named_parameters())
+        batch = {name: own[name][None] for name in names if name not in given} | given
+        batch = same_lanes(batch, begins.lanes)
+        dynamics, shapes = system.stages(batch)
+        data = dynamics.data
+        integration = StaticIntegration(replace(dynamics, data={}), tuple(data), t, bool(follow))
+        outputs: Any = Motion.apply(integration, *data.values())
+        if not torch.is_grad_enabled():
+            shapes = {}
+        motion = presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names, shapes)
+        motion.stats["gradients"] = "reverse" if names else GRADIENTS[-1]
+        motion.stats["backend"] = "eager"
+    found = {f.name: getattr(motion, f.name) for f in fields(motion) if f.init}
+    return Equilibrium(**(found | {"t": t}))
+
+
+def _times(given: Any) -> Tensor:
+    """Ascending finite times [n] [s]."""
+    t = reals("times", given).reshape(-1)
+    if not len(t) or not bool(torch.isfinite(t).all()) or bool((t.diff() <= 0.0).any()):
+        raise InputError(f"times is {given!r}; allowed: finite times in ascending order [s]")
+    return t

@@ -1,0 +1,188 @@
+"""Where a motion starts: as the bodies were given, as a caller says, or at rest in static equilibrium.
+
+    "assembled"     positions, rates and modal coordinates of the bodies, joints closed (initial.py)
+    "equilibrium"   from there to where all forces balance (equilibrium.py); rates as given, drives at their values at t = 0
+    given           numbers for some bodies, or a whole state
+
+Whatever is given is projected: joints are closed by the smallest rigid displacement, rates made compatible. Modal
+coordinates stay as they are given. Derivatives by the design and by given tensors go along.
+Checked in tests/multibody/system/test_start.py, tests/sensitivity/test_rest.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.math.owned import all_true, plain, refuse_derivatives, watched
+from torchmbd.math.rotation import euler_parameters
+from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES
+from torchmbd.multibody.system.equilibrium import rest, search
+from torchmbd.multibody.system.initial import START, InitialConditions
+from torchmbd.multibody.system.topology import Topology
+
+STARTS = ("assembled", "equilibrium")
+PLACES = ("position", "axes")
+_TURNED = 1e-9  # |A'A - 1| of a rotation
+
+
+@dataclass(frozen=True, eq=False)
+class RestingConditions(InitialConditions):
+    """At rest where all forces balance; a lane that has no such place is noted in `Dynamics.faults`."""
+
+    def alike(self, dynamics: Any) -> None:
+        """Nothing: bodies sag as their designs make them."""
+
+    def solve(self, dynamics: Any):
+        """As of InitialConditions."""
+        q, v = self.assembled(dynamics)
+        q = self.resting(dynamics, q)
+        return q, self.compatible(dynamics, q, v)
+
+    def resting(self, dynamics: Any, q: Any):
+        """Rest near closed positions q [n_q, 1, lanes]."""
+        t = torch.zeros((), dtype=torch.float64)
+        found = search(dynamics, q, t)
+        dynamics.faults.update({i: x.missing or x.doubt for i, x in enumerate(found) if x.missing or x.doubt})
+        return rest(dynamics, found, t)
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Where motions of a system start, checked.
+
+    rests   whether in equilibrium
+    given   "body.quantity" -> numbers [...] or [lanes, ...]
+    state   q [lanes, n_q] and v [lanes, n_v] of the whole system, or None
+    """
+
+    rests: bool = False
+    given: Mapping[str, Tensor] = field(default_factory=dict)
+    state: tuple[Tensor, Tensor] | None = None
+
+    @classmethod
+    def of(cls, system: Any, start: Any) -> Start:
+        """Of what `simulate` takes but a motion; InputError says what is allowed."""
+        if isinstance(start, str) and start in STARTS:
+            return cls(rests=start == "equilibrium")
+        if not isinstance(start, Mapping):
+            raise InputError(
+                f"start is {start!r}; allowed: {', '.join(map(repr, STARTS))}, a motion, whose last state it is, or "
+                "'body.quantity' -> numbers, such as {'rod.modal': [0.01, 0.0]}"
+            )
+        return cls(given={name: _checked(system, name, x) for name, x in start.items()})
+
+    @classmethod
+    def of_motion(cls, system: Any, q: Tensor, v: Tensor) -> Start:
+        """The state q [lanes, n_q], v [lanes, n_v] of a system of the same bodies and modes."""
+        T = system.topology
+        if q.shape[1:] != (T.n_q,) or v.shape[1:] != (T.n_v,):
+            raise InputError(
+                f"start is a motion of {q.shape[-1]} coordinates; allowed: one of a system like this, with {T.n_q}"
+            )
+        if not all_true(torch.isfinite(q)) or not all_true(torch.isfinite(v)):
+            raise InputError("start is a motion whose last state is not finite; allowed: motions that are ok")
+        return cls(state=(q, v))
+
+    @property
+    def tensors(self) -> list[Tensor]:
+        """All that is given."""
+        return [*self.given.values(), *(self.state or ())]
+
+    @property
+    def watched(self) -> bool:
+        """Whether derivatives by what is given are wanted."""
+        return any(map(watched, self.tensors))
+
+    @property
+    def lanes(self) -> int:
+        """How many designs have starts of their own."""
+        counts = [len(x) for x in self.state or ()]
+        counts += [len(x) for name, x in self.given.items() if x.dim() > _rank(name)]
+        if not {1, max(counts, default=1)}.issuperset(counts):
+            raise InputError(f"start has lanes {sorted(set(counts))}; allowed: the same number for all, or one")
+        return max(counts, default=1)
+
+    def conditions(self, T: Topology, bodies: list[Any]) -> InitialConditions:
+        """For a system with these bodies, in the order of its topology."""
+        made = (RestingConditions if self.rests else InitialConditions).of(T, bodies)
+        given = torch.zeros_like(made.given) if self.state is not None else made.given.clone()
+        for i, body in enumerate(bodies):
+            for k, name in enumerate(VELOCITIES):
+                if f"{body.name}.{name}" in self.given:
+                    given[[3 * T.bodies * k + T.bodies * j + i for j in range(3)]] = True
+        return replace(made, given=given)
+
+    def data(self, T: Topology, bodies: list[Any], own: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Initial coordinates and rates as data of a design; own: those of the bodies (initial.given_start)."""
+        if self.state is not None:
+            return {name: x.T[:, None] for name, x in zip(START, self.state, strict=True)}
+        if not self.given:
+            return {}
+        q, v = (own[name] for name in START)
+        for i, body in enumerate(bodies):
+            for name in (*PLACES, *VELOCITIES, *MODAL):
+                x = self.given.get(f"{body.name}.{name}")
+                if x is None:
+                    continue
+                x = _parameters_of(x) if name == "axes" else x
+                rows, late = _rows(T, i, name), name in (*VELOCITIES, MODAL[1])
+                q, v = (q, _put(v, rows, x)) if late else (_put(q, rows, x), v)
+        return dict(zip(START, (q, v), strict=True))
+
+
+def _rank(name: str) -> int:
+    return 2 if name.endswith(".axes") else 1
+
+
+def _rows(T: Topology, body: int, name: str) -> list[int]:
+    if name in PLACES:
+        return T.r_slice(body) if name == "position" else T.p_slice(body)
+    if name in VELOCITIES:
+        first = 3 * T.bodies * VELOCITIES.index(name)
+        return [first + i * T.bodies + body for i in range(3)]
+    return [row - (T.bodies if name == MODAL[1] else 0) for row in T.w_slice(body)]
+
+
+def _parameters_of(A: Tensor) -> Tensor:
+    """Euler parameters [4] or [lanes, 4] of rotations."""
+    return euler_parameters(A) if A.dim() == 2 else torch.stack([euler_parameters(x) for x in A])
+
+
+def _put(x: Tensor, rows: list[int], y: Tensor) -> Tensor:
+    """Rows of x [n, 1, lanes] replaced by y [..., k]."""
+    new = y.T[:, None] if y.dim() == 2 else y[:, None, None]
+    lanes = max(x.shape[-1], new.shape[-1])
+    x, new = (z.expand(*z.shape[:-1], lanes) for z in (x, new))
+    return x.index_copy(0, torch.tensor(rows), new)
+
+
+def _checked(system: Any, name: Any, x: Any) -> Tensor:
+    """Numbers of one quantity of a body [...] or [lanes, ...]; InputError says what is wrong."""
+    quantities = {}
+    for body in system.bodies:
+        own = [*PLACES, *VELOCITIES, *(MODAL if hasattr(body, "mesh") else ())]
+        for quantity in own:
+            sizes = (3, 3) if quantity == "axes" else (body.modes,) if quantity in MODAL else (3,)
+            quantities[f"{body.name}.{quantity}"] = sizes
+    if name not in quantities:
+        raise unknown("in start the quantity", str(name), quantities)
+    shape = quantities[name]
+    try:
+        found = x if isinstance(x, Tensor) else torch.tensor(x, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError):
+        found = None
+    good = found is not None and found.dtype == torch.float64 and found.shape[found.dim() - len(shape) :] == shape
+    if found is None or not good or found.dim() > len(shape) + 1 or not all_true(torch.isfinite(found)):
+        size = ", ".join(map(str, shape))
+        raise InputError(f"start: {name!r} is {x!r}; allowed: finite float64 numbers [{size}] or [lanes, {size}]")
+    if name.endswith(".axes"):
+        refuse_derivatives(f"start: {name!r}", found, "a joint or another body that is turned by a parameter")
+    if len(shape) == 2 and float((plain(found).mT @ plain(found) - torch.eye(3).double()).abs().max()) > _TURNED:
+        raise InputError(f"start: {name!r} is no rotation; allowed: orthonormal columns, the axes of the body")
+    return found
