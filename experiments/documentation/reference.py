@@ -24,8 +24,8 @@ GROUPS: dict[str, str] = {
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing Force Torque Pressure forces variable",
     "feedback": "Controller ControlHistory signals",
-    "systems": "System Dynamics equilibrium examples",
-    "simulation": "simulate Trajectory Phase Event",
+    "systems": "System Dynamics examples",
+    "simulation": "simulate equilibrium Equilibrium Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "PlyFailure PlyStress history",

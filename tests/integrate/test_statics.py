@@ -169,7 +169,7 @@ def test_bad_starts_are_named():
     ):
         with pytest.raises(mbd.InputError, match=words):
             mbd.simulate(system, 0.01, steps=2, start=start)
-    with pytest.raises(mbd.InputError, match="times is .*ascending"):
+    with pytest.raises(mbd.InputError, match=r"times is .*ascending"):
         mbd.equilibrium(system, times=[0.0, 0.0])
     with pytest.raises(mbd.InputError, match="start is being differentiated"):
         mbd.simulate(

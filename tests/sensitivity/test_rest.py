@@ -88,7 +88,9 @@ def test_phases_from_rest():
                 **options,
             )
         )
-        return (motion.q[:, :, :14].square() + motion.q[:, :, :14]).sum((1, 2)) + motion.body("rod").nodes.sum((1, 2, 3))
+        return (motion.q[:, :, :14].square() + motion.q[:, :, :14]).sum((1, 2)) + motion.body("rod").nodes.sum(
+            (1, 2, 3)
+        )
 
     check(system, ["rod.laminate.angles", "hinge_a.x", "push.x"], locked)
 
@@ -112,7 +114,10 @@ def test_gradients_by_what_is_given_for_the_start():
             h = 1e-3 * float(x.detach().abs().max())
 
             def slope(h: float, e=e, k=k) -> Tensor:
-                ends = [f(*(y.detach() + s * h * e * (i == k) if i == k else y.detach() for i, y in enumerate((w, v)))) for s in (1.0, -1.0)]
+                ends = [
+                    f(*(y.detach() + s * h * e * (i == k) if i == k else y.detach() for i, y in enumerate((w, v))))
+                    for s in (1.0, -1.0)
+                ]
                 return ((ends[0] - ends[1]) / (2.0 * h)).detach()
 
             wanted = (4.0 * slope(h) - slope(2.0 * h)) / 3.0

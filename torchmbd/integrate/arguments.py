@@ -99,9 +99,9 @@ def start_of(system: System, start: Any) -> Start:
     return Start.of(system, start)
 
 
-def check_start(start: Start, gradients: str, forward: bool) -> None:
+def check_start(start: Start, gradients: str, integrator: Integrator) -> None:
     """InputError where derivatives by what is given for the start would be lost."""
-    if start.watched and gradients != "none" and forward:
+    if start.watched and (gradients == "forward" or (gradients != "none" and not integrator.adjoint)):
         raise InputError(
             "start is being differentiated, which tangents do not carry; allowed: gradients='reverse' or 'auto' of a one-step "
             "method, or Parameters given to the bodies (bent, moving, position)"

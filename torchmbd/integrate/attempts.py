@@ -49,9 +49,7 @@ def run(
         poor = (stats["iteration_error"] > IMPRECISE).tolist()
     _without_start(dynamics.faults, status, stats, history)
     failed = [
-        lane
-        for lane, reason in enumerate(status)
-        if lane not in dynamics.faults and (has_failed(reason) or poor[lane])
+        lane for lane, reason in enumerate(status) if lane not in dynamics.faults and (has_failed(reason) or poor[lane])
     ]
     if not failed or again is None:
         return history, stats, status

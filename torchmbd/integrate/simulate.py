@@ -122,8 +122,7 @@ def simulate(
     with torch.inference_mode(False), torch.set_grad_enabled(grad):
         timed = check_timed(duration, gradients, integrator, phases is not None)
         names = variables_of(system, given, gradients, variables, timed)
-        one_way = gradients == "forward" or not isinstance(integrator, OneStep)
-        check_start(begins, gradients, one_way)
+        check_start(begins, gradients, integrator)
         if gradients != "none":
             _require_wanted(names, given)
         own = dict(system.named_parameters())
@@ -135,7 +134,7 @@ def simulate(
         require_room(system, lanes, integrator.kept(steps) if steps else FEWEST, count, gradients != "forward")
         if gradients == "forward" or phases is not None or not integrator.adjoint:
             refuse_dual_level(batch)
-        if one_way:
+        if gradients == "forward" or not isinstance(integrator, OneStep):
             labels = labels_of(system, names)
             integration = ForwardIntegration(
                 system, tuple(batch), tuple(names), labels, seconds, steps, integrator, phases, backend
@@ -286,7 +285,7 @@ def _forward(integration: ForwardIntegration, batch: dict[str, Tensor]) -> Traje
 
 def presented(
     system: System,
-    integration: ReverseIntegration | ReversePhaseIntegration | ForwardIntegration,
+    integration: Any,
     outputs: Sequence[Tensor],
     data: dict[str, Tensor],
     designs: dict[str, Tensor],

@@ -39,6 +39,10 @@ class Equilibrium(Trajectory):
     """A motion at rest at each of its times: coordinates, multipliers, bodies, reactions and stresses as of any motion.
 
     Vibrations are those about the last time.
+
+    >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
+    >>> rest.q.shape, rest.reaction("hinge").force[0, 0].norm().item() > 0.0  # lanes, times, coordinates
+    (torch.Size([1, 1, 7]), True)
     """
 
     @cached_property
@@ -109,9 +113,7 @@ class StaticIntegration:
         moving = {n: Pair.of(data[n], dx) for n, dx in zip(self.names, directions, strict=True) if dx is not None}
         count = max(dx.shape[-2] for dx in directions if dx is not None)
         q, lam = self._numbers(replace(self.dynamics, data=data | moving))
-        dq, dlam = (
-            x[:, :, 1:] if x.shape[2] > 1 else x.new_zeros(*x.shape[:2], count, x.shape[3]) for x in (q, lam)
-        )
+        dq, dlam = (x[:, :, 1:] if x.shape[2] > 1 else x.new_zeros(*x.shape[:2], count, x.shape[3]) for x in (q, lam))
         still = dq.new_zeros(len(q), self.dynamics.topology.n_v, count, q.shape[-1])
         return [dq, still, still.clone(), dlam, self.validity.new_zeros(2, count, len(self.status))]
 
@@ -181,6 +183,7 @@ def equilibrium(
 
     A differentiable function of the parameters as `simulate` is, forward and reverse.
 
+    system      the model; its own parameters are the design where `designs` says nothing
     times       at which loads and drives are held [s], ascending: quasi-static steps, each from where the last one rested
     designs     as of `simulate`; lanes
     variables   as of `simulate`
@@ -188,8 +191,12 @@ def equilibrium(
     follow      each lane is searched from where the one before rests: a path of loads or other values,
                 designs={"push.z": torch.linspace(0.0, -100.0, 11)}
 
-    Raises InputError with the forces that remain if there is none. One that is free or unstable is returned: its frequencies are
-    zero or nan, and freedoms without stiffness stay where they are.
+    Raises InputError with the forces that remain if there is none. One that is free or unstable is returned: its frequencies
+    are zero or nan, and freedoms without stiffness stay where they are.
+
+    >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
+    >>> round(rest.frequencies.item(), 4), rest.stable  # sqrt(9.81 / 2) / (2 pi) [Hz]
+    (0.3525, True)
     """
     if not isinstance(system, System):
         raise InputError(f"equilibrium of {system!r}; allowed: a System")
@@ -213,8 +220,9 @@ def equilibrium(
         motion = presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names, shapes)
         motion.stats["gradients"] = "reverse" if names else GRADIENTS[-1]
         motion.stats["backend"] = "eager"
-    found = {f.name: getattr(motion, f.name) for f in fields(motion) if f.init}
-    return Equilibrium(**(found | {"t": t}))
+    found: dict[str, Any] = {f.name: getattr(motion, f.name) for f in fields(motion) if f.init}
+    found["t"] = t
+    return Equilibrium(**found)
 
 
 def _times(given: Any) -> Tensor:

@@ -48,6 +48,7 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
         faults += _design_faults(sections["design"], system)
         if not faults:
             faults += _start_faults(sections, system) + _memory_faults(sections, system)
+    faults += _motion_start_faults(sections, system)
     return system, faults
 
 
@@ -200,7 +201,7 @@ def _start_faults(sections: Sections, system: System) -> list[Fault]:
     return faults
 
 
-def _start_faults(sections: Sections, system: System) -> list[Fault]:
+def _motion_start_faults(sections: Sections, system: System) -> list[Fault]:
     """What is wrong with the start of the motions for the model."""
     simulation: Simulation | None = sections.get("simulate")
     if simulation is None:

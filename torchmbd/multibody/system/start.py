@@ -6,7 +6,7 @@
 
 Whatever is given is projected: joints are closed by the smallest rigid displacement, rates made compatible. Modal
 coordinates stay as they are given. Derivatives by the design and by given tensors go along.
-Checked in tests/multibody/system/test_start.py, tests/sensitivity/test_rest.py.
+Checked in tests/integrate/test_statics.py, tests/sensitivity/test_rest.py.
 """
 
 from __future__ import annotations

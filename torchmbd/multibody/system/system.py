@@ -282,9 +282,11 @@ class System(nn.Module):
         for element in (*self.joints, *self.forces):
             if element.variables is not None:
                 data[key(element.name)] = element.variables.flat()
-        if any(body.bends for body in flexible) or any(
-            name in body._parameters for body in self.bodies for name in _OF_START
-        ) or self._start.tensors:
+        if (
+            any(body.bends for body in flexible)
+            or any(name in body._parameters for body in self.bodies for name in _OF_START)
+            or self._start.tensors
+        ):
             data |= given_start(T, [*flexible, *rigid])
             data |= self._start.data(T, [*flexible, *rigid], {name: data[name] for name in START})
         if self.gravity is not None:
