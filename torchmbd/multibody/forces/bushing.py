@@ -22,6 +22,7 @@ from torchmbd.multibody.joints.joint import AttachmentTable, others
 class Bushing(ForceElement):
     """An elastic mount between two frames: springs and dampers along three axes, and about them.
 
+    a, b                                  the frames that it joins
     stiffness, damping                    along x, y, z of frame a [N/m], [N s/m]
     turning_stiffness, turning_damping    about them [N m/rad], [N m s/rad]
 
