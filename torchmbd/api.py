@@ -41,13 +41,15 @@ from torchmbd.design import (
     measure,
 )
 from torchmbd.design.differences import Differences
+from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
+from torchmbd.design.rainflow import rainflow
 from torchmbd.errors import InputError, MbdError, SimulationFailure
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
-from torchmbd.fem.materials import Laminate, Ply, Strength
+from torchmbd.fem.materials import Laminate, Ply, SNCurve, Strength
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
@@ -152,6 +154,7 @@ __all__ = [
     "ControlHistory",
     "Controller",
     "Cylindrical",
+    "Damage",
     "DesignSpace",
     "Differences",
     "Displacement",
@@ -159,7 +162,9 @@ __all__ = [
     "Drive",
     "Dynamics",
     "Equilibrium",
+    "EquivalentLoad",
     "Event",
+    "FatigueDamage",
     "Final",
     "Fixed",
     "FlexibleBody",
@@ -198,6 +203,7 @@ __all__ = [
     "RigidBody",
     "RobustProblem",
     "RotationalSpringDamper",
+    "SNCurve",
     "SectionHistory",
     "SimulationFailure",
     "Sine",
@@ -232,6 +238,7 @@ __all__ = [
     "optimize_discrete",
     "pareto_front",
     "problem_of",
+    "rainflow",
     "sections",
     "signals",
     "simulate",

@@ -2,6 +2,7 @@
 
 from torchmbd.design.angle import Angle
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
+from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.functions import history, measure
 from torchmbd.design.histories import (
     Acceleration,
@@ -28,6 +29,7 @@ from torchmbd.design.measures import (
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.problem import Problem
+from torchmbd.design.rainflow import rainflow
 from torchmbd.design.response import Constraint, History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.space import DesignSpace
@@ -36,7 +38,8 @@ from torchmbd.design.weighted import WeightedSum
 
 __all__ = [
     "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "Constraint",
-    "DesignSpace", "Displacement", "Final", "Frequencies", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure",
-    "Min", "PlyFailure", "PlyStress", "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy",
-    "Tradeoff", "Velocity", "WeightedSum", "history", "measure",
+    "Damage", "DesignSpace", "Displacement", "EquivalentLoad", "FatigueDamage", "Final", "Frequencies", "Frequency",
+    "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min", "PlyFailure", "PlyStress", "Position", "Problem",
+    "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Tradeoff", "Velocity", "WeightedSum", "history",
+    "measure", "rainflow",
 ]  # fmt: skip

@@ -39,6 +39,7 @@ UNITS = {
     "frequency": "Hz",
     "frequencies": "Hz",
     "mass": "kg",
+    "fatigue_damage": "",
 }
 Path = tuple[str | int, ...]
 

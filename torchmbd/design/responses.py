@@ -2,7 +2,7 @@
 
 RESPONSES     histories of a motion
 COMBINATORS   measures of a history
-OF_DESIGN     measures without a history
+OF_DESIGN     measures that take no history
 
 A new response is one small class (response.py) and one line here; the contract test runs over these.
 """
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from torchmbd.design.angle import Angle
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
+from torchmbd.design.fatigue import EquivalentLoad, FatigueDamage
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -60,5 +61,11 @@ COMBINATORS: dict[str, type[Measure]] = {
     "final": Final,
     "at_times": AtTimes,
     "at_peaks": AtPeaks,
+    "equivalent_load": EquivalentLoad,
 }
-OF_DESIGN: dict[str, type[Measure]] = {"frequency": Frequency, "frequencies": Frequencies, "mass": Mass}
+OF_DESIGN: dict[str, type[Measure]] = {
+    "frequency": Frequency,
+    "frequencies": Frequencies,
+    "mass": Mass,
+    "fatigue_damage": FatigueDamage,
+}

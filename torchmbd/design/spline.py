@@ -144,6 +144,12 @@ class Spline:
         order = torch.argsort(score, -1, descending=True)
         return torch.gather(tops, -1, order[..., :count])
 
+    def extremes(self) -> Tensor:
+        """The first value, the largest and the smallest of every interval in order of time, and the last [..., 2 n]."""
+        places = torch.stack([self._summits()[0], self.negative()._summits()[0]], -1).sort(-1).values
+        found = torch.stack([self._inside(s) for s in places.unbind(-1)], -1).flatten(-2)
+        return torch.cat([self.y[..., :1], found, self.y[..., -1:]], -1)
+
     def _inside(self, s: Tensor, derivative: int = 0) -> Tensor:
         """Value or derivative at the share s [..., n - 1] of every interval."""
         ends = [(x[..., :-1], x[..., 1:]) for x in self.knots]

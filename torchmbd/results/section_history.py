@@ -97,6 +97,17 @@ class SectionHistory:
         self._section(key)
         return torch.einsum("lpcs,ltes->ltepc", self._made[key].unit, self.forces(key, times))
 
+    def basis(self, part: str | None = None) -> tuple[Float[Tensor, "lanes points 5 modes"], Tensor | None]:
+        """Ply stresses of the modes at all ends and points of a part [Pa], and strengths there [lanes, points, 8]."""
+        key = self._key(part)
+        self._section(key)
+        made = self._made[key]
+        stress = torch.einsum("lpcs,lesm->lepcm", made.unit[:, :, _OF_PLY], made.forces)
+        own = made.strength
+        if own is not None:
+            own = own[:, None].expand(-1, stress.shape[1], -1, -1).flatten(1, 2)
+        return stress.flatten(1, 2), own
+
     def critical(self, criterion: str = "tsai_wu", part: str | None = None) -> Int[Tensor, "lanes times 2"]:
         """Which end and which point of a part is nearest to failure, at each time."""
         key = self._key(part)

@@ -5,6 +5,7 @@ from torchmbd.fem.materials.isotropic_mean import IsotropicMean
 from torchmbd.fem.materials.laminate import ENTRIES, Laminate, LaminateStiffness
 from torchmbd.fem.materials.ply import Ply
 from torchmbd.fem.materials.ply_maps import PlyMaps, ply_maps
+from torchmbd.fem.materials.sn_curve import SNCurve, mean_factor, power_law_damage
 from torchmbd.fem.materials.strength import CRITERIA, PLY_COMPONENTS, Strength, max_stress, tsai_wu, tsai_wu_irf
 
 __all__ = [
@@ -17,9 +18,12 @@ __all__ = [
     "LaminateStiffness",
     "Ply",
     "PlyMaps",
+    "SNCurve",
     "Strength",
     "max_stress",
+    "mean_factor",
     "ply_maps",
+    "power_law_damage",
     "tsai_wu",
     "tsai_wu_irf",
 ]  # fmt: skip
