@@ -123,4 +123,4 @@ def _kind(entry: Mapping[str, Any]) -> str:
 
 
 def _cell(text: str) -> str:
-    return text.replace("|", "\\|")
+    return text.replace("|", "\\|").replace("[", "&#91;")  # units in brackets, no links
