@@ -5,6 +5,7 @@ Checked in tests/test_api.py.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -46,7 +47,7 @@ from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.rainflow import rainflow
-from torchmbd.errors import InputError, MbdError, SimulationFailure
+from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, name_arguments
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, GivenSection
 from torchmbd.fem.materials import Laminate, Ply, SNCurve, Strength
@@ -143,6 +144,7 @@ __all__ = [
     "RMS",
     "Acceleration",
     "Angle",
+    "ArgumentError",
     "AtPeaks",
     "AtTime",
     "AtTimes",
@@ -247,3 +249,7 @@ __all__ = [
     "variable",
     "viz",
 ]
+
+for _module in (sections, mesh, forces, viz):
+    name_arguments(_module, _module.__all__)
+name_arguments(sys.modules[__name__], __all__)

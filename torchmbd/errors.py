@@ -6,7 +6,12 @@ A simulation or an optimization that fails later is no exception: it is a status
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import functools
+import inspect
+import sys
+from collections.abc import Callable, Iterable
+from types import ModuleType
+from typing import Any
 
 
 class MbdError(Exception):
@@ -25,6 +30,10 @@ class InputError(MbdError, ValueError):
         ...
     torchmbd.errors.InputError: body 'bop' does not exist; allowed: bob; did you mean 'bob'?
     """
+
+
+class ArgumentError(InputError, TypeError):
+    """A function is called with an argument that it does not have, or without one that it needs."""
 
 
 class SimulationFailure(MbdError):
@@ -57,3 +66,84 @@ def one_of(kind: str, name: object, allowed: Iterable[object]) -> str:
 def unknown(kind: str, name: object, allowed: Iterable[object]) -> InputError:
     """Build the error for a name that does not exist, with the nearest that does."""
     return InputError(f"{kind} {name!r} does not exist{nearest(name, allowed)}")
+
+
+@functools.cache
+def argument_names(function: Callable[..., Any]) -> tuple[str, ...]:
+    """The arguments of a function that have names, without those that it takes as options."""
+    parameters = inspect.signature(function).parameters.values()
+    return tuple(p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY))
+
+
+def name_arguments(module: ModuleType, names: Iterable[str]) -> None:
+    """Let the functions and classes of a module refuse calls that do not fit their signatures by ArgumentError.
+
+    It names the argument, its value and what is allowed, with the nearest name. Of a class these are its constructor and its
+    class methods. A call that fits costs nothing: the signature is looked at when Python has refused it.
+    """
+    for name in names:
+        x = getattr(module, name)
+        if not getattr(x, "__module__", "").startswith("torchmbd."):
+            continue
+        if isinstance(x, type):
+            _name_constructors(x)
+        elif inspect.isfunction(x):
+            named = _named(x, x.__name__)
+            setattr(module, name, named)
+            home = sys.modules[x.__module__]
+            if getattr(home, x.__name__, None) is x:  # pickle looks functions up where they are defined
+                setattr(home, x.__name__, named)
+
+
+def _name_constructors(kind: type) -> None:
+    for owner in (base for base in kind.__mro__ if base.__module__.startswith("torchmbd.")):
+        for name, own in list(vars(owner).items()):
+            if name == "__init__" and inspect.isfunction(own):
+                owner.__init__ = _named(own, None)
+            elif isinstance(own, classmethod) and name[0] != "_":
+                setattr(owner, name, classmethod(_named(own.__func__, f"{owner.__name__}.{name}")))
+
+
+def _named(function: Callable[..., Any], name: str | None) -> Callable[..., Any]:
+    """The function, with ArgumentError in place of Python's TypeError; `name` None: of the class that is constructed."""
+    if hasattr(function, "_names_arguments"):
+        return function
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        try:
+            return function(*args, **kwargs)
+        except TypeError as error:
+            text = _unfit(function, args, kwargs, name or type(args[0]).__name__)
+            if text is None or isinstance(error, ArgumentError):
+                raise
+        raise ArgumentError(text)
+
+    vars(call)["_names_arguments"] = True
+    return call
+
+
+def _unfit(function: Callable[..., Any], args: tuple, kwargs: dict[str, Any], name: str) -> str | None:
+    """Say which argument does not fit the signature of a function, None if all do."""
+    parameters = inspect.signature(function).parameters.values()
+    named = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    shown = [p for p in named if p not in ("self", "cls")]
+    places = [p.name for p in parameters if p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    kinds = {p.kind for p in parameters}
+    for key, x in kwargs.items():
+        if key not in named and inspect.Parameter.VAR_KEYWORD not in kinds:
+            return f"argument {key!r} (= {_brief(x)}) of {name} does not exist{nearest(key, shown)}"
+        if key in places[: len(args)]:
+            return f"argument {key!r} (= {_brief(x)}) of {name} is given twice; allowed: once"
+    if len(args) > len(places) and inspect.Parameter.VAR_POSITIONAL not in kinds:
+        return f"argument {_brief(args[len(places)])} of {name} is one too many; allowed: {', '.join(shown)}"
+    given = {*places[: len(args)], *kwargs}
+    for p in parameters:
+        if p.name in named and p.default is p.empty and p.name not in given:
+            return f"argument {p.name!r} of {name} is missing; allowed: {', '.join(shown)}"
+    return None
+
+
+def _brief(x: object) -> str:
+    text = repr(x).partition("\n")[0]
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -93,10 +93,26 @@ DOUBTED = {
     "strength in MPa": (lambda: mbd.Ply(**CARBON, strength=STRONG), r"strength along the fibre\? It is 1500 Pa"),
     "aluminum in GPa": (lambda: mbd.Ply.isotropic(70.0, 0.33, 2700.0), r"Ply: E1\? It is 70 Pa"),
     "solid in GPa": (lambda: Orthotropic.isotropic(70.0, 0.33, 2700.0), r"Orthotropic: E1\? It is 70 Pa"),
-    "mesh in mm": (lambda: mbd.mesh.rectangle(300.0, 100.0, (4, 2)), r"rectangle: length\? It is 300 m"),
-    "width in mm": (lambda: mbd.mesh.rectangle(3.0, 450.0, (4, 2)), r"rectangle: width\? It is 450 m"),
+    "mesh in mm": (lambda: mbd.mesh.rectangle(300.0, 100.0, (4, 2)), r"nodes of a Mesh: extent\? It is 316.* m"),
+    "width in mm": (lambda: mbd.mesh.rectangle(3.0, 450.0, (4, 2)), r"nodes of a Mesh: extent\? It is 450.* m"),
     "small mesh in mm": (lambda: sheet(100.0, 50.0, 1e-3), r"thickness of 'sheet' by its size\? It is 8.9.*e-06"),
     "plies in mm": (lambda: sheet(0.3, 0.1, 0.4), r"thickness of 'sheet' by its size\? It is 1.26"),
+    "nodes of a mesh in mm": (
+        lambda: mbd.Mesh([[0, 0, 0], [300, 0, 0], [0, 60, 0]], [[0, 1, 2]]),
+        r"nodes of a Mesh: extent\? It is 305.* m",
+    ),
+    "metal section in GPa": (
+        lambda: mbd.GivenSection.isotropic(70.0, 0.3, 2700.0, 1e-4, 1e-9, 1e-9, 2e-9),
+        r"GivenSection: E\? It is 70 Pa",
+    ),
+    "metal section in mm": (
+        lambda: mbd.GivenSection.isotropic(70e9, 0.3, 2700.0, 1e-4, 833.0, 833.0, 1400.0),
+        r"GivenSection: area and Iyy: radius of gyration\? It is 2886.* m",
+    ),
+    "area in mm2": (
+        lambda: mbd.GivenSection.isotropic(70e9, 0.3, 2700.0, 1e3, 1e-9, 1e-9, 2e-9),
+        r"GivenSection: area\? It is 1000 m2",
+    ),
     "layer in mm": (lambda: mbd.Laminate(mbd.Ply(**CARBON), [0.0], 2.0), r"Laminate: thickness\? It is 2 m"),
     "wall in mm": (lambda: tube(radius=20.0, thickness=1.5), r"thickness\? It is 1.5 m"),
     "radius in mm": (lambda: tube(radius=25.0, thickness=0.1), r"radius\? It is 25 m"),

@@ -118,7 +118,7 @@ def test_everything_that_is_wrong_is_named_at_once(write):
         "line 5: design.rod.laminate.angles.upper is missing",
         "line 5: design.rod.laminate.angles.uper unknown key; allowed: start, lower, upper, unit, tolerance, step; "
         "did you mean 'upper'",
-        "line 5: design.rod.laminate.angles.unit = 'degree': allowed: deg, rad, m, mm, none; did you mean 'deg'?",
+        "line 5: design.rod.laminate.angles.unit = 'degree': allowed: deg, rad, m, cm, mm",
         "line 6: design.other = 3: must be a mapping",
         "line 7: simulate.duration = -1: must be greater than 0",
         "did you mean 'generalized_alpha'?",

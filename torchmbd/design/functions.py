@@ -41,6 +41,12 @@ class FunctionMeasure(Measure):
         return shaped(self.function, motion, (motion.lanes,))
 
 
+def _callable(function: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
+    if not callable(function):
+        raise InputError(f"function is {function!r}; allowed: a function of a motion")
+    return function
+
+
 def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[int, ...]) -> Tensor:
     """Call a user's function; InputError if it does not return what it must."""
     result = function(motion)
@@ -67,7 +73,7 @@ def history(function: Callable[[Any], Tensor]) -> History:
     >>> round(mbd.Max(reach)(motion).item(), 3)
     0.5
     """
-    return FunctionHistory(function)
+    return FunctionHistory(_callable(function))
 
 
 def measure(function: Callable[[Any], Tensor]) -> Measure:
@@ -85,4 +91,4 @@ def measure(function: Callable[[Any], Tensor]) -> Measure:
     >>> value.shape, gradient.shape
     (torch.Size([1]), torch.Size([1, 2]))
     """
-    return FunctionMeasure(function)
+    return FunctionMeasure(_callable(function))

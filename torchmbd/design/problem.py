@@ -27,7 +27,7 @@ from torch import Tensor
 from torchmbd.design.differentiate import differentiate
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
-from torchmbd.errors import InputError, SimulationFailure
+from torchmbd.errors import InputError, SimulationFailure, argument_names
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
 from torchmbd.integrate.arguments import check, check_backend, check_gradients, start_of
@@ -127,7 +127,7 @@ class Problem(Summary):
         if isinstance(start, str):
             start, motion_start = None, start
         start_of(system, motion_start)
-        integrator = check(duration, method, steps, options, phases is not None)
+        integrator = check(duration, method, steps, options, phases is not None, argument_names(Problem))
         if phases is not None:
             plan(system, phases, duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):

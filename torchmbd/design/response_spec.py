@@ -71,7 +71,10 @@ def history_of(spec: Any, path: Path = ()) -> History:
     name, options = _one(spec, HISTORIES, path)
     if options:
         key = next(iter(options))
-        raise SpecError((*path, key), f"unknown key: arguments of {name!r} stand inside it")
+        raise SpecError(
+            (*path, key),
+            f"unknown key: arguments of {name!r} stand inside it; allowed: {name}: {{{key}: {options[key]!r}, ...}}",
+        )
     if name == SQUARED:
         return history_of(spec[name], (*path, name)) ** 2
     return _of_words(RESPONSES[name], spec[name], (*path, name))
@@ -137,7 +140,7 @@ def _terms(spec: Any, path: Path) -> list[tuple[float, Measure]]:
     for k, term in enumerate(spec):
         here = (*path, k)
         if not isinstance(term, Mapping) or "weight" not in term:
-            raise SpecError(here, "needs the key 'weight'")
+            raise SpecError(here, f"= {term!r}: needs the key 'weight'; allowed: a measure and its weight")
         weight = term["weight"]
         if isinstance(weight, bool) or not isinstance(weight, (int, float)):
             raise SpecError((*here, "weight"), f"= {weight!r}: must be a number")

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import numbers
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -27,8 +27,13 @@ from torchmbd.results.motion_data import MotionData
 GRADIENTS = ("auto", "forward", "reverse", "none")
 
 
-def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False) -> Integrator:
-    """The integrator; InputError for arguments of `simulate` that are wrong for every system."""
+def check(
+    duration: Any, method: Any, steps: Any, options: Mapping[str, Any], phases: bool = False, own: Collection[str] = ()
+) -> Integrator:
+    """The integrator; InputError for arguments of `simulate` that are wrong for every system.
+
+    own  the names of all arguments but the options, of the function that takes these
+    """
     if isinstance(duration, Tensor) and plain(duration).dim():
         what = f"a tensor of shape {tuple(duration.shape)}" if duration.dim() else "a batch of torch.vmap"
         raise InputError(f"duration is {what}; allowed: one positive number [s], for all designs")
@@ -37,7 +42,7 @@ def check(duration: Any, method: Any, steps: Any, options: Mapping[str, Any], ph
         raise InputError(f"duration is {duration!r} s; allowed: a positive number")
     if steps is not None and not (whole(steps) and steps >= 1):
         raise InputError(f"steps is {steps!r}; allowed: a positive integer")
-    integrator = integrator_of(method, options, phases)
+    integrator = integrator_of(method, options, phases, own)
     if steps is not None:
         integrator.kept(steps)
     return integrator

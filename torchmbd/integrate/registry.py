@@ -20,7 +20,7 @@ Checked in tests/contracts/test_integrators.py.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -44,8 +44,13 @@ DEFAULT = METHODS[0]
 REFUSED = {"scipy_solver": "returns gradients of zero in reverse mode, silently"}
 
 
-def integrator_of(method: Any, options: Mapping[str, Any], phases: bool = False) -> Integrator:
-    """The integrator of a name with options; InputError says which names and options there are."""
+def integrator_of(
+    method: Any, options: Mapping[str, Any], phases: bool = False, own: Collection[str] = ()
+) -> Integrator:
+    """The integrator of a name with options; InputError says which names and options there are.
+
+    own  the other arguments of the function that takes the options, of which one may be meant
+    """
     if isinstance(method, str) and method in REFUSED:
         raise InputError(f"method {method!r} {REFUSED[method]}; allowed: any other")
     if not isinstance(method, str) or method not in INTEGRATORS:
@@ -53,5 +58,5 @@ def integrator_of(method: Any, options: Mapping[str, Any], phases: bool = False)
     allowed = INTEGRATORS[method].option_types(phases)
     for name in options:
         if name not in allowed:
-            raise unknown(f"for method {method!r} the option", name, allowed)
+            raise unknown(f"{name} = {options[name]!r}: for method {method!r} the option", name, [*allowed, *own])
     return replace(INTEGRATORS[method], **options)

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, argument_names
 from torchmbd.integrate.arguments import (
     GRADIENTS,
     check,
@@ -109,7 +109,7 @@ def simulate(
     """
     if not isinstance(system, System):
         raise InputError(f"system is {system!r}; allowed: a System")
-    integrator = check(duration, method, steps, options, phases is not None)
+    integrator = check(duration, method, steps, options, phases is not None, argument_names(simulate))
     begins = start_of(system, start)
     system = system if start == "assembled" else system.starting(begins)
     steps = None if steps is None else int(steps)

@@ -24,6 +24,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh.mesh import Mesh
 from torchmbd.math.gradients import constants
+from torchmbd.math.units import meters
 
 _CELLS = {"triangle": 3, "quad": 4}  # corners
 _POINTS_AND_CURVES = ("vertex", "line")  # gmsh writes them for named points and curves
@@ -37,16 +38,15 @@ class MeshFile(NamedTuple):
 
 
 @constants
-def read_mesh(path: str | Path, scale: float = 1.0) -> MeshFile:
-    """Read a mesh; scale: meters per unit of the file. InputError tells what cannot be read."""
+def read_mesh(path: str | Path, scale: float | str = 1.0) -> MeshFile:
+    """Read a mesh; scale: meters per unit of the file, or its name, "mm". InputError tells what cannot be read."""
     try:
         import meshio  # pyright: ignore[reportMissingImports] (optional)
     except ImportError as error:
         raise InputError("reading mesh files needs the package meshio: pip install 'torchmbd[mesh]'") from error
     if not isinstance(path, (str, Path)) or not Path(path).is_file():
         raise InputError(f"path is {str(path)!r}; allowed: a mesh file that exists")
-    if not 0.0 < scale < float("inf"):
-        raise InputError(f"scale is {scale!r}; allowed: meters per unit of the file, > 0")
+    scale = meters("scale", scale)
     try:
         found = meshio.read(path)
     except SystemExit as error:  # meshio's readers leave the interpreter on files of an unknown kind

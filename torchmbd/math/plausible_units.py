@@ -9,11 +9,12 @@ modulus or a density that hardly any structure has is doubted by a warning, for 
     thickness of a plate                       2e-5 to 0.5 of its size
     density                                    10 to 25,000 kg/m3
     speed of sound, of the largest modulus     20 to 30,000 m/s
-    modulus                                    1e-6 of the largest at least
+    modulus                                    1e-6 of the largest at least; as a design or bound 1 kPa to 2 TPa
     strength along the fibre                   1e-5 of the modulus at least
     radius of gyration of a rigid body         up to 20 m
 
-A name stands for the quantity of a parameter: `angles`, `thickness`. Checked in tests/math/test_plausible_units.py.
+A name stands for the quantity of a parameter: `angles`, `thickness`, `width`, `E1`, `density`.
+Checked in tests/math/test_plausible_units.py.
 """
 
 from __future__ import annotations
@@ -36,6 +37,13 @@ SOUND = (20.0, 30e3)  # m/s
 SOFTEST = 1e-6  # modulus by the largest
 STRAIN = 1e-5  # strength by modulus
 GYRATION = (0.0, 20.0)  # m
+MODULUS = (1e3, 2e12)  # Pa
+_USUAL = {
+    "thickness": ("m", THICKNESS),
+    **dict.fromkeys(("radius", "width", "height"), ("m", DIMENSION)),
+    **dict.fromkeys(("E", "E1", "E2", "G12", "G13", "G23"), ("Pa", MODULUS)),
+    "density": ("kg/m3", DENSITY),
+}
 WHOLE_TURN = 2.0 * math.pi * (1.0 + 1e-12)  # 360 degrees, rounded
 
 
@@ -53,8 +61,9 @@ def check_parameter(what: str, name: str, values: Tensor) -> None:
     finite = torch.where(x.isfinite(), x, 0.0)
     if kind == "angles":
         check_angles(name, finite.tolist(), f"{what} ")
-    elif kind == "thickness" and bool(finite.any()):
-        doubt(f"{what} {name}", float(finite.max()), "m", THICKNESS, stacklevel=5)
+    elif kind in _USUAL and bool(finite.any()):
+        unit, usual = _USUAL[kind]
+        doubt(f"{what} {name}", float(finite.max()), unit, usual, stacklevel=5)
 
 
 def doubt(name: str, value: float, unit: str, usual: tuple[float, float], stacklevel: int = 3) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, argument_names
 from torchmbd.optimization.kkt import KuhnTucker, kuhn_tucker
 from torchmbd.optimization.least_infeasible import least_infeasible
 from torchmbd.optimization.optimizer import (
@@ -71,7 +71,7 @@ def optimize(
     >>> bool(result.value < result.history[0].objective)
     True
     """
-    function = find_method(method, options)
+    function = find_method(method, options, argument_names(optimize))
     x, lower, upper = checked_box(problem, start)
     require_limits(max_iterations, max_analyses)
     require_range("feasibility", feasibility, 0.0, 1.0)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import inspect
 import numbers
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
@@ -237,15 +237,19 @@ def register(name: str) -> Callable[[Method], Method]:
     return enter
 
 
-def find_method(name: str, options: dict[str, Any]) -> Method:
-    """Return the method `name`; InputError for an unknown name or an option that it does not have."""
+def find_method(name: str, options: dict[str, Any], own: Iterable[str] = ()) -> Method:
+    """Return the method `name`; InputError for an unknown name or an option that it does not have.
+
+    own  the other arguments of the function that takes the options, of which one may be meant
+    """
     if not isinstance(name, str) or name not in OPTIMIZERS:
         raise unknown("method", name, OPTIMIZERS)
     method = OPTIMIZERS[name]
     allowed = [p.name for p in inspect.signature(method).parameters.values() if p.kind is p.KEYWORD_ONLY]
     for option in options:
         if option not in allowed:
-            raise InputError(f"option {option!r} does not exist for method {name!r}{nearest(option, allowed)}")
+            given = f"option {option!r} does not exist for method {name!r} (it is {options[option]!r})"
+            raise InputError(given + nearest(option, [*allowed, *own]))
     return method
 
 

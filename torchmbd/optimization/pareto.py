@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, argument_names
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.criteria import Criteria, ManyCriteria
@@ -117,7 +117,7 @@ def pareto_front(
     >>> front.criteria.shape  # points, criteria
     (3, 2)
     """
-    function = find_method(method, options)
+    function = find_method(method, options, argument_names(pareto_front))
     require_limits(max_iterations, None)
     require_count("divisions", divisions, 1, 10_000)
     require_count("max_lanes", max_lanes, 1, 1_000_000)

@@ -28,7 +28,7 @@ def problem_of(plan: Plan) -> Problem:
         plan.system,
         duration=study.simulate.duration,
         minimize=measure_of(study.minimize),
-        subject_to=[Constraint(measure_of(c.measure), c.limit, c.kind, c.scale) for c in study.subject_to],
+        subject_to=[Constraint(measure_of(c.measure), c.si(c.limit), c.kind, c.si(c.scale)) for c in study.subject_to],
         bounds=(lower * factors, upper * factors),
         variables=list(study.design),
         start=start * factors,

@@ -18,7 +18,8 @@ from torchmbd.errors import InputError, nearest
 from torchmbd.integrate.arguments import start_of
 from torchmbd.integrate.memory import require_room
 from torchmbd.integrate.phases.phase import plan
-from torchmbd.math.plausible_units import check_parameter
+from torchmbd.math import units
+from torchmbd.math.plausible_units import check_angles, check_parameter
 from torchmbd.multibody.system import System
 from torchmbd.study.file_errors import Fault, Path, shown
 from torchmbd.study.method_options import method_faults
@@ -147,21 +148,28 @@ def _design_faults(design: Mapping[str, Variable], system: System) -> list[Fault
         for key, x in sized.items():
             if x is None:
                 given = getattr(variable, key)
-                faults.append(Fault((*path, key), f"has {len(given)} values; allowed: {size}, or one number for all"))
+                faults.append(
+                    Fault((*path, key), f"= {given}: has {len(given)} values; allowed: {size}, or one number for all")
+                )
         faults += _bound_faults(path, sized) + _unit_faults(path, name, variable.unit, sized)
     return faults
 
 
 def _unit_faults(path: Path, name: str, unit: str, sized: Mapping[str, np.ndarray | None]) -> list[Fault]:
     """Numbers that are most likely in another unit than they are said to be."""
+    if text := units.misfit(name, unit):
+        return [Fault((*path, "unit"), f"= {unit!r}: {text}")]
     faults = []
     for key, x in sized.items():
         if x is None:
             continue
         try:
+            if unit == "rad":
+                check_angles(name, x.tolist())
             check_parameter(key, name, torch.from_numpy(UNITS[unit] * x))
         except InputError as error:
-            faults.append(Fault((*path, key), f"= {x.tolist()} with unit: {unit}: {error}"))
+            hint = ", or unit: deg" if unit in ("rad", units.NONE) else ""
+            faults.append(Fault((*path, key), f"= {x.tolist()} with unit: {unit}: {error}{hint}"))
     return faults
 
 
@@ -185,7 +193,7 @@ def _start_faults(sections: Sections, system: System) -> list[Fault]:
     faults = []
     for k, point in enumerate((starts.points if starts else None) or ()):
         if len(point) != len(names):
-            text = f"has {len(point)} values; allowed: {len(names)}, one for each of {', '.join(names)}"
+            text = f"= {point}: has {len(point)} values; allowed: {len(names)}, one for each of {', '.join(names)}"
             faults.append(Fault(("starts", "points", k), text))
         elif not ((lower <= point) & (point <= upper)).all():
             text = f"= {point}: must lie between {lower.tolist()} and {upper.tolist()}"

@@ -13,6 +13,7 @@ from html import escape
 from pathlib import Path
 
 from torchmbd.errors import InputError
+from torchmbd.math.units import UNITS
 from torchmbd.study.compare import is_design
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.tracking.catalog import Entry, children, fetch, files, find
@@ -36,7 +37,7 @@ _OUTCOME = {
     "evaluations": "evaluations",
     "failed_evaluations": "of them failed",
 }
-_UNITS = ("deg", "rad", "m", "mm", "%")  # at the ends of metrics
+_UNITS = (*UNITS, "%")  # at the ends of metrics
 _PROVENANCE = ("git_commit", "version.torchmbd", "version.torch", "version.python", "machine", "seed", "overrides")
 
 

@@ -37,7 +37,8 @@ def json_schema() -> dict[str, Any]:
     parts["Measure"] = _measure()
     limit = parts["Constraint"]["properties"]["at_most"]["anyOf"][:2]
     own: dict[str, Any] = {kind: {"anyOf": limit} for kind in KINDS} | {
-        "scale": {"type": "number", "exclusiveMinimum": 0}
+        "scale": {"type": "number", "exclusiveMinimum": 0},
+        "unit": {"type": "string", "enum": list(UNITS)},
     }
     parts["Constraint"] = {
         "type": "object",

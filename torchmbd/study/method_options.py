@@ -58,7 +58,7 @@ def _faults(
     for key, value in given.items():
         if key not in types:
             known = nearest(key, [*own, *sorted(types)])
-            faults.append(Fault((section, key), f"unknown key for method {method!r}{known}"))
+            faults.append(Fault((section, key), f"unknown key for method {method!r}{known} (given: {shown(value)})"))
         elif text := _misfit(value, types[key]):
             faults.append(Fault((section, key), f"= {shown(value)}: {text}"))
     return faults

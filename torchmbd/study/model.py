@@ -94,10 +94,14 @@ def option_faults(builder: Builder, options: Mapping[str, Any]) -> list[Fault]:
     if not any(p.kind is p.VAR_KEYWORD for p in parameters):
         names = [p.name for p in named]
         faults = [
-            Fault(("options", key), f"unknown option{nearest(key, names)}") for key in options if key not in names
+            Fault(("options", key), f"unknown option{nearest(key, names)} (given: {shown(options[key])})")
+            for key in options
+            if key not in names
         ]
     missing = [p.name for p in named if p.default is p.empty and p.name not in options]
-    return faults + [Fault(("options", name), "is missing: the model has no default for it") for name in missing]
+    return faults + [
+        Fault(("options", name), "is missing: the model has no default for it; allowed: a value") for name in missing
+    ]
 
 
 def build_model(builder: Builder, options: Mapping[str, Any]) -> System:
@@ -121,7 +125,10 @@ def _from_name(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        raise InputError(f"module {name!r} cannot be imported: {error}") from None
+        raise InputError(
+            f"module {name!r} cannot be imported: {error}; allowed: an importable module, or a Python file beside the "
+            "experiment file"
+        ) from None
     except Exception as error:
         raise InputError(f"module {name!r} cannot be imported: {type(error).__name__}: {error}") from error
 

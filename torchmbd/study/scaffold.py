@@ -150,7 +150,9 @@ def _variable(name: str, x: np.ndarray) -> str:
     if name.endswith("angles"):
         values, lower, upper, unit = x * 180.0 / math.pi, "-90", "90", "deg"
     else:
-        values, unit = x, "none"
+        from torchmbd.math.units import NONE, QUANTITIES  # with torch, which the model has imported
+
+        values, unit = x, QUANTITIES.get(name.rpartition(".")[2], NONE)
         lower, upper = (str([float(f"{f * v:.4g}") for v in x.ravel()]) for f in (0.5, 2.0))
     start = [float(f"{v:.6g}") for v in values.ravel()]
     return f"  {name}: {{start: {start}, lower: {lower}, upper: {upper}, unit: {unit}}}\n"

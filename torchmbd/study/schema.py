@@ -11,14 +11,14 @@ or, for pictures that are no optimization,
 
     figures    module:function or file.py:function that draws into a folder  options   its arguments      tracking
 
-Numbers of `design`, `starts.points` and `sweep` are in the unit of their variable; everything else is SI.
+Numbers of `design`, `starts.points` and `sweep` are in the unit of their variable, those of a constraint in its `unit`,
+which one of an angle must name; everything else is SI.
 Pydantic validates strictly (no text for a number, no true for 1) and collects every fault; names of the model's own
 parameters and bodies are checked in check.py. Checked in tests/study/test_load.py.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection
 from typing import Annotated, Any, Literal, Self
 
@@ -35,15 +35,16 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from torchmbd.design.response_spec import SpecError, measure_of
+from torchmbd.design.response_spec import SpecError, measure_of, unit
 from torchmbd.errors import nearest
 from torchmbd.integrate.arguments import BACKENDS, GRADIENTS
 from torchmbd.integrate.registry import DEFAULT, METHODS
+from torchmbd.math import units
 from torchmbd.multibody.system.start import STARTS
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.tracking.store import uri_fault
 
-UNITS = {"deg": math.pi / 180.0, "rad": 1.0, "m": 1.0, "mm": 1e-3, "none": 1.0}  # unit -> SI
+UNITS = {name: multiple for name, (multiple, _) in units.UNITS.items()}  # unit -> SI
 KINDS = ("at_most", "at_least", "equal")  # of constraints
 FUNCTION = r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$"
 _SHORTEST, _LONGEST = 1e-12, 1e9  # steps [s]
@@ -102,7 +103,7 @@ class Variable(Section):
     @classmethod
     def _not_negative(cls, given: Numbers | None) -> Numbers | None:
         if given is not None and min(given if isinstance(given, list) else [given]) < 0.0:
-            raise PydanticCustomError("kind", "must not be negative")
+            raise PydanticCustomError("value", "must not be negative")
         return given
 
 
@@ -132,20 +133,24 @@ class Simulation(Section):
 
 
 class Constraint(Section):
-    """`{max: {strain_energy: rod}, at_most: initial}`: a response and a limit, its value at the start or a number [SI]."""
+    """`{max: {strain_energy: rod}, at_most: initial}`: a response and a limit, its value at the start or a number.
+
+    A number is in the `unit` of the constraint; without one it is in SI units. Of an angle the unit must be given.
+    """
 
     measure: Measure
     at_most: Limit | None = None
     at_least: Limit | None = None
     equal: Limit | None = None
     scale: float | None = Field(default=None, gt=0)  # what a violation is divided by; default: the limit
+    unit: Annotated[str, _one_of(UNITS)] | None = None  # of limit and scale; default: SI
 
     @model_validator(mode="before")
     @classmethod
     def _gather(cls, data: Any) -> Any:
         if not isinstance(data, dict) or "measure" in data:
             return data
-        own = (*KINDS, "scale")
+        own = (*KINDS, "scale", "unit")
         rest = {key: value for key, value in data.items() if key not in own}
         return {"measure": rest} | {key: data[key] for key in own if key in data}
 
@@ -157,6 +162,25 @@ class Constraint(Section):
             raise PydanticCustomError("kind", "{text}", {"text": text})
         return self
 
+    @model_validator(mode="after")
+    def _unit_of_the_response(self) -> Self:
+        si = unit(self.measure)
+        numbers = [x for x in (self.limit, self.scale) if isinstance(x, float)]
+        if self.unit is None:
+            if si == "rad" and numbers:
+                text = f"has a limit of an angle ({numbers[0]:g}) and no unit; must have unit: deg or unit: rad"
+                raise PydanticCustomError("kind", "{text}", {"text": text})
+        elif units.UNITS[self.unit][1] != si:
+            allowed = ", ".join(units.units_of(si)) or f"none: limits are in {si}"
+            text = f"has unit: {self.unit}, and a response in {si or 'plain numbers'}; allowed: {allowed}"
+            raise PydanticCustomError("kind", "{text}", {"text": text})
+        return self
+
+    @property
+    def factor(self) -> float:
+        """Limit and scale times it are in SI units."""
+        return 1.0 if self.unit is None else UNITS[self.unit]
+
     @property
     def kind(self) -> str:
         return next(key for key in KINDS if getattr(self, key) is not None)
@@ -167,7 +191,12 @@ class Constraint(Section):
 
     def resolved(self) -> dict[str, Any]:
         """Return the constraint in the form of the file."""
-        return {**self.measure, self.kind: self.limit, **({"scale": self.scale} if self.scale is not None else {})}
+        own = {key: given for key in ("scale", "unit") if (given := getattr(self, key)) is not None}
+        return {**self.measure, self.kind: self.limit, **own}
+
+    def si(self, x: float | str | None) -> Any:
+        """A limit or a scale in SI units; a word as it is."""
+        return x * self.factor if isinstance(x, float) else x
 
 
 class Optimizer(Section):
@@ -197,9 +226,13 @@ class Starts(Section):
         for key in ("count", "points"):
             if (getattr(self, key) is not None) != (key == wanted):
                 verb = "needs" if key == wanted else "takes no"
-                raise PydanticCustomError("sampler", "{text}", {"text": f"sampler {self.sampler!r} {verb} {key!r}"})
+                allowed = "sobol and latin_hypercube with count, given with points"
+                text = f"sampler {self.sampler!r} {verb} {key!r}; allowed: {allowed}"
+                raise PydanticCustomError("sampler", "{text}", {"text": text})
         if self.sampler == "none" and not self.include_initial:
-            raise PydanticCustomError("sampler", "sampler 'none' with include_initial: false leaves no start")
+            raise PydanticCustomError(
+                "sampler", "sampler 'none' with include_initial: false leaves no start; allowed: include_initial: true"
+            )
         return self
 
 

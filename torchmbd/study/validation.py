@@ -6,6 +6,7 @@ and the nearest valid name. A faulty section does not hide the faults of the oth
 
 from __future__ import annotations
 
+import re
 import types
 from functools import cache
 from typing import Any, Union, cast, get_args, get_origin
@@ -15,7 +16,20 @@ from pydantic_core import ErrorDetails
 
 from torchmbd.errors import nearest
 from torchmbd.study.file_errors import Fault, Path, shown
-from torchmbd.study.schema import KINDS, Figures, Section, Study
+from torchmbd.study.schema import KINDS, UNITS, Figures, Section, Study
+
+_FUNCTION = "package.module:function or path/to/file.py:function"
+#: What stands under keys that may not be left out.
+_WANTED = {
+    "model": _FUNCTION,
+    "figures": _FUNCTION,
+    "design": "parameters of the model, each with lower, upper and unit",
+    "simulate": "duration, and what else torchmbd.simulate takes",
+    "minimize": "a response, such as {integral: {strain_energy: rod}}",
+    "unit": ", ".join(UNITS),
+    "count": "a whole number",
+    **dict.fromkeys(("lower", "upper", "duration", "from", "to"), "a number"),
+}
 
 
 def kind_of(data: Any) -> type[Study] | type[Figures]:
@@ -77,9 +91,11 @@ def _path(details: ErrorDetails, data: Any) -> Path:
 def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str:
     kind, value = details["type"], details["input"]
     if kind == "missing":
-        return "is missing"
+        return f"is missing; allowed: {_WANTED.get(str(path[-1]), 'a value')}"
     if kind == "extra_forbidden":
-        return f"unknown key{nearest(path[-1], _keys(path[:-1], kind_of_file))}"
+        return f"unknown key{nearest(path[-1], _keys(path[:-1], kind_of_file))} (given: {shown(value)})"
+    if kind == "string_pattern_mismatch" and path in (("model",), ("figures",), ("simulate", "phases")):
+        return f"= {shown(value)}: matches no pattern; allowed: {_WANTED['model']}"
     if kind == "response" and path[0] == "subject_to" and len(path) == 3:  # perhaps a limit that is misspelt
         return f"{details['msg']}; a limit is one of {', '.join(KINDS)}"
     if kind == "response":
@@ -92,9 +108,11 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
         return "is empty; must have at least one parameter of the model"
     if kind in ("too_short", "too_long") and isinstance(value, dict):
         return f"has {len(value)} keys; must have exactly one"
+    if kind == "value":
+        return f"= {shown(value)}: {details['msg']}"
     if kind in ("kind", "sampler"):
         return f": {details['msg']}"
-    return f"= {shown(value)}: {details['msg'].replace('Input should', 'must')}"
+    return f"= {shown(value)}: {re.sub(r'^[A-Z][a-z]+ should', 'must', details['msg'])}"
 
 
 def _either(texts: list[str]) -> str:

@@ -88,7 +88,7 @@ def scalar(text: str) -> Any:
     if _FLOAT.fullmatch(text):
         value = float(text)
         if not math.isfinite(value):
-            raise ValueError(f"= {text}: out of the range of a float")
+            raise ValueError(f"= {text}: out of the range of a float; allowed: up to 1.8e308")
         return value
     return text
 
@@ -115,9 +115,9 @@ class _Builder:
     def value(self, event: yaml.Event, events: Iterator[yaml.Event], path: Path) -> Any:
         self.lines.setdefault(path, event.start_mark.line + 1)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None):
-            self.fault(path, "anchors (&) and aliases (*) are not allowed", event)
+            self.fault(path, "anchors (&) and aliases (*) are not allowed; allowed: plain values", event)
         if tag := getattr(event, "tag", None):
-            self.fault(path, f"tag {tag!r} is not allowed", event)
+            self.fault(path, f"tag {tag!r} is not allowed; allowed: plain values", event)
         if isinstance(event, yaml.CollectionStartEvent) and len(path) >= _MAX_DEPTH:
             raise yaml.MarkedYAMLError(problem=f"nested more than {_MAX_DEPTH} deep", problem_mark=event.start_mark)
         if isinstance(event, yaml.MappingStartEvent):
@@ -138,7 +138,7 @@ class _Builder:
             self.value(event, iter(()), (*path, event.value))  # a tag or an anchor on a key is a fault as well
             key = event.value
             if key in first:
-                self.fault((*path, key), f"is given twice (first in line {first[key]})", event)
+                self.fault((*path, key), f"is given twice (first in line {first[key]}); allowed: once", event)
             first.setdefault(key, line)
             self.lines[(*path, key)] = line
             result[key] = self.value(next(events), events, (*path, key))

@@ -51,7 +51,7 @@ def uri_fault(uri: str) -> str | None:
     """Say why a URI is no store, None if it may be one."""
     scheme, separator, _ = uri.partition(":")
     if not separator or scheme.partition("+")[0] not in SCHEMES:
-        return f"a store is one of {', '.join(f'{name}:' for name in SCHEMES)} such as sqlite:///mlflow.db"
+        return f"a store is one of {', '.join(f'{name}:' for name in SCHEMES)}; allowed: such as sqlite:///mlflow.db"
     file = sqlite_file(uri)
     if file and any(c in str(file) for c in _MISREAD):
         return (

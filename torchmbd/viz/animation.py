@@ -55,6 +55,7 @@ def animate(
     path = Path(path)
     if path.suffix not in (".html", ".htm"):
         raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .html")
+    require_motion(motion)
     if not 0 <= lane < len(motion.status):
         raise InputError(f"lane = {lane}: allowed: 0 to {len(motion.status) - 1}, the lanes of the motion")
     if max_frames < 2:
@@ -68,6 +69,12 @@ def animate(
     text = json.dumps(scene, allow_nan=False).replace("<", "\\u003c")  # no text ends or opens an element
     path.write_text(_VIEWER.read_text(encoding="utf-8").replace("__SCENE__", text), encoding="utf-8")
     return path
+
+
+def require_motion(motion: Any) -> None:
+    """InputError for what is no motion."""
+    if not hasattr(motion, "status"):
+        raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
 
 
 def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:

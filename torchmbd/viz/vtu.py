@@ -27,6 +27,7 @@ from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.results.ply_history import PlyHistory
+from torchmbd.viz.animation import require_motion
 
 _TYPES = {"float64": "Float64", "int64": "Int64", "uint8": "UInt8"}
 _LINE, _TRIANGLE, _QUAD = 3, 5, 9  # VTK's numbers of cells
@@ -84,6 +85,7 @@ def save_motion(
     path = Path(path)
     if path.suffix != ".pvd":
         raise InputError(f"path = {str(path)!r}: allowed: a name that ends in .pvd")
+    require_motion(motion)
     motion = motion.detach()
     if not 0 <= lane < len(motion.status):
         raise InputError(f"lane = {lane}: allowed: 0 to {len(motion.status) - 1}, the lanes of the motion")

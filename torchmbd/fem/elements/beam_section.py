@@ -13,6 +13,7 @@ Checked in tests/fem/elements/test_beam_section.py.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -23,7 +24,8 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import constants, refuse_gradients
-from torchmbd.math.variable import Numbers, number, stacked, varies
+from torchmbd.math.plausible_units import DIMENSION, doubt, doubt_material
+from torchmbd.math.variable import Numbers, number, plain, stacked, varies
 
 
 @runtime_checkable
@@ -111,6 +113,12 @@ class Isotropic:
                 raise InputError(f"GivenSection: {name} = {value!r}; allowed: a finite number > 0")
         if not -1.0 < number(self.nu) <= 0.5:
             raise InputError(f"GivenSection: nu = {number(self.nu)!r}; allowed: -1 < nu <= 0.5")
+        own = plain(self)
+        doubt_material("GivenSection", {"E": own.E}, own.density, None)
+        for name in ("Iyy", "Izz", "J"):
+            radius = math.sqrt(getattr(own, name) / own.area)
+            doubt(f"GivenSection: area and {name}: radius of gyration", radius, "m", DIMENSION, stacklevel=5)
+        doubt("GivenSection: area", own.area, "m2", (DIMENSION[0] ** 2, DIMENSION[1] ** 2), stacklevel=5)
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """Stiffness matrix."""

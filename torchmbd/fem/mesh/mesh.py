@@ -25,6 +25,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh.mesh_checks import check, directed_area
 from torchmbd.math.gradients import constants
 from torchmbd.math.owned import indices, reals
+from torchmbd.math.plausible_units import EXTENT, doubt
 
 
 class Pieces(NamedTuple):
@@ -83,6 +84,13 @@ class Mesh:
             own = indices(f"{name} of a Mesh", getattr(self, name))
             object.__setattr__(self, name, own)
         check(self)
+        doubt(
+            "nodes of a Mesh: extent",
+            float((self.nodes.amax(0) - self.nodes.amin(0)).norm()),
+            "m",
+            EXTENT,
+            stacklevel=4,
+        )
 
     def __repr__(self) -> str:
         quads = f"{len(self.quads)} quadrilaterals, " if len(self.quads) else ""

@@ -19,7 +19,6 @@ import torch
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh.mesh import Mesh
 from torchmbd.math.owned import positive
-from torchmbd.math.plausible_units import EXTENT, doubt
 
 #: Kinds of cells that it can make.
 KINDS = ("quad", "triangle")
@@ -39,7 +38,7 @@ def rectangle(length: float, width: float, cells: tuple[int, int], kind: str = "
     [0.25, 0.0, 0.0]
     """
     for name, value in (("length", length), ("width", width)):
-        doubt(f"rectangle: {name}", positive(f"rectangle: {name}", value, "m"), "m", EXTENT)
+        positive(f"rectangle: {name}", value, "m")
     if (
         not isinstance(cells, Sequence)
         or len(cells) != 2

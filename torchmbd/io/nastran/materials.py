@@ -24,6 +24,7 @@ from torchmbd.fem.materials import Laminate, Ply, Strength
 from torchmbd.io.nastran.cards import Card
 from torchmbd.io.nastran.data import BulkData
 from torchmbd.math.angles import deg
+from torchmbd.math.units import FOOT, GRAVITY, INCH, POUND
 
 RIGID_IN_SHEAR = 1e6  # in place of infinity: K1 or K2 zero, or blank on a PBAR
 
@@ -48,12 +49,18 @@ class Units:
         return self.mass / self.length**2
 
 
-UNITS = {"m": Units(1.0, 1.0), "mm": Units(1e-3, 1e3)}  # m, kg, s, N, Pa;  mm, t, s, N, MPa
+UNITS = {
+    "m": Units(1.0, 1.0),  # m, kg, s, N, Pa
+    "mm": Units(1e-3, 1e3),  # mm, t, s, N, MPa
+    "cm": Units(1e-2, 1e2),  # cm, N s2/cm, s, N, N/cm2
+    "in": Units(INCH, POUND * GRAVITY / INCH),  # in, lbf s2/in, s, lbf, psi
+    "ft": Units(FOOT, POUND * GRAVITY / FOOT),  # ft, slug, s, lbf, lbf/ft2
+}
 
 
 def units_of(name: str) -> Units:
     """The units by name."""
-    if name not in UNITS:
+    if not isinstance(name, str) or name not in UNITS:
         raise unknown("units", name, UNITS)
     return UNITS[name]
 

@@ -236,7 +236,7 @@ class FlexibleBody(nn.Module):
         mesh: Mesh | str | Path,
         laminate: Laminate | Mapping[str, Laminate],
         modes: int = 8,
-        scale: float = 1.0,
+        scale: float | str = 1.0,
         direction: Sequence[float] | Tensor = (1.0, 0.0, 0.0),
         mass: str = "lumped",
         **options: Any,
@@ -244,7 +244,7 @@ class FlexibleBody(nn.Module):
         """A laminated shell on a mesh from outside: gmsh, Abaqus, VTK (by meshio), or a Mesh.
 
         laminate    one for all, or one for each named zone of the file
-        scale       meters per unit of the file: 1e-3 for mm
+        scale       meters per unit of the file, or its name: "mm", "cm", "in", "ft"
         direction   the laminate's x-axis in mesh axes, projected into each cell: [3], or one for each [m, 3]
         options     position, axes, reference, damping, reduction, interface, updated: as in `plate`
         Warns if size, density or speed of sound is implausible.
@@ -260,7 +260,8 @@ class FlexibleBody(nn.Module):
     ) -> FlexibleBody:
         """A Nastran model; the angles of its PCOMP cards are the design parameters (io/nastran/body.py).
 
-        units     of the file: "m" (m, kg, s, N, Pa), or "mm" (mm, t, s, N, MPa)
+        units     of the file: "m" (m, kg, s, N, Pa), "mm" (mm, t, s, N, MPa), "cm" (cm, N s2/cm, s, N, N/cm2), "in" (in,
+                  lbf s2/in, s, lbf, psi), "ft" (ft, slug, s, lbf, lbf/ft2); a PARAM WTMASS of the file counts
         options   position, axes, reference, damping, reduction, interface, updated: as in `plate`; without a reference
                   the grids are taken whose six freedoms the file holds (SPC, SPC1)
         Raises InputError that names card and line; warns if units are implausible, and of cards that are left out.

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from torchmbd.errors import argument_names
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.discrete.branching import MAX_NEIGHBORS, STEPS, Branching, Candidate
@@ -92,7 +93,7 @@ def optimize_discrete(
     >>> np.degrees(found.best.x).round(6).tolist(), found.size  # of 3 x 3 designs
     ([0.0, 0.0], 9)
     """
-    function = find_method(method, options)
+    function = find_method(method, options, argument_names(optimize_discrete))
     require_limits(max_iterations, None)
     require_count("max_boxes", max_boxes, 0, 1_000_000)
     require_count("max_neighbors", max_neighbors, 0, 1_000_000)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from torchmbd.errors import argument_names
 from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, require_limits, run_start
 from torchmbd.optimization.batch import at_once
 from torchmbd.optimization.multistart.batched import BatchedSearches
@@ -137,7 +138,7 @@ def multistart(
     >>> study.best.value == min(result.value for result in study.results)
     True
     """
-    function = find_method(method, options)
+    function = find_method(method, options, argument_names(multistart))
     require_limits(max_iterations, max_analyses)
     require_count("max_lanes", max_lanes, 1, 1_000_000)
     require_range("feasibility", feasibility, 0.0, 1.0)

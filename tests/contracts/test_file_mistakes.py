@@ -1,0 +1,152 @@
+"""Mistakes in experiment files: each is named with its line, path, value and what is allowed. No motion is computed.
+
+A row: what is replaced in tests/study/study.yaml, by what, and what the message says: path and value, and what is allowed.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from torchmbd.study.file_errors import StudyError
+from torchmbd.study.load import load
+
+STUDY = Path(__file__).parents[1] / "study"
+TEXT = (STUDY / "study.yaml").read_text()
+MODEL, DESIGN = "model: rod_model.py:build", "start: [45, -45], lower: -90, upper: 90, unit: deg"
+ENERGY, LIMIT = "{integral: {strain_energy: rod}}", "{max: {strain_energy: rod}, at_most: initial}"
+ANGLE = "{max: {angle: {body: rod, axis: z}}, "
+
+MISTAKES = [
+    # the file as a whole
+    ("model: ", "modl: ", ["line 2: modl unknown key", "did you mean 'model'? (given: 'rod_model.py:build')"]),
+    (MODEL + "\n", "", ["model is missing", "allowed: package.module:function"]),
+    ("tracking: {experiment: test}", "tracking: {}\ntracking: {}", ["tracking is given twice", "allowed: once"]),
+    ("seed: 7", "seed: &a 7", ["starts.seed", "anchors (&)", "allowed: plain values"]),
+    ("seed: 7", "seed: !!int 7", ["starts.seed", "tag", "allowed: plain values"]),
+    ("seed: 7", "seed: 007", ["starts.seed = '007'", "must be a valid integer"]),
+    ("seed: 7", "seed: 1e400", ["starts.seed = 1e400", "allowed: up to 1.8e308"]),
+    (TEXT, "3", ["is 3", "allowed: sections such as model:"]),
+    # model and options
+    (MODEL, "model: 7", ["model = 7", "must be a valid string"]),
+    (MODEL, "model: rod_model.py", ["model = 'rod_model.py'", "allowed: package.module:function"]),
+    (MODEL, "model: rod_model.py:bild", ["'rod_model.py:bild'", "did you mean 'build'"]),
+    (MODEL, "model: nowhere.py:build", ["nowhere.py does not exist", "allowed: a Python file"]),
+    (MODEL, "model: no.where:build", ["'no.where' cannot be imported", "allowed: "]),
+    (MODEL, "model: ../x.py:build", ["'../x.py'", "allowed: a Python file in"]),
+    (MODEL, "model: rod_model.py:no_system", ["-> int", "allowed: a function annotated with -> System"]),
+    ("layers: 2", "layer: 2", ["options.layer unknown option", "did you mean 'layers'? (given: 2)"]),
+    ("{layers: 2}", "[layers, 2]", ["options = ['layers', 2]", "must be a mapping"]),
+    # design
+    (
+        "rod.laminate.angles:",
+        "rod.laminate.angle:",
+        ["design.rod.laminate.angle", "did you mean 'rod.laminate.angles'"],
+    ),
+    (DESIGN, "start: [45], lower: -90, upper: 90, unit: deg", ["start = [45.0]: has 1 values", "allowed: 2"]),
+    (DESIGN, "start: [45, 95], lower: -90, upper: 90, unit: deg", ["start = [45.0, 95.0]", "must lie between"]),
+    (DESIGN, "start: [a, 1], lower: -90, upper: 90, unit: deg", ["start.0 = 'a'", "must be a valid number"]),
+    (DESIGN, "lower: 90, upper: -90, unit: deg", ["lower = [90.0, 90.0]", "must be below upper"]),
+    (DESIGN, "upper: 90, unit: deg", ["lower is missing", "allowed: a number"]),
+    (DESIGN, "lower: -90, upper: 90", ["unit is missing", "allowed: deg, rad"]),
+    (DESIGN, "lower: -90, upper: 90, unit: degrees", ["unit = 'degrees'", "did you mean 'deg'"]),
+    (DESIGN, "lower: -90, upper: 90, uint: deg", ["uint unknown key", "did you mean 'unit'? (given: 'deg')"]),
+    (DESIGN, "lower: -90, upper: 90, unit: rad", ["lower = [-90.0, -90.0] with unit: rad", "allowed: -2 pi to 2 pi"]),
+    (DESIGN, "lower: -90, upper: 90, unit: mm", ["unit = 'mm'", "allowed for rod.laminate.angles: deg, rad"]),
+    (DESIGN, "lower: -90, upper: 90, unit: deg, step: -5", ["step = -5", "must not be negative"]),
+    (DESIGN, "lower: -90, upper: 90, unit: deg, tolerance: -1", ["tolerance = -1", "must not be negative"]),
+    ("  rod.laminate.angles: {" + DESIGN + "}", "  {}", ["design is empty", "must have at least one parameter"]),
+    # simulate
+    ("duration: 0.01", "duration: 0", ["simulate.duration = 0", "must be greater than 0"]),
+    ("duration: 0.01", "duration: 10 ms", ["simulate.duration = '10 ms'", "must be a valid number"]),
+    ("duration: 0.01, ", "", ["simulate.duration is missing", "allowed: a number"]),
+    ("steps: 60", "steps: 6.5", ["simulate.steps = 6.5", "must be a valid integer"]),
+    ("steps: 60", "steps: -1", ["simulate.steps = -1", "must be greater than 0"]),
+    ("steps: 60", "step: 60", ["simulate.step unknown key", "did you mean 'steps'? (given: 60)"]),
+    ("steps: 60", "steps: 60, method: rk5", ["simulate.method = 'rk5'", "did you mean 'rk4'"]),
+    ("steps: 60", "steps: 60, gradients: 2", ["simulate.gradients = 2", "must be a valid string"]),
+    ("steps: 60", "steps: 60, gradients: backward", ["simulate.gradients = 'backward'", "allowed: auto, forward"]),
+    ("steps: 60", "steps: 60, gradients: reverse, method: rk4", ["'reverse'", "allowed: method 'generalized_alpha'"]),
+    ("steps: 60", "steps: 60, backend: cuda", ["simulate.backend = 'cuda'", "allowed: auto, eager, native"]),
+    ("steps: 60", "steps: 60, spectral_radus: 0.5", ["spectral_radus", "did you mean 'spectral_radius'? (given: 0.5)"]),
+    ("steps: 60", "steps: 60, iterations: 3", ["simulate.iterations = 3", "must be a valid array"]),
+    ("steps: 60", "steps: 60, phases: rod_model.py:no_phases", ["simulate.phases", "allowed: a list of mbd.Phase"]),
+    # minimize and subject_to
+    (ENERGY, "{integral: {strain_energy: rodd}}", ["minimize.integral.strain_energy", "'rodd'", "did you mean 'rod'"]),
+    (ENERGY, "{integrl: {strain_energy: rod}}", ["minimize.integrl", "did you mean 'integral'"]),
+    (ENERGY, "{integral: rod}", ["minimize.integral = 'rod'", "must be a mapping"]),
+    (ENERGY, "{}", ["minimize has 0 keys", "must have exactly one"]),
+    (ENERGY, "{integral: {strain_energy: rod}, window: [0.2, 0.1]}", ["[0.2, 0.1]", "allowed: 0 <= t0 < t1"]),
+    (ENERGY, "{integral: {strain_energy: rod}, windw: [0, 1]}", ["minimize.windw", "did you mean 'window'"]),
+    (ENERGY, "{max: {position: {body: rod, axis: w}}}", ["minimize.max.position", "'w'", "allowed: 'x', 'y', 'z'"]),
+    (ENERGY, "{max: {position: {body: rod}}}", ["minimize.max.position", "'axis'", "allowed: "]),
+    (ENERGY, "{max: {position: {body: rod, axis: x, nod: 1}}}", ["nod", "did you mean 'node'"]),
+    (ENERGY, "{frequency: {body: rod, number: 9}}", ["number is 9", "allowed: 1 to 4"]),
+    (ENERGY, "{max: {ply_failure: rod}}", ["minimize.max.ply_failure", "allowed: Ply(..., strength="]),
+    (ENERGY, "{weighted_sum: 3}", ["minimize.weighted_sum = 3", "must be a list"]),
+    (ENERGY, "{weighted_sum: [{mass: rod}]}", ["minimize.weighted_sum.0", "'weight'", "allowed: "]),
+    (ENERGY, "{weighted_sum: [{weight: a, mass: rod}]}", ["weighted_sum.0.weight = 'a'", "must be a number"]),
+    (LIMIT, "{max: {strain_energy: rod}, at_most: start}", ["subject_to.0.at_most = 'start'", "must be 'initial'"]),
+    (LIMIT, "{max: {strain_energy: rod}, at_more: 1}", ["subject_to.0.at_more", "allowed: "]),
+    (LIMIT, "{max: {strain_energy: rod}}", ["subject_to.0: has no limit", "must have exactly one of at_most"]),
+    (LIMIT, "{max: {strain_energy: rod}, at_most: 1, equal: 2}", ["at_most and equal", "must have exactly one"]),
+    (LIMIT, "{max: {strain_energy: rod}, at_most: 1, scale: 0}", ["subject_to.0.scale = 0", "must be greater than 0"]),
+    (LIMIT, LIMIT[:-1] + ", window: [0, 1]}", ["subject_to.0 looks at t = 1 s", "allowed: up to simulate.duration"]),
+    (
+        LIMIT,
+        ANGLE + "at_most: 0.5}",
+        ["subject_to.0: has a limit of an angle (0.5) and no unit", "must have unit: deg"],
+    ),
+    (LIMIT, ANGLE + "at_most: 0.5, unit: mm}", ["unit: mm", "allowed: deg, rad"]),
+    (LIMIT, ANGLE + "at_most: 0.5, unit: degree}", ["subject_to.0.unit = 'degree'", "did you mean 'deg'"]),
+    (LIMIT, "3", ["subject_to.0 = 3", "must be a mapping"]),
+    # optimizer, starts, sweep, tracking
+    ("name: mmfd", "name: mmdf", ["optimizer.name = 'mmdf'", "did you mean 'mmfd'"]),
+    ("max_iterations: 2", "max_iterations: -2", ["optimizer.max_iterations = -2", "must be greater than 0"]),
+    (
+        "max_iterations: 2",
+        "max_iteration: 2",
+        ["optimizer.max_iteration unknown", "did you mean 'max_iterations'? (given: 2)"],
+    ),
+    ("max_iterations: 2", "max_lanes: many", ["optimizer.max_lanes = 'many'", "must be a valid integer"]),
+    ("sampler: sobol", "sampler: sobel", ["starts.sampler = 'sobel'", "did you mean 'sobol'"]),
+    ("count: 2, ", "", ["starts: sampler 'sobol' needs 'count'", "allowed: sobol and latin_hypercube with count"]),
+    ("count: 2", "count: 0", ["starts.count = 0", "must be greater than 0"]),
+    ("count: 2", "count: 2000000", ["starts.count = 2000000", "must be less than or equal to 1048576"]),
+    ("seed: 7", "seed: seven", ["starts.seed = 'seven'", "must be a valid integer"]),
+    ("sampler: sobol, count: 2, seed: 7", "sampler: given, points: [[1]]", ["starts.points.0 = [1.0]", "allowed: 2"]),
+    ("sampler: sobol, count: 2, seed: 7", "sampler: given, points: [[1, 95]]", ["[1.0, 95.0]", "must lie between"]),
+    ("experiment: test", "experiment: ''", ["tracking.experiment = ''", "must have at least 1 character"]),
+    ("experiment: test", "uri: mlflow.db", ["tracking.uri = 'mlflow.db'", "allowed: such as sqlite:"]),
+    (
+        "experiment: test",
+        "experimnt: test",
+        ["tracking.experimnt unknown", "did you mean 'experiment'? (given: 'test')"],
+    ),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mistakes")
+    shutil.copy(STUDY / "rod_model.py", folder)
+    return folder
+
+
+@pytest.mark.parametrize(("old", "new", "words"), MISTAKES, ids=[str(k) for k in range(len(MISTAKES))])
+def test_line_path_value_and_what_is_allowed_are_named(folder, old, new, words):
+    assert old in TEXT
+    file = folder / "study.yaml"
+    file.write_text(TEXT.replace(old, new))
+    with pytest.raises(StudyError) as error:
+        load(file)
+    text = str(error.value)
+    for word in words:
+        assert word in text
+    assert all("allowed" in str(fault) or "must" in str(fault) for fault in error.value.faults), text
+
+
+def test_there_are_many():
+    assert len(MISTAKES) >= 60

@@ -1,0 +1,225 @@
+"""Mistakes of callers in Python: each is an InputError that names the argument, its value and what is allowed.
+
+A row: the call, the argument and its value as the message writes them, and what is allowed or meant. No motion is computed.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.study.rod_model import build
+from torchmbd.errors import ArgumentError, InputError
+
+NUMBERS: dict[str, Any] = {
+    **{"E1": 128e9, "E2": 10.1e9, "G12": 5.36e9, "G13": 5.36e9, "G23": 5.36e9},
+    **{"nu12": 0.23, "density": 1586.0},
+}
+PLY = mbd.Ply(**NUMBERS)
+LAMINATE = mbd.Laminate(PLY, mbd.deg([45.0, -45.0]), 1e-3)
+MESH = mbd.mesh.rectangle(0.3, 0.06, (4, 2))
+ANGLES, ENERGY = "rod.laminate.angles", mbd.StrainEnergy("rod")
+BOX: Any = SimpleNamespace(
+    names=["x"], start=np.zeros(1), lower=-np.ones(1), upper=np.ones(1), evaluate=lambda X, gradients: []
+)
+GROUND, CRANK, SYSTEM = mbd.Ground(), mbd.RigidBody("crank", 1.0, (1.0, 1.0, 1.0)), build()
+
+
+def simulate(**given: Any) -> Any:
+    return mbd.simulate(SYSTEM, **({"duration": 0.01, "steps": 60} | given))
+
+
+def plate(**given: Any) -> Any:
+    return mbd.FlexibleBody.plate("rod", MESH, LAMINATE, **given)
+
+
+def problem(**given: Any) -> Any:
+    return mbd.Problem(**({"system": SYSTEM, "duration": 0.01, "minimize": mbd.Integral(ENERGY), "steps": 60} | given))
+
+
+def joint(kind: Any, *given: Any, **more: Any) -> Any:
+    return kind(GROUND.at(), CRANK.at(), *given, **more)
+
+
+any_: Any = mbd  # calls that a type checker would refuse as well
+MISTAKES = {
+    # simulate
+    "method": (lambda: simulate(method="generalised"), "method 'generalised'", "did you mean 'generalized_alpha'"),
+    "steps 0": (lambda: simulate(steps=0), "steps is 0", "a positive integer"),
+    "steps 2.5": (lambda: simulate(steps=2.5), "steps is 2.5", "a positive integer"),
+    "duration": (lambda: simulate(duration=-0.01), "duration is -0.01 s", "a positive number"),
+    "duration in words": (lambda: simulate(duration="1 s"), "duration is '1 s'", "a positive number"),
+    "step": (lambda: simulate(step=3), "step = 3", "did you mean 'steps'"),
+    "option misspelt": (lambda: simulate(spectral_radus=0.3), "spectral_radus = 0.3", "did you mean 'spectral_radius'"),
+    "option out of range": (lambda: simulate(spectral_radius=1.5), "spectral_radius is 1.5", "0 "),
+    "gradients": (lambda: simulate(gradients="backward"), "gradients 'backward'", "auto, forward, reverse, none"),
+    "backend": (lambda: simulate(backend="cuda"), "backend 'cuda'", "auto, eager, native"),
+    "design misspelt": (
+        lambda: simulate(designs={"rod.laminate.angle": torch.zeros(1, 2)}),
+        "'rod.laminate.angle'",
+        "did you mean 'rod.laminate.angles'",
+    ),
+    "design shape": (lambda: simulate(designs={ANGLES: torch.zeros(1, 3).double()}), "(1, 3)", "[lanes, 2]"),
+    "design in degrees": (
+        lambda: simulate(designs={ANGLES: torch.tensor([[45.0, -45.0]]).double()}),
+        "angles[0] = 45.0 rad",
+        "-2 pi to 2 pi",
+    ),
+    "designs": (lambda: simulate(designs=[1.0]), "designs is [1.0]", "parameter name -> tensor"),
+    "variables": (lambda: simulate(variables=["rod.angles"]), "'rod.angles'", "did you mean 'rod.laminate.angles'"),
+    "phases": (lambda: simulate(phases=[1]), "phases is [1]", "mbd.Phase"),
+    "system": (lambda: any_.simulate("arm", 0.01), "system is 'arm'", "a System"),
+    "duration missing": (lambda: any_.simulate(SYSTEM), "'duration' of simulate", "system, duration"),
+    # materials
+    "modulus": (lambda: mbd.Ply(**NUMBERS | {"E1": -1.0}), "E1 = -1.0", "a finite number > 0"),
+    "Poisson": (lambda: mbd.Ply(**NUMBERS | {"nu12": 9.0}), "nu12 = 9.0", "|nu12| < sqrt(E1 / E2)"),
+    "ply misspelt": (lambda: any_.Ply(**NUMBERS, strenght=1), "'strenght' (= 1) of Ply", "did you mean 'strength'"),
+    "ply missing": (lambda: any_.Ply(E1=1e9), "'E2' of Ply is missing", "E1, E2, G12"),
+    "metal": (lambda: mbd.Ply.isotropic(70e9, 0.7, 2700.0), "nu = 0.7", "-1 < nu <= 0.5"),
+    "metal misspelt": (lambda: any_.Ply.isotropic(70e9, 0.3, rho=2700.0), "'rho' (= 2700.0)", "E, nu, density"),
+    "strength": (lambda: mbd.Strength(Xt=0.0, Xc=1.0, Yt=1.0, Yc=1.0, S12=1.0), "Xt = 0.0 Pa", "a number > 0"),
+    "angles in degrees": (lambda: mbd.Laminate(PLY, [45.0], 1e-3), "angles[0] = 45.0 rad", "-2 pi to 2 pi"),
+    "angle": (lambda: any_.Laminate(PLY, angle=[0.0], thickness=1e-3), "'angle' (= [0.0])", "did you mean 'angles'"),
+    "thickness": (lambda: mbd.Laminate(PLY, [0.0], -1e-3), "thickness[0] = -0.001 m", "a finite number > 0"),
+    "thicknesses": (lambda: mbd.Laminate(PLY, [0.0], [1e-3, 1e-3]), "2 thicknesses", "one per angle"),
+    "ply by name": (lambda: any_.Laminate("carbon", [0.0], 1e-3), "ply = 'carbon'", "a Ply"),
+    "shear": (lambda: mbd.Laminate(PLY, [0.0], 1e-3, shear_correction="engergy"), "'engergy'", "'energy'"),
+    # meshes and sections
+    "cells": (lambda: mbd.mesh.rectangle(0.3, 0.06, (0, 2)), "cells = (0, 2)", "two integers >= 1"),
+    "kind of cells": (lambda: mbd.mesh.rectangle(0.3, 0.06, (1, 2), kind="quads"), "'quads'", "did you mean 'quad'"),
+    "cell": (lambda: any_.mesh.rectangle(0.3, 0.06, cell=(1, 2)), "'cell' (= (1, 2))", "did you mean 'cells'"),
+    "length": (lambda: mbd.mesh.rectangle(-0.3, 0.06, (1, 2)), "length is -0.3 m", "a positive and finite number"),
+    "corner": (lambda: any_.Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 5]]), "[0, 1, 5]", "0 to 2"),
+    "radius": (lambda: mbd.sections.tube(-0.02, PLY, [0.0], 1e-3), "radius is -0.02 m", "a positive and finite number"),
+    "thicknes": (
+        lambda: any_.sections.tube(0.02, PLY, [0.0], thicknes=1e-3),
+        "'thicknes' (= 0.001) of tube",
+        "did you mean 'thickness'",
+    ),
+    "wall": (lambda: mbd.sections.tube(0.02, PLY, [0.0], 0.03), "thickness 0.03 m", "less than the radius"),
+    "section": (lambda: mbd.GivenSection([[1.0]], [[1.0]]), "(1, 1)", "a 6 x 6 matrix"),
+    "line": (lambda: mbd.BeamLine.straight(-1.0), "length = -1.0 m", "a finite number > 0"),
+    "arc in degrees": (lambda: mbd.BeamLine.arc(1.0, 90.0), "angle = 90.0 rad", "0 to 2 pi"),
+    # bodies
+    "reduction": (lambda: plate(reduction="guyan"), "'guyan'", "vibration, craig-bampton"),
+    "modes": (lambda: plate(modes=0), "modes of 'rod' is 0", "a whole number"),
+    "reference": (lambda: plate(reference="rigth"), "node 'rigth'", "did you mean 'right'"),
+    "mode": (lambda: plate(mode=4), "'mode' (= 4) of FlexibleBody.plate", "did you mean 'modes'"),
+    "interface": (lambda: plate(reduction="craig-bampton", interface=["rihgt"]), "'rihgt'", "did you mean 'right'"),
+    "lumped": (lambda: plate(mass="lump"), "mass 'lump'", "did you mean 'lumped'"),
+    "damping": (lambda: plate(damping=-1.0), "damping of 'rod' is -1.0 s", "zero or positive"),
+    "axes": (lambda: plate(axes=[[1, 0, 0], [0, 2, 0], [0, 0, 1]]), "axes of 'rod'", "orthonormal columns"),
+    "position": (lambda: plate(position=(1, 2)), "position of 'rod' is (1, 2)", "three finite numbers"),
+    "option of a mesh": (
+        lambda: any_.FlexibleBody.from_mesh("b", MESH, LAMINATE, refrence="center"),
+        "'refrence' (= 'center')",
+        "did you mean 'reference'",
+    ),
+    "units of a file": (lambda: mbd.FlexibleBody.from_bdf("b", "b.bdf", units="inch"), "'inch'", "did you mean 'in'"),
+    "beam": (lambda: any_.FlexibleBody.beam("b", mbd.BeamLine.straight(1.0), "tube"), "section is 'tube'", "a Section"),
+    "name": (lambda: mbd.RigidBody("a b", 1.0, (1, 1, 1)), "'a b'", "a Python identifier"),
+    "mass": (lambda: mbd.RigidBody("a", -1.0, (1, 1, 1)), "mass of 'a' is -1.0 kg", "a positive and finite number"),
+    "inertia": (lambda: mbd.RigidBody("a", 1.0, (1, 1, 9)), "[1.0, 1.0, 9.0] kg m2", "the sum of any two"),
+    "intertia": (lambda: any_.RigidBody("a", 1.0, intertia=(1, 1, 1)), "'intertia'", "did you mean 'inertia'"),
+    "node": (lambda: SYSTEM.body("rod").at("rigth"), "node 'rigth'", "did you mean 'right'"),
+    "body": (lambda: SYSTEM.body("rodd"), "body 'rodd'", "did you mean 'rod'"),
+    # joints, forces, systems
+    "axis": (lambda: joint(mbd.Revolute, axis="w"), "axis is 'w'", "'x', 'y', 'z'"),
+    "axes of a hinge": (lambda: joint(mbd.Revolute, axes="z"), "'axes' (= 'z') of Revolute", "did you mean 'axis'"),
+    "frame": (lambda: any_.Revolute("ground", CRANK.at()), "'ground'", "frames, such as body.at(...)"),
+    "no law": (lambda: joint(mbd.Drive), "no law", "exactly one of speed, angle, velocity, position"),
+    "sped": (lambda: joint(mbd.Drive, sped=2.0), "'sped' (= 2.0) of Drive", "did you mean 'speed'"),
+    "two laws": (lambda: joint(mbd.Drive, speed=2.0, velocity=1.0), "{'speed': 2.0, 'velocity': 1.0}", "exactly one"),
+    "cross": (lambda: joint(mbd.Universal, axes="yy"), "'yy'", "two different letters"),
+    "rise": (lambda: mbd.SmoothStep(1.0, 0.0), "duration is 0.0 s", "a positive number"),
+    "time of a rise": (lambda: any_.SmoothStep(size=1.0, time=1.0), "'time' (= 1.0) of SmoothStep", "size, duration"),
+    "stifness": (lambda: joint(mbd.SpringDamper, stifness=1.0), "of SpringDamper", "did you mean 'stiffness'"),
+    "vector": (lambda: mbd.Force(CRANK.at(), (0, 0)), "is (0, 0)", "3 finite numbers"),
+    "same body": (lambda: mbd.System([CRANK, CRANK], []), "'crank' is used 2 times", "unique names"),
+    "joints": (lambda: any_.System([CRANK], ["hinge"]), "'hinge'", "joints, such as"),
+    "gravty": (lambda: any_.System([CRANK], [], gravty=(0, 0, 1)), "'gravty' (= (0, 0, 1))", "did you mean 'gravity'"),
+    "gravity": (lambda: any_.System([CRANK], [], gravity=9.81), "gravity is 9.81", "three finite numbers"),
+    "too many": (lambda: any_.deg(45.0, 30.0), "30.0 of deg is one too many", "allowed: degrees"),
+    # responses and problems
+    "energy of": (lambda: problem(minimize=mbd.Max(mbd.StrainEnergy("rodd"))), "'rodd'", "did you mean 'rod'"),
+    "component": (lambda: problem(minimize=mbd.Max(mbd.Position("rod", "w"))), "axis is 'w'", "'x', 'y', 'z'"),
+    "nod": (lambda: any_.Position("rod", "x", nod="right"), "'nod' (= 'right') of Position", "did you mean 'node'"),
+    "number": (lambda: problem(minimize=mbd.Frequency("rod", 9)), "number is 9", "1 to 4"),
+    "criterion": (
+        lambda: problem(minimize=mbd.Max(mbd.PlyFailure("rod", criterion="tsai-wu"))),
+        "'tsai-wu'",
+        "did you mean 'tsai_wu'",
+    ),
+    "window": (lambda: mbd.Max(ENERGY, window=(0.2, 0.1)), "window is (0.2, 0.1)", "0 <= t0 < t1"),
+    "windw": (lambda: any_.Max(ENERGY, windw=(0.2, 0.3)), "'windw' (= (0.2, 0.3)) of Max", "did you mean 'window'"),
+    "late": (lambda: problem(minimize=mbd.Max(ENERGY, window=(0.0, 0.1))), "t = 0.1 s", "up to duration=0.01 s"),
+    "history": (lambda: any_.Max("strain_energy"), "'strain_energy'", "a history"),
+    "function": (lambda: any_.history(3), "function is 3", "a function of a motion"),
+    "limit": (lambda: mbd.Max(ENERGY) <= "start", "limit of a constraint is 'start'", "'initial'"),
+    "weights": (lambda: any_.WeightedSum([(1.0,)]), "terms is [(1.0,)]", "pairs (weight, measure)"),
+    "minimize a history": (lambda: problem(minimize=ENERGY), "minimize is StrainEnergy", "a measure"),
+    "minimise": (
+        lambda: any_.Problem(SYSTEM, 0.01, minimise=mbd.Max(ENERGY)),
+        "'minimize' of Problem is missing",
+        "allowed: ",
+    ),
+    "step of a problem": (lambda: problem(step=60), "step = 60", "did you mean 'steps'"),
+    "bounds": (lambda: problem(bounds=(1.0, -1.0)), "are 1.0 and -1.0", "lower below upper"),
+    "bounds in degrees": (lambda: problem(bounds=(-90.0, 90.0)), "angles[0] = -90.0 rad", "-2 pi to 2 pi"),
+    "bounds by name": (lambda: problem(bounds={"rod.angles": (-1, 1)}), "'rod.angles'", "did you mean"),
+    "three bounds": (lambda: problem(bounds=(0, 1, 2)), "bounds is (0, 1, 2)", "(lower, upper)"),
+    "start": (lambda: problem(bounds=(-0.1, 0.1)), "is 0.785", "-0.1 to 0.1"),
+    "short start": (lambda: problem(start=[0.1]), "start has shape (1,)", "2 numbers"),
+    "links": (lambda: problem(links={"x": {"y": 1.0}}), "'x'", "rod.laminate.angles[0]"),
+    "subject_to": (lambda: problem(subject_to=[1.0]), "subject_to has 1.0", "constraints"),
+    # optimization
+    "optimizer": (lambda: mbd.optimize(BOX, "mmdf"), "method 'mmdf'", "did you mean 'mmfd'"),
+    "its option": (lambda: mbd.optimize(BOX, "mmfd", kktt=1e-3), "'kktt'", "did you mean 'kkt'"),
+    "max_iteration": (lambda: mbd.optimize(BOX, max_iteration=3), "(it is 3)", "did you mean 'max_iterations'"),
+    "max_iterations": (lambda: mbd.optimize(BOX, max_iterations=-1), "max_iterations = -1", "[0, 1e+06]"),
+    "outside": (lambda: any_.optimize(BOX, start=[5.0]), "start of x = 5", "[-1, 1]"),
+    "problem": (lambda: any_.optimize(3), "problem is 3", "mbd.Problem(...)"),
+    "sampler": (lambda: any_.multistart(BOX, "mmfd", "sobel"), "starts is 'sobel'", "mbd.sobol(...)"),
+    "seed": (lambda: any_.sobol(2), "'seed' of sobol is missing", "count, seed"),
+    "sed": (lambda: any_.sobol(2, 1, sed=1), "'sed' (= 1) of sobol", "did you mean 'seed'"),
+    "tolerance": (lambda: mbd.RobustProblem(BOX, -0.1), "tolerance is -0.1", "not negative"),
+    "robust": (lambda: mbd.RobustProblem(BOX, 0.1, "expect"), "kind 'expect'", "did you mean 'expected'"),
+    # files and pictures
+    "file": (lambda: any_.problem_of(3), "file is 3", "the path of a file"),
+    "store": (lambda: mbd.load("run", uri="foo"), "uri = 'foo'", "sqlite:"),
+    "picture": (lambda: any_.viz.save(None, "a.gif"), "path = 'a.gif'", ".png, .pdf, .svg"),
+    "no motion": (lambda: mbd.viz.animate("x", "y.html"), "motion is 'x'", "a motion"),
+}
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_argument_value_and_what_is_allowed_are_named(name):
+    call, given, allowed = MISTAKES[name]
+    with pytest.raises(InputError) as error:
+        call()
+    text = str(error.value)
+    assert given in text
+    assert allowed in text
+    assert "allowed" in text or "must" in text
+
+
+def test_there_are_many():
+    assert len(MISTAKES) >= 60
+
+
+def test_errors_of_calls_are_type_errors_as_well_and_errors_inside_stay_what_they_are():
+    with pytest.raises(TypeError):
+        any_.Ply(E=1.0)
+    assert issubclass(ArgumentError, InputError)
+
+    @mbd.history
+    def broken(motion: Any) -> Any:
+        raise TypeError("inside")
+
+    with pytest.raises(TypeError, match=r"^inside$"):
+        broken.function(None)

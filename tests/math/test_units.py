@@ -1,0 +1,38 @@
+"""Units by name: their multiples, what parameters are measured in, and lengths of a mesh file."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from torchmbd.errors import InputError
+from torchmbd.math.units import UNITS, factor, meters, misfit
+
+
+@pytest.mark.parametrize(
+    ("name", "si"),
+    [("deg", math.pi / 180), ("cm", 0.01), ("in", 0.0254), ("ft", 12 * 0.0254), ("lb", 0.45359237), ("g/cm3", 1000.0)],
+)
+def test_multiples(name, si):
+    assert factor(name) == pytest.approx(si, rel=1e-15)
+
+
+def test_pounds_per_square_inch():
+    assert factor("psi") == pytest.approx(6894.757293168, rel=1e-12)
+    assert {UNITS[name][1] for name in ("Pa", "kPa", "MPa", "GPa", "psi")} == {"Pa"}
+
+
+def test_a_unit_that_cannot_be_is_refused():
+    assert "deg, rad" in (misfit("rod.laminate.angles", "mm") or "")
+    assert "MPa" in (misfit("rod.laminate.ply.E1", "deg") or "")
+    assert misfit("rod.laminate.thickness", "in") is None
+    assert misfit("rod.laminate.thickness", "none") is None
+    assert misfit("motor.size", "mm") is None
+
+
+def test_lengths_of_files():
+    assert (meters("scale", "in"), meters("scale", 1e-3), meters("scale", "ft")) == (0.0254, 1e-3, 0.3048)
+    for given in ("deg", "inch", 0.0, -1.0, None, math.inf, True):
+        with pytest.raises(InputError, match=r"scale .*allowed: "):
+            meters("scale", given)

@@ -1,0 +1,88 @@
+"""Units by name, where a file or a reader names them: each a multiple of an SI unit.
+
+    UNITS["mm"] = (1e-3, "m")     1 mm = 1e-3 m          UNITS["deg"] = (pi / 180, "rad")
+
+Inside torchmbd everything is in SI units and radians. Sources: the inch is 25.4 mm, the pound 0.45359237 kg, standard
+gravity 9.80665 m/s2, all by definition. Checked in tests/math/test_units.py.
+"""
+
+from __future__ import annotations
+
+import math
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.math.owned import scalar
+
+INCH, FOOT, POUND, GRAVITY = 0.0254, 0.3048, 0.45359237, 9.80665
+NONE = "none"
+
+#: Name -> (its multiple of the SI unit, SI unit); "" is a plain number.
+UNITS: dict[str, tuple[float, str]] = {
+    "deg": (math.pi / 180.0, "rad"),
+    "rad": (1.0, "rad"),
+    "m": (1.0, "m"),
+    "cm": (1e-2, "m"),
+    "mm": (1e-3, "m"),
+    "um": (1e-6, "m"),
+    "in": (INCH, "m"),
+    "ft": (FOOT, "m"),
+    "kg": (1.0, "kg"),
+    "g": (1e-3, "kg"),
+    "t": (1e3, "kg"),
+    "lb": (POUND, "kg"),
+    "s": (1.0, "s"),
+    "ms": (1e-3, "s"),
+    "Hz": (1.0, "Hz"),
+    "N": (1.0, "N"),
+    "kN": (1e3, "N"),
+    "lbf": (POUND * GRAVITY, "N"),
+    "Pa": (1.0, "Pa"),
+    "kPa": (1e3, "Pa"),
+    "MPa": (1e6, "Pa"),
+    "GPa": (1e9, "Pa"),
+    "psi": (POUND * GRAVITY / INCH**2, "Pa"),
+    "kg/m3": (1.0, "kg/m3"),
+    "g/cm3": (1e3, "kg/m3"),
+    "N/m": (1.0, "N/m"),
+    "N/mm": (1e3, "N/m"),
+    "J": (1.0, "J"),
+    "m/s": (1.0, "m/s"),
+    "rad/s": (1.0, "rad/s"),
+    "rpm": (math.pi / 30.0, "rad/s"),
+    NONE: (1.0, ""),
+}
+
+#: What parameters of torchmbd are measured in, by the last part of their names.
+_MODULI = ("E", "E1", "E2", "E3", "G12", "G13", "G23", "Xt", "Xc", "Yt", "Yc", "S12", "S13", "S23")
+QUANTITIES = {"angles": "rad", "thickness": "m", "density": "kg/m3", **dict.fromkeys(_MODULI, "Pa")}
+
+
+def factor(name: str) -> float:
+    """The multiple of the SI unit that a unit is."""
+    return UNITS[name][0]
+
+
+def units_of(si: str) -> list[str]:
+    """The names of the units of a quantity, such as those of "m"."""
+    return [name for name, (_, own) in UNITS.items() if own == si]
+
+
+def misfit(parameter: str, unit: str) -> str | None:
+    """Say why a unit cannot be that of a parameter, None if it can; `none` stands for the SI unit."""
+    si = QUANTITIES.get(parameter.rpartition(".")[2])
+    if si is None or UNITS[unit][1] == si or (unit == NONE):
+        return None
+    return f"allowed for {parameter}: {', '.join(units_of(si))}"
+
+
+def meters(name: str, given: float | str) -> float:
+    """A unit of length as meters: a number > 0, or its name; InputError for anything else."""
+    lengths = units_of("m")
+    if isinstance(given, str):
+        if given not in lengths:
+            raise unknown(name, given, lengths)
+        return factor(given)
+    x = scalar(name, given, f"meters per unit, > 0, or one of {', '.join(lengths)}")
+    if not x > 0.0:
+        raise InputError(f"{name} is {given!r}; allowed: meters per unit, > 0, or one of {', '.join(lengths)}")
+    return x
