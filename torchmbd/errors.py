@@ -9,9 +9,12 @@ import difflib
 import functools
 import inspect
 import sys
+import warnings
 from collections.abc import Callable, Iterable
 from types import ModuleType
 from typing import Any
+
+_INSIDE = ("torchmbd", "torch", "contextlib", "functools")  # packages whose lines are not the user's
 
 
 class MbdError(Exception):
@@ -33,7 +36,13 @@ class InputError(MbdError, ValueError):
 
 
 class ArgumentError(InputError, TypeError):
-    """A function is called with an argument that it does not have, or without one that it needs."""
+    """A function is called with an argument that it does not have, or without one that it needs.
+
+    >>> mbd.sections.tube(0.02, mbd.Ply.isotropic(70e9, 0.3, 2700.0), [0.0], thicknes=1e-3)
+    Traceback (most recent call last):
+        ...
+    torchmbd.errors.ArgumentError: argument 'thicknes' (= 0.001) of tube does not exist; allowed: radius, ply, angles, ...
+    """
 
 
 class SimulationFailure(MbdError):
@@ -66,6 +75,14 @@ def one_of(kind: str, name: object, allowed: Iterable[object]) -> str:
 def unknown(kind: str, name: object, allowed: Iterable[object]) -> InputError:
     """Build the error for a name that does not exist, with the nearest that does."""
     return InputError(f"{kind} {name!r} does not exist{nearest(name, allowed)}")
+
+
+def warn(text: str, category: type[Warning] = UserWarning) -> None:
+    """Warn of something at the line outside of torchmbd (and torch, which calls it back) that led to it."""
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INSIDE:
+        frame, level = frame.f_back, level + 1
+    warnings.warn(text, category, stacklevel=level)
 
 
 @functools.cache

@@ -5,6 +5,7 @@ A row: the call, the argument and its value as the message writes them, and what
 
 from __future__ import annotations
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -223,3 +224,9 @@ def test_errors_of_calls_are_type_errors_as_well_and_errors_inside_stay_what_the
 
     with pytest.raises(TypeError, match=r"^inside$"):
         broken.function(None)
+
+
+def test_warnings_name_the_line_of_the_caller():
+    with pytest.warns(UserWarning, match="units of nodes") as caught:
+        mbd.mesh.rectangle(300.0, 60.0, (1, 1))
+    assert {Path(warning.filename) for warning in caught} == {Path(__file__)}

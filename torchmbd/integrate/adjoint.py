@@ -21,7 +21,6 @@ Source: Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, chapte
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -30,6 +29,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchmbd.errors import warn
 from torchmbd.integrate.native.simd_layout import moving
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.prepared import differentiable, prepare
@@ -156,10 +156,9 @@ class Adjoint:
                 result[name][..., some] = x
             self.error[some] = self.error[some].maximum(error)
         for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
-            warnings.warn(
+            warn(
                 f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
                 "or gradients='forward'",
-                stacklevel=2,
             )
         return result
 

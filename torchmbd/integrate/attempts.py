@@ -8,13 +8,13 @@ Checked in tests/integrate/test_simulate.py.
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchmbd.errors import warn
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.memory import require_room
 from torchmbd.integrate.ode import fastest_vibration
@@ -164,6 +164,6 @@ def _complaint(found: dict[str, float]) -> str:
             f"the steps do not resolve the vibrations of a flexible body (estimated error {100 * found['step_error']:.0f} % of "
             f"the largest): its energies mean little; {found['suggested_steps']:.0f} steps would resolve them"
         )
-        warnings.warn(told, stacklevel=7)
+        warn(told)
         return f"unresolved: {told}"
     return OK

@@ -20,13 +20,12 @@ Checked in tests/math/test_plausible_units.py.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Iterable, Mapping
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 
 EXTENT = (1e-5, 200.0)  # m
 DIMENSION = (1e-6, 20.0)  # m
@@ -63,16 +62,15 @@ def check_parameter(what: str, name: str, values: Tensor) -> None:
         check_angles(name, finite.tolist(), f"{what} ")
     elif kind in _USUAL and bool(finite.any()):
         unit, usual = _USUAL[kind]
-        doubt(f"{what} {name}", float(finite.max()), unit, usual, stacklevel=5)
+        doubt(f"{what} {name}", float(finite.max()), unit, usual)
 
 
-def doubt(name: str, value: float, unit: str, usual: tuple[float, float], stacklevel: int = 3) -> None:
+def doubt(name: str, value: float, unit: str, usual: tuple[float, float]) -> None:
     """Warn, naming argument, value and what is allowed, where a number lies outside of what is usual."""
     if not usual[0] <= value <= usual[1]:
-        warnings.warn(
+        warn(
             f"units of {name}? It is {value:.6g} {unit}; allowed: m, kg, s, N, Pa; usual: {usual[0]:g} to {usual[1]:g} "
-            f"{unit}".rstrip(),
-            stacklevel=stacklevel + 1,
+            f"{unit}".rstrip()
         )
 
 
@@ -82,10 +80,10 @@ def doubt_material(kind: str, moduli: Mapping[str, float], density: float, stren
     softest = min(moduli, key=lambda name: moduli[name])
     high, low = moduli[largest], moduli[softest]
     if not DENSITY[0] <= density <= DENSITY[1]:
-        doubt(f"{kind}: density", density, "kg/m3", DENSITY, stacklevel=5)
+        doubt(f"{kind}: density", density, "kg/m3", DENSITY)
     elif not SOUND[0] <= math.sqrt(high / density) <= SOUND[1]:
         usual = (density * SOUND[0] ** 2, density * SOUND[1] ** 2)
-        doubt(f"{kind}: {largest}", high, "Pa", usual, stacklevel=5)
-    doubt(f"{kind}: {softest}", low, "Pa", (SOFTEST * high, high), stacklevel=5)
+        doubt(f"{kind}: {largest}", high, "Pa", usual)
+    doubt(f"{kind}: {softest}", low, "Pa", (SOFTEST * high, high))
     if strength is not None:
-        doubt(f"{kind}: strength along the fibre", strength, "Pa", (STRAIN * moduli["E1"], math.inf), stacklevel=5)
+        doubt(f"{kind}: strength along the fibre", strength, "Pa", (STRAIN * moduli["E1"], math.inf))

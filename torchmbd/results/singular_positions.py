@@ -10,12 +10,12 @@ Checked in tests/results/test_singular_positions.py: four-bars that fold flat.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from torchmbd.errors import warn
 from torchmbd.multibody.system.rank import RELATIVE, jacobians, lost_rows
 from torchmbd.results.law_faults import laws_at_fault
 from torchmbd.results.motion_data import MotionData
@@ -86,4 +86,4 @@ def explain(motion: MotionData) -> None:
             motion.status[lane] = "; ".join([status, *laws_at_fault(motion, lane), *map(str, near)])
         elif lane in failed_first:
             for near in of_lane(motion, lane):
-                warnings.warn(f"{near}; from there the motion may go on in several ways", stacklevel=4)
+                warn(f"{near}; from there the motion may go on in several ways")

@@ -14,10 +14,11 @@ Checked in tests/validation/test_flexible_benchmarks.py.
 
 from __future__ import annotations
 
-import warnings
 from typing import TYPE_CHECKING
 
 import torch
+
+from torchmbd.errors import warn
 from torch import Tensor
 
 if TYPE_CHECKING:
@@ -43,8 +44,7 @@ def warn_of_spin(motion: Trajectory) -> None:
         known = ratios[ratios.isfinite()]  # not of a motion that failed, nor of a body that nothing holds
         ratio = float(known.max()) if len(known) else 0.0
         if ratio > FAST:
-            warnings.warn(
+            warn(
                 f"body {name!r} turns at {ratio:.1g} of its first frequency: centrifugal stiffening, which linear elastic "
                 f"displacements leave out, is of the size {min(ratio**2, 1.0):.0%} of its deflections",
-                stacklevel=4,
             )

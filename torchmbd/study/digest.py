@@ -15,7 +15,6 @@ from __future__ import annotations
 import enum
 import hashlib
 import sys
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache, cached_property, partial
 from inspect import isgetsetdescriptor, ismemberdescriptor
@@ -25,6 +24,8 @@ from typing import Any
 
 import numpy as np
 import torch
+
+from torchmbd.errors import warn
 
 _ATOMS = (
     enum.Enum,
@@ -153,10 +154,9 @@ class _Walk:
             try:
                 parts = x.__reduce_ex__(2)[1:]
             except (TypeError, RuntimeError):  # Python's and pybind11's word for what cannot be pickled
-                warnings.warn(
+                warn(
                     f"what a {_name(kind)} of the model holds cannot be compared: a change of it goes unnoticed, "
                     "and remembered evaluations are used; allowed: tensors, arrays, numbers, or run --fresh",
-                    stacklevel=2,
                 )
         for part in parts:
             if isinstance(part, dict):

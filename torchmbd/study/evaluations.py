@@ -18,14 +18,13 @@ from __future__ import annotations
 
 import hashlib
 import sqlite3
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from torchmbd.errors import MbdError
+from torchmbd.errors import MbdError, warn
 from torchmbd.optimization import Evaluation
 
 _TABLE = """
@@ -88,9 +87,8 @@ class Evaluations:
         design, gradients, m, status = row
         if numbers and sealed == numbers + self._checksum((design, bool(gradients), m, status), numbers):
             return numbers
-        warnings.warn(
+        warn(
             f"an evaluation in {self.file} was altered after it was written: it is not used, and made again",
-            stacklevel=5,
         )
         return None
 

@@ -12,7 +12,6 @@ Checked in tests/study/test_stored_run.py.
 from __future__ import annotations
 
 import tempfile
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -22,7 +21,7 @@ import numpy as np
 import torch
 
 from torchmbd.design import Problem
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
 from torchmbd.study.assemble import problem_of
@@ -89,10 +88,9 @@ def load_run(run: str, uri: str | None = None, model: Models = ()) -> LoadedStud
         raise InputError(f"run {entry.run_id[:8]} is one of figures; allowed: a study")
     said = entry.tags.get("problem_key")
     if said and said != problem_key(plan):
-        warnings.warn(
+        warn(
             f"{plan.study.model} or what it reads, torchmbd or torch has changed since run {entry.run_id[:8]}: "
             "its numbers may be others now",
-            stacklevel=3,
         )
     x = _insert(plan, design.data, design.source, design.lines)
     return LoadedStudy(entry, plan, x, entry.metrics.get("objective", float("nan")))

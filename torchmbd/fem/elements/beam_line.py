@@ -141,7 +141,7 @@ def _check_nodes(nodes: Tensor) -> None:
     bad = (~torch.isfinite(nodes)).any(dim=1).nonzero().flatten()
     if len(bad):
         raise InputError(f"BeamLine: node {int(bad[0])} is at {nodes[bad[0]].tolist()}; allowed: finite coordinates")
-    doubt("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT, stacklevel=4)
+    doubt("extent of a BeamLine", float((nodes.amax(0) - nodes.amin(0)).norm()), "m", EXTENT)
     twin = _repeated(nodes.numpy())
     if twin:
         raise InputError(

@@ -117,8 +117,8 @@ class Isotropic:
         doubt_material("GivenSection", {"E": own.E}, own.density, None)
         for name in ("Iyy", "Izz", "J"):
             radius = math.sqrt(getattr(own, name) / own.area)
-            doubt(f"GivenSection: area and {name}: radius of gyration", radius, "m", DIMENSION, stacklevel=5)
-        doubt("GivenSection: area", own.area, "m2", (DIMENSION[0] ** 2, DIMENSION[1] ** 2), stacklevel=5)
+            doubt(f"GivenSection: area and {name}: radius of gyration", radius, "m", DIMENSION)
+        doubt("GivenSection: area", own.area, "m2", (DIMENSION[0] ** 2, DIMENSION[1] ** 2))
 
     def stiffness(self) -> Float[Tensor, "*lanes 6 6"]:
         """Stiffness matrix."""

@@ -302,7 +302,7 @@ def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int)
     for k, value in enumerate(t.tolist()):
         if not 0.0 < value < float("inf"):
             raise InputError(f"Laminate: thickness[{k}] = {value!r} m; allowed: a finite number > 0")
-    doubt("Laminate: thickness", float(t.detach().max()), "m", THICKNESS, stacklevel=4)
+    doubt("Laminate: thickness", float(t.detach().max()), "m", THICKNESS)
     return t
 
 

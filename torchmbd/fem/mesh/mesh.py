@@ -89,7 +89,6 @@ class Mesh:
             float((self.nodes.amax(0) - self.nodes.amin(0)).norm()),
             "m",
             EXTENT,
-            stacklevel=4,
         )
 
     def __repr__(self) -> str:

@@ -310,13 +310,13 @@ def _thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np
         raise InputError(f"{t.size} thicknesses for {layers} plies; allowed: one number, or one per ply [m]")
     if not (np.isfinite(t) & (t > 0)).all():
         raise InputError(f"thickness = {thickness!r}; allowed: finite numbers > 0 [m]")
-    doubt("thickness", float(t.max()), "m", THICKNESS, stacklevel=4)
+    doubt("thickness", float(t.max()), "m", THICKNESS)
     return t
 
 
 def _positive(**lengths: float | Tensor) -> None:
     for name, value in lengths.items():
-        doubt(name, positive(name, number(value), "m"), "m", DIMENSION, stacklevel=4)
+        doubt(name, positive(name, number(value), "m"), "m", DIMENSION)
 
 
 def _check_cells(cells: Sequence[int], count: int, order: int) -> None:

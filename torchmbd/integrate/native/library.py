@@ -18,7 +18,6 @@ import ctypes
 import hashlib
 import subprocess
 import tempfile
-import warnings
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -30,7 +29,7 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError, MbdError
+from torchmbd.errors import InputError, MbdError, warn
 from torchmbd.integrate.native import data, functions, simd_layout
 from torchmbd.integrate.native.feedback import CalledLaws, Feedback
 from torchmbd.integrate.native.mechanism import Mechanism
@@ -82,7 +81,7 @@ def resolved(dynamics: Dynamics, backend: str, kind: str | None = "step", also: 
         raise InputError(f"backend is 'native', but {why}; allowed: 'eager' or 'auto'")
     if why is not None and why not in _said:
         _said.add(why)
-        warnings.warn(f"steps are made by operators of torch (backend 'eager'): {why}", stacklevel=2)
+        warn(f"steps are made by operators of torch (backend 'eager'): {why}")
     native = backend != "eager" and wanted(backend) and why is None
     return replace(dynamics, backend="native" if native else "eager")
 
@@ -149,9 +148,7 @@ def library(dynamics: Dynamics, kind: str = "step") -> Library | None:
     _load(known, [kind])
     if name in _failed and name not in _said:
         _said.add(name)
-        warnings.warn(
-            f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}", stacklevel=3
-        )
+        warn(f"native code of the {kind} is not there, operators of torch serve: {_failed[name]}")
     code = _loaded.get(name)
     return None if code is None else Library(code, _mechanism(dynamics.topology, known, kind, code))
 

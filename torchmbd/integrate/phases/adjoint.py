@@ -19,13 +19,13 @@ Checked in tests/sensitivity/test_phase_adjoint.py.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
+from torchmbd.errors import warn
 from torchmbd.integrate.adjoint import POOR, AdjointSolver, Grid, MotionCotangents
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.events import Event
@@ -112,10 +112,9 @@ class PhaseAdjoint:
             for one in lanes:
                 self._entry(record, one, cotangents, rows)
         for lane in torch.nonzero(self.error > POOR)[:, 0].tolist():
-            warnings.warn(
+            warn(
                 f"lane {lane}: the adjoint leaves an error of {float(self.error[lane]):.1e} of its gradients; more steps help, "
                 "or gradients='forward'",
-                stacklevel=2,
             )
         return {one.lane: one.by for one in lanes}
 

@@ -10,7 +10,6 @@ Checked in tests/multibody/bodies/test_from_bdf.py.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +17,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 from torchmbd.fem.elements import Average, BeamMatrices, Beams, Part, Plates, PointMasses, RigidLink
 from torchmbd.fem.mesh import Mesh
 from torchmbd.io.nastran.cards import read_cards
@@ -157,10 +156,9 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
     held = [index[grid] for grid, own in components.items() if own >= set("123456") and grid in index]
     partly = sorted(grid for grid, own in components.items() if not own >= set("123456"))
     if partly:
-        warnings.warn(
+        warn(
             f"supports of single freedoms are left out ({len(partly)} grids, the first is {partly[0]}): "
             "joints hold a body; all six freedoms make a reference",
-            stacklevel=4,
         )
     return held or None
 
@@ -168,4 +166,4 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
 def _warn_ignored(data: BulkData, path: str | Path) -> None:
     if data.ignored:
         cards = ", ".join(f"{name} ({count})" for name, count in sorted(data.ignored.items()))
-        warnings.warn(f"{Path(path).name}: cards that are no structure are left out: {cards}", stacklevel=4)
+        warn(f"{Path(path).name}: cards that are no structure are left out: {cards}")

@@ -12,11 +12,10 @@ Checked in tests/io/nastran/test_data.py.
 from __future__ import annotations
 
 import re
-import warnings
 from collections import Counter
 from dataclasses import dataclass, field
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 from torchmbd.io.nastran.cards import Card
 from torchmbd.io.nastran.systems import Systems
 
@@ -198,9 +197,7 @@ def _mass(card: Card) -> Mass:
     products = [card.real(k, name, 0.0) for k, name in ((10, "I21"), (12, "I31"), (13, "I32"))]
     if any(products) or max(principal) != min(principal):
         mean = sum(principal) / 3.0
-        warnings.warn(
-            f"{card}: inertias {principal}, products {products}; taken as {mean:g} about any axis", stacklevel=2
-        )
+        warn(f"{card}: inertias {principal}, products {products}; taken as {mean:g} about any axis")
     return Mass(card, card.integer(2, "G"), card.real(4, "M"), sum(principal) / 3.0)
 
 

@@ -15,10 +15,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import warnings
 from dataclasses import dataclass
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, unknown, warn
 from torchmbd.fem.elements import BeamSection, GivenSection
 from torchmbd.fem.materials import Laminate, Ply, Strength
 from torchmbd.io.nastran.cards import Card
@@ -102,14 +101,14 @@ def _ply(card: Card, units: Units, weight_to_mass: float) -> Ply:
     for k, name in ((6, "G1Z"), (7, "G2Z")):
         value = card.real(k, name, 0.0) * units.stress
         if value == 0.0:
-            warnings.warn(f"{card}: {name} is blank (infinite in Nastran); taken as G12", stacklevel=2)
+            warn(f"{card}: {name} is blank (infinite in Nastran); taken as G12")
         across.append(value or G12)
     Xt, Yt, S = (card.real(k, name, 0.0) * units.stress for k, name in ((12, "Xt"), (14, "Yt"), (16, "S")))
     Xc, Yc = (card.real(k, name, 0.0) * units.stress or other for k, name, other in ((13, "Xc", Xt), (15, "Yc", Yt)))
     strength = None
     if min(Xt, Xc, Yt, Yc, S) > 0.0:
         if card.real(19, "STRN", 0.0) == 1.0:
-            warnings.warn(f"{card}: allowable strains (STRN = 1) are left out; allowed: stresses", stacklevel=2)
+            warn(f"{card}: allowable strains (STRN = 1) are left out; allowed: stresses")
         else:
             F12 = card.real(18, "F12", 0.0) / units.stress**2
             strength = Strength(Xt, Xc, Yt, Yc, S, interaction=F12 * math.sqrt(Xt * Xc * Yt * Yc))

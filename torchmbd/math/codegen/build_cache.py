@@ -15,9 +15,9 @@ import os
 import re
 import shutil
 import stat
-import warnings
 from pathlib import Path
 
+from torchmbd.errors import warn
 from torchmbd.process import cache_folder
 
 SEAL = b"torchmbd"
@@ -46,7 +46,7 @@ def read(path: Path) -> bytes | None:
     """Return the code of a file; None if it is not there, not the user's (which is said), or broken and so removed."""
     if why := refusal(path.parent) or refusal(path):
         if why not in _said:
-            warnings.warn(f"compiled code is not used: {why}", stacklevel=3)
+            warn(f"compiled code is not used: {why}")
         _said.add(why)
         return None
     try:
@@ -62,7 +62,7 @@ def read(path: Path) -> bytes | None:
 
 def remove(path: Path, why: str) -> None:
     """Remove what cannot be loaded, and say so: it is built again."""
-    warnings.warn(f"compiled library {path} cannot be loaded and is removed: it {why}", stacklevel=4)
+    warn(f"compiled library {path} cannot be loaded and is removed: it {why}")
     path.unlink(missing_ok=True)
 
 

@@ -19,13 +19,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import warnings
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 import torch
 
+from torchmbd.errors import warn
 from torchmbd.math.codegen import build_cache
 from torchmbd.process import cache_folder, require_cache_folder
 
@@ -129,4 +129,4 @@ class Native:
 
     def _fail(self, why: str) -> None:
         self._failed = True
-        warnings.warn(f"{self.source} cannot be compiled, torch does its work more slowly: {why}", stacklevel=4)
+        warn(f"{self.source} cannot be compiled, torch does its work more slowly: {why}")

@@ -12,13 +12,13 @@ Checked in tests/multibody/bodies/test_mesh_quality.py.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchmbd.errors import warn
 from torchmbd.fem.elements import Part, Plates
 from torchmbd.fem.mesh import directed_area
 from torchmbd.math.variable import plain
@@ -33,10 +33,9 @@ def warn_mesh(name: str, parts: Iterable[Part]) -> None:
     """Warn once, naming the worst cell and its figure, if cells are skewed or slender or too coarse for their plies."""
     doubts = [doubt for part in parts if isinstance(part, Plates) for doubt in (*_cells(part), *_plies(part))]
     if doubts:
-        warnings.warn(
+        warn(
             f"mesh of body {name!r}: {'; '.join(doubts)}. Results may be off; compare with a finer mesh, or one of "
             f"better cells (corners of {CORNERS['quad'][0]:g} to {CORNERS['quad'][1]:g} degrees, below {ASPECT:g} : 1)",
-            stacklevel=4,
         )
 
 

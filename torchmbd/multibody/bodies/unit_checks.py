@@ -10,12 +10,12 @@ Checked in tests/multibody/bodies/test_unit_checks.py, tests/math/test_plausible
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterable
 from typing import Any
 
 import torch
 
+from torchmbd.errors import warn
 from torchmbd.fem.elements import Plates
 from torchmbd.fem.mesh import Mesh
 from torchmbd.math.plausible_units import DENSITY, SLENDER, SOUND, doubt
@@ -39,10 +39,9 @@ def warn_units(name: str, mesh: Mesh, plates: Iterable[Plates], structure: Calla
         with torch.no_grad():
             made = structure()
         first = math.sqrt(max(float(torch.linalg.eigvalsh(made["Kr"])[0]), 0.0)) / (2.0 * math.pi)
-        warnings.warn(
+        warn(
             f"units of body {name!r}? {doubts[0]}; it is {size:.3g} m long, weighs {float(made['mass']):.3g} kg, and "
             f"its first frequency is {first:.3g} Hz. Allowed: m, kg, s, N, Pa (readers: units='mm' for mm, t, s, N, MPa)",
-            stacklevel=3,
         )
 
 
@@ -51,7 +50,7 @@ def warn_slender(name: str, mesh: Mesh, plates: Iterable[Plates]) -> None:
     size = _size(mesh)
     for part in plates:
         thickness = float(part.laminate.total_thickness.detach().max())
-        doubt(f"mesh and laminate: thickness of {name!r} by its size", thickness / size, "", SLENDER, stacklevel=4)
+        doubt(f"mesh and laminate: thickness of {name!r} by its size", thickness / size, "", SLENDER)
 
 
 def _size(mesh: Mesh) -> float:

@@ -18,7 +18,6 @@ Checked in tests/multibody/system/, tests/sensitivity/.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -27,7 +26,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 from torchmbd.math.owned import watched
 from torchmbd.math.pair import Pair, cat, linear, slope_of, value
 from torchmbd.multibody.system import equations
@@ -118,10 +117,9 @@ class Dynamics:
         if self.alike is not None and without_modes(self.topology, J):
             ranks[self.topology] = found
         if found.weak:
-            warnings.warn(
+            warn(
                 f"{', '.join(found.weak)}: these rows differ by {100 * found.share:.1g} % of elastic displacement only, "
                 'which stiffens their body falsely; allowed: reduction="craig-bampton" with the nodes of its joints',
-                stacklevel=2,
             )
         return found
 

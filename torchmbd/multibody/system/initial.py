@@ -28,7 +28,6 @@ Checked in tests/multibody/system/test_initial.py.
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -36,7 +35,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 from torchmbd.math.pair import Pair, cat, linear, value
 from torchmbd.math.rotation import euler_parameters
 from torchmbd.multibody.bodies.frame import moves
@@ -193,10 +192,9 @@ class InitialConditions:
                     lost.append((-float(change), f"{kind} of {name!r} given ({own}), starts with ({found}) {unit}"))
         if lost:
             told, more = [text for _, text in sorted(lost)[:_TOLD]], len(lost) - _TOLD
-            warnings.warn(
+            warn(
                 f"the joints do not allow the initial velocities that the bodies were given: {'; '.join(told)}"
                 + (f"; and {more} more" if more > 0 else ""),
-                stacklevel=2,
             )
 
     def _refuse(self, phi: Tensor) -> None:
