@@ -17,9 +17,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from torchmbd.errors import warn
-from torch import Tensor
 
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
