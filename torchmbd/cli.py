@@ -205,10 +205,10 @@ def cache(*, clear: bool = False) -> int:
 
     console = Console()
     for path, size, ready in build_cache.entries():
-        console.print(f"{path.name}  {size / 2**20:6.1f} MiB  {'ready' if ready else 'left over'}")
+        console.print(f"{path.name}  {size / 2**20:6.1f} MiB  {'ready' if ready else 'left over'}", soft_wrap=True)
     if clear:
         build_cache.clear()
-    console.print(f"{'cleared' if clear else 'in'} {cache_folder()}")
+    console.print(f"{'cleared' if clear else 'in'} {cache_folder()}", soft_wrap=True)
     return 0
 
 
@@ -238,7 +238,7 @@ def ui(
     if served is not None and not served.exists():
         raise InputError(f"uri = {store!r}: no study has been here yet; allowed: a store of studies, see torchmbd run")
     if store.startswith(("http:", "https:")):
-        console.print(f"{store} is a server already.")
+        console.print(f"{store} is a server already.", soft_wrap=True)
         print_links(store, store.rstrip("/"), console)
         return 0
     with serving(store, host, port) as server:

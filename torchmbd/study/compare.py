@@ -8,7 +8,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from torchmbd.errors import InputError
-from torchmbd.study.progress import print_table
+from torchmbd.study.progress import give_way, in_lines, print_table
 from torchmbd.tracking.catalog import Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 
@@ -23,21 +23,29 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     store = store_uri(uri)
     entry = find(store, run) if run else next(iter(studies(store)), None)
     if entry is None:
-        console.print(f"No studies yet in {escape(store)}.")
+        console.print(f"No studies yet in {escape(store)}.", soft_wrap=True)
         return
     found = [child for child in children(store, entry) if "objective" in child.metrics][:count]
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
     table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
     for heading in ("", "objective", "less by", *names, "status"):
-        table.add_column(heading, justify="right")
+        table.add_column(escape(in_lines(heading)), justify="right", no_wrap=True)
     for child in found:
         less = child.metrics.get("reduction_percent")
         cells = [child.name, f"{child.metrics['objective']:.6g}", "-" if less is None else f"{less:.2f} %"]
         cells += [f"{child.metrics[name]:z.3f}" if name in child.metrics else "-" for name in names]
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
-    print_table(table, console)
+    if not print_table(table, console, give_way(3, len(names), [-1, 2])):
+        for child in found:
+            values = ", ".join(f"{name} {child.metrics[name]:.6g}" for name in names if name in child.metrics)
+            console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
     model = entry.params.get("model", "").rpartition(":")[0]
-    console.print(f'in Python: torchmbd.load("{entry.run_id[:8]}", model="{model}")', highlight=False, markup=False)
+    console.print(
+        f'in Python: torchmbd.load("{entry.run_id[:8]}", model="{model}")',
+        highlight=False,
+        markup=False,
+        soft_wrap=True,
+    )
 
 
 def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
@@ -46,7 +54,7 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
     first, second = find(store, a), find(store, b)
     table = _table("what differs, and how they ended")
     for heading in ("", f"{first.name} {first.run_id[:8]}", f"{second.name} {second.run_id[:8]}"):
-        table.add_column(escape(heading))
+        table.add_column(escape(heading), overflow="fold")
     for name, left, right in differences(first, second):
         table.add_row(*map(escape, (name, left, right)))
     table.add_section()

@@ -114,7 +114,7 @@ def _bytes(motion: Trajectory) -> float:
 def print_estimate(plan: Plan | FiguresPlan, console: Console) -> None:
     """Print what a valid file is about and what it will cost."""
     if isinstance(plan, FiguresPlan):
-        console.print(f"{plan.file} is valid: figures by {plan.study.figures}", markup=False)
+        console.print(f"{plan.file} is valid: figures by {plan.study.figures}", markup=False, soft_wrap=True)
         return
     store_uri(plan.study.tracking.uri)  # refused here, not when the study is over
     problem = problem_of(plan)

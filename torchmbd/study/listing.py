@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from torchmbd.study.config_index import configs
-from torchmbd.study.progress import print_table
+from torchmbd.study.progress import in_lines, print_table
 from torchmbd.tracking.catalog import Entry, children, studies
 from torchmbd.tracking.links import compare_link, experiment_link, run_link, view_link
 from torchmbd.tracking.store import store_uri
@@ -24,17 +24,14 @@ def print_configs(folder: Path, console: Console) -> None:
     """Print the experiment files below a folder with their questions."""
     found = configs(folder)
     if not found:
-        console.print(f"No experiment files in {escape(str(folder))}.")
+        console.print(f"No experiment files in {escape(str(folder))}.", soft_wrap=True)
         return
     table = Table(title="experiment files", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("file", no_wrap=True)
+    table.add_column("file", overflow="fold")
     table.add_column("question")
     for file, question in found.items():
         table.add_row(escape(str(file)), escape(question))
-    if console.is_terminal:
-        console.print(table)  # a question is broken where the terminal ends
-    else:
-        print_table(table, console)
+    print_table(table, console)
 
 
 def print_studies(uri: str | None, console: Console) -> None:
@@ -42,21 +39,28 @@ def print_studies(uri: str | None, console: Console) -> None:
     store = store_uri(uri)
     found = studies(store)
     if not found:
-        console.print(f"No studies yet in {escape(store)}.")
+        console.print(f"No studies yet in {escape(store)}.", soft_wrap=True)
         return
     table = Table(title=f"studies in {escape(store)}", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for heading in ("experiment", "study", "kind", "began", "took", "status", "best objective", "reduction", "run"):
-        table.add_column(heading, justify="right" if heading in ("took", "best objective", "reduction") else "left")
+        numbers = heading in ("took", "best objective", "reduction")
+        name = heading in ("experiment", "study")
+        table.add_column(
+            in_lines(heading),
+            justify="right" if numbers else "left",
+            no_wrap=not name,
+            overflow="fold" if name else None,
+        )
     for entry in found:
         table.add_row(*map(escape, _cells(entry)))
-    print_table(table, console)
+    print_table(table, console, [2, 4, 0, 7])
 
 
 def print_links(store: str, base: str, console: Console) -> None:
     """Print the links of every experiment and of the latest studies."""
     found = studies(store)
     if not found:
-        console.print(f"{base}  (no studies yet)")
+        console.print(f"{base}  (no studies yet)", soft_wrap=True)
         return
     for experiment_id, name in {entry.experiment_id: entry.experiment for entry in found}.items():
         console.print(f"all runs of {escape(name)}", style="bold")

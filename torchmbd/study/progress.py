@@ -1,7 +1,12 @@
-"""Progress on the terminal: a live table of the starts; one line per iteration where the output is no terminal."""
+"""The terminal: a live table of the starts, and tables that fit it; without a terminal one line per iteration of the best.
+
+Checked in tests/study/test_progress.py.
+"""
 
 from __future__ import annotations
 
+import math
+import textwrap
 import time
 from collections.abc import Sequence
 from types import TracebackType
@@ -18,6 +23,9 @@ if TYPE_CHECKING:
     from torchmbd.optimization.optimizer import Iterate
     from torchmbd.study.columns import Columns
 
+FEASIBLE = 1e-6  # largest violation of a design that counts as feasible
+_HEADING = 14  # characters of a line of a heading
+
 
 class Progress:
     """Shows every iterate of every start; a context manager."""
@@ -27,6 +35,7 @@ class Progress:
         self.latest: list[Iterate | None] = [None] * starts
         self.first: list[float] = [float("nan")] * starts
         self.notes: list[str] = []
+        self._best: Iterate | None = None
         self._began = time.monotonic()
         self._live = Live(console=console, get_renderable=self._table, refresh_per_second=4, transient=True)
 
@@ -43,13 +52,24 @@ class Progress:
         if iterate.iteration == 0:
             self.first[iterate.start] = iterate.objective
         self.latest[iterate.start] = iterate
-        if not self.console.is_terminal:
-            values = "  ".join(f"{value:z8.3f}" for value in self.columns.shown(iterate.x).values())
-            self.console.out(
-                f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:3d}  iteration {iterate.iteration:3d}  "
-                f"objective {iterate.objective:.6g}  violation {iterate.violation:.1e}  {values}",
-                highlight=False,
-            )
+        if self._best is None or _rank(iterate) < _rank(self._best):
+            self._best = iterate
+        if iterate.start == self._best.start and not self.console.is_terminal:
+            self.console.out(self._line(iterate), highlight=False)
+
+    def _line(self, iterate: Iterate) -> str:
+        """An iterate in a line; of its design what fits."""
+        objective, less, violation = outcome(self.first[iterate.start], iterate.objective, iterate.violation)
+        line = (
+            f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:<3d} iteration {iterate.iteration:<3d} "
+            f"objective {objective}  less by {less}"
+        )
+        line += f"  violation {violation}" if iterate.violation else ""
+        for value in self.columns.shown(iterate.x).values():
+            if len(line) + 10 > self.console.width:
+                break
+            line += f"  {value:z8.3f}"
+        return line
 
     def note(self, text: str) -> None:
         """Say something once, above the table."""
@@ -59,8 +79,8 @@ class Progress:
 
     def _table(self) -> Table:
         title = f"{self.title}   {time.monotonic() - self._began:.0f} s"
-        headings = self.columns.headings
-        table = table_of(title, ["start", "iter", "objective", "less by", "viol.", *headings, "sims"])
+        own, headings = ["start", "iter", "objective", "less by", "viol."], self.columns.headings
+        table = table_of(title, [*own, *headings, "sims"])
         for start, iterate in enumerate(self.latest):
             if iterate is None:
                 table.add_row(str(start), "-")
@@ -68,29 +88,80 @@ class Progress:
             values = [f"{value:z.2f}" for value in self.columns.shown(iterate.x).values()]
             numbers = outcome(self.first[start], iterate.objective, iterate.violation)
             table.add_row(str(start), str(iterate.iteration), *numbers, *values, str(iterate.analyses))
-        return table
+        return narrowed(table, self.console, give_way(len(own), len(headings), [-1, 4, 3]))
+
+
+def _rank(iterate: Iterate) -> tuple[float, float]:
+    """Feasible iterates by their objectives, before all others by their violations; a failed one is the last."""
+    if iterate.status != "ok":
+        return math.inf, math.inf
+    return (0.0, iterate.objective) if iterate.violation <= FEASIBLE else (iterate.violation, iterate.objective)
 
 
 def table_of(title: str, headings: Sequence[str]) -> Table:
     """Return an empty table of numbers."""
     table = Table(title=escape(title), title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
     for heading in headings:
-        words = heading.replace(" [", "\n[")  # the unit below the name: columns of numbers are narrow
-        table.add_column(escape(words), justify="right", no_wrap=True)
+        table.add_column(escape(in_lines(heading)), justify="right", no_wrap=True)
     return table
 
 
-def print_table(table: Table, console: Console) -> None:
-    """Print a table as wide as it is: a terminal may break its lines, but no number is cut."""
+def in_lines(heading: str) -> str:
+    """A heading in short lines, its unit below: columns of numbers are narrow."""
+    name, bracket, unit = heading.partition(" [")
+    lines = textwrap.wrap(name, _HEADING, break_long_words=False)
+    return "\n".join([*lines, f"[{unit}"] if bracket else lines)
+
+
+def give_way(first: int, count: int, then: Sequence[int] = ()) -> list[int]:
+    """Columns in the order in which they give way: `count` from `first` on, the last of them first; `then` others."""
+    return [*range(first + count - 1, first - 1, -1), *then]
+
+
+def narrowed(table: Table, console: Console, optional: Sequence[int] = ()) -> Table:
+    """The table without those of its columns that find no room; `optional`: which, in the order in which they give way."""
+    left = list(range(len(table.columns)))
+    part = table
+    for index in (k % len(table.columns) for k in optional):
+        if _width(part, console) <= console.width:
+            break
+        left.remove(index)
+        part = _part(table, left)
+    return part
+
+
+def _width(table: Table, console: Console) -> int:
+    return Measurement.get(console, console.options.update(width=1000), table).maximum
+
+
+def _part(table: Table, left: Sequence[int]) -> Table:
+    """Some columns of a table, with dots for those that are left out."""
+    part = Table(title=table.title, title_justify="left", box=table.box, pad_edge=False, padding=table.padding)
+    gap = next(k for k in range(len(table.columns)) if k not in left)
+    shown = sorted([*left, gap])
+    for k in shown:
+        column = table.columns[k]
+        heading = "..." if k == gap else column.header
+        part.add_column(heading, justify=column.justify, no_wrap=column.no_wrap, overflow=column.overflow)
+    cells = [list(table.columns[k].cells) for k in shown]
+    for row, line in enumerate(zip(*cells, strict=True)):
+        style, section = table.rows[row].style, table.rows[row].end_section
+        part.add_row(
+            *("..." if k == gap else x for k, x in zip(shown, line, strict=True)), style=style, end_section=section
+        )
+    return part
+
+
+def print_table(table: Table, console: Console, optional: Sequence[int] = ()) -> bool:
+    """Print a table in the width of the terminal, columns as in `narrowed`; return whether all of them are there."""
     title, table.title = table.title, None  # a title inside is broken to the table's width
-    console.print(title, style="italic")
-    needed = Measurement.get(console, console.options.update(width=1000), table).maximum
-    if needed > console.width:
-        console = Console(file=console.file, width=needed, force_terminal=console.is_terminal)
-    console.print(table)
+    console.print(title, style="italic", soft_wrap=True)
+    part = narrowed(table, console, optional)
+    console.print(part)
+    return part is table
 
 
 def outcome(first: float, objective: float, violation: float) -> list[str]:
     """Return the cells objective, reduction from the start, violation."""
-    less = f"{100.0 * (1.0 - objective / first):.2f} %" if first else "-"
+    less = f"{100.0 * (first - objective) / abs(first):.2f} %" if first else "-"
     return [f"{objective:.6g}", less, f"{violation:.0e}" if violation else "0"]

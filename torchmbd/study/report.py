@@ -16,7 +16,7 @@ from torchmbd.errors import MbdError
 from torchmbd.optimization import Study
 from torchmbd.study.journal import Journal
 from torchmbd.study.load import Plan
-from torchmbd.study.progress import outcome, print_table, table_of
+from torchmbd.study.progress import FEASIBLE, give_way, outcome, print_table, table_of
 from torchmbd.viz import animate, convergence, design_map, energy_over_time, save
 
 
@@ -28,13 +28,15 @@ def print_results(plan: Plan, study: Study, failures: Sequence[str], console: Co
     columns = ["start", "objective", "less by", "viol.", *plan.columns.headings, "iter", "sims", "status"]
     table = table_of(f"{plan.name}: {len(study.results)} starts, {study.converged} converged", columns)
     best = study.best
-    for result in sorted(study.results, key=lambda r: (not r.violation <= 1e-6, r.value)):
+    for result in sorted(study.results, key=lambda r: (not r.violation <= FEASIBLE, r.value)):
         first = result.history[0].objective if result.history else float("nan")
         angles = [f"{value:z.2f}" for value in plan.columns.shown(result.x).values()]
         cells = [str(result.start), *outcome(first, result.value, result.violation), *angles]
         cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
         table.add_row(*cells, style="bold" if best is not None and result.start == best.start else None)
-    print_table(table, console)
+    angles = give_way(4, len(plan.columns.names), [-2, 3, -3, 2])
+    if not print_table(table, console, angles) and best is not None:
+        console.print(f"best design: {plan.columns.sentence(best.x)}", soft_wrap=True, highlight=False)
     if failures:
         last = f"the last: {escape(failures[-1])}"
         console.print(
@@ -79,7 +81,7 @@ def draw(
         for name in files:
             journal.file(save(drawn, journal.folder / name), "figures")
     except Exception as error:  # matplotlib's, the disk's: no picture costs a result
-        console.print(f"No picture: {escape(str(error) or type(error).__name__)}", style="red")
+        console.print(f"No picture: {escape(str(error) or type(error).__name__)}", style="red", soft_wrap=True)
 
 
 @contextmanager
@@ -88,7 +90,7 @@ def no_picture_costs_a_result(console: Console) -> Iterator[None]:
     try:
         yield
     except (MbdError, OSError) as error:
-        console.print(f"No picture: {escape(str(error))}", style="red")
+        console.print(f"No picture: {escape(str(error))}", style="red", soft_wrap=True)
 
 
 def _map(plan: Plan, study: Study, visited: Visited) -> dict[str, Any]:

@@ -95,7 +95,7 @@ def run_plan(
             record = close(tracker, study, console)
         for what, trouble in (("The last evaluations are not on disk", store.trouble), ("A file", journal.trouble)):
             if trouble:
-                console.print(f"{what}: {escape(trouble)}", style="red")
+                console.print(f"{what}: {escape(trouble)}", style="red", soft_wrap=True)
         known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known"
         since = f"{time.monotonic() - began:.1f} s{known if remembered.known else ''}"
         return conclude(plan, "sweep" if plan.study.sweep else "study", status, since, record, study, console)
@@ -203,15 +203,17 @@ def conclude(
     console: Console,
 ) -> int:
     """Say how it ended and where to look at it; return the exit code. A study that has finished is gone on with no more."""
-    console.print(f"{escape(plan.name)}: {status.lower()} after {since}")
+    console.print(f"{escape(plan.name)}: {status.lower()} after {since}", soft_wrap=True)
     if record is None:
         return 1
     if PARENT in record.runs:
         print_run_links(record, kind, status, console)
+    if status == "KILLED" and study is not None:
+        console.print(f"to go on with it: {study.command}", soft_wrap=True, highlight=False, markup=False)
     if status == "FINISHED" and study is not None:
         study.conclude()
     if waiting := unsent():
-        console.print(f"{len(waiting)} earlier studies are not in their tracking store: torchmbd sync")
+        console.print(f"{len(waiting)} earlier studies are not in their tracking store: torchmbd sync", soft_wrap=True)
     return EXIT[status]
 
 

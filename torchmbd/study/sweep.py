@@ -19,7 +19,7 @@ from torchmbd.optimization import Evaluation
 from torchmbd.study.check import swept_index
 from torchmbd.study.journal import Journal, child
 from torchmbd.study.load import Plan
-from torchmbd.study.progress import print_table, table_of
+from torchmbd.study.progress import give_way, print_table, table_of
 from torchmbd.study.report import draw, no_picture_costs_a_result
 from torchmbd.tracking import Status
 from torchmbd.viz import criterion
@@ -49,7 +49,7 @@ def run_sweep(
         parts = np.array_split(designs, math.ceil(len(designs) / _BETWEEN))
         first, *evaluations = [evaluation for part in parts for evaluation in evaluate(part, False)]
     if first.status != "ok":
-        console.print(f"The start design cannot be evaluated: {escape(first.status)}", style="red")
+        console.print(f"The start design cannot be evaluated: {escape(first.status)}", style="red", soft_wrap=True)
         return "FAILED"
     for k, (x, evaluation) in enumerate(zip(X, evaluations, strict=True)):
         _file_point(journal, k, x, evaluation, first)
@@ -109,7 +109,7 @@ def _show(
     for k, value in enumerate(values):
         cells = [f"{ratios[k]:.4f}" if math.isfinite(ratios[k]) else "failed" for ratios in criteria.values()]
         table.add_row(f"{value:.2f}", *cells, style="bold" if k == best else None)
-    print_table(table, console)
+    print_table(table, console, give_way(2, len(criteria) - 1))
     with no_picture_costs_a_result(console):
         file = journal.folder / "sweep.csv"
         with file.open("w", newline="", encoding="utf-8") as out:

@@ -14,6 +14,8 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
+import os
+import shlex
 import shutil
 import uuid
 from collections.abc import Iterator
@@ -37,6 +39,11 @@ class Unfinished:
     uri: str
     id: str
     sent: bool = False
+
+    @property
+    def command(self) -> str:
+        """What goes on with it."""
+        return shlex.join(["torchmbd", "run", os.path.relpath(self.file), *self.overrides])
 
     def told(self) -> None:
         """Everything that was told so far is in the store."""

@@ -1,0 +1,93 @@
+"""What the terminal shows: tables in its width, one line per iteration of the best where there is no terminal."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from torchmbd.optimization.optimizer import Iterate
+from torchmbd.study.columns import Columns
+from torchmbd.study.progress import Progress, give_way, in_lines, print_table, table_of
+
+ANGLES = 8
+NAMES = tuple(f"angle_{k + 1}_deg" for k in range(ANGLES))
+COLUMNS = Columns(tuple(f"arm.angles[{k}]" for k in range(ANGLES)), NAMES, ("deg",) * ANGLES, np.ones(ANGLES))
+
+
+def console(width: int = 80, terminal: bool = False) -> tuple[Console, io.StringIO]:
+    output = io.StringIO()
+    return Console(file=output, width=width, force_terminal=terminal, color_system=None, no_color=True), output
+
+
+def iterate(start: int, iteration: int, objective: float, violation: float = 0.0, status: str = "ok") -> Iterate:
+    x, none = np.full(ANGLES, -123.456), np.zeros(0)
+    return Iterate(start, iteration, x, objective, violation, none, iteration + 1, status)
+
+
+def table() -> Any:
+    headings = ["start", "objective", "less by", "viol.", *COLUMNS.headings, "iter", "sims", "status"]
+    found = table_of("a study of a long name: 2 starts, 1 of them converged, and its title goes on [x]", headings)
+    for k in range(2):
+        angles = ["-123.46"] * ANGLES
+        found.add_row(str(k), "0.0123456", "12.34 %", "1e-03", *angles, "123", "1234", "max iterations", style="bold")
+    return found
+
+
+@pytest.mark.parametrize("width", [60, 80, 100])
+def test_angles_give_way_before_objective_and_iteration(width):
+    target, output = console(width)
+    assert not print_table(table(), target, give_way(4, ANGLES, [-2, 3, -3, 2]))
+    title, *lines = output.getvalue().splitlines()
+    assert title.endswith("goes on [x]")  # in one line, however long
+    assert max(len(line.rstrip()) for line in lines) <= width
+    text = "\n".join(lines)
+    assert text.count("0.0123456") == text.count("max iterations") == 2
+    assert text.count("...") == 3
+    assert "angle 8" not in text
+
+
+def test_a_table_that_fits_is_whole():
+    target, output = console(200)
+    assert print_table(table(), target, give_way(4, ANGLES))
+    assert output.getvalue().count("-123.46") == 2 * ANGLES
+
+
+def test_headings_are_narrow():
+    assert in_lines("angle 1 [deg]") == "angle 1\n[deg]"
+    assert in_lines("integral of strain energy of rod [J s]") == "integral of\nstrain energy\nof rod\n[J s]"
+
+
+def test_without_a_terminal_the_best_has_a_line_per_iteration():
+    target, output = console()
+    told = [
+        iterate(0, 0, 4.0),
+        iterate(1, 0, 5.0),
+        iterate(0, 1, 3.0),
+        iterate(1, 1, 1.0, violation=0.1),  # not feasible
+        iterate(1, 2, 2.0),
+        iterate(0, 2, 2.5),
+        iterate(1, 3, 1.5),
+        iterate(0, 3, 0.1, status="failed"),
+    ]
+    with Progress(COLUMNS, 2, "study", target) as progress:
+        for one in told:
+            progress.iterate(one)
+    lines = output.getvalue().splitlines()
+    assert [float(line.split("objective ")[1].split()[0]) for line in lines] == [4.0, 3.0, 2.0, 1.5]
+    assert all(len(line) <= 80 for line in lines)
+    assert "less by 70.00 %" in lines[-1]
+
+
+def test_the_live_table_fits():
+    target, output = console(terminal=True)
+    progress = Progress(COLUMNS, 2, "study", target)
+    for k in range(3):
+        progress.iterate(iterate(0, k, 10.0 - k))
+    target.print(progress._table())
+    lines = output.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert "objective" in output.getvalue()
