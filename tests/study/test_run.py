@@ -127,8 +127,8 @@ def test_pictures_are_filed(study):
 
 def test_the_terminal_shows_iterations_table_and_links(study):
     lines = study.output.splitlines()
-    first = next(line for line in lines if "iteration   0" in line)
-    assert "start   0" in first
+    first = next(line for line in lines if "iteration 0" in line)
+    assert "start 0" in first
     assert "45.000   -45.000" in first
     table = "\n".join(lines[lines.index(next(line for line in lines if "2 starts" in line)) :])
     for child in study.children:

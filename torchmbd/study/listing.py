@@ -41,7 +41,7 @@ def print_studies(uri: str | None, console: Console) -> None:
     if not found:
         console.print(f"No studies yet in {escape(store)}.", soft_wrap=True)
         return
-    table = Table(title=f"studies in {escape(store)}", title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
+    table = Table(title=f"studies in {escape(store)}", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
     for heading in ("experiment", "study", "kind", "began", "took", "status", "best objective", "reduction", "run"):
         numbers = heading in ("took", "best objective", "reduction")
         name = heading in ("experiment", "study")
@@ -49,7 +49,7 @@ def print_studies(uri: str | None, console: Console) -> None:
             in_lines(heading),
             justify="right" if numbers else "left",
             no_wrap=not name,
-            overflow="fold" if name else None,
+            overflow="fold" if name else "ellipsis",
         )
     for entry in found:
         table.add_row(*map(escape, _cells(entry)))
@@ -98,7 +98,7 @@ def _cells(entry: Entry) -> list[str]:
         entry.experiment,
         entry.name,
         entry.kind,
-        f"{entry.began:%Y-%m-%d %H:%M}",
+        f"{entry.began:%d %b %H:%M}",
         "-" if entry.seconds is None else f"{entry.seconds:.0f} s",
         entry.status.lower(),
         number("best_objective", "{:.6g}"),
