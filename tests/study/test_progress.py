@@ -58,7 +58,7 @@ def test_a_table_that_fits_is_whole():
 
 def test_headings_are_narrow():
     assert in_lines("angle 1 [deg]") == "angle 1\n[deg]"
-    assert in_lines("integral of strain energy of rod [J s]") == "integral of\nstrain energy\nof rod\n[J s]"
+    assert in_lines("integral of strain energy of rod [J s]") == "integral of\nstrain\nenergy of\nrod\n[J s]"
 
 
 def test_without_a_terminal_the_best_has_a_line_per_iteration():

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from torchmbd.study.columns import Columns
 
 FEASIBLE = 1e-6  # largest violation of a design that counts as feasible
-_HEADING = 14  # characters of a line of a heading
+_HEADING = 12  # characters of a line of a heading
 
 
 class Progress:
