@@ -43,13 +43,14 @@ from torchmbd.design import (
 )
 from torchmbd.design.differences import Differences
 from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
+from torchmbd.design.fibers import FiberCurvature, FiberDivergence
 from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.rainflow import rainflow
 from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, name_arguments
 from torchmbd.fem import mesh, sections
-from torchmbd.fem.elements import BeamLine, GivenSection
+from torchmbd.fem.elements import BeamLine, FiberField, GivenSection, SteeredLaminate
 from torchmbd.fem.materials import Laminate, Ply, SNCurve, Strength
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
@@ -167,6 +168,9 @@ __all__ = [
     "EquivalentLoad",
     "Event",
     "FatigueDamage",
+    "FiberCurvature",
+    "FiberDivergence",
+    "FiberField",
     "Final",
     "Fixed",
     "FlexibleBody",
@@ -213,6 +217,7 @@ __all__ = [
     "SmoothStep",
     "Spherical",
     "SpringDamper",
+    "SteeredLaminate",
     "StrainEnergy",
     "Strength",
     "System",

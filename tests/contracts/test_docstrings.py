@@ -48,4 +48,4 @@ RESPONSES = [name for name in NAMES if inspect.isclass(x := getattr(api, name)) 
 def test_responses_tell_their_shape_and_unit(name):
     doc = getattr(api, name).__doc__
     assert re.search(r"\[lanes(, \w+)?\]", doc)
-    assert re.search(r"\[(m|s|m/s|m/s2|J|N|Pa|Hz|kg|rad|-)\]|\bunits?\b", doc)
+    assert re.search(r"\[(m|1/m|s|m/s|m/s2|J|N|Pa|Hz|kg|rad|-)\]|\bunits?\b", doc)

@@ -53,6 +53,9 @@ def test_the_mesh(tmp_path):
     assert_array_equal(found["types"], 9)
     assert_array_equal(found["laminate"], 0)
     assert_allclose(found["laminate_x"], np.tile([1.0, 0.0, 0.0], (body.mesh.cell_count, 1)), atol=1e-15)
+    for k, theta in enumerate(body.laminate.angles.tolist()):
+        wanted = np.tile([np.cos(theta), np.sin(theta), 0.0], (body.mesh.cell_count, 1))
+        assert_allclose(found[f"fiber_{k + 1}"], wanted, atol=1e-15)
 
 
 def test_a_mesh_of_both_kinds(tmp_path):

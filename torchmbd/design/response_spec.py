@@ -40,6 +40,8 @@ UNITS = {
     "frequencies": "Hz",
     "mass": "kg",
     "fatigue_damage": "",
+    "fiber_curvature": "1/m",
+    "fiber_divergence": "1/m",
 }
 Path = tuple[str | int, ...]
 

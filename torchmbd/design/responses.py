@@ -12,6 +12,7 @@ from __future__ import annotations
 from torchmbd.design.angle import Angle
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.fatigue import EquivalentLoad, FatigueDamage
+from torchmbd.design.fibers import FiberCurvature, FiberDivergence
 from torchmbd.design.histories import (
     Acceleration,
     Displacement,
@@ -68,4 +69,6 @@ OF_DESIGN: dict[str, type[Measure]] = {
     "frequencies": Frequencies,
     "mass": Mass,
     "fatigue_damage": FatigueDamage,
+    "fiber_curvature": FiberCurvature,
+    "fiber_divergence": FiberDivergence,
 }

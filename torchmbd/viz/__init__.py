@@ -7,6 +7,7 @@
 
 from torchmbd.viz.animation import animate
 from torchmbd.viz.design_map import design_map
+from torchmbd.viz.fiber_paths import fiber_paths
 from torchmbd.viz.figures import convergence, criterion, energy_over_time, save
 from torchmbd.viz.film import film
 from torchmbd.viz.vtu import save_mesh, save_modes, save_motion
@@ -17,6 +18,7 @@ __all__ = [
     "criterion",
     "design_map",
     "energy_over_time",
+    "fiber_paths",
     "film",
     "save",
     "save_mesh",

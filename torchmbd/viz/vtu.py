@@ -1,6 +1,7 @@
 """Meshes, modes and motions for ParaView: VTU files, and a PVD file that strings them along the time.
 
-    save_mesh(body, "rod.vtu")            the undeformed mesh, with the direction and zone of the laminates
+    save_mesh(body, "rod.vtu")            the undeformed mesh, with the zone and x-axis of the laminates, and
+                                          the fibers of each layer
     save_modes(body, "modes.vtu")         one vector field for each mode: warp by it
     save_motion(motion, "motion.pvd")     every body at every frame; the frames lie in a folder beside it
 
@@ -15,7 +16,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
@@ -46,8 +47,20 @@ def save_mesh(body: Any, path: str | Path) -> Path:
         zone, axis = np.full(_cell_count(mesh), -1, dtype=np.int64), np.zeros((_cell_count(mesh), 3))
         for k, part in enumerate(plates.values()):
             zone[part.matrices.members], axis[part.matrices.members] = k, part.matrices.axes[:, 0]
-        fields = {"laminate": zone, "laminate_x": axis}
+        fields = {"laminate": zone, "laminate_x": axis} | _fibers(mesh, plates.values())
     return write_vtu(path, mesh.nodes, _cells(mesh), cell_data=fields)
+
+
+def _fibers(mesh: Any, plates: Iterable[Any]) -> dict[str, np.ndarray]:
+    """Direction of the fibers of each layer from the bottom, "fiber_1", ...; zero where a cell has fewer layers."""
+    fields: dict[str, np.ndarray] = {}
+    for part in plates:
+        angles, matrices = part.laminate.layer_angles.detach(), part.matrices
+        for k, theta in enumerate(angles.unbind(-1)):
+            own = (theta[matrices.zones] if theta.ndim else theta)[..., None]
+            direction = own.cos() * matrices.axes[:, 0] + own.sin() * matrices.axes[:, 1]
+            fields.setdefault(f"fiber_{k + 1}", np.zeros((_cell_count(mesh), 3)))[matrices.members] = direction
+    return fields
 
 
 def save_modes(body: Any, path: str | Path) -> Path:

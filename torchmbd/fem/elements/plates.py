@@ -27,6 +27,7 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.facet import laid
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.fem.elements.plate import PlateMatrices
+from torchmbd.fem.elements.steered_laminate import SteeredLaminate
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import Mesh
 from torchmbd.math.gradients import constants
@@ -64,11 +65,16 @@ class Plates:
                 raise InputError(f"laminate of a plate is {one!r}; allowed: a Laminate")
         self.mesh, self._zones = mesh, zones
         self.cells = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
+        steered = self.laminates[0]
+        if isinstance(steered, SteeredLaminate):
+            self._zones = steered.zones(mesh, self.cells)
 
     @property
     def laminate(self) -> Laminate:
-        """The only laminate, or all of them side by side."""
-        return self.laminates[0] if self._zones is None else Laminate.side_by_side(self.laminates)
+        """The only laminate, or all of them as one."""
+        first = self.laminates[0]
+        alone = self._zones is None or isinstance(first, SteeredLaminate)
+        return first if alone else Laminate.side_by_side(self.laminates)
 
     @property
     def kind(self) -> tuple:
@@ -78,7 +84,7 @@ class Plates:
     @cached_property
     def matrices(self) -> PlateMatrices:
         """What the cells contribute."""
-        return PlateMatrices(self.mesh, self.laminates[0], self.direction, self.cells, self._zones)
+        return PlateMatrices(self.mesh, self.laminates[0].typical, self.direction, self.cells, self._zones)
 
     @property
     def pattern(self) -> Pattern:

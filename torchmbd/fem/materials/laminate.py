@@ -135,6 +135,11 @@ class Laminate(nn.Module):
             return (id(self),)
         return self.plies, self.symmetric, self.shear_correction, tuple(self.thickness.tolist())
 
+    @property
+    def typical(self) -> Laminate:
+        """The laminate that elements take their constants from."""
+        return self
+
     @staticmethod
     def side_by_side(laminates: Sequence[Laminate]) -> Laminate:
         """Laminates with the same plies as one, whose parameters have an axis more: [*lanes, laminates, layers]."""
@@ -175,6 +180,11 @@ class Laminate(nn.Module):
         return self._stack(self.angles)
 
     @property
+    def layer_thickness(self) -> Float[Tensor, "*lanes all_layers"]:
+        """Thickness of every layer, both halves of a symmetric stack [m]."""
+        return self._stack(self.thickness)
+
+    @property
     def layer_plies(self) -> tuple[Ply, ...]:
         """Ply of every layer, both halves of a symmetric stack."""
         plies = self.plies
@@ -197,14 +207,14 @@ class Laminate(nn.Module):
     @property
     def faces(self) -> Float[Tensor, "*lanes all_layers 2"]:
         """Heights of the bottom and the top of every layer [m]."""
-        t = self._stack(self.thickness)
+        t = self.layer_thickness
         top = t.cumsum(-1) - 0.5 * t.sum(-1, keepdim=True)
         return torch.stack([top - t, top], dim=-1)
 
     @property
     def total_thickness(self) -> Float[Tensor, "*lanes"]:
         """Height h of the whole stack, both halves of a symmetric one [m]."""
-        return self._stack(self.thickness).sum(-1)
+        return self.layer_thickness.sum(-1)
 
     @property
     def mass_per_area(self) -> Float[Tensor, "*lanes"]:
@@ -243,7 +253,7 @@ class Laminate(nn.Module):
     def _moments(self) -> tuple[Tensor, Tensor, Tensor]:
         """Integrals of 1, z, z^2 over each layer [m, m2, m3], shape [..., layers]."""
         bottom, top = self.faces.unbind(-1)
-        return self._stack(self.thickness), (top**2 - bottom**2) / 2.0, (top**3 - bottom**3) / 3.0
+        return self.layer_thickness, (top**2 - bottom**2) / 2.0, (top**3 - bottom**3) / 3.0
 
 
 def _constants_of(plies: Sequence[Ply]) -> Float[Tensor, "*lanes layers 14"]:

@@ -1,0 +1,121 @@
+"""What a layup machine asks of steered fibers: curvature and divergence of their paths, as limits of a design.
+
+    mbd.FiberCurvature("rod") <= 1 / 0.4            steering radius of at least 0.4 m
+    mbd.FiberDivergence("rod") <= 0.5               neighboring paths drift apart by at most 5 % in 0.1 m
+
+The largest absolute value over the n cells and layers (fem/elements/steered_laminate.py). Exact, it has corners where its
+place changes. With a power p it is the p-norm, which is smooth, and too large by at most the factor n^(1/p):
+
+    (sum_i |x_i|^p)^(1/p)
+
+Checked in tests/design/test_fibers.py and tests/sensitivity/test_fiber_variables.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.design.response import Measure
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import FiberPaths, SteeredLaminate
+from torchmbd.integrate import Trajectory
+from torchmbd.math.module_call import call_module
+from torchmbd.math.owned import scalar
+from torchmbd.multibody.system import System
+
+
+@dataclass(frozen=True)
+class _OfPaths(Measure):
+    body: str
+    power: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.power is not None and scalar("power", self.power, "a number of at least 2, or None") < 2.0:
+            raise InputError(f"power is {self.power!r}; allowed: a number of at least 2, or None for the exact largest")
+
+    def check(self, system: System) -> None:
+        steered(system, self.body)
+
+    def value(self, motion: Trajectory) -> Tensor:
+        steered(motion.system, self.body)
+        designs = {f"system.{key}": x for key, x in motion.designs.items()}
+        found = call_module(_Paths(motion.system, self.body), designs)
+        x = torch.cat([self.values_of(paths).flatten(-2) for paths in found], -1)
+        largest = x.abs().amax(-1)
+        return (largest if self.power is None else _norm(x, largest.detach(), self.power)).expand(motion.lanes)
+
+    def values_of(self, paths: FiberPaths) -> Tensor:
+        """The values [..., cells, layers]."""
+        raise NotImplementedError(type(self).__name__)
+
+
+@dataclass(frozen=True)
+class FiberCurvature(_OfPaths):
+    """Largest curvature of the fiber paths of a body with steered laminates [lanes] [1/m], one over the steering radius.
+
+    body   its name
+    power  None: exact; a number p of at least 2: smooth, the p-norm over cells and layers
+
+    >>> motion = mbd.simulate(mbd.examples.arm(controls=(3, 2)), 0.01, steps=4)
+    >>> value, gradient = mbd.FiberCurvature("arm").value_and_gradient(motion)
+    >>> value.item(), gradient.shape  # straight at the start; 6 controls of 2 layers
+    (0.0, torch.Size([1, 12]))
+    """
+
+    def values_of(self, paths: FiberPaths) -> Tensor:
+        return paths.curvature
+
+
+@dataclass(frozen=True)
+class FiberDivergence(_OfPaths):
+    """Largest relative growth of the distance of neighboring fiber paths, along them [lanes] [1/m]; gaps and overlaps.
+
+    body   its name
+    power  None: exact; a number p of at least 2: smooth, the p-norm over cells and layers
+
+    >>> motion = mbd.simulate(mbd.examples.arm(controls=(3, 2)), 0.01, steps=4)
+    >>> round(mbd.FiberDivergence("arm")(motion).item(), 3)
+    0.0
+    """
+
+    def values_of(self, paths: FiberPaths) -> Tensor:
+        return paths.divergence
+
+
+def steered(system: System, name: str) -> list[Any]:
+    """The parts of a body whose laminates are steered; InputError where there are none."""
+    body = system.body(name)
+    parts = [part for part in getattr(body, "plates", {}).values() if isinstance(part.laminate, SteeredLaminate)]
+    if not parts:
+        raise InputError(f"body {name!r} has no steered laminate; allowed here: a plate of mbd.SteeredLaminate(...)")
+    return parts
+
+
+class _Paths(nn.Module):
+    """Paths as a module of the whole system, so that designs go by their names."""
+
+    system: Any
+
+    def __init__(self, system: nn.Module, name: str):
+        super().__init__()
+        self.system, self.name = system, name
+
+    def forward(self) -> list[FiberPaths]:
+        found = []
+        for part in steered(self.system, self.name):
+            matrices = part.matrices
+            axes = torch.empty_like(matrices.axes)
+            axes[matrices.zones] = matrices.axes  # from the order of the elements to that of the field
+            found.append(part.laminate.paths(axes))
+        return found
+
+
+def _norm(x: Tensor, scale: Tensor, power: float) -> Tensor:
+    """The p-norm; numbers are scaled, so that none overflows. Of zeros it is zero, and so are its derivatives."""
+    m = scale.clamp(min=torch.finfo(x.dtype).tiny)
+    total = ((x / m[..., None]).abs() ** power).sum(-1)
+    return m * torch.where(total > 0.0, total, 1.0) ** (1.0 / power) * (total > 0.0)
