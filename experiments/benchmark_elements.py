@@ -61,7 +61,9 @@ def plate(kind: str) -> tuple[int, float, float]:
 
 
 def published() -> None:
-    """Print one line for each problem, quantity and kind."""
+    """Print one line for each problem and quantity."""
+    print("computed / reference, on the usual mesh and on meshes twice and four times as fine")
+    print(f"{'problem: quantity':44s}" + "   ".join(f"{kind:19s}" for kind in ELEMENTS))
     for name, problem in PROBLEMS.items():
         found = {kind: [problem(kind, n) for n in (1, 2, 4)] for kind in ELEMENTS}
         for quantity in found["triangle"][0]:
@@ -88,6 +90,8 @@ def dkmq(corners: Tensor, points: Bilinear, mean: IsotropicMean, *_: object) -> 
 def bending() -> None:
     """Print one line for each problem and quantity: MITC4, DKMQ, ours."""
     kinds = {"MITC4": mitc4, "DKMQ": dkmq, "ours": quad_bending.plate_strains}
+    print("computed / reference, quadrilaterals of the usual mesh and of meshes twice and four times as fine")
+    print(f"{'problem: quantity':44s}" + "   ".join(f"{name:19s}" for name in kinds))
     for name, problem in PROBLEMS.items():
         found = []
         for strains in kinds.values():
@@ -100,6 +104,9 @@ def bending() -> None:
 
 def laminated() -> None:
     """Print one line for each stack: triangles and quadrilaterals in plane, then out of plane."""
+    columns = [f"{kind}, {way} plane" for way in ("in", "out of") for kind in ("triangles", "quads")]
+    print("deflection with 6x1, 12x2, 24x4 cells / with 96x16 quadrilaterals")
+    print(f"{'angles [deg]':18s}" + "  ".join(f"{name:22s}" for name in columns))
     for degrees in ([0], [30], [90], [45, -45], [0, 45, 90, -45], [20, 70]):
         laminate = mbd.Laminate(CARBON, mbd.deg(degrees), 0.01 / len(degrees))
 
@@ -109,7 +116,7 @@ def laminated() -> None:
         fine = deflection("quad", 16)
         found = {kind: [deflection(kind, n) for n in (1, 2, 4)] for kind in ELEMENTS}
         columns = [", ".join(f"{u[way] / fine[way]:.3f}" for u in found[kind]) for way in "vw" for kind in ELEMENTS]
-        print(f"{degrees!s:20s}" + "   ".join(columns))
+        print(f"{degrees!s:18s}" + "  ".join(f"{column:22s}" for column in columns))
 
 
 def stages(kind: str, lanes: int) -> tuple[Callable[[], object], Callable[[], object]]:

@@ -1,7 +1,9 @@
-"""The page docs/validation/paper.md: every row of the paper beside ours. `python -m experiments.validation`
+"""The pages of docs/validation, from runs. `python -m experiments.validation [--list] [PAGE ...] [--only COMMAND]`
 
-Rows come from experiments/paper, parts that are done from its store; so the page is as old as the oldest part, which it says.
-Checked in tests/experiments/test_documentation.py.
+    paper    every row of the paper next to ours (experiments/paper; parts that are done come from its store)
+    others   the output of each command that the page names (experiments/recorded.py), with date, seconds and machine
+
+Without names all pages are written; that takes about an hour. Checked in tests/experiments/test_documentation.py.
 """
 
 from __future__ import annotations
@@ -14,20 +16,22 @@ from pathlib import Path
 
 import torch
 
+from experiments import recorded
+from experiments.benchmark import machine
 from experiments.paper.part import Finding, Row
 from experiments.paper.parts import chosen, run
 from experiments.paper.report import told
 from torchmbd.study.paths import place
 
-PAGE = Path(__file__).parents[1] / "docs" / "validation" / "paper.md"
+FOLDER = Path(__file__).parents[1] / "docs" / "validation"
 HEAD = """\
 # The paper, row by row
 
 Ambrosio, Neto and Leal, *Optimization of a complex flexible multibody systems with composite materials*, Multibody System
-Dynamics 18 (2007): every table and every figure that has data, each number beside ours. Written by
-`python -m experiments.validation` on {date}, with torch {torch} and Python {python}.
+Dynamics 18 (2007): every table and every figure that has data, each number next to ours. Written by
+`python -m experiments.validation paper` on {date}, with torch {torch} and Python {python}, on {machine}.
 
-Labels tell what our numbers rest on: *given* is printed in the paper; *inferred* was fitted to its numbers; *chosen* is free.
+Labels say what our numbers depend on: *given* is printed in the paper, *inferred* was fitted to its numbers, *chosen* is free.
 The antenna's joint positions and trusses were chosen after two of the paper's numbers had been seen: agreement there is no
 reproduction. The paper prints u'Ku = 2U; its energies of the slider-crank are halved here.
 """
@@ -36,7 +40,12 @@ reproduction. The paper prints u'Ku = 2U; its energies of the slider-crank are h
 def page(findings: Sequence[Finding]) -> str:
     """The page as Markdown."""
     done = datetime.datetime.now(datetime.UTC).date()
-    head = HEAD.format(date=done, torch=torch.__version__.partition("+")[0], python=platform.python_version())
+    head = HEAD.format(
+        date=done,
+        torch=torch.__version__.partition("+")[0],
+        python=platform.python_version(),
+        machine=machine(),
+    )
     return "\n".join([head, *map(_section, findings)])
 
 
@@ -57,15 +66,22 @@ def _row(row: Row) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument(
-        "parts", nargs="*", help="parts of experiments.paper; default: all but those of more than ten minutes"
-    )
-    parser.add_argument("--page", type=Path, default=PAGE)
+    names = [path.stem for path in sorted(FOLDER.glob("*.md"))]
+    parser.add_argument("pages", nargs="*", choices=[[], *names], help="default: all")
+    parser.add_argument("--only", help="this command alone, as --list prints it")
+    parser.add_argument("--parts", nargs="*", default=[], help="paper: of experiments.paper; default: all shorter ones")
+    parser.add_argument("--list", action="store_true", help="print the commands of the pages, run nothing")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
-    findings = run(chosen(arguments.parts), place() / "paper")
-    arguments.page.write_text(page(findings), encoding="utf-8")
-    print(arguments.page)
+    for name in arguments.pages or names:
+        path = FOLDER / f"{name}.md"
+        found = [x for x in recorded.commands(path) if arguments.only in (None, x)]
+        for command in found:
+            print(f"{name}: {command}", flush=True)
+            if not arguments.list:
+                recorded.record(path, command)
+        if name == "paper" and not arguments.list and arguments.only is None:
+            path.write_text(page(run(chosen(arguments.parts), place() / "paper")), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -16,14 +16,8 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from experiments.documentation.reference import file
+from experiments.documentation.blocks import FENCE, inserted
 from torchmbd import cli
-
-_INSERTED = re.compile("<!-- insert: file (\\S+) -->")
-_FENCE = re.compile(
-    r'^(?P<comment><!-- not run: .+? -->\n)?```(?P<language>\w+)(?: title="(?P<title>[^"]+)")?\n(?P<text>.*?)^```$',
-    re.DOTALL | re.MULTILINE,
-)
 
 
 class Block(NamedTuple):
@@ -38,10 +32,10 @@ class Block(NamedTuple):
 
 def blocks(page: Path) -> list[Block]:
     """All blocks of a page."""
-    text = _INSERTED.sub(lambda mark: file(mark[1]), page.read_text(encoding="utf-8"))
+    text = inserted(page.read_text(encoding="utf-8"))
     return [
         Block(m["language"], m["title"], m["text"], text.count("\n", 0, m.start("text")), m["comment"] is not None)
-        for m in _FENCE.finditer(text)
+        for m in FENCE.finditer(text)
     ]
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.util
+import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 import torchmbd as mbd
-from experiments import validation
+from experiments import recorded, validation
 from experiments.documentation import reference
 from experiments.documentation.animated_svg import animated_svg, drawing
 from experiments.paper.part import Finding, Part, Row
@@ -49,6 +51,26 @@ def test_rows_of_the_paper_become_tables():
     page = validation.page([Finding(part, rows, [], 3.0, False)])
     assert "| energy (J) | 2 | 2.1 | 1.050 | given | a \\| b |\n| angles (deg) |  | 0/90 |  | chosen |  |" in page
     assert "`python -m experiments.paper table9`, 3 s" in page
+
+
+def test_outputs_of_commands_become_blocks_of_a_page(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# A\n\n<!-- recorded: gradients -->\n<!-- end -->\n\n<!-- recorded: table3 --starts 2 -->\nold\n<!-- end -->\n"
+    )
+    recorded.record(page, "table3 --starts 2", lambda command: "a   \n\n b\n\n")
+    text = page.read_text()
+    assert recorded.commands(page)["gradients"] == ""
+    assert "`python -m experiments.table3 --starts 2`, 20" in text
+    assert "```text\na\n\n b\n```\n<!-- end -->\n" in text
+    assert "old" not in text
+
+
+@pytest.mark.parametrize("page", sorted((DOCS / "validation").glob("*.md")), ids=lambda page: page.stem)
+def test_recorded_commands_exist_and_have_an_output(page):
+    for command, text in recorded.commands(page).items():
+        assert importlib.util.find_spec(recorded.module(command)) is not None, command
+        assert re.match(r"`python -m .+`, \d{4}-\d\d-\d\d, \d+ s, .+ cores, torch .+\n\n```text\n", text), command
 
 
 @pytest.mark.filterwarnings("ignore")
