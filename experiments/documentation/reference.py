@@ -35,7 +35,7 @@ GROUPS: dict[str, str] = {
     "optimization": "optimize multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes sobol "
     "latin_hypercube",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
-    "errors": "MbdError InputError SimulationFailure",
+    "errors": "MbdError InputError ArgumentError SimulationFailure",
 }
 
 
