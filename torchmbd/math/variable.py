@@ -158,3 +158,15 @@ class Variables:
             found[name] = linear(lambda x, shape=shape: x.reshape((*shape, *x.shape[1:])), part)
             start += shape.numel()
         return found
+
+    def evaluated(self) -> Any:
+        """What the module returns for each design, tensors with lanes in front; one design has none."""
+
+        def one(x: Tensor) -> Any:
+            return torch.func.functional_call(self.module, self.named(x), ())
+
+        alone = all(x.dim() == len(self.shapes[name]) for name, x in self.module.named_parameters())
+        found = torch.func.vmap(one, 1)(self.flat()[:, 0])
+        if not alone:
+            return found
+        return tuple(x[0] for x in found) if isinstance(found, tuple) else found[0]

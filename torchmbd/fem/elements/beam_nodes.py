@@ -77,11 +77,4 @@ def present_nodes(mesh: Any) -> Float[Tensor, "*lanes n 3"]:
     if not varying_nodes(mesh):
         return mesh.nodes
     variables: Variables = mesh.variables
-    flat = variables.flat()[:, 0]
-
-    def one(x: Tensor) -> Tensor:
-        return torch.func.functional_call(variables.module, variables.named(x), ())
-
-    found: Any = torch.func.vmap(one, 1)(flat)
-    alone = all(x.dim() == len(variables.shapes[name]) for name, x in variables.module.named_parameters())
-    return found[0] if alone else found
+    return variables.evaluated()

@@ -83,6 +83,9 @@ class Mesh:
         for name in ("triangles", "quads", "lines"):
             own = indices(f"{name} of a Mesh", getattr(self, name))
             object.__setattr__(self, name, own)
+        self._check()
+
+    def _check(self) -> None:
         check(self)
         doubt(
             "nodes of a Mesh: extent",

@@ -1,0 +1,210 @@
+"""Mass and stiffness matrices from files of other programs, as SciPy sparse matrices.
+
+    Matrix Market       %%MatrixMarket matrix coordinate real symmetric         .mtx, .mm; read by SciPy
+    Abaqus              *MATRIX OUTPUT: node, dof, node, dof, value (matrix input, labels) or row col value      .mtx
+    Nastran OP4         text, real, dense or sparse, small or big                .op4
+    Nastran DMIG        bulk data, real, square or symmetric                     .dmig, .pch, .bdf, .dat
+
+Abaqus and DMIG say to which node and direction a row belongs; the others count 1, 2, 3, ... Where a file has only one
+triangle of a symmetric matrix, the other is its mirror image. A file of several matrices: "path:NAME", or else the
+one whose name starts as the argument's (M or K).
+Source: MSC Nastran Quick Reference Guide (DMIG) and DMAP manual (OUTPUT4); Abaqus Analysis Guide, Generating matrices.
+Checked in tests/io/test_matrix_file.py.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import scipy.io
+import scipy.sparse
+
+from torchmbd.errors import InputError
+from torchmbd.io.nastran.cards import read_cards
+
+LARGEST = 3_000_000  # rows; a header that asks for more is refused before memory is taken
+Rows = list[tuple[int, int]]
+
+
+class FileMatrix(NamedTuple):
+    """A square matrix; `rows`: (label of the node, direction 1 to 6) of each row, None: in the order of the nodes."""
+
+    matrix: scipy.sparse.csr_array
+    rows: Rows | None = None
+
+
+def read_matrix(name: str, path: str | Path) -> FileMatrix:
+    """Read one matrix. InputError names the argument `name`, file, line and value."""
+    text = os.fspath(path)
+    file, wanted = Path(text), ""
+    if not file.is_file() and ":" in text:
+        base, _, wanted = text.rpartition(":")
+        file = Path(base)
+    if not file.is_file():
+        raise InputError(f"{name} is {text!r}; allowed: a matrix file that exists, or 'file:NAME'")
+    try:
+        found = _read(file)
+    except (ValueError, OSError, IndexError, OverflowError) as error:
+        raise error if isinstance(error, InputError) else InputError(f"{name}: {file.name}: {error}") from None
+    kind = [key for key in found if key.upper().startswith(name[:1].upper())] if not wanted else [wanted]
+    if len(found) == 1 and not wanted:
+        kind = list(found)
+    if len(kind) != 1 or kind[0] not in found:
+        raise InputError(f"{name}: {file.name} has the matrices {list(found)}; allowed: one of them, '{file.name}:NAME'")
+    return found[kind[0]]
+
+
+def _read(file: Path) -> dict[str, FileMatrix]:
+    suffix = file.suffix.lower()
+    if suffix in (".mtx", ".mm"):
+        with file.open(encoding="utf-8", errors="replace") as lines:
+            if not lines.readline().startswith("%%MatrixMarket"):
+                return {file.stem: _abaqus(file)}
+        shape = scipy.io.mminfo(file)[:2]
+        _square(file.name, *shape)
+        return {file.stem: FileMatrix(_real(file.name, scipy.sparse.csr_array(scipy.io.mmread(file))))}
+    if suffix == ".op4":
+        return dict(_op4(file))
+    if suffix in (".dmig", ".pch", ".bdf", ".dat"):
+        return _dmig(file)
+    raise InputError(f"{file.name}: its ending is {suffix!r}; allowed: .mtx, .mm, .op4, .dmig, .pch, .bdf, .dat")
+
+
+def _square(where: str, rows: int, columns: int) -> None:
+    if rows != columns or not 0 < rows <= LARGEST:
+        raise InputError(f"{where}: a matrix of {rows} x {columns}; allowed: square, at most {LARGEST} rows")
+
+
+def _real(where: str, matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
+    if np.iscomplexobj(matrix.data):
+        raise InputError(f"{where}: the matrix is complex; allowed: real")
+    return matrix.astype(np.float64)
+
+
+def _mirrored(matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
+    """The whole of a matrix of which there may be only one triangle."""
+    coo = matrix.tocoo()
+    if (coo.row >= coo.col).all() or (coo.row <= coo.col).all():
+        return scipy.sparse.csr_array(matrix + matrix.T - scipy.sparse.diags_array(matrix.diagonal()))
+    return matrix
+
+
+def _assembled(entries: list[tuple[tuple[int, int], tuple[int, int], float]]) -> FileMatrix:
+    """Entries between (label, direction) pairs; rows in the order of labels."""
+    rows = sorted({pair for i, j, _ in entries for pair in (i, j)})
+    index = {pair: k for k, pair in enumerate(rows)}
+    i, j = ([index[entry[k]] for entry in entries] for k in (0, 1))
+    matrix = scipy.sparse.coo_array(([entry[2] for entry in entries], (i, j)), shape=(len(rows), len(rows)))
+    return FileMatrix(_mirrored(scipy.sparse.csr_array(matrix)), rows)
+
+
+def _abaqus(file: Path) -> FileMatrix:
+    labelled, plain = [], []
+    with file.open(encoding="utf-8", errors="replace") as lines:
+        for number, line in enumerate(lines, start=1):
+            words = line.replace(",", " ").split()
+            if not words or line.startswith(("*", "%")):
+                continue
+            try:
+                whole, value = [int(word) for word in words[:-1]], float(words[-1].upper().replace("D", "E"))
+            except ValueError:
+                whole, value = [], 0.0
+            if len(whole) == 4:
+                labelled.append(((whole[0], whole[1]), (whole[2], whole[3]), value))
+            elif len(whole) == 2 and min(whole) > 0:
+                plain.append((*whole, value))
+            else:
+                raise InputError(
+                    f"{file.name}, line {number}: {line.strip()[:60]!r}; allowed: node, dof, node, dof, value, "
+                    "or row, column, value"
+                )
+    if bool(labelled) == bool(plain):
+        raise InputError(f"{file.name} has {'two kinds of lines' if plain else 'no entries'}; allowed: one kind")
+    if labelled:
+        return _assembled(labelled)
+    size = max(max(i, j) for i, j, _ in plain)
+    _square(file.name, size, size)
+    i, j, values = (np.array(column) for column in zip(*plain, strict=True))
+    return FileMatrix(_mirrored(scipy.sparse.csr_array((values, (i - 1, j - 1)), shape=(size, size))))
+
+
+_FORMAT = re.compile(r"(\d*)[ED](\d+)\.(\d+)", re.IGNORECASE)
+
+
+def _op4(file: Path) -> Iterator[tuple[str, FileMatrix]]:
+    with file.open(encoding="ascii", errors="replace") as handle:
+        lines = enumerate(handle, start=1)
+        for number, head in lines:
+            if not head.strip():
+                continue
+            where = f"{file.name}, line {number}"
+            try:
+                columns, rows, _, kind = (int(head[8 * k : 8 * k + 8]) for k in range(4))
+            except ValueError:
+                raise InputError(f"{where}: {head.strip()[:60]!r} is no header of an OP4 matrix") from None
+            if kind not in (1, 2):
+                raise InputError(f"{where}: type {kind}; allowed: 1 or 2, real")
+            _square(where, abs(rows), columns)
+            style = _FORMAT.search(head[40:])
+            width = int(style.group(2)) if style else 16
+            yield head[32:40].strip(), FileMatrix(_op4_columns(file.name, lines, columns, width))
+
+
+def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: int) -> scipy.sparse.csr_array:
+    i: list[int] = []
+    j: list[int] = []
+    values: list[float] = []
+    column = row = 0
+    for number, line in lines:
+        if "." in line:
+            text = line.rstrip("\n").rstrip()
+            for start in range(0, len(text), width):
+                values.append(float(text[start : start + width].upper().replace("D", "E")))
+                i.append(row - 1)
+                j.append(column - 1)
+                row += 1
+            if not (1 <= column <= size and row - 1 <= size and i[-1] >= 0):
+                raise InputError(f"{name}, line {number}: row {row - 1}, column {column}; allowed: 1 to {size}")
+            continue
+        words = [int(word) for word in line.split()]
+        if len(words) == 3:
+            column, row = words[0], words[1]
+            if column > size:
+                next(lines, None)  # the number after the last column
+                break
+        elif len(words) == 2:  # big: length, row
+            row = words[1]
+        elif len(words) == 1:  # small: 65536 (length + 1) + row
+            row = words[0] % 65536
+    return scipy.sparse.csr_array((np.array(values), (np.array(i, int), np.array(j, int))), shape=(size, size))
+
+
+def _dmig(file: Path) -> dict[str, FileMatrix]:
+    kinds: dict[str, int] = {}
+    entries: dict[str, list[tuple[tuple[int, int], tuple[int, int], float]]] = {}
+    for card in read_cards(file):
+        if card.name != "DMIG":
+            continue
+        name = card.text(1)
+        if card.text(2) == "0":
+            kinds[name] = card.integer(3, "IFO")
+            if kinds[name] not in (1, 6) or card.integer(4, "TIN", 1) not in (1, 2):
+                raise InputError(f"{card}: IFO, TIN are {card.text(3)}, {card.text(4)}; allowed: 1 or 6, and real")
+            entries[name] = []
+            continue
+        if name not in entries:
+            raise InputError(f"{card}: the card of its header (second field 0) comes later or never")
+        right = card.integer(2, "GJ"), max(card.integer(3, "CJ", 0), 1)
+        for start in range(5, len(card.fields) + 1, 4):
+            if card.text(start):
+                left = card.integer(start, "G"), max(card.integer(start + 1, "C", 0), 1)
+                entries[name].append((left, right, card.real(start + 2, "A")))
+    found = {name: _assembled(own) for name, own in entries.items() if own}
+    if not found:
+        raise InputError(f"{file.name} has no DMIG matrix; allowed: one at least")
+    return found

@@ -1,0 +1,315 @@
+"""Mass and stiffness matrices from outside as functions of the design: values on one pattern of all freedoms 6 * node + i.
+
+    M, K                                   numbers                                no design variables
+    M, K, {name: (value, dM, dK)}          M + (b - value) dM, K + (b - value) dK       "rod.model.<name>"
+    a torch module that returns (M, K)     dense [N, N], float64                        "rod.model.<its parameters>"
+    a function of parameters, likewise     f(**parameters)                              "rod.model.<name>"
+
+Numbers are arrays, tensors, SciPy sparse matrices, or files (io/matrix_file.py). Rows: three displacements, or these and
+three rotations, of each node in turn; or any freedoms, told by (node, component) of each row.
+Checked in tests/multibody/bodies/test_from_matrices.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.fem.mesh import Mesh, NodeCloud
+from torchmbd.io.matrix_file import FileMatrix, read_matrix
+from torchmbd.math.owned import reals
+from torchmbd.math.sparse import Pattern, SparseMatrix
+from torchmbd.math.variable import Variables, variable
+
+SYMMETRY = 1e-9  # of the largest entry
+COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
+
+
+class GivenMatrices:
+    """M and K of a body; `now()` gives them for the present design, with lanes.
+
+    freedoms   number 6 * node + component of each row [N]
+    module     whose parameters are design variables; None: there are none
+    """
+
+    def __init__(
+        self,
+        name: str,
+        M: Any,
+        K: Any,
+        nodes: Any,
+        freedoms: Any = None,
+        derivatives: Mapping[str, tuple[Any, Any, Any]] | None = None,
+        parameters: Mapping[str, float | Tensor] | None = None,
+        node_sets: Mapping[str, Sequence[int]] | None = None,
+    ) -> None:
+        self.name = name
+        made = _maker(name, M, K, derivatives, parameters)
+        first = (M, K) if made is None else made.start()
+        read = _aligned([_numbers(f"{key} of {name!r}", key, x) for key, x in zip("MK", first, strict=True)])
+        self.labels, places = _places(name, nodes, read)
+        self.freedoms = _freedoms(name, len(places), freedoms, read, self.labels)
+        size = 6 * len(places)
+        extra = [] if made is None else [x for x in made.changes() if x is not None]
+        changes = [_numbers(f"a derivative of {name!r}", "", x) for x in extra]
+        for found in (*read, *changes):
+            if found.matrix.shape != (len(self.freedoms),) * 2:
+                raise InputError(
+                    f"matrices of {name!r} have the shapes {', '.join(str(x.matrix.shape) for x in (*read, *changes))}; "
+                    f"allowed: {len(self.freedoms)} rows and columns, one for each freedom of {len(places)} nodes"
+                )
+        self.pattern, values = _common(self.freedoms, [x.matrix for x in (*read, *changes)], size)
+        own = isinstance(nodes, Mesh)
+        self.mesh: Mesh = nodes if own else NodeCloud(places, node_sets=node_sets or {}, lines=self._lines(places))
+        self._values = [_symmetric(name, key, self.pattern, v) for key, v in zip(("M", "K"), values[:2], strict=True)]
+        self.module: nn.Module | None = None
+        self._variables: Variables | None = None
+        if made is not None:
+            filled = iter(_symmetric(name, "a derivative", self.pattern, v) for v in values[2:])
+            own = made.on(self.pattern, self._values, self.freedoms, filled)
+            self.module, self._variables = made.registered, Variables.of(own)
+
+    def now(self) -> tuple[SparseMatrix, SparseMatrix]:
+        """M and K in the present design; both have the same lanes."""
+        M, K = self._values if self._variables is None else self._variables.evaluated()
+        return SparseMatrix(self.pattern, M, symmetric=True), SparseMatrix(self.pattern, K, symmetric=True)
+
+    def pairs(self) -> Int[Tensor, "p 2"]:
+        """Pairs of different nodes that K or M couples, each in both orders."""
+        i, j = self.pattern.rows // 6, self.pattern.cols // 6
+        return torch.unique(torch.stack([i, j], 1)[i != j], dim=0)
+
+    def _lines(self, x: Tensor) -> Tensor:
+        pairs = self.pairs()
+        pairs = pairs[pairs[:, 0] < pairs[:, 1]]
+        length = (x[pairs[:, 0]] - x[pairs[:, 1]]).norm(dim=1)
+        return pairs[torch.argsort(length)[: 3 * len(x)]]
+
+
+class _Linear(nn.Module):
+    """Values that are linear in parameters."""
+
+    def __init__(self, name: str, M: Any, K: Any, derivatives: Mapping[str, tuple[Any, Any, Any]]) -> None:
+        super().__init__()
+        self.given, self.base = (M, K), {}
+        self._changes: list[Any] = []
+        for key, item in derivatives.items():
+            if not isinstance(key, str) or not key.isidentifier() or hasattr(self, key):
+                raise InputError(f"derivatives of {name!r} has the name {key!r}; allowed: a Python identifier")
+            if not isinstance(item, (tuple, list)) or len(item) != 3:
+                raise InputError(f"derivatives of {name!r}: {key!r} is {item!r}; allowed: (value, dM, dK)")
+            value, dM, dK = item
+            own = value if isinstance(value, nn.Parameter) else variable(value)
+            self.base[key] = own.detach().clone()
+            self.register_parameter(key, own)
+            self._changes += [dM, dK]
+
+    @property
+    def registered(self) -> nn.Module:
+        return self
+
+    def start(self) -> tuple[Any, Any]:
+        return self.given
+
+    def changes(self) -> list[Any]:
+        return self._changes
+
+    def on(self, pattern: Pattern, values: list[Tensor], freedoms: Tensor, filled: Any) -> nn.Module:
+        del pattern, freedoms
+        self.values = values
+        self.slopes = [None if given is None else next(filled) for given in self._changes]
+        return self
+
+    def forward(self) -> tuple[Tensor, Tensor]:
+        M, K = self.values
+        for k, (key, base) in enumerate(self.base.items()):
+            step = getattr(self, key) - base
+            dM, dK = self.slopes[2 * k : 2 * k + 2]
+            M = M + step * (torch.zeros_like(M) if dM is None else dM)
+            K = K + step * (torch.zeros_like(K) if dK is None else dK)
+        return M, K
+
+
+class _Function(nn.Module):
+    """A function of parameters that returns M and K."""
+
+    def __init__(self, f: Callable[..., Any], parameters: Mapping[str, float | Tensor]) -> None:
+        super().__init__()
+        self.f, self.names = f, list(parameters)
+        for key, x in parameters.items():
+            self.register_parameter(
+                key, x if isinstance(x, nn.Parameter) else nn.Parameter(reals(f"parameter {key!r}", x))
+            )
+
+    def forward(self) -> Any:
+        return self.f(**{key: getattr(self, key) for key in self.names})
+
+
+class _Made(nn.Module):
+    """Values of dense matrices that a module makes."""
+
+    def __init__(self, name: str, module: nn.Module) -> None:
+        super().__init__()
+        self.name, self.registered_module = name, [module]
+        self.module = module
+
+    @property
+    def registered(self) -> nn.Module:
+        return self.registered_module[0]
+
+    def start(self) -> tuple[Any, Any]:
+        with torch.no_grad():
+            found = self.module()
+        right = isinstance(found, (tuple, list)) and len(found) == 2
+        if not right or not all(isinstance(x, Tensor) and x.dtype == torch.float64 and x.dim() == 2 for x in found):
+            raise InputError(f"the module of {self.name!r} returns {found!r}; allowed: M and K [N, N] in float64")
+        return tuple(found)
+
+    def changes(self) -> list[Any]:
+        # Entries that are zero in this design may not be in another one: all are kept.
+        M, _ = self.start()
+        return [np.ones(M.shape)]
+
+    def on(self, pattern: Pattern, values: list[Tensor], freedoms: Tensor, filled: Any) -> nn.Module:
+        del values, filled
+        place = torch.full((pattern.size,), -1, dtype=torch.long)
+        place[freedoms] = torch.arange(len(freedoms))
+        self.rows, self.cols = place[pattern.rows], place[pattern.cols]
+        return self
+
+    def forward(self) -> tuple[Tensor, Tensor]:
+        M, K = self.module()
+        return tuple(0.5 * (x[self.rows, self.cols] + x[self.cols, self.rows]) for x in (M, K))  # pyright: ignore
+
+
+def _maker(name: str, M: Any, K: Any, derivatives: Any, parameters: Any) -> _Linear | _Made | None:
+    """What makes the matrices of a design; None for constants."""
+    makes = isinstance(M, nn.Module) or (callable(M) and not isinstance(M, Tensor))
+    if not makes:
+        if K is None or parameters is not None:
+            raise InputError(f"K of {name!r} is {K!r}, parameters {parameters!r}; allowed: matrices M and K")
+        return _Linear(name, M, K, derivatives) if derivatives else None
+    if K is not None or derivatives:
+        raise InputError(f"K and derivatives of {name!r} are given beside {M!r}; allowed: a module alone makes both")
+    if isinstance(M, nn.Module) == (parameters is not None):
+        raise InputError(f"parameters of {name!r} is {parameters!r}; allowed: those of a function, none for a module")
+    return _Made(name, M if isinstance(M, nn.Module) else _Function(M, parameters))
+
+
+def _numbers(what: str, key: str, given: Any) -> FileMatrix:
+    """A matrix of numbers from whatever was given."""
+    if isinstance(given, FileMatrix):
+        found = given
+    elif isinstance(given, (str, Path)):
+        found = read_matrix(key or what, given)
+    elif scipy.sparse.issparse(given):
+        found = FileMatrix(scipy.sparse.csr_array(given).astype(np.float64))
+    else:
+        dense = reals(what, given)
+        if dense.dim() != 2:
+            raise InputError(f"{what} has shape {tuple(dense.shape)}; allowed: a square matrix")
+        found = FileMatrix(scipy.sparse.csr_array(dense.detach().numpy()))
+    if not np.isfinite(found.matrix.data).all():
+        raise InputError(f"{what} has entries that are not finite; allowed: finite numbers")
+    return found
+
+
+def _aligned(read: list[FileMatrix]) -> list[FileMatrix]:
+    """Matrices that tell their freedoms, over all that any of them has: those without mass stand in K only."""
+    if any(found.rows is None for found in read):
+        return read
+    rows = sorted({pair for found in read for pair in found.rows or ()})
+    index = {pair: k for k, pair in enumerate(rows)}
+    aligned = []
+    for found in read:
+        place = np.array([index[pair] for pair in found.rows or ()])
+        coo = found.matrix.tocoo()
+        shape = (len(rows), len(rows))
+        aligned.append(
+            FileMatrix(scipy.sparse.csr_array((coo.data, (place[coo.row], place[coo.col])), shape=shape), rows)
+        )
+    return aligned
+
+
+def _places(name: str, nodes: Any, read: Sequence[FileMatrix]) -> tuple[list[int] | None, Float[Tensor, "n 3"]]:
+    """Labels of the nodes, if rows refer to them, and places [n, 3]."""
+    if isinstance(nodes, Mapping):
+        labels = sorted(nodes)
+        return labels, reals(f"nodes of {name!r}", np.array([list(nodes[k]) for k in labels], dtype=float))
+    x = nodes.nodes.detach() if isinstance(nodes, Mesh) else reals(f"nodes of {name!r}", nodes)
+    if x.dim() != 2 or x.shape[1] != 3 or not len(x):
+        raise InputError(f"nodes of {name!r} have shape {tuple(x.shape)}; allowed: [n, 3], or label -> place")
+    told = sorted({label for found in read if found.rows is not None for label, _ in found.rows})
+    if told and len(told) != len(x):
+        raise InputError(f"matrices of {name!r} refer to {len(told)} nodes; allowed: {len(x)}, the nodes given")
+    return told or None, x
+
+
+def _freedoms(
+    name: str, n: int, given: Any, read: Sequence[FileMatrix], labels: list[int] | None
+) -> Int[Tensor, " rows"]:
+    """Number 6 * node + component of each row."""
+    rows = next((found.rows for found in read if found.rows is not None), None)
+    size = read[0].matrix.shape[0]
+    if rows is not None and given is None:
+        index = {label: k for k, label in enumerate(labels or [])}
+        missing = [label for label, _ in rows if label not in index]
+        if missing:
+            raise InputError(f"nodes of {name!r} lack the label {missing[0]}, which the matrices have")
+        return torch.tensor([6 * index[label] + component - 1 for label, component in rows], dtype=torch.long)
+    if given is None:
+        if size not in (3 * n, 6 * n):
+            raise InputError(
+                f"matrices of {name!r} have {size} rows for {n} nodes; allowed: {3 * n} or {6 * n}, or `freedoms`"
+            )
+        given = size // n
+    if given in (3, 6):
+        return (6 * torch.arange(n)[:, None] + torch.arange(int(given))).flatten()
+    try:
+        pairs = [(int(node), COMPONENTS.index(c) if isinstance(c, str) else int(c)) for node, c in given]
+    except (TypeError, ValueError):
+        raise InputError(f"freedoms of {name!r} is {given!r}; allowed: 3, 6, or (node, component) of each row") from None
+    if len(set(pairs)) != len(pairs) or any(not (0 <= k < n and 0 <= c < 6) for k, c in pairs) or len(pairs) != size:
+        raise InputError(f"freedoms of {name!r} are {len(pairs)}; allowed: {size} different ones, nodes 0 to {n - 1}")
+    return torch.tensor([6 * k + c for k, c in pairs], dtype=torch.long)
+
+
+def _common(freedoms: Tensor, matrices: Sequence[Any], size: int) -> tuple[Pattern, list[Tensor]]:
+    """The pattern of all entries and their mirror images, and the values of each matrix on it."""
+    entries = [matrix.tocoo() for matrix in matrices]
+    own = freedoms.numpy()
+    i = np.concatenate([own[e.row] for e in entries])
+    j = np.concatenate([own[e.col] for e in entries])
+    pattern, slot = Pattern.gather(np.concatenate([i, j]), np.concatenate([j, i]), size)
+    slots = list(slot[: len(i)].split([len(e.data) for e in entries]))
+    values = [
+        torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, place, torch.from_numpy(np.array(e.data, float)))
+        for place, e in zip(slots, entries, strict=True)
+    ]
+    return pattern, values
+
+
+def _symmetric(name: str, key: str, pattern: Pattern, values: Tensor) -> Tensor:
+    """The values, symmetric to the last digit; InputError where they are not symmetric."""
+    difference = (values - values[pattern.transposed]).abs()
+    worst = int(difference.argmax()) if len(values) else 0
+    if len(values) and float(difference[worst]) > SYMMETRY * float(values.abs().max()):
+        i, j = int(pattern.rows[worst]), int(pattern.cols[worst])
+        raise InputError(
+            f"{key} of {name!r} is not symmetric: {float(values[worst]):.9g} between {freedom(i)} and {freedom(j)}, "
+            f"{float(values[pattern.transposed[worst]]):.9g} the other way; allowed: symmetric to 1e-9"
+        )
+    return 0.5 * (values + values[pattern.transposed])
+
+
+def freedom(k: int) -> str:
+    """What messages call a freedom."""
+    return f"node {k // 6} {COMPONENTS[k % 6]}"

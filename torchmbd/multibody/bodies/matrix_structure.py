@@ -1,0 +1,255 @@
+"""The structure stage of a body whose mass and stiffness matrices are given (given_matrices.py).
+
+    M, K over all freedoms -> freedoms that are free -> modes psi, Kr -> inertia invariants of M
+
+The body frame is fixed to the reference nodes, all their freedoms held; without a reference to the node nearest to the
+center of mass. Where that has no rotations, three of its freedoms and three of other nodes are held instead, chosen so that they
+hold the body as a rigid one, statically determined. Given modes hold nothing: they are what the body deforms by.
+
+Nodes without rotations in the matrices get those that fit the displacements of the nodes best to which K couples them (least
+squares): frames on such a node turn with them.
+Checked in tests/multibody/bodies/test_from_matrices.py.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.linalg
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.fem.reduction import REDUCTIONS, CutCluster, Reduction, modal_basis, uncut
+from torchmbd.fem.reduction.mass_invariants import mass_invariants, rigid_motions
+from torchmbd.math.owned import reals, whole
+from torchmbd.math.sparse import SparseMatrix
+from torchmbd.multibody.bodies.given_matrices import GivenMatrices, freedom
+from torchmbd.multibody.bodies.interpolation import node_indices
+
+RIGID = 1e-5  # forces of a rigid motion, relative to the sum of the sizes of their parts
+ISOTROPIC = 1e-6  # masses that a body has along the three axes, relative
+
+
+class MatrixStructure:
+    """Modes and invariants of given matrices; arguments as of `FlexibleBody.from_matrices`.
+
+    mesh, module   of GivenMatrices;  reference  nodes;  origin [3];  size  number of modes
+    """
+
+    def __init__(
+        self,
+        given: GivenMatrices,
+        modes: Any,
+        reference: str | int | Sequence[int] | None,
+        reduction: str | None,
+        interface: str | int | Sequence[str | int],
+        updated: bool,
+    ) -> None:
+        self.given, self.name, self.mesh, self.module = given, given.name, given.mesh, given.module
+        if not isinstance(updated, bool):
+            raise InputError(f"updated of {self.name!r} is {updated!r}; allowed: True or False")
+        with torch.no_grad():
+            M, K = given.now()
+            x = self.mesh.nodes
+            self._check_rigid(M, K, rigid_motions(x - x.mean(0)))
+            self.reference, held = self._held(M, reference)
+            self.origin = x[self.reference].mean(0)
+            used = torch.zeros(M.size, dtype=torch.bool)
+            used[given.freedoms] = True
+            loose = used & (_diagonal(K) == 0) & (_diagonal(M) == 0)  # as drilling rotations of a solver that drops them
+            used &= ~loose
+            self._rotations = _Rotations(x, given.pairs(), ~used.reshape(-1, 6)[:, 3:].any(1))
+            self._held_rows = torch.tensor(held, dtype=torch.long)
+            self.shapes = None if whole(modes) else self._given_shapes(modes)
+            if self.shapes is None:
+                used[self._held_rows] = False
+                self.free = used.nonzero()[:, 0]
+                self._prepare(M, K, modes, reduction, interface, updated)
+            elif reduction is not None or node_indices(self.mesh, interface):
+                raise InputError(f"reduction and interface of {self.name!r} are given beside modes; allowed: one of both")
+            made = self.structure(fixed=False)
+        self.size = made["Kr"].shape[-1]
+        self._warn_units(made)
+        self._fixed = made if self.module is None else None
+
+    def structure(self, fixed: bool = True) -> dict[str, Tensor]:
+        """Invariants, "Kr" [..., m, m], "psi" [..., nodes, 6, m] of the present design."""
+        if fixed and self._fixed is not None:
+            return dict(self._fixed)
+        M, K = self.given.now()
+        vectors, Kr = self._basis(M, K)
+        psi = self._rotations(vectors.unflatten(-2, (-1, 6)))
+        return mass_invariants(self.mesh.nodes - self.origin, M, psi) | {"Kr": Kr, "psi": psi}
+
+    def _basis(self, M: SparseMatrix, K: SparseMatrix) -> tuple[Tensor, Tensor]:
+        """Modes [..., 6 n, m] and Kr."""
+        if self.shapes is not None:
+            Mr, Kr = (self.shapes.mT @ (A @ self.shapes) for A in (M, K))
+            try:
+                small = modal_basis(0.5 * (Kr + Kr.mT), 0.5 * (Mr + Mr.mT), self.shapes.shape[1])
+            except InputError as error:
+                raise InputError(f"modes of {self.name!r}, which must be independent: {error}") from None
+            return self.shapes @ small.vectors, small.stiffness
+        try:
+            basis = self.reduction(K.restrict(self.free), M.restrict(self.free))
+        except CutCluster as error:
+            raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
+        lanes = basis.vectors.shape[:-2]
+        full = basis.vectors.new_zeros(*lanes, M.size, basis.vectors.shape[-1])
+        return full.index_copy(-2, self.free, basis.vectors), basis.stiffness
+
+    def _prepare(self, M: SparseMatrix, K: SparseMatrix, modes: Any, kind: Any, interface: Any, updated: bool) -> None:
+        """Choose the reduction: as in reduced.py, of the freedoms that there are."""
+        nodes = node_indices(self.mesh, interface)
+        for node in nodes:
+            if node in self.reference or nodes.count(node) > 1:
+                allowed = "nodes that are no reference, each once"
+                raise InputError(f"interface of {self.name!r} has node {node}; allowed: {allowed}")
+        rows = torch.isin(self.free // 6, torch.tensor(nodes, dtype=torch.long)).nonzero()[:, 0].tolist()
+        kind = ("craig-bampton" if rows else "vibration") if kind is None else kind
+        if kind not in REDUCTIONS:
+            raise unknown(f"reduction of {self.name!r}:", kind, REDUCTIONS)
+        most = len(self.free) - len(rows)
+        if not (0 if rows else 1) <= int(modes) <= most:
+            raise InputError(f"modes of {self.name!r} is {modes!r}; allowed: a whole number up to {most}, or shapes")
+        for key, A in (("M", M), ("K", K)):
+            bad = self.free[_diagonal(A)[self.free] <= 0]
+            if len(bad):
+                raise InputError(
+                    f"{key} of {self.name!r} is not positive definite: {float(_diagonal(A)[bad[0]]):g} at "
+                    f"{freedom(int(bad[0]))} ({len(bad)} freedoms are so); allowed: mass and stiffness at every freedom"
+                )
+        try:
+            found = uncut(REDUCTIONS[kind](int(modes), tuple(rows), updated), K.restrict(self.free), M.restrict(self.free))
+        except InputError as error:
+            raise InputError(f"reduction of {self.name!r} (rows of its {len(self.free)} free freedoms): {error}") from None
+        self.reduction: Reduction = found
+        lowest = torch.linalg.eigvalsh(found(K.restrict(self.free), M.restrict(self.free)).stiffness)
+        scale = float((_diagonal(K)[self.free] / _diagonal(M)[self.free]).max())
+        if not float(lowest[0]) > 1e-12 * scale:
+            raise InputError(
+                f"K of {self.name!r} is not positive definite with the reference held: a mode has the eigenvalue "
+                f"{float(lowest[0]):g} 1/s2; allowed: an elastic body in one piece"
+            )
+
+    def _check_rigid(self, M: SparseMatrix, K: SparseMatrix, rigid: Tensor) -> None:
+        """K gives no forces for rigid motions, and M the same mass along all axes."""
+        used = torch.zeros(M.size, 1, dtype=torch.float64)
+        used[self.given.freedoms] = 1.0
+        rigid = rigid * used
+        sizes = SparseMatrix(K.pattern, K.values.abs()) @ rigid.abs()
+        share = ((K @ rigid).abs() / sizes.amax().clamp_min(1e-300)).amax(0)
+        if float(share.max()) > RIGID:
+            motion = ("translation x", "translation y", "translation z", "rotation x", "rotation y", "rotation z")
+            raise InputError(
+                f"K of {self.name!r} resists a rigid {motion[int(share.argmax())]} (forces {float(share.max()):.1e} of "
+                "their parts); allowed: the matrix of the body without supports, rows in the order of the nodes, in "
+                "the units of the nodes"
+            )
+        masses = torch.einsum("ni,ni->i", rigid[:, :3], M @ rigid[:, :3])
+        if not float(masses.min()) > 0 or float(masses.max() - masses.min()) > ISOTROPIC * float(masses.max()):
+            raise InputError(
+                f"M of {self.name!r} has the masses {masses.tolist()} kg along x, y, z; allowed: the same along all, > 0"
+            )
+
+    def _held(self, M: SparseMatrix, reference: Any) -> tuple[list[int], list[int]]:
+        """Reference nodes and the held freedoms."""
+        x = self.mesh.nodes
+        own = torch.zeros(M.size, dtype=torch.bool)
+        own[self.given.freedoms] = True
+        rigid = rigid_motions(x - x.mean(0))
+        size = float((x - x.mean(0)).norm(dim=1).max()) or 1.0
+        rigid[:, 3:] /= size
+        if reference is not None:
+            nodes = node_indices(self.mesh, reference)
+            held = [6 * k + i for k in nodes for i in range(6) if own[6 * k + i]]
+            if not nodes or torch.linalg.matrix_rank(rigid[held], rtol=1e-9) < 6:
+                raise InputError(
+                    f"reference of {self.name!r} is {reference!r}, and does not hold the body; allowed: a node with "
+                    "rotations, or three at least that are not on a line"
+                )
+            return nodes, held
+        T, moments = rigid_motions(x)[:, :3], rigid_motions(x)
+        mass = float((T[:, 0] * (M @ T[:, :1])[:, 0]).sum())
+        MR = T.mT @ (M @ moments[:, 3:])
+        center = torch.stack([MR[1, 2] - MR[2, 1], MR[2, 0] - MR[0, 2], MR[0, 1] - MR[1, 0]]) / (2.0 * mass)
+        full = own.reshape(-1, 6)[:, :3].all(1)
+        if not full.any():
+            raise InputError(f"nodes of {self.name!r}: none has three displacements; allowed: one at least")
+        distance = (x - center).square().sum(1)
+        distance[~full] = torch.inf
+        node = int(distance.argmin())
+        if own[6 * node : 6 * node + 6].all():
+            return [node], list(range(6 * node, 6 * node + 6))
+        first = [6 * node + i for i in range(3)]
+        turning = rigid_motions(x - x[node])[:, 3:] / size * own[:, None]
+        _, R, order = scipy.linalg.qr(turning.T.numpy(), mode="economic", pivoting=True)
+        if abs(R[2, 2]) < 1e-9 * abs(R[0, 0]):
+            raise InputError(f"nodes of {self.name!r} lie on a line and have no rotations; allowed: a body in space")
+        return [node], [*first, *(int(k) for k in order[:3])]
+
+    def _given_shapes(self, modes: Any) -> Float[Tensor, "6n m"]:
+        """Given modes on all freedoms."""
+        given = reals(f"modes of {self.name!r}", modes)
+        rows = len(self.given.freedoms)
+        if given.dim() != 2 or given.shape[0] != rows or not 0 < given.shape[1] <= rows:
+            raise InputError(
+                f"modes of {self.name!r} have shape {tuple(given.shape)}; allowed: a number, or shapes [{rows}, m]"
+            )
+        full = torch.zeros(6 * len(self.mesh.nodes), given.shape[1], dtype=torch.float64)
+        full[self.given.freedoms] = given.detach()
+        return full
+
+    def _warn_units(self, made: dict[str, Tensor]) -> None:
+        x = self.mesh.nodes
+        size = float((x.amax(0) - x.amin(0)).norm())
+        mass = float(made["mass"].reshape(-1)[0])
+        values = torch.linalg.eigvalsh(made["Kr"]).reshape(-1)
+        if float(values[0]) <= 1e-12 * float(values[-1]):
+            raise InputError(
+                f"modes of {self.name!r} contain one without stiffness (eigenvalues {float(values[0]):g} to "
+                f"{float(values[-1]):g} 1/s2); allowed: deformations, no rigid motion"
+            )
+        first = math.sqrt(float(values[0])) / (2.0 * math.pi)
+        density, sound = mass / size**3, first * size
+        wrong = not 2e-3 <= size <= 200.0 or not 1e-4 <= density <= 25_000.0 or not 1e-3 <= sound <= 3e4
+        if wrong:
+            warnings.warn(
+                f"units of body {self.name!r}? It is {size:.3g} m long, weighs {mass:.3g} kg, and its first frequency "
+                f"is {first:.3g} Hz. Allowed: m, kg, s, N",
+                stacklevel=4,
+            )
+
+
+class _Rotations:
+    """Fills in rotations of nodes that have none: least squares of the displacements of their neighbors."""
+
+    def __init__(self, x: Tensor, pairs: Tensor, missing: Tensor) -> None:
+        pairs = pairs[missing[pairs[:, 0]]]
+        self.at, self.to = pairs.unbind(1)
+        self.any = len(pairs) > 0
+        self.d = x[self.to] - x[self.at]
+        square = (self.d * self.d).sum(1)[:, None, None] * torch.eye(3, dtype=x.dtype)
+        T = x.new_zeros(len(x), 3, 3).index_add(0, self.at, square - self.d[:, :, None] * self.d[:, None, :])
+        self.inverse = torch.from_numpy(np.linalg.pinv(T.numpy(), rcond=1e-9, hermitian=True)) if self.any else T
+
+    def __call__(self, psi: Float[Tensor, "*lanes n 6 m"]) -> Float[Tensor, "*lanes n 6 m"]:
+        if not self.any:
+            return psi
+        u = psi[..., :3, :]
+        relative = u.index_select(-3, self.to) - u.index_select(-3, self.at)
+        moment = torch.linalg.cross(self.d[:, :, None].expand_as(relative), relative, dim=-2)
+        turned = torch.zeros_like(u).index_add(-3, self.at, moment)
+        return torch.cat([u, psi[..., 3:, :] + self.inverse @ turned], dim=-2)
+
+
+def _diagonal(A: SparseMatrix) -> Tensor:
+    on = A.pattern.rows == A.pattern.cols
+    values = A.values[..., on].reshape(-1, int(on.sum()))[0]
+    return torch.zeros(A.size, dtype=torch.float64).index_copy(0, A.pattern.rows[on], values)

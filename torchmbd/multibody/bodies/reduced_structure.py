@@ -1,0 +1,183 @@
+"""The structure stage of a body that was reduced elsewhere: nodes, modes, reduced stiffness, inertia invariants.
+
+Invariants by their names in fem/reduction/invariants.py: mass, S0 [3], P0 [3, 3], S1 [3, m], C0 [3, 3, m], C1 [3, 3, m, m];
+mu, R1, R2 where there are rotary inertias; "J", the inertia about the origin, may stand for P0. The modal mass is the trace
+of C1 + R2 over the axes, or Mr. Where it is not the identity, the eigenmodes of (Kr, Mr) become the coordinates.
+
+File (.npz): nodes, psi, Kr, the invariants, cells and node sets; a round trip changes no digit.
+Checked in tests/multibody/bodies/test_from_reduced.py.
+"""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.fem.mesh import Mesh, NodeCloud
+from torchmbd.fem.reduction import modal_basis
+from torchmbd.math.owned import reals
+
+SHAPES: dict[str, tuple[str | int, ...]] = {
+    "mass": (),
+    "S0": (3,),
+    "S1": (3, "m"),
+    "P0": (3, 3),
+    "C0": (3, 3, "m"),
+    "C1": (3, 3, "m", "m"),
+    "mu": (),
+    "R1": (3, "m"),
+    "R2": (3, 3, "m", "m"),
+}
+_OPTIONAL = ("mu", "R1", "R2")
+_MESH = ("triangles", "quads", "lines")
+NORMAL = 1e-9
+
+
+class ReducedStructure:
+    """Modes and invariants as they are given; arguments as of `FlexibleBody.from_reduced`."""
+
+    module = None
+    reference: Sequence[int] = ()
+
+    def __init__(
+        self,
+        name: str,
+        nodes: Any,
+        modes: Any,
+        Kr: Any,
+        invariants: Mapping[str, Any],
+        Mr: Any = None,
+        node_sets: Mapping[str, Sequence[int]] | None = None,
+    ) -> None:
+        self.name = name
+        x = nodes.nodes if isinstance(nodes, Mesh) else reals(f"nodes of {name!r}", nodes).detach()
+        self.mesh = nodes if isinstance(nodes, Mesh) else NodeCloud(x, node_sets=node_sets or {})
+        self.origin = torch.zeros(3, dtype=torch.float64)
+        psi = _shapes(name, len(x), modes)
+        self.size = psi.shape[-1]
+        found = self._invariants(invariants)
+        stiffness = self._square("Kr", Kr)
+        if Mr is not None:
+            rest = self._square("Mr", Mr) - torch.einsum("iiab->ab", found["C1"] + found["R2"])
+            found["R2"] = found["R2"] + torch.eye(3, dtype=torch.float64)[:, :, None, None] * (rest / 3.0)
+        self._made = self._normal(found, stiffness, psi)
+        self._check()
+
+    def structure(self) -> dict[str, Tensor]:
+        """Invariants, "Kr" and "psi"."""
+        return dict(self._made)
+
+    def _square(self, key: str, given: Any) -> Float[Tensor, "m m"]:
+        A = reals(f"{key} of {self.name!r}", given).detach()
+        if A.shape != (self.size, self.size) or not bool(torch.isfinite(A).all()):
+            raise InputError(
+                f"{key} of {self.name!r} has shape {tuple(A.shape)}; allowed: [{self.size}, {self.size}], finite"
+            )
+        if float((A - A.T).abs().max()) > NORMAL * float(A.abs().max()):
+            raise InputError(f"{key} of {self.name!r} is not symmetric: {A.tolist()}; allowed: symmetric to 1e-9")
+        return 0.5 * (A + A.T)
+
+    def _invariants(self, given: Mapping[str, Any]) -> dict[str, Tensor]:
+        if not isinstance(given, Mapping):
+            raise InputError(f"invariants of {self.name!r} is {given!r}; allowed: name -> numbers")
+        values = dict(given)
+        if "J" in values:
+            J = reals(f"J of {self.name!r}", values.pop("J"))
+            values.setdefault("P0", 0.5 * J.trace() * torch.eye(3, dtype=J.dtype) - J)
+        for key in values:
+            if key not in SHAPES:
+                raise unknown(f"invariant of {self.name!r}", key, [*SHAPES, "J"])
+        found = {}
+        for key, shape in SHAPES.items():
+            wanted = tuple(self.size if n == "m" else int(n) for n in shape)
+            if key not in values and key not in _OPTIONAL:
+                raise InputError(f"invariants of {self.name!r} lack {key!r}; allowed: all of {', '.join(SHAPES)}")
+            own = reals(f"{key} of {self.name!r}", values.get(key, np.zeros(wanted))).detach()
+            if own.shape != wanted or not bool(torch.isfinite(own).all()):
+                raise InputError(f"{key} of {self.name!r} has shape {tuple(own.shape)}; allowed: {wanted}, finite")
+            found[key] = own
+        return found
+
+    def _normal(self, found: dict[str, Tensor], Kr: Tensor, psi: Tensor) -> dict[str, Tensor]:
+        """Coordinates whose modal mass is the identity."""
+        Mr = torch.einsum("iiab->ab", found["C1"] + found["R2"])
+        eye = torch.eye(self.size, dtype=torch.float64)
+        if float((Mr - eye).abs().max()) > NORMAL:
+            try:
+                small = modal_basis(Kr, 0.5 * (Mr + Mr.T), self.size)
+            except InputError as error:
+                raise InputError(f"modal mass of {self.name!r}, the trace of C1 + R2 or Mr: {error}") from None
+            A, Kr = small
+            psi = psi @ A
+            found |= {key: found[key] @ A for key in ("S1", "C0", "R1")}
+            found |= {key: A.T @ found[key] @ A for key in ("C1", "R2")}
+        return found | {"Kr": Kr, "psi": psi}
+
+    def _check(self) -> None:
+        made = self._made
+        P0 = made["P0"]
+        J = (P0.trace() + made["mu"]) * torch.eye(3, dtype=torch.float64) - P0
+        lowest = {
+            "mass": float(made["mass"]),
+            "Kr": float(torch.linalg.eigvalsh(made["Kr"])[0]),
+            "inertia about the origin": float(torch.linalg.eigvalsh(0.5 * (J + J.T))[0]),
+        }
+        for key, value in lowest.items():
+            if not value > (0.0 if key != "inertia about the origin" else -1e-12 * float(J.abs().max())):
+                raise InputError(f"{key} of {self.name!r} is not positive definite: {value:g}; allowed: positive")
+
+
+def _shapes(name: str, n: int, modes: Any) -> Float[Tensor, "n 6 m"]:
+    """Modes [n, 6, m]; of three rows for each node the rotations are zero."""
+    psi = reals(f"modes of {name!r}", modes).detach()
+    if psi.dim() == 2 and psi.shape[0] in (3 * n, 6 * n):
+        psi = psi.unflatten(0, (n, -1))
+    if psi.dim() != 3 or psi.shape[0] != n or psi.shape[1] not in (3, 6) or not bool(torch.isfinite(psi).all()):
+        raise InputError(
+            f"modes of {name!r} have shape {tuple(psi.shape)}; allowed: [{n}, 6, m], or [{n}, 3, m] of displacements"
+        )
+    return torch.cat([psi, psi.new_zeros(n, 6 - psi.shape[1], psi.shape[2])], dim=1)
+
+
+def save_reduced(path: str | Path, mesh: Any, origin: Tensor, made: Mapping[str, Tensor]) -> Path:
+    """Write a reduced body to an .npz file; nodes are told from the origin of its frame."""
+    path = Path(path)
+    if path.suffix != ".npz":
+        raise InputError(f"path = {str(path)!r}; allowed: a name that ends in .npz")
+    if made["Kr"].dim() > 2:
+        raise InputError(f"the body has {made['Kr'].shape[0]} designs at once; allowed: one")
+    arrays = {key: made[key].detach().numpy() for key in (*SHAPES, "Kr", "psi")}
+    arrays["nodes"] = (mesh.nodes - origin).detach().numpy()
+    lines = getattr(mesh, "elements", None)
+    cells = {"lines": lines} if lines is not None else {key: getattr(mesh, key) for key in _MESH}
+    arrays |= {key: x.numpy() for key, x in cells.items()}
+    sets = {key: [int(k) for k in members] for key, members in mesh.node_sets.items()}
+    np.savez(path, node_sets=np.array(json.dumps(sets)), **arrays)
+    return path
+
+
+def read_reduced(name: str, path: str | Path) -> ReducedStructure:
+    """Read what `save_reduced` wrote. InputError where the file is another."""
+    if not Path(path).is_file():
+        raise InputError(f"nodes of {name!r} is {str(path)!r}; allowed: a file of save_reduced that exists, or numbers")
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            data = {key: file[key] for key in file.files}
+        sets = json.loads(str(data["node_sets"]))
+        cells = {key: torch.from_numpy(data[key]).long() for key in _MESH if key in data}
+        mesh = NodeCloud(torch.from_numpy(data["nodes"]), node_sets=sets, **cells)
+        own = {key: data[key] for key in SHAPES}
+        return ReducedStructure(name, mesh, data["psi"], data["Kr"], own)
+    except (KeyError, ValueError, TypeError, AttributeError, OSError, zipfile.BadZipFile) as error:
+        raise error if isinstance(error, InputError) else InputError(
+            f"{Path(path).name} is no reduced body: {error}; allowed: a file of save_reduced"
+        ) from None
