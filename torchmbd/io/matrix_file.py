@@ -55,7 +55,9 @@ def read_matrix(name: str, path: str | Path) -> FileMatrix:
     if len(found) == 1 and not wanted:
         kind = list(found)
     if len(kind) != 1 or kind[0] not in found:
-        raise InputError(f"{name}: {file.name} has the matrices {list(found)}; allowed: one of them, '{file.name}:NAME'")
+        raise InputError(
+            f"{name}: {file.name} has the matrices {list(found)}; allowed: one of them, '{file.name}:NAME'"
+        )
     return found[kind[0]]
 
 
@@ -83,7 +85,7 @@ def _square(where: str, rows: int, columns: int) -> None:
 def _real(where: str, matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
     if np.iscomplexobj(matrix.data):
         raise InputError(f"{where}: the matrix is complex; allowed: real")
-    return matrix.astype(np.float64)
+    return scipy.sparse.csr_array(matrix, dtype=np.float64)
 
 
 def _mirrored(matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
@@ -98,7 +100,7 @@ def _assembled(entries: list[tuple[tuple[int, int], tuple[int, int], float]]) ->
     """Entries between (label, direction) pairs; rows in the order of labels."""
     rows = sorted({pair for i, j, _ in entries for pair in (i, j)})
     index = {pair: k for k, pair in enumerate(rows)}
-    i, j = ([index[entry[k]] for entry in entries] for k in (0, 1))
+    i, j = ([index[pair] for pair in pairs] for pairs in zip(*((a, b) for a, b, _ in entries), strict=True))
     matrix = scipy.sparse.coo_array(([entry[2] for entry in entries], (i, j)), shape=(len(rows), len(rows)))
     return FileMatrix(_mirrored(scipy.sparse.csr_array(matrix)), rows)
 

@@ -17,7 +17,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -41,15 +40,12 @@ from torchmbd.fem.reduction import CutCluster, inertia_invariants
 from torchmbd.io.mesh_file import MeshFile, read_mesh
 from torchmbd.io.nastran.body import read_bdf
 from torchmbd.multibody.bodies.beam_parts import beam_parts
-from torchmbd.multibody.bodies.export import assembled, save_matrices
 from torchmbd.multibody.bodies.frame import Frame, bend, identifier, move, put, rotation, vector
-from torchmbd.multibody.bodies.given_matrices import GivenMatrices
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices, rigid_links
-from torchmbd.multibody.bodies.matrix_structure import MatrixStructure
+from torchmbd.multibody.bodies.matrix_methods import MatrixMethods
 from torchmbd.multibody.bodies.mesh_quality import warn_mesh
 from torchmbd.multibody.bodies.modal_damping import ModalDamping
 from torchmbd.multibody.bodies.reduced import matrices, reduced
-from torchmbd.multibody.bodies.reduced_structure import ReducedStructure, read_reduced, save_reduced
 from torchmbd.multibody.bodies.reference import reference_nodes
 from torchmbd.multibody.bodies.unit_checks import warn_slender, warn_units
 from torchmbd.multibody.bodies.zones import zone_parts
@@ -69,7 +65,7 @@ def _check_parts(name: str, mesh: Any, parts: Any) -> None:
         )
 
 
-class FlexibleBody(nn.Module):
+class FlexibleBody(MatrixMethods, nn.Module):
     """A flexible body; made by `FlexibleBody.plate`, `.beam`, `.from_mesh`, `.from_bdf`, `.from_matrices` or `.from_reduced`.
 
     The body frame sits at the reference node (the mean of several) with the axes of the mesh. Modules of parts, such as
@@ -97,7 +93,6 @@ class FlexibleBody(nn.Module):
     modal: Tensor
     modal_velocity: Tensor
     mesh: Any
-    given: MatrixStructure | ReducedStructure | None = None
 
     def __init__(
         self,
@@ -278,100 +273,6 @@ class FlexibleBody(nn.Module):
         body = cls(name, found.mesh, found.parts, modes, links=found.links, **options)
         warn_units(name, found.mesh, body.plates.values(), body.structure)
         return body
-
-    @classmethod
-    def from_matrices(
-        cls,
-        name: str,
-        M: Any,
-        K: Any = None,
-        nodes: Any = None,
-        modes: Any = 8,
-        interface: str | int | Sequence[str | int] = (),
-        freedoms: Any = None,
-        derivatives: Mapping[str, tuple[Any, Any, Any]] | None = None,
-        parameters: Mapping[str, float | Tensor] | None = None,
-        node_sets: Mapping[str, Sequence[int]] | None = None,
-        reference: str | int | Sequence[int] | None = None,
-        reduction: str | None = None,
-        updated: bool = True,
-        **options: Any,
-    ) -> FlexibleBody:
-        """A body from the mass and stiffness matrices of another program: free of supports, linear, in m, kg, s, N.
-
-        M, K         arrays, tensors, SciPy sparse matrices or files (Matrix Market, Nastran OP4 and DMIG text, Abaqus .mtx); or
-                     M alone, a torch module, or a function of `parameters`, that returns both, dense [N, N]
-        nodes        places [n, 3] [m], label -> place, or a Mesh (for pictures and names)
-        modes        how many modes with the reference held, besides the constraint modes of `interface` (Craig-Bampton);
-                     or shapes [N, m] that the body deforms by
-        freedoms     3 or 6 for each node (None: what fits), or (node, "x" ... "rz") of each row
-        derivatives  name -> (value, dM, dK): design variables "body.model.name"; None for a matrix that does not change
-        reference    nodes that the body frame is fixed to; None: the one nearest to the center of mass, and what else it takes
-        options      position, axes, damping, as in `plate`
-        Assumptions of inertia: fem/reduction/mass_invariants.py.  Raises InputError: not symmetric, not positive definite, wrong
-        size, forces for rigid motions; warns of implausible units.
-        """
-        made = GivenMatrices(name, M, K, nodes, freedoms, derivatives, parameters, node_sets)
-        return cls._of(name, MatrixStructure(made, modes, reference, reduction, interface, updated), **options)
-
-    @classmethod
-    def from_reduced(
-        cls,
-        name: str,
-        nodes: Any,
-        modes: Any = None,
-        Kr: Any = None,
-        invariants: Mapping[str, Any] | None = None,
-        Mr: Any = None,
-        node_sets: Mapping[str, Sequence[int]] | None = None,
-        **options: Any,
-    ) -> FlexibleBody:
-        """A body that was reduced elsewhere, of constant numbers (multibody/bodies/reduced_structure.py).
-
-        nodes        places from the origin of the body frame [n, 3] [m], a Mesh, or a file of `save_reduced` alone
-        modes        at the nodes [n, 6, m], or [n, 3, m] without rotations
-        Kr, Mr       reduced stiffness and mass [m, m]; Mr None: the trace of C1 + R2
-        invariants   inertia invariants by their names
-        options      position, axes, damping, as in `plate`
-        """
-        if isinstance(nodes, (str, Path)) and invariants is None:
-            return cls._of(name, read_reduced(name, nodes), **options)
-        made = ReducedStructure(name, nodes, modes, Kr, {} if invariants is None else invariants, Mr, node_sets)
-        return cls._of(name, made, **options)
-
-    @classmethod
-    def _of(
-        cls,
-        name: str,
-        given: MatrixStructure | ReducedStructure,
-        position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
-        axes: Sequence | Tensor | None = None,
-        damping: float = 0.0,
-    ) -> FlexibleBody:
-        body = cls.__new__(cls)
-        nn.Module.__init__(body)
-        body.name = identifier("flexible body", name)
-        body.given, body.mesh, body.parts = given, given.mesh, {}
-        put(body, position, axes)
-        body.reference, body.origin, body.modes = list(given.reference), given.origin, given.size
-        if given.module is not None:
-            body.add_module("model", given.module)
-        body.damping = ModalDamping(name, damping)
-        bend(body, None, None)
-        return body
-
-    def mass_and_stiffness(self) -> tuple[Any, Any]:
-        """M and K of all six freedoms of all nodes, none held, as SciPy sparse matrices (multibody/bodies/export.py)."""
-        return assembled(self)
-
-    def save_matrices(self, path: str | Path) -> tuple[Path, Path]:
-        """Write these as Matrix Market files path_M.mtx and path_K.mtx; from_matrices reads them."""
-        return save_matrices(self, path)
-
-    def save_reduced(self, path: str | Path) -> Path:
-        """Write nodes, modes, Kr and invariants of the present design as .npz; from_reduced reads it, digit by digit."""
-        with torch.no_grad():
-            return save_reduced(path, self.mesh, self.origin, self.structure())
 
     def at(
         self,

@@ -3,8 +3,8 @@
     M, K over all freedoms -> freedoms that are free -> modes psi, Kr -> inertia invariants of M
 
 The body frame is fixed to the reference nodes, all their freedoms held; without a reference to the node nearest to the
-center of mass. Where that has no rotations, three of its freedoms and three of other nodes are held instead, chosen so that they
-hold the body as a rigid one, statically determined. Given modes hold nothing: they are what the body deforms by.
+center of mass. Where that has no rotations, three of its freedoms and three of other nodes are held instead: they hold the
+body as a rigid one, statically determined. Given modes hold nothing: they are what the body deforms by.
 
 Nodes without rotations in the matrices get those that fit the displacements of the nodes best to which K couples them (least
 squares): frames on such a node turn with them.
@@ -14,7 +14,6 @@ Checked in tests/multibody/bodies/test_from_matrices.py.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -24,9 +23,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, unknown, warn
 from torchmbd.fem.reduction import REDUCTIONS, CutCluster, Reduction, modal_basis, uncut
-from torchmbd.fem.reduction.mass_invariants import mass_invariants, rigid_motions
+from torchmbd.fem.reduction.mass_invariants import isotropic, mass_invariants, rigid_motions
 from torchmbd.math.owned import reals, whole
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.given_matrices import GivenMatrices, freedom
@@ -57,12 +56,15 @@ class MatrixStructure:
         with torch.no_grad():
             M, K = given.now()
             x = self.mesh.nodes
+            self._arms = not isotropic(M)
             self._check_rigid(M, K, rigid_motions(x - x.mean(0)))
             self.reference, held = self._held(M, reference)
             self.origin = x[self.reference].mean(0)
             used = torch.zeros(M.size, dtype=torch.bool)
             used[given.freedoms] = True
-            loose = used & (_diagonal(K) == 0) & (_diagonal(M) == 0)  # as drilling rotations of a solver that drops them
+            loose = (
+                used & (_diagonal(K) == 0) & (_diagonal(M) == 0)
+            )  # as drilling rotations of a solver that drops them
             used &= ~loose
             self._rotations = _Rotations(x, given.pairs(), ~used.reshape(-1, 6)[:, 3:].any(1))
             self._held_rows = torch.tensor(held, dtype=torch.long)
@@ -72,7 +74,9 @@ class MatrixStructure:
                 self.free = used.nonzero()[:, 0]
                 self._prepare(M, K, modes, reduction, interface, updated)
             elif reduction is not None or node_indices(self.mesh, interface):
-                raise InputError(f"reduction and interface of {self.name!r} are given beside modes; allowed: one of both")
+                raise InputError(
+                    f"reduction and interface of {self.name!r} are given beside modes; allowed: one of both"
+                )
             made = self.structure(fixed=False)
         self.size = made["Kr"].shape[-1]
         self._warn_units(made)
@@ -85,7 +89,7 @@ class MatrixStructure:
         M, K = self.given.now()
         vectors, Kr = self._basis(M, K)
         psi = self._rotations(vectors.unflatten(-2, (-1, 6)))
-        return mass_invariants(self.mesh.nodes - self.origin, M, psi) | {"Kr": Kr, "psi": psi}
+        return mass_invariants(self.mesh.nodes - self.origin, M, psi, self._arms) | {"Kr": Kr, "psi": psi}
 
     def _basis(self, M: SparseMatrix, K: SparseMatrix) -> tuple[Tensor, Tensor]:
         """Modes [..., 6 n, m] and Kr."""
@@ -126,9 +130,13 @@ class MatrixStructure:
                     f"{freedom(int(bad[0]))} ({len(bad)} freedoms are so); allowed: mass and stiffness at every freedom"
                 )
         try:
-            found = uncut(REDUCTIONS[kind](int(modes), tuple(rows), updated), K.restrict(self.free), M.restrict(self.free))
+            found = uncut(
+                REDUCTIONS[kind](int(modes), tuple(rows), updated), K.restrict(self.free), M.restrict(self.free)
+            )
         except InputError as error:
-            raise InputError(f"reduction of {self.name!r} (rows of its {len(self.free)} free freedoms): {error}") from None
+            raise InputError(
+                f"reduction of {self.name!r} (rows of its {len(self.free)} free freedoms): {error}"
+            ) from None
         self.reduction: Reduction = found
         lowest = torch.linalg.eigvalsh(found(K.restrict(self.free), M.restrict(self.free)).stiffness)
         scale = float((_diagonal(K)[self.free] / _diagonal(M)[self.free]).max())
@@ -189,7 +197,9 @@ class MatrixStructure:
             return [node], list(range(6 * node, 6 * node + 6))
         first = [6 * node + i for i in range(3)]
         turning = rigid_motions(x - x[node])[:, 3:] / size * own[:, None]
-        _, R, order = scipy.linalg.qr(turning.T.numpy(), mode="economic", pivoting=True)
+        _, R, order = scipy.linalg.qr(  # pyright: ignore[reportAssignmentType]
+            turning.T.numpy(), mode="economic", pivoting=True
+        )
         if abs(R[2, 2]) < 1e-9 * abs(R[0, 0]):
             raise InputError(f"nodes of {self.name!r} lie on a line and have no rotations; allowed: a body in space")
         return [node], [*first, *(int(k) for k in order[:3])]
@@ -220,10 +230,9 @@ class MatrixStructure:
         density, sound = mass / size**3, first * size
         wrong = not 2e-3 <= size <= 200.0 or not 1e-4 <= density <= 25_000.0 or not 1e-3 <= sound <= 3e4
         if wrong:
-            warnings.warn(
+            warn(
                 f"units of body {self.name!r}? It is {size:.3g} m long, weighs {mass:.3g} kg, and its first frequency "
-                f"is {first:.3g} Hz. Allowed: m, kg, s, N",
-                stacklevel=4,
+                f"is {first:.3g} Hz. Allowed: m, kg, s, N"
             )
 
 

@@ -161,7 +161,8 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, made: Mapping[str,
     cells = {"lines": lines} if lines is not None else {key: getattr(mesh, key) for key in _MESH}
     arrays |= {key: x.numpy() for key, x in cells.items()}
     sets = {key: [int(k) for k in members] for key, members in mesh.node_sets.items()}
-    np.savez(path, node_sets=np.array(json.dumps(sets)), **arrays)
+    arrays["node_sets"] = np.array(json.dumps(sets))
+    np.savez(path, allow_pickle=False, **arrays)
     return path
 
 
@@ -173,11 +174,13 @@ def read_reduced(name: str, path: str | Path) -> ReducedStructure:
         with np.load(path, allow_pickle=False) as file:
             data = {key: file[key] for key in file.files}
         sets = json.loads(str(data["node_sets"]))
-        cells = {key: torch.from_numpy(data[key]).long() for key in _MESH if key in data}
+        cells: dict[str, Any] = {key: torch.from_numpy(data[key]).long() for key in _MESH if key in data}
         mesh = NodeCloud(torch.from_numpy(data["nodes"]), node_sets=sets, **cells)
         own = {key: data[key] for key in SHAPES}
         return ReducedStructure(name, mesh, data["psi"], data["Kr"], own)
-    except (KeyError, ValueError, TypeError, AttributeError, OSError, zipfile.BadZipFile) as error:
-        raise error if isinstance(error, InputError) else InputError(
-            f"{Path(path).name} is no reduced body: {error}; allowed: a file of save_reduced"
+    except (KeyError, ValueError, TypeError, AttributeError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise (
+            error
+            if isinstance(error, InputError)
+            else InputError(f"{Path(path).name} is no reduced body: {error}; allowed: a file of save_reduced")
         ) from None

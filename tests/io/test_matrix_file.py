@@ -1,0 +1,141 @@
+"""Matrix files of other programs: the same numbers in every format; one wrong field is named by file and line."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.io
+import scipy.sparse
+
+from torchmbd.errors import InputError
+from torchmbd.io.matrix_file import read_matrix
+
+A = np.array([[4.0, -1.5, 0.0, 2.0e-3], [-1.5, 5.0, 0.25, 0.0], [0.0, 0.25, 6.0, 0.0], [2.0e-3, 0.0, 0.0, 7.0]])
+ROWS = [(11, 1), (11, 5), (20, 1), (20, 3)]  # node and direction of each row of A
+
+
+def matrix_market(path):
+    scipy.io.mmwrite(path, scipy.sparse.coo_array(A), symmetry="symmetric", precision=17)
+
+
+def abaqus_labels(path):
+    lines = [
+        f"{ROWS[i][0]}, {ROWS[i][1]}, {ROWS[j][0]}, {ROWS[j][1]}, {A[i, j]:.16e}" for i, j in np.argwhere(np.tril(A))
+    ]
+    path.write_text("*MATRIX INPUT,NAME=K,TYPE=SYMMETRIC\n" + "\n".join(lines))
+
+
+def abaqus_coordinate(path):
+    path.write_text("\n".join(f"{i + 1} {j + 1} {A[i, j]:.16e}" for i, j in np.argwhere(A)))
+
+
+def _op4(path, style, column):
+    head = f"{4:8}{4 if style != 'big' else -4:8}{6:8}{2:8}{'KGG':8}1P,3E23.16\n"
+    last = f"{5:8}{1:8}{1:8}\n{1.0:23.16E}\n"
+    path.write_text(head + "".join(column(j) for j in range(4)) + last)
+
+
+def _numbers(x):
+    return "".join("".join(f"{v:23.16E}" for v in x[k : k + 3]) + "\n" for k in range(0, len(x), 3))
+
+
+def op4_dense(path):
+    def column(j):
+        first, last = np.flatnonzero(A[:, j])[[0, -1]]
+        return f"{j + 1:8}{first + 1:8}{2 * (last - first + 1):8}\n" + _numbers(A[first : last + 1, j])
+
+    _op4(path, "dense", column)
+
+
+def op4_small(path):
+    def column(j):
+        rows = np.flatnonzero(A[:, j])
+        strings = "".join(f"{65536 * (2 + 1) + i + 1:8}\n" + _numbers(A[i : i + 1, j]) for i in rows)
+        return f"{j + 1:8}{0:8}{3 * len(rows):8}\n" + strings
+
+    _op4(path, "small", column)
+
+
+def op4_big(path):
+    def column(j):
+        rows = np.flatnonzero(A[:, j])
+        strings = "".join(f"{2 + 1:8}{i + 1:8}\n" + _numbers(A[i : i + 1, j]) for i in rows)
+        return f"{j + 1:8}{0:8}{4 * len(rows):8}\n" + strings
+
+    _op4(path, "big", column)
+
+
+def dmig(path):
+    cards = ["DMIG,KAAX,0,6,2,0"]
+    for j in range(4):
+        for i in range(j, 4):
+            if A[i, j]:
+                cards.append(f"DMIG*,KAAX,{ROWS[j][0]},{ROWS[j][1]},,*\n*,{ROWS[i][0]},{ROWS[i][1]},{A[i, j]:.9E}")
+    path.write_text("BEGIN BULK\n" + "\n".join(cards) + "\nENDDATA\n")
+
+
+@pytest.mark.parametrize(
+    ("write", "name", "told"),
+    [
+        (matrix_market, "a.mtx", False),
+        (abaqus_labels, "a.mtx", True),
+        (abaqus_coordinate, "a.mtx", False),
+        (op4_dense, "a.op4", False),
+        (op4_small, "a.op4", False),
+        (op4_big, "a.op4", False),
+        (dmig, "a.pch", True),
+    ],
+)
+def test_the_same_matrix_in_every_format(write, name, told, tmp_path):
+    write(tmp_path / name)
+    found = read_matrix("K", tmp_path / name)
+    np.testing.assert_array_equal(found.matrix.toarray(), A)
+    assert found.rows == (ROWS if told else None)
+
+
+def test_a_file_of_two_matrices(tmp_path):
+    op4_dense(tmp_path / "k.op4")
+    one = (tmp_path / "k.op4").read_text()
+    other = one.replace("KGG", "MGG").replace("4.0000000000000000E+00", "9.0000000000000000E+00")
+    (tmp_path / "both.op4").write_text(one + other)
+    assert read_matrix("K", tmp_path / "both.op4").matrix[0, 0] == 4.0
+    assert read_matrix("M", tmp_path / "both.op4").matrix[0, 0] == 9.0
+    assert read_matrix("M", f"{tmp_path / 'both.op4'}:KGG").matrix[0, 0] == 4.0
+    with pytest.raises(InputError, match=r"K: both.op4 has the matrices \['KGG', 'MGG'\]"):
+        read_matrix("K", f"{tmp_path / 'both.op4'}:XX")
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "words"),
+    [
+        ("a.mtx", "1 1 4.0\n1 2 x\n", "a.mtx, line 2: '1 2 x'"),
+        ("a.mtx", "1 1 4.0\n1, 1, 1, 2, 5.0\n", "two kinds of lines"),
+        ("a.mtx", "", "no entries"),
+        ("a.mtx", "1 1000000000 4.0\n", "allowed: square, at most 3000000 rows"),
+        (
+            "a.mtx",
+            "%%MatrixMarket matrix coordinate real general\n2000000000 2000000000 1\n1 1 1.0\n",
+            "at most 3000000",
+        ),
+        ("a.mtx", "%%MatrixMarket matrix coordinate complex general\n1 1 1\n1 1 1.0 2.0\n", "complex; allowed: real"),
+        ("a.mtx", "%%MatrixMarket matrix coordinate real general\n2 2 5\n1 1 1.0\n", "a.mtx"),
+        ("a.op4", f"{4:8}{9:8}{6:8}{2:8}KGG     1P,3E23.16\n", "line 1: a matrix of 9 x 4"),
+        ("a.op4", f"{4:8}{4:8}{6:8}{4:8}KGG     1P,3E23.16\n", "type 4; allowed: 1 or 2"),
+        ("a.op4", "not a matrix\n", "no header of an OP4 matrix"),
+        ("a.op4", f"{2:8}{2:8}{6:8}{2:8}KGG     1P,3E23.16\n{1:8}{7:8}{2:8}\n{1.0:23.16E}\n", "row 7, column 1"),
+        ("a.pch", "DMIG,KAAX,1,1,,1,1,4.0\n", "comes later or never"),
+        ("a.pch", "DMIG,KAAX,0,6,3,0\n", "and real"),
+        ("a.pch", "GRID,1,,0.,0.,0.\n", "no DMIG matrix"),
+        ("a.txt", "1 1 4.0\n", "its ending is '.txt'"),
+    ],
+)
+def test_wrong_files_are_named(name, text, words, tmp_path):
+    (tmp_path / name).write_text(text)
+    with pytest.raises(InputError) as error:
+        read_matrix("K", tmp_path / name)
+    assert words in str(error.value), error.value
+
+
+def test_a_file_that_does_not_exist():
+    with pytest.raises(InputError, match=r"K is 'none.mtx'; allowed: a matrix file that exists"):
+        read_matrix("K", "none.mtx")

@@ -1,0 +1,107 @@
+"""Bodies that were reduced elsewhere: a round trip changes no digit; other coordinates change no motion."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.mechanisms import finished, laminate
+from torchmbd.errors import InputError
+from torchmbd.multibody.bodies.reduced_structure import SHAPES
+
+
+@pytest.fixture(scope="module")
+def plate():
+    mesh = mbd.mesh.rectangle(length=0.4, width=0.05, cells=(4, 1))
+    return mbd.FlexibleBody.plate("arm", mesh, laminate((30.0, -50.0)), modes=3, reference="left_edge")
+
+
+@pytest.fixture(scope="module")
+def made(plate):
+    return {key: x.detach() for key, x in plate.structure().items()}
+
+
+def numbers(made):
+    return {key: made[key] for key in SHAPES}
+
+
+def swing(body) -> torch.Tensor:
+    hinge = mbd.Revolute(mbd.Ground().at(0, 0, 0), body.at(0), axis="y")
+    motion = mbd.simulate(mbd.System([body], [hinge], gravity=(0, 0, -9.81)), 0.1, steps=50, gradients="none")
+    return finished(motion).body("arm").nodes[0, :, -1]
+
+
+def test_a_round_trip_changes_no_digit(plate, made, tmp_path):
+    path = plate.save_reduced(tmp_path / "arm.npz")
+    body = mbd.FlexibleBody.from_reduced("arm", path, position=(0.1, 0.0, 0.0))
+    found = body.structure()
+    for key, x in made.items():
+        assert torch.equal(found[key], x), key
+    assert body.mesh.node_sets == plate.mesh.node_sets
+
+
+def test_the_motion_is_the_same(plate, tmp_path):
+    body = mbd.FlexibleBody.from_reduced("arm", plate.save_reduced(tmp_path / "arm.npz"))
+    assert torch.equal(swing(body), swing(plate))
+
+
+def test_other_coordinates_are_the_same_body(plate, made):
+    """Modes mixed by a matrix A: Kr -> A' Kr A, and likewise for the rest."""
+    A = torch.tensor(np.random.default_rng(2).normal(size=(plate.modes,) * 2))
+    mixed = numbers(made)
+    mixed |= {key: mixed[key] @ A for key in ("S1", "C0", "R1")}
+    mixed |= {key: A.T @ mixed[key] @ A for key in ("C1", "R2")}
+    nodes = plate.mesh.nodes - plate.origin
+    Kr = A.T @ made["Kr"] @ A
+    body = mbd.FlexibleBody.from_reduced("arm", nodes, made["psi"] @ A, 0.5 * (Kr + Kr.T), mixed)
+    assert_close(swing(body), swing(plate), rtol=0.0, atol=1e-10)
+
+
+def test_inertia_may_stand_for_its_matrix(plate, made):
+    own = numbers(made)
+    P0 = own.pop("P0")
+    own["J"] = P0.trace() * torch.eye(3, dtype=torch.float64) - P0
+    body = mbd.FlexibleBody.from_reduced("arm", plate.mesh.nodes, made["psi"], made["Kr"], own)
+    assert_close(body.structure()["P0"], P0, rtol=1e-12, atol=1e-15)
+
+
+WRONG = {
+    "lacks": (lambda x: {"invariants": {k: v for k, v in x.items() if k != "C0"}}, "lack 'C0'"),
+    "unknown": (lambda x: {"invariants": x | {"C2": 1.0}}, "'C2'"),
+    "shape": (lambda x: {"invariants": x | {"S1": torch.zeros(3, 7)}}, r"S1 of 'arm' has shape \(3, 7\)"),
+    "negative": (lambda x: {"invariants": x | {"mass": -1.0}}, "mass of 'arm' is not positive"),
+    "Kr": (lambda x: {"Kr": -torch.eye(3)}, "Kr of 'arm' is not positive definite"),
+    "Kr's shape": (lambda x: {"Kr": torch.eye(2)}, r"Kr of 'arm' has shape \(2, 2\)"),
+    "modes": (lambda x: {"modes": torch.zeros(3, 6, 2)}, r"modes of 'arm' have shape \(3, 6, 2\)"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_no_body_is_refused(plate, made, case):
+    change, words = WRONG[case]
+    own = {"nodes": plate.mesh.nodes, "modes": made["psi"], "Kr": made["Kr"], "invariants": numbers(made)}
+    with pytest.raises(InputError, match=words):
+        mbd.FlexibleBody.from_reduced("arm", **own | change(numbers(made)))
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 no archive", b"\x93NUMPY\x01\x00"])
+def test_files_of_another_kind_are_refused(tmp_path, content):
+    (tmp_path / "x.npz").write_bytes(content)
+    with pytest.raises(InputError, match=r"x.npz is no reduced body"):
+        mbd.FlexibleBody.from_reduced("arm", tmp_path / "x.npz")
+    with pytest.raises(InputError, match=r"a file of save_reduced that exists"):
+        mbd.FlexibleBody.from_reduced("arm", tmp_path / "y.npz")
+
+
+def test_ply_stress_names_what_is_missing(plate, tmp_path):
+    body = mbd.FlexibleBody.from_reduced("arm", plate.save_reduced(tmp_path / "arm.npz"))
+    hinge = mbd.Revolute(mbd.Ground().at(0, 0, 0), body.at(0), axis="y")
+    motion = mbd.simulate(mbd.System([body], [hinge]), 0.01, steps=5, gradients="none")
+    assert torch.isfinite(mbd.Max(mbd.StrainEnergy("arm"))(motion)).all()
+    with pytest.raises(InputError, match="'arm'"):
+        mbd.Max(mbd.PlyStress("arm", "11"))(motion)
+    with pytest.raises(InputError, match="reduced elsewhere"):
+        body.save_matrices(tmp_path / "m")
