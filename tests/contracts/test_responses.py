@@ -100,7 +100,7 @@ HISTORIES: dict[str, list[History]] = {
         Angle("rod", (0.2, 1.0, -0.3), seen_from="arm"),
         Angle("arm", "z", seen_from="rod", center=3.0),
     ],
-    "ply_failure": [PlyFailure("rod"), PlyFailure("rod", "max_stress")],
+    "ply_failure": [PlyFailure("rod"), PlyFailure("rod", "max_stress"), PlyFailure("rod", "puck")],
     "ply_stress": [PlyStress("rod", "11", layer=1), PlyStress("rod", "12", layer=1, extreme="lowest")],
 }
 ENERGY, LAG = StrainEnergy("rod"), Displacement("rod", "z", node="right")

@@ -28,7 +28,8 @@ class PlyFailure(History):
     """Failure index of a laminated body [lanes, times] [-]: nothing fails where it is below one.
 
     body       its name; its plies have a Strength
-    criterion  "tsai_wu", "tsai_wu_irf" (grows in proportion to the load) or "max_stress" (fem/materials/strength.py)
+    criterion  "tsai_wu", "tsai_wu_irf" (grows in proportion to the load), "max_stress", "hashin" or "puck"
+               (fem/materials/strength.py)
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
     >>> index = mbd.PlyFailure("arm")

@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements import PlyBasis, ply_basis, ply_points
-from torchmbd.fem.materials import CRITERIA, FailureForms
+from torchmbd.fem.materials import CRITERIA, MODES, FailureForms
 from torchmbd.math.module_call import call_module
 
 if TYPE_CHECKING:
@@ -43,6 +43,8 @@ class PlyHistory:
     >>> plies = mbd.PlyHistory(motion, "arm")
     >>> plies.failure("tsai_wu").shape  # index of the critical point, at each time
     torch.Size([1, 41])
+    >>> plies.modes("hashin")[-1]  # at the end
+    'matrix tension'
     >>> plies.stress(times=slice(-1, None)).shape  # lanes, times, points, components [Pa]
     torch.Size([1, 1, 32, 5])
     """
@@ -94,6 +96,16 @@ class PlyHistory:
         lane = torch.arange(len(place))[:, None]
         stress = torch.einsum("ltcm,ltm->ltc", self.basis.stress[lane, place], self.w)
         return rule(stress, strength[lane, place])
+
+    def modes(self, criterion: str = "hashin", lane: int = 0) -> list[str]:
+        """Mode of failure that is nearest at each time: of "hashin", "puck" or "max_stress", at the critical point."""
+        if criterion not in MODES:
+            raise unknown("criterion of modes", criterion, MODES)
+        place = self.critical(criterion)[lane]
+        _, strength = self._rule(criterion)
+        stress = torch.einsum("tcm,tm->tc", self.basis.stress[lane, place], self.w[lane])
+        largest = MODES[criterion].indices(stress, strength[lane, place]).argmax(-1)
+        return [MODES[criterion].names[k] for k in largest.tolist()]
 
     def extreme(self, component: int, layer: int | None = None, sign: float = 1.0) -> Float[Tensor, "lanes times"]:
         """Largest value of `sign` times a stress component [Pa] over all points, or those of one layer, at each time."""

@@ -1,16 +1,18 @@
 """Plies and laminates: from elastic constants and angles to plate stiffness, ply stresses and failure."""
 
 from torchmbd.fem.materials.failure_forms import FailureForms
+from torchmbd.fem.materials.failure_modes import MODES
 from torchmbd.fem.materials.isotropic_mean import IsotropicMean
 from torchmbd.fem.materials.laminate import ENTRIES, Laminate, LaminateStiffness
 from torchmbd.fem.materials.ply import Ply
 from torchmbd.fem.materials.ply_maps import PlyMaps, ply_maps
 from torchmbd.fem.materials.sn_curve import SNCurve, mean_factor, power_law_damage
-from torchmbd.fem.materials.strength import CRITERIA, PLY_COMPONENTS, Strength, max_stress, tsai_wu, tsai_wu_irf
+from torchmbd.fem.materials.strength import CRITERIA, PLY_COMPONENTS, Strength, tsai_wu, tsai_wu_irf
 
 __all__ = [
     "CRITERIA",
     "ENTRIES",
+    "MODES",
     "PLY_COMPONENTS",
     "FailureForms",
     "IsotropicMean",
@@ -20,7 +22,6 @@ __all__ = [
     "PlyMaps",
     "SNCurve",
     "Strength",
-    "max_stress",
     "mean_factor",
     "ply_maps",
     "power_law_damage",

@@ -3,7 +3,8 @@
     stress = basis w,      linear = f' basis w,      quadratic = w' (basis' F basis) w
 
 So the indices of all points are one product of (w_i, w_i w_j) with coefficients of the points, and no stress is made. For
-max_stress they are the largest of ten linear forms. No autograd inside: this tells which point is nearest to failure.
+max_stress they are the largest of ten linear forms, and for criteria of several modes they come from the stresses. No autograd
+inside: this tells which point is nearest to failure.
 Checked in tests/fem/materials/test_failure_forms.py.
 """
 
@@ -13,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from torchmbd.fem.materials.failure_modes import MODES
 from torchmbd.fem.materials.strength import CRITERIA, inverse_reserve_factor, tsai_wu_forms
 
 
@@ -31,6 +33,9 @@ class FailureForms:
             rows = basis.transpose(0, 1)[[0, 0, 1, 1, 2, 3, 4, 2, 3, 4]]
             self.forms = [rows / limits[..., None]]
             return
+        if criterion in MODES:
+            self.forms = [basis.flatten(0, 1), strength]
+            return
         f, F = tsai_wu_forms(strength)
         quadratic = basis.mT @ F @ basis
         self._pairs = torch.triu_indices(k, k)
@@ -41,6 +46,9 @@ class FailureForms:
         """Indices under every load."""
         if self.criterion == "max_stress":
             return (w @ self.forms[0].mT).amax(0)
+        if self.criterion in MODES:
+            stress = (w @ self.forms[0].mT).unflatten(1, (-1, 5))
+            return CRITERIA[self.criterion](stress, self.forms[1])
         pairs = w[:, self._pairs[0]] * w[:, self._pairs[1]]
         if self.criterion == "tsai_wu":
             return torch.cat([w, pairs], 1) @ torch.cat(self.forms, 1).mT

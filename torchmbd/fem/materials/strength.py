@@ -5,8 +5,9 @@
     tsai_wu_irf   inverse reserve factor 1 / R: the Tsai-Wu index of R times the stress is one; grows in proportion to
                   the load, so it is the better scaled one for a constraint
     max_stress    largest of s1 / Xt, -s1 / Xc, s2 / Yt, -s2 / Yc, |t12| / S12, |t13| / S13, |t23| / S23
+    hashin, puck  with modes of failure (failure_modes.py)
 
-Each is below one where the ply holds, and all three are one together under a single stress component that fails.
+Each is below one where the ply holds, and all are one together under a single stress component that fails.
 stress   s11, s22, t12, t13, t23 in ply axes     [..., 5]  Pa
 Differentiable in the stress (a sub-gradient where two terms of max_stress are equal, or the stress is zero).
 Source: S. W. Tsai and E. M. Wu, A general theory of strength for anisotropic materials, J. Compos. Mater. 5 (1971);
@@ -26,6 +27,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
+from torchmbd.fem.materials.failure_modes import MODES
 from torchmbd.math.variable import number, stacked
 
 #: The stresses and strains of a ply, in this order; 1 = fibre, 3 = thickness. Shear strains are engineering strains.
@@ -92,14 +94,6 @@ def inverse_reserve_factor(linear: Float[Tensor, "*n"], quadratic: Float[Tensor,
     return torch.where(loaded, 0.5 * (linear + torch.where(loaded, square, 1.0).sqrt()), 0.0 * square)
 
 
-def max_stress(stress: Float[Tensor, "*n 5"], strength: Float[Tensor, "*n 8"]) -> Float[Tensor, "*n"]:
-    """Index of maximum stress."""
-    Xt, Xc, Yt, Yc, S12, S13, S23, _ = strength.unbind(-1)
-    s1, s2, t12, t13, t23 = stress.unbind(-1)
-    parts = (s1 / Xt, -s1 / Xc, s2 / Yt, -s2 / Yc, t12.abs() / S12, t13.abs() / S13, t23.abs() / S23)
-    return torch.stack(parts, dim=-1).amax(-1)
-
-
 def tsai_wu_forms(strength: Float[Tensor, "*n 8"]) -> tuple[Float[Tensor, "*n 5"], Float[Tensor, "*n 5 5"]]:
     """The linear form of Tsai-Wu in the stress, and the matrix of the quadratic one."""
     Xt, Xc, Yt, Yc, S12, S13, S23, interaction = strength.unbind(-1)
@@ -120,5 +114,5 @@ def _tsai_wu_parts(stress: Tensor, strength: Tensor) -> tuple[Tensor, Tensor]:
 CRITERIA: dict[str, Callable[[Tensor, Tensor], Tensor]] = {
     "tsai_wu": tsai_wu,
     "tsai_wu_irf": tsai_wu_irf,
-    "max_stress": max_stress,
+    **MODES,
 }
