@@ -44,7 +44,7 @@ class PlyHistory:
     >>> plies.failure("tsai_wu").shape  # index of the critical point, at each time
     torch.Size([1, 41])
     >>> plies.modes("hashin")[-1]  # at the end
-    'matrix tension'
+    'matrix compression'
     >>> plies.stress(times=slice(-1, None)).shape  # lanes, times, points, components [Pa]
     torch.Size([1, 1, 32, 5])
     """
