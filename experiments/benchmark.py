@@ -23,7 +23,8 @@ Parts (default: all):
     work-precision  all kinds of integrators
 
 One torch thread. Compiled code that is missing is built first (kept in the cache); not with --quick, which also takes smaller
-sizes. What was not measured is null. Wall times, the fastest of several runs taken in turns.
+sizes. What was not measured is null. Processor times of one thread, the fastest of several runs taken in turns; wall times of
+multistart, start and compile.
 """
 
 from __future__ import annotations

@@ -207,14 +207,14 @@ def compiled_ready(dynamics: Dynamics, build: bool = True) -> bool:
 
 
 def interleaved(functions: Mapping[str, Callable[[], object]], repeat: int) -> dict[str, float]:
-    """Wall seconds of the fastest of several runs, taken in turns so that a noisy machine hits all alike.
+    """Processor seconds of the fastest of several runs, taken in turns: other programs on the machine affect all alike.
 
     A function that returns a float has measured itself.
     """
     seconds: dict[str, list[float]] = {name: [] for name in functions}
     for _ in range(repeat):
         for name, function in functions.items():
-            start = time.perf_counter()
+            start = time.process_time()
             own = function()
-            seconds[name].append(own if isinstance(own, float) else time.perf_counter() - start)
+            seconds[name].append(own if isinstance(own, float) else time.process_time() - start)
     return {name: min(found) for name, found in seconds.items()}

@@ -249,14 +249,14 @@ class Model:
         settings.timeIntegration.adaptiveStep = False
         settings.timeIntegration.newton.useModifiedNewton = True
         settings.timeIntegration.generalizedAlpha.spectralRadius = 0.9
-        start = time.perf_counter()
+        start = time.process_time()
         try:
             with contextlib.redirect_stdout(sys.stderr):
                 self.mbs.SolveDynamic(settings, solverType=self.exu.DynamicSolverType.GeneralizedAlpha)
         except self.exu.SolverError:
             nothing = np.full(steps + 1, np.nan)
-            return Run(np.linspace(0.0, duration, steps + 1), nothing, time.perf_counter() - start)
-        seconds = time.perf_counter() - start
+            return Run(np.linspace(0.0, duration, steps + 1), nothing, time.process_time() - start)
+        seconds = time.process_time() - start
         found = [(np.asarray(self.mbs.GetSensorStoredData(number)), K) for number, K in self.energies]
         U = sum(0.5 * np.einsum("ti,ij,tj->t", x[:, 1:], K, x[:, 1:]) for x, K in found)
         places = tuple(np.asarray(self.mbs.GetSensorStoredData(number))[:, 1:] for number in self.watched)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments.documentation import links
 from tests.page_blocks import blocks, commands, run
 from torchmbd import cli
 
@@ -64,12 +65,14 @@ def test_pages_are_in_the_navigation():
     assert sorted(listed) == sorted(str(p.relative_to(ROOT / "docs")) for p in PAGES[1:])
 
 
-def test_the_site_is_built_without_a_warning(tmp_path):
+def test_the_site_is_built_without_a_warning_and_its_links_lead_somewhere(tmp_path):
     pytest.importorskip("mkdocs", reason="needs mkdocs: pip install -e '.[docs]'")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "site" / "index.html").exists()
+    pages = links.read(tmp_path / "site")
+    assert len(pages) > len(PAGES)
+    assert links.broken(pages, tmp_path / "site") == []
 
 
 def test_the_readme_is_short():

@@ -42,5 +42,7 @@ def on_page_content(html: str, **_: Any) -> str:
 def _mathml(found: re.Match[str]) -> str:
     from latex2mathml.converter import convert  # pyright: ignore[reportMissingImports]
 
-    display = "block" if found[1] == "div" else "inline"
-    return convert(unescape(found[2]).strip().removeprefix("\\(").removeprefix("\\[")[:-2], display=display)
+    text = unescape(found[2]).strip().removeprefix("\\(").removeprefix("\\[")[:-2]
+    if found[1] == "span":
+        return convert(text, display="inline")
+    return f'<div class="equation">{convert(text, display="block")}</div>'
