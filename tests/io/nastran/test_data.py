@@ -40,7 +40,6 @@ def test_a_system_by_grids():
     [
         ("CORD2R,1,1,0.,0.,0.,0.,0.,1.\n,1.,0.,0.\nGRID,5,1,1.,1.,1.", ["CORD2R 1", "refers to itself"]),
         ("CORD2R,1,0,0.,0.,0.,0.,0.,1.\n,0.,0.,3.\nGRID,5,1,1.,1.,1.", ["CORD2R 1", "on a line"]),
-        ("CORD2S,1,0,0.,0.,0.,0.,0.,1.\n,1.,0.,0.", ["CORD2S 1", "CORD2R, CORD2C, CORD1R"]),
         ("CORD1R,6,1,2,3\nGRID,4,6,2.,0.,0.", ["CORD1R 6", "GRID 1 does not exist"]),
     ],
 )
@@ -104,7 +103,7 @@ def test_x_of_a_cylindrical_system_is_the_radius_at_the_place():
         found.systems.axes(2, found.grid_cards[1], np.array([1.0, 1.0, 3.0]))
 
 
-@pytest.mark.parametrize("card", ["GRDSET,,1,,,,2", "BAROR,,5,,,0.,1.,0.", "BEAMOR,,5", "RJOINT,5,1,2,123"])
+@pytest.mark.parametrize("card", ["CSHEAR,1,2,3,4,5,6", "BAROR,,5,,,0.,1.,0.", "BEAMOR,,5", "RJOINT,5,1,2,123"])
 def test_cards_that_change_others_are_refused(card):
     with pytest.raises(InputError, match="cannot be read, and without it the structure is another"):
         data(f"GRID,1,,0.,0.,0.\n{card}")

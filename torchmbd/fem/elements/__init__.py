@@ -7,16 +7,42 @@ from torchmbd.fem.elements.beam_section import BeamSection, GivenSection
 from torchmbd.fem.elements.beams import Beams
 from torchmbd.fem.elements.fiber_field import FiberField
 from torchmbd.fem.elements.freedoms import Average, Freedoms, RigidLink
+from torchmbd.fem.elements.given_elements import GivenElements
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.fem.elements.plate import PlateMatrices
 from torchmbd.fem.elements.plates import MASSES, Plates, PointMasses, merged
 from torchmbd.fem.elements.ply_recovery import PlyBasis, ply_basis, ply_points
 from torchmbd.fem.elements.shell_elements import ELEMENTS
+from torchmbd.fem.elements.solids import CORNERS, solid_matrices
 from torchmbd.fem.elements.steered_laminate import FiberPaths, SteeredLaminate
 from torchmbd.fem.elements.strains import FREEDOMS
 
 __all__ = [
-    "ELEMENTS", "FREEDOMS", "MASSES", "Assembly", "Average", "BeamLine", "BeamMatrices", "BeamSection", "Beams", "FiberField",
-    "FiberPaths", "Freedoms", "GivenSection", "MassPoints", "Part", "PlateMatrices", "Plates", "PlyBasis", "PointMasses",
-    "RigidLink", "SteeredLaminate", "merged", "ply_basis", "ply_points",
+    "CORNERS",
+    "ELEMENTS",
+    "FREEDOMS",
+    "MASSES",
+    "Assembly",
+    "Average",
+    "BeamLine",
+    "BeamMatrices",
+    "BeamSection",
+    "Beams",
+    "FiberField",
+    "FiberPaths",
+    "Freedoms",
+    "GivenElements",
+    "GivenSection",
+    "MassPoints",
+    "Part",
+    "PlateMatrices",
+    "Plates",
+    "PlyBasis",
+    "PointMasses",
+    "RigidLink",
+    "SteeredLaminate",
+    "merged",
+    "ply_basis",
+    "ply_points",
+    "solid_matrices",
 ]  # fmt: skip

@@ -21,7 +21,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.fem.elements.freedoms import Average, Freedoms, RigidLink
@@ -55,6 +55,9 @@ class Assembly:
         self.mesh, self.parts = mesh, dict(parts)
         self.freedoms = Freedoms(mesh.nodes, held, links)
         points = [part.masses() for part in self.parts.values()]
+        absent = self._absent(points)
+        if len(absent):
+            self.freedoms = Freedoms(mesh.nodes, held, links, absent)
         self._ends = torch.cat([p.ends for p in points])
         self._lumped = bool((self._ends[:, 0] == self._ends[:, 1]).all())
         self._prepare_stiffness()
@@ -63,6 +66,23 @@ class Assembly:
         self._entries = torch.arange(36) if arms else 7 * torch.arange(6)  # of a point's 6 x 6 inertia
         if not self.diagonal:
             self._prepare_mass()
+
+    def _absent(self, points: Sequence[MassPoints]) -> Int[Tensor, " k"]:
+        """Free freedoms without stiffness and mass: rotations of nodes of solids."""
+        used = torch.zeros(len(self.freedoms.free), dtype=torch.bool)
+        for part in self.parts.values():
+            used[self.freedoms.reduced(part.pattern)[0].rows] = True
+        if bool(used.all()):
+            return torch.zeros(0, dtype=torch.long)
+        full = torch.zeros(6 * len(self.mesh.nodes), dtype=torch.bool)
+        for p in (p for p in points if len(p.ends)):
+            heavy, turning = (x.detach().reshape(-1, x.shape[-1]).amax(0) > 0 for x in (p.mass, p.rotary))
+            turning = turning if p.arm is None else heavy | turning
+            for has, first in ((heavy, 0), (turning, 3)):
+                full[(6 * p.ends[has].flatten()[:, None] + torch.arange(first, first + 3)).flatten()] = True
+        heavy = torch.zeros_like(used)
+        heavy[self.freedoms.cols[full[self.freedoms.rows]]] = True
+        return self.freedoms.free[~(used | heavy)]
 
     def _prepare_stiffness(self) -> None:
         """Where the values of every part go in the common pattern of the free freedoms: (source, slot, factor)."""

@@ -2,7 +2,7 @@
 
     u = T u_free        u: all freedoms of all nodes [6 n],  T: sparse, constant
 
-held node     u = 0
+held node     u = 0; single freedoms that have neither stiffness nor mass, too
 rigid link    u_s = u_m + phi_m x d,  phi_s = phi_m       node s follows node m, d from m to s        (RBE2)
 average       the rigid motion that fits weighted nodes best, in the sense of least squares           (RBE3)
 
@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.errors import InputError
@@ -46,17 +46,25 @@ class Freedoms:
     free                freedom number 6 * node + i of each free freedom [N], ascending
     rows, cols, factor  the entries of T, sorted by rows
     plain               whether T only selects: no links
+    absent              freedoms that are left out
     """
 
     def __init__(
-        self, x: Float[Tensor, "n 3"], held: Sequence[int] = (), links: Sequence[RigidLink | Average] = ()
+        self,
+        x: Float[Tensor, "n 3"],
+        held: Sequence[int] = (),
+        links: Sequence[RigidLink | Average] = (),
+        absent: Int[Tensor, " k"] | None = None,
     ) -> None:
         self.nodes = len(x)
         dependent = [link.node for link in links]
         _check(self.nodes, list(held), links)
         bound = torch.zeros(self.nodes, dtype=torch.bool)
         bound[torch.tensor([*held, *dependent], dtype=torch.long)] = True
-        self.free = torch.nonzero(~bound.repeat_interleave(6))[:, 0]
+        bound = bound.repeat_interleave(6)
+        self.absent = torch.zeros(0, dtype=torch.long) if absent is None else absent
+        bound[self.absent] = True
+        self.free = torch.nonzero(~bound)[:, 0]
         self.plain = not links
         column = torch.full((6 * self.nodes,), -1, dtype=torch.long)
         column[self.free] = torch.arange(len(self.free))

@@ -144,13 +144,21 @@ def _joined(group: dict[str, Any]) -> dict[str, Part]:
 
 
 class PointMasses:
-    """Masses [kg] with isotropic rotary inertias [kg m2] at nodes; no stiffness."""
+    """Masses [kg] with isotropic rotary inertias [kg m2] at nodes, or on arms from them [m]; no stiffness."""
 
     @constants
-    def __init__(self, mesh: Mesh, nodes: Sequence[int], mass: Sequence[float], rotary: Sequence[float]) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        nodes: Sequence[int],
+        mass: Sequence[float],
+        rotary: Sequence[float],
+        arms: Sequence[Sequence[float]] | None = None,
+    ) -> None:
         none = torch.empty(0, dtype=torch.long)
         self.pattern = Pattern(none, none, 6 * len(mesh.nodes))
         self._nodes = torch.tensor(list(nodes), dtype=torch.long)
+        self._arms = None if arms is None else torch.tensor(arms, dtype=torch.float64)
         self._mass, self._rotary = (torch.tensor(list(x), dtype=torch.float64) for x in (mass, rotary))
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, " 0"]:
@@ -163,7 +171,7 @@ class PointMasses:
 
     def masses(self) -> MassPoints:
         """The masses."""
-        return MassPoints(self._nodes[:, None].expand(-1, 2), self._mass, self._rotary)
+        return MassPoints(self._nodes[:, None].expand(-1, 2), self._mass, self._rotary, self._arms)
 
 
 def _points(matrices: PlateMatrices, consistent: bool) -> tuple[Tensor, Tensor, Tensor, Tensor]:

@@ -86,8 +86,10 @@ def _check_nodes(mesh: Cells) -> None:
     size = float((nodes.amax(0) - nodes.amin(0)).norm())
     twins = KDTree(nodes.numpy()).query_pairs(SEPARATION * size, output_type="ndarray")
     plates = {k for corners in mesh.cells.values() for k in corners.flatten().tolist()}
+    joined = {frozenset(line) for line in mesh.lines.tolist()} if len(twins) else set()
     for other, k in sorted(twins.tolist()):
-        if {k, other} <= plates or not len(mesh.lines):  # the node of a rigid link may lie on a node of the plate
+        # The node of a rigid link may lie on a node of the plate, and a spring may join two nodes of plates.
+        if ({k, other} <= plates and frozenset((k, other)) not in joined) or not len(mesh.lines):
             raise InputError(
                 f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)} share one place {nodes[k].tolist()}; merge them"
             )

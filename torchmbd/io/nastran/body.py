@@ -1,7 +1,8 @@
 """A Nastran model as the makings of a flexible body: mesh, parts, links and reference.
 
 Each PCOMP and PSHELL is a part of its own, "pcomp_7"; each PBAR another, its bars where
-their offsets put them (the same at both ends, across the bar). RBE2 and RBE3 become links,
+their offsets put them (the same at both ends, across the bar). Rods, springs, bushings and solids: springs.py. RBE2, RBAR and
+RBE3 become links,
 and the grid of each a named node, "rbe2_30", where a frame may sit; CONM2 are point masses. Grids whose six freedoms are
 held (SPC, SPC1) become the reference of the body; other supports are left out, with a warning: joints do that in a
 mechanism.
@@ -13,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -23,7 +25,8 @@ from torchmbd.fem.mesh import Mesh
 from torchmbd.io.nastran.cards import read_cards
 from torchmbd.io.nastran.data import Bar, BulkData
 from torchmbd.io.nastran.materials import UNITS, Units, laminate_of, section_of, units_of
-from torchmbd.io.nastran.mesh import bulk_mesh
+from torchmbd.io.nastran.mesh import BulkMesh, bulk_mesh
+from torchmbd.io.nastran.springs import linked_parts
 
 __all__ = ["UNITS", "BulkBody", "read_bdf"]
 
@@ -56,13 +59,22 @@ def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped") -> BulkBo
         laminate = laminate_of(data, card, scale)
         parts[f"{card.name.lower()}_{number}"] = Plates(made.mesh, laminate, made.direction, cells, mass)
     parts |= _beams(data, made.mesh, made.index, scale)
+    parts |= linked_parts(data, made.mesh, made.index, scale)
     if data.masses:
-        nodes = [made.index[mass.grid] for mass in data.masses]
-        unit = scale.mass * data.weight_to_mass
-        given = [[m.mass * unit for m in data.masses], [m.rotary * unit * scale.length**2 for m in data.masses]]
-        parts["conm2"] = PointMasses(made.mesh, nodes, *given)
+        parts["conm2"] = _masses(data, made, scale)
     _warn_ignored(data, path)
     return BulkBody(made.mesh, parts, _links(data, made.index), _held(data, made.index))
+
+
+def _masses(data: BulkData, made: BulkMesh, scale: Units) -> PointMasses:
+    """Masses on arms at their grids."""
+    unit, arms = scale.mass * data.weight_to_mass, []
+    for mass in data.masses:
+        axes = data.systems.axes(mass.system, mass.card, np.array(data.grids[mass.grid]))
+        arms.append((np.array(mass.offset) @ axes * scale.length).tolist())
+    nodes = [made.index[mass.grid] for mass in data.masses]
+    own = [[m.mass * unit for m in data.masses], [m.rotary * unit * scale.length**2 for m in data.masses]]
+    return PointMasses(made.mesh, nodes, *own, arms if np.any(arms) else None)
 
 
 def _beams(data: BulkData, mesh: Mesh, index: dict[int, int], scale: Units) -> dict[str, Part]:
@@ -153,8 +165,12 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
     for support in data.supports:
         for grid in support.grids:
             components.setdefault(grid, set()).update(support.components)
-    held = [index[grid] for grid, own in components.items() if own >= set("123456") and grid in index]
-    partly = sorted(grid for grid, own in components.items() if not own >= set("123456"))
+    turning = {grid for element in (*data.shells, *data.bars) for grid in element.grids}
+    turning |= {grid for rigid in data.rigids for grid in (rigid.grid, *rigid.others)}
+    turning |= {grid for link in data.links for grid in link.grids}
+    needed = {grid: set("123456" if grid in turning else "123") for grid in components}
+    held = [index[grid] for grid, own in components.items() if own >= needed[grid] and grid in index]
+    partly = sorted(grid for grid, own in components.items() if not own >= needed[grid])
     if partly:
         warn(
             f"supports of single freedoms are left out ({len(partly)} grids, the first is {partly[0]}): "

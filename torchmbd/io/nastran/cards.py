@@ -13,6 +13,7 @@ Checked in tests/io/nastran/test_cards.py.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -21,6 +22,12 @@ from pathlib import Path
 from torchmbd.errors import InputError
 
 _EXPONENT = re.compile(r"([0-9.])([+-][0-9]+)$")
+_REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(E[+-]?[0-9]+)?")
+_INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
+LONGEST = 1_000_000  # numbers of a list such as 1 THRU 5
+LINES = 20_000_000  # of a file with all that it includes
+WIDEST = 10_000  # characters of a line
+INCLUDES = 1_000  # files
 _PER_LINE = 8  # data fields of a line of small fields, and of a pair of lines of large fields
 
 
@@ -45,20 +52,19 @@ class Card:
         text = self.text(position)
         if not text and default is not None:
             return default
-        try:
-            return float(_EXPONENT.sub(r"\1E\2", text.upper().replace("D", "E")))
-        except ValueError:
-            raise InputError(f"{self}: {name} is {text!r}; allowed: a number") from None
+        plain = _EXPONENT.sub(r"\1E\2", text.upper().replace("D", "E"))
+        if not _REAL.fullmatch(plain) or not math.isfinite(value := float(plain)):
+            raise InputError(f"{self}: {name} is {text!r}; allowed: a number")
+        return value
 
     def integer(self, position: int, name: str, default: int | None = None) -> int:
         """Read an integer. InputError names card, line and field."""
         text = self.text(position)
         if not text and default is not None:
             return default
-        try:
-            return int(text)
-        except ValueError:
-            raise InputError(f"{self}: {name} is {text!r}; allowed: an integer") from None
+        if not _INTEGER.fullmatch(text):
+            raise InputError(f"{self}: {name} is {text!r}; allowed: an integer")
+        return int(text)
 
     def integers(self, start: int) -> list[int]:
         """Read the list of integers from `start` on; `1 THRU 5` is a range."""
@@ -70,6 +76,8 @@ class Card:
                 if not result or k + 1 >= len(words):
                     raise InputError(f"{self}: THRU stands without its two ends")
                 end = _integer(self, words[k + 1])
+                if len(result) + end - result[-1] > LONGEST:
+                    raise InputError(f"{self}: {result[-1]} THRU {end}; allowed: at most {LONGEST} numbers")
                 result.extend(range(result[-1] + 1, end + 1))
                 k += 2
             else:
@@ -82,7 +90,7 @@ def read_cards(path: str | Path) -> list[Card]:
     """Read the cards of a file. InputError names the line where the format is broken."""
     if not isinstance(path, (str, Path)) or not (file := Path(path)).is_file():
         raise InputError(f"path is {str(path)!r}; allowed: a Nastran bulk data file that exists")
-    return parse_cards(_bulk(list(_lines(file, ()))))
+    return parse_cards(_bulk(list(_Files(file).read(file, ()))))
 
 
 def parse_cards(lines: list[tuple[str, str]]) -> list[Card]:
@@ -94,7 +102,7 @@ def parse_cards(lines: list[tuple[str, str]]) -> list[Card]:
         if head[:1] in ("", "+", "*"):
             if not name:
                 raise InputError(f"{where}: a continuation without a card: {line.strip()!r}")
-            fields = fields + data
+            fields.extend(data)
             continue
         if name:
             cards.append(Card(name, tuple(_trimmed(fields)), place))
@@ -104,19 +112,52 @@ def parse_cards(lines: list[tuple[str, str]]) -> list[Card]:
     return cards
 
 
-def _lines(file: Path, opened: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
-    if file in opened:
-        raise InputError(f"{file.name}: INCLUDE runs in a circle")
-    for number, line in enumerate(file.read_text(encoding="utf-8", errors="replace").splitlines(), start=1):
-        line = line.partition("$")[0].rstrip()
-        where = f"{file.name}, line {number}"
-        if line.upper().lstrip().startswith("INCLUDE"):
-            target = file.parent / line.strip()[len("INCLUDE") :].strip().strip("'\"")
-            if not target.is_file():
-                raise InputError(f"{where}: INCLUDE of {str(target)!r}; allowed: a file that exists")
-            yield from _lines(target, (*opened, file))
-        elif line:
-            yield where, line
+class _Files:
+    """Lines of a file and of those that it includes, from its own folder only; what is read is bounded."""
+
+    def __init__(self, first: Path) -> None:
+        self.folder, self.lines, self.files = first.resolve().parent, 0, 0
+
+    def read(self, file: Path, opened: tuple[Path, ...]) -> Iterator[tuple[str, str]]:
+        file, self.files = file.resolve(), self.files + 1
+        if file in opened:
+            raise InputError(f"{file.name}: INCLUDE runs in a circle")
+        if self.files > INCLUDES:
+            raise InputError(f"{file.name}: more than {INCLUDES} files are included; allowed: {INCLUDES}")
+        with file.open(encoding="utf-8", errors="replace") as handle:
+            numbered = enumerate(iter(lambda: handle.readline(WIDEST), ""), start=1)
+            for number, raw in numbered:
+                self.lines += 1
+                where = f"{file.name}, line {number}"
+                if self.lines > LINES or len(raw) >= WIDEST:
+                    raise InputError(f"{where}: allowed: {LINES} lines of at most {WIDEST} characters")
+                line = raw.partition("$")[0].rstrip()
+                if not line.upper().lstrip().startswith("INCLUDE"):
+                    if line:
+                        yield where, line
+                    continue
+                named = line.strip()[len("INCLUDE") :].strip()
+                while named[:1] in ("'", '"') and named.count(named[0]) < 2:  # the name goes on
+                    _, more = next(numbered, (0, ""))
+                    if not more:
+                        raise InputError(f"{where}: INCLUDE of {named!r} has no closing quote")
+                    named += more.strip()
+                yield from self.read(self._target(file, named.strip("'\" "), where), (*opened, file))
+
+    def _target(self, file: Path, named: str, where: str) -> Path:
+        """The file that INCLUDE names: beside the file that includes it, or beside the first one."""
+        relative = named.replace("\\", "/")
+        for base in (file.parent, self.folder):
+            try:
+                target = (base / relative).resolve()
+                found = target.is_file()
+            except (OSError, ValueError):
+                continue
+            if found and not target.is_relative_to(self.folder):
+                raise InputError(f"{where}: INCLUDE of {named!r} is outside of {self.folder}; allowed: a file inside")
+            if found:
+                return target
+        raise InputError(f"{where}: INCLUDE of {named!r}; allowed: a file that exists")
 
 
 def _bulk(lines: list[tuple[str, str]]) -> list[tuple[str, str]]:
@@ -153,7 +194,6 @@ def _trimmed(fields: list[str]) -> list[str]:
 
 
 def _integer(card: Card, word: str) -> int:
-    try:
-        return int(word)
-    except ValueError:
-        raise InputError(f"{card}: {word!r} stands in a list of numbers; allowed: integers and THRU") from None
+    if not _INTEGER.fullmatch(word):
+        raise InputError(f"{card}: {word!r} stands in a list of numbers; allowed: integers and THRU")
+    return int(word)

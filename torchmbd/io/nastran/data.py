@@ -17,16 +17,20 @@ from dataclasses import dataclass, field
 
 from torchmbd.errors import InputError, warn
 from torchmbd.io.nastran.cards import Card
-from torchmbd.io.nastran.systems import Systems
+from torchmbd.io.nastran.elements import LINKS, OWN_PROPERTIES, SOLIDS, Link, Solid, bar_that_is_rigid, link, solid
+from torchmbd.io.nastran.systems import KINDS, Systems
 
 SHELLS = {"CTRIA3": 3, "CQUAD4": 4}
 BARS = ("CBAR", "CBEAM")
-PROPERTIES = ("PSHELL", "PCOMP", "PBAR", "PBARL", "PBEAM", "PBEAML")
-MATERIALS = ("MAT1", "MAT8")
-#: Cards that are structure and start with no C; every other unknown card that does not is a load or a control.
+PROPERTIES = ("PSHELL", "PCOMP", "PCOMPG", "PBAR", "PBARL", "PBEAM", "PBEAML")
+MATERIALS = re.compile(r"^MAT\d+$")
+#: Structure that cannot be read: leaving it out would change the body. Every other unknown card is left out, and listed.
 _STRUCTURE = re.compile(
-    r"^(RBAR|RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT|MPC|GENEL|DMIG|MAT\d+|PCOMPG|PSOLID|SPOINT|EPOINT|GRDSET|BAROR|BEAMOR)$"
+    r"^(RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT\d?|MPC|GENEL|SPOINT|EPOINT|BAROR|BEAMOR|CONM1"
+    r"|C(BEND|BEAM3|BUSH[12]D|ELAS[34]|FAST|GAP|HACAB|HEXCZ|IFHEX|MASS\d|PYRAM|PYRA|QUAD|QUAD8|QUADR|QUADX\d?|RAC[23]D"
+    r"|SEAM|SHEAR|TRIA6|TRIAR|TRIAX6?|TRAX\d|TUBE|WELD))$"
 )
+READ = (*SHELLS, *BARS, *LINKS, *SOLIDS, "CONM2", "RBE2", "RBE3", "RBAR", "SPC", "SPC1", "MAT1", "MAT8", "MAT9")
 _QUIET = ("PARAM", "EIGRL", "EIGR", "PLOTEL", "SPCADD", "MDLPRM")
 
 
@@ -68,6 +72,8 @@ class Mass:
     grid: int
     mass: float
     rotary: float
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)  # in the system `system`
+    system: int = 0
 
 
 @dataclass(frozen=True)
@@ -88,6 +94,9 @@ class BulkData:
     grid_cards: dict[int, Card] = field(default_factory=dict)
     shells: list[Shell] = field(default_factory=list)
     bars: list[Bar] = field(default_factory=list)
+    solids: list[Solid] = field(default_factory=list)
+    links: list[Link] = field(default_factory=list)
+    own_properties: dict[tuple[str, int], Card] = field(default_factory=dict)
     properties: dict[int, Card] = field(default_factory=dict)
     materials: dict[int, Card] = field(default_factory=dict)
     masses: list[Mass] = field(default_factory=list)
@@ -101,8 +110,9 @@ class BulkData:
     def of(cls, cards: list[Card]) -> BulkData:
         """Sort cards and check that everything they name exists."""
         data = cls()
-        placed = [card for card in cards if card.name == "GRID"]
-        data.systems = Systems([card for card in cards if card.name.startswith("CORD")], placed)
+        common = next((card for card in cards if card.name == "GRDSET"), None)
+        placed = [_completed(card, common) for card in cards if card.name == "GRID"]
+        data.systems = Systems([card for card in cards if card.name in KINDS], placed)
         for card in placed:
             number = card.integer(1, "ID")
             if number in data.grids:
@@ -111,7 +121,7 @@ class BulkData:
             if card.text(7):
                 data.supports.append(Support(card, 0, card.text(7), (number,)))
         for card in cards:
-            if card.name != "GRID" and not card.name.startswith("CORD"):
+            if card.name not in ("GRID", "GRDSET") and card.name not in KINDS:
                 data._take(card)
         data._check()
         return data
@@ -123,7 +133,20 @@ class BulkData:
         elif name in BARS:
             grids = card.integer(3, "GA"), card.integer(4, "GB")
             self.bars.append(Bar(card, card.integer(2, "PID", card.integer(1, "EID")), grids))
-        elif name in PROPERTIES or name in MATERIALS:
+        elif name in SOLIDS:
+            self.solids.append(solid(card))
+        elif name in LINKS:
+            self.links.append(link(card))
+        elif name in OWN_PROPERTIES:
+            for part in _halves(card):
+                key = (name, part.integer(1, "PID"))
+                if key in self.own_properties:
+                    raise InputError(f"{part}: the number {key[1]} is taken by {self.own_properties[key]}")
+                self.own_properties[key] = part
+        elif name == "RBAR":
+            leader, follower = bar_that_is_rigid(card)
+            self.rigids.append(Rigid(card, leader, (follower,)))
+        elif name in PROPERTIES or MATERIALS.match(name):
             table = self.properties if name in PROPERTIES else self.materials
             number = card.integer(1, "number")
             if number in table:
@@ -137,10 +160,9 @@ class BulkData:
             self.supports.extend(_supports(card))
         elif name == "PARAM" and card.text(1).upper() == "WTMASS":
             self.weight_to_mass = card.real(2, "WTMASS")
-        elif name.startswith("C") or _STRUCTURE.match(name):
+        elif _STRUCTURE.match(name):
             raise InputError(
-                f"{card}: this card cannot be read, and without it the structure is another; allowed: "
-                f"{', '.join((*SHELLS, *BARS, *PROPERTIES, *MATERIALS, 'CONM2', 'RBE2', 'RBE3', 'SPC', 'SPC1'))}"
+                f"{card}: this card cannot be read, and without it the structure is another; allowed: {', '.join(READ)}"
             )
         elif name not in _QUIET:
             self.ignored[name] += 1
@@ -149,6 +171,8 @@ class BulkData:
         for element in (*self.shells, *self.bars):
             if element.property not in self.properties:
                 raise InputError(f"{element.card}: property {element.property} does not exist; a card is missing")
+            self._exist(element.card, element.grids)
+        for element in (*self.solids, *self.links):
             self._exist(element.card, element.grids)
         for rigid in self.rigids:
             self._exist(rigid.card, (rigid.grid, *rigid.others))
@@ -166,11 +190,35 @@ class BulkData:
             if grid not in self.grids:
                 raise InputError(f"{card}: GRID {grid} does not exist")
 
+    def own(self, card: Card, name: str, number: int) -> Card:
+        """The property of a rod, spring, bushing or solid."""
+        if (name, number) not in self.own_properties:
+            raise InputError(f"{card}: {name} {number} does not exist; a card is missing")
+        return self.own_properties[name, number]
+
     def material(self, card: Card, number: int) -> Card:
         """The material that a property names."""
         if number not in self.materials:
             raise InputError(f"{card}: material {number} does not exist; a MAT1 or MAT8 card is missing")
         return self.materials[number]
+
+
+def _completed(card: Card, common: Card | None) -> Card:
+    """A GRID with what a GRDSET says of its blank fields CP, CD and PS."""
+    if common is None:
+        return card
+    fields = [*card.fields, *[""] * (7 - len(card.fields))]
+    for position in (2, 6, 7):
+        fields[position - 1] = fields[position - 1] or common.text(position)
+    return Card(card.name, tuple(fields), card.where)
+
+
+def _halves(card: Card) -> list[Card]:
+    """A PELAS may hold two springs."""
+    if card.name != "PELAS":
+        return [card]
+    parts = [Card(card.name, card.fields[k : k + 4], card.where) for k in (0, 4)]
+    return [part for part in parts if part.text(1)]
 
 
 def _shell(card: Card, corners: int) -> Shell:
@@ -189,16 +237,16 @@ def _shell(card: Card, corners: int) -> Shell:
 
 def _mass(card: Card) -> Mass:
     offsets = [card.real(k, f"X{k - 4}", 0.0) for k in (5, 6, 7)]
-    if card.integer(3, "CID", 0) < 0:
+    system = card.integer(3, "CID", 0)
+    if system < 0:
         raise InputError(f"{card}: CID is {card.text(3)}, X1 to X3 are a place; allowed: none, put a grid there")
-    if any(offsets):
-        raise InputError(f"{card}: offset is {offsets}; allowed: none, put a grid there and an RBE2 between")
     principal = [card.real(k, name, 0.0) for k, name in ((9, "I11"), (11, "I22"), (14, "I33"))]
     products = [card.real(k, name, 0.0) for k, name in ((10, "I21"), (12, "I31"), (13, "I32"))]
     if any(products) or max(principal) != min(principal):
         mean = sum(principal) / 3.0
         warn(f"{card}: inertias {principal}, products {products}; taken as {mean:g} about any axis")
-    return Mass(card, card.integer(2, "G"), card.real(4, "M"), sum(principal) / 3.0)
+    x, y, z = offsets
+    return Mass(card, card.integer(2, "G"), card.real(4, "M"), sum(principal) / 3.0, (x, y, z), system)
 
 
 def _rbe2(card: Card) -> Rigid:

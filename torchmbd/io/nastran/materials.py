@@ -67,21 +67,25 @@ def units_of(name: str) -> Units:
 def ply_of(card: Card, units: Units, weight_to_mass: float = 1.0) -> Ply:
     """Make the ply of a MAT1 or MAT8."""
     try:
+        if card.name not in ("MAT1", "MAT8"):
+            raise InputError(f"{card}: it is the material of a shell or a beam; allowed: MAT1, MAT8")
         return _isotropic(card, units, weight_to_mass) if card.name == "MAT1" else _ply(card, units, weight_to_mass)
     except InputError as error:
         raise error if str(error).startswith(card.name) else InputError(f"{card}: {error}") from None
 
 
-def _density(card: Card, position: int, units: Units, weight_to_mass: float) -> float:
+def density_of(card: Card, position: int, units: Units, weight_to_mass: float) -> float:
     density = card.real(position, "RHO", 0.0)
     if density <= 0.0:
         raise InputError(f"{card}: RHO is {card.text(position)!r}; allowed: a density > 0, a body needs mass")
     return density * units.density * weight_to_mass
 
 
-def _isotropic(card: Card, units: Units, weight_to_mass: float) -> Ply:
-    E = card.real(2, "E", 0.0) * units.stress
-    G = card.real(3, "G", 0.0) * units.stress
+def moduli_of(card: Card) -> tuple[float, float, float]:
+    """E, G and NU of a MAT1 in units of the file."""
+    if card.name != "MAT1":
+        raise InputError(f"{card}: it is the material of a rod or a metal; allowed: MAT1")
+    E, G = card.real(2, "E", 0.0), card.real(3, "G", 0.0)
     nu = card.real(4, "NU") if card.text(4) else None
     if nu is None and E and G:
         nu = E / (2.0 * G) - 1.0
@@ -89,10 +93,18 @@ def _isotropic(card: Card, units: Units, weight_to_mass: float) -> Ply:
         raise InputError(f"{card}: two of E, G, NU are needed")
     E = E or 2.0 * G * (1.0 + nu)
     G = G or E / (2.0 * (1.0 + nu))
+    if not (E > 0.0 and G > 0.0 and -1.0 < nu < 0.5):
+        raise InputError(f"{card}: E {E:g}, G {G:g}, NU {nu:g}; allowed: E and G > 0, NU between -1 and 0.5")
+    return E, G, nu
+
+
+def _isotropic(card: Card, units: Units, weight_to_mass: float) -> Ply:
+    E, G, nu = moduli_of(card)
+    E, G = E * units.stress, G * units.stress
     limits = [card.real(k, name, 0.0) * units.stress for k, name in ((9, "ST"), (10, "SC"), (11, "SS"))]
     tension, compression, shear = limits
     strength = Strength(tension, compression, tension, compression, shear) if min(limits) > 0 else None
-    return Ply(E, E, G, G, G, nu, _density(card, 5, units, weight_to_mass), strength)
+    return Ply(E, E, G, G, G, nu, density_of(card, 5, units, weight_to_mass), strength)
 
 
 def _ply(card: Card, units: Units, weight_to_mass: float) -> Ply:
@@ -112,7 +124,7 @@ def _ply(card: Card, units: Units, weight_to_mass: float) -> Ply:
         else:
             F12 = card.real(18, "F12", 0.0) / units.stress**2
             strength = Strength(Xt, Xc, Yt, Yc, S, interaction=F12 * math.sqrt(Xt * Xc * Yt * Yc))
-    density = _density(card, 8, units, weight_to_mass)
+    density = density_of(card, 8, units, weight_to_mass)
     return Ply(E1, E2, G12, across[0], across[1], card.real(4, "NU12"), density, strength)
 
 

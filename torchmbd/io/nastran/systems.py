@@ -1,8 +1,8 @@
 """Coordinate systems of a Nastran model: where grids lie in basic coordinates, and the axes of a system.
 
-CORD2R, CORD2C (three points A, B, C: origin, z axis, x-z plane) and CORD1R (the same by grids), in any order of
-reference. A GRID whose displacements are in another system than the basic one (CD) is taken as it stands: nothing that is
-read refers to single directions of displacement, but supports, which hold all six freedoms or are only named.
+CORD2R, CORD2C, CORD2S (three points A, B, C: origin, z axis, x-z plane) and CORD1R, CORD1C, CORD1S (the same by grids), in
+any order of reference. Displacements in another system than the basic one (CD) count for springs (springs.py) only: supports
+hold all six freedoms, or are only named.
 Checked in tests/io/nastran/test_data.py.
 """
 
@@ -15,6 +15,8 @@ import numpy as np
 from torchmbd.errors import InputError
 from torchmbd.io.nastran.cards import Card
 
+KINDS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
+
 
 class Systems:
     """The systems by number; 0 is the basic one. `axes` rows are the unit vectors x, y, z in basic coordinates."""
@@ -22,26 +24,32 @@ class Systems:
     def __init__(self, cards: list[Card] | None = None, grids: list[Card] | None = None) -> None:
         self._cards: dict[int, Card] = {}
         self._grids = {grid.integer(1, "ID"): grid for grid in grids or []}
-        self._made: dict[int, tuple[np.ndarray, np.ndarray, bool]] = {0: (np.zeros(3), np.eye(3), False)}
+        self._made: dict[int, tuple[np.ndarray, np.ndarray, str]] = {0: (np.zeros(3), np.eye(3), "R")}
         for card in cards or []:
-            if card.name not in ("CORD2R", "CORD2C", "CORD1R"):
-                raise InputError(f"{card}: this system cannot be read; allowed: CORD2R, CORD2C, CORD1R")
-            step = 4 if card.name == "CORD1R" else 8
-            for start in range(0, max(len(card.fields), 1), step):  # CORD1R holds up to two systems
-                if card.name == "CORD1R" or start == 0:
+            by_grids = card.name.startswith("CORD1")
+            for start in range(0, max(len(card.fields), 1), 4 if by_grids else 8):  # CORD1R holds up to two systems
+                if by_grids or start == 0:
                     part = Card(card.name, card.fields[start:] if start else card.fields, card.where)
                     self._cards[part.integer(1, "CID")] = part
 
     def axes(self, number: int, card: Card, at: np.ndarray) -> np.ndarray:
-        """Unit vectors of a system [3, 3] at a place in basic coordinates; x of a cylindrical one is its radius there."""
-        origin, axes, cylindrical = self._system(number, card, ())
-        if not cylindrical:
+        """Unit vectors of a system [3, 3] at a place in basic coordinates; x of one that is curved is its radius there."""
+        origin, axes, kind = self._system(number, card, ())
+        if kind == "R":
             return axes
-        x, y, _ = axes @ (at - origin)
+        x, y, z = axes @ (at - origin)
         r = math.hypot(x, y)
         if r == 0.0:
             raise InputError(f"{card}: it lies on the axis of system {number}; allowed: a place with a radius")
-        return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, r]]) / r @ axes
+        if kind == "C":
+            return np.array([[x, y, 0.0], [-y, x, 0.0], [0.0, 0.0, r]]) / r @ axes
+        R = math.hypot(r, z)
+        out, down = np.array([x, y, z]) / R, np.array([x * z / r, y * z / r, -r]) / R
+        return np.stack([out, down, np.array([-y, x, 0.0]) / r]) @ axes
+
+    def curved(self, number: int, card: Card) -> bool:
+        """Whether a system is cylindrical or spherical."""
+        return self._system(number, card, ())[2] != "R"
 
     def place(self, grid: Card, opened: tuple[int, ...] = ()) -> tuple[float, float, float]:
         """Position of a GRID in basic coordinates."""
@@ -50,13 +58,17 @@ class Systems:
         return float(point[0]), float(point[1]), float(point[2])
 
     def _basic(self, number: int, x: np.ndarray, card: Card, opened: tuple[int, ...]) -> np.ndarray:
-        origin, axes, cylindrical = self._system(number, card, opened)
-        if cylindrical:
+        origin, axes, kind = self._system(number, card, opened)
+        if kind == "C":
             angle = math.radians(x[1])
             x = np.array([x[0] * math.cos(angle), x[0] * math.sin(angle), x[2]])
+        elif kind == "S":
+            down, angle = math.radians(x[1]), math.radians(x[2])
+            r = x[0] * math.sin(down)
+            x = np.array([r * math.cos(angle), r * math.sin(angle), x[0] * math.cos(down)])
         return origin + x @ axes
 
-    def _system(self, number: int, card: Card, opened: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, bool]:
+    def _system(self, number: int, card: Card, opened: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, str]:
         if number in self._made:
             return self._made[number]
         if number not in self._cards:
@@ -70,11 +82,11 @@ class Systems:
         if np.linalg.norm(normal) <= 1e-9 * np.linalg.norm(z) * np.linalg.norm(x):
             raise InputError(f"{own}: its three points lie on a line")
         z, y = z / np.linalg.norm(z), normal / np.linalg.norm(normal)
-        self._made[number] = origin, np.stack([np.cross(y, z), y, z]), own.name == "CORD2C"
+        self._made[number] = origin, np.stack([np.cross(y, z), y, z]), own.name[-1]
         return self._made[number]
 
     def _points(self, own: Card, opened: tuple[int, ...]) -> list[np.ndarray]:
-        if own.name == "CORD1R":
+        if own.name.startswith("CORD1"):
             numbers = [own.integer(k, f"G{k - 1}") for k in (2, 3, 4)]
             for k in numbers:
                 if k not in self._grids:

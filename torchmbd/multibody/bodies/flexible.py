@@ -17,6 +17,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -40,6 +41,7 @@ from torchmbd.fem.reduction import CutCluster, inertia_invariants
 from torchmbd.io.mesh_file import MeshFile, read_mesh
 from torchmbd.io.nastran.body import read_bdf
 from torchmbd.multibody.bodies.beam_parts import beam_parts
+from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.frame import Frame, bend, identifier, move, put, rotation, vector
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices, rigid_links
 from torchmbd.multibody.bodies.matrix_methods import MatrixMethods
@@ -63,6 +65,16 @@ def _check_parts(name: str, mesh: Any, parts: Any) -> None:
         raise InputError(
             f"parts of {name!r} is {parts!r}; allowed: names -> parts, such as Plates or Beams, at least one"
         )
+
+
+def _fitted(assembly: Assembly) -> FittedRotations | None:
+    """Rotations of nodes that have only displacements."""
+    missing = torch.bincount(assembly.freedoms.absent // 6, minlength=len(assembly.mesh.nodes)) == 3
+    if not missing.any():
+        return None
+    nodes = torch.cat([torch.stack([p.pattern.rows, p.pattern.cols], 1) // 6 for p in assembly.parts.values()])
+    pairs = torch.unique(nodes[nodes[:, 0] != nodes[:, 1]], dim=0)
+    return FittedRotations(assembly.mesh.nodes, pairs, missing)
 
 
 class FlexibleBody(MatrixMethods, nn.Module):
@@ -126,6 +138,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self._register(parts)
         self.assembly = Assembly(mesh, joined, self.reference, links)
         self.free = self.assembly.freedoms.free
+        self._rotations = _fitted(self.assembly)
         held = node_indices(mesh, interface)
         self.reduction = reduced(name, self.assembly, reduction, modes, held, self.reference, updated)
         self.modes = self.reduction.size
@@ -341,6 +354,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         except CutCluster as error:
             raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
         psi = self.assembly.freedoms.expand(basis.vectors)
+        psi = psi if self._rotations is None else self._rotations(psi)
         _, mass, rotary, arm = points
         x = self.assembly.places(self.places(), arm)
         result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi, arm))

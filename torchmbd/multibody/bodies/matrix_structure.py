@@ -17,7 +17,6 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import scipy.linalg
 import torch
 from jaxtyping import Float
@@ -28,6 +27,7 @@ from torchmbd.fem.reduction import REDUCTIONS, CutCluster, Reduction, modal_basi
 from torchmbd.fem.reduction.mass_invariants import isotropic, mass_invariants, rigid_motions
 from torchmbd.math.owned import reals, whole
 from torchmbd.math.sparse import SparseMatrix
+from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.given_matrices import GivenMatrices, freedom
 from torchmbd.multibody.bodies.interpolation import node_indices
 
@@ -66,7 +66,7 @@ class MatrixStructure:
                 used & (_diagonal(K) == 0) & (_diagonal(M) == 0)
             )  # as drilling rotations of a solver that drops them
             used &= ~loose
-            self._rotations = _Rotations(x, given.pairs(), ~used.reshape(-1, 6)[:, 3:].any(1))
+            self._rotations = FittedRotations(x, given.pairs(), ~used.reshape(-1, 6)[:, 3:].any(1))
             self._held_rows = torch.tensor(held, dtype=torch.long)
             self.shapes = None if whole(modes) else self._given_shapes(modes)
             if self.shapes is None:
@@ -234,28 +234,6 @@ class MatrixStructure:
                 f"units of body {self.name!r}? It is {size:.3g} m long, weighs {mass:.3g} kg, and its first frequency "
                 f"is {first:.3g} Hz. Allowed: m, kg, s, N"
             )
-
-
-class _Rotations:
-    """Fills in rotations of nodes that have none: least squares of the displacements of their neighbors."""
-
-    def __init__(self, x: Tensor, pairs: Tensor, missing: Tensor) -> None:
-        pairs = pairs[missing[pairs[:, 0]]]
-        self.at, self.to = pairs.unbind(1)
-        self.any = len(pairs) > 0
-        self.d = x[self.to] - x[self.at]
-        square = (self.d * self.d).sum(1)[:, None, None] * torch.eye(3, dtype=x.dtype)
-        T = x.new_zeros(len(x), 3, 3).index_add(0, self.at, square - self.d[:, :, None] * self.d[:, None, :])
-        self.inverse = torch.from_numpy(np.linalg.pinv(T.numpy(), rcond=1e-9, hermitian=True)) if self.any else T
-
-    def __call__(self, psi: Float[Tensor, "*lanes n 6 m"]) -> Float[Tensor, "*lanes n 6 m"]:
-        if not self.any:
-            return psi
-        u = psi[..., :3, :]
-        relative = u.index_select(-3, self.to) - u.index_select(-3, self.at)
-        moment = torch.linalg.cross(self.d[:, :, None].expand_as(relative), relative, dim=-2)
-        turned = torch.zeros_like(u).index_add(-3, self.at, moment)
-        return torch.cat([u, psi[..., 3:, :] + self.inverse @ turned], dim=-2)
 
 
 def _diagonal(A: SparseMatrix) -> Tensor:

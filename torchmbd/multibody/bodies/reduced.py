@@ -57,7 +57,23 @@ def reduced(
     try:
         return uncut(REDUCTIONS[kind](int(modes), held, updated), *matrices(assembly))
     except InputError as error:
-        raise InputError(f"reduction of {name!r}: {error}") from None
+        raise InputError(f"reduction of {name!r}: {_without_mass(assembly) or error}") from None
+
+
+def _without_mass(assembly: Assembly) -> str:
+    """Names the first freedom that has stiffness and no mass, if there is any."""
+    M = assembly.mass()
+    if isinstance(M, SparseMatrix):
+        on = M.pattern.rows == M.pattern.cols
+        values = M.values.detach().new_zeros(len(assembly.freedoms.free))
+        M = values.index_copy(0, M.pattern.rows[on], M.values.detach().reshape(-1, M.pattern.nnz)[0, on])
+    bad = (M.detach().reshape(-1, len(assembly.freedoms.free))[0] <= 0).nonzero()[:, 0]
+    if not len(bad):
+        return ""
+    node, component = divmod(int(assembly.freedoms.free[bad[0]]), 6)
+    what = f"{'along' if component < 3 else 'about'} {'xyz'[component % 3]}"
+    named = getattr(assembly.mesh, "node_name", lambda k: f"node {k}")(node)
+    return f"{named} has stiffness and no mass {what} ({len(bad)} freedoms are so); allowed: a mass or an inertia there"
 
 
 def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence[int]) -> tuple[int, ...]:

@@ -1,0 +1,90 @@
+"""Linear solids: tetrahedra of four nodes, wedges of six, bricks of eight.
+
+    K_e = int B' D B dV      D [6, 6] over strains xx, yy, zz, xy, yz, zx (engineering shear); three displacements at each node
+
+Bricks have three incompatible modes 1 - r_i^2, whose derivatives are taken with the Jacobian of the middle, condensed: a brick
+bends without locking in shear, and the patch test holds. Tetrahedra and wedges of this kind are stiff in bending.
+Mass: int N_k dV rho at node k. Source: E. L. Wilson, R. L. Taylor et al., Incompatible displacement models, 1973; R. L.
+Taylor, P. J. Beresford, E. L. Wilson, IJNME 10 (1976) 1211-1219.
+Checked in tests/fem/elements/test_solids.py.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+_G = 1.0 / math.sqrt(3.0)
+_BRICK = torch.tensor(
+    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]],
+    dtype=torch.float64,
+)
+CORNERS = (4, 6, 8)
+
+
+def _numbers(x: list) -> Tensor:
+    return torch.tensor(x, dtype=torch.float64)
+
+
+def _shapes(corners: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Values [g, k] and derivatives [g, k, 3] of shape functions at Gauss points, their weights [g], and the points [g, 3]."""
+    if corners == 4:
+        slopes = _numbers([[-1.0, -1.0, -1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+        return _numbers([[0.25] * 4]), slopes[None], _numbers([1.0 / 6.0]), _numbers([[0.0] * 3])
+    if corners == 8:
+        r = _BRICK * _G
+        factors = 1.0 + r[:, None] * _BRICK  # [g, k, 3]
+        slopes = torch.stack([_BRICK[:, i] * factors[..., i - 1] * factors[..., i - 2] for i in range(3)], -1) / 8.0
+        return factors.prod(-1) / 8.0, slopes, _numbers([1.0] * 8), r
+    values, slopes, points = [], [], []
+    for t in (-_G, _G):
+        for a, b in ((1 / 6, 1 / 6), (2 / 3, 1 / 6), (1 / 6, 2 / 3)):
+            flat = _numbers([1.0 - a - b, a, b])
+            d = _numbers([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
+            ends = [((1 - t) / 2, -0.5), ((1 + t) / 2, 0.5)]
+            values.append(torch.cat([flat * h for h, _ in ends]))
+            slopes.append(torch.cat([torch.cat([d * h, (flat * dh)[:, None]], 1) for h, dh in ends]))
+            points.append(_numbers([a, b, t]))
+    return torch.stack(values), torch.stack(slopes), _numbers([1.0 / 6.0] * 6), torch.stack(points)
+
+
+def _strains(slopes: Float[Tensor, "... k 3"]) -> Float[Tensor, "... 6 k3"]:
+    """B of derivatives along x, y, z."""
+    B = slopes.new_zeros(*slopes.shape[:-2], 6, slopes.shape[-2], 3)
+    for row, pairs in enumerate([[(0, 0)], [(1, 1)], [(2, 2)], [(0, 1), (1, 0)], [(1, 2), (2, 1)], [(2, 0), (0, 2)]]):
+        for component, along in pairs:
+            B[..., row, :, component] = slopes[..., along]
+    return B.flatten(-2)
+
+
+def solid_matrices(
+    x: Float[Tensor, "m k 3"], D: Float[Tensor, "6 6"]
+) -> tuple[Float[Tensor, "m k3 k3"], Float[Tensor, "m k"], Float[Tensor, "m g"]]:
+    """Stiffness [N/m], volumes that belong to the nodes [m3], and volumes at Gauss points, all positive in a right element."""
+    N, slopes, weights, points = _shapes(x.shape[1])
+    J = torch.einsum("gkr,mki->mgri", slopes, x)
+    volume = torch.linalg.det(J) * weights
+    singular = volume.abs() < 1e-300
+    inverse = torch.linalg.inv(torch.where(singular[..., None, None], torch.eye(3, dtype=x.dtype), J))
+    B = _strains(torch.einsum("mgir,gkr->mgki", inverse, slopes))
+    K = torch.einsum("mg,mgsa,st,mgtb->mab", volume, B, D, B)
+    if x.shape[1] == 8:
+        K = K - _incompatible(x, D, B, volume, slopes, points)
+    return 0.5 * (K + K.mT), torch.einsum("mg,gk->mk", volume, N), volume
+
+
+def _incompatible(x: Tensor, D: Tensor, B: Tensor, volume: Tensor, slopes: Tensor, points: Tensor) -> Tensor:
+    """What the condensed incompatible modes take from K."""
+    J = torch.einsum("kr,mki->mri", _BRICK / 8.0, x)  # at the middle
+    size = torch.linalg.det(J)
+    safe = torch.where((size.abs() < 1e-300)[:, None, None], torch.eye(3, dtype=x.dtype), J)
+    local = -2.0 * torch.diag_embed(points)  # of 1 - r_i^2: [g, mode, r]
+    along = torch.einsum("mir,gkr->mgki", torch.linalg.inv(safe), local) * (size[:, None] / volume)[..., None, None]
+    A = _strains(along)
+    E = torch.einsum("mg,mgsa,st,mgtb->mab", volume, A, D, A)
+    L = torch.einsum("mg,mgsa,st,mgtb->mab", volume, A, D, B)
+    regular = torch.where((volume <= 0).any(1)[:, None, None], torch.eye(9, dtype=x.dtype), E)
+    return L.mT @ torch.linalg.solve(regular, L)

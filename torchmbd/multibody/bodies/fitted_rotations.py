@@ -1,0 +1,33 @@
+"""Rotations of nodes that have none, such as those of solids: least squares of the displacements of their neighbors.
+
+Checked in tests/multibody/bodies/test_from_matrices.py, tests/multibody/bodies/test_solid_body.py.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+class FittedRotations:
+    """Fills in rotations of nodes that have none: least squares of the displacements of their neighbors."""
+
+    def __init__(self, x: Tensor, pairs: Tensor, missing: Tensor) -> None:
+        pairs = pairs[missing[pairs[:, 0]]]
+        self.at, self.to = pairs.unbind(1)
+        self.any = len(pairs) > 0
+        self.d = x[self.to] - x[self.at]
+        square = (self.d * self.d).sum(1)[:, None, None] * torch.eye(3, dtype=x.dtype)
+        T = x.new_zeros(len(x), 3, 3).index_add(0, self.at, square - self.d[:, :, None] * self.d[:, None, :])
+        self.inverse = torch.from_numpy(np.linalg.pinv(T.numpy(), rcond=1e-9, hermitian=True)) if self.any else T
+
+    def __call__(self, psi: Float[Tensor, "*lanes n 6 m"]) -> Float[Tensor, "*lanes n 6 m"]:
+        if not self.any:
+            return psi
+        u = psi[..., :3, :]
+        relative = u.index_select(-3, self.to) - u.index_select(-3, self.at)
+        moment = torch.linalg.cross(self.d[:, :, None].expand_as(relative), relative, dim=-2)
+        turned = torch.zeros_like(u).index_add(-3, self.at, moment)
+        return torch.cat([u, psi[..., 3:, :] + self.inverse @ turned], dim=-2)
