@@ -73,8 +73,8 @@ def _masses(data: BulkData, made: BulkMesh, scale: Units) -> PointMasses:
         axes = data.systems.axes(mass.system, mass.card, np.array(data.grids[mass.grid]))
         arms.append((np.array(mass.offset) @ axes * scale.length).tolist())
     nodes = [made.index[mass.grid] for mass in data.masses]
-    own = [[m.mass * unit for m in data.masses], [m.rotary * unit * scale.length**2 for m in data.masses]]
-    return PointMasses(made.mesh, nodes, *own, arms if np.any(arms) else None)
+    masses, inertias = [m.mass * unit for m in data.masses], [m.rotary * unit * scale.length**2 for m in data.masses]
+    return PointMasses(made.mesh, nodes, masses, inertias, arms if np.any(arms) else None)
 
 
 def _beams(data: BulkData, mesh: Mesh, index: dict[int, int], scale: Units) -> dict[str, Part]:
