@@ -181,7 +181,7 @@ def _split(line: str, where: str) -> tuple[str, list[str]]:
         return head, (words[1:] + [""] * width)[:width]
     line = line.expandtabs(8)
     head = line[:8].strip().upper()
-    if " " in head:
+    if " " in head and head[0] not in "+*":
         raise InputError(f"{where}: {head!r} is no card name; is a field of 8 columns shifted?")
     width, count = (16, 4) if "*" in head else (8, _PER_LINE)
     return head, [line[8 + width * k : 8 + width * (k + 1)].strip() for k in range(count)]

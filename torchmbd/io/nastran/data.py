@@ -23,7 +23,7 @@ from torchmbd.io.nastran.systems import KINDS, Systems
 SHELLS = {"CTRIA3": 3, "CQUAD4": 4}
 BARS = ("CBAR", "CBEAM")
 PROPERTIES = ("PSHELL", "PCOMP", "PCOMPG", "PBAR", "PBARL", "PBEAM", "PBEAML")
-MATERIALS = re.compile(r"^MAT\d+$")
+MATERIALS = re.compile(r"^MAT([12389]|10)$")
 #: Structure that cannot be read: leaving it out would change the body. Every other unknown card is left out, and listed.
 _STRUCTURE = re.compile(
     r"^(RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT\d?|MPC|GENEL|SPOINT|EPOINT|BAROR|BEAMOR|CONM1"
@@ -158,6 +158,8 @@ class BulkData:
             self.rigids.append(_rbe2(card) if name == "RBE2" else _rbe3(card))
         elif name in ("SPC1", "SPC"):
             self.supports.extend(_supports(card))
+            if name == "SPC" and any(card.real(k, "D", 0.0) for k in (4, 7)):
+                self.ignored["enforced displacement of SPC"] += 1
         elif name == "PARAM" and card.text(1).upper() == "WTMASS":
             self.weight_to_mass = card.real(2, "WTMASS")
         elif _STRUCTURE.match(name):
@@ -289,7 +291,5 @@ def _supports(card: Card) -> list[Support]:
     found = []
     for start in (2, 5):
         if card.text(start):
-            if card.real(start + 2, "D", 0.0) != 0.0:
-                raise InputError(f"{card}: an enforced displacement cannot be read; allowed: 0")
             found.append(Support(card, number, card.text(start + 1), (card.integer(start, "G"),)))
     return found

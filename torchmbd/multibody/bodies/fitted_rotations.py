@@ -1,6 +1,6 @@
 """Rotations of nodes that have none, such as those of solids: least squares of the displacements of their neighbors.
 
-Checked in tests/multibody/bodies/test_from_matrices.py, tests/multibody/bodies/test_solid_body.py.
+Checked in tests/multibody/bodies/test_from_matrices.py, tests/io/nastran/test_elements.py.
 """
 
 from __future__ import annotations
