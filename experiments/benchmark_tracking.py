@@ -37,12 +37,11 @@ from torchmbd.optimization.multistart import multistart
 from torchmbd.optimization.multistart.workers import LANES, Workers
 from torchmbd.optimization.optimizer import Iterate
 from torchmbd.process import use_one_thread
-from torchmbd.study.assemble import problem_of, starts_of
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.journal import Journal
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import problem_key
-from torchmbd.study.run import run_plan
+from torchmbd.study.run import run_study
 from torchmbd.tracking import MlflowTracker, Record
 from torchmbd.tracking.links import view_link
 from torchmbd.tracking.server import serving
@@ -75,21 +74,19 @@ def timed(action: Callable[[], object]) -> tuple[float, float]:
 def overhead(file: Path, fresh: bool, pairs: int) -> None:
     """The study in Python alone, and through the whole layer; `fresh`: each time in a store of its own."""
     plan = load_study(file)
-    problem = problem_of(plan)
-    optimizer = plan.study.optimizer
-    assert optimizer is not None
-    points = starts_of(plan, problem.start).points(problem)
+    problem = plan.simulated
+    points = plan.points
 
     def alone() -> None:
-        multistart(problem_of(plan), optimizer.name, list(points), max_iterations=optimizer.max_iterations)
+        multistart(plan.simulated, plan.method, list(points), max_iterations=plan.max_iterations)
 
     def whole() -> None:
-        run_plan(plan, Console(file=io.StringIO()), fresh=True)
+        run_study(plan, Console(file=io.StringIO()), fresh=True)
 
-    multistart(problem, optimizer.name, list(points), max_iterations=1)  # what is done once per process
+    multistart(problem, plan.method, list(points), max_iterations=1)  # what is done once per process
     if not fresh:
         place(file.parent / "store")
-        run_plan(load_study(file, ["optimizer.max_iterations=1"]), Console(file=io.StringIO()))
+        run_study(load_study(file, ["optimizer.max_iterations=1"]), Console(file=io.StringIO()))
     more = []
     for k in range(pairs):
         if fresh:
@@ -181,12 +178,12 @@ def scaling(file: Path) -> None:
     plan = load_study(
         file, ["options.cells=[24, 4]", "options.modes=8", "simulate.duration=0.06", "simulate.steps=300"]
     )
-    problem = problem_of(plan)
+    problem = plan.simulated
     rng = np.random.default_rng(1)
     X = rng.uniform(problem.lower, problem.upper, (2 * LANES, len(problem.lower)))
     seconds = []
     for workers in (1, 2):
-        with study_workers(plan, problem_key(plan), 1, workers) as pool:
+        with study_workers(plan, problem_key(plan.simulated), 1, workers) as pool:
             batches = np.array_split(X, 2 // workers)
             pool.evaluate(X, True)  # the model is built, the limits are known
             rounds = [timed(partial(_all, pool, batches))[0] for _ in range(ROUNDS)]

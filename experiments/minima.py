@@ -22,7 +22,7 @@ import torchmbd as mbd
 from experiments.discrete import COARSE, problem_of
 from experiments.enumeration import enumerate_all
 from experiments.table3 import problem
-from torchmbd.optimization import Study
+from torchmbd.optimization import MultistartResult
 
 START, INCREMENT, REFINED = (45.0, -45.0, 45.0), 5.0, 8
 STORED = Path(__file__).parent / "minima_grid.json"
@@ -50,7 +50,7 @@ def refine_grid(full: mbd.Problem) -> dict:
     }
 
 
-def print_study(study: Study, stored: dict | None) -> None:
+def print_study(study: MultistartResult, stored: dict | None) -> None:
     """Print the minima, the estimate of those left, and the comparison with the grid."""
     for k, minimum in enumerate(study.minima):
         print(f"minimum {k + 1}: {minimum.value:.7g} at {angles(minimum.x):20s} {minimum.count} starts")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from torchmbd import examples, viz
 from torchmbd.design import (
@@ -24,10 +24,12 @@ from torchmbd.design import (
     Final,
     Frequencies,
     Frequency,
+    History,
     Integral,
     Mass,
     Max,
     Mean,
+    Measure,
     Min,
     Position,
     Problem,
@@ -103,6 +105,16 @@ from torchmbd.results.section_history import SectionHistory
 
 if TYPE_CHECKING:
     from torchmbd.study.stored_run import LoadedStudy
+    from torchmbd.study.study import Study
+
+
+def __getattr__(name: str) -> Any:
+    """`Study`, with all that tracks and reports, is imported when it is asked for."""
+    if name != "Study":
+        raise AttributeError(f"module 'torchmbd.api' has no attribute {name!r}")
+    from torchmbd.study.study import Study
+
+    return Study
 
 
 def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Path] = ()) -> LoadedStudy:
@@ -135,10 +147,9 @@ def problem_of(file: str | Path, *assignments: str) -> Problem:
     >>> problem.names
     ['arm.laminate.angles[0]', 'arm.laminate.angles[1]']
     """
-    from torchmbd.study.assemble import problem_of
     from torchmbd.study.load import load_study
 
-    return problem_of(load_study(file, assignments))
+    return load_study(file, assignments).simulated
 
 
 __all__ = [
@@ -180,6 +191,7 @@ __all__ = [
     "Frequency",
     "GivenSection",
     "Ground",
+    "History",
     "InputError",
     "Integral",
     "Laminate",
@@ -188,6 +200,7 @@ __all__ = [
     "Max",
     "MbdError",
     "Mean",
+    "Measure",
     "Mesh",
     "Min",
     "OptimizationResult",
@@ -220,6 +233,7 @@ __all__ = [
     "SteeredLaminate",
     "StrainEnergy",
     "Strength",
+    "Study",
     "System",
     "Torque",
     "Tradeoff",

@@ -54,20 +54,20 @@ def run(file: Path, /, *assignments: str, workers: int = 1, scheduler: str | Non
     """
     use_one_thread()
     from torchmbd.study.figures import run_figures
-    from torchmbd.study.load import Plan, load
+    from torchmbd.study.load import FiguresPlan, load
     from torchmbd.study.overrides import combinations
-    from torchmbd.study.run import run_plan
+    from torchmbd.study.run import run_study
 
     console = Console()
     plans = [load(file, chosen) for chosen in combinations(assignments)]  # all are checked before the first runs
     codes = []
-    for plan in plans:
+    for plan, chosen in zip(plans, combinations(assignments), strict=True):
         if len(plans) > 1:
-            console.rule(escape(" ".join(plan.overrides)))
-        if isinstance(plan, Plan):
-            codes.append(run_plan(plan, console, workers=workers, scheduler=scheduler, fresh=fresh))
-        else:
+            console.rule(escape(" ".join(chosen)))
+        if isinstance(plan, FiguresPlan):
             codes.append(run_figures(plan, console))
+        else:
+            codes.append(run_study(plan, console, workers=workers, scheduler=scheduler, fresh=fresh))
         if codes[-1] == EXIT_INTERRUPTED:
             break
     return max(codes)

@@ -19,20 +19,33 @@ from torchmbd.design import (
 from torchmbd.design.response_spec import (
     HISTORIES,
     MEASURES,
-    UNITS,
+    OPERATIONS,
     SpecError,
-    heading,
     leaf,
     measure_of,
     terms,
-    unit,
-    words,
 )
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.design.words import UNITS
+from torchmbd.design.words import heading as heading_of
+from torchmbd.design.words import unit as unit_of
+from torchmbd.design.words import words as words_of
 
 ENERGY = mbd.StrainEnergy("rod")
 TWIST = RelativeDisplacement("rod", "left", "right", "z")
 TWIST_SPEC = {"relative_displacement": {"body": "rod", "a": "left", "b": "right", "axis": "z"}}
+
+
+def heading(spec) -> str:
+    return heading_of(measure_of(spec))
+
+
+def unit(spec) -> str:
+    return unit_of(measure_of(spec))
+
+
+def words(spec, bodies: bool = True) -> str:
+    return words_of(measure_of({key: x for key, x in spec.items() if key != "weight"}), bodies)
 
 
 @pytest.mark.parametrize(
@@ -91,8 +104,8 @@ def test_responses_in_words():
 
 
 def test_every_registered_name_can_be_said():
-    assert set(MEASURES) == {*COMBINATORS, *OF_DESIGN, "weighted_sum"}
-    assert set(HISTORIES) == {*RESPONSES, "squared"}
+    assert set(MEASURES) == {*COMBINATORS, *OF_DESIGN, "weighted_sum", *OPERATIONS, "function"}
+    assert set(HISTORIES) == {*RESPONSES, *OPERATIONS, "function"}
 
 
 @pytest.mark.parametrize(

@@ -9,15 +9,19 @@ import pytest
 from rich.console import Console
 
 from torchmbd.study.config_index import QUESTION_MISSING, configs
-from torchmbd.study.load import Plan, load, load_study
-from torchmbd.study.run import run_plan
+from torchmbd.study.load import FiguresPlan, load, load_study
+from torchmbd.study.run import run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
 CONFIGS = configs(Path(__file__).parents[2] / "configs")
 PLANS = {file: load(file) for file in CONFIGS}
 # Phases need all their time: those files are in test_sar_antenna_whole.py and test_two_link_arm.py.
-STUDIES = [file for file, plan in PLANS.items() if isinstance(plan, Plan) and plan.study.simulate.phases is None]
+STUDIES = [
+    file
+    for file, plan in PLANS.items()
+    if not isinstance(plan, FiguresPlan) and plan.origin.data.simulate.phases is None
+]
 SMALL = ["simulate.duration=0.004", "simulate.steps=40", "options.modes=4"]
 # The panels of the antenna have their joints on nodes of 16 x 8 cells.
 COARSE = {"slider_crank": ["options.cells=[4, 2]"], "sar_antenna": ["simulate.steps=4", "options.cells=[16, 8]"]}
@@ -49,24 +53,24 @@ def test_every_config_opens_with_its_question_and_is_valid(file):
     assert question != QUESTION_MISSING
     assert "?" in question
     plan = load(file)
-    resolved = plan.study.resolved()
-    assert plan.study.model_validate(resolved).resolved() == resolved
+    data = plan.study if isinstance(plan, FiguresPlan) else plan.origin.data
+    assert type(data).model_validate(data.resolved()).resolved() == data.resolved()
 
 
 @pytest.mark.parametrize("file", STUDIES, ids=lambda file: file.stem)
 def test_every_study_runs(file, uri):
     overrides = [*SMALL, *COARSE[file.parent.name]]
-    if load_study(file).study.sweep is None:
+    if load_study(file).sweep is None:
         overrides += ["optimizer.max_iterations=2", "starts.count=2"]
     else:
         overrides += ["sweep.rod.laminate.angles.count=5"]
     plan = load_study(file, overrides)
     tracker = MlflowTracker(file.stem, uri)
     output = io.StringIO()
-    assert run_plan(plan, Console(file=output), tracker) == 0
+    assert run_study(plan, Console(file=output), tracker) == 0
     runs = open_store(tracker.uri).search_runs([tracker.record.experiment_id])
     assert {run.info.status for run in runs} == {"FINISHED"}
     (parent,) = [run for run in runs if run.data.tags["kind"] in ("study", "sweep")]
-    assert len(runs) - 1 == (5 if plan.study.sweep else 2)
+    assert len(runs) - 1 == (5 if plan.sweep else 2)
     assert parent.data.metrics["failed_evaluations"] == 0
     assert parent.data.metrics["reduction_percent"] > 0  # the start designs are far from the best

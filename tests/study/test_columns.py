@@ -8,19 +8,17 @@ from typing import Any, cast
 import numpy as np
 import torch
 
+import torchmbd as mbd
 from torchmbd.optimization import Evaluation
 from torchmbd.study.columns import Columns
-from torchmbd.study.schema import Variable
 from torchmbd.study.sweep import _criteria
 
 
 def columns(**shapes: tuple[int, ...]) -> Columns:
     own = {name.replace("__", "."): torch.zeros(shape) for name, shape in shapes.items()}
-    system = SimpleNamespace(named_parameters=own.items)
-    kinds = {name: "deg" if name.endswith("angles") else "none" for name in own}
-    return Columns.of(
-        {name: cast(Variable, SimpleNamespace(unit=unit)) for name, unit in kinds.items()}, cast(Any, system)
-    )
+    labels = [f"{name}[{i}]" for name, x in own.items() for i in range(x.numel())]
+    kinds = {name: "deg" for name in own if name.endswith("angles")}
+    return Columns.of(labels, kinds, [name for name, x in own.items() if not x.ndim])
 
 
 def test_numbers_tell_the_entries_of_a_parameter_apart():
@@ -38,15 +36,14 @@ def test_the_body_is_named_where_two_share_a_word():
 
 def test_criteria_of_two_bodies_are_named_by_them():
     """In a sweep: constraints on another body than the objective's are criteria of their own."""
-    measures = [{"integral": {"strain_energy": body}} for body in ("inner", "outer")]
-    study = SimpleNamespace(minimize=measures[0], subject_to=[SimpleNamespace(measure=measures[1])])
+    measures = [mbd.Integral(mbd.StrainEnergy(body)) for body in ("inner", "outer")]
     reference = SimpleNamespace(scale=np.ones(1))
-    constraint = SimpleNamespace(measure=SimpleNamespace(rows=1))
-    problem = SimpleNamespace(constraints=[constraint], reference=reference, limits=np.array([2.0]))
+    constraint = SimpleNamespace(measure=measures[1])
+    problem = SimpleNamespace(
+        objective=measures[0], constraints=[constraint], reference=reference, limits=np.array([2.0])
+    )
     first, other = Evaluation(4.0, np.array([0.0])), Evaluation(2.0, np.array([1.0]))
-    found = _criteria(cast(Any, SimpleNamespace(study=study)), cast(Any, problem), first, [other])
+    found = _criteria(cast(Any, problem), first, [other])
     assert found == {"integral of strain energy of inner": [0.5], "integral of strain energy of outer": [1.5]}
-    study.subject_to, problem.constraints = [], []
-    assert list(_criteria(cast(Any, SimpleNamespace(study=study)), cast(Any, problem), first, [other])) == [
-        "integral of strain energy"
-    ]
+    problem.constraints = []
+    assert list(_criteria(cast(Any, problem), first, [other])) == ["integral of strain energy"]

@@ -19,7 +19,6 @@ import pytest
 from torchmbd.errors import InputError, MbdError
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.multistart.workers import Pieces, evaluate_piece
-from torchmbd.study.assemble import problem_of
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import problem_key
@@ -39,13 +38,13 @@ def same(found, expected):
 
 def test_a_piece_is_what_the_problem_itself_gives(write):
     plan = load_study(write(simulate=SHORT))
-    pool = study_workers(plan, problem_key(plan), 1, 2)
-    same(evaluate_piece(*pool.order, X[:2], True), problem_of(plan).evaluate(X[:2], True))
+    pool = study_workers(plan, problem_key(plan.simulated), 1, 2)
+    same(evaluate_piece(*pool.order, X[:2], True), plan.simulated.evaluate(X[:2], True))
 
 
 def test_another_model_file_on_a_worker_is_refused(write, folder):
     plan = load_study(write(simulate=SHORT))
-    pool = study_workers(plan, problem_key(plan), 1, 2)
+    pool = study_workers(plan, problem_key(plan.simulated), 1, 2)
     model = folder / "rod_model.py"
     model.write_text(model.read_text().replace("modes=4", "modes=3"))
     with pytest.raises(MbdError, match="another model file"):
@@ -62,7 +61,7 @@ def test_only_the_study_reaches_its_workers(write):
     from distributed import Client, Security
 
     plan = load_study(write(simulate=SHORT))
-    with study_workers(plan, problem_key(plan), 1, 2) as pool:
+    with study_workers(plan, problem_key(plan.simulated), 1, 2) as pool:
         info = pool._client.scheduler_info(n_workers=-1)
         own = {info["address"], *info["workers"], *(worker["nanny"] for worker in info["workers"].values())}
         assert {f"tls://{ip}:{port}" for ip, port in listening()} == own  # and no port for a dashboard
@@ -83,7 +82,7 @@ def test_only_the_study_reaches_its_workers(write):
         for address, security in ((f"tcp://127.0.0.1:{port}", None), (info["address"], Security.temporary())):
             with pytest.raises(OSError, match=r"(?i)timed out|connect|certificate does not match"):
                 Client(address, security=security, timeout=2)
-        same(pool.evaluate(X[:1], True), problem_of(plan).evaluate(X[:1], True))
+        same(pool.evaluate(X[:1], True), plan.simulated.evaluate(X[:1], True))
 
 
 def answer(connection):
@@ -128,8 +127,8 @@ def test_without_cryptography_there_are_no_workers(write, monkeypatch):
 @pytest.mark.slow
 def test_a_worker_that_is_killed_costs_nothing(write):
     plan = load_study(write(simulate={"duration": 0.01, "steps": 100}))
-    with study_workers(plan, problem_key(plan), 1, 2) as pool:
-        expected = problem_of(plan).evaluate(X, True)
+    with study_workers(plan, problem_key(plan.simulated), 1, 2) as pool:
+        expected = plan.simulated.evaluate(X, True)
         same(pool.evaluate(X, True), expected)
         victim = next(iter(pool._client.run(os.getpid).values()))
         os.kill(victim, signal.SIGKILL)
@@ -143,9 +142,9 @@ def test_a_scheduler_of_the_users(write):
     plan = load_study(write(simulate=SHORT))
     with (
         LocalCluster(n_workers=1, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster,
-        study_workers(plan, problem_key(plan), 1, 0, cluster.scheduler_address) as pool,
+        study_workers(plan, problem_key(plan.simulated), 1, 0, cluster.scheduler_address) as pool,
     ):
-        same(pool.evaluate(X, True), problem_of(plan).evaluate(X, True))
+        same(pool.evaluate(X, True), plan.simulated.evaluate(X, True))
 
 
 def listening():

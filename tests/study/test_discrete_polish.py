@@ -11,10 +11,9 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
-from torchmbd.study.assemble import problem_of
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load_study
-from torchmbd.study.run import run_plan
+from torchmbd.study.run import run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
@@ -32,8 +31,8 @@ def test_the_best_design_on_the_steps(write, folder, empty_store):
     optimizer = {"name": "slsqp", "max_iterations": 20}
     plan, output = load_study(write(**given(30, subject_to=None, optimizer=optimizer, starts=None))), io.StringIO()
     tracker = MlflowTracker("steps", f"sqlite:///{store}")
-    assert run_plan(plan, Console(file=output, width=200), tracker) == 0
-    problem = problem_of(plan)
+    assert run_study(plan, Console(file=output, width=200), tracker) == 0
+    problem = plan.simulated
     every = np.radians(list(itertools.product(range(-90, 90, 30), repeat=2)))
     least = min(e.objective for e in problem.evaluate(every, False))
     metrics = open_store(tracker.uri).get_run(tracker.record.runs["study"]).data.metrics
@@ -75,6 +74,5 @@ def test_what_is_wrong_is_named(write, changes, words):
     ],
 )
 def test_what_has_no_design_on_the_steps_is_refused_before_anything_is_kept(write, changes, words):
-    plan = load_study(write(**changes))
     with pytest.raises(mbd.InputError, match=words):
-        run_plan(plan, Console(file=io.StringIO()))
+        load_study(write(**changes))

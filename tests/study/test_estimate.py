@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from torchmbd.study.assemble import problem_of
 from torchmbd.study.estimate import estimate, print_estimate
 from torchmbd.study.load import load_study
 
@@ -18,18 +17,18 @@ def test_simulations_are_counted(write):
     plan = load_study(
         write(starts={"sampler": "sobol", "count": 70, "seed": 1}, simulate={"duration": 1e-3, "steps": 4})
     )
-    cost = estimate(plan, problem_of(plan))
+    cost = estimate(plan, plan.simulated)
     assert (cost.simulations, cost.lanes) == (70 * 3, 64)
     assert cost.seconds == pytest.approx(3 * 2 * cost.batch_seconds)
     sweep = {"rod.laminate.angles[0]": {"from": 0, "to": 1, "count": 9}}
     plan = load_study(write(sweep=sweep, starts=None, optimizer=None, simulate={"duration": 1e-3, "steps": 4}))
-    assert estimate(plan, problem_of(plan)).simulations == 10  # with the start design
+    assert estimate(plan, plan.simulated).simulations == 10  # with the start design
 
 
 def test_the_time_is_that_of_a_batch_within_a_factor_of_three(write):
     """On a busy machine one of several tries must do."""
     plan = load_study(write(simulate={"duration": 0.01, "steps": 60}))
-    problem = problem_of(plan)
+    problem = plan.simulated
     ratios = []
     for _ in range(5):
         cost = estimate(plan, problem)

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from torchmbd.optimization import Evaluation, Iterate, OptimizationResult, Study
+from torchmbd.optimization import Evaluation, Iterate, MultistartResult, OptimizationResult
 from torchmbd.study.journal import PARENT, Journal, child
 from torchmbd.study.run import _summarize
 
@@ -99,7 +99,7 @@ def test_an_infeasible_or_failed_iterate_is_not_the_best(heard):
 )
 def test_the_best_of_a_study_is_feasible(heard, results, best):
     journal, tracker = heard
-    study = Study(results, [])
+    study = MultistartResult(results, [])
     assert (None if study.best is None else study.best.value) == best
     journal.first[0] = 8.0
     _summarize(study, journal)

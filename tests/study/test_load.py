@@ -9,10 +9,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from torchmbd.study.assemble import problem_of
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load
-from torchmbd.study.schema import Study
+from torchmbd.study.schema import StudyFile
 from torchmbd.study.yaml_file import parse_yaml
 
 
@@ -36,20 +35,20 @@ def test_a_valid_file_becomes_a_plan(write):
 def test_the_resolved_file_is_a_file_again(write):
     """Defaults filled in, in the form of the file: what MLflow keeps can be run."""
     plan = load(write(optimizer=None, tracking=None))
-    resolved = plan.study.resolved()
+    resolved = plan.resolved()
     assert resolved["optimizer"] == {"name": "mmfd", "max_iterations": 60}
     assert resolved["simulate"]["method"] == "generalized_alpha"
     assert resolved["subject_to"] == [{"max": {"strain_energy": "rod"}, "at_most": "initial"}]
-    again = Study.model_validate(resolved)
+    again = StudyFile.model_validate(resolved)
     assert again.resolved() == resolved
 
 
 @pytest.mark.parametrize("way", ["forward", "reverse"])
 def test_which_way_gradients_come_can_be_told(write, way):
     simulate = {"duration": 0.002, "steps": 20}
-    told = problem_of(load(write(simulate=simulate | {"gradients": way})))
+    told = load(write(simulate=simulate | {"gradients": way})).simulated
     assert told.simulate(told.start[None], gradients=True).stats["gradients"] == way
-    assert load(write(simulate=simulate)).study.resolved()["simulate"]["gradients"] == "auto"
+    assert load(write(simulate=simulate)).resolved()["simulate"]["gradients"] == "auto"
 
 
 def test_motions_start_where_the_file_says(write):
@@ -68,13 +67,12 @@ def test_motions_start_where_the_file_says(write):
 def test_phases_come_from_a_function(write):
     """A motion in two phases of one mechanism is that of one."""
     simulate = {"duration": 0.01, "steps": 60}
-    whole, halved = (
-        problem_of(load(write(simulate=simulate | more))) for more in ({}, {"phases": "rod_model.py:in_two"})
-    )
+    plans = [load(write(simulate=simulate | more)) for more in ({}, {"phases": "rod_model.py:in_two"})]
+    whole, halved = (plan.simulated for plan in plans)
     assert [phase.until for phase in halved.simulation["phases"]] == [0.004, None]
     values = [p.evaluate(p.start[None], gradients=False)[0].objective for p in (whole, halved)]
     assert values[0] == pytest.approx(values[1], rel=1e-4)
-    assert "phases" in load(write(simulate=simulate | {"phases": "rod_model.py:in_two"})).study.resolved()["simulate"]
+    assert "phases" in load(write(simulate=simulate | {"phases": "rod_model.py:in_two"})).resolved()["simulate"]
     for name, said in (
         ("too_long", "allowed: increasing times before duration"),
         ("no_phases", "allowed: a list of mbd.Phase"),
@@ -88,7 +86,7 @@ def test_phases_come_from_a_function(write):
 
 def test_an_override_changes_the_plan(write):
     plan = load(write(), ["optimizer.max_iterations=5", "options.cells=3"])
-    assert plan.study.optimizer.max_iterations == 5
+    assert plan.max_iterations == 5
     assert len(plan.system.body("rod").mesh.nodes) == (3 + 1) * (2 + 1)
 
 
@@ -239,7 +237,7 @@ def test_what_is_no_file_of_sections(write, text):
     assert "allowed: sections such as model:" in fault.text
 
 
-keys = st.sampled_from(list(Study.model_fields))
+keys = st.sampled_from(list(StudyFile.model_fields))
 words = st.sampled_from(["rod", "deg", "initial", "mmfd", "sobol", "max", "integral", "strain_energy", "x", ""])
 scraps = st.recursive(
     st.none() | st.booleans() | st.integers(-100, 100) | st.floats(allow_nan=False, allow_infinity=False) | words,
@@ -249,7 +247,7 @@ scraps = st.recursive(
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.sampled_from([name for name in Study.model_fields if name != "model"]), scraps)
+@given(st.sampled_from([name for name in StudyFile.model_fields if name != "model"]), scraps)
 def test_any_section_is_accepted_or_refused_with_its_path(write, section, scrap):
     """No scrap of data in any section ends in another exception than StudyError."""
     try:
@@ -257,4 +255,4 @@ def test_any_section_is_accepted_or_refused_with_its_path(write, section, scrap)
     except StudyError as error:
         assert any(fault.path[:1] in ((section,), ()) for fault in error.faults)  # noqa: PT017
     else:
-        assert parse_yaml(plan.file.read_text()).data.get(section) == scrap
+        assert parse_yaml(plan.origin.file.read_text()).data.get(section) == scrap

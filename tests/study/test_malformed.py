@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from torchmbd import cli
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load
-from torchmbd.study.schema import Study
+from torchmbd.study.schema import StudyFile
 
 TEXT = Path(__file__).with_name("study.yaml").read_text()
 
@@ -126,13 +126,13 @@ def test_a_long_fault_is_cut(folder, capsys):
 
 scraps = st.recursive(
     st.none() | st.booleans() | st.integers(-9, 9) | st.floats(-1, 1) | st.sampled_from(["rod", "deg", "x", "", "7"]),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from([*Study.model_fields, "x"]), inner),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from([*StudyFile.model_fields, "x"]), inner),
     max_leaves=5,
 )
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.dictionaries(st.sampled_from([*Study.model_fields, "modl"]), scraps, max_size=6))
+@given(st.dictionaries(st.sampled_from([*StudyFile.model_fields, "modl"]), scraps, max_size=6))
 def test_scraps_of_files_are_refused(folder, capsys, data):
     file = folder / "study.yaml"
     file.write_text(yaml.safe_dump(data))

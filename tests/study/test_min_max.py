@@ -10,9 +10,8 @@ import pytest
 from rich.console import Console
 
 import torchmbd as mbd
-from torchmbd.study.assemble import problem_of, starts_of
 from torchmbd.study.load import load_study
-from torchmbd.study.run import run_plan
+from torchmbd.study.run import run_study
 from torchmbd.tracking.catalog import find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
@@ -25,10 +24,10 @@ def test_the_extra_variable_is_the_last_column(write):
     assert plan.columns.names == ("angle_1_deg", "angle_2_deg", "bound")
     assert plan.columns.sentence(np.radians([45.0, -45.0, 1.0])) == "45, -45 deg"
     assert plan.columns.sentence(np.radians([0.0005, -12.345, 1.0])) == "0, -12.35 deg"
-    problem = problem_of(plan)
+    problem = plan.simulated
     assert problem.names[-1] == "bound"
     np.testing.assert_allclose(problem.upper, np.append(np.radians([90.0, 90.0]), 1.0))
-    points = starts_of(plan, problem.start).points(problem)
+    points = plan.points
     np.testing.assert_allclose(points, [[*np.radians([45.0, -45.0]), 1.0], [*np.radians([20.0, -70.0]), 1.0]])
 
 
@@ -36,7 +35,7 @@ def test_a_study_of_the_highest_peaks_is_run_and_loaded(write, folder, empty_sto
     uri = f"sqlite:///{shutil.copy(empty_store, folder)}"
     plan = load_study(write(minimize=PEAKS), SHORT)
     tracker = MlflowTracker("min-max", uri)
-    assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
+    assert run_study(plan, Console(file=io.StringIO()), tracker) == 0
     study = mbd.load(tracker.record.runs["study"], uri, folder / "rod_model.py")
     metrics = find(uri, tracker.record.runs["study"]).metrics
     assert study.x.shape == (2,)

@@ -14,15 +14,14 @@ from rich.console import Console
 from tests.multibody.bodies.bdf_models import model as bdf_model
 from torchmbd.fem.mesh import rectangle
 from torchmbd.study import paths as paths_module
-from torchmbd.study.assemble import problem_of
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import evaluations_file, place, problem_key, study_key
-from torchmbd.study.run import run_plan
+from torchmbd.study.run import run_study
 
 
 def keys(file, *overrides):
     plan = load_study(file, overrides)
-    return problem_key(plan), study_key(plan, "sqlite:///runs.db")
+    return problem_key(plan.simulated), study_key(plan, "sqlite:///runs.db")
 
 
 @pytest.mark.parametrize(
@@ -94,7 +93,7 @@ def study(write, folder):
 def known(file: Path, tracker) -> tuple[int, str]:
     """How many evaluations a run has found in the store, and its table."""
     output = io.StringIO()
-    run_plan(load_study(file), Console(file=output, width=120), tracker)
+    run_study(load_study(file), Console(file=output, width=120), tracker)
     found = re.search(r"(\d+) of \d+ evaluations known", output.getvalue())
     return int(found[1]) if found else 0, re.findall(r"^ +0 +([\d.e-]+)", output.getvalue(), re.MULTILINE)[-1]
 
@@ -185,10 +184,10 @@ def test_another_torch_is_another_problem(write, monkeypatch):
 def test_an_evaluation_leaves_the_key_as_it_is(write):
     """What a system works out when it is first used is no change of it."""
     plan = load_study(write(), ["simulate.duration=0.001", "simulate.steps=4"])
-    before = problem_key(plan)
-    problem = problem_of(plan)
+    before = problem_key(plan.simulated)
+    problem = plan.simulated
     problem.evaluate(problem.start[None], True)
-    assert problem_key(plan) == before
+    assert problem_key(plan.simulated) == before
 
 
 def test_the_place_is_in_the_working_directory(monkeypatch, tmp_path):

@@ -25,7 +25,7 @@ from torchmbd.errors import MbdError
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.load import load_study
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
-from torchmbd.study.run import run_plan
+from torchmbd.study.run import run_study
 from torchmbd.study.unfinished import claimed
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store, store_uri
@@ -47,7 +47,7 @@ def table(output: str) -> list[str]:
 
 def run(file: Path, tracker=None) -> str:
     output = io.StringIO()
-    run_plan(load_study(file), Console(file=output, width=120), tracker)
+    run_study(load_study(file), Console(file=output, width=120), tracker)
     return output.getvalue()
 
 
@@ -95,13 +95,16 @@ def test_a_killed_study_repeats_no_evaluation(study, monkeypatch):
 def test_fresh_forgets_nothing_of_a_study_that_is_running(study, folder):
     run(study, Silent())
     plan = load_study(study)
-    count = Evaluations(evaluations_file(), problem_key(plan)).count()
+    count = Evaluations(evaluations_file(), problem_key(plan.simulated)).count()
     assert count > 0
-    uri = store_uri(plan.study.tracking.uri)
+    uri = store_uri(plan.uri)
     message = "the same study is running in another process"
-    with claimed(study_key(plan, uri), plan, uri), pytest.raises(MbdError, match=message):
-        run_plan(plan, Console(file=io.StringIO()), fresh=True)
-    assert Evaluations(evaluations_file(), problem_key(plan)).count() == count
+    with (
+        claimed(study_key(plan, uri), plan.name, plan.origin.file, plan.origin.overrides, uri),
+        pytest.raises(MbdError, match=message),
+    ):
+        run_study(plan, Console(file=io.StringIO()), fresh=True)
+    assert Evaluations(evaluations_file(), problem_key(plan.simulated)).count() == count
 
 
 def test_a_study_that_was_interrupted_goes_on_in_its_runs(study, folder):
@@ -113,7 +116,7 @@ def test_a_study_that_was_interrupted_goes_on_in_its_runs(study, folder):
         tracker = MlflowTracker("killed", uri, study="k")
         if interrupted:
             tell, tracker.metrics = tracker.metrics, _interrupting(tracker.metrics)
-        run_plan(plan, Console(file=io.StringIO()), tracker)
+        run_study(plan, Console(file=io.StringIO()), tracker)
         if interrupted:
             tracker.metrics = tell
         runs = open_store(uri).search_runs([tracker.record.experiment_id])

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from torchmbd.errors import SimulationFailure
 from torchmbd.study.load import load_study as load
-from torchmbd.study.run import run_plan
+from torchmbd.study.run import run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
@@ -37,10 +37,10 @@ def run(tmp_path_factory, empty_store):
         arguments = load(file), Console(file=output, width=100), MlflowTracker(name, uri)
         if raises:
             with pytest.raises(raises):
-                run_plan(*arguments)
+                run_study(*arguments)
             code = None
         else:
-            code = run_plan(*arguments)
+            code = run_study(*arguments)
         client = open_store(uri)
         runs = client.search_runs([client.get_experiment_by_name(name).experiment_id])
         children = [r for r in runs if "mlflow.parentRunId" in r.data.tags]
@@ -113,7 +113,7 @@ def test_the_filed_config_runs_the_same_study(study):
     filed = Path(study.parent.info.artifact_uri) / "config.yaml"
     copy = study.folder / "again.yaml"
     copy.write_text(filed.read_text())
-    assert load(copy).study == load(study.folder / "study.yaml").study
+    assert load(copy).resolved() == load(study.folder / "study.yaml").resolved()
     assert study.parent.data.params["optimizer.name"] == "mmfd"
     assert study.parent.data.params["design.rod.laminate.angles.unit"] == "deg"
 

@@ -13,7 +13,7 @@ from torchmbd.errors import InputError
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.study.config_index import question
 from torchmbd.study.load import load_study
-from torchmbd.study.run import run_plan
+from torchmbd.study.run import run_study
 from torchmbd.study.scaffold import EXAMPLE_PARTS, TEXT, begin, parts_of
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
@@ -26,7 +26,7 @@ def test_the_example_runs(tmp_path, empty_store):
     plan = load_study(file, overrides)
     assert plan.columns.names == ("angle_1_deg", "angle_2_deg")
     tracker = MlflowTracker("new", f"sqlite:///{shutil.copy(empty_store, tmp_path)}")
-    assert run_plan(plan, Console(file=io.StringIO()), tracker) == 0
+    assert run_study(plan, Console(file=io.StringIO()), tracker) == 0
 
 
 def test_what_is_written_of_the_example_is_so(tmp_path):
@@ -41,9 +41,9 @@ def test_what_is_written_of_the_example_is_so(tmp_path):
 def test_a_model_of_the_users_names_its_own_parts(folder):
     (file,) = begin(folder / "mine.yaml", "rod_model.py:build")
     plan = load_study(file)
-    assert plan.study.minimize == {"integral": {"strain_energy": "rod"}}
-    assert plan.study.options == {"layers": 2, "cells": 4}
-    assert plan.study.design["rod.laminate.angles"].start == [45.0, -45.0]
+    assert plan.origin.data.minimize == {"integral": {"strain_energy": "rod"}}
+    assert plan.origin.data.options == {"layers": 2, "cells": 4}
+    assert plan.origin.data.design["rod.laminate.angles"].start == [45.0, -45.0]
 
 
 def test_nothing_is_overwritten(folder):

@@ -10,11 +10,10 @@ from rich.console import Console
 
 import torchmbd as mbd
 from tests.study.conftest import VALID
-from torchmbd.study.assemble import problem_of, sought
 from torchmbd.study.estimate import estimate, print_estimate
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load_study
-from torchmbd.study.run import run_plan
+from torchmbd.study.run import run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
@@ -29,8 +28,8 @@ def given(tolerance, **more):
 def test_the_criterion_is_the_mean_over_the_tolerances(write):
     """By sampling angles that are off."""
     plan = load_study(write(**given([3.0, 6.0], subject_to=None)))
-    problem = problem_of(plan)
-    target = sought(plan, problem)
+    problem = plan.simulated
+    target = plan.problem
     off = np.random.default_rng(1).uniform(-1.0, 1.0, (400, 2)) * np.radians([3.0, 6.0])
     values = np.array([e.objective for e in problem.evaluate(problem.start + off, False)])
     (found,) = target.evaluate(target.start[None], False)
@@ -45,9 +44,9 @@ def test_a_study_with_tolerances(write, tmp_path, empty_store):
     uri = f"sqlite:///{tmp_path / 'mlflow.db'}"
     (tmp_path / "mlflow.db").write_bytes(empty_store.read_bytes())
     tracker = MlflowTracker("tolerances", uri)
-    assert run_plan(plan, Console(file=output, width=200), tracker) == 0
+    assert run_study(plan, Console(file=output, width=200), tracker) == 0
     assert "mean over the tolerances" in output.getvalue()
-    own = mbd.RobustProblem(problem_of(plan), mbd.deg([4.0, 4.0]))
+    own = mbd.RobustProblem(plan.simulated, mbd.deg([4.0, 4.0]))
     alone = mbd.optimize(own, "mmfd", max_iterations=2)
     metrics = open_store(uri).get_run(tracker.record.runs["study"]).data.metrics
     assert metrics["objective"] == pytest.approx(alone.value, rel=1e-9)
@@ -55,7 +54,7 @@ def test_a_study_with_tolerances(write, tmp_path, empty_store):
     np.testing.assert_allclose(angles, np.degrees(alone.x), atol=1e-6)
     assert metrics["evaluations"] >= 5 * alone.analyses
     again = io.StringIO()
-    assert run_plan(plan, Console(file=again, width=200), MlflowTracker("again", uri)) == 0
+    assert run_study(plan, Console(file=again, width=200), MlflowTracker("again", uri)) == 0
     assert f"{metrics['evaluations']:.0f} of {metrics['evaluations']:.0f} evaluations known" in again.getvalue()
 
 
@@ -76,14 +75,14 @@ def test_what_is_wrong_is_named(write, changes, words):
 
 
 def test_what_the_problem_refuses_is_refused_before_anything_is_kept(write):
-    plan = load_study(write(**given(2.0, subject_to=[{"frequency": {"body": "rod"}, "equal": 100.0}])))
+    file = write(**given(2.0, subject_to=[{"frequency": {"body": "rod"}, "equal": 100.0}]))
     with pytest.raises(mbd.InputError, match="problem has equalities"):
-        run_plan(plan, Console(file=io.StringIO()))
+        load_study(file)
 
 
 def test_the_cost_counts_every_design_that_is_looked_at(write):
     plain, off = (load_study(write(**given(x, starts=None))) for x in (None, 2.0))
-    costs = [estimate(plan, problem_of(plan)).simulations for plan in (plain, off)]
+    costs = [estimate(plan, plan.simulated).simulations for plan in (plain, off)]
     assert costs[1] == 5 * costs[0]
     output = io.StringIO()
     print_estimate(off, Console(file=output, width=200))

@@ -155,6 +155,17 @@ class Problem(Summary):
             system, 1, integrator.kept(steps) if steps else FEWEST, self._tangents, self.gradients == "reverse"
         )
 
+    def settings(self) -> list[Any]:
+        """All that its numbers depend on, but for the values of the design variables."""
+        space, asked = self.space, [self.objective, *self.constraints]
+        motion = [self.system, self.simulation, self.duration, self.gradients]
+        return [*motion, asked, space.map, space.offset, space.variables, space.start]
+
+    @property
+    def rows(self) -> int:
+        """Numbers of the constraints, of the extra variable among them."""
+        return self._count - (0 if self.peaks else 1)
+
     def _summary(self) -> list[tuple[str, Any]]:
         start = [f"{name} = {x:.6g}" for name, x in zip(self.names, self.start, strict=True)]
         return [
@@ -271,7 +282,7 @@ class Problem(Summary):
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n] as one batch, or as several where it would fill a large part of the memory."""
         X = self._checked(X, len(self.names))
-        rows = self._count - (0 if self.peaks else 1)
+        rows = self.rows
         try:
             most = self._lanes_at_once(gradients) if len(X) > 1 else 1
             if len(X) > most:

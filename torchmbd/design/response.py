@@ -14,8 +14,8 @@ multipliers, the reduced stiffness, the mode shapes. A response of your own:
 
     mbd.Max(reach) <= 0.5
 
-Histories add, subtract, multiply, divide by numbers and are squared (`(a - b) ** 2`); measures add and are multiplied and
-divided by numbers.
+Histories and measures add, subtract, multiply, divide, are raised to powers (`(a - b) ** 2`) and made positive (`abs(a)`), with
+each other and with numbers.
 Checked in tests/contracts/test_responses.py.
 """
 
@@ -70,8 +70,13 @@ class History(_Constant):
     def __add__(self, other: Any) -> History:
         return Combined(torch.add, (self, other))
 
+    __radd__ = __add__
+
     def __sub__(self, other: Any) -> History:
         return Combined(torch.sub, (self, other))
+
+    def __rsub__(self, other: Any) -> History:
+        return Combined(torch.add, (-self, other))
 
     def __mul__(self, factor: Any) -> History:
         return Combined(torch.mul, (self, factor))
@@ -86,6 +91,9 @@ class History(_Constant):
 
     def __pow__(self, exponent: int) -> History:
         return Combined(torch.pow, (self, exponent))
+
+    def __abs__(self) -> History:
+        return Combined(torch.abs, (self,))
 
 
 @dataclass(frozen=True)
@@ -141,30 +149,51 @@ class Measure(_Constant):
 
     def check(self, system: System) -> None:
         """Raise InputError where the measure asks for what the system does not have."""
+        for measure in self.operands:
+            measure.check(system)
 
     def at_start(self, motion: Trajectory) -> Measure:
         """The same measure with whatever refers to the initial design filled in from its motion."""
+        return self.mapped(lambda measure: measure.at_start(motion))
+
+    def mapped(self, change: Callable[[Measure], Measure]) -> Measure:
+        """The same measure of other operands."""
         return self
+
+    @property
+    def operands(self) -> Sequence[Measure]:
+        """The measures that it is made of."""
+        return ()
 
     @property
     def until(self) -> float:
         """How long the motion must last [s]."""
-        return 0.0
+        return max((measure.until for measure in self.operands), default=0.0)
 
     @property
     def refers_to_start(self) -> bool:
         """Whether the measure needs the motion of the initial design."""
-        return False
+        return any(measure.refers_to_start for measure in self.operands)
 
     def __add__(self, other: Any) -> Measure:
-        return Total([(1.0, self), (1.0, other)])
+        return CombinedMeasure(torch.add, (self, other)) if _number(other) else Total([(1.0, self), (1.0, other)])
 
-    def __mul__(self, factor: float) -> Measure:
-        return Total([(factor, self)])
+    __radd__ = __add__
+
+    def __mul__(self, factor: Any) -> Measure:
+        return CombinedMeasure(torch.mul, (self, factor)) if isinstance(factor, Measure) else Total([(factor, self)])
 
     __rmul__ = __mul__
 
-    def __truediv__(self, divisor: float) -> Measure:
+    def __pow__(self, exponent: int) -> Measure:
+        return CombinedMeasure(torch.pow, (self, exponent))
+
+    def __abs__(self) -> Measure:
+        return CombinedMeasure(torch.abs, (self,))
+
+    def __truediv__(self, divisor: Any) -> Measure:
+        if isinstance(divisor, Measure):
+            return CombinedMeasure(torch.div, (self, divisor))
         if not _finite(divisor) or not divisor:
             raise InputError(f"a measure is divided by {divisor!r}; allowed: a finite number but 0")
         return Total([(1.0 / divisor, self)])
@@ -173,7 +202,10 @@ class Measure(_Constant):
         return Total([(-1.0, self)])
 
     def __sub__(self, other: Any) -> Measure:
-        return Total([(1.0, self), (-1.0, other)])
+        return CombinedMeasure(torch.sub, (self, other)) if _number(other) else Total([(1.0, self), (-1.0, other)])
+
+    def __rsub__(self, other: Any) -> Measure:
+        return -self + other
 
     def of(self, motion: Trajectory) -> Valued:
         """Value [lanes, ...] and gradient [lanes, ..., n_b], None for a motion without gradients."""
@@ -229,20 +261,37 @@ class Total(Measure):
     def value(self, motion: Trajectory) -> Tensor:
         return torch.stack([factor * measure.value(motion) for factor, measure in self.terms]).sum(0)
 
-    def check(self, system: System) -> None:
-        for _, measure in self.terms:
-            measure.check(system)
+    @property
+    def operands(self) -> Sequence[Measure]:
+        return [measure for _, measure in self.terms]
 
-    def at_start(self, motion: Trajectory) -> Measure:
-        return Total([(factor, measure.at_start(motion)) for factor, measure in self.terms])
+    def mapped(self, change: Callable[[Measure], Measure]) -> Measure:
+        return Total([(factor, change(measure)) for factor, measure in self.terms])
+
+
+@dataclass(frozen=True)
+class CombinedMeasure(Measure):
+    """An operation on measures of one number and numbers."""
+
+    operation: Callable[..., Tensor]
+    parts: tuple
+
+    def __post_init__(self) -> None:
+        for part in self.parts:
+            if not _number(part) and not (isinstance(part, Measure) and part.rows == 1):
+                raise InputError(
+                    f"a measure is combined with {part!r}; allowed: measures of one number, finite numbers"
+                )
+
+    def value(self, motion: Trajectory) -> Tensor:
+        return self.operation(*(part.value(motion) if isinstance(part, Measure) else part for part in self.parts))
 
     @property
-    def until(self) -> float:
-        return max(measure.until for _, measure in self.terms)
+    def operands(self) -> Sequence[Measure]:
+        return [part for part in self.parts if isinstance(part, Measure)]
 
-    @property
-    def refers_to_start(self) -> bool:
-        return any(measure.refers_to_start for _, measure in self.terms)
+    def mapped(self, change: Callable[[Measure], Measure]) -> Measure:
+        return CombinedMeasure(self.operation, tuple(change(x) if isinstance(x, Measure) else x for x in self.parts))
 
 
 KINDS = ("at_most", "at_least", "equal")
@@ -285,6 +334,10 @@ class Constraint(_Constant):
         raise InputError(
             "a constraint is neither true nor false, as a chain like 1 <= Max(...) <= 2 takes it; allowed: two constraints"
         )
+
+
+def _number(x: Any) -> bool:
+    return isinstance(x, (int, float)) and _finite(x)
 
 
 def _finite(x: Any) -> bool:

@@ -3,10 +3,17 @@
     {max: {strain_energy: rod}}                                            a measure of a history
     {max: {strain_energy: rod}, window: [0.01, 0.03]}                      with options of the measure
     {rms: {velocity: {body: rod, node: right, axis: y}}}                   with arguments of the history
-    {integral: {squared: {relative_displacement: {body: rod, a: left, b: right, axis: z}}}}
     {frequency: {body: rod, number: 2}}, {mass: rod}                       measures of the design
     {frequencies: {body: rod, cluster: [2, 3], power: -4}}
     {weighted_sum: [{weight: 0.6, integral: ...}, {weight: 0.4, rms: ...}], normalize: initial}
+
+Operations on histories, and on measures of one number; a number may stand for any but the first:
+
+    {sum: [...]}, {difference: [a, b]}, {product: [...]}, {quotient: [a, b]}, {absolute: a}, {squared: a}, {scaled: a, by: 1e3}
+
+A history or a measure of one's own, with its options; see `_function`:
+
+    {function: "package.module:name", tip: right}, {max: {function: "beside.py:name"}}
 
 A single word stands for the first argument. Checked in tests/design/test_spec.py.
 """
@@ -14,36 +21,25 @@ A single word stands for the first argument. Checked in tests/design/test_spec.p
 from __future__ import annotations
 
 import inspect
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from functools import partial, reduce
+from operator import add, mul, sub, truediv
 from typing import Any
 
+from torchmbd.design.functions import FunctionHistory, FunctionMeasure
 from torchmbd.design.response import History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.errors import InputError, nearest
 
-SUM, SQUARED = "weighted_sum", "squared"
-MEASURES = (*COMBINATORS, *OF_DESIGN, SUM)
-HISTORIES = (*RESPONSES, SQUARED)
-UNITS = {
-    "strain_energy": "J",
-    "position": "m",
-    "displacement": "m",
-    "velocity": "m/s",
-    "acceleration": "m/s²",
-    "relative_displacement": "m",
-    "reaction": "N",
-    "angle": "rad",
-    "ply_failure": "",
-    "ply_stress": "Pa",
-    "frequency": "Hz",
-    "frequencies": "Hz",
-    "mass": "kg",
-    "fatigue_damage": "",
-    "fiber_curvature": "1/m",
-    "fiber_divergence": "1/m",
-}
+SUM, FUNCTION, SCALED = "weighted_sum", "function", "scaled"
+SEVERAL: dict[str, Callable[[Any, Any], Any]] = {"sum": add, "difference": sub, "product": mul, "quotient": truediv}
+SINGLE: dict[str, Callable[[Any], Any]] = {"absolute": abs, "squared": lambda y: y**2}
+OPERATIONS = (*SEVERAL, *SINGLE, SCALED)
+MEASURES = (*COMBINATORS, *OF_DESIGN, SUM, *OPERATIONS, FUNCTION)
+HISTORIES = (*RESPONSES, *OPERATIONS, FUNCTION)
 Path = tuple[str | int, ...]
+Find = Callable[[str], Any]  # what a function is that is named as `package.module:name`
 
 
 class SpecError(InputError):
@@ -54,67 +50,38 @@ class SpecError(InputError):
         super().__init__(f"{'.'.join(map(str, path)) or 'response'} {text}")
 
 
-def measure_of(spec: Any, path: Path = ()) -> Measure:
-    """Build a measure; SpecError for anything that is none."""
+def measure_of(spec: Any, path: Path = (), find: Find | None = None) -> Measure:
+    """Build a measure; SpecError for anything that is none. Without `find`, functions of one's own are not looked at."""
     name, options = _one(spec, MEASURES, path)
     inner = spec[name]
+    if name in OPERATIONS:
+        return _operation(name, inner, options, path, partial(measure_of, find=find))
+    if name == FUNCTION:
+        return _function(inner, options, path, find, Measure)
     if name == SUM:
-        return _made(WeightedSum, (_terms(inner, (*path, name)),), options, path)
+        return _made(WeightedSum, (_terms(inner, (*path, name), find),), options, path)
     if name in OF_DESIGN:
         if options:
             key = next(iter(options))
             raise SpecError((*path, key), f"unknown key{nearest(key, _arguments(OF_DESIGN[name]))}")
         return _of_words(OF_DESIGN[name], inner, (*path, name))
-    return _made(COMBINATORS[name], (history_of(inner, (*path, name)),), options, path)
+    return _made(COMBINATORS[name], (history_of(inner, (*path, name), find),), options, path)
 
 
-def history_of(spec: Any, path: Path = ()) -> History:
+def history_of(spec: Any, path: Path = (), find: Find | None = None) -> History:
     """Build a history; SpecError for anything that is none."""
     name, options = _one(spec, HISTORIES, path)
+    if name in OPERATIONS:
+        return _operation(name, spec[name], options, path, partial(history_of, find=find))
+    if name == FUNCTION:
+        return _function(spec[name], options, path, find, History)
     if options:
         key = next(iter(options))
         raise SpecError(
             (*path, key),
             f"unknown key: arguments of {name!r} stand inside it; allowed: {name}: {{{key}: {options[key]!r}, ...}}",
         )
-    if name == SQUARED:
-        return history_of(spec[name], (*path, name)) ** 2
     return _of_words(RESPONSES[name], spec[name], (*path, name))
-
-
-def words(spec: Any, bodies: bool = True) -> str:
-    """A valid response in a few words: `integral of strain energy of rod`; a sum says only that it is one."""
-    [name] = [key for key in spec if key in MEASURES or key in HISTORIES]
-    inner, said = spec[name], name.replace("_", " ")
-    if name == SUM:
-        return said
-    if name == SQUARED:
-        return f"{said} {words(inner, bodies)}"
-    if name in COMBINATORS:
-        return f"{said} of {words(inner, bodies)}"
-    body = inner if isinstance(inner, str) else next(iter(inner.values()))
-    return f"{said} of {body}" if bodies else said
-
-
-def unit(spec: Any) -> str:
-    """The unit of a valid response: `J s`; empty for a plain number, and for a sum, whose terms may have different ones."""
-    [name] = [key for key in spec if key in MEASURES or key in HISTORIES]
-    inner = spec[name]
-    if name == SUM:
-        return ""
-    if name == "reaction" and isinstance(inner, Mapping) and inner.get("kind") == "torque":
-        return "N m"
-    if name in UNITS:
-        return UNITS[name]
-    own = unit(inner)
-    if name == SQUARED and own:
-        return f"({own})²" if " " in own or "/" in own else f"{own}²"
-    return f"{own} s".strip() if name == "integral" else own
-
-
-def heading(spec: Any) -> str:
-    """A valid response as the title of an axis: `integral of strain energy of rod [J s]`."""
-    return f"{words(spec)} [{unit(spec)}]" if unit(spec) else words(spec)
 
 
 def leaf(spec: Any, path: Path = ()) -> Path:
@@ -126,16 +93,108 @@ def leaf(spec: Any, path: Path = ()) -> Path:
 
 
 def terms(spec: Any, path: Path = ()) -> list[tuple[dict[str, Any], Path]]:
-    """The parts of a valid measure with their paths: the terms of a weighted sum, or the measure itself."""
-    if SUM not in spec:
+    """The parts of a valid measure with their paths: the terms of sums and other operations, or the measure itself."""
+    [name] = [key for key in spec if key in MEASURES]
+    if name not in (SUM, *OPERATIONS):
         return [(spec, path)]
+    inner = spec[name]
+    if not isinstance(inner, list):
+        return terms(inner, (*path, name))
     found = []
-    for k, term in enumerate(spec[SUM]):
-        found += terms({key: x for key, x in term.items() if key != "weight"}, (*path, SUM, k))
+    for k, term in enumerate(inner):
+        if isinstance(term, Mapping):
+            found += terms({key: x for key, x in term.items() if key != "weight"}, (*path, name, k))
     return found
 
 
-def _terms(spec: Any, path: Path) -> list[tuple[float, Measure]]:
+def _operation(name: str, spec: Any, options: Mapping[str, Any], path: Path, read: Callable[..., Any]) -> Any:
+    """The operation `name` on what `read` makes of its operands."""
+    here = (*path, name)
+    for key in options:
+        if name != SCALED or key != "by":
+            raise SpecError((*path, key), f"unknown key{nearest(key, ['by'] if name == SCALED else [])}")
+    if name in SINGLE:
+        return _combined(SINGLE[name], here, read(spec, here))
+    if name == SCALED:
+        if not _number(options.get("by")):
+            raise SpecError((*path, "by"), f"= {options.get('by')!r}: must be a number, that {name!r} multiplies by")
+        return _combined(mul, here, read(spec, here), options["by"])
+    exact = 2 if name in ("difference", "quotient") else None
+    if not isinstance(spec, list) or len(spec) < 2 or (exact and len(spec) != exact):
+        raise SpecError(here, f"= {spec!r}: must be a list of {'two' if exact else 'two or more'} responses")
+    parts = [x if k and _number(x) else read(x, (*here, k)) for k, x in enumerate(spec)]
+    return reduce(partial(_combined, SEVERAL[name], here), parts)
+
+
+def _combined(operation: Callable[..., Any], path: Path, *parts: Any) -> Any:
+    try:
+        return operation(*parts)
+    except InputError as error:
+        raise SpecError(path, f": {error}") from error
+
+
+def _function(spec: Any, options: Mapping[str, Any], path: Path, find: Find | None, kind: type) -> Any:
+    """A response of one's own: what `spec` names.
+
+    A function of the motion, annotated `-> Tensor`: [lanes, times] for a history, [lanes] for a measure; it gets the motion
+    first, then the options by name. A function of the options, annotated `-> mbd.History` or `-> mbd.Measure`. Or a history
+    or a measure itself, such as `@mbd.history` makes; it takes no options.
+    """
+    here = (*path, FUNCTION)
+    made = FunctionHistory if kind is History else FunctionMeasure
+    if not isinstance(spec, str) or not all(spec.rpartition(":")[::2]):
+        raise SpecError(here, f"= {spec!r}: must be package.module:function or path/to/file.py:function")
+    if find is None:
+        return made(_not_looked_at)
+    try:
+        found = find(spec)
+    except InputError as error:
+        raise SpecError(here, str(error)) from error
+    noun = kind.__name__.lower()
+    if not inspect.isfunction(found):
+        if not isinstance(found, kind) or options:
+            what = f"is {found!r}" if not isinstance(found, kind) else f"takes no options, but has {list(options)}"
+            raise SpecError(here, f"= {spec!r}: {what}; allowed: a {noun}, or a function with its options")
+        return found
+    annotation = found.__annotations__.get("return")
+    said = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
+    said = said.rpartition(".")[2]
+    if said not in ("Tensor", kind.__name__):
+        raise SpecError(
+            here, f"= {spec!r}: the function returns {said}; allowed: one annotated -> Tensor or {kind.__name__}"
+        )
+    given = () if said != "Tensor" else ("motion",)
+    _check_options(found, options, len(given), path)
+    if said == "Tensor":
+        return made(partial(found, **options) if options else found)
+    result = _combined(partial(found, **options), here)
+    if not isinstance(result, kind):
+        raise SpecError(here, f"= {spec!r}: returned {result!r}; allowed: a {noun}")
+    return result
+
+
+def _check_options(function: Callable[..., Any], options: Mapping[str, Any], given: int, path: Path) -> None:
+    """SpecError for options that a function does not take, or needs; `given`: arguments that it gets before them."""
+    parameters = list(inspect.signature(function).parameters.values())[given:]
+    names = [p.name for p in parameters if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)]
+    anything = any(p.kind is p.VAR_KEYWORD for p in parameters)
+    for key in options:
+        if key not in names and not anything:
+            raise SpecError((*path, key), f"unknown key{nearest(key, names)}")
+    for p in parameters:
+        if p.name in names and p.default is p.empty and p.name not in options:
+            raise SpecError(path, f"needs {p.name!r}{nearest('', names)}")
+
+
+def _not_looked_at(motion: Any) -> Any:
+    raise InputError("a function of an experiment file was not looked up")
+
+
+def _number(x: Any) -> bool:
+    return isinstance(x, (int, float)) and not isinstance(x, bool)
+
+
+def _terms(spec: Any, path: Path, find: Find | None) -> list[tuple[float, Measure]]:
     if not isinstance(spec, list) or not spec:
         raise SpecError(path, f"= {spec!r}: must be a list of measures, each with its weight")
     terms = []
@@ -144,9 +203,9 @@ def _terms(spec: Any, path: Path) -> list[tuple[float, Measure]]:
         if not isinstance(term, Mapping) or "weight" not in term:
             raise SpecError(here, f"= {term!r}: needs the key 'weight'; allowed: a measure and its weight")
         weight = term["weight"]
-        if isinstance(weight, bool) or not isinstance(weight, (int, float)):
+        if not _number(weight):
             raise SpecError((*here, "weight"), f"= {weight!r}: must be a number")
-        terms.append((float(weight), measure_of({key: x for key, x in term.items() if key != "weight"}, here)))
+        terms.append((float(weight), measure_of({key: x for key, x in term.items() if key != "weight"}, here, find)))
     return terms
 
 

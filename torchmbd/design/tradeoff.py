@@ -12,6 +12,7 @@ A batch of designs is one simulation for all criteria. Checked in tests/design/t
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -69,6 +70,12 @@ class Tradeoff:
             raise InputError("subject_to has equalities; allowed: inequalities")
         self.names, self.start, self.period = self.problem.names, self.problem.start, self.problem.period
         self.lower, self.upper = self.problem.lower, self.problem.upper
+
+    def over(self, problem: Any) -> Tradeoff:
+        """The same with another source of evaluations than `self.problem`."""
+        other = copy.copy(self)
+        other.problem = problem
+        return other
 
     def motion(self, x: np.ndarray) -> Trajectory:
         """Motion of one design [n]."""

@@ -7,7 +7,7 @@ sum_i w_i f_i / s_i                      normalize=(s_1, s_2, ...)
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from torch import Tensor
@@ -50,6 +50,9 @@ class WeightedSum(Total):
     @property
     def refers_to_start(self) -> bool:
         return self.normalize == "initial" or super().refers_to_start
+
+    def mapped(self, change: Callable[[Measure], Measure]) -> Measure:
+        return WeightedSum([(weight, change(measure)) for weight, measure in self.terms], self.normalize)
 
     def at_start(self, motion: Trajectory) -> Measure:
         measures = [measure.at_start(motion) for _, measure in self.terms]

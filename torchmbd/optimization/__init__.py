@@ -10,8 +10,8 @@ from torchmbd.optimization.methods import moving_asymptotes as moving_asymptotes
 from torchmbd.optimization.methods import slsqp as slsqp
 from torchmbd.optimization.methods import trust_constr as trust_constr
 from torchmbd.optimization.multistart.minima import Minimum
+from torchmbd.optimization.multistart.run import MultistartResult, multistart
 from torchmbd.optimization.multistart.sampling import Starts, given, latin_hypercube, sobol
-from torchmbd.optimization.multistart.study import Study, multistart
 from torchmbd.optimization.multistart.workers import Processes
 from torchmbd.optimization.optimizer import OPTIMIZERS, STATUSES, Evaluation, Iterate, OptimizationResult, Problem
 from torchmbd.optimization.pareto import Front, ParetoPoint, pareto_front
@@ -29,13 +29,13 @@ __all__ = [
     "Iterate",
     "ManyCriteria",
     "Minimum",
+    "MultistartResult",
     "OptimizationResult",
     "ParetoPoint",
     "Problem",
     "Processes",
     "RobustProblem",
     "Starts",
-    "Study",
     "given",
     "latin_hypercube",
     "multistart",

@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import combinations, pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -38,6 +38,11 @@ from torchmbd.optimization.optimizer import (
     require_range,
 )
 from torchmbd.optimization.search import Search
+from torchmbd.viz.figures import BEST, figure_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 TIE = 1e-4  # weight of the other criteria in an anchor: of several minima, the one that is best for them
 AGAINST = 1e-2  # a weight below minus this much says that a criterion could be better at no cost
@@ -69,6 +74,26 @@ class Front:
     def criteria(self) -> np.ndarray:
         """Criteria of the points [points, k]."""
         return np.array([point.criteria for point in self.points])
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each point: its criteria by their names, and the design by those of the variables."""
+        import pandas as pd
+
+        rows = [
+            dict(zip(self.names, p.criteria.tolist(), strict=True))
+            | dict(zip(p.result.names, p.x.tolist(), strict=True))
+            for p in self.points
+        ]
+        return pd.DataFrame(rows)
+
+    def plot(self) -> Figure:
+        """Figure of the criteria over the first."""
+        figure, axes = figure_of(2.2 + 1.4 * (len(self.names) - 1), rows=len(self.names) - 1)
+        for ax, name, values in zip(axes, self.names[1:], self.criteria.T[1:], strict=True):
+            ax.plot(self.criteria[:, 0], values, color=BEST, marker="o", ms=4, lw=1.0)
+            ax.set_ylabel(name)
+        axes[-1].set_xlabel(self.names[0])
+        return figure
 
     @property
     def utopia(self) -> np.ndarray:

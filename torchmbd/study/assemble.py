@@ -1,83 +1,104 @@
-"""From a plan to what runs: the Problem of torchmbd.design, what optimizers see of it, and the start designs.
+"""From what an experiment file says to a Study: its problem, what optimizers see of it, and the start designs.
 
 Checked in tests/study/test_tolerances.py, tests/study/test_discrete_polish.py, tests/study/test_run.py.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
 from torchmbd.design import Constraint, Problem
-from torchmbd.design.problem import BOUND
 from torchmbd.design.response_spec import measure_of
-from torchmbd.errors import InputError
+from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts, given, latin_hypercube, sobol
-from torchmbd.optimization.discrete.grid import Grid
-from torchmbd.study.check import vector
-from torchmbd.study.load import Plan
+from torchmbd.study.check import labels, vector
+from torchmbd.study.config_index import QUESTION_MISSING, question
+from torchmbd.study.model import find_phases, find_response
+from torchmbd.study.schema import UNITS, Optimizer, StudyFile
+from torchmbd.study.settings import Origin, StudySettings
+
+S = TypeVar("S", bound=StudySettings)
 
 
-def problem_of(plan: Plan) -> Problem:
-    """Build the problem of a plan."""
-    study, columns = plan.study, plan.columns
-    start, lower, upper = (vector(study.design, plan.system, key) for key in ("start", "lower", "upper"))
-    factors = columns.factors[: start.size]  # without the extra variable
-    return Problem(
-        plan.system,
-        duration=study.simulate.duration,
-        minimize=measure_of(study.minimize),
-        subject_to=[Constraint(measure_of(c.measure), c.si(c.limit), c.kind, c.si(c.scale)) for c in study.subject_to],
-        bounds=(lower * factors, upper * factors),
-        variables=list(study.design),
-        start=start * factors,
-        method=study.simulate.method,
-        steps=study.simulate.steps,
-        phases=plan.phases,
-        gradients=study.simulate.gradients,
-        backend=study.simulate.backend,
-        motion_start=study.simulate.start,
-        **study.simulate.options,
+def study_of(
+    data: StudyFile, system: System, file: Path, overrides: tuple[str, ...] = (), kind: type[S] = StudySettings
+) -> S:
+    """Make the study of a valid file, of the system that its model has built, as an object of `kind`."""
+    problem = _problem(data, system, file.absolute().parent)
+    optimizer = data.optimizer or Optimizer()
+    tolerance = _entries(data, system, "tolerance", len(problem.names))
+    steps = dict(zip(problem.names, _entries(data, system, "step", len(problem.names)), strict=True))
+    asked = question(file) if file.is_file() else QUESTION_MISSING
+    return kind(
+        RobustProblem(problem, tolerance) if tolerance.any() else problem,
+        _starts(data, problem),
+        optimizer.name,
+        file.stem,
+        max_iterations=optimizer.max_iterations,
+        increments={name: float(step) for name, step in steps.items() if step},
+        sweep=_sweep(data),
+        question="" if asked == QUESTION_MISSING else asked,
+        units={name: variable.unit for name, variable in data.design.items()},
+        experiment=data.tracking.experiment,
+        uri=data.tracking.uri,
+        origin=Origin(file, overrides, data),
+        **optimizer.options,
     )
 
 
-def tolerances(plan: Plan) -> np.ndarray:
-    """Return how far every design variable may be off [SI], zero for what is made exactly."""
-    return _all(plan, "tolerance")
+def _problem(data: StudyFile, system: System, folder: Path) -> Problem:
+    start, lower, upper = (_entries(data, system, key) for key in ("start", "lower", "upper"))
+    simulate = data.simulate
+    read = partial(measure_of, find=partial(find_response, folder=folder))
+    return Problem(
+        system,
+        duration=simulate.duration,
+        minimize=read(data.minimize),
+        subject_to=[Constraint(read(c.measure), c.si(c.limit), c.kind, c.si(c.scale)) for c in data.subject_to],
+        bounds=(lower, upper),
+        variables=list(data.design),
+        start=start,
+        method=simulate.method,
+        steps=simulate.steps,
+        phases=None if simulate.phases is None else find_phases(simulate.phases, folder),
+        gradients=simulate.gradients,
+        backend=simulate.backend,
+        motion_start=simulate.start,
+        **simulate.options,
+    )
 
 
-def increments(plan: Plan) -> list[float | None]:
-    """Return the step of every design variable [SI]; None where it takes any value."""
-    return [float(step) or None for step in _all(plan, "step")]
+def _factors(data: StudyFile, system: System) -> np.ndarray:
+    """From the units of the file to SI, of every entry."""
+    return np.array([UNITS[data.design[label.rpartition("[")[0]].unit] for label in labels(data.design, system)])
 
 
-def _all(plan: Plan, key: str) -> np.ndarray:
-    given = vector(plan.study.design, plan.system, key)
-    return np.append(given, np.zeros(len(plan.columns.names) - given.size)) * plan.columns.factors
+def _entries(data: StudyFile, system: System, key: str, count: int | None = None) -> np.ndarray:
+    """What the file says of every design variable [SI]; zero for extra variables, up to `count`."""
+    found = vector(data.design, system, key) * _factors(data, system)
+    return found if count is None else np.append(found, np.zeros(count - found.size))
 
 
-def sought(plan: Plan, problem: Any) -> Any:
-    """Return what optimizers see: the problem, or its mean over the tolerances.
-
-    Raises InputError where it has none, where no step lies between the bounds, and for steps of a min-max problem.
-    """
-    own, steps = tolerances(plan), increments(plan)
-    target = RobustProblem(problem, own) if own.any() else problem
-    if any(steps) and plan.columns.labels[-1] == BOUND:
-        raise InputError("design has a step, and the objective several rows; allowed: one number, such as max")
-    if any(steps):
-        Grid(target, steps, target.lower, target.upper, target.period)
-    return target
-
-
-def starts_of(plan: Plan, start: np.ndarray) -> Starts:
-    """Return the recipe of the start designs; `start` is the initial design [SI], whose extra variable all points share."""
-    starts = plan.study.starts
+def _starts(data: StudyFile, problem: Problem) -> Starts | None:
+    """The recipe of the start designs; all points share the extra variable of the initial design."""
+    starts = data.starts
     if starts is None or starts.sampler == "none":
-        return given([start])
+        return None
     if starts.sampler == "given":
-        points = [plan.columns.si(np.append(point, start[len(point) :])) for point in starts.points or ()]
-        return given([start, *points] if starts.include_initial else points)
+        factors = _factors(data, problem.system)
+        points: list[Any] = [np.append(np.array(x) * factors, problem.start[len(x) :]) for x in starts.points or ()]
+        return given([problem.start, *points] if starts.include_initial else points)
     sample = {"sobol": sobol, "latin_hypercube": latin_hypercube}[starts.sampler]
     return sample(starts.count or 1, starts.seed, include_initial=starts.include_initial)
+
+
+def _sweep(data: StudyFile) -> dict[str, tuple[float, float, int]] | None:
+    if data.sweep is None:
+        return None
+    [(name, span)] = data.sweep.items()
+    factor = UNITS[data.design[name.rpartition("[")[0] if name.endswith("]") else name].unit]
+    return {name: (span.first * factor, span.last * factor, span.count)}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
 
@@ -23,7 +24,15 @@ from torchmbd.math.plausible_units import check_angles, check_parameter
 from torchmbd.multibody.system import System
 from torchmbd.study.file_errors import Fault, Path, shown
 from torchmbd.study.method_options import method_faults
-from torchmbd.study.model import build_model, find_function, find_model, find_phases, option_faults, require_returns
+from torchmbd.study.model import (
+    build_model,
+    find_function,
+    find_model,
+    find_phases,
+    find_response,
+    option_faults,
+    require_returns,
+)
 from torchmbd.study.schema import UNITS, Range, Simulation, Starts, Variable
 
 Sections = Mapping[str, Any]
@@ -44,7 +53,7 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
         system = build_model(builder, sections["options"])
     except InputError as error:
         return None, [*faults, Fault(("options",), f"= {shown(sections['options'])}: {error}")]
-    faults += _phase_faults(sections, folder, system) + _response_faults(sections, system)
+    faults += _phase_faults(sections, folder, system) + _response_faults(sections, folder, system)
     if "design" in sections:
         faults += _design_faults(sections["design"], system)
         if not faults:
@@ -106,13 +115,14 @@ def _phase_faults(sections: Sections, folder: FilePath, system: System) -> list[
     return []
 
 
-def _response_faults(sections: Sections, system: System) -> list[Fault]:
+def _response_faults(sections: Sections, folder: FilePath, system: System) -> list[Fault]:
     """Names, windows and rows of the responses, against the model and the simulated time."""
     duration = sections["simulate"].duration if "simulate" in sections else math.inf
     given: list[tuple[Mapping[str, Any], Path]] = []
+    read = partial(measure_of, find=partial(find_response, folder=folder))
     if "minimize" in sections:
         given.append((sections["minimize"], ("minimize",)))
-        if measure_of(sections["minimize"]).rows > 1 and sections.get("sweep"):
+        if read(sections["minimize"]).rows > 1 and sections.get("sweep"):
             text = "has several rows; allowed in a sweep: one number, such as max: {strain_energy: rod}"
             return [Fault(leaf(sections["minimize"], ("minimize",))[:2], text)]
     given += [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
@@ -120,7 +130,7 @@ def _response_faults(sections: Sections, system: System) -> list[Fault]:
     for spec, path in given:
         for part, place in terms(spec, path):
             try:
-                measure = measure_of(part)
+                measure = read(part)
                 measure.check(system)
             except InputError as error:
                 faults.append(Fault(leaf(part, place), f": {error}"))

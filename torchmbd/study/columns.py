@@ -1,22 +1,20 @@
-"""The design vector as people read it: short names, values in the unit of the file.
+"""The design vector as people read it: short names, values in the unit of the study.
 
 rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg where two parameters would share the name)
 spring.stiffness[0]          ->  stiffness           a parameter that is one number has no others to be told from
-bound                        ->  bound               the extra variable of a min-max problem, the last
+bound                        ->  bound               an extra variable, as of a min-max problem
 
 Checked in tests/study/test_columns.py.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from torchmbd.design.problem import BOUND
-from torchmbd.multibody.system import System
-from torchmbd.study.schema import UNITS, Variable
+from torchmbd.study.schema import UNITS
 
 
 @dataclass(frozen=True)
@@ -29,39 +27,42 @@ class Columns:
     factors: np.ndarray  # unit -> SI
 
     @classmethod
-    def of(cls, design: Mapping[str, Variable], system: System, rows: int = 1) -> Columns:
-        """Columns of a design; `rows` of the objective: several make a min-max problem."""
-        own = dict(system.named_parameters())
-        words = [name.rpartition(".")[2] for name in design]
-        labels, names, units = [], [], []
-        for parameter, variable in design.items():
+    def of(cls, labels: Sequence[str], units: Mapping[str, str], scalars: Collection[str] = ()) -> Columns:
+        """Columns of design variables, such as a problem's names.
+
+        units    parameter -> unit of its numbers; those that are not there: none
+        scalars  parameters that are one number
+        """
+        own = [label.rpartition("[")[0] if label.endswith("]") else label for label in labels]
+        parameters = list(dict.fromkeys(own))
+        words = [parameter.rpartition(".")[2] for parameter in parameters]
+        names = []
+        for label, parameter in zip(labels, own, strict=True):
             word = _singular(parameter.rpartition(".")[2])
             if words.count(parameter.rpartition(".")[2]) > 1:
                 word = f"{parameter.partition('.')[0]}_{word}"
-            suffix = "" if variable.unit == "none" else f"_{variable.unit}"
-            for i in range(own[parameter].numel()):
-                labels.append(f"{parameter}[{i}]")
-                number = f"_{i + 1}" if own[parameter].ndim else ""
-                names.append(f"{word}{number}{suffix}")
-                units.append(variable.unit)
-        if rows > 1:
-            labels, names, units = [*labels, BOUND], [*names, BOUND], [*units, "none"]
-        return cls(tuple(labels), tuple(names), tuple(units), np.array([UNITS[unit] for unit in units]))
+            number = "" if label == parameter or parameter in scalars else f"_{int(label[len(parameter) + 1 : -1]) + 1}"
+            unit = units.get(parameter, "none")
+            names.append(f"{word}{number}{'' if unit == 'none' else f'_{unit}'}")
+        found = tuple(units.get(parameter, "none") for parameter in own)
+        return cls(tuple(labels), tuple(names), found, np.array([UNITS[unit] for unit in found]))
 
     def shown(self, x: np.ndarray) -> dict[str, float]:
-        """Return a design vector [SI] by name, in the units of the file."""
+        """Return a design vector [SI] by name, in the units of the study."""
         return dict(zip(self.names, (np.asarray(x, dtype=float) / self.factors).tolist(), strict=True))
 
     def si(self, values: np.ndarray) -> np.ndarray:
-        """Return a design vector in SI from one in the units of the file."""
+        """Return a design vector in SI from one in the units of the study."""
         return np.asarray(values, dtype=float) * self.factors
 
     def sentence(self, x: np.ndarray) -> str:
-        """Return a design vector [SI] in one line: `45, -45, 45 deg`; angles to a hundredth."""
-        own = {name: unit for name, unit in zip(self.names, self.units, strict=True) if name != BOUND}
-        shown = {name: round(x, 2) if own.get(name) == "deg" else x for name, x in self.shown(x).items()}
-        values = ", ".join(f"{float(f'{shown[name]:.4g}') + 0.0:g}" for name in own)
-        return f"{values} {self.units[0]}" if len(set(own.values())) == 1 and self.units[0] != "none" else values
+        """Return a design vector [SI] in one line: `45, -45, 45 deg`; angles to a hundredth. Extra variables are left out."""
+        units = dict(zip(self.names, self.units, strict=True))
+        own = [name for name, label in zip(self.names, self.labels, strict=True) if label not in EXTRA]
+        values = (np.asarray(x, dtype=float) / self.factors[: len(x)]).tolist()
+        shown = {name: round(v, 2) if units[name] == "deg" else v for name, v in zip(self.names, values, strict=False)}
+        text = ", ".join(f"{float(f'{shown[name]:.4g}') + 0.0:g}" for name in own)
+        return f"{text} {self.units[0]}" if len({units[n] for n in own}) == 1 and self.units[0] != "none" else text
 
     @property
     def headings(self) -> list[str]:
@@ -72,6 +73,9 @@ class Columns:
         unit = self.units[index]
         word = self.names[index].removesuffix(f"_{unit}").replace("_", " ")
         return word if unit == "none" else f"{word} [{unit}]"
+
+
+EXTRA = ("bound", "beta")  # variables that are no parameters: of a min-max problem, of a worst case
 
 
 def _singular(word: str) -> str:

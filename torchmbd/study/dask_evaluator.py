@@ -1,4 +1,4 @@
-"""The workers of a study: they build its model once, from the experiment file's own words.
+"""The workers of a study: they build its model once, from the experiment file's own words, or unpack that of Python.
 
 The optimizers, the store of evaluations and the tracker stay with the parent, so a study is the same on any cluster.
 Assumed: workers see the model's file at the same path, and run the same torchmbd (a hash of both is compared).
@@ -10,24 +10,22 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from typing import Any
 
-from torchmbd.design import Problem
-from torchmbd.design.response_spec import measure_of
 from torchmbd.errors import InputError, MbdError
-from torchmbd.optimization.multistart.workers import Workers
-from torchmbd.study.assemble import problem_of
+from torchmbd.optimization.multistart.workers import Workers, packed, unpacked
+from torchmbd.study.assemble import study_of
 from torchmbd.study.cluster import load_cluster
-from torchmbd.study.columns import Columns
-from torchmbd.study.load import Plan
 from torchmbd.study.model import build_model, find_model
 from torchmbd.study.paths import problem_key
-from torchmbd.study.schema import Study
+from torchmbd.study.schema import StudyFile
+from torchmbd.study.settings import StudySettings
 
 _ADDRESS = re.compile(r"(tcp|tls|ws|wss)://\S+:\d+")
 
 
-def study_workers(plan: Plan, key: str, rows: int, workers: int = 0, scheduler: str | None = None) -> Workers:
-    """Return workers for a plan, not started yet.
+def study_workers(study: StudySettings, key: str, rows: int, workers: int = 0, scheduler: str | None = None) -> Workers:
+    """Return workers for a study, not started yet.
 
     key        of its problem (paths.problem_key)
     rows       constraints of the problem
@@ -36,25 +34,29 @@ def study_workers(plan: Plan, key: str, rows: int, workers: int = 0, scheduler: 
     """
     if workers < 0:
         raise InputError(f"workers = {workers}: must be 0 (one for each core) or more")
-    order = json.dumps(plan.study.resolved()), str(plan.file.absolute().parent), key
+    make, order = unpacked, ()
+    if study.origin is None:
+        order = packed(study.simulated)
+    else:
+        make = _problem_of_file
+        order = json.dumps(study.resolved()), str(study.origin.file.absolute().parent), key
     if scheduler is not None and scheduler.endswith((".yaml", ".yml")):
         slurm = load_cluster(scheduler)
         if not workers:
             raise InputError("workers = 0: must be 1 or more, of all jobs together, with a cluster file")
-        return Workers(_problem_of_file, order, rows, workers, start=slurm.start)
+        return Workers(make, order, rows, workers, start=slurm.start)
     if scheduler is not None and not _ADDRESS.fullmatch(scheduler):
         raise InputError(
             f"scheduler = {scheduler!r}: allowed: tcp://host:8786, tls:, ws:, wss:, or a cluster file .yaml"
         )
-    return Workers(_problem_of_file, order, rows, workers, scheduler)
+    return Workers(make, order, rows, workers, scheduler)
 
 
-def _problem_of_file(study_json: str, folder: str, key: str) -> Problem:
+def _problem_of_file(study_json: str, folder: str, key: str) -> Any:
     """The problem of a study, on a worker: of its file as JSON, and of the folder of that file."""
-    study = Study.model_validate(json.loads(study_json))
-    system = build_model(find_model(study.model, Path(folder)), study.options)
-    columns = Columns.of(study.design, system, measure_of(study.minimize).rows)
-    plan = Plan(study, system, columns, Path(folder) / "worker")
-    if problem_key(plan) != key:
+    data = StudyFile.model_validate(json.loads(study_json))
+    system = build_model(find_model(data.model, Path(folder)), data.options)
+    problem = study_of(data, system, Path(folder) / "worker").simulated
+    if problem_key(problem) != key:
         raise MbdError("a worker has another model file or another torchmbd than the study; allowed: the same on all")
-    return problem_of(plan)
+    return problem

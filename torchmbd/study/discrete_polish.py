@@ -13,27 +13,24 @@ import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
-from torchmbd.optimization import DiscreteResult, Study, optimize_discrete
-from torchmbd.study.assemble import increments
+from torchmbd.optimization import DiscreteResult, MultistartResult, optimize_discrete
 from torchmbd.study.journal import Journal, percent
-from torchmbd.study.load import Plan
-from torchmbd.study.schema import Optimizer
+from torchmbd.study.settings import StudySettings
 
 
 def lay(
-    plan: Plan,
+    study: StudySettings,
     target: Any,
     points: np.ndarray,
     options: dict[str, Any],
-    relaxed: Study,
+    relaxed: MultistartResult,
     journal: Journal,
     console: Console,
 ) -> DiscreteResult:
     """Search the designs on the steps from the start designs [count, n]; print and file the best of them."""
-    optimizer = plan.study.optimizer or Optimizer()
-    limits = {"max_iterations": optimizer.max_iterations, **options}
+    limits = {"max_iterations": study.max_iterations, **options}
     with console.status("searching designs on the steps"):
-        found = optimize_discrete(target, increments(plan), optimizer.name, list(points), **limits)
+        found = optimize_discrete(target, study.increments, study.method, list(points), **limits)
     best, above = found.best, relaxed.best
     journal.summary({}, {"status_on_steps": found.status, "message_on_steps": found.message})
     if best is None:
@@ -41,11 +38,11 @@ def lay(
         return found
     rise = "" if above is None else f", {max(0.0, -percent(above.value, best.value)):.2g} % above the best of the table"
     console.print(
-        f"on the steps: {plan.columns.sentence(best.x)}, objective {best.value:.6g}{rise}; {escape(found.message)}",
+        f"on the steps: {study.columns.sentence(best.x)}, objective {best.value:.6g}{rise}; {escape(found.message)}",
         soft_wrap=True,
         highlight=False,
     )
-    numbers = {"objective": best.value, "violation": best.violation, **plan.columns.shown(best.x)}
+    numbers = {"objective": best.value, "violation": best.violation, **study.columns.shown(best.x)}
     numbers |= {} if above is None else {"relaxed_objective": above.value}
     journal.summary(numbers, {})
     journal.design(best.x)

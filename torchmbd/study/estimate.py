@@ -20,20 +20,19 @@ import numpy as np
 from rich.console import Console
 
 from torchmbd.design import Problem
-from torchmbd.design.response_spec import words
+from torchmbd.design.words import words
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.optimization.multistart.workers import LANES
-from torchmbd.study.assemble import increments, problem_of, sought, starts_of, tolerances
 from torchmbd.study.evaluations import Evaluations
-from torchmbd.study.load import FiguresPlan, Plan
+from torchmbd.study.load import FiguresPlan
 from torchmbd.study.paths import evaluations_file, problem_key
-from torchmbd.study.schema import Optimizer
-from torchmbd.tracking.store import store_uri
+from torchmbd.study.settings import StudySettings
 
 _PER_ITERATION = 1.5  # analyses
 _SHARES = (0.02, 0.06)  # of the motion that are measured
 _FEWEST = 4  # steps
 _COPIES = 3.0
+_SOUGHT = {"expected": ", mean over the tolerances", "worst": ", worst case over the tolerances"}  # of RobustProblem
 
 
 @dataclass(frozen=True)
@@ -47,19 +46,18 @@ class Estimate:
     memory: float
 
 
-def estimate(plan: Plan, problem: Problem) -> Estimate:
+def estimate(study: StudySettings, problem: Problem) -> Estimate:
     """Measure two short motions and extrapolate."""
-    starts = np.repeat(_starts(plan, problem), getattr(sought(plan, problem), "simulations", 1), axis=0)
-    gradients = plan.study.sweep is None
-    X = starts[:LANES]
-    optimizer = plan.study.optimizer or Optimizer()
-    each = math.ceil(_PER_ITERATION * optimizer.max_iterations) if gradients else 1
+    starts = np.repeat(_starts(study), getattr(study.problem, "simulations", 1), axis=0)
+    gradients = study.sweep is None
+    X = starts[:LANES, : len(problem.names)]
+    each = math.ceil(_PER_ITERATION * study.max_iterations) if gradients else 1
     times, size = [], 0.0
-    shares = _shares(plan.study.simulate.steps)
-    _short(plan, problem, X[:1], gradients, shares[0])  # what is done once per process does not count
+    shares = _shares(problem.simulation["steps"])
+    _short(problem, X[:1], gradients, shares[0])  # what is done once per process does not count
     for share in shares:
         began = time.perf_counter()
-        size = _bytes(_short(plan, problem, X, gradients, share)) / share
+        size = _bytes(_short(problem, X, gradients, share)) / share
         times.append((share, time.perf_counter() - began))
     (a, fast), (b, slow) = times[0], times[-1]
     rate = max((slow - fast) / (b - a), 0.0) if b > a else fast / a
@@ -69,11 +67,10 @@ def estimate(plan: Plan, problem: Problem) -> Estimate:
     return Estimate(each * len(starts), len(X), batch, batches * batch, base + _COPIES * size)
 
 
-def _starts(plan: Plan, problem: Problem) -> np.ndarray:
-    if plan.study.sweep is not None:
-        [span] = plan.study.sweep.values()
-        return np.tile(problem.start, (span.count + 1, 1))
-    return starts_of(plan, problem.start).points(sought(plan, problem))
+def _starts(study: StudySettings) -> np.ndarray:
+    if study.sweep is not None:
+        return np.tile(study.problem.start, (len(study.sweep[1]) + 1, 1))
+    return study.points
 
 
 def _shares(steps: int | None) -> list[float]:
@@ -84,23 +81,20 @@ def _shares(steps: int | None) -> list[float]:
     return [first / steps, min(3 * first, steps) / steps]
 
 
-def _short(plan: Plan, problem: Problem, X: np.ndarray, gradients: bool, share: float) -> Trajectory:
+def _short(problem: Problem, X: np.ndarray, gradients: bool, share: float) -> Trajectory:
     """Simulate the beginning of the motion."""
-    told = plan.study.simulate
+    settings = dict(problem.simulation)
+    steps = settings.pop("steps")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a few steps tell what they cost, not how good they are
         return simulate(
-            plan.system,
-            share * told.duration,
-            method=told.method,
-            steps=None if told.steps is None else round(share * told.steps),
+            problem.system,
+            share * problem.duration,
+            steps=None if steps is None else round(share * steps),
             gradients=problem.gradients if gradients else "none",
             variables=problem.space.variables,
-            backend=told.backend,
-            start=told.start,
-            designs=problem.space.designs(X),
-            phases=plan.phases,
-            **told.options,
+            designs=problem.space.designs(X[:, : len(problem.space.names)]),
+            **settings,
         )
 
 
@@ -111,32 +105,37 @@ def _bytes(motion: Trajectory) -> float:
     return 8.0 * numbers * copies
 
 
-def print_estimate(plan: Plan | FiguresPlan, console: Console) -> None:
-    """Print what a valid file is about and what it will cost."""
-    if isinstance(plan, FiguresPlan):
-        console.print(f"{plan.file} is valid: figures by {plan.study.figures}", markup=False, soft_wrap=True)
-        return
-    store_uri(plan.study.tracking.uri)  # refused here, not when the study is over
-    problem = problem_of(plan)
+def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Estimate | None:
+    """Print what a valid study is about and what it will cost; return its cost, None where nothing is simulated."""
+    if isinstance(study, FiguresPlan):
+        console.print(f"{study.file} is valid: figures by {study.study.figures}", markup=False, soft_wrap=True)
+        return None
+    problem = study.simulated
+    valid = f"{study.name if study.origin is None else study.origin.file} is valid"
+    if not isinstance(problem, Problem):
+        console.print(f"{valid}: {_count(len(study.columns.names), 'design variable')}", markup=False)
+        return None
+    asked = ", ".join(study.problem.criteria) if study.front else words(problem.objective)
+    others = len(study.problem.criteria) - 1 if study.front else 0
     console.print(
-        f"{plan.file} is valid: {words(plan.study.minimize)}, {_count(len(plan.columns.names), 'design variable')}, "
-        f"{_count(len(plan.study.subject_to), 'constraint')}"
-        + ", mean over the tolerances"
-        * bool(tolerances(plan).any()),
+        f"{valid}: {asked}, {_count(len(study.columns.names), 'design variable')}, "
+        f"{_count(len(problem.constraints) - others, 'constraint')}"
+        + _SOUGHT.get(getattr(study.problem, "kind", ""), ""),
         markup=False,
         soft_wrap=True,
     )
-    cost = estimate(plan, problem)
-    store = Evaluations(evaluations_file(), problem_key(plan)) if evaluations_file().exists() else None
+    cost = estimate(study, problem)
+    store = Evaluations(evaluations_file(), problem_key(problem)) if evaluations_file().exists() else None
     known = f"; {store.count()} evaluations of this problem are in the store already" if store else ""
     console.print(
         f"at most about {cost.simulations} simulations in batches of {cost.lanes}, {_time(cost.batch_seconds)} each: "
         f"{_time(cost.seconds)} in one process, {cost.memory / 2**30:.1f} GiB{known}"
         + "; designs on the steps are looked at after that"
-        * any(increments(plan)),
+        * any(study.increments),
         markup=False,
         soft_wrap=True,
     )
+    return cost
 
 
 def _count(n: int, what: str) -> str:

@@ -42,7 +42,7 @@ def run_figures(
         study = None
         if tracker is None:
             uri = store_uri(uri or plan.study.tracking.uri)
-            study = stack.enter_context(claimed(figures_key(plan, uri), plan, uri))
+            study = stack.enter_context(claimed(figures_key(plan, uri), plan.name, plan.file, plan.overrides, uri))
             tracker = MlflowTracker(plan.study.tracking.experiment, uri, study.id)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
         resolved = plan.study.resolved()
@@ -59,7 +59,7 @@ def run_figures(
         finally:
             tracker.end(PARENT, status)
             record = close(tracker, study, console)
-        return conclude(plan, "figures", status, f"{time.monotonic() - began:.1f} s", record, study, console)
+        return conclude(plan.name, "figures", status, f"{time.monotonic() - began:.1f} s", record, study, console)
 
 
 def _draw(plan: FiguresPlan, folder: Path, tracker: MlflowTracker, console: Console) -> None:

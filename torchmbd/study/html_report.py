@@ -60,7 +60,7 @@ def write_report(run: str, path: Path | None = None, uri: str | None = None) -> 
 def _page(store: str, entry: Entry, scratch: Path) -> str:
     given = fetch(store, entry, "config_as_given.yaml", scratch)
     config = fetch(store, entry, "config.yaml", scratch)
-    asked = question(given) if given else QUESTION_MISSING
+    asked = entry.tags.get("question") or (question(given) if given else QUESTION_MISSING)
     took = "" if entry.seconds is None else f", {entry.seconds:.0f} s"
     parts = [
         f"<h1>{escape(entry.name if asked == QUESTION_MISSING else asked)}</h1>",

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from torchmbd.design.problem import BOUND
 from torchmbd.optimization.optimizer import Evaluation, Iterate, OptimizationResult
-from torchmbd.study.load import Plan
+from torchmbd.study.columns import EXTRA
 from torchmbd.study.paths import problem_key
+from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import MlflowTracker, Status
 from torchmbd.tracking.provenance import provenance
 
@@ -29,8 +29,8 @@ PARENT = "study"
 class Journal:
     """Translates what happens in a study into calls of a tracker."""
 
-    def __init__(self, plan: Plan, tracker: MlflowTracker, folder: Path) -> None:
-        self.plan, self.tracker, self.folder = plan, tracker, folder
+    def __init__(self, study: StudySettings, tracker: MlflowTracker, folder: Path) -> None:
+        self.study, self.tracker, self.folder = study, tracker, folder
         self.first: dict[int, float] = {}
         self.evaluations = self.iterates = 0
         self.trouble: str | None = None  # why a file is missing
@@ -40,30 +40,32 @@ class Journal:
 
     def begin(self, kind: str) -> None:
         """Open the parent run and file the resolved study."""
-        study = self.plan.study
+        study, origin = self.study, self.study.origin
         resolved = study.resolved()
-        tags = {"kind": kind, "mlflow.source.name": str(self.plan.file), **provenance(self.plan.file.parent)}
-        tags["problem_key"] = problem_key(self.plan)
-        if self.plan.overrides:
-            tags["overrides"] = " ".join(self.plan.overrides)
-        if study.starts is not None:
-            tags["seed"] = str(study.starts.seed)
-        self.tracker.begin(PARENT, self.plan.name, params=flat(resolved), tags=tags)
+        tags = {"kind": kind, **provenance(Path() if origin is None else origin.file.parent)}
+        tags["problem_key"] = problem_key(study.simulated)
+        if study.question:
+            tags["question"] = study.question
+        if origin is not None:
+            tags["mlflow.source.name"] = str(origin.file)
+            tags |= {"overrides": " ".join(origin.overrides)} if origin.overrides else {}
+            tags |= {"seed": str(origin.data.starts.seed)} if origin.data.starts is not None else {}
+        self.tracker.begin(PARENT, study.name, params=flat(resolved), tags=tags)
         self._open = [PARENT]
         self.tracker.view(PARENT, self._columns(kind), "metrics.objective")
         self.text("config.yaml", yaml.safe_dump(resolved, sort_keys=False))
-        if self.plan.file.is_file():
-            self.text("config_as_given.yaml", self.plan.file.read_text(encoding="utf-8"))
+        if origin is not None and origin.file.is_file():
+            self.text("config_as_given.yaml", origin.file.read_text(encoding="utf-8"))
 
     def _columns(self, kind: str) -> list[str]:
         """Return what the table of the children shows."""
         own = ["ratio"] if kind == "sweep" else ["reduction_percent", "violation", "iterations", "failed_evaluations"]
-        names = ["objective", *own, *self.plan.columns.names]
+        names = ["objective", *own, *self.study.columns.names]
         return [*(f"metrics.{name}" for name in names), "tags.status"]
 
     def begin_start(self, index: int, x: np.ndarray, kind: str = "start") -> None:
         """Open the child of a start, or of a point of a sweep."""
-        shown = self.plan.columns.shown(x)
+        shown = self.study.columns.shown(x)
         run = child(index)
         params = {f"start_{name}": f"{value:.6g}" for name, value in shown.items()}
         name = f"{kind} {index}"
@@ -79,7 +81,7 @@ class Journal:
             "violation": iterate.violation,
             "analyses": iterate.analyses,
             **{f"constraint_{k + 1}": float(c) for k, c in enumerate(np.atleast_1d(iterate.constraints))},
-            **self.plan.columns.shown(iterate.x),
+            **self.study.columns.shown(iterate.x),
         }
         self.tracker.metrics(run, _finite(numbers), iterate.iteration)
         if iterate.iteration == 0:
@@ -95,7 +97,7 @@ class Journal:
         self.evaluations += len(evaluations)
         for x, evaluation in zip(X, evaluations, strict=True):
             if evaluation.status != "ok":
-                self.failures.append(f"{evaluation.status} (design {self.plan.columns.sentence(x)})")
+                self.failures.append(f"{evaluation.status} (design {self.study.columns.sentence(x)})")
         counts = {"evaluations": self.evaluations, "failed_evaluations": len(self.failures)}
         self.tracker.metrics(PARENT, counts, self.evaluations)
         if self.failures:
@@ -111,7 +113,7 @@ class Journal:
             "iterations": result.iterations,
             "failed_evaluations": result.failures,
             "reduction_percent": percent(self.first.get(result.start, math.nan), result.value),
-            **self.plan.columns.shown(result.x),
+            **self.study.columns.shown(result.x),
         }
         self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
         tags = {"status": result.status, "message": result.message, "method": result.method, "best": "false"}
@@ -132,9 +134,9 @@ class Journal:
     def design(self, x: np.ndarray) -> None:
         """File the best design [SI] by the names of the parameters, for torchmbd.study.stored_run."""
         values: dict[str, list[float]] = {}
-        for label, value in zip(self.plan.columns.labels, x.tolist(), strict=True):
-            if label != BOUND:  # no parameter
-                values.setdefault(label.rpartition("[")[0], []).append(value)
+        for label, value in zip(self.study.columns.labels, x.tolist(), strict=True):
+            if label not in EXTRA:  # no parameter
+                values.setdefault(label.rpartition("[")[0] or label, []).append(value)
         self.text("design.yaml", yaml.safe_dump(values, sort_keys=False))
 
     def text(self, name: str, content: str) -> None:
@@ -167,7 +169,7 @@ def child(index: int) -> str:
 
 def percent(first: float, last: float) -> float:
     """Return the reduction from `first` to `last` in percent; nan where there is none to tell."""
-    return 100.0 * (1.0 - last / first) if first else math.nan
+    return 100.0 * (first - last) / abs(first) if first else math.nan
 
 
 def flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, object]:

@@ -12,16 +12,16 @@ from typing import Any
 
 from pydantic import TypeAdapter
 
-from torchmbd.design.response_spec import SQUARED, SUM
+from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.integrate.registry import INTEGRATORS
 from torchmbd.optimization import OPTIMIZERS
-from torchmbd.study.schema import KINDS, SAMPLERS, UNITS, Figures, Study
+from torchmbd.study.schema import KINDS, SAMPLERS, UNITS, Figures, StudyFile
 
 
 def json_schema() -> dict[str, Any]:
     """Return the schema (draft 2020-12) of a file: a study or figures."""
-    study, figures = Study.model_json_schema(), Figures.model_json_schema()
+    study, figures = StudyFile.model_json_schema(), Figures.model_json_schema()
     parts = figures.pop("$defs") | study.pop("$defs")
     for part, field, names in (
         ("Variable", "unit", UNITS),
@@ -58,14 +58,29 @@ def json_schema() -> dict[str, Any]:
 
 def _history() -> dict[str, Any]:
     words = {name: {"type": ["string", "object"], "description": _first(kind)} for name, kind in RESPONSES.items()}
-    return {"type": "object", "properties": words | {SQUARED: {"$ref": "#/$defs/History"}}}
+    return {"type": "object", "properties": words | _operations("History")}
 
 
 def _measure() -> dict[str, Any]:
     of_history = {name: {"$ref": "#/$defs/History", "description": _first(kind)} for name, kind in COMBINATORS.items()}
     of_design = {name: {"type": ["string", "object"], "description": _first(kind)} for name, kind in OF_DESIGN.items()}
     terms = {"type": "array", "items": {"$ref": "#/$defs/Measure"}}
-    return {"type": "object", "properties": of_history | of_design | {SUM: terms}}
+    return {"type": "object", "properties": of_history | of_design | {SUM: terms} | _operations("Measure")}
+
+
+def _operations(kind: str) -> dict[str, Any]:
+    """Operations on responses of a kind, and functions of one's own."""
+    one: dict[str, Any] = {"$ref": f"#/$defs/{kind}"}
+    several = {"type": "array", "minItems": 2, "items": {"anyOf": [one, {"type": "number"}]}}
+    function = {
+        "type": "string",
+        "description": "package.module:function or path/to/file.py:function; more keys are its options",
+    }
+    return (
+        dict.fromkeys(SEVERAL, several)
+        | dict.fromkeys((*SINGLE, SCALED), one)
+        | {FUNCTION: function, "by": {"type": "number"}}
+    )
 
 
 def _first(kind: type) -> str:

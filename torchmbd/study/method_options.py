@@ -45,6 +45,12 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
     return faults
 
 
+def of_searches(front: Callable[..., Any] | None = None) -> list[str]:
+    """Return the options of all searches, whatever the method: of `multistart`, or of the function that finds fronts."""
+    given = {"problem", "method", "starts", "callback", "ended", "max_iterations", "options", "progress"}
+    return [name for name in inspect.signature(front or multistart).parameters if name not in given]
+
+
 def _types(function: Callable[..., Any], wanted: Callable[[inspect.Parameter], bool]) -> dict[str, Any]:
     """Return the type of every parameter that is wanted, by name."""
     hints = get_type_hints(function)

@@ -22,6 +22,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, cast
 
+from torchmbd.design import History, Measure
 from torchmbd.errors import InputError, nearest
 from torchmbd.integrate import Phase
 from torchmbd.multibody.system import System
@@ -48,19 +49,35 @@ def find_phases(spec: str, folder: Path) -> list[Phase]:
     return found
 
 
+def find_response(spec: str, folder: Path) -> Any:
+    """Return what `spec` names: a function, or a history or measure, such as `@mbd.history` makes."""
+    found = _named(spec, folder)
+    return found if isinstance(found, (History, Measure)) else find_function(spec, folder)
+
+
 def find_function(spec: str, folder: Path) -> Callable[..., Any]:
     """Return the Python function that `spec` names, of a module or of a file below `folder`."""
-    module_name, _, function_name = spec.rpartition(":")
-    if not module_name or not function_name:
-        raise InputError(f"= {shown(spec)}: allowed: package.module:function or path/to/file.py:function")
-    module = _from_file(_inside(module_name, folder)) if module_name.endswith(".py") else _from_name(module_name)
-    function = getattr(module, function_name, None)
+    function = _named(spec, folder)
     if not inspect.isfunction(function):
+        module_name, _, function_name = spec.rpartition(":")
+        module = _module(module_name, folder)
         functions = [name for name, value in vars(module).items() if inspect.isfunction(value) and name[0] != "_"]
         raise InputError(
             f"= {shown(spec)}: {module_name} has no function {function_name!r}{nearest(function_name, functions)}"
         )
     return function
+
+
+def _named(spec: str, folder: Path) -> Any:
+    """Return whatever `spec` names; None for what is not there."""
+    module_name, _, name = spec.rpartition(":")
+    if not module_name or not name:
+        raise InputError(f"= {shown(spec)}: allowed: package.module:function or path/to/file.py:function")
+    return getattr(_module(module_name, folder), name, None)
+
+
+def _module(name: str, folder: Path) -> ModuleType:
+    return _from_file(_inside(name, folder)) if name.endswith(".py") else _from_name(name)
 
 
 def require_returns(spec: str, function: Callable[..., Any], allowed: tuple[str, ...]) -> None:

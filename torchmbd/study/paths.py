@@ -16,16 +16,17 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
-from torchmbd.study.check import vector
-from torchmbd.study.digest import digest, sources
-from torchmbd.study.load import FiguresPlan, Plan
+from torchmbd.design import Problem
+from torchmbd.math.digest import digest, sources
+from torchmbd.study.load import FiguresPlan
+from torchmbd.study.settings import StudySettings
+from torchmbd.tracking.store import sqlite_file
 
-_NUMBERS = ("model", "options", "simulate", "minimize", "subject_to")
 _PACKAGE = Path(__file__).parents[1]
 _UNCONCERNED = ("cli.py", "process.py", "study", "tracking", "viz", "optimization")  # for an evaluation
-_FROM_FILE = ("study/assemble.py", "study/check.py", "study/columns.py", "study/schema.py")
 
 
 def place() -> Path:
@@ -38,36 +39,47 @@ def evaluations_file() -> Path:
     return place() / "evaluations.db"
 
 
-def problem_key(plan: Plan) -> str:
+def problem_key(problem: Any) -> str:
     """Return the hash of what the numbers of an evaluation depend on.
 
     These are the system as it is built, with all that its tensors and laws hold, wherever the model has it from; the
     settings; the code that computes; and torch's version. Bounds and the values of design variables move the search only.
     """
-    study, system = plan.study, plan.system
-    settings = {name: value for name, value in study.resolved().items() if name in _NUMBERS}
-    start = vector(study.design, system, "start")
-    start = start * plan.columns.factors[: start.size]  # without the extra variable
-    varied = [system.get_parameter(name) for name in study.design]
-    built = digest(system, plan.phases, start, settings, list(study.design), aside=varied)
+    if isinstance(problem, Problem):
+        varied = [problem.system.get_parameter(name) for name in problem.space.variables]
+        built = digest(*problem.settings(), aside=varied)
+    else:
+        built = digest(problem)
     return _hash([built, _code(_PACKAGE), torch.__version__])
 
 
-def study_key(plan: Plan, uri: str) -> str:
+def study_key(study: StudySettings, uri: str) -> str:
     """Return the hash of what the course of a study depends on."""
-    return _hash([plan.study.resolved(), problem_key(plan), plan.name, uri])
+    problem = study.problem
+    box = [np.asarray(x, dtype=float) for x in (problem.start, problem.lower, problem.upper)]
+    around = [getattr(problem, name, None) for name in ("tolerance", "kind", "criteria")]
+    asked = digest(
+        box, around, study.points, study.method, study.max_iterations, study.options, study.increments, study.sweep
+    )
+    return _hash([asked, problem_key(study.simulated), study.name, study.experiment, relative_store(uri)])
+
+
+def relative_store(uri: str) -> str:
+    """Return a SQLite store as it is seen from the folder of studies, so that both can be copied; others as they are."""
+    file = sqlite_file(uri)
+    return uri if file is None else f"sqlite:///{os.path.relpath(file, place())}"
 
 
 def figures_key(plan: FiguresPlan, uri: str) -> str:
     """Return the hash of what figures are asked for."""
-    return _hash([plan.study.resolved(), plan.name, uri])
+    return _hash([plan.study.resolved(), plan.name, relative_store(uri)])
 
 
 @cache
 def _code(package: Path) -> str:
     """Return the digest of torchmbd's own source: a store must not answer for other code."""
     parts = sorted(path.name for path in package.iterdir() if path.is_dir() or path.suffix == ".py")
-    return sources(package, [*(part for part in parts if part not in _UNCONCERNED), *_FROM_FILE])
+    return sources(package, [part for part in parts if part not in _UNCONCERNED])
 
 
 def _hash(data: Any) -> str:

@@ -11,32 +11,32 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.design import Problem
-from torchmbd.design.response_spec import heading
+from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
-from torchmbd.optimization import Study
+from torchmbd.optimization import MultistartResult
 from torchmbd.study.journal import Journal
-from torchmbd.study.load import Plan
 from torchmbd.study.progress import FEASIBLE, give_way, outcome, print_table, table_of
+from torchmbd.study.settings import StudySettings
 from torchmbd.viz import animate, convergence, design_map, energy_over_time, save
 
 
-def print_results(plan: Plan, study: Study, failures: Sequence[str], console: Console) -> None:
+def print_results(study: StudySettings, found: MultistartResult, failures: Sequence[str], console: Console) -> None:
     """Print the starts, the best first, and what failed on the way."""
-    if not study.results:
+    if not found.results:
         console.print("No start came to a result.")
         return
-    columns = ["start", "objective", "less by", "viol.", *plan.columns.headings, "iter", "sims", "status"]
-    table = table_of(f"{plan.name}: {len(study.results)} starts, {study.converged} converged", columns)
-    best = study.best
-    for result in sorted(study.results, key=lambda r: (not r.violation <= FEASIBLE, r.value)):
+    columns = ["start", "objective", "less by", "viol.", *study.columns.headings, "iter", "sims", "status"]
+    table = table_of(f"{study.name}: {len(found.results)} starts, {found.converged} converged", columns)
+    best = found.best
+    for result in sorted(found.results, key=lambda r: (not r.violation <= FEASIBLE, r.value)):
         first = result.history[0].objective if result.history else float("nan")
-        angles = [f"{value:z.2f}" for value in plan.columns.shown(result.x).values()]
+        angles = [f"{value:z.2f}" for value in study.columns.shown(result.x).values()]
         cells = [str(result.start), *outcome(first, result.value, result.violation), *angles]
         cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
         table.add_row(*cells, style="bold" if best is not None and result.start == best.start else None)
-    angles = give_way(4, len(plan.columns.names), [-2, 3, -3, 2])
+    angles = give_way(4, len(study.columns.names), [-2, 3, -3, 2])
     if not print_table(table, console, angles) and best is not None:
-        console.print(f"best design: {plan.columns.sentence(best.x)}", soft_wrap=True, highlight=False)
+        console.print(f"best design: {study.columns.sentence(best.x)}", soft_wrap=True, highlight=False)
     if failures:
         last = f"the last: {escape(failures[-1])}"
         console.print(
@@ -48,13 +48,14 @@ Visited = tuple[np.ndarray, np.ndarray]  # designs [m, n], objectives [m]
 
 
 def study_pictures(
-    plan: Plan, study: Study, problem: Problem, visited: Visited, journal: Journal, console: Console
+    study: StudySettings, found: MultistartResult, visited: Visited, journal: Journal, console: Console
 ) -> None:
     """Draw convergence, the map of a small design space, energy and motion before and after; file them."""
-    histories = {f"start {r.start}": r.history for r in study.results if r.history}
+    histories = {f"start {r.start}": r.history for r in found.results if r.history}
     if not histories:
         return
-    best = study.best
+    best, problem = found.best, study.simulated
+    objective = heading(problem.objective) if isinstance(problem, Problem) else "objective"
     draw(
         convergence,
         ["convergence.png"],
@@ -63,13 +64,14 @@ def study_pictures(
         objectives={name: [i.objective for i in history] for name, history in histories.items()},
         violations={name: [i.violation for i in history] for name, history in histories.items()},
         best=None if best is None else f"start {best.start}",
-        ylabel=heading(plan.study.minimize),
+        ylabel=objective,
     )
-    if len(plan.columns.names) <= 2:
-        draw(design_map, ["design_map.png"], journal, console, **_map(plan, study, visited))
+    if len(study.columns.names) <= 2 and len(visited[0]):
+        draw(design_map, ["design_map.png"], journal, console, **_map(study, found, visited, objective))
     with no_picture_costs_a_result(console):
-        if best is not None and not study.interrupted:  # two simulations more: not what Ctrl-C asks for
-            _motion_pictures(plan, np.stack([problem.start, best.x]), problem, journal, console)
+        # An interrupted study is not asked for two simulations more.
+        if best is not None and not found.interrupted and isinstance(problem, Problem):
+            _motion_pictures(study, np.stack([problem.start, best.x[: len(problem.start)]]), problem, journal, console)
 
 
 def draw(
@@ -93,25 +95,27 @@ def no_picture_costs_a_result(console: Console) -> Iterator[None]:
         console.print(f"No picture: {escape(str(error))}", style="red", soft_wrap=True)
 
 
-def _map(plan: Plan, study: Study, visited: Visited) -> dict[str, Any]:
+def _map(study: StudySettings, found: MultistartResult, visited: Visited, objective: str) -> dict[str, Any]:
     """Return the arguments of a map of where the starts went, and in which of the distinct minima they ended."""
-    factors = plan.columns.factors
-    moved = [result for result in study.results if result.history]
-    ends = {f"start {start}": k for k, minimum in enumerate(study.minima) for start in minimum.starts}
+    factors = study.columns.factors
+    moved = [result for result in found.results if result.history]
+    ends = {f"start {start}": k for k, minimum in enumerate(found.minima) for start in minimum.starts}
     return {
         "paths": {f"start {r.start}": np.array([i.x for i in r.history]) / factors for r in moved},
         "objectives": {f"start {r.start}": [i.objective for i in r.history] for r in moved},
-        "headings": plan.columns.headings,
+        "headings": study.columns.headings,
         "ends": ends,
         "visited": (visited[0] / factors, visited[1]),
-        "objective": heading(plan.study.minimize),
+        "objective": objective,
     }
 
 
-def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal: Journal, console: Console) -> None:
+def _motion_pictures(
+    study: StudySettings, designs: np.ndarray, problem: Problem, journal: Journal, console: Console
+) -> None:
     motion = problem.simulate(designs).require_ok()
     t = motion.t.numpy()
-    shown = [plan.columns.sentence(x) for x in designs]
+    shown = [study.columns.sentence(x) for x in designs]
     labels = [f"start design ({shown[0]})", f"best design ({shown[1]})"]
     for body in motion.system.bodies:
         if motion.body(body.name).mesh is None:
@@ -121,5 +125,5 @@ def _motion_pictures(plan: Plan, designs: np.ndarray, problem: Problem, journal:
         energies = dict(zip(labels, energy, strict=True))
         draw(energy_over_time, files, journal, console, t=t, energies=energies, body=body.name)
     for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
-        path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{plan.name}: {label}")
+        path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{study.name}: {label}")
         journal.file(path)

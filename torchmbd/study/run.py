@@ -1,4 +1,4 @@
-"""Run a plan: watch it on the terminal, tell it to the tracker, end with a table, pictures and links.
+"""Run a study: watch it on the terminal, tell it to the tracker, end with a table, pictures and links.
 
 Whatever happens, the runs end with a status that is true: FINISHED, KILLED (Ctrl-C, with what was computed),
 FAILED (an exception, or no start succeeded). Results are told before pictures are drawn: no picture costs a result.
@@ -17,22 +17,20 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
-from torchmbd.design import Problem
-from torchmbd.optimization import Iterate, Study
+from torchmbd.optimization import DiscreteResult, Iterate, MultistartResult
 from torchmbd.optimization.cache import Remembered
 from torchmbd.optimization.multistart import multistart
-from torchmbd.optimization.multistart.workers import LANES, Workers
-from torchmbd.study.assemble import increments, problem_of, sought, starts_of
+from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.study.dask_evaluator import study_workers
 from torchmbd.study.discrete_polish import lay
 from torchmbd.study.evaluations import Evaluations
-from torchmbd.study.journal import PARENT, Journal
+from torchmbd.study.front import run_front
+from torchmbd.study.journal import PARENT, Journal, percent
 from torchmbd.study.listing import print_links_of, study_links
-from torchmbd.study.load import FiguresPlan, Plan
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
 from torchmbd.study.progress import Progress
 from torchmbd.study.report import print_results, study_pictures
-from torchmbd.study.schema import Optimizer
+from torchmbd.study.settings import Outcome, StudySettings
 from torchmbd.study.sweep import run_sweep
 from torchmbd.study.unfinished import Unfinished, claimed, unsent
 from torchmbd.tracking import MlflowTracker, Record, Status, TrackingError
@@ -42,8 +40,8 @@ from torchmbd.tracking.store import sqlite_file, store_uri
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
 
 
-def run_plan(
-    plan: Plan,
+def run_study(
+    study: StudySettings,
     console: Console,
     tracker: MlflowTracker | None = None,
     workers: int = 1,
@@ -52,26 +50,29 @@ def run_plan(
     uri: str | None = None,
     source: Any = None,
 ) -> int:
-    """Run a study or a sweep and return the exit code.
+    """Run a study and return the exit code; what it finds is its `outcome`.
 
     tracker    hears of it; None: MLflow, and the same command goes on with the study until it has finished there
     workers    processes that evaluate: 1: this one; more: a Dask cluster on this machine; 0: one for each core
     scheduler  address of a Dask scheduler to use instead, or a cluster file (cluster.py)
     fresh      forget the evaluations of this problem, and begin the study anew
-    uri        the MLflow store; None: that of the plan
+    uri        the MLflow store; None: that of the study
     source     evaluates what is not on disk; None: this process, or the workers
     """
-    problem, began = problem_of(plan), time.monotonic()
-    sought(plan, problem)  # what is wrong with it is refused before anything is kept
-    pool = _pool(plan, problem, workers, scheduler)
+    problem, key, began = study.simulated, problem_key(study.simulated), time.monotonic()
+    pool = None
+    if workers != 1 or scheduler is not None:
+        pool = study_workers(study, key, getattr(problem, "rows", 0), workers, scheduler)
     with ExitStack() as stack:
-        store = Evaluations(evaluations_file(), problem_key(plan))
+        store = Evaluations(evaluations_file(), key)
         stack.callback(store.close)
-        study = None
+        unfinished = None
         if tracker is None:
-            uri = store_uri(uri or plan.study.tracking.uri)
-            study = stack.enter_context(claimed(study_key(plan, uri), plan, uri, fresh))
-            tracker = MlflowTracker(plan.study.tracking.experiment, uri, study.id)
+            uri = store_uri(uri or study.uri)
+            file, overrides = (study.origin.file, study.origin.overrides) if study.origin else (None, ())
+            claim = claimed(study_key(study, uri), study.name, file, overrides, uri, fresh)
+            unfinished = stack.enter_context(claim)
+            tracker = MlflowTracker(study.experiment, uri, unfinished.id)
         if fresh:  # a study that is running has been refused by then
             store.forget()
         source, lanes = source or problem, LANES
@@ -80,58 +81,47 @@ def run_plan(
                 stack.enter_context(pool)
             source, lanes = pool, pool.lanes
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="torchmbd-")))
-        journal = Journal(plan, tracker, folder)
+        journal = Journal(study, tracker, folder)
         remembered = Remembered(problem, store, source, journal.evaluated)
         status: Status = "FAILED"
+        found: Any = None
         try:
-            if plan.study.sweep:
-                status = run_sweep(plan, problem, remembered.evaluate, journal, console)
+            if study.sweep is not None:
+                status = run_sweep(study, problem, remembered.evaluate, journal, console)
+            elif study.front:
+                found, status = run_front(study, remembered, lanes, journal, console)
             else:
-                status = run_study(plan, problem, remembered, store, lanes, journal, console)
+                found, status = _search(study, remembered, store, lanes, journal, console)
         except KeyboardInterrupt:
             status = "KILLED"
         finally:
             journal.end_all(status)
-            record = close(tracker, study, console)
+            record = close(tracker, unfinished, console)
+            study.outcome = Outcome(status, found, None if record is None else record.runs.get(PARENT))
         for what, trouble in (("The last evaluations are not on disk", store.trouble), ("A file", journal.trouble)):
             if trouble:
                 console.print(f"{what}: {escape(trouble)}", style="red", soft_wrap=True)
         known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known"
         since = f"{time.monotonic() - began:.1f} s{known if remembered.known else ''}"
-        return conclude(plan, "sweep" if plan.study.sweep else "study", status, since, record, study, console)
+        return conclude(study.name, study.kind, status, since, record, unfinished, console)
 
 
-def _pool(plan: Plan, problem: Problem, workers: int, scheduler: str | None) -> Workers | None:
-    """Return the workers that are asked for, not started yet; None: this process evaluates."""
-    if workers == 1 and scheduler is None:
-        return None
-    rows = problem.peaks + sum(constraint.measure.rows for constraint in problem.constraints)
-    return study_workers(plan, problem_key(plan), rows, workers, scheduler)
-
-
-def run_study(
-    plan: Plan,
-    problem: Problem,
-    remembered: Remembered,
-    store: Evaluations,
-    lanes: int,
-    journal: Journal,
-    console: Console,
-) -> Status:
+def _search(
+    study: StudySettings, remembered: Remembered, store: Evaluations, lanes: int, journal: Journal, console: Console
+) -> tuple[MultistartResult | DiscreteResult, Status]:
     """Optimize from every start, `lanes` of them at once."""
-    optimizer = plan.study.optimizer or Optimizer()
-    recipe = starts_of(plan, problem.start)
-    target = sought(plan, remembered)
-    each = getattr(target, "simulations", 1)  # of one design
-    options: dict[str, Any] = {"max_lanes": max(1, lanes // each)} | optimizer.options
-    points = recipe.points(target)
+    points = study.points
     journal.begin("study")
     for index, point in enumerate(points):
         journal.begin_start(index, point)
-    title = f"{plan.name}: {optimizer.name} from {len(points)} start{'s' if len(points) > 1 else ''}"
+    target = study.over(remembered)
+    each = getattr(target, "simulations", 1)  # of one design
+    options: dict[str, Any] = {"max_lanes": max(1, lanes // each)} | study.options
+    title = f"{study.name}: {study.method} from {len(points)} start{'s' if len(points) > 1 else ''}"
     if each > 1:
-        console.print("the objective is its mean over the tolerances", style="dim")
-    with Progress(plan.columns, len(points), title, console) as progress:
+        words = {"expected": "mean", "worst": "worst case"}[target.kind]
+        console.print(f"the objective is its {words} over the tolerances", style="dim")
+    with Progress(study.columns, len(points), title, console) as progress:
 
         def callback(iterate: Iterate) -> None:
             journal.iterate(iterate)
@@ -141,39 +131,41 @@ def run_study(
             if trouble := journal.tracker.trouble:
                 progress.note(f"{trouble}; the study goes on")
 
-        study = multistart(
+        found = multistart(
             target,
-            optimizer.name,
+            study.method,
             list(points),
             callback,
             journal.result,
-            max_iterations=optimizer.max_iterations,
+            max_iterations=study.max_iterations,
             progress=False,  # the terminal shows the starts already
             **options,
         )
-    best = study.best
-    print_results(plan, study, journal.failures, console)
-    _summarize(study, journal)
+    best = found.best
+    print_results(study, found, journal.failures, console)
+    _summarize(found, journal)
     if best is not None:
         journal.best(best)
-    interrupted = study.interrupted
-    if best is not None and any(increments(plan)) and not interrupted:
-        interrupted = lay(plan, target, points, options, study, journal, console).status == "interrupted"
-    study_pictures(plan, study, problem, store.visited(len(points[0])), journal, console)
+    result, interrupted = found, found.interrupted
+    if best is not None and any(study.increments) and not interrupted:
+        result = lay(study, target, points, options, found, journal, console)
+        interrupted = result.status == "interrupted"
+    visited = store.visited(len(study.simulated.start))
+    study_pictures(study, found, visited, journal, console)
     if interrupted:
-        return "KILLED"
-    return "FINISHED" if best is not None else "FAILED"
+        return result, "KILLED"
+    return result, "FINISHED" if best is not None else "FAILED"
 
 
-def _summarize(study: Study, journal: Journal) -> None:
+def _summarize(study: MultistartResult, journal: Journal) -> None:
     numbers = {"starts": len(study.results), "converged_starts": study.converged, "analyses": study.analyses}
     tags = {}
     best = study.best
     if best is not None:
         initial = journal.first.get(0, float("nan"))
         numbers |= {"objective": best.value, "best_objective": best.value, "violation": best.violation}
-        numbers |= {"reduction_percent": 100.0 * (1.0 - best.value / initial)} if initial else {}
-        numbers |= journal.plan.columns.shown(best.x)
+        numbers |= {"reduction_percent": percent(initial, best.value)} if initial else {}
+        numbers |= journal.study.columns.shown(best.x)
         tags = {"best_start": str(best.start), "status": best.status, "message": best.message}
     journal.summary(numbers, tags)
 
@@ -194,7 +186,7 @@ def close(tracker: MlflowTracker, study: Unfinished | None, console: Console) ->
 
 
 def conclude(
-    plan: Plan | FiguresPlan,
+    name: str,
     kind: str,
     status: Status,
     since: str,
@@ -203,7 +195,7 @@ def conclude(
     console: Console,
 ) -> int:
     """Say how it ended and where to look at it; return the exit code. A study that has finished is gone on with no more."""
-    console.print(f"{escape(plan.name)}: {status.lower()} after {since}", soft_wrap=True)
+    console.print(f"{escape(name)}: {status.lower()} after {since}", soft_wrap=True)
     if record is None:
         return 1
     if PARENT in record.runs:

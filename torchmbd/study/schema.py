@@ -19,6 +19,7 @@ parameters and bodies are checked in check.py. Checked in tests/study/test_load.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection
 from typing import Annotated, Any, Literal, Self
 
@@ -35,7 +36,8 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from torchmbd.design.response_spec import SpecError, measure_of, unit
+from torchmbd.design.response_spec import SpecError, measure_of
+from torchmbd.design.words import unit
 from torchmbd.errors import nearest
 from torchmbd.integrate.arguments import BACKENDS, GRADIENTS
 from torchmbd.integrate.registry import DEFAULT, METHODS
@@ -48,6 +50,7 @@ UNITS = {name: multiple for name, (multiple, _) in units.UNITS.items()}  # unit 
 KINDS = ("at_most", "at_least", "equal")  # of constraints
 FUNCTION = r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$"
 _SHORTEST, _LONGEST = 1e-12, 1e9  # steps [s]
+NAME = re.compile(r"[^\x00-\x1f]{1,200}")  # of experiments and studies
 SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
 
 
@@ -164,13 +167,13 @@ class Constraint(Section):
 
     @model_validator(mode="after")
     def _unit_of_the_response(self) -> Self:
-        si = unit(self.measure)
+        si = unit(measure_of(self.measure))
         numbers = [x for x in (self.limit, self.scale) if isinstance(x, float)]
         if self.unit is None:
             if si == "rad" and numbers:
                 text = f"has a limit of an angle ({numbers[0]:g}) and no unit; must have unit: deg or unit: rad"
                 raise PydanticCustomError("kind", "{text}", {"text": text})
-        elif units.UNITS[self.unit][1] != si:
+        elif si is not None and units.UNITS[self.unit][1] != si:
             allowed = ", ".join(units.units_of(si)) or f"none: limits are in {si}"
             text = f"has unit: {self.unit}, and a response in {si or 'plain numbers'}; allowed: {allowed}"
             raise PydanticCustomError("kind", "{text}", {"text": text})
@@ -270,7 +273,7 @@ class Figures(Section):
         return self.model_dump(mode="json", exclude_none=True)
 
 
-class Study(Section):
+class StudyFile(Section):
     """An experiment file that optimizes, or sweeps a variable."""
 
     model: Annotated[str, Field(pattern=FUNCTION)]

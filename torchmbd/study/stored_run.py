@@ -24,10 +24,10 @@ from torchmbd.design import Problem
 from torchmbd.errors import InputError, warn
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
-from torchmbd.study.assemble import problem_of
 from torchmbd.study.file_errors import Fault, StudyError, located
-from torchmbd.study.load import Plan, plan_of
+from torchmbd.study.load import study_of_document
 from torchmbd.study.paths import problem_key
+from torchmbd.study.settings import StudySettings
 from torchmbd.study.yaml_file import Document, read_yaml
 from torchmbd.tracking.catalog import Entry, fetch, find
 from torchmbd.tracking.store import store_uri
@@ -42,18 +42,18 @@ class LoadedStudy:
     """
 
     entry: Entry
-    plan: Plan
+    study: StudySettings
     x: np.ndarray
     value: float
 
-    @cached_property
+    @property
     def problem(self) -> Problem:
-        return problem_of(self.plan)
+        return self.study.simulated
 
     @property
     def system(self) -> System:
         """The model with the best design in its parameters."""
-        return self.plan.system
+        return self.problem.system
 
     @cached_property
     def motion(self) -> Trajectory:
@@ -81,19 +81,23 @@ def load_run(run: str, uri: str | None = None, model: Models = ()) -> LoadedStud
                     f"run {entry.run_id[:8]} ({entry.status.lower()}) has no {name}; allowed: a study that ended"
                 )
         config, design = (read_yaml(file) for file in files.values() if file is not None)
+    if isinstance(config.data, dict) and "problem" in config.data:
+        raise InputError(
+            f"run {entry.run_id[:8]} was made in Python; allowed: its mbd.Study again, whose run() takes all from the disk"
+        )
     config.source = f"config.yaml of run {entry.run_id[:8]}"
     folder = _trusted(config, [model] if isinstance(model, (str, Path)) else list(model))
-    plan = plan_of(config, folder / f"{entry.name}.yaml", ())
-    if not isinstance(plan, Plan):
+    study = study_of_document(config, folder / f"{entry.name}.yaml", ())
+    if not isinstance(study, StudySettings):
         raise InputError(f"run {entry.run_id[:8]} is one of figures; allowed: a study")
     said = entry.tags.get("problem_key")
-    if said and said != problem_key(plan):
+    if said and said != problem_key(study.simulated):
         warn(
-            f"{plan.study.model} or what it reads, torchmbd or torch has changed since run {entry.run_id[:8]}: "
+            f"{config.data['model']} or what it reads, torchmbd or torch has changed since run {entry.run_id[:8]}: "
             "its numbers may be others now",
         )
-    x = _insert(plan, design.data, design.source, design.lines)
-    return LoadedStudy(entry, plan, x, entry.metrics.get("objective", float("nan")))
+    x = _insert(study, design.data, design.source, design.lines)
+    return LoadedStudy(entry, study, x, entry.metrics.get("objective", float("nan")))
 
 
 def _trusted(config: Document, named: list[str | Path]) -> Path:
@@ -119,12 +123,13 @@ def _trusted(config: Document, named: list[str | Path]) -> Path:
     return folders.pop() if folders else Path()
 
 
-def _insert(plan: Plan, data: object, source: str, lines: dict) -> np.ndarray:
+def _insert(study: StudySettings, data: object, source: str, lines: dict) -> np.ndarray:
     """Set the parameters of the system to a design of the store, and return it as a vector [n]."""
-    own = dict(plan.system.named_parameters())
+    problem = study.simulated
+    own = dict(problem.system.named_parameters())
     faults, parts = [], []
     values = data if isinstance(data, dict) else {}
-    for name in plan.study.design:
+    for name in problem.space.variables:
         found = values.get(name)
         if (
             not isinstance(found, list)

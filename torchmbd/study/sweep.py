@@ -14,13 +14,12 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.design import Problem
-from torchmbd.design.response_spec import words
+from torchmbd.design.words import words
 from torchmbd.optimization import Evaluation
-from torchmbd.study.check import swept_index
 from torchmbd.study.journal import Journal, child
-from torchmbd.study.load import Plan
 from torchmbd.study.progress import give_way, print_table, table_of
 from torchmbd.study.report import draw, no_picture_costs_a_result
+from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import Status
 from torchmbd.viz import criterion
 
@@ -28,23 +27,20 @@ _BETWEEN = 512  # designs at most, until what is found is on disk
 
 
 def run_sweep(
-    plan: Plan,
+    study: StudySettings,
     problem: Problem,
     evaluate: Callable[[np.ndarray, bool], list[Evaluation]],
     journal: Journal,
     console: Console,
 ) -> Status:
     """Evaluate the sweep, draw it, and file every point as a child run."""
-    sweep = plan.study.sweep
-    assert sweep is not None
-    [(name, span)] = sweep.items()
-    index = swept_index(name, plan.columns.labels)
-    assert index is not None
-    values = np.linspace(span.first, span.last, span.count)
-    X = np.tile(problem.start, (span.count, 1))
-    X[:, index] = values * plan.columns.factors[index]
+    assert study.sweep is not None
+    index, swept = study.sweep
+    values = swept / study.columns.factors[index]
+    X = np.tile(problem.start, (len(swept), 1))
+    X[:, index] = swept
     journal.begin("sweep")
-    with console.status(f"{escape(plan.name)}: {span.count} designs"):
+    with console.status(f"{escape(study.name)}: {len(swept)} designs"):
         designs = np.vstack([problem.start, X])
         parts = np.array_split(designs, math.ceil(len(designs) / _BETWEEN))
         first, *evaluations = [evaluation for part in parts for evaluation in evaluate(part, False)]
@@ -53,22 +49,22 @@ def run_sweep(
         return "FAILED"
     for k, (x, evaluation) in enumerate(zip(X, evaluations, strict=True)):
         _file_point(journal, k, x, evaluation, first)
-    criteria = _criteria(plan, problem, first, evaluations)
+    criteria = _criteria(problem, first, evaluations)
     best = int(np.nanargmin([e.objective for e in evaluations])) if any(e.status == "ok" for e in evaluations) else None
-    start = float(problem.start[index] / plan.columns.factors[index])
-    _show(plan, journal, console, index, start, values, criteria, best)
+    start = float(problem.start[index] / study.columns.factors[index])
+    _show(study, journal, console, index, start, values, criteria, best)
     if best is None:
         return "FAILED"
     numbers = {"objective": evaluations[best].objective, "best_objective": evaluations[best].objective}
     numbers["reduction_percent"] = 100.0 * (1.0 - evaluations[best].objective / first.objective)
-    journal.summary(numbers | plan.columns.shown(X[best]), {"best_point": str(best)})
+    journal.summary(numbers | study.columns.shown(X[best]), {"best_point": str(best)})
     journal.design(X[best])
     return "FINISHED"
 
 
 def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation, first: Evaluation) -> None:
     journal.begin_start(k, x, kind="point")
-    numbers = journal.plan.columns.shown(x)
+    numbers = journal.study.columns.shown(x)
     if evaluation.status == "ok":
         numbers |= {"objective": evaluation.objective, "ratio": evaluation.objective / first.objective}
         numbers |= {f"constraint_{i + 1}": float(c) for i, c in enumerate(evaluation.constraints)}
@@ -78,24 +74,24 @@ def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation,
     journal.end(child(k), "FINISHED" if evaluation.status == "ok" else "FAILED")
 
 
-def _criteria(plan: Plan, problem: Problem, first: Evaluation, evaluations: list[Evaluation]) -> dict[str, list[float]]:
+def _criteria(problem: Problem, first: Evaluation, evaluations: list[Evaluation]) -> dict[str, list[float]]:
     """Return the objective, and the constrained responses, each divided by its value at the start design."""
-    specs = [plan.study.minimize, *(given.measure for given in plan.study.subject_to)]
-    bodies = len({words(spec).removeprefix(words(spec, bodies=False)) for spec in specs}) > 1  # they need their names
-    name = words(plan.study.minimize, bodies)
+    measures = [problem.objective, *(constraint.measure for constraint in problem.constraints)]
+    bodies = len({words(m).removeprefix(words(m, bodies=False)) for m in measures}) > 1  # they need their names
+    name = words(problem.objective, bodies)
     result = {name: [e.objective / first.objective if e.status == "ok" else math.nan for e in evaluations]}
     row = 0
-    for given, constraint in zip(plan.study.subject_to, problem.constraints, strict=True):
+    for constraint in problem.constraints:
         here = slice(row, row := row + constraint.measure.rows)
         scale, limit = problem.reference.scale[here], problem.limits[here]  # a constraint is (response - limit) / scale
         # the largest of the rows; nan where it failed
         responses = [float((e.constraints[here] * scale + limit).max()) for e in (first, *evaluations)]
-        result.setdefault(words(given.measure, bodies), [response / responses[0] for response in responses[1:]])
+        result.setdefault(words(constraint.measure, bodies), [response / responses[0] for response in responses[1:]])
     return result
 
 
 def _show(
-    plan: Plan,
+    study: StudySettings,
     journal: Journal,
     console: Console,
     index: int,
@@ -104,8 +100,8 @@ def _show(
     criteria: dict[str, list[float]],
     best: int | None,
 ) -> None:
-    heading = plan.columns.heading(index)
-    table = table_of(f"{plan.name}: criteria divided by those of the start design", [heading, *criteria])
+    heading = study.columns.heading(index)
+    table = table_of(f"{study.name}: criteria divided by those of the start design", [heading, *criteria])
     for k, value in enumerate(values):
         cells = [f"{ratios[k]:.4f}" if math.isfinite(ratios[k]) else "failed" for ratios in criteria.values()]
         table.add_row(f"{value:.2f}", *cells, style="bold" if k == best else None)
@@ -114,7 +110,7 @@ def _show(
         file = journal.folder / "sweep.csv"
         with file.open("w", newline="", encoding="utf-8") as out:
             writer = csv.writer(out)
-            writer.writerow([plan.columns.names[index], *criteria])
+            writer.writerow([study.columns.names[index], *criteria])
             writer.writerows(zip(values.tolist(), *criteria.values(), strict=True))
         journal.file(file)
     if np.isfinite(next(iter(criteria.values()))).any():

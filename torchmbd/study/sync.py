@@ -6,7 +6,6 @@ store gets what it would have got. Figures are drawn again. Checked in tests/stu
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
@@ -15,9 +14,9 @@ from rich.markup import escape
 
 from torchmbd.errors import MbdError
 from torchmbd.study.figures import run_figures
-from torchmbd.study.load import Plan, load
+from torchmbd.study.load import FiguresPlan, load
 from torchmbd.study.paths import figures_key, study_key
-from torchmbd.study.run import run_plan
+from torchmbd.study.run import run_study
 from torchmbd.study.unfinished import Unfinished, unsent
 from torchmbd.tracking.store import open_store
 
@@ -37,7 +36,9 @@ def send_all(console: Console) -> int:
         try:
             sent = _send(study)
         except (MbdError, OSError) as error:
-            console.print(f"{study.file} is not in {study.uri}: {escape(str(error))}", style="red", soft_wrap=True)
+            console.print(
+                f"{study.path or study.name} is not in {study.uri}: {escape(str(error))}", style="red", soft_wrap=True
+            )
             waiting += 1
         else:
             console.print(f"{sent}: in {study.uri}", soft_wrap=True)
@@ -48,8 +49,10 @@ def send_all(console: Console) -> int:
 
 def _send(study: Unfinished) -> str:
     """Send one study and return its name; MbdError says why it cannot be sent."""
-    plan = load(study.file, study.overrides)
-    key = (study_key if isinstance(plan, Plan) else figures_key)(plan, study.uri)  # pyright: ignore[reportArgumentType]
+    if study.path is None:
+        raise MbdError("it was made in Python; allowed: run its script again, which sends it")
+    plan = load(study.path, study.overrides)
+    key = figures_key(plan, study.uri) if isinstance(plan, FiguresPlan) else study_key(plan, study.uri)
     if key != study.folder.name:
         raise MbdError(
             f"the file, its model or torchmbd has changed since; allowed: torchmbd run, which begins it anew, "
@@ -57,11 +60,11 @@ def _send(study: Unfinished) -> str:
         )
     open_store(study.uri)
     silent = Console(quiet=True)
-    if isinstance(plan, Plan):
-        run_plan(plan, silent, uri=study.uri, source=_Nothing())
-    else:
+    if isinstance(plan, FiguresPlan):
         run_figures(plan, silent, uri=study.uri)
+    else:
+        run_study(plan, silent, uri=study.uri, source=_Nothing())
     left = [other for other in unsent() if other.folder == study.folder]
     if left:
         raise MbdError("the store has not taken all of it; allowed: torchmbd sync, when it is back")
-    return Path(study.file).stem
+    return study.name

@@ -1,7 +1,8 @@
 """Studies that have not finished, or are not in their tracking store: what it takes to go on with them.
 
-    .torchmbd/<study>/study.json   experiment file, overrides and store; `id`, by which its runs are found in the store;
-                                   whether all that it has told so far is there
+    .torchmbd/<study>/study.json   name, experiment file (none of a study that Python has made), overrides and store, both as
+                                   seen from .torchmbd, which can be copied with them; `id`, by which its runs are found in the
+                                   store; whether all that it has told so far is there
     .torchmbd/<study>/study.lock   held by the process of the study: the same study cannot run twice at once
 
 The folder goes when the study has finished, its store has it, and the screen has said so. As long as it is there the same
@@ -18,13 +19,12 @@ import os
 import shlex
 import shutil
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from torchmbd.errors import InputError, MbdError
-from torchmbd.study.load import FiguresPlan, Plan
-from torchmbd.study.paths import place
+from torchmbd.study.paths import place, relative_store
 
 _FILE, _LOCK = "study.json", "study.lock"
 
@@ -34,16 +34,31 @@ class Unfinished:
     """A study and where it stands."""
 
     folder: Path
-    file: str  # absolute
+    name: str
+    file: str | None  # from the folder of all studies
     overrides: list[str]
-    uri: str
+    store: str  # likewise
     id: str
     sent: bool = False
 
     @property
+    def path(self) -> Path | None:
+        """Its experiment file."""
+        return None if self.file is None else Path(os.path.normpath(self.folder.parent / self.file))
+
+    @property
+    def uri(self) -> str:
+        """Its store."""
+        if not self.store.startswith("sqlite:///"):
+            return self.store
+        return f"sqlite:///{os.path.normpath(self.folder.parent / self.store.removeprefix('sqlite:///'))}"
+
+    @property
     def command(self) -> str:
         """What goes on with it."""
-        return shlex.join(["torchmbd", "run", os.path.relpath(self.file), *self.overrides])
+        if self.path is None:
+            return f"run() of mbd.Study(..., name={self.name!r}), in Python"
+        return shlex.join(["torchmbd", "run", os.path.relpath(self.path), *self.overrides])
 
     def told(self) -> None:
         """Everything that was told so far is in the store."""
@@ -62,15 +77,22 @@ class Unfinished:
 
 
 @contextlib.contextmanager
-def claimed(key: str, plan: Plan | FiguresPlan, uri: str, fresh: bool = False) -> Iterator[Unfinished]:
-    """Hold a study, so that no other process runs it; MbdError if one does. `fresh`: not that of an earlier life."""
+def claimed(
+    key: str, name: str, file: Path | None, overrides: Sequence[str], uri: str, fresh: bool = False
+) -> Iterator[Unfinished]:
+    """Hold a study, so that no other process runs it; MbdError if one does.
+
+    key        its hash (paths.py)                        file, overrides   where it comes from
+    uri        its store                                  fresh             not that of an earlier life
+    """
     folder = place() / key
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder) as mine:
         if not mine:
             raise MbdError(f"the same study is running in another process (its folder is {folder})")
         earlier = None if fresh else _read(folder)
-        study = earlier or Unfinished(folder, str(plan.file.absolute()), list(plan.overrides), uri, uuid.uuid4().hex)
+        seen = None if file is None else os.path.relpath(file, folder.parent)
+        study = earlier or Unfinished(folder, name, seen, list(overrides), relative_store(uri), uuid.uuid4().hex)
         study.sent = False
         study._write()
         yield study

@@ -16,7 +16,7 @@ from pydantic_core import ErrorDetails
 
 from torchmbd.errors import nearest
 from torchmbd.study.file_errors import Fault, Path, shown
-from torchmbd.study.schema import KINDS, UNITS, Figures, Section, Study
+from torchmbd.study.schema import KINDS, UNITS, Figures, Section, StudyFile
 
 _FUNCTION = "package.module:function or path/to/file.py:function"
 #: What stands under keys that may not be left out.
@@ -32,9 +32,9 @@ _WANTED = {
 }
 
 
-def kind_of(data: Any) -> type[Study] | type[Figures]:
+def kind_of(data: Any) -> type[StudyFile] | type[Figures]:
     """Return which kind of experiment a file describes."""
-    return Figures if isinstance(data, dict) and "figures" in data else Study
+    return Figures if isinstance(data, dict) and "figures" in data else StudyFile
 
 
 def validate(data: Any, kind: type[Section] | None = None) -> tuple[dict[str, Any], list[Fault]]:

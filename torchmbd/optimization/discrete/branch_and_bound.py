@@ -26,8 +26,8 @@ from torchmbd.optimization.api import FEASIBILITY, MAX_ITERATIONS, checked_box, 
 from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.discrete.branching import MAX_NEIGHBORS, STEPS, Branching, Candidate
 from torchmbd.optimization.discrete.grid import Allowed, Grid
+from torchmbd.optimization.multistart.run import MultistartResult, multistart
 from torchmbd.optimization.multistart.sampling import Starts
-from torchmbd.optimization.multistart.study import Study, multistart
 from torchmbd.optimization.optimizer import OptimizationResult, Problem, find_method, require_count
 from torchmbd.optimization.search import Search
 
@@ -50,7 +50,7 @@ class DiscreteResult:
     message: str
     certificate: Certificate | None
     rounded: Candidate | None  # what plain rounding of the best relaxed minimum gives
-    relaxed: Study
+    relaxed: MultistartResult
     candidates: list[Candidate]  # all designs on the values that were evaluated, the best first
     boxes: int  # searched with gradients
     analyses: int

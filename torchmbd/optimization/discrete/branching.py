@@ -11,7 +11,7 @@ import numpy as np
 from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart.batched import side_by_side
-from torchmbd.optimization.multistart.study import Study
+from torchmbd.optimization.multistart.run import MultistartResult
 from torchmbd.optimization.optimizer import Evaluation, OptimizationResult
 from torchmbd.optimization.search import Ask, Report, Search, variable_scale
 
@@ -62,7 +62,7 @@ class Branching:
         self.best: Candidate | None = None
         self.rounded: Candidate | None = None  # plain rounding of the best relaxed minimum
 
-    def run(self, relaxed: Study, max_boxes: int) -> bool:
+    def run(self, relaxed: MultistartResult, max_boxes: int) -> bool:
         """Search the boxes below the relaxed minima; return whether the user stopped it."""
         roots = [(m.x, m.value) for m in relaxed.minima]
         if relaxed.best is not None and not roots:

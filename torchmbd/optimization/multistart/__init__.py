@@ -1,5 +1,5 @@
 """Local searches from many starts."""
 
-from torchmbd.optimization.multistart.study import Study, multistart
+from torchmbd.optimization.multistart.run import MultistartResult, multistart
 
-__all__ = ["Study", "multistart"]
+__all__ = ["MultistartResult", "multistart"]

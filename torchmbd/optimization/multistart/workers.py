@@ -202,14 +202,7 @@ class Processes(Workers):
         if count is not None and (isinstance(count, bool) or not isinstance(count, int) or count < 1):
             raise InputError(f"count of processes is {count!r}; allowed: a positive integer")
         require_problem(problem)
-        try:
-            packed = cloudpickle.dumps(problem)
-        except Exception as error:  # of whatever the problem holds
-            allowed = "one that can be pickled, with responses that hold no locks, files or threads"
-            raise InputError(
-                f"problem {problem!r} cannot be sent to other processes: {error}; allowed: {allowed}"
-            ) from error
-        super().__init__(_unpacked, (packed, torch.get_default_dtype()), workers=count or len(os.sched_getaffinity(0)))
+        super().__init__(unpacked, packed(problem), workers=count or len(os.sched_getaffinity(0)))
         self.problem = problem
 
     def __getattr__(self, name: str) -> Any:
@@ -234,7 +227,18 @@ def _made(make: Callable[..., Problem], arguments: tuple[Any, ...]) -> Problem:
     return make(*arguments)
 
 
-def _unpacked(packed: bytes, dtype: torch.dtype) -> Problem:
+def packed(problem: Problem) -> tuple[bytes, torch.dtype]:
+    """What `unpacked` makes a problem of in another process; InputError for one that cannot be pickled."""
+    try:
+        return cloudpickle.dumps(problem), torch.get_default_dtype()
+    except Exception as error:  # of whatever the problem holds
+        allowed = "one that can be pickled, with responses that hold no locks, files or threads"
+        raise InputError(
+            f"problem {problem!r} cannot be sent to other processes: {error}; allowed: {allowed}"
+        ) from error
+
+
+def unpacked(packed: bytes, dtype: torch.dtype) -> Problem:
     torch.set_default_dtype(dtype)
     return cloudpickle.loads(packed)
 

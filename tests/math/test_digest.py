@@ -18,7 +18,7 @@ import scipy.sparse
 import torch
 
 import torchmbd as mbd
-from torchmbd.study.digest import digest, sources
+from torchmbd.math.digest import digest, sources
 
 PACKAGE = Path(mbd.__file__).parent
 
@@ -163,7 +163,7 @@ def test_sources_count(tmp_path, file):
 def test_two_processes_have_one_digest(tmp_path):
     """Sets and dictionaries of words come in another order with every seed of Python's hashes."""
     script = (
-        "from torchmbd.study.digest import digest\n"
+        "from torchmbd.math.digest import digest\n"
         "words = {'a', 'b', 'c', 'd', 'e'}\n"
         "def law(x):\n    return x in {'a', 'b', 'c', 'd'}\n"
         "print(digest(words, dict.fromkeys(words), law))"

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class Study(Summary):
+class MultistartResult(Summary):
     """The results of a multistart, in the order of the starts."""
 
     results: list[OptimizationResult]
@@ -116,7 +116,7 @@ def multistart(
     minima_left: float | None = None,
     progress: bool | None = None,
     **options: Any,
-) -> Study:
+) -> MultistartResult:
     """Minimize from every start; the starts' simulations are evaluated together.
 
     problem      as in `optimize`; `problem.period` [n], where present, says which variables are angles
@@ -185,4 +185,4 @@ def multistart(
 
         batched = BatchedSearches(problem, runners, max_lanes, callback, go_on, both(count, ended), groups)
         results = batched.run()
-    return Study(results, find(results), batched.interrupted, batched.stopped_early, points)
+    return MultistartResult(results, find(results), batched.interrupted, batched.stopped_early, points)

@@ -7,7 +7,7 @@
 
 Of torchmbd's own functions and classes the name counts (`sources` has their text), of installed packages name and file.
 Comments, line numbers and the order of a dictionary or a set do not count. `aside` are objects whose numbers do not count.
-Checked in tests/study/test_digest.py.
+Checked in tests/math/test_digest.py.
 """
 
 from __future__ import annotations

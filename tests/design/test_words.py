@@ -1,0 +1,42 @@
+"""Responses in words: titles and units of whatever Python or a file makes of them."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import pytest
+
+import torchmbd as mbd
+from torchmbd.design.words import heading, unit, words
+
+X, Y = mbd.Position("rod", "x", node="right"), mbd.Position("rod", "y", node="right")
+
+
+def tip_deviation(motion, factor=1.0):
+    return motion.q[..., 0] * factor
+
+
+@pytest.mark.parametrize(
+    ("response", "said"),
+    [
+        (mbd.Integral(mbd.StrainEnergy("rod")), "integral of strain energy of rod [J s]"),
+        (mbd.Max(abs(X - 0.3)), "max of |position of rod - 0.3| [m]"),
+        (mbd.Max(X**2 + Y**2), "max of squared position of rod + squared position of rod [m²]"),
+        (mbd.Max(mbd.history(tip_deviation)), "max of tip deviation"),
+        (mbd.Max(mbd.history(partial(tip_deviation, factor=2.0))), "max of tip deviation"),
+        (-mbd.Frequency("rod"), "-frequency of rod [Hz]"),
+        (mbd.Mass("a") + mbd.Mass("b"), "mass of a + mass of b [kg]"),
+        (mbd.Mass("a") - mbd.Mass("b"), "mass of a - mass of b [kg]"),
+        (mbd.Mass("a") * mbd.Mass("b"), "mass of a · mass of b"),
+        (1e3 * mbd.Mass(), "1000 · mass"),
+        (mbd.WeightedSum([(1.0, mbd.Mass("a"))]), "weighted sum"),
+        (mbd.RMS(mbd.Reaction("hinge", "z", kind="torque")), "rms of reaction of hinge [N m]"),
+    ],
+)
+def test_titles(response, said):
+    assert heading(response) == said
+
+
+def test_without_bodies():
+    assert words(mbd.Max(X), bodies=False) == "max of position"
+    assert unit(mbd.Max(X * Y)) == ""

@@ -1,0 +1,169 @@
+"""A study made in Python: the same object as of a file, tracked, resumed, parallel, reported."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import torchmbd as mbd
+from tests.study.rod_model import build
+from torchmbd.optimization import Evaluation
+from torchmbd.study.evaluations import Evaluations
+from torchmbd.study.paths import evaluations_file, problem_key
+from torchmbd.tracking.catalog import children, find
+
+ENERGY = mbd.StrainEnergy("rod")
+QUIET = Console(quiet=True)
+
+
+def problem(**options) -> mbd.Problem:
+    given = {"minimize": mbd.Integral(ENERGY), "subject_to": mbd.Max(ENERGY) <= "initial", "bounds": mbd.deg([-90, 90])}
+    return mbd.Problem(build(), 0.002, steps=8, variables=["rod.laminate.angles"], **given | options)
+
+
+@pytest.fixture
+def own(folder, empty_store, monkeypatch):
+    """A folder with a store of studies and of runs of its own."""
+    monkeypatch.chdir(folder)
+    monkeypatch.delenv("TORCHMBD_STORE")
+    shutil.copy(empty_store, folder / "mlflow.db")
+    return folder
+
+
+@pytest.fixture
+def small() -> mbd.Study:
+    starts = mbd.sobol(2, seed=7, include_initial=True)
+    return mbd.Study(problem(), starts, name="small", max_iterations=2, question="Which angles?", experiment="py")
+
+
+def test_a_study_of_python_and_one_of_a_file_are_the_same(own, write, small):
+    file = write(simulate={"duration": 0.002, "steps": 8})
+    told = mbd.Study.from_file(file)
+    assert isinstance(told, mbd.Study)
+    np.testing.assert_allclose(told.points, small.points, rtol=1e-14)
+    assert told.columns.names == small.columns.names == ("angle_1_deg", "angle_2_deg")
+    a, b = (one.run(console=QUIET) for one in (told, small))
+    assert a.best.value == b.best.value
+    assert list(a.to_dataframe().value) == list(b.to_dataframe().value)
+
+
+def test_it_is_tracked_and_reported(own, small):
+    with pytest.raises(mbd.InputError, match=r"'small' has not run in this process; allowed: after study.run\(\)"):
+        _ = small.best
+    small.run(console=QUIET)
+    assert small.status == "FINISHED"
+    entry = find(f"sqlite:///{own / 'mlflow.db'}", "small")
+    assert entry.run_id == small.outcome.run_id
+    assert entry.metrics["best_objective"] == small.best.value
+    assert len(children(f"sqlite:///{own / 'mlflow.db'}", entry)) == 2
+    page = small.report("small.html").read_text()
+    assert "<h1>Which angles?</h1>" in page
+    assert "angle_1_deg" in page or "angle 1" in page
+    assert len(small.plot().axes) == 2
+    assert "best" in repr(small)
+    with pytest.raises(mbd.InputError, match="made in Python"):
+        mbd.load("small")
+
+
+SCRIPT = """
+import os, signal, sys
+import torchmbd as mbd
+from tests.study.test_study import QUIET, problem
+evaluate, batches = mbd.Problem.evaluate, []
+def deadly(self, X, gradients):
+    batches.append(len(X))
+    if len(batches) == 2:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return evaluate(self, X, gradients)
+mbd.Problem.evaluate = deadly
+starts = mbd.sobol(2, seed=7, include_initial=True)
+mbd.Study(problem(), starts, name="small", max_iterations=2, question="Which angles?", experiment="py").run(console=QUIET)
+"""
+
+
+def test_a_killed_study_goes_on_in_its_runs(own, small):
+    root = Path(__file__).parents[2]
+    environment = {**os.environ, "PYTHONPATH": str(root)}
+    killed = subprocess.run([sys.executable, "-c", SCRIPT], env=environment, capture_output=True)
+    assert killed.returncode == -signal.SIGKILL, killed.stderr.decode()
+    (left,) = [path for path in (own / ".torchmbd").iterdir() if path.is_dir()]
+    assert str(own) not in (left / "study.json").read_text()  # the folder can be copied
+    known = Evaluations(evaluations_file(), problem_key(small.simulated)).count()
+    assert known == 2
+    output = io.StringIO()
+    small.run(console=Console(file=output, width=120))
+    assert small.status == "FINISHED"
+    assert "2 of " in output.getvalue().replace("evaluations known", "")
+    assert not left.exists()
+
+
+def test_workers_give_the_same(own, small):
+    alone = small.run(console=QUIET).best.value
+    assert small.run(workers=2, fresh=True, console=QUIET).best.value == pytest.approx(alone, rel=1e-9)
+
+
+class Valley:
+    """A problem without mechanics."""
+
+    names, start, lower, upper = ["x", "y"], np.array([-1.0, 2.0]), np.full(2, -3.0), np.full(2, 3.0)
+
+    def evaluate(self, X, gradients):
+        none, slopes = np.zeros(0), np.zeros((0, 2))
+        df = [np.array([-2 * (1 - x) - 2 * (y - x), 2 * (y - x)]) for x, y in X]
+        return [Evaluation((1 - x) ** 2 + (y - x) ** 2, none, d, slopes) for (x, y), d in zip(X, df, strict=True)]
+
+
+def test_other_problems_fronts_tolerances_and_steps(own):
+    found = mbd.Study(Valley(), mbd.sobol(2, seed=1), method="slsqp", name="valley").run(console=QUIET)
+    np.testing.assert_allclose(found.best.x, [1.0, 1.0], atol=1e-4)
+    tradeoff = mbd.Tradeoff(
+        build(),
+        0.002,
+        {"energy": mbd.Integral(ENERGY), "torsion": -mbd.Frequency("rod", 3)},
+        steps=8,
+        variables=["rod.laminate.angles"],
+        bounds=mbd.deg([-90, 90]),
+    )
+    front = mbd.Study(tradeoff, name="front", max_iterations=2, divisions=2).run(console=QUIET)
+    assert front.status == "FINISHED"
+    assert list(front.to_dataframe().columns)[:2] == ["energy", "torsion"]
+    uri = f"sqlite:///{own / 'mlflow.db'}"
+    assert len(children(uri, find(uri, "front"))) == len(front.result.points)
+    assert front.report("front.html").is_file()
+    worst = mbd.RobustProblem(problem(subject_to=()), mbd.deg(2.0), "worst")
+    robust = mbd.Study(worst, mbd.sobol(2, seed=1), name="robust", max_iterations=2).run(console=QUIET)
+    assert robust.columns.names[-1] == "beta"
+    assert robust.best is not None
+    stepped = mbd.Study(
+        problem(), name="steps", max_iterations=2, increments={"rod.laminate.angles": float(mbd.deg(15.0))}
+    )
+    angles = np.degrees(stepped.run(console=QUIET).best.x) / 15.0
+    np.testing.assert_allclose(angles, angles.round(), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"method": "mmdf"}, "did you mean 'mmfd'"),
+        ({"name": ""}, "name is ''; allowed: words in one line"),
+        ({"starts": [[0.0]]}, "start has 1 entries, allowed: 2"),
+        ({"starts": [[0.0, 9.0]]}, "must lie in its bounds"),
+        ({"increments": {"rod.laminate.angle": 0.1}}, "increments of parameter 'rod.laminate.angle' does not exist"),
+        ({"units": {"rod.laminate.angles": "grad"}}, "unit 'grad' does not exist"),
+        ({"sweep": {"rod.laminate.angles": (0.0, 1.0, 3)}}, "swept variable"),
+        ({"max_iteration": 3}, "option 'max_iteration' does not exist"),
+        ({"uri": "runs.db"}, "a store is one of"),
+    ],
+)  # fmt: skip
+def test_what_is_refused(small, arguments, message):
+    with pytest.raises(mbd.InputError, match=message):
+        mbd.Study(small.problem, **arguments)

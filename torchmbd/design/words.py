@@ -1,0 +1,125 @@
+"""Responses in words, with their units: titles of axes, columns of tables.
+
+    heading(Integral(StrainEnergy("rod")))     integral of strain energy of rod [J s]
+
+Checked in tests/design/test_words.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import torch
+
+from torchmbd.design.functions import FunctionHistory, FunctionMeasure
+from torchmbd.design.histories import Reaction
+from torchmbd.design.measures import Integral
+from torchmbd.design.response import Combined, CombinedMeasure, History, Measure, Total
+from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
+from torchmbd.design.weighted import WeightedSum
+
+UNITS = {
+    "strain_energy": "J",
+    "position": "m",
+    "displacement": "m",
+    "velocity": "m/s",
+    "acceleration": "m/s²",
+    "relative_displacement": "m",
+    "reaction": "N",
+    "angle": "rad",
+    "ply_failure": "",
+    "ply_stress": "Pa",
+    "frequency": "Hz",
+    "frequencies": "Hz",
+    "mass": "kg",
+    "fatigue_damage": "",
+    "fiber_curvature": "1/m",
+    "fiber_divergence": "1/m",
+}
+_NAMES: dict[type, str] = {kind: name for names in (RESPONSES, COMBINATORS, OF_DESIGN) for name, kind in names.items()}
+_JOINED = {torch.add: "{} + {}", torch.sub: "{} - {}", torch.mul: "{} · {}", torch.div: "{} / {}"}
+Response = History | Measure
+
+
+def words(response: Response, bodies: bool = True) -> str:
+    """A response in a few words: `integral of strain energy of rod`; `bodies`: with the names of these."""
+    if isinstance(response, (FunctionHistory, FunctionMeasure)):
+        inner = response.function
+        inner = inner.func if isinstance(inner, partial) else inner
+        return getattr(inner, "__name__", type(inner).__name__).strip("<>").replace("_", " ")
+    if isinstance(response, (Combined, CombinedMeasure)):
+        return _of_operation(response.operation, response.parts, bodies)
+    if isinstance(response, WeightedSum):
+        return "weighted sum"
+    if isinstance(response, Total):
+        [*factors], measures = zip(*response.terms, strict=True)
+        if len(measures) == 1:
+            return _scaled(float(factors[0]), words(measures[0], bodies))
+        if {*factors} <= {1.0, -1.0}:
+            first, *others = (_scaled(float(w), words(m, bodies)) for w, m in response.terms)
+            return first + "".join(f" - {x[1:]}" if x[0] == "-" else f" + {x}" for x in others)
+        return "weighted sum"
+    name = _NAMES.get(type(response), type(response).__name__).replace("_", " ")
+    inner = getattr(response, "history", None)
+    if isinstance(inner, History):
+        return f"{name} of {words(inner, bodies)}"
+    named = getattr(response, "body", getattr(response, "joint", None))
+    return f"{name} of {named}" if bodies and isinstance(named, str) else name
+
+
+def unit(response: Response) -> str | None:
+    """The unit of a response: `J s`; empty for a plain number; None where it is not known, as of a function."""
+    if isinstance(response, (Combined, CombinedMeasure)):
+        return _unit_of_operation(response.operation, response.parts)
+    if isinstance(response, WeightedSum) and response.normalize is not None:
+        return ""
+    if isinstance(response, Total):
+        own = {unit(measure) for _, measure in response.terms}
+        return own.pop() if len(own) == 1 and {abs(w) for w, _ in response.terms} == {1.0} else None
+    if isinstance(response, Reaction) and response.kind == "torque":
+        return "N m"
+    name = _NAMES.get(type(response), "")
+    if name in UNITS:
+        return UNITS[name]
+    inner = getattr(response, "history", None)
+    own = unit(inner) if isinstance(inner, History) else None
+    return own if own is None or not isinstance(response, Integral) else f"{own} s".strip()
+
+
+def heading(response: Response) -> str:
+    """A response as the title of an axis: `integral of strain energy of rod [J s]`."""
+    own = unit(response)
+    return f"{words(response)} [{own}]" if own else words(response)
+
+
+def _of_operation(operation: Any, parts: Sequence[Any], bodies: bool) -> str:
+    said = [words(part, bodies) if isinstance(part, (History, Measure)) else f"{part:g}" for part in parts]
+    if operation is torch.abs:
+        return f"|{said[0]}|"
+    if operation is torch.pow:
+        return f"squared {said[0]}" if parts[1] == 2 else f"({said[0]})^{said[1]}"
+    if operation is torch.mul and not isinstance(parts[1], (History, Measure)):
+        return _scaled(float(parts[1]), said[0])
+    return _JOINED[operation].format(*said)
+
+
+def _scaled(factor: float, said: str) -> str:
+    return said if factor == 1.0 else f"-{said}" if factor == -1.0 else f"{factor:g} · {said}"
+
+
+def _unit_of_operation(operation: Any, parts: Sequence[Any]) -> str | None:
+    own = [unit(part) if isinstance(part, (History, Measure)) else "number" for part in parts]
+    first, second = own[0], own[1] if len(own) > 1 else "number"
+    if first is None or second is None:
+        return None
+    if operation is torch.abs or (operation is torch.mul and parts[1:] == (-1.0,)):
+        return first
+    if operation in (torch.add, torch.sub) and second in ("number", first):
+        return first
+    if operation is torch.div and first == second:
+        return ""
+    if (operation is torch.pow and parts[1] == 2) or (operation is torch.mul and first == second):
+        return f"({first})²" if " " in first or "/" in first else f"{first}²" if first else ""
+    return None

@@ -1,0 +1,70 @@
+"""A study of several criteria: the Pareto front, a child run for each of its points.
+
+Checked in tests/study/test_study.py.
+"""
+
+from __future__ import annotations
+
+import csv
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+
+from torchmbd.errors import InputError
+from torchmbd.optimization import Front
+from torchmbd.optimization.pareto import pareto_front
+from torchmbd.study.journal import Journal, child
+from torchmbd.study.progress import print_table, table_of
+from torchmbd.study.report import draw, no_picture_costs_a_result
+from torchmbd.study.settings import StudySettings
+from torchmbd.tracking import Status
+
+
+def run_front(
+    study: StudySettings, remembered: Any, lanes: int, journal: Journal, console: Console
+) -> tuple[Front | None, Status]:
+    """Find the front, print it, and file every point."""
+    options: dict[str, Any] = {"max_lanes": lanes} | study.options
+    journal.begin("study")
+    names = list(study.problem.criteria)
+    try:
+        with console.status(f"{escape(study.name)}: front of {escape(', '.join(names))}"):
+            front = pareto_front(
+                study.over(remembered),
+                method=study.method,
+                starts=list(study.points),
+                max_iterations=study.max_iterations,
+                **options,
+            )
+    except InputError as error:  # no feasible design of an anchor
+        console.print(f"No front: {escape(str(error))}", style="red", soft_wrap=True)
+        journal.summary({}, {"message": str(error)})
+        return None, "FAILED"
+    for k, point in enumerate(front.points):
+        journal.begin_start(k, point.x, kind="point")
+        numbers = dict(zip(names, point.criteria.tolist(), strict=True))
+        numbers |= {"objective": float(point.criteria[0]), "violation": point.result.violation}
+        journal.tracker.metrics(child(k), numbers | study.columns.shown(point.x))
+        journal.tracker.tags(child(k), {"status": point.result.status, "message": point.result.message})
+        journal.end(child(k), "FINISHED")
+    _show(study, front, journal, console)
+    journal.summary({"points": len(front.points), "dropped_points": front.dropped, "failed_points": front.failed}, {})
+    return front, "KILLED" if front.interrupted else "FINISHED"
+
+
+def _show(study: StudySettings, front: Front, journal: Journal, console: Console) -> None:
+    table = table_of(f"{study.name}: {len(front.points)} points", ["point", *front.names, *study.columns.headings])
+    for k, point in enumerate(front.points):
+        values = [f"{value:z.2f}" for value in study.columns.shown(point.x).values()]
+        table.add_row(str(k), *(f"{value:.6g}" for value in point.criteria), *values)
+    print_table(table, console)
+    with no_picture_costs_a_result(console):
+        file = journal.folder / "front.csv"
+        with file.open("w", newline="", encoding="utf-8") as out:
+            writer = csv.writer(out)
+            writer.writerow([*front.names, *study.columns.names])
+            for point in front.points:
+                writer.writerow([*point.criteria.tolist(), *study.columns.shown(point.x).values()])
+        journal.file(file)
+    draw(front.plot, ["front.png", "front.pdf"], journal, console)

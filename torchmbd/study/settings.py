@@ -1,0 +1,210 @@
+"""What a study is, whoever made it, Python or an experiment file: a problem, start designs, a method, names and units.
+
+Checked in tests/study/test_study.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from torchmbd.design import Tradeoff
+from torchmbd.errors import InputError, unknown
+from torchmbd.multibody.system import System
+from torchmbd.optimization import RobustProblem, Starts
+from torchmbd.optimization.api import checked_box, require_limits
+from torchmbd.optimization.discrete.grid import Grid
+from torchmbd.optimization.multistart.sampling import given, recipe
+from torchmbd.optimization.optimizer import find_method, require_count, require_problem
+from torchmbd.optimization.pareto import pareto_front
+from torchmbd.optimization.robust import BETA
+from torchmbd.study.check import swept_index
+from torchmbd.study.columns import EXTRA, Columns
+from torchmbd.study.method_options import of_searches
+from torchmbd.study.schema import NAME, UNITS, StudyFile
+from torchmbd.summary import Summary
+from torchmbd.tracking.store import store_uri
+
+MAX_ITERATIONS = 60
+
+
+@dataclass(frozen=True)
+class Origin:
+    """The experiment file of a study."""
+
+    file: Path
+    overrides: tuple[str, ...]
+    data: StudyFile
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How the last run of a study ended.
+
+    status   "FINISHED", "KILLED" (Ctrl-C, with what was computed) or "FAILED" (no start succeeded)
+    result   of multistart, of pareto_front or, where variables take steps, of optimize_discrete; None: a sweep, or nothing
+    run_id   of the tracking store; None: it was not reached
+    """
+
+    status: str
+    result: Any
+    run_id: str | None
+
+
+class StudySettings(Summary):
+    """What a study is: a problem, and how it is searched.
+
+    Arguments are those of torchmbd.study.study.Study. Raises InputError for anything that is wrong with it.
+    """
+
+    def __init__(
+        self,
+        problem: Any,
+        starts: Starts | Sequence[Any] | np.ndarray | None = None,
+        method: str = "mmfd",
+        name: str = "study",
+        *,
+        max_iterations: int = MAX_ITERATIONS,
+        increments: Mapping[str, float] | None = None,
+        sweep: Mapping[str, tuple[float, float, int]] | None = None,
+        question: str = "",
+        units: Mapping[str, str] | None = None,
+        experiment: str = "torchmbd",
+        uri: str | None = None,
+        origin: Origin | None = None,
+        **options: Any,
+    ):
+        require_problem(problem)
+        require_limits(max_iterations, None)
+        for what, text in (("name", name), ("question", question), ("experiment", experiment)):
+            if not isinstance(text, str) or (what != "question" and not NAME.fullmatch(text)):
+                raise InputError(f"{what} is {text!r}; allowed: words in one line")
+        self.problem: Any = problem
+        self.method, self.name, self.question = method, name, question
+        self.front = len(getattr(problem, "criteria", ())) > 1
+        _check_options(method, options, self.front)
+        self.max_iterations, self.options = int(max_iterations), options
+        self.experiment, self.uri, self.origin = experiment, uri, origin
+        store_uri(uri)
+        self.columns = self._columns(units)
+        self._start = checked_box(problem)[0]
+        if starts is not None and not isinstance(starts, Starts):  # extra variables begin as those of the start
+            own = sum(label not in EXTRA for label in self.columns.labels)
+            full = [np.asarray(point, dtype=float).reshape(-1) for point in starts]
+            full = [np.append(x, self._start[own:]) if x.size == own else x for x in full]
+            starts = given([checked_box(problem, point)[0] for point in full])
+        self.starts = recipe(starts, self._start)
+        self.increments = self._steps(increments)
+        self.sweep = self._swept(sweep)
+        self.outcome: Outcome | None = None
+
+    def _columns(self, units: Mapping[str, str] | None) -> Columns:
+        names = list(self.problem.names)
+        period = np.asarray(getattr(self.problem, "period", np.zeros(len(names))), dtype=float)
+        own = {name.rpartition("[")[0]: "deg" for name, turn in zip(names, period, strict=False) if turn > 0.0}
+        parameters = [name.rpartition("[")[0] or name for name in names]
+        for parameter, unit in (units or {}).items():
+            if parameter not in parameters:
+                raise unknown("units of parameter", parameter, dict.fromkeys(parameters))
+            if unit not in UNITS:
+                raise unknown("unit", unit, UNITS)
+        scalars = [] if self.system is None else [n for n, x in self.system.named_parameters() if not x.ndim]
+        return Columns.of(names, own | dict(units or {}), scalars)
+
+    def _steps(self, given: Mapping[str, float] | None) -> list[float | None]:
+        """The step of every design variable [SI]; None where it takes any value."""
+        names = list(self.problem.names)
+        for parameter, step in (given or {}).items():
+            if all(parameter not in (name, name.rpartition("[")[0]) for name in names):
+                raise unknown("increments of parameter", parameter, names)
+            if isinstance(step, bool) or not isinstance(step, (int, float)) or not 0.0 < step < np.inf:
+                raise InputError(f"increments of {parameter} is {step!r}; allowed: a positive number [SI]")
+        known = given or {}
+        steps = [known.get(name, known.get(name.rpartition("[")[0])) for name in names]
+        if any(steps) and (self.front or names[-1] in EXTRA):
+            raise InputError("design has a step, and the objective several rows; allowed: one number, such as max")
+        if any(steps):
+            Grid(self.problem, steps, self.problem.lower, self.problem.upper, getattr(self.problem, "period", None))
+        return [None if step is None else float(step) for step in steps]
+
+    def _swept(self, given: Mapping[str, tuple[float, float, int]] | None) -> tuple[int, np.ndarray] | None:
+        """Which variable, and its values [SI]."""
+        if given is None:
+            return None
+        if self.problem is not self.simulated or any(self.increments) or len(given) != 1:
+            raise InputError(
+                f"sweep is {given!r}; allowed: one variable of a Problem without tolerances and increments"
+            )
+        [(name, span)] = given.items()
+        index = swept_index(name, list(self.problem.names))
+        if index is None:
+            raise unknown("swept variable", name, self.problem.names)
+        first, last, count = span
+        require_count("count of sweep", count, 2, 100_000)
+        low, high = float(self.problem.lower[index]), float(self.problem.upper[index])
+        if not low <= min(first, last) <= max(first, last) <= high:
+            raise InputError(f"sweep of {name} is {first:g} to {last:g}; allowed: between {low:g} and {high:g}")
+        return index, np.linspace(first, last, count)
+
+    @property
+    def simulated(self) -> Any:
+        """The problem that simulates: without tolerances, its criteria as rows."""
+        return self.problem.problem if isinstance(self.problem, (RobustProblem, Tradeoff)) else self.problem
+
+    def over(self, simulated: Any) -> Any:
+        """The problem that optimizers see, with another source of evaluations than `simulated`."""
+        if isinstance(self.problem, RobustProblem):
+            return RobustProblem(simulated, self.problem.tolerance, self.problem.kind)
+        return self.problem.over(simulated) if isinstance(self.problem, Tradeoff) else simulated
+
+    @property
+    def system(self) -> System | None:
+        return getattr(self.simulated, "system", None)
+
+    @property
+    def kind(self) -> str:
+        """What the tracking store calls it."""
+        return "sweep" if self.sweep is not None else "study"
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """The start designs [count, n], SI."""
+        if list(self.problem.names)[-1] != BETA:
+            return self.starts.points(self.problem)
+        rest = {key: np.asarray(getattr(self.problem, key))[:-1] for key in ("start", "lower", "upper")}
+        box: Any = SimpleNamespace(names=list(self.problem.names)[:-1], **rest)
+        X = self.starts.points(box)
+        return X if X.shape[1] == self._start.size else np.hstack([X, np.full((len(X), 1), self._start[-1])])
+
+    def resolved(self) -> dict[str, Any]:
+        """The study as plain data, with every default filled in: what its record holds."""
+        if self.origin is not None:
+            return self.origin.data.resolved()
+        problem = self.simulated
+        said: dict[str, Any] = (
+            {k: str(v) for k, v in problem._summary()}
+            if isinstance(problem, Summary)
+            else {"is": type(problem).__name__}
+        )
+        if isinstance(self.problem, RobustProblem):
+            said |= {"tolerance": self.problem.tolerance.tolist(), "robust": self.problem.kind}
+        if isinstance(self.problem, Tradeoff):
+            said["criteria"] = list(self.problem.criteria)
+        optimizer = {"name": self.method, "max_iterations": self.max_iterations}
+        optimizer |= {k: v if isinstance(v, (bool, int, float, str)) else repr(v) for k, v in self.options.items()}
+        data: dict[str, Any] = {"problem": said}
+        if self.sweep is None:
+            data |= {"optimizer": optimizer, "starts": {"sampler": self.starts.name, "count": self.starts.count}}
+        return data | {"tracking": {"experiment": self.experiment}}
+
+
+def _check_options(method: str, options: Mapping[str, Any], front: bool) -> None:
+    """InputError for options that nothing takes."""
+    taken = of_searches(pareto_front if front else None)
+    find_method(method, {key: value for key, value in options.items() if key not in taken})

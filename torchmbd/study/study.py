@@ -1,0 +1,128 @@
+"""A study: a problem that is searched from several starts, tracked, gone on with after a kill, and reported.
+
+    study = mbd.Study(problem, starts=mbd.sobol(8, seed=1), method="mmfd", name="arm")
+    study.check()                  what it will cost
+    study.run()                    the same call goes on with a study that was interrupted or killed
+    study.best, study.to_dataframe(), study.plot(), study.report("arm.html")
+
+`mbd.Study.from_file("arm.yaml")` makes the same object of an experiment file; `torchmbd run arm.yaml` runs it.
+Checked in tests/study/test_study.py.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Self
+
+from rich.console import Console
+
+from torchmbd.errors import InputError
+from torchmbd.study.estimate import Estimate, print_estimate
+from torchmbd.study.html_report import write_report
+from torchmbd.study.load import load_study
+from torchmbd.study.run import run_study
+from torchmbd.study.settings import Outcome, StudySettings
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+
+class Study(StudySettings):
+    """A study of a problem.
+
+    problem         a Problem, RobustProblem or Tradeoff (a Pareto front), or another object that `optimize` takes
+    starts          start designs, as in `multistart`: mbd.sobol(8, seed=1), a list of designs; None: the problem's own
+    method          the optimizer, as in `optimize`
+    name            of the study; with the problem and the settings it says which study is gone on with
+    max_iterations  of every start
+    increments      parameter -> step of its values [SI], for variables that take steps only (mbd.deg(5) for angles)
+    sweep           {entry: (first, last, count)} [SI]: evaluate along one variable, instead of searching
+    question        what it asks, in a sentence: the title of its report
+    units           parameter -> unit of its numbers in tables and records, "deg", "mm", ...; default: deg for ply angles
+    experiment, uri   of MLflow: the name there, and the store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
+    options         of the method, of `multistart`, or divisions and everywhere of `pareto_front`
+
+    Raises InputError for anything that is wrong with it.
+    """
+
+    @classmethod
+    def from_file(cls, file: str | Path, *assignments: str) -> Self:
+        """The study of an experiment file (YAML); InputError with every fault of it, each with its line.
+
+        assignments  overrides of single values, as at the command line: "options.layers=2"
+        """
+        return load_study(file, assignments, cls)
+
+    def run(
+        self,
+        workers: int = 1,
+        scheduler: str | None = None,
+        fresh: bool = False,
+        console: Console | None = None,
+    ) -> Self:
+        """Run the study, or go on with it where it was interrupted or killed; returns it.
+
+        workers, scheduler, fresh   as of `torchmbd run`: processes that evaluate, a Dask cluster, forget what is known
+        console                     where it shows its progress, of rich; None: standard output; Console(quiet=True): nowhere
+        A script with workers keeps what it does under `if __name__ == "__main__":`, since every process imports it.
+        """
+        run_study(self, console or Console(), workers=workers, scheduler=scheduler, fresh=fresh)
+        return self
+
+    def check(self, console: Console | None = None) -> Estimate | None:
+        """Measure two short motions, print what the study will cost, and return it; None for what is no mbd.Problem."""
+        return print_estimate(self, console or Console())
+
+    def report(self, path: str | Path | None = None) -> Path:
+        """Write the report of the last run, one HTML file that needs nothing else, and return its path."""
+        return write_report(self._ended.run_id or self.name, None if path is None else Path(path), self.uri)
+
+    @property
+    def _ended(self) -> Outcome:
+        if self.outcome is None:
+            raise InputError(
+                f"study {self.name!r} has not run in this process; allowed: after study.run(), which takes what is known "
+                "from the disk"
+            )
+        return self.outcome
+
+    @property
+    def status(self) -> str:
+        """How the last run ended: FINISHED, KILLED or FAILED."""
+        return self._ended.status
+
+    @property
+    def result(self) -> Any:
+        """The result of the last run: of multistart, of pareto_front, or of optimize_discrete; None of a sweep."""
+        return self._ended.result
+
+    @property
+    def best(self) -> Any:
+        """The best feasible design with its objective: `.x` [SI], `.value`; None if there is none, or a front or sweep."""
+        return getattr(self.result, "best", None)
+
+    @property
+    def _searches(self) -> Any:
+        found = getattr(self.result, "relaxed", self.result)
+        if found is None:
+            raise InputError(f"study {self.name!r} ended {self.status} without starts; allowed: one that is no sweep")
+        return found
+
+    def to_dataframe(self) -> DataFrame:
+        """A row for each start, or for each point of a front."""
+        return self._searches.to_dataframe()
+
+    def plot(self) -> Figure:
+        """Figure of the convergence of all starts; of a front, its points."""
+        return self._searches.plot()
+
+    def _summary(self) -> list[tuple[str, Any]]:
+        rows: list[tuple[str, Any]] = [("name", self.name), ("question", self.question or "none")]
+        count = len(self.problem.names)
+        rows.append(("problem", f"{count} design variables, {self.starts.count} starts, {self.method}"))
+        if self.outcome is None:
+            return [*rows, ("status", "has not run in this process")]
+        rows.append(("status", self.status))
+        best = self.best
+        return rows if best is None else [*rows, ("best", f"{best.value:.8g} at {self.columns.sentence(best.x)}")]
