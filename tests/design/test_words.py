@@ -27,7 +27,7 @@ def tip_deviation(motion, factor=1.0):
         (-mbd.Frequency("rod"), "-frequency of rod [Hz]"),
         (mbd.Mass("a") + mbd.Mass("b"), "mass of a + mass of b [kg]"),
         (mbd.Mass("a") - mbd.Mass("b"), "mass of a - mass of b [kg]"),
-        (mbd.Mass("a") * mbd.Mass("b"), "mass of a · mass of b"),
+        (mbd.Mass("a") * mbd.Mass("b"), "mass of a · mass of b [kg²]"),
         (1e3 * mbd.Mass(), "1000 · mass"),
         (mbd.WeightedSum([(1.0, mbd.Mass("a"))]), "weighted sum"),
         (mbd.RMS(mbd.Reaction("hinge", "z", kind="torque")), "rms of reaction of hinge [N m]"),
@@ -39,4 +39,4 @@ def test_titles(response, said):
 
 def test_without_bodies():
     assert words(mbd.Max(X), bodies=False) == "max of position"
-    assert unit(mbd.Max(X * Y)) == ""
+    assert unit(mbd.Max(X * Y)) == "m²"

@@ -54,10 +54,10 @@ def test_which_way_gradients_come_can_be_told(write, way):
 def test_motions_start_where_the_file_says(write):
     simulate = {"duration": 0.002, "steps": 20}
     start = {"rod.modal": [1e-4] * load(write()).system.body("rod").modes}
-    told = problem_of(load(write(simulate=simulate | {"start": start})))
+    told = load(write(simulate=simulate | {"start": start})).simulated
     assert told.motion(told.start).body("rod").w[0, 0].tolist() == pytest.approx(start["rod.modal"])
-    assert problem_of(load(write(simulate=simulate | {"start": "equilibrium"}))).simulation["start"] == "equilibrium"
-    assert load(write(simulate=simulate)).study.resolved()["simulate"]["start"] == "assembled"
+    assert load(write(simulate=simulate | {"start": "equilibrium"})).simulated.simulation["start"] == "equilibrium"
+    assert load(write(simulate=simulate)).resolved()["simulate"]["start"] == "assembled"
     for wrong, words in (("equilibriun", "equilibrium"), ({"rod.mode": [0.0]}, "rod.modal")):
         [fault] = faults(write(simulate=simulate | {"start": wrong}))
         assert fault.path[:2] == ("simulate", "start")

@@ -106,6 +106,7 @@ def test_a_killed_study_goes_on_in_its_runs(own, small):
     assert not left.exists()
 
 
+@pytest.mark.slow  # starts two processes
 def test_workers_give_the_same(own, small):
     alone = small.run(console=QUIET).best.value
     assert small.run(workers=2, fresh=True, console=QUIET).best.value == pytest.approx(alone, rel=1e-9)

@@ -41,9 +41,17 @@ class Study(StudySettings):
     question        what it asks, in a sentence: the title of its report
     units           parameter -> unit of its numbers in tables and records, "deg", "mm", ...; default: deg for ply angles
     experiment, uri   of MLflow: the name there, and the store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
+    origin          the experiment file that `from_file` read
     options         of the method, of `multistart`, or divisions and everywhere of `pareto_front`
 
     Raises InputError for anything that is wrong with it.
+
+    >>> problem = mbd.Problem(
+    ...     mbd.examples.arm(), 0.05, mbd.Integral(mbd.StrainEnergy("arm")), bounds=mbd.deg([-90, 90]), steps=20
+    ... )
+    >>> study = mbd.Study(problem, mbd.sobol(8, seed=1), name="arm", question="Which angles?")
+    >>> study.points.shape, study.columns.names  # study.run() begins it, or goes on with it
+    ((8, 2), ('angle_1_deg', 'angle_2_deg'))
     """
 
     @classmethod
