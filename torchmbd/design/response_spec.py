@@ -107,6 +107,14 @@ def terms(spec: Any, path: Path = ()) -> list[tuple[dict[str, Any], Path]]:
     return found
 
 
+def functions(spec: Any) -> list[Any]:
+    """What a response, or a list of constraints, names as functions of one's own, wherever in it."""
+    if isinstance(spec, Mapping):
+        own = [spec[FUNCTION]] if FUNCTION in spec else []
+        return own + [name for inner in spec.values() for name in functions(inner)]
+    return [name for inner in spec for name in functions(inner)] if isinstance(spec, list) else []
+
+
 def _operation(name: str, spec: Any, options: Mapping[str, Any], path: Path, read: Callable[..., Any]) -> Any:
     """The operation `name` on what `read` makes of its operands."""
     here = (*path, name)

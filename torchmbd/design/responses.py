@@ -65,7 +65,6 @@ COMBINATORS: dict[str, type[Measure]] = {
     "equivalent_load": EquivalentLoad,
 }
 OF_DESIGN: dict[str, type[Measure]] = {
-    "buckling_factor": BucklingFactor,
     "frequency": Frequency,
     "frequencies": Frequencies,
     "mass": Mass,

@@ -21,6 +21,7 @@ import numpy as np
 import torch
 
 from torchmbd.design import Problem
+from torchmbd.design.response_spec import functions
 from torchmbd.errors import InputError, warn
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
@@ -69,7 +70,7 @@ def load_run(run: str, uri: str | None = None, model: Models = ()) -> LoadedStud
 
     run    run id, its beginning, or the name of a study
     uri    the MLflow store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
-    model  the Python file, or module, of the model, which is executed; several where the phases come from another
+    model  the Python file, or module, of the model, which is executed; several where phases or responses come from another
     """
     store = store_uri(uri)
     entry = find(store, run)
@@ -105,6 +106,7 @@ def _trusted(config: Document, named: list[str | Path]) -> Path:
     data = config.data if isinstance(config.data, dict) else {}
     simulate = data.get("simulate")
     given = [data.get("model"), simulate.get("phases") if isinstance(simulate, dict) else None]
+    given += functions([data.get("minimize"), data.get("subject_to")])
     folders = set()
     for code in {spec.rpartition(":")[0] for spec in given if isinstance(spec, str)}:
         parts = Path(code).parts
