@@ -17,7 +17,7 @@ LAYERS = (
     {"fem.reduction"},
     {"io"},
     {"multibody.bodies"},
-    {"multibody.joints"},
+    {"multibody.joints", "multibody.statics"},
     {"multibody.forces"},
     {"multibody.system"},
     {"results", "examples"},

@@ -18,6 +18,7 @@ from torchmbd.design import (
     AtPeaks,
     AtTime,
     AtTimes,
+    BucklingFactor,
     Constraint,
     DesignSpace,
     Displacement,
@@ -88,6 +89,7 @@ from torchmbd.multibody.joints import (
     Spherical,
     Universal,
 )
+from torchmbd.multibody.statics import Buckling, BucklingCase, buckling
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.optimization import (
     OptimizationResult,
@@ -162,6 +164,9 @@ __all__ = [
     "AtTimes",
     "AxialSpringDamper",
     "BeamLine",
+    "Buckling",
+    "BucklingCase",
+    "BucklingFactor",
     "Bushing",
     "ConstantSpeed",
     "Constraint",
@@ -241,6 +246,7 @@ __all__ = [
     "Universal",
     "Velocity",
     "WeightedSum",
+    "buckling",
     "craig_bampton",
     "deg",
     "eigenpair_branches",

@@ -14,6 +14,7 @@ import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES, History, Measure, WeightedSum, history, measure
 from torchmbd.design.angle import Angle
+from torchmbd.design.buckling_factor import BucklingFactor
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.histories import (
@@ -116,6 +117,10 @@ MEASURES: dict[str, list[Measure]] = {
     "final": [Final(LAG), Final(ENERGY, window=(0.0, 0.0227))],
     "at_times": [AtTimes(ENERGY, count=7), AtTimes(LAG, times=(0.0101, 0.02, 0.04))],
     "at_peaks": [AtPeaks(ENERGY, count=3), AtPeaks(LAG, window=(0.0051, 0.0303), count=2)],
+    "buckling_factor": [
+        BucklingFactor("rod", {"right": (-1.0, 0.2, 0.0)}, number=2),
+        BucklingFactor("rod", {}, {"left": "all", "right": (-1e-4, None, 0.0, None, None, None)}),
+    ],
     "frequency": [Frequency("rod"), Frequency("rod", 2)],
     "frequencies": [Frequencies("rod", (1, 2)), Frequencies("rod", (2,), power=-3.0)],
     "mass": [Mass("rod"), Mass()],

@@ -10,6 +10,7 @@ A new response is one small class (response.py) and one line here; the contract 
 from __future__ import annotations
 
 from torchmbd.design.angle import Angle
+from torchmbd.design.buckling_factor import BucklingFactor
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.fatigue import EquivalentLoad, FatigueDamage
 from torchmbd.design.fibers import FiberCurvature, FiberDivergence
@@ -65,6 +66,7 @@ COMBINATORS: dict[str, type[Measure]] = {
     "equivalent_load": EquivalentLoad,
 }
 OF_DESIGN: dict[str, type[Measure]] = {
+    "buckling_factor": BucklingFactor,
     "frequency": Frequency,
     "frequencies": Frequencies,
     "mass": Mass,

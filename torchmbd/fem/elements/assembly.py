@@ -25,6 +25,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from torchmbd.fem.elements.freedoms import Average, Freedoms, RigidLink
+from torchmbd.fem.elements.geometric import StressedCells, assembled
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
@@ -111,7 +112,28 @@ class Assembly:
 
     def stiffness(self) -> SparseMatrix:
         """K of the free freedoms."""
-        values = [part.values(source) for part, (source, *_) in zip(self.parts.values(), self._places, strict=True)]
+        return self._joined([part.values(source) for part, (source, *_) in self._sources])
+
+    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
+        """Cells of all parts under the stress of k motions of all nodes (geometric.py)."""
+        return [cells for part in self.parts.values() for cells in part.stressed(motion)]
+
+    def geometric(self, motion: Float[Tensor, "*lanes n 6 k"]) -> SparseMatrix:
+        """Geometric stiffness of the free freedoms under the stress of k motions of all nodes, lanes [*lanes, k]."""
+        k = motion.shape[-1]
+        values = []
+        for part, (source, *_) in self._sources:
+            cells = part.stressed(motion)
+            whole = assembled(part.pattern, cells) if cells else motion.new_zeros(k, part.pattern.nnz)
+            values.append(whole[..., source])
+        return self._joined(values)
+
+    @property
+    def _sources(self) -> list[tuple[Part, tuple[Tensor, Tensor, Tensor]]]:
+        return list(zip(self.parts.values(), self._places, strict=True))
+
+    def _joined(self, values: list[Tensor]) -> SparseMatrix:
+        """Matrix of the free freedoms from the numbers of every part."""
         if len(values) == 1 and self.freedoms.plain:
             return SparseMatrix(self.pattern, values[0], symmetric=True)
         lanes = np.broadcast_shapes(*(v.shape[:-1] for v in values))

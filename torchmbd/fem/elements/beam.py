@@ -57,6 +57,21 @@ class Particles(NamedTuple):
     mass: Float[Tensor, "*lanes p"]
 
 
+class Inside(NamedTuple):
+    """Elements at their stations, mesh axes, of the freedoms of both ends.
+
+    rows      rotation, slope of the line, curvature [m, g, 9, 12]
+    forces    force and moment of the section [m, g, 6, 12]
+    tangent   of the line [m, g, 3]
+    weight    lengths that the stations stand for [m, g], m
+    """
+
+    rows: Float[Tensor, "*lanes m g 9 12"]
+    forces: Float[Tensor, "*lanes m g 6 12"]
+    tangent: Float[Tensor, "*lanes m g 3"]
+    weight: Float[Tensor, "*lanes m g"]
+
+
 class BeamMatrices:
     """What a line contributes to stiffness and mass, made once per mesh.
 
@@ -138,6 +153,22 @@ class BeamMatrices:
         here = _transport(turned.new_zeros(turned.shape[:-1]), turned)
         return here @ torch.stack([self._whole @ end, end], dim=-3)
 
+    def inside(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> Inside:
+        """How the elements move between their nodes under forces at these, and the forces there."""
+        compliance = balanced_inverse(stiffness)
+        k = balanced_inverse(self.flexibility(compliance))
+        local = self._carry @ (k @ self._ends)[..., None, :, :]  # section forces, axes of the section
+        strains = compliance @ local
+        _, tangent = self.curves.at(self.stations)
+        back = self._frames(tangent).mT
+        (F, M), (gamma, kappa) = ((back @ x[..., :3, :], back @ x[..., 3:, :]) for x in (local, strains))
+        start = torch.cat([torch.zeros(3, 3), torch.eye(3), torch.zeros(3, 6)], 1).to(kappa.dtype)
+        run = self.length[..., None, None] * cumulative(self.stations)  # integrals from the start to the stations
+        turned = start + (run @ kappa.flatten(-2)).unflatten(-1, kappa.shape[-2:])
+        slope = torch.linalg.cross(turned, tangent[..., None].expand_as(turned), dim=-2) + gamma
+        weight = self.length[..., None] * self._weights
+        return Inside(torch.cat([turned, slope, kappa], -2), torch.cat([F, M], -2), tangent, weight)
+
     def frames(self, t: Float[Tensor, " g"]) -> Float[Tensor, "m g 3 3"]:
         """Axes of the sections at parts t of the lengths, rows, mesh axes."""
         return self._frames(self.curves.at(t)[1])
@@ -198,6 +229,13 @@ def section_particles(mass: Float[Tensor, "*n 6 6"]) -> tuple[Float[Tensor, "*n 
     )
     at = center[..., None, :] + torch.cat([arms, -arms], dim=-2)
     return (mu / 4.0)[..., None].expand(*mu.shape, 4), at
+
+
+def cumulative(stations: Float[Tensor, " g"]) -> Float[Tensor, "g g"]:
+    """Weights of the integrals from 0 to each station of what is known at all stations."""
+    legendre, x = np.polynomial.legendre, 2.0 * stations.numpy() - 1.0
+    whole = [legendre.legval(x, legendre.legint(row, lbnd=-1)) for row in np.eye(len(x))]
+    return torch.from_numpy(0.5 * np.stack(whole, 1) @ np.linalg.inv(legendre.legvander(x, len(x) - 1)))
 
 
 def _transport(d: Float[Tensor, "*n 3"], turn: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 6 6"]:

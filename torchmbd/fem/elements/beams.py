@@ -13,8 +13,10 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.beam import BeamMatrices, Line
+from torchmbd.fem.elements.beam_geometric import stressed_beams
 from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
 from torchmbd.fem.elements.beam_section import BeamSection, line_transform
+from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.fem.elements.part import MassPoints
 from torchmbd.fem.elements.plates import MASSES
 from torchmbd.math.owned import reals
@@ -88,6 +90,10 @@ class Beams:
     def section_forces(self, motion: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 2 6 k"]:
         """(N, V_y, V_z, T, M_y, M_z) at start and end of each element, about the section's own axes, for k motions."""
         return torch.linalg.inv(self._to_ends) @ self._present.forces(self._stiffness(), motion)
+
+    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
+        """The elements under the section forces of k motions."""
+        return stressed_beams(self._present, self._stiffness(), motion)
 
     @property
     def ends(self) -> Int[Tensor, "places 2"]:

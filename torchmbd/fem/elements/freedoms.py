@@ -110,6 +110,14 @@ class Freedoms:
             full = full.index_add(-2, self.rows, vectors[..., self.cols, :] * self.factor[:, None])
         return full.unflatten(-2, (self.nodes, 6))
 
+    def gathered(self, forces: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes N k"]:
+        """Return T' times columns: forces and moments on all nodes, as forces of the free freedoms."""
+        flat = forces.flatten(-3, -2)
+        if self.plain:
+            return flat[..., self.free, :]
+        none = flat.new_zeros(*flat.shape[:-2], len(self.free), flat.shape[-1])
+        return none.index_add(-2, self.cols, flat[..., self.rows, :] * self.factor[:, None])
+
 
 def _rigid(d: Tensor) -> Float[Tensor, "6 6"]:
     """Motion at d from a point, from the motion of the point: u + phi x d, phi."""

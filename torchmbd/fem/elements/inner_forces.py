@@ -90,6 +90,26 @@ class CellForces:
         self, A: Float[Tensor, "*lanes c 3 3"], B: Float[Tensor, "*lanes c 3 3"]
     ) -> Float[Tensor, "*lanes m 13 13"]:
         """C of every cell: from what the states work on the sides and from curvatures, energy per area; c is m, or 1."""
+        strains, forces, _ = self._parts(A, B)
+        S = torch.linalg.inv(A)
+        relief = torch.einsum("ef,...st->...esft", torch.eye(3, dtype=A.dtype), B @ S @ B).flatten(-2).flatten(-3, -2)
+        return strains.mT @ forces - torch.nn.functional.pad(relief, (4, 0, 4, 0))
+
+    def amounts(
+        self, A: Float[Tensor, "*lanes c 3 3"], B: Float[Tensor, "*lanes c 3 3"]
+    ) -> Float[Tensor, "*lanes m 4 13"]:
+        """Of the states, from what they work on the sides and from curvatures."""
+        _, forces, lean = self._parts(A, B)
+        bent, others = forces[..., :2, :], forces[..., 2:, :]
+        return torch.cat([bent - lean.mT @ others, others], dim=-2)
+
+    def at_points(self, weight: Float[Tensor, "m 4"]) -> Float[Tensor, "m 4 3 4"]:
+        """Membrane forces of the states at four points that stand for these areas."""
+        share = weight / weight.sum(1, keepdim=True)
+        return torch.einsum("mep,mesb->mpsb", varying(weight) / share[:, None], self.given.states)
+
+    def _parts(self, A: Tensor, B: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Rows [4, 13] that strains and forces are, and U_nb U_bb^-1; see the module header."""
         S = torch.linalg.inv(A)
         numbers = S.flatten(-2)[..., None, [3 * i + j for i, j in SYMMETRIC]]
         U = (numbers @ self._flexibility).unflatten(-1, (4, 4)).squeeze(-3)
@@ -102,9 +122,7 @@ class CellForces:
         r = w - X @ c
         left = r[..., 2:, :] - lean @ r[..., :2, :]
         stiff = _inverse(U[..., 2:, 2:] - lean @ coupling.mT)
-        relief = torch.einsum("ef,...st->...esft", torch.eye(3, dtype=A.dtype), B @ S @ B).flatten(-2).flatten(-3, -2)
-        strains, forces = torch.cat([w[..., :2, :], left], dim=-2), torch.cat([c, stiff @ left], dim=-2)
-        return strains.mT @ forces - torch.nn.functional.pad(relief, (4, 0, 4, 0))
+        return torch.cat([w[..., :2, :], left], dim=-2), torch.cat([c, stiff @ left], dim=-2), lean
 
     def stiffness(self, C: Float[Tensor, "lanes m 13 13"]) -> Float[Tensor, "lanes m f f"]:
         """Area J' C J of all cells."""

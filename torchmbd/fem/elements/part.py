@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.math.sparse import Pattern
 
 
@@ -30,6 +31,10 @@ class Part(Protocol):
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design on the pattern, or only some entries of it."""
+        ...
+
+    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
+        """Its cells under the stress of k motions of all nodes (geometric.py); none for a part without stiffness."""
         ...
 
     def masses(self) -> MassPoints:

@@ -117,19 +117,21 @@ class PlateMatrices:
         self.zones = (of_cell if zones is None else of_cell.index_copy(0, chosen, zones))[self.members]
         self.laminates = 1 + int(self.zones.max())
         self.area = self._tributary()
-        self._whole = self._picked = self._numbers()
-        self._chosen: Tensor | None = None
+        self._whole = self._numbers()
+        self._picked: list[tuple[Tensor, _Numbers]] = []  # for each choice of entries, of a body and its load cases
 
     def _numbers(self) -> _Numbers:
         """Numbers of K on the pattern, which is found here."""
         self.pattern, slots = _block_pattern([own.corners for own in self.kinds.values()], len(self.mesh.nodes))
         made, sources, count = [], [], 0
+        self.variants: list[tuple[CellStiffness, Tensor]] = []  # of each kind: its matrices, and which one a cell has
         laminates = self.zones.split([len(own.shape) for own in self.kinds.values()])
         for own, laminate in zip(self.kinds.values(), laminates, strict=True):
             variants, variant = torch.unique(torch.stack([own.shape, laminate], 1), dim=0, return_inverse=True)
             cell = CellStiffness(own.strains, variants, self.laminates)
             sources.append((count + variant[:, None] * cell.each + cell.place.flatten()).flatten())
             made.append(cell)
+            self.variants.append((cell, variant))
             count += cell.numbers
         slot = torch.cat([x.flatten() for x in slots])
         return _Numbers(made, Sums.of(slot, torch.cat(sources), (self.pattern.nnz, count)))
@@ -161,14 +163,20 @@ class PlateMatrices:
         self, entries: Float[Tensor, "*lanes 21"], chosen: Int[Tensor, " k"] | None = None
     ) -> Float[Tensor, "*lanes nnz"]:
         """Return the numbers of K on the pattern, or only chosen ones: where they are is found once."""
-        if chosen is not None and chosen is not self._chosen:
-            self._chosen, self._picked = chosen, self._whole._replace(sums=self._whole.sums.chosen(chosen))
-        picked = self._whole if chosen is None else self._picked
+        picked = self._whole if chosen is None else self._of(chosen)
         lanes = entries.shape[: -2 if self.several else -1]
         numbers = entries.reshape(-1, self.laminates, len(ENTRIES))
         law = LaminateStiffness.of(numbers)
         laws = [x for own in picked.cells for x in own.law(law.A, law.B)]
         return mapped(picked, numbers, *laws).reshape(*lanes, -1)
+
+    def _of(self, chosen: Tensor) -> _Numbers:
+        """The map to chosen entries only."""
+        for known, picked in self._picked:
+            if known is chosen:
+                return picked
+        self._picked = [*self._picked[-3:], (chosen, self._whole._replace(sums=self._whole.sums.chosen(chosen)))]
+        return self._picked[-1][1]
 
     def section_strains(self, displacements: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 8 k"]:
         """Return eps, kappa, gamma at the middle of each cell for k fields of nodal displacements, such as modes."""

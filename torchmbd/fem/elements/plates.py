@@ -25,8 +25,10 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.elements.facet import laid
+from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.fem.elements.plate import PlateMatrices
+from torchmbd.fem.elements.shell_geometric import stressed_shells
 from torchmbd.fem.elements.steered_laminate import SteeredLaminate
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import Mesh
@@ -94,6 +96,10 @@ class Plates:
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design, or only some entries of it."""
         return self.matrices.values(self.laminate.entries(), entries)
+
+    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
+        """The cells under the membrane forces of k motions."""
+        return stressed_shells(self.matrices, self.laminate.entries(), motion)
 
     def modules(self) -> dict[str, nn.Module]:
         """The laminate."""
@@ -164,6 +170,10 @@ class PointMasses:
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, " 0"]:
         """No stiffness."""
         return torch.zeros(0, dtype=torch.float64)
+
+    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
+        """No stress."""
+        return []
 
     def modules(self) -> dict[str, nn.Module]:
         """Nothing to design."""

@@ -8,6 +8,7 @@ from torchmbd.fem.reduction.eigenpairs import Eigenpairs, eigenpairs
 from torchmbd.fem.reduction.invariants import inertia_invariants
 from torchmbd.fem.reduction.registry import REDUCTIONS, CraigBampton, Reduction, VibrationModes, uncut
 from torchmbd.fem.reduction.spectral import eigenvalues, spectral_function
+from torchmbd.fem.reduction.static import StaticLoads
 
 __all__ = [
     "REDUCTIONS",
@@ -18,6 +19,7 @@ __all__ = [
     "Matrix",
     "ModalBasis",
     "Reduction",
+    "StaticLoads",
     "VibrationModes",
     "constraint_modes",
     "craig_bampton",

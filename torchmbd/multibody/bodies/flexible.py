@@ -54,7 +54,7 @@ from torchmbd.multibody.bodies.zones import zone_parts
 
 
 def _is_part(x: Any) -> bool:
-    return not isinstance(x, type) and all(hasattr(x, name) for name in ("pattern", "values", "masses"))
+    return not isinstance(x, type) and all(hasattr(x, name) for name in ("pattern", "values", "stressed", "masses"))
 
 
 def _check_parts(name: str, mesh: Any, parts: Any) -> None:
@@ -127,7 +127,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self.mesh = mesh
         _check_parts(name, mesh, parts)
         put(self, position, axes)
-        links, self.parts = [*links, *rigid_links(mesh, rigid)], dict(parts)
+        self.links = links = [*links, *rigid_links(mesh, rigid)]
+        self.parts = dict(parts)
         joined = merged(self.parts)
         self.reference = reference_nodes(mesh, joined, reference, links)
         self.origin = mesh.nodes[self.reference].mean(0)

@@ -1,0 +1,154 @@
+"""Buckling of a body: loads, supports, status, derivatives, also where factors coincide."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from torchmbd.multibody.statics.nodal_loads import shares
+
+CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
+
+
+class Factors(nn.Module):
+    def __init__(self, body: mbd.FlexibleBody, loads: Any, number: int, supports: Any = None) -> None:
+        super().__init__()
+        self.body, self.case, self.number = body, mbd.BucklingCase(body, loads, supports), number
+
+    def forward(self) -> Tensor:
+        return self.case(self.number).factors
+
+
+def panel(cells: tuple[int, int] = (4, 3), kind: str = "quad") -> mbd.FlexibleBody:
+    laminate = mbd.Laminate(CARBON, [0.3, -0.5, 1.0], [1e-3, 2e-3, 1.5e-3])
+    mesh = mbd.mesh.rectangle(1.0, 0.7, cells, kind)
+    return mbd.FlexibleBody.plate("panel", mesh, laminate, modes=2, reference="left_edge")
+
+
+def tube(elements: int = 4) -> mbd.FlexibleBody:
+    plies = mbd.Laminate(CARBON, [0.3, -0.3, -0.3, 0.3], [5e-4] * 4)
+    section = mbd.sections.tube(0.03, plies, elements=24)
+    return mbd.FlexibleBody.beam("tube", mbd.BeamLine.straight(1.0, elements), section, modes=2, reference="start")
+
+
+def richardson(f: Callable[[Tensor], Tensor], x: Tensor, h: float) -> Tensor:
+    def central(h: float) -> Tensor:
+        steps = h * torch.eye(len(x), dtype=x.dtype)
+        return torch.stack([(f(x + e) - f(x - e)) / (2.0 * h) for e in steps], -1)
+
+    return (4.0 * central(h / 2.0) - central(h)) / 3.0
+
+
+def check_gradients(model: Factors, name: str, step: float) -> None:
+    x = dict(model.named_parameters())[name].detach().clone()
+
+    def f(x: Tensor) -> Tensor:
+        return torch.func.functional_call(model, {name: x}, ())
+
+    reverse, forward = torch.func.jacrev(f)(x), torch.func.jacfwd(f)(x)
+    with torch.no_grad():
+        wanted = richardson(f, x, step)
+    scale = float(wanted.abs().max())
+    assert_close(forward, reverse, rtol=0.0, atol=1e-9 * scale)
+    assert_close(reverse, wanted, rtol=0.0, atol=1e-6 * scale)
+
+
+@pytest.mark.parametrize("kind", ["quad", "triangle"])
+@pytest.mark.parametrize(("name", "step"), [("angles", 1e-2), ("thickness", 2e-5)])
+def test_gradients_through_the_stress_state(kind, name, step):
+    check_gradients(Factors(panel(kind=kind), {"right_edge": (-1e3, 300.0, 0.0)}, 2), f"body.laminate.{name}", step)
+
+
+def test_gradients_of_a_beam_with_imposed_displacement():
+    plies = mbd.Laminate(CARBON, [0.3, 0.3, -0.2], [5e-4] * 3)
+    section = mbd.sections.rectangle_tube(0.05, 0.03, plies) if hasattr(mbd.sections, "rectangle_tube") else None
+    if section is None:
+        section = mbd.sections.tube(0.03, plies, elements=16)
+    body = mbd.FlexibleBody.beam("beam", mbd.BeamLine.straight(1.0, 3), section, modes=2, reference="start")
+    supports = {"start": "all", "end": (-1e-3, 0.0, None, 0.0, None, None)}
+    name = next(name for name, _ in Factors(body, {}, 1, supports).named_parameters() if name.endswith("angles"))
+    check_gradients(Factors(body, {}, 1, supports), name, 1e-2)
+
+
+def test_coinciding_factors_of_a_tube_have_the_mean_of_their_derivatives():
+    model = Factors(tube(), {"end": (-1.0, 0.0, 0.0)}, 2)
+    factors = model()
+    assert_close(factors[0], factors[1], rtol=1e-6, atol=0.0)
+    name = next(name for name, _ in model.named_parameters() if name.endswith("angles"))
+    x = dict(model.named_parameters())[name].detach().clone()
+
+    def mean(x: Tensor) -> Tensor:
+        return torch.func.functional_call(model, {name: x}, ()).mean(0, keepdim=True)
+
+    reverse = torch.func.jacrev(lambda x: torch.func.functional_call(model, {name: x}, ()))(x)
+    assert_close(reverse[0], reverse[1], rtol=1e-6, atol=1e-9 * float(reverse.abs().max()))
+    with torch.no_grad():
+        wanted = richardson(mean, x, 1e-2)
+    assert_close(reverse[:1], wanted, rtol=0.0, atol=1e-6 * float(wanted.abs().max()))
+
+
+def test_lanes_are_designs():
+    model = Factors(panel(), {"right_edge": (-1e3, 0.0, 0.0)}, 2)
+    angles = torch.tensor([[0.3, -0.5, 1.0], [0.0, 0.9, 0.2]], dtype=torch.float64)
+
+    def f(x: Tensor) -> Tensor:
+        return torch.func.functional_call(model, {"body.laminate.angles": x}, ())
+
+    assert_close(f(angles), torch.stack([f(x) for x in angles]), rtol=1e-10, atol=0.0)
+
+
+def test_loads_that_only_stiffen_have_no_factor():
+    found = mbd.buckling(panel(), {"right_edge": (1e3, 0.0, 0.0)}, number=1)
+    assert math.isinf(float(found.factors[0]))
+    assert found.status.startswith("no buckling")
+    assert not bool(found.shapes.any())
+    large = mbd.buckling(panel((12, 8)), {"right_edge": (1e3, 0.0, 0.0)}, number=2)
+    assert math.isinf(float(large.factors[-1]))
+
+
+def test_the_sparse_and_the_dense_way_agree(monkeypatch):
+    loads = {"right_edge": (-1e3, 300.0, 0.0)}
+    dense = mbd.buckling(panel((8, 6)), loads, number=3)
+    monkeypatch.setattr("torchmbd.multibody.statics.buckling.SMALL", 10)
+    sparse = mbd.buckling(panel((8, 6)), loads, number=3)
+    assert dense.status == sparse.status == "ok"
+    assert_close(sparse.factors, dense.factors, rtol=1e-9, atol=0.0)
+    assert_close(sparse.shapes.abs(), dense.shapes.abs(), rtol=0.0, atol=1e-6)
+    assert float(dense.shapes[:, :3].abs().max()) == pytest.approx(1.0)
+
+
+def test_shares_of_edges_and_areas():
+    mesh = mbd.mesh.rectangle(1.0, 0.6, (2, 3), "quad")
+    edge = list(mesh.node_sets["right_edge"])
+    assert_close(shares(mesh, edge).sort().values, torch.tensor([1, 1, 2, 2], dtype=torch.float64) / 6.0)
+    whole = shares(mesh, range(len(mesh.nodes)))
+    assert float(whole.max()) == pytest.approx(4 * float(whole.min()))
+    assert_close(shares(mesh, [0]), torch.ones(1, dtype=torch.float64))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"body": "rod"}, "body of buckling is 'rod'; allowed: a FlexibleBody"),
+        ({"loads": 3.0}, "loads of 'panel' is 3.0; allowed: nodes -> force"),
+        ({"loads": {"right_edge": (1.0, 2.0)}}, "allowed: 3 or 6 finite numbers"),
+        ({"loads": {"right_edge": (0.0, 0.0, 0.0)}}, "loads of 'panel' are zero"),
+        ({"loads": {"rihgt": (0.0, 0.0, 1.0)}}, "does not exist"),
+        ({"supports": {}}, "allowed: nodes -> freedoms, at least one, or None"),
+        ({"supports": {"left_edge": "u4"}}, "support 'left_edge' of 'panel' is 'u4'"),
+        ({"supports": {"left_edge": "u3"}}, "supports of 'panel' leave it movable"),
+        ({"supports": {"left_edge": "all", 0: (1.0, None, None, None, None, None)}}, "put u1 of node 0 at two places"),
+        ({"number": 0}, "number is 0; allowed: 1 to"),
+    ],
+)
+def test_wrong_arguments_are_named(change, message):
+    arguments: dict[str, Any] = {"body": panel((2, 2)), "loads": {"right_edge": (-1.0, 0.0, 0.0)}} | change
+    with pytest.raises(mbd.InputError, match=message):
+        mbd.buckling(**arguments)

@@ -1,0 +1,76 @@
+"""The buckling factor of a body under static loads as a measure of the design.
+
+    BucklingFactor("panel", {"right": (-1e3, 0, 0)}, {"left": "all"}) >= 1.5
+
+It is infinite, without a gradient, for a design that the loads do not buckle.
+Checked in tests/contracts/test_responses.py, tests/multibody/statics/test_buckling.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from torch import Tensor, nn
+
+from torchmbd.design.histories import flexible
+from torchmbd.design.response import Measure
+from torchmbd.errors import InputError
+from torchmbd.integrate import Trajectory
+from torchmbd.math.module_call import call_module, outside
+from torchmbd.math.owned import whole
+from torchmbd.multibody.statics import BucklingCase
+from torchmbd.multibody.system import System
+
+_CASES: WeakKeyDictionary[nn.Module, list[tuple[Any, BucklingCase]]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class BucklingFactor(Measure):
+    """Factor [lanes] of static loads at which a body buckles; see mbd.buckling.
+
+    body      its name
+    loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total
+    supports  nodes -> freedoms that are held, as "u1 u3", or imposed; None: the reference nodes
+    number    1 is the lowest
+    Where factors coincide the gradient is the mean of theirs, as of Frequency.
+    """
+
+    body: str
+    loads: Mapping[Any, Sequence[float]]
+    supports: Mapping[Any, str | Sequence[float | None]] | None = None
+    number: int = 1
+
+    def check(self, system: System) -> None:
+        if not whole(self.number) or self.number < 1:
+            raise InputError(f"number is {self.number!r}; allowed: 1, 2, ...")
+        self._case(system)
+
+    def value(self, motion: Trajectory) -> Tensor:
+        case = self._case(motion.system)
+        designs = {f"system.{name}": x for name, x in motion.designs.items()}
+        factors = call_module(_Factors(motion.system, case, self.number), designs)
+        return factors[..., -1].expand(len(motion.q))
+
+    def _case(self, system: System) -> BucklingCase:
+        body = flexible(system, self.body)
+        asked = repr((self.loads, self.supports))
+        known = _CASES.setdefault(body, [])
+        for key, case in known:
+            if key == asked:
+                return case
+        known.append((asked, outside(lambda: BucklingCase(body, self.loads, self.supports))))
+        return known[-1][1]
+
+
+class _Factors(nn.Module):
+    """Factors as a module of the whole system, so that designs go by their names."""
+
+    def __init__(self, system: nn.Module, case: BucklingCase, number: int):
+        super().__init__()
+        self.system, self.case, self.number = system, case, number
+
+    def forward(self) -> Tensor:
+        return self.case(self.number).factors

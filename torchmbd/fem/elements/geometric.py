@@ -1,0 +1,70 @@
+"""Geometric stiffness: what forces that act already do when a body deforms on. Linear in these forces.
+
+    u' Kg u = sum_points d' L(stress) d,     d = R u        R: rows of a cell, no design but the nodes of beams
+
+Every part tells its stressed cells (part.py): of shells slopes and membrane forces (shell_geometric.py), of beams rotations,
+slopes and curvatures with all six section forces (beam_geometric.py). From these come Kg on the freedoms of all nodes, and
+its projection onto some motions, such as modes, which needs no matrix of the size of the mesh.
+Positive where it stiffens. Differentiable, forward and reverse, in the stress and in the motions, with lanes.
+Checked in tests/fem/elements/test_geometric.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchmbd.math.sparse import Pattern
+
+
+class StressedCells(NamedTuple):
+    """Cells of one kind under k states of stress.
+
+    nodes   corners of each cell, whose freedoms u1 ... phi3 are the columns of the rows
+    rows    R at the points of each cell; the law is the same for all s components
+    law     L, with the length or area that each point stands for
+    """
+
+    nodes: Int[Tensor, "m c"]
+    rows: Float[Tensor, "*lanes m p r s f"]
+    law: Float[Tensor, "*lanes k m p r r"]
+
+
+def projected(cells: Sequence[StressedCells], motions: Float[Tensor, "*lanes n 6 a"]) -> Float[Tensor, "*lanes k a a"]:
+    """Kg of each state of stress between motions of all nodes."""
+    total: Tensor | None = None
+    for own in cells:
+        at = motions[..., own.nodes, :, :].flatten(-3, -2)  # [*lanes, m, f, a]
+        d = own.rows.flatten(-3, -2) @ at[..., None, :, :]
+        d = d.unflatten(-2, own.rows.shape[-3:-1])  # [*lanes, m, p, r, s, a]
+        forces = (own.law @ d.flatten(-2).unsqueeze(-5)).unflatten(-1, d.shape[-2:])
+        right = forces.flatten(-5, -2)  # [*lanes, k, m p r s, a]
+        found = d.flatten(-5, -2).unsqueeze(-3).mT @ right
+        total = found if total is None else total + found
+    if total is None:
+        return motions.new_zeros(*motions.shape[:-3], 0, motions.shape[-1], motions.shape[-1])
+    return 0.5 * (total + total.mT)
+
+
+def assembled(pattern: Pattern, cells: Sequence[StressedCells]) -> Float[Tensor, "*lanes k nnz"]:
+    """Kg of each state of stress on a pattern of all freedoms 6 * node + i that has the blocks of all cells."""
+    key = pattern.rows * pattern.size + pattern.cols
+    total: Tensor | None = None
+    for own in cells:
+        rows = own.rows.unsqueeze(-6)  # [*lanes, 1, m, p, r, s, f]
+        left = own.law @ rows.flatten(-2)
+        m = left.unflatten(-1, own.rows.shape[-2:]).flatten(-4, -2)
+        small = rows.flatten(-4, -2).mT @ m  # [*lanes, k, m, f, f]
+        freedoms = (6 * own.nodes[:, :, None] + torch.arange(6)).flatten(1)
+        place = freedoms[:, :, None] * pattern.size + freedoms[:, None, :]
+        slot = torch.searchsorted(key, place.flatten())
+        values = 0.5 * (small + small.mT)
+        empty = values.new_zeros(*values.shape[:-3], pattern.nnz)
+        found = empty.index_add(-1, slot, values.flatten(-3))
+        total = found if total is None else total + found
+    assert total is not None
+    return total

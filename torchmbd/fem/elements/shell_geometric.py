@@ -1,0 +1,116 @@
+"""Geometric stiffness of shells: membrane forces on the slopes of all three displacements.
+
+    u' Kg u = integral of N_ab u,a . u,b       a, b: the axes of a cell's plane
+
+u     between the corners (linear, bilinear), and on each side the parabola of its bending: (L / 8) t x (phi_j - phi_i) at the
+      middle, of the rotations about axes in the plane. So sines are exact to the fourth order of the cells' size, and plates
+      that give way in shear need nothing else, for the parabola has no part of that slope
+N     at the points of the cells. Of triangles from the strains there; of quadrilaterals the mean and the forces that vary over
+      the cell (inner_forces.py), so one cell over the depth of a strip carries its bending
+
+A rigid rotation of a stressed body does the work of its loads, exactly.
+Source: the nonlinear part of Green's strains; the parabolas are the linked interpolation of R. L. Taylor and F. Auricchio,
+Int. J. Numer. Methods Eng. 36 (1993) 3057-3066. Checked in tests/fem/elements/test_geometric.py.
+"""
+
+from __future__ import annotations
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from torchmbd.fem.elements.cell_stiffness import CellStiffness
+from torchmbd.fem.elements.facet import Facets
+from torchmbd.fem.elements.geometric import StressedCells
+from torchmbd.fem.elements.plate import Cells, PlateMatrices
+from torchmbd.fem.elements.quad_shape import ETA, XI, gauss
+from torchmbd.fem.materials import ENTRIES, LaminateStiffness
+
+
+def stressed_shells(
+    matrices: PlateMatrices, entries: Float[Tensor, "*lanes 21"], motion: Float[Tensor, "*lanes n 6 k"]
+) -> list[StressedCells]:
+    """The cells of each kind under the membrane forces of k motions; entries as of `PlateMatrices.values`."""
+    numbers = entries if matrices.several else entries[..., None, :]
+    assert numbers.shape[-1] == len(ENTRIES)
+    law = LaminateStiffness.of(numbers)
+    zones = matrices.zones.split([len(own.shape) for own in matrices.kinds.values()])
+    found = []
+    for (kind, own), zone, (cell, variant) in zip(matrices.kinds.items(), zones, matrices.variants, strict=True):
+        A, B = (X[..., zone, :, :] for X in (law.A, law.B))
+        at = motion[..., own.corners, :, :].flatten(-3, -2)
+        inner = cell.inner
+        if inner is None:
+            strains = own.strains.at[own.shape] @ at[..., None, :, :]  # [*lanes, m, p, 8, k]
+            N = A[..., None, :, :] @ strains[..., :3, :] + B[..., None, :, :] @ strains[..., 3:6, :]
+        else:
+            mean = own.strains.center[own.shape] @ at
+            N = (A @ mean[..., :3, :] + B @ mean[..., 3:6, :]).unsqueeze(-3)
+            N = N + _varying_forces(own, cell, law, variant, at)
+        weight = own.strains.weight[own.shape][:, : N.shape[-3] if inner is None else 4]
+        N = (N * weight[..., None, None]).movedim(-1, -4)  # [*lanes, k, m, p, 3]
+        found.append(StressedCells(own.corners, slopes(kind, own.facets), N[..., [0, 2, 2, 1]].unflatten(-1, (2, 2))))
+    return found
+
+
+def _varying_forces(
+    own: Cells,
+    cell: CellStiffness,
+    law: LaminateStiffness,
+    variant: Int[Tensor, " m"],
+    at: Float[Tensor, "*lanes m f k"],
+) -> Float[Tensor, "*lanes m 4 3 k"]:
+    """Membrane forces at the points of Gauss, without their mean."""
+    inner = cell.inner
+    assert inner is not None
+    A, B = (X if cell.laminates == 1 else X[..., cell.laminate, :, :] for X in (law.A, law.B))
+    rows = (inner.amounts(A, B) @ inner.rows)[..., variant, :, :]
+    first = torch.zeros(len(inner.rows), dtype=torch.long).index_copy(0, variant, torch.arange(len(variant)))
+    weight = own.strains.weight[own.shape[first]][:, :4]
+    return inner.at_points(weight)[variant] @ (rows @ at).unsqueeze(-3)
+
+
+#: The rows of one kind of cell: displacements u1 u2 u3 by two slopes, of freedoms of the corners.
+Rows = Float[Tensor, "m p 2 3 f"]
+
+
+def slopes(kind: str, plane: Facets) -> Rows:
+    """Slopes of the displacements, mesh axes, along both axes of every cell at its points."""
+    linear, bows = _triangle(plane.corners) if kind == "triangle" else _quad(plane.corners)
+    m, p, _, c = linear.shape
+    local = torch.cat([plane.corners, plane.height[..., None]], -1)
+    side = (local.roll(-1, dims=1) - local) @ plane.axes  # from each corner to the next, mesh axes
+    e3 = plane.axes[:, 2]
+    within = torch.eye(3, dtype=side.dtype) - e3[:, :, None] * e3[:, None, :]  # rotations about axes in the plane
+    x, y, z = side.unbind(-1)
+    o = torch.zeros_like(x)
+    cross = torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).unflatten(-1, (3, 3))  # side x
+    bow = (cross @ within[:, None]) / 8.0  # of the rotation of the end less that of the start [m, side, 3, 3]
+    rows = linear.new_zeros(m, p, 2, 3, c, 6)
+    rows[..., :3] = torch.einsum("mpac,ij->mpaicj", linear, torch.eye(3, dtype=linear.dtype))
+    of_side = torch.einsum("mpac,mcij->mpaicj", bows, bow)
+    rows[..., 3:] = of_side.roll(1, dims=-2) - of_side
+    return rows.flatten(-2)
+
+
+def _triangle(x: Float[Tensor, "m 3 2"]) -> tuple[Float[Tensor, "m 3 2 3"], Float[Tensor, "m 3 2 3"]]:
+    """Slopes of the corners' functions l and of 4 l_i l_j of the sides 12, 23, 31, at the middles of the sides."""
+    opposite = x.roll(-2, dims=1) - x.roll(-1, dims=1)  # from j to k, for corners i, j, k
+    double = opposite[:, 0, 0] * opposite[:, 1, 1] - opposite[:, 0, 1] * opposite[:, 1, 0]
+    grad = torch.stack([-opposite[..., 1], opposite[..., 0]], 1) / double[:, None, None]  # [m, 2, corner]
+    middle = torch.tensor([[0.5, 0.5, 0.0], [0.0, 0.5, 0.5], [0.5, 0.0, 0.5]], dtype=x.dtype)  # l at the points
+    i, j = [0, 1, 2], [1, 2, 0]
+    bows = 4.0 * (middle[:, None, i] * grad[:, None][..., j] + middle[:, None, j] * grad[:, None][..., i])
+    return grad[:, None].expand(-1, 3, -1, -1), bows
+
+
+def _quad(x: Float[Tensor, "m 4 2"]) -> tuple[Float[Tensor, "m 4 2 4"], Float[Tensor, "m 4 2 4"]]:
+    """The same of a quadrilateral at the points of Gauss: bilinear functions, and (1 - xi^2)(1 - eta) / 2, ..."""
+    points = gauss(x)
+    xi, eta = points.xi[:, None], points.eta[:, None]
+    along = torch.tensor([1.0, 0.0, 1.0, 0.0], dtype=x.dtype)  # sides 12 and 34 run along xi
+    end = along * (ETA + ETA.roll(-1)) / 2.0 + (1.0 - along) * (XI + XI.roll(-1)) / 2.0  # where the side lies
+    by_xi = along * (-xi) * (1.0 + end * eta) + (1.0 - along) * 0.5 * end * (1.0 - eta**2)
+    by_eta = along * 0.5 * end * (1.0 - xi**2) + (1.0 - along) * (-eta) * (1.0 + end * xi)
+    natural = torch.stack([by_xi, by_eta], 1)  # [p, 2, sides]
+    return points.slopes, torch.linalg.solve(points.jacobian, natural.expand(len(x), -1, -1, -1))
