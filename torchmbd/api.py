@@ -89,7 +89,7 @@ from torchmbd.multibody.joints import (
     Spherical,
     Universal,
 )
-from torchmbd.multibody.statics import Buckling, BucklingCase, buckling
+from torchmbd.multibody.statics import Buckling, buckling
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.optimization import (
     OptimizationResult,
@@ -165,7 +165,6 @@ __all__ = [
     "AxialSpringDamper",
     "BeamLine",
     "Buckling",
-    "BucklingCase",
     "BucklingFactor",
     "Bushing",
     "ConstantSpeed",

@@ -25,11 +25,11 @@ GROUPS: dict[str, str] = {
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing Force Torque Pressure forces variable",
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics examples",
-    "simulation": "simulate equilibrium Equilibrium Trajectory Phase Event",
+    "simulation": "simulate equilibrium Equilibrium buckling Buckling Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "PlyFailure PlyStress history",
-    "measures": "Integral Mean RMS Max Min SmoothMax Final AtTime AtTimes AtPeaks Frequency Frequencies Mass "
+    "measures": "Integral Mean RMS Max Min SmoothMax Final AtTime AtTimes AtPeaks Frequency Frequencies Mass BucklingFactor "
     "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence measure",
     "problems": "Problem Constraint DesignSpace Tradeoff Differences load problem_of",
     "optimization": "optimize multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes sobol "

@@ -39,8 +39,8 @@ from torchmbd.design.weighted import WeightedSum
 
 __all__ = [
     "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "BucklingFactor",
-    "Constraint",     "Damage", "DesignSpace", "Displacement", "EquivalentLoad", "FatigueDamage", "Final", "Frequencies", "Frequency",
-    "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min", "PlyFailure", "PlyStress", "Position", "Problem",
-    "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Tradeoff", "Velocity", "WeightedSum", "history",
-    "measure", "rainflow",
+    "Constraint", "Damage", "DesignSpace", "Displacement", "EquivalentLoad", "FatigueDamage", "Final", "Frequencies",
+    "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min", "PlyFailure", "PlyStress", "Position",
+    "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Tradeoff", "Velocity", "WeightedSum",
+    "history", "measure", "rainflow",
 ]  # fmt: skip

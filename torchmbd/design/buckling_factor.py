@@ -29,13 +29,22 @@ _CASES: WeakKeyDictionary[nn.Module, list[tuple[Any, BucklingCase]]] = WeakKeyDi
 
 @dataclass(frozen=True)
 class BucklingFactor(Measure):
-    """Factor [lanes] of static loads at which a body buckles; see mbd.buckling.
+    """Factor [lanes] [-] of static loads at which a body buckles; see mbd.buckling.
 
     body      its name
     loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total
     supports  nodes -> freedoms that are held, as "u1 u3", or imposed; None: the reference nodes
     number    1 is the lowest
     Where factors coincide the gradient is the mean of theirs, as of Frequency.
+
+    >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
+    >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
+    >>> column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(2.0, 4), tube, reference="start")
+    >>> system = mbd.System([column], [mbd.Fixed(mbd.Ground().at(0, 0, 0), column.at("start"))])
+    >>> safe = mbd.BucklingFactor("column", {"end": (-1000.0, 0.0, 0.0)}) >= 1.5
+    >>> motion = mbd.simulate(system, duration=1e-3, steps=2)
+    >>> round(safe.measure.value(motion).item(), 1)
+    3.0
     """
 
     body: str

@@ -98,7 +98,7 @@ class BeamMatrices:
         self.elements = mesh.elements[self.members]
         self._orientation = orientation
         points, weights = (torch.from_numpy(x) / 2.0 for x in np.polynomial.legendre.leggauss(stations))
-        self.stations, self._weights = 0.5 + points, weights
+        self.stations, self._weights, self._running = 0.5 + points, weights, cumulative(stations)
         freedoms = (6 * self.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
         rows, cols = freedoms[:, :, None].expand(-1, 12, 12), freedoms[:, None, :].expand(-1, 12, 12)
         self.pattern, self._slot = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
@@ -163,7 +163,7 @@ class BeamMatrices:
         back = self._frames(tangent).mT
         (F, M), (gamma, kappa) = ((back @ x[..., :3, :], back @ x[..., 3:, :]) for x in (local, strains))
         start = torch.cat([torch.zeros(3, 3), torch.eye(3), torch.zeros(3, 6)], 1).to(kappa.dtype)
-        run = self.length[..., None, None] * cumulative(self.stations)  # integrals from the start to the stations
+        run = self.length[..., None, None] * self._running  # integrals from the start to the stations
         turned = start + (run @ kappa.flatten(-2)).unflatten(-1, kappa.shape[-2:])
         slope = torch.linalg.cross(turned, tangent[..., None].expand_as(turned), dim=-2) + gamma
         weight = self.length[..., None] * self._weights
@@ -231,11 +231,12 @@ def section_particles(mass: Float[Tensor, "*n 6 6"]) -> tuple[Float[Tensor, "*n 
     return (mu / 4.0)[..., None].expand(*mu.shape, 4), at
 
 
-def cumulative(stations: Float[Tensor, " g"]) -> Float[Tensor, "g g"]:
+def cumulative(stations: int) -> Float[Tensor, "g g"]:
     """Weights of the integrals from 0 to each station of what is known at all stations."""
-    legendre, x = np.polynomial.legendre, 2.0 * stations.numpy() - 1.0
-    whole = [legendre.legval(x, legendre.legint(row, lbnd=-1)) for row in np.eye(len(x))]
-    return torch.from_numpy(0.5 * np.stack(whole, 1) @ np.linalg.inv(legendre.legvander(x, len(x) - 1)))
+    legendre = np.polynomial.legendre
+    x = legendre.leggauss(stations)[0]
+    whole = [legendre.legval(x, legendre.legint(row, lbnd=-1)) for row in np.eye(stations)]
+    return torch.from_numpy(0.5 * np.stack(whole, 1) @ np.linalg.inv(legendre.legvander(x, stations - 1)))
 
 
 def _transport(d: Float[Tensor, "*n 3"], turn: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 6 6"]:

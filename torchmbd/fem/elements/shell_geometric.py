@@ -8,7 +8,8 @@ u     between the corners (linear, bilinear), and on each side the parabola of i
 N     at the points of the cells. Of triangles from the strains there; of quadrilaterals the mean and the forces that vary over
       the cell (inner_forces.py), so one cell over the depth of a strip carries its bending
 
-A rigid rotation of a stressed body does the work of its loads, exactly.
+A rigid rotation does the work of loads in the plane, exactly. Shear forces and moments of the plates are not in it: what they
+do on slopes is smaller than K's own part by strains.
 Source: the nonlinear part of Green's strains; the parabolas are the linked interpolation of R. L. Taylor and F. Auricchio,
 Int. J. Numer. Methods Eng. 36 (1993) 3057-3066. Checked in tests/fem/elements/test_geometric.py.
 """

@@ -9,8 +9,8 @@ u       displacements under the loads and the displacements of supports; support
 Factors are differentiable, forward and reverse, in every parameter of the body, through K, u and Kg. Where factors coincide
 each has the mean of their derivatives (fem/reduction/spectral.py). Shapes are numbers without a derivative.
 Assumed: u is small; the loads keep their directions and grow together.
-Source: O. C. Zienkiewicz and R. L. Taylor, The Finite Element Method, vol. 2. Checked in tests/multibody/statics/test_buckling.py,
-tests/validation/test_buckling.py.
+Source: O. C. Zienkiewicz and R. L. Taylor, The Finite Element Method, vol. 2.
+Checked in tests/multibody/statics/test_buckling.py, tests/validation/test_buckling.py.
 """
 
 from __future__ import annotations
@@ -49,6 +49,13 @@ class Buckling(NamedTuple):
     shapes         of these, largest displacement 1; zero where there is none [*lanes, nodes, 6, number]
     displacements  under the loads themselves [*lanes, nodes, 6]
     status         "ok", or why factors are infinite
+
+    >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
+    >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
+    >>> column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(2.0, 4), tube, reference="start")
+    >>> found = mbd.buckling(column, {"end": (1.0, 0.0, 0.0)})  # a pull
+    >>> found.factors.item(), found.status
+    (inf, 'no buckling: the loads stiffen the body in all further shapes')
     """
 
     factors: Float[Tensor, "*lanes number"]
@@ -58,18 +65,31 @@ class Buckling(NamedTuple):
 
 
 def buckling(body: FlexibleBody, loads: Loads, supports: Supports | None = None, number: int = 1) -> Buckling:
-    """Find the lowest positive buckling factors of a body; arguments as of BucklingCase."""
+    """Find the lowest positive factors of loads at which a body buckles; differentiable by its parameters.
+
+    body      a FlexibleBody
+    loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total: 3 or 6 numbers, spread over the areas
+              or lengths of the cells and sides of a node set. Nodes: a node, a set, or a tuple of these
+    supports  nodes -> freedoms that are held, as "u1 u3 phi2", or "all"; or six numbers, displacements and rotations that
+              are imposed [m, rad], None where it is free. None: the reference nodes of the body are held
+    number    of factors
+    Raises InputError where arguments are wrong or the supports leave the body movable.
+
+    >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)
+    >>> tube = mbd.sections.tube(0.02, steel, [0.0], 1e-3)
+    >>> column = mbd.FlexibleBody.beam("column", mbd.BeamLine.straight(2.0, 8), tube, reference="start")
+    >>> found = mbd.buckling(column, {"end": (-1000.0, 0.0, 0.0)})
+    >>> euler = torch.pi**2 * tube.stiffness()[4, 4] / (2 * 2.0)**2
+    >>> round((1000.0 * found.factors[0] / euler).item(), 3)
+    1.0
+    """
     return outside(lambda: BucklingCase(body, loads, supports))(number)
 
 
 class BucklingCase:
     """A body with loads and supports, ready to find its buckling factors in any design: `case(number)`.
 
-    loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total: 3 or 6 numbers, spread over a node set
-              by the areas or lengths of its cells and sides. Nodes: a node, a set, or a tuple of these
-    supports  nodes -> freedoms that are held, as "u1 u3 phi2", or "all"; or six numbers, displacements and rotations that
-              are imposed [m, rad], None where it is free. None: the reference nodes of the body are held
-    Raises InputError where arguments are wrong.
+    body, loads, supports as of `buckling`. Raises InputError where these are wrong.
     """
 
     def __init__(self, body: FlexibleBody, loads: Loads, supports: Supports | None = None) -> None:
@@ -160,11 +180,14 @@ def _values(body: FlexibleBody, where: Any, given: Any) -> list[float | None]:
         names = list(FREEDOMS) if given == "all" else given.replace(",", " ").split()
         if names and all(name in FREEDOMS for name in names):
             return [0.0 if name in names else None for name in FREEDOMS]
-    elif isinstance(given, Sequence) and len(given) == 6:
-        if all(x is None or (isinstance(x, (int, float)) and np.isfinite(x)) for x in given):
-            return [None if x is None else float(x) for x in given]
+    elif isinstance(given, Sequence) and len(given) == 6 and all(x is None or _finite(x) for x in given):
+        return [None if x is None else float(x) for x in given]
     allowed = f"some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free"
     raise InputError(f"support {where!r} of {body.name!r} is {given!r}; allowed: {allowed}")
+
+
+def _finite(x: Any) -> bool:
+    return isinstance(x, (int, float)) and not isinstance(x, bool) and bool(np.isfinite(x))
 
 
 def _eigen(
@@ -232,7 +255,8 @@ def _vectors(pattern: Pattern, K: Tensor, Kg: Tensor, some: int) -> tuple[Tensor
             "Minv": inverse,
             "v0": np.random.default_rng(0).standard_normal(pattern.size),
         }
-        scale = float(abs(scipy.sparse.linalg.eigsh(A, 1, which="LM", tol=1e-2, **options)[0][0]))
+        largest = scipy.sparse.linalg.eigsh(A, 1, which="LM", tol=1e-2, **options)  # pyright: ignore
+        scale = float(abs(largest[0][0]))
         try:
             values, found = scipy.sparse.linalg.eigsh(A, some, which="SA", maxiter=RESTARTS, **options)
         except scipy.sparse.linalg.ArpackNoConvergence as error:  # the others crowd at zero: loads that stiffen
