@@ -22,7 +22,7 @@ TWIST = [[0.1 * i, 0.1 * i + 0.1] for i in range(4)]
 def parts() -> dict:
     found = {kind: irregular(1.0, 0.7, (3, 3), kind=kind) for kind in KINDS}
     found["warped"] = mapped((2, 3), lambda s, t: (s, t, 0.3 * s * t - 0.1 * s * s), "quad")
-    cases = {name: (mesh, Plates(mesh, GENERAL)) for name, mesh in found.items()}
+    cases: dict[str, tuple] = {name: (mesh, Plates(mesh, GENERAL)) for name, mesh in found.items()}
     line, arc = BeamLine.straight(1.0, 4), BeamLine.arc(1.0, 2.0, 3)
     cases["beam"] = (line, Beams(line, coupled_section()))
     cases["twisted beam"] = (line, Beams(line, coupled_section(), twist=TWIST, offset=(0.02, -0.01)))

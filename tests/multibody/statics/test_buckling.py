@@ -40,8 +40,8 @@ def tube(elements: int = 4) -> mbd.FlexibleBody:
 
 def richardson(f: Callable[[Tensor], Tensor], x: Tensor, h: float) -> Tensor:
     def central(h: float) -> Tensor:
-        steps = h * torch.eye(len(x), dtype=x.dtype)
-        return torch.stack([(f(x + e) - f(x - e)) / (2.0 * h) for e in steps], -1)
+        steps = h * torch.eye(x.numel(), dtype=x.dtype).unflatten(1, x.shape)
+        return torch.stack([(f(x + e) - f(x - e)) / (2.0 * h) for e in steps], -1).unflatten(-1, x.shape)
 
     return (4.0 * central(h / 2.0) - central(h)) / 3.0
 
@@ -72,6 +72,24 @@ def test_gradients_of_a_beam_with_imposed_displacement():
     supports = {"start": "all", "end": (-1e-3, 0.0, None, 0.0, None, None)}
     name = next(name for name, _ in Factors(body, {}, 1, supports).named_parameters() if name.endswith("angles"))
     check_gradients(Factors(body, {}, 1, supports), name, 1e-2)
+
+
+def test_gradients_by_the_nodes_of_a_beam_whose_loads_are_spread():
+    section = mbd.sections.tube(0.03, CARBON, [0.3, 0.3, -0.2], 5e-4)
+    nodes = torch.tensor([[0.0, 0.0, 0.0], [0.3, 0.01, 0.0], [0.7, 0.0, -0.02], [1.0, 0.0, 0.0]], dtype=torch.float64)
+    line = mbd.BeamLine(nn.Parameter(nodes[:, :]))
+    body = mbd.FlexibleBody.beam("beam", line, section, modes=2, reference=0)
+    model = Factors(body, {(0, 1, 2, 3): (-1e3, 0.0, 50.0)}, 1)
+    check_gradients(model, "body.line.nodes", 1e-3)
+
+
+def test_gradients_by_steered_fibers():
+    mesh = mbd.mesh.rectangle(1.0, 0.7, (4, 3), "quad")
+    field = mbd.FiberField(mesh, controls=(3, 1))
+    angles = torch.tensor([[0.3, -0.5], [0.5, -0.2], [0.0, 0.4]], dtype=torch.float64)
+    laminate = mbd.SteeredLaminate(CARBON, angles, [1e-3, 2e-3], field)
+    body = mbd.FlexibleBody.plate("panel", mesh, laminate, modes=2, reference="left_edge")
+    check_gradients(Factors(body, {"right_edge": (-1e3, 300.0, 0.0)}, 1), "body.laminate.angles", 1e-2)
 
 
 def test_coinciding_factors_of_a_tube_have_the_mean_of_their_derivatives():
@@ -127,15 +145,16 @@ def test_loads_are_spread_over_edges_areas_and_elements():
     mesh = mbd.mesh.rectangle(1.0, 0.6, (2, 3), "quad")
     edge = list(mesh.node_sets["right_edge"])
     total = torch.tensor([6.0, 0.0, 12.0], dtype=torch.float64)
-    found = spread(mesh, edge, total)
+    found = spread(mesh, edge, total, mesh.nodes)
     assert_close(found.sum(0)[:3], total)
     assert_close(found[edge, 0].sort().values, torch.tensor([1.0, 1.0, 2.0, 2.0], dtype=torch.float64))
     ends = found[sorted(edge, key=lambda i: float(mesh.nodes[i, 1]))][[0, -1], 3:]
     assert_close(ends, torch.tensor([[1.0, 0.0, -0.5], [-1.0, 0.0, 0.5]], dtype=torch.float64) * 4.0 * 0.2 / 12.0)
-    whole = spread(mesh, range(len(mesh.nodes)), total)[:, 0]
+    whole = spread(mesh, range(len(mesh.nodes)), total, mesh.nodes)[:, 0]
     assert float(whole.max()) == pytest.approx(4 * float(whole.min()))
-    assert_close(spread(mesh, [0], total)[0, :3], total)
-    line = spread(mbd.BeamLine.straight(2.0, 4), range(5), total)  # fixed ends take q L^2 / 12
+    assert_close(spread(mesh, [0], total, mesh.nodes)[0, :3], total)
+    rod = mbd.BeamLine.straight(2.0, 4)
+    line = spread(rod, range(5), total, rod.nodes)  # fixed ends take q L^2 / 12
     assert_close(line[[0, 2, -1], 4], torch.tensor([-1.0, 0.0, 1.0], dtype=torch.float64) * 6.0 * 0.25 / 12.0)
 
 

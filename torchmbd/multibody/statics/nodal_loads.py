@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
+from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
 from torchmbd.fem.mesh import Mesh
 from torchmbd.math.owned import reals
 from torchmbd.multibody.bodies.interpolation import node_indices
@@ -24,44 +25,61 @@ from torchmbd.multibody.bodies.interpolation import node_indices
 Loads = Mapping[Any, Sequence[float] | Tensor]
 
 
-def nodal_forces(mesh: Mesh | BeamLine, name: str, loads: Loads) -> Float[Tensor, "n 6"]:
-    """Forces [N] and moments [N m] on all nodes; loads: nodes -> total of 3 or 6 numbers."""
-    if not isinstance(loads, Mapping):
-        raise InputError(f"loads of {name!r} is {loads!r}; allowed: nodes -> force, or force and moment")
-    found = torch.zeros(len(mesh.nodes), 6, dtype=torch.float64)
-    for where, given in loads.items():
-        total = reals(f"load {where!r} of {name!r}", given)
-        if total.shape not in ((3,), (6,)) or not bool(torch.isfinite(total).all()):
-            raise InputError(f"load {where!r} of {name!r} is {given!r}; allowed: 3 or 6 finite numbers")
-        nodes = node_indices(mesh, list(where) if isinstance(where, tuple) else where)
-        found = found + spread(mesh, nodes, total)
-    return found
+class NodalLoads:
+    """Totals on nodes of a mesh, checked: nodes -> 3 or 6 numbers."""
+
+    def __init__(self, mesh: Mesh | BeamLine, name: str, loads: Loads) -> None:
+        if not isinstance(loads, Mapping):
+            raise InputError(f"loads of {name!r} is {loads!r}; allowed: nodes -> force, or force and moment")
+        self.mesh, self.varies, self.any = mesh, varying_nodes(mesh), False
+        self._loads: list[tuple[list[int], Tensor]] = []
+        for where, given in loads.items():
+            total = reals(f"load {where!r} of {name!r}", given)
+            if total.shape not in ((3,), (6,)) or not bool(torch.isfinite(total).all()):
+                raise InputError(f"load {where!r} of {name!r} is {given!r}; allowed: 3 or 6 finite numbers")
+            nodes = node_indices(mesh, list(where) if isinstance(where, tuple) else where)
+            self._loads.append((list(nodes), total))
+            self.any = self.any or bool(total.any())
+
+    def __call__(self) -> Float[Tensor, "*lanes n 6"]:
+        """Forces [N] and moments [N m] on all nodes, of the present design."""
+        places = present_nodes(self.mesh)
+        none = places.new_zeros(len(self.mesh.nodes), 6)
+        return sum((spread(self.mesh, nodes, total, places) for nodes, total in self._loads), none)
 
 
-def spread(mesh: Mesh | BeamLine, nodes: Sequence[int], total: Float[Tensor, " c"]) -> Float[Tensor, "n 6"]:
+def spread(
+    mesh: Mesh | BeamLine, nodes: Sequence[int], total: Float[Tensor, " c"], places: Float[Tensor, "*lanes n 3"]
+) -> Float[Tensor, "*lanes n 6"]:
     """A total of 3 or 6 numbers as a uniform load on the cells between these nodes, else on the sides or elements between
     them, with the moments that bend the ends of these; equal parts where nodes are of neither."""
-    found = mesh.nodes.new_zeros(len(mesh.nodes), 6)
-    weight = mesh.nodes.new_zeros(len(mesh.nodes))
     inside = torch.zeros(len(mesh.nodes), dtype=torch.bool)
     inside[list(nodes)] = True
+    weight = _areas(mesh, inside)
+    sides = torch.empty(0, 2, dtype=torch.long) if bool(weight.any()) else _sides(mesh, inside)
+    covered = (weight > 0.0).index_fill(0, sides.flatten(), True)
+    if not bool(covered[inside].all()):
+        weight, sides = inside.to(weight.dtype), sides[:0]
+    along = places[..., sides[:, 1], :] - places[..., sides[:, 0], :]
+    length = along.norm(dim=-1)
+    weight = weight.expand(*length.shape[:-1], -1).index_add(-1, sides.flatten(), 0.5 * length.repeat_interleave(2, -1))
+    whole = weight.sum(-1, keepdim=True)
+    bend = torch.linalg.cross((length / whole)[..., None] * total[:3], along) / 12.0
+    moment = torch.zeros_like(weight)[..., None].expand(*weight.shape, 3)
+    moment = moment.index_add(-2, sides[:, 1], bend).index_add(-2, sides[:, 0], -bend)
+    share = (weight / whole)[..., None]
+    return torch.cat([share * total[:3], moment + (share * total[3:] if len(total) == 6 else 0.0)], -1)
+
+
+def _areas(mesh: Mesh | BeamLine, inside: Tensor) -> Float[Tensor, " n"]:
+    """What nodes have of the areas of the cells between nodes inside."""
+    weight = mesh.nodes.new_zeros(len(mesh.nodes))
     if not isinstance(mesh, BeamLine):
         for kind, corners in mesh.cells.items():
             own = inside[corners].all(1)
             area = mesh.areas[mesh.first(kind) : mesh.first(kind) + len(corners)][own] / corners.shape[1]
             weight.index_add_(0, corners[own].flatten(), area.repeat_interleave(corners.shape[1]))
-    sides = torch.empty(0, 2, dtype=torch.long) if bool(weight.any()) else _sides(mesh, inside)
-    along = mesh.nodes[sides[:, 1]] - mesh.nodes[sides[:, 0]]
-    length = along.norm(dim=1)
-    weight.index_add_(0, sides.flatten(), 0.5 * length.repeat_interleave(2))
-    if bool((weight[list(nodes)] == 0.0).any()):
-        weight, sides = inside.to(weight.dtype), sides[:0]
-    found[:, : len(total)] = (weight / weight.sum())[:, None] * total
-    if len(sides):
-        force = (length / weight.sum())[:, None] * total[:3]
-        bend = torch.linalg.cross(force, along) / 12.0
-        found[:, 3:].index_add_(0, sides[:, 1], bend).index_add_(0, sides[:, 0], -bend)
-    return found
+    return weight
 
 
 def _sides(mesh: Mesh | BeamLine, inside: Tensor) -> Int[Tensor, "sides 2"]:
