@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.testing import assert_close
 
 import torchmbd as mbd
+from torchmbd.fem.elements import Beams, GivenElements
 from torchmbd.multibody.statics import BucklingCase
 from torchmbd.multibody.statics.nodal_loads import spread
 
@@ -177,3 +178,13 @@ def test_wrong_arguments_are_named(change, message):
     arguments: dict[str, Any] = {"body": panel((2, 2)), "loads": {"right_edge": (-1.0, 0.0, 0.0)}} | change
     with pytest.raises(mbd.InputError, match=message):
         mbd.buckling(**arguments)
+
+
+def test_bodies_without_known_stress_are_refused():
+    K = torch.eye(12, dtype=torch.float64)[None]
+    mesh = mbd.BeamLine.straight(1.0, 1)
+    spring = GivenElements(mesh, [torch.arange(12)[None]], [K], torch.arange(2), torch.ones(2, dtype=torch.float64))
+    section = mbd.sections.tube(0.03, CARBON, [0.3], 5e-4)
+    body = mbd.FlexibleBody("link", mesh, {"beam": Beams(mesh, section), "spring": spring}, 1, reference=0)
+    with pytest.raises(mbd.InputError, match="part 'spring' of 'link' is rods, springs or solids"):
+        mbd.buckling(body, {1: (-1.0, 0.0, 0.0)})

@@ -14,6 +14,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from torchmbd.errors import InputError
+from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.fem.elements.part import MassPoints
 from torchmbd.math.sparse import Pattern
 
@@ -48,6 +50,10 @@ class GivenElements:
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, " nnz"]:
         """K, or only some entries of it."""
         return self._values if entries is None else self._values[entries]
+
+    def stressed(self, motion: Float[Tensor, "*lanes n 6 k"]) -> list[StressedCells]:
+        """InputError: a matrix of numbers has no stress."""
+        raise InputError(f"geometric stiffness of {type(self).__name__} is not known; allowed: plates and beams")
 
     def modules(self) -> dict[str, nn.Module]:
         """Nothing to design."""

@@ -26,7 +26,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import FREEDOMS, Assembly
+from torchmbd.fem.elements import FREEDOMS, Assembly, GivenElements
 from torchmbd.fem.reduction import StaticLoads, eigenvalues
 from torchmbd.math.module_call import outside
 from torchmbd.math.owned import all_true, whole
@@ -99,6 +99,12 @@ class BucklingCase:
             raise InputError(
                 f"body {body.name!r} of buckling is made of matrices, which give no stress; allowed: one of elements"
             )
+        for name, part in body.parts.items():
+            if isinstance(part, GivenElements):
+                raise InputError(
+                    f"part {name!r} of {body.name!r} is rods, springs or solids, which have no geometric stiffness here; "
+                    "allowed in buckling: plates and beams"
+                )
         self.body = body
         self.assembly = Assembly(body.mesh, body.assembly.parts, (), body.links)
         held = _held(body, {tuple(body.reference): "all"} if supports is None else supports)
