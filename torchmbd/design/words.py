@@ -34,6 +34,7 @@ UNITS = {
     "frequency": "Hz",
     "frequencies": "Hz",
     "mass": "kg",
+    "buckling_factor": "",
     "fatigue_damage": "",
     "fiber_curvature": "1/m",
     "fiber_divergence": "1/m",
