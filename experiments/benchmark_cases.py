@@ -104,7 +104,7 @@ def energy(dynamics: Dynamics, history: History) -> Tensor:
     T = dynamics.topology
     w = history.rows(0, range(7 * T.bodies, T.n_q)).movedim(0, -1).unflatten(0, (T.modes, T.flexible))
     still = w[:, :, 0]  # [modes, bodies, lanes, times]
-    Kr = dynamics.data["Kr"]  # [modes, modes, bodies, slots, lanes]
+    Kr = dynamics.data["Kr"]  # [modes, modes, bodies, pair, lanes]
     force = torch.einsum("abfl,bflt->aflt", value(Kr)[:, :, :, 0], still)
     U = (force.unsqueeze(2) * w).sum((0, 1))
     U[0] *= 0.5

@@ -3,7 +3,7 @@
     overhead   a study of some ten seconds (the three-layer rod; `--starts`, `--iterations`) by `torchmbd run`'s own path,
                beside the same multistart called in Python, both in this process, by turns
     fresh      the same, each time in a store that is not there yet
-    logging    200 starts of 30 iterations told to the tracker, whose thread brings them into MLflow's SQLite store: processor
+    logging    200 starts of 30 iterations given to the tracker, whose thread brings them into MLflow's SQLite store: processor
                time of both, as a share of a study whose evaluations take 0.1 s each, as those of the slider-crank do
     table      the same, and seconds until Chromium shows the table of these 200 runs, from MLflow's own server (playwright)
     start      seconds from `torchmbd run` to the first iteration of the main job on the screen, in a store that is not there

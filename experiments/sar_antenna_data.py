@@ -24,7 +24,7 @@ IM6: dict[str, Any] = {
 }
 LENGTH, WIDTH, PLY = 1.994, 1.300, 0.5e-3
 STOWED, DAMPING, DURATION = 3.12, 0.5, 3.0
-MIDDLE = math.pi / 2  # of the range in which angles are told
+MIDDLE = math.pi / 2  # of the range in which angles are printed
 HALF = LENGTH / 2
 SHARP = 1e-6  # [rad]
 ROD_POINT = (0.74775, 0.4875)

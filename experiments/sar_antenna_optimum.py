@@ -54,7 +54,7 @@ def problem(
     )
 
 
-def told(x: np.ndarray) -> str:
+def degrees_text(x: np.ndarray) -> str:
     """A design [rad] in degrees."""
     return "/".join(f"{a:z.2f}" for a in np.degrees(x))
 
@@ -63,7 +63,8 @@ def line(result: mbd.OptimizationResult) -> str:
     """An optimization in a line."""
     first = result.history[0].objective
     return (
-        f"{first:.6f} -> {result.value:.6g} J s, reduction {100 * (1 - result.value / first):.2f} %, {told(result.x)} deg, "
+        f"{first:.6f} -> {result.value:.6g} J s, reduction {100 * (1 - result.value / first):.2f} %, "
+        f"{degrees_text(result.x)} deg, "
         f"violation {result.violation:.0e}, {result.iterations} iterations, {result.analyses} analyses, {result.status}"
     )
 
@@ -90,7 +91,7 @@ def starts(count: int, steps: int, **model: Any) -> None:
     """Print the distinct minima of Sobol starts, and the peak memory of the process."""
     study = mbd.multistart(problem(steps, **model), "mmfd", mbd.sobol(count, seed=7, include_initial=True))
     for minimum in study.minima:
-        print(f"{minimum.value:.6g} J s at {told(minimum.x)} deg: {minimum.count} starts")
+        print(f"{minimum.value:.6g} J s at {degrees_text(minimum.x)} deg: {minimum.count} starts")
     print(f"{study.converged} of {len(study.results)} starts converged in {study.analyses} analyses")
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20:.2f} GiB")
 
@@ -102,7 +103,9 @@ def discrete(steps: int, **model: Any) -> None:
         print(f"{found.status}: {found.message}")
         return
     verdict = "holds" if found.certificate.holds else "fails"
-    print(f"{found.best.value:.6g} J s at {told(found.best.x)} deg, {found.analyses} simulations; {found.status}")
+    print(
+        f"{found.best.value:.6g} J s at {degrees_text(found.best.x)} deg, {found.analyses} simulations; {found.status}"
+    )
     print(f"certificate {verdict}: {found.certificate.neighbors} neighbors, {found.certificate.which}")
 
 

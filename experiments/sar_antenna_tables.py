@@ -142,8 +142,8 @@ def clearance(steps: int, duration: float) -> None:
         )
         for pair, gap in gaps(motion).items():
             least, when = gap[0].min(0)
-            told = "interference" if least < 0 else "clear"
-            print(f"{name}  {pair:18s} {1e3 * float(least):8.2f} mm at {float(motion.t[when]):.2f} s  {told}")
+            verdict = "interference" if least < 0 else "clear"
+            print(f"{name}  {pair:18s} {1e3 * float(least):8.2f} mm at {float(motion.t[when]):.2f} s  {verdict}")
 
 
 def gradient(steps: int, angles: Sequence[float] = (40.0, -30.0), step: float = 1e-4, **options: Any) -> float:

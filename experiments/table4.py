@@ -68,7 +68,7 @@ def _outer(x: Tensor, weights: Tensor) -> Tensor:
 
 
 def line(name: str, result: mbd.OptimizationResult, initial: float) -> str:
-    """One line of the table; the extra variable is told apart from the angles."""
+    """One line of the table; the extra variable is distinguished from the angles."""
     motion = result.motion
     bounded = result.names[-1] == "bound"
     angles = replace(result, x=result.x[:-1]) if bounded else result

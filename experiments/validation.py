@@ -20,7 +20,7 @@ from experiments import recorded
 from experiments.benchmark import machine
 from experiments.paper.part import Finding, Row
 from experiments.paper.parts import chosen, run
-from experiments.paper.report import told
+from experiments.paper.report import number_text
 from torchmbd.study.paths import place
 
 FOLDER = Path(__file__).parents[1] / "docs" / "validation"
@@ -60,7 +60,7 @@ def _section(finding: Finding) -> str:
 
 def _row(row: Row) -> str:
     ratio = "" if row.ratio is None else f"{row.ratio:.3f}"
-    cells = (row.what, told(row.paper), told(row.ours), ratio, row.label, row.note)
+    cells = (row.what, number_text(row.paper), number_text(row.ours), ratio, row.label, row.note)
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

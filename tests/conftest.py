@@ -39,7 +39,7 @@ settings.load_profile("repeatable")
 
 @pytest.fixture(scope="session", autouse=True)
 def store(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """Evaluations and journals of studies that a test runs go where nobody finds them."""
+    """Evaluations and journals of studies that a test runs go into a folder of their own."""
     os.environ["TORCHMBD_STORE"] = str(tmp_path_factory.mktemp("torchmbd"))
 
 

@@ -65,8 +65,8 @@ def studied(tmp_path_factory, empty_store):
 @pytest.mark.parametrize(("name", "found"), list(_objects()), ids=lambda x: x if isinstance(x, str) else "")
 def test_examples(name, found, tmp_path, monkeypatch, request):
     monkeypatch.chdir(request.getfixturevalue("studied") if name in ("load", "problem_of") else tmp_path)
-    for told in (found, *_methods(found)):
-        text = inspect.cleandoc(told.__doc__ or "")
+    for thing in (found, *_methods(found)):
+        text = inspect.cleandoc(thing.__doc__ or "")
         names = {"mbd": mbd, "torch": torch, "np": np}
         test = doctest.DocTestParser().get_doctest(text, names, f"mbd.{name}", None, None)
         report: list[str] = []

@@ -139,7 +139,7 @@ def test_no_file_is_long():
 
 
 def test_the_tests_that_a_header_names_exist():
-    """A header says where its claims are checked: a name that leads nowhere is a claim that nobody checks."""
+    """A header says where its claims are checked: a name that leads nowhere is a claim without a check."""
     for name, file in MODULES.items():
         for test in re.findall(r"tests/[\w/]+\.py", file.read_text()):
             assert (PACKAGE.parent / test).exists(), f"{name} names {test}"

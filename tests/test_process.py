@@ -10,7 +10,7 @@ import warnings
 from torchmbd.process import ONE_THREAD, brief_warnings
 
 
-def test_a_process_has_one_thread_unless_it_is_told_otherwise():
+def test_a_process_has_one_thread_unless_the_environment_says_otherwise():
     code = "import torch; from torchmbd.process import use_one_thread; use_one_thread(); print(torch.get_num_threads())"
     for given, expected in (({}, "1"), ({"OMP_NUM_THREADS": "2"}, "2")):
         environment = {key: value for key, value in os.environ.items() if key not in ONE_THREAD} | given

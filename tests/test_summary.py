@@ -25,7 +25,7 @@ def test_no_description_is_longer_than_a_screen(motion):
     assert "0 to 0.02 s, 101 times" in repr(motion)
 
 
-def test_a_failed_lane_is_told(motion):
+def test_a_failed_lane_is_shown(motion):
     from dataclasses import replace
 
     assert "1 of 1 lanes: failed: so" in repr(replace(motion, status=["failed: so"]))

@@ -142,7 +142,7 @@ def best(run: str | None = None, /, *, count: int = 5, uri: Uri = None) -> int:
 
 @app.command
 def compare(a: str, b: str, /, *, uri: Uri = None) -> int:
-    """Print what two studies were told differently, and how they ended.
+    """Print in what the files of two studies differ, and how they ended.
 
     Parameters
     ----------
@@ -279,7 +279,7 @@ def main(arguments: list[str] | None = None) -> int:
     except MbdError as error:
         print(f"failed: {error}", file=sys.stderr)
         return 1
-    except BrokenPipeError:  # whoever read the output has seen enough: torchmbd list | head -3
+    except BrokenPipeError:  # the reader of the output has closed it: torchmbd list | head -3
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:

@@ -34,7 +34,8 @@ def main() -> None:
         for row in finding.rows:
             ratio = "" if row.ratio is None else f"{row.ratio:.3f}"
             print(
-                f"  {row.what:58s} {report.told(row.paper):>22s} {report.told(row.ours):>22s} {ratio:>7s}  {row.label}"
+                f"  {row.what:58s} {report.number_text(row.paper):>22s} {report.number_text(row.ours):>22s} "
+                f"{ratio:>7s}  {row.label}"
             )
     print(f"\n{report.write(findings, arguments.report)}")
 

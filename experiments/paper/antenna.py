@@ -148,9 +148,9 @@ def vibration(folder: Path, rate: int) -> list[Row]:
             ("Craig-Bampton, 32x16 cells", MODEL | {"cells": (32, 16)}),
             ("Craig-Bampton, 64x32 cells", MODEL | {"cells": (64, 32)}),
         )
-        for told, options in cases:
+        for label, options in cases:
             motion = mbd.simulate(build(LAYUPS[name], **options), 3.0, steps=3 * rate, halvings=0, gradients="none")
-            rows.append(Row(f"eq. (40), {name}, {told} (J s)", printed, shares(motion)[0], "chosen"))
+            rows.append(Row(f"eq. (40), {name}, {label} (J s)", printed, shares(motion)[0], "chosen"))
     return rows
 
 

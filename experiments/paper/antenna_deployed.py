@@ -75,20 +75,20 @@ def aligned(motion: mbd.Trajectory, lane: int, name: str) -> list[Row]:
     rows = []
     for pair, angle in hinges(motion).items():
         last = torch.rad2deg(angle[lane, motion.t >= motion.t[-1] - LAST])
-        told = f"in the last {LAST:g} s {float(last.min()):.2f} to {float(last.max()):.2f}"
+        note = f"in the last {LAST:g} s {float(last.min()):.2f} to {float(last.max()):.2f}"
         what = f"mean angle of {pair} at the end, {name} (deg)"
-        rows.append(Row(what, "within 0.5", float(last.mean()), "chosen", told))
+        rows.append(Row(what, "within 0.5", float(last.mean()), "chosen", note))
     return rows
 
 
 def compared(what: str, x: Tensor) -> list[Row]:
     """The largest value of each design over that of the initial one."""
     most = x.amax(1)
-    told: Mapping[str, Any] = dict(zip(DESIGNS, most.tolist(), strict=True))
-    rows = [Row(f"{what}, initial, both phases", None, told["initial"], "chosen")]
+    largest: Mapping[str, Any] = dict(zip(DESIGNS, most.tolist(), strict=True))
+    rows = [Row(f"{what}, initial, both phases", None, largest["initial"], "chosen")]
     return rows + [
-        Row(f"{what}, {name} over initial", "greatly reduced", value / told["initial"], "chosen")
-        for name, value in told.items()
+        Row(f"{what}, {name} over initial", "greatly reduced", value / largest["initial"], "chosen")
+        for name, value in largest.items()
         if name != "initial"
     ]
 

@@ -43,22 +43,24 @@ def write(findings: Sequence[Finding], path: Path) -> Path:
 def _part(finding: Finding) -> str:
     part = finding.part
     settings = ", ".join(f"{key} = {value}" for key, value in part.settings.items())
-    told = f"python -m experiments.paper {part.name}" + (f"; {settings}" if settings else "")
+    command = f"python -m experiments.paper {part.name}" + (f"; {settings}" if settings else "")
     head = "".join(f"<th>{name}</th>" for name in ("", "paper", "ours", "ratio", "label", ""))
     rows = "".join(map(_row, finding.rows))
     return (
-        f'<h2 id="{escape(part.name)}">{escape(part.title)}</h2><p class="quiet">{escape(told)}</p>'
+        f'<h2 id="{escape(part.name)}">{escape(part.title)}</h2><p class="quiet">{escape(command)}</p>'
         f"<table><tr>{head}</tr>{rows}</table>{''.join(map(_figure, finding.figures))}"
     )
 
 
 def _row(row: Row) -> str:
     ratio = "" if row.ratio is None else f"{row.ratio:.3f}"
-    numbers = "".join(f'<td class="number">{escape(text)}</td>' for text in (told(row.paper), told(row.ours), ratio))
+    numbers = "".join(
+        f'<td class="number">{escape(text)}</td>' for text in (number_text(row.paper), number_text(row.ours), ratio)
+    )
     return f"<tr><td>{escape(row.what)}</td>{numbers}<td>{row.label}</td><td>{escape(row.note)}</td></tr>"
 
 
-def told(x: float | str | None) -> str:
+def number_text(x: float | str | None) -> str:
     """A number or a word of a row as text."""
     return "" if x is None else x if isinstance(x, str) else f"{x:.6g}"
 

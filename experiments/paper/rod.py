@@ -106,17 +106,17 @@ def sensitivities(folder: Path, cells: tuple[int, int], steps: int) -> list[Row]
     """Table 1, Figs. 4-7: fixed against updated modes, direct differentiation against differences."""
     shown = figures4_7.figures(folder, cells, steps)
     rows = [Row("Table 1: lay-ups 1, 2, 6, 7 (deg)", "0, 15, 75, 90", layups(), "given")]
-    for layup, told in ((1, "0 deg"), (7, "90 deg")):
+    for layup, angle in ((1, "0 deg"), (7, "90 deg")):
         missed = float(shown[f"layup_{layup}_edge_fixed_minus_updated"])
         share = 100.0 * missed / float(shown["layup_1_edge_sensitivity"])
-        rows.append(Row(f"fixed modes are off at {told}, % of the largest at 0 deg", None, share, "inferred"))
+        rows.append(Row(f"fixed modes are off at {angle}, % of the largest at 0 deg", None, share, "inferred"))
     rows.append(
         Row("fixed and updated modes", "agree for one lay-up", "for 90 deg", "inferred", "at the scale of Fig. 4")
     )
-    for layup, told in ((2, "15 deg"), (6, "75 deg")):
+    for layup, angle in ((2, "15 deg"), (6, "75 deg")):
         errors = [float(x) for name, x in shown.items() if name.startswith(f"layup_{layup}_step_")]
         found = f"{min(errors):.1g} to {max(errors):.1g}"
-        rows.append(Row(f"errors of forward differences at {told}", "depend on the step", found, "inferred"))
+        rows.append(Row(f"errors of forward differences at {angle}", "depend on the step", found, "inferred"))
     return rows
 
 

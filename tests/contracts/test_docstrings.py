@@ -14,24 +14,24 @@ from torchmbd.design import History, Measure
 NAMES = [name for name in api.__all__ if not isinstance(getattr(api, name), ModuleType)]
 
 
-def told(thing: object) -> str:
+def text_of(thing: object) -> str:
     """The docstring; of a class also those that it inherits from."""
     family = thing.__mro__ if inspect.isclass(thing) else [thing]
     return "\n".join(own.__doc__ or "" for own in family if own.__module__.startswith("torchmbd"))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_argument_is_told(name):
+def test_every_argument_is_described(name):
     thing = getattr(api, name)
     assert thing.__doc__
     if inspect.isclass(thing) and issubclass(thing, Exception):
         return
-    words = set(re.findall(r"\w+", told(thing)))
+    words = set(re.findall(r"\w+", text_of(thing)))
     assert [x for x in inspect.signature(thing).parameters if x not in words] == []
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_methods_are_told(name):
+def test_methods_are_described(name):
     thing = getattr(api, name)
     if not inspect.isclass(thing):
         return

@@ -3,23 +3,25 @@
 It converges to the motion, with phases and without; its tangents are those of its steps and its pullback is their transpose;
 a lane that fails is named, alone; options of other names and types are refused.
 
-The mechanism is a spatial double pendulum with a flexible part, two designs side by side.
+The mechanism is a spatial double pendulum with a flexible part, two designs.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
 import torch
+import torchdiffeq
 from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import finished, pendulum
 from torchmbd.integrate import METHODS, Trajectory
 from torchmbd.integrate.attempts import run
-from torchmbd.integrate.ode import FIXED
+from torchmbd.integrate.ode import ADAPTIVE, FIXED
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
 from torchmbd.integrate.step import Weights
@@ -238,6 +240,14 @@ def test_options_of_torchdiffeq_are_checked(method, given, system):
     (name,) = given
     with pytest.raises(mbd.InputError, match=rf"options of method '{method}': .*{name}.*; allowed: "):
         mbd.simulate(system, DURATION, method, steps=2, options=given)
+
+
+def test_every_method_of_torchdiffeq_is_here():
+    """The error of an unknown method lists those that the installed version has; SciPy's are not differentiable."""
+    with pytest.raises(ValueError, match="Must be one of") as refusal:
+        torchdiffeq.odeint(lambda t, y: y, torch.ones(1), torch.tensor([0.0, 1.0]), method="none")
+    listed = set(re.findall(r'"(\w+)"', str(refusal.value).partition("Must be one of")[2]))
+    assert listed - {"scipy_solver"} == FIXED | ADAPTIVE
 
 
 def test_good_options_of_torchdiffeq_are_passed_on(system):

@@ -199,7 +199,7 @@ def test_failures_in_part_of_the_domain_are_stepped_back_from(method, reason):
 @pytest.mark.parametrize("method", [*METHODS, "differential_evolution"])
 @pytest.mark.parametrize("seed", range(3))
 def test_a_gradient_that_fails_where_the_values_do_not(method, seed):
-    """Asked for afterwards, gradients fail by chance: what is told are the values of a design that was evaluated."""
+    """Asked for afterwards, gradients fail by chance: what is reported are the values of a design that was evaluated."""
     chance = np.random.default_rng(seed)
 
     class Moody(Analytic):

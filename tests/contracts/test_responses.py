@@ -250,7 +250,7 @@ def renamed() -> mbd.System:
 @pytest.mark.parametrize(
     "measure", [mbd.Integral(mbd.StrainEnergy("rod")), mbd.AtTimes(mbd.StrainEnergy("rod"), count=9)]
 )
-def test_gradients_do_not_depend_on_what_torch_is_told_around(around, measure):
+def test_gradients_do_not_depend_on_the_mode_of_torch_around(around, measure):
     """In reverse and in forward mode; of motions that were simulated there or outside."""
     system = pendulum()
 

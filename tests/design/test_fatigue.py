@@ -49,7 +49,7 @@ def test_the_example_of_the_standard():
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.lists(st.integers(-6, 6), min_size=12, max_size=12), min_size=1, max_size=4))
-def test_side_by_side_as_one_by_one(rows):
+def test_stacked_as_one_by_one(rows):
     y = torch.tensor(rows, dtype=torch.float64)
     cycles = rainflow(y)
     for k, row in enumerate(rows):

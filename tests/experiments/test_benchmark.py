@@ -71,12 +71,12 @@ def test_responses_are_those_of_the_measures_and_their_gradients():
     case, lanes, steps = small(), 2, 60
     values, gradients = motion(case.dynamics(lanes, True), case.duration, steps)
     names = list(case.variables)
-    told = mbd.simulate(
+    reference = mbd.simulate(
         case.system, case.duration, steps=steps, designs=case.designs(lanes), gradients="forward", variables=names
     )
     total = mbd.StrainEnergy("link0") + mbd.StrainEnergy("link1")
     for row, measure in enumerate((mbd.Max(total), mbd.Integral(total))):
-        value, gradient = measure.value_and_gradient(told)
+        value, gradient = measure.value_and_gradient(reference)
         torch.testing.assert_close(values[row], value)
         torch.testing.assert_close(gradients[row], gradient)
     alone, nothing = motion(case.dynamics(lanes, False), case.duration, steps)

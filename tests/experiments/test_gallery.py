@@ -20,9 +20,9 @@ RIGID = {"four_bar": 0, "chain": 5, "spacecraft": 0, "delta_robot": 0, "flapping
 @pytest.mark.parametrize("name", MODULES)
 def test_a_mechanism_is_closed_and_has_its_freedoms(name):
     system = importlib.import_module(f"experiments.gallery.{name}").build()
-    told = str(system.describe())
-    assert "redundant   none" in told, told
-    assert f"({RIGID[name]} of rigid bodies)" in told, told
+    text = str(system.describe())
+    assert "redundant   none" in text, text
+    assert f"({RIGID[name]} of rigid bodies)" in text, text
     motion = mbd.simulate(system, 1e-3, steps=4, gradients="none", backend="eager")
     assert bool(torch.isfinite(motion.q).all())
 

@@ -12,7 +12,7 @@ from tests.optimization.methods.test_evolution import rastrigin
 from torchmbd.optimization.multistart import multistart
 
 
-def test_searches_in_lockstep_are_counted_until_the_first_is_there():
+def test_searches_in_batches_are_counted_until_the_first_is_there():
     study = multistart(rastrigin(), "slsqp", [[3.1, -4.2], [0.1, 0.2], [1.2, 0.1]])
     ends = {r.start: r for r in study.results}
     best = min(r.value for r in study.results)
@@ -23,7 +23,7 @@ def test_searches_in_lockstep_are_counted_until_the_first_is_there():
     assert simulations_to(0.5 * best, study.results) is None
 
 
-def test_both_ways_are_told_beside_each_other():
+def test_both_ways_are_shown_together():
     waves = Analytic(
         "waves", [3.1, -4.2], lambda x: 21 + sum(t**2 - 4 * np.cos(2 * t + 0.3) for t in x), lower=-5.0, upper=5.0
     )

@@ -72,13 +72,13 @@ def test_names_are_checked():
 def test_every_table_and_figure_with_numbers_has_its_part():
     titles = " ".join(part.title for part in parts.PARTS)
     ranges = re.findall(r"(Tables?|Figs?\.)((?: \d+(?:-\d+)?,?)+)", titles)
-    told: dict[str, set[int]] = {"T": set(), "F": set()}
+    covered: dict[str, set[int]] = {"T": set(), "F": set()}
     for kind, numbers in ranges:
         for number in re.findall(r"\d+(?:-\d+)?", numbers):
             low, _, high = number.partition("-")
-            told[kind[0]] |= set(range(int(low), int(high or low) + 1))
-    assert told["T"] == set(range(1, 9))
-    assert told["F"] >= set(range(4, 12)) | set(range(15, 27))
+            covered[kind[0]] |= set(range(int(low), int(high or low) + 1))
+    assert covered["T"] == set(range(1, 9))
+    assert covered["F"] >= set(range(4, 12)) | set(range(15, 27))
 
 
 def test_laminates_of_the_rod(tmp_path):

@@ -1,4 +1,4 @@
-"""The door of simulate: what it refuses, its defaults, lanes, and the trajectory that it returns."""
+"""Arguments of simulate: what it refuses, its defaults, lanes, and the trajectory that it returns."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def test_a_system_at_rest_stays_there():
     assert float(motion.v.abs().max()) < 1e-9
 
 
-def test_steps_that_do_not_resolve_the_vibrations_are_told():
+def test_steps_that_do_not_resolve_the_vibrations_are_reported():
     """And the number of steps that is suggested does."""
     from experiments.slider_crank import build
 

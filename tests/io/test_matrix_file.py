@@ -75,7 +75,7 @@ def dmig(path):
 
 
 @pytest.mark.parametrize(
-    ("write", "name", "told"),
+    ("write", "name", "with_rows"),
     [
         (matrix_market, "a.mtx", False),
         (abaqus_labels, "a.mtx", True),
@@ -86,11 +86,11 @@ def dmig(path):
         (dmig, "a.pch", True),
     ],
 )
-def test_the_same_matrix_in_every_format(write, name, told, tmp_path):
+def test_the_same_matrix_in_every_format(write, name, with_rows, tmp_path):
     write(tmp_path / name)
     found = read_matrix("K", tmp_path / name)
     np.testing.assert_array_equal(found.matrix.toarray(), A)
-    assert found.rows == (ROWS if told else None)
+    assert found.rows == (ROWS if with_rows else None)
 
 
 def test_a_file_of_two_matrices(tmp_path):

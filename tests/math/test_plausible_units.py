@@ -54,7 +54,7 @@ def test_degrees_are_refused(name):
         REFUSED[name]()
 
 
-def test_an_optimizer_is_told_of_degrees_and_goes_on():
+def test_an_optimizer_in_degrees_gets_a_warning_and_goes_on():
     """A status, not an exception: a line search without bounds may go anywhere."""
     found = problem().evaluate(np.array([[45.0, -45.0], [0.3, -0.2]]), False)
     assert "degrees?" in found[0].status

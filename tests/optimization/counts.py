@@ -49,7 +49,7 @@ def count(problem: Analytic, method: str, **options) -> Count:
 
 
 def plain_slsqp(problem: Analytic) -> Count:
-    """Count SciPy's SLSQP, its options untouched, on the same scaled problem, outside of our door."""
+    """Count SciPy's SLSQP, its options untouched, on the same scaled problem, outside of optimize()."""
     problem.reset()
     scale = variable_scale(problem.start, problem.lower, problem.upper)
 

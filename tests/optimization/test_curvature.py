@@ -1,4 +1,4 @@
-"""Curvature along ways, and minima told from saddle points, with and without constraints."""
+"""Curvature along ways, and minima distinguished from saddle points, with and without constraints."""
 
 import numpy as np
 import pytest

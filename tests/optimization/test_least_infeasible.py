@@ -58,7 +58,7 @@ def test_a_feasible_design_ends_the_search_for_one():
 
 
 def test_a_method_that_gave_up_goes_on_from_the_feasible_design(monkeypatch):
-    """A method that says "infeasible" once, without trying: the door finds a feasible design and calls it again."""
+    """A method that says "infeasible" once, without trying: optimize() finds a feasible design and calls it again."""
     from torchmbd.optimization import OPTIMIZERS
     from torchmbd.optimization.optimizer import Ending
 

@@ -126,7 +126,7 @@ def test_a_wide_valley_beats_a_deep_one(kind):
     assert sampled(nominal.x[0]) > robust.value + 0.2
 
 
-def test_a_neighbor_that_fails_is_told():
+def test_a_neighbor_that_fails_is_reported():
     problem = bowl()
     problem.fails = lambda x: bool(x[0] > 0.8)
     (e,) = RobustProblem(problem, 0.2).evaluate(np.array([[0.7, 0.0]]), True)

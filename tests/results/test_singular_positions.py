@@ -112,9 +112,9 @@ def test_a_step_that_ends_in_a_singular_position():
     system = parallelogram(start, speed, bar, side=1.0)
     assert system().dynamics.rank.redundant == ()
     for steps in (60, 240):
-        with pytest.warns(UserWarning, match=f"singular position near t = {flat:.5g}") as told:
+        with pytest.warns(UserWarning, match=f"singular position near t = {flat:.5g}") as caught:
             motion = mbd.simulate(system, 2.0 * flat, steps=steps).require_ok()
-        assert "foot of rocker: coincide x" in str(told[0].message)
+        assert "foot of rocker: coincide x" in str(caught[0].message)
         assert (motion.stats["renewed"], motion.stats["halved"]) == ([0], [])
         errors.append(float(distance(motion, 1.0, 2.0).max()))
     assert errors[0] < 5e-4
@@ -131,12 +131,14 @@ def test_a_start_in_a_singular_position():
     motion = mbd.simulate(system, 0.2, steps=100).require_ok()
     assert motion.singular_positions()[0].t == 0.0
     assert float(distance(motion, 0.1, 0.3).max()) < 1e-5
-    # Told to rest, the coupler contradicts the cranks: a start beside the motion is tried again with a new matrix, and told.
+    # Given at rest, the coupler contradicts the cranks: a start beside the motion is tried again with a new matrix.
     bar.moving((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     system = parallelogram(0.0, 6.0, bar, side=0.1)
-    with pytest.warns(UserWarning, match="singular position near t = 0 s|do not allow the initial velocities") as told:
+    with pytest.warns(
+        UserWarning, match="singular position near t = 0 s|do not allow the initial velocities"
+    ) as caught:
         motion = mbd.simulate(system, 0.2, steps=100).require_ok()
-    assert len([w for w in told if "singular position near" in str(w.message)]) == 1
+    assert len([w for w in caught if "singular position near" in str(w.message)]) == 1
     assert float(distance(motion, 0.1, 0.3).max()) < 1e-5
 
 

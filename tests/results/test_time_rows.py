@@ -1,4 +1,4 @@
-"""Rows of a motion, made when somebody asks, against the whole of it."""
+"""Rows of a motion, made on demand, against the whole of it."""
 
 from __future__ import annotations
 

@@ -215,4 +215,4 @@ def test_the_cost_does_not_know_how_many_variables_there_are(monkeypatch):
     assert sum(x.numel() for x in motion.variables.values()) == 16
     assert counts[0] == counts[1]
     assert len(counts[0]) > 100
-    assert max(counts[0]) <= 2  # the size of a last step, while it is sought, is the only tangent
+    assert max(counts[0]) <= 2  # the size of a last step, during its search, is the only tangent

@@ -49,17 +49,17 @@ def write(folder, **keys):
 
 @pytest.mark.parametrize("file", sorted(SHIPPED.glob("*.yaml")), ids=lambda file: file.stem)
 def test_the_shipped_files_are_valid(file):
-    told = load_cluster(file)
-    assert told.gpus_per_worker == ("gpu" in file.stem)
+    cluster_file = load_cluster(file)
+    assert cluster_file.gpus_per_worker == ("gpu" in file.stem)
 
 
 def test_what_is_submitted(slurm, monkeypatch):
     monkeypatch.setenv("PATH", "/usr/bin:/bin")  # no sbatch: nothing can be submitted here
-    told = load_cluster(
+    cluster_file = load_cluster(
         write(slurm, partition="cpu", account="me", setup=["module load gcc"], directives=["--constraint=avx512"])
     )
     monkeypatch.setattr("dask_jobqueue.core.JobQueueCluster.scale", lambda self, jobs: setattr(self, "asked", jobs))
-    cluster = told.start(5)
+    cluster = cluster_file.start(5)
     try:
         script = cluster.job_script()
         assert cluster.asked == 3  # jobs of two workers

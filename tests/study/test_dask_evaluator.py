@@ -1,4 +1,4 @@
-"""Workers: the same numbers as here, whoever dies."""
+"""Workers: the same numbers as here, whichever worker dies."""
 
 from __future__ import annotations
 
@@ -184,7 +184,7 @@ def test_a_scheduler_that_is_killed_ends_the_study_and_another_goes_on(write, fo
     file = write(
         starts={"sampler": "sobol", "count": 16, "seed": 7},
         optimizer={"name": "mmfd", "max_iterations": 12},
-        tracking={"experiment": "farm", "uri": uri},
+        tracking={"experiment": "workers", "uri": uri},
     )
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}
     command = [sys.executable, "-u", "-m", "torchmbd.cli", "run", str(file), "--scheduler", f"tcp://127.0.0.1:{port}"]
@@ -198,7 +198,7 @@ def test_a_scheduler_that_is_killed_ends_the_study_and_another_goes_on(write, fo
         assert "Traceback" not in error
         assert "is gone" in error
     client = open_store(uri)
-    experiment = client.get_experiment_by_name("farm").experiment_id
+    experiment = client.get_experiment_by_name("workers").experiment_id
     assert {run.info.status for run in client.search_runs([experiment])} == {"FAILED"}
     with scheduler_and_worker(port, environment):
         output = subprocess.run(command, env=environment, capture_output=True, text=True).stdout

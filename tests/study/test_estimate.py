@@ -42,7 +42,7 @@ def test_the_time_is_that_of_a_batch_within_a_factor_of_three(write):
     assert cost.memory > 3 * 2 * motion.q[0].numel() * 8
 
 
-def test_a_valid_file_is_told_with_its_cost(write):
+def test_the_cost_of_a_valid_file(write):
     output = io.StringIO()
     print_estimate(load_study(write(simulate={"duration": 1e-3, "steps": 4})), Console(file=output, width=200))
     text = output.getvalue()

@@ -85,7 +85,7 @@ def test_figures_leave_nothing_behind_and_go_on_after_a_death(write, tmp_path, e
     plan = load(file)
     assert isinstance(plan, FiguresPlan)
     key = figures_key(plan, uri)
-    with claimed(key, plan.name, plan.file, plan.overrides, uri) as dead:  # told, and the power went off
+    with claimed(key, plan.name, plan.file, plan.overrides, uri) as dead:  # logged, and the power went off
         tracker = MlflowTracker("drawn", uri, dead.id)
         tracker.begin("study", "pictures")
         tracker.close()

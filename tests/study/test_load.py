@@ -1,4 +1,4 @@
-"""Files at the door: what is right becomes a plan, what is wrong is named, all of it at once."""
+"""Experiment files: what is right becomes a plan, what is wrong is named, all of it at once."""
 
 from __future__ import annotations
 
@@ -44,18 +44,18 @@ def test_the_resolved_file_is_a_file_again(write):
 
 
 @pytest.mark.parametrize("way", ["forward", "reverse"])
-def test_which_way_gradients_come_can_be_told(write, way):
+def test_which_way_gradients_come_can_be_chosen(write, way):
     simulate = {"duration": 0.002, "steps": 20}
-    told = load(write(simulate=simulate | {"gradients": way})).simulated
-    assert told.simulate(told.start[None], gradients=True).stats["gradients"] == way
+    found = load(write(simulate=simulate | {"gradients": way})).simulated
+    assert found.simulate(found.start[None], gradients=True).stats["gradients"] == way
     assert load(write(simulate=simulate)).resolved()["simulate"]["gradients"] == "auto"
 
 
 def test_motions_start_where_the_file_says(write):
     simulate = {"duration": 0.002, "steps": 20}
     start = {"rod.modal": [1e-4] * load(write()).system.body("rod").modes}
-    told = load(write(simulate=simulate | {"start": start})).simulated
-    assert told.motion(told.start).body("rod").w[0, 0].tolist() == pytest.approx(start["rod.modal"])
+    found = load(write(simulate=simulate | {"start": start})).simulated
+    assert found.motion(found.start).body("rod").w[0, 0].tolist() == pytest.approx(start["rod.modal"])
     assert load(write(simulate=simulate | {"start": "equilibrium"})).simulated.simulation["start"] == "equilibrium"
     assert load(write(simulate=simulate)).resolved()["simulate"]["start"] == "assembled"
     for wrong, words in (("equilibriun", "equilibrium"), ({"rod.mode": [0.0]}, "rod.modal")):

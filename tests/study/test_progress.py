@@ -63,7 +63,7 @@ def test_headings_are_narrow():
 
 def test_without_a_terminal_the_best_has_a_line_per_iteration():
     target, output = console()
-    told = [
+    written = [
         iterate(0, 0, 4.0),
         iterate(1, 0, 5.0),
         iterate(0, 1, 3.0),
@@ -74,7 +74,7 @@ def test_without_a_terminal_the_best_has_a_line_per_iteration():
         iterate(0, 3, 0.1, status="failed"),
     ]
     with Progress(COLUMNS, 2, "study", target) as progress:
-        for one in told:
+        for one in written:
             progress.iterate(one)
     lines = output.getvalue().splitlines()
     assert [float(line.split("objective ")[1].split()[0]) for line in lines] == [4.0, 3.0, 2.0, 1.5]

@@ -175,7 +175,7 @@ def test_killed_at_twenty_random_moments(write, folder, monkeypatch, workers):
 def _struck(process: subprocess.Popen, chance: random.Random, struck: list[str], role: str) -> int:
     """Kill a study or a process of its own, of that role if there is one, at a random moment.
 
-    Returns whether the study had told its end by then.
+    Returns whether the study had logged its end by then.
     """
     assert process.stdout is not None
     if chance.random() < 0.7:  # while it computes; else while it starts

@@ -57,7 +57,7 @@ def test_nothing_is_overwritten(folder):
     assert not (folder / "other.yaml").exists()
 
 
-def test_a_model_that_cannot_be_named_so_is_told_with_what_can(folder):
+def test_a_model_that_cannot_be_named_so_is_refused_with_what_can(folder):
     with pytest.raises(InputError, match=r"^model = 'rod_model': allowed: package\.module:function or path"):
         begin(folder / "other.yaml", "rod_model")
     with pytest.raises(InputError, match=r"^model module 'nothing' cannot be imported"):

@@ -82,7 +82,7 @@ def test_a_store_that_was_changed_cannot_name_what_is_executed(finished, monkeyp
     assert not proof.exists()
 
 
-def test_a_model_that_has_changed_is_told(finished, tmp_path):
+def test_a_model_that_has_changed_is_reported(finished, tmp_path):
     model = shutil.copy(finished.folder / "rod_model.py", tmp_path)
     Path(model).write_text(Path(model).read_text().replace("modes=4", "modes=3"))
     with pytest.warns(

@@ -47,11 +47,11 @@ def small() -> mbd.Study:
 
 def test_a_study_of_python_and_one_of_a_file_are_the_same(own, write, small):
     file = write(simulate={"duration": 0.002, "steps": 8})
-    told = mbd.Study.from_file(file)
-    assert isinstance(told, mbd.Study)
-    np.testing.assert_allclose(told.points, small.points, rtol=1e-14)
-    assert told.columns.names == small.columns.names == ("angle_1_deg", "angle_2_deg")
-    a, b = (one.run(console=QUIET) for one in (told, small))
+    loaded = mbd.Study.from_file(file)
+    assert isinstance(loaded, mbd.Study)
+    np.testing.assert_allclose(loaded.points, small.points, rtol=1e-14)
+    assert loaded.columns.names == small.columns.names == ("angle_1_deg", "angle_2_deg")
+    a, b = (one.run(console=QUIET) for one in (loaded, small))
     assert a.best.value == b.best.value
     assert list(a.to_dataframe().value) == list(b.to_dataframe().value)
 

@@ -41,7 +41,7 @@ def runs(folder: Path) -> list:
     return client.search_runs([client.get_experiment_by_name("late").experiment_id])
 
 
-def told(folder: Path) -> dict[str, tuple]:
+def logged(folder: Path) -> dict[str, tuple]:
     """What the store says of every run: params, metrics, status, words, files."""
     found = {}
     for run in runs(folder):
@@ -63,14 +63,14 @@ def test_sync_sends_what_the_study_would_have_sent(file, folder, capsys):
     show(folder)
     assert cli.main(["sync"]) == 0
     assert "everything is in its tracking store" in capsys.readouterr().out
-    late = told(folder)
+    late = logged(folder)
     assert len(late) == 3
     client = open_store(f"sqlite:///{folder / 'store' / 'runs.db'}")
     for run in runs(folder):
         client.delete_run(run.info.run_id)
     assert not [path for path in (folder / ".torchmbd").iterdir() if path.is_dir()]
     assert cli.main(["run", str(file)]) == 0
-    assert told(folder) == late
+    assert logged(folder) == late
 
 
 def test_a_file_that_has_changed_since_is_not_sent(file, folder, capsys):

@@ -36,7 +36,7 @@ def test_a_server_that_goes_away_costs_nothing(tmp_path, empty_store, monkeypatc
     tracker.begin("start_0", "start 0", parent="study")
     tracker.end("start_0", "FINISHED")
     tracker.end("study", "FINISHED")
-    assert time.monotonic() - began < 1.0  # the study waits for nobody
+    assert time.monotonic() - began < 1.0  # the study does not wait
     while tracker.trouble is None:
         time.sleep(0.1)
     assert base in tracker.trouble

@@ -44,7 +44,7 @@ def runs(uri: str) -> list:
     return client.search_runs([e.experiment_id for e in client.search_experiments()])
 
 
-def test_what_is_told_is_read_back(uri, tmp_path):
+def test_what_is_logged_is_read_back(uri, tmp_path):
     picture = tmp_path / "a.txt"
     picture.write_text("picture")
     before = int(1000 * time.time())
@@ -58,7 +58,7 @@ def test_what_is_told_is_read_back(uri, tmp_path):
     tracker.artifact("study", picture, "figures")
     tracker.end("start_1", "FINISHED")
     tracker.end("study", "FINISHED")
-    told = int(1000 * time.time())
+    logged = int(1000 * time.time())
     record = tracker.close()
 
     client = open_store(uri)
@@ -73,7 +73,7 @@ def test_what_is_told_is_read_back(uri, tmp_path):
     assert child.data.metrics["objective"] == 0.5
     assert parent.info.status == child.info.status == "FINISHED"
     times = [parent.info.start_time, child.info.start_time, child.info.end_time, parent.info.end_time]
-    assert sorted([before, *times, told]) == [before, *times, told]  # when it was told, not when it was sent
+    assert sorted([before, *times, logged]) == [before, *times, logged]  # when it was logged, not when it was sent
     files = Path(str(parent.info.artifact_uri))
     assert (files / "figures" / "a.txt").read_text() == "picture"
     assert files.is_relative_to(Path(uri.removeprefix("sqlite:///")).parent / "mlartifacts")
@@ -101,7 +101,7 @@ def test_what_is_left_open_is_killed(uri):
         (lambda tracker: tracker.begin("study", "again"), "has begun already"),
     ],
 )
-def test_what_cannot_be_told_is_an_error(uri, bad, message):
+def test_what_cannot_be_logged_is_an_error(uri, bad, message):
     tracker = MlflowTracker("errors", uri)
     tracker.begin("study", "s")
     with pytest.raises(TrackingError, match=message):
@@ -165,7 +165,7 @@ def test_a_store_that_is_away_is_caught_up_with(uri, tmp_path):
     assert [run.info.status for run in runs(uri)] == ["FINISHED"]
 
 
-def test_a_store_that_somebody_else_writes_is_waited_for(uri):
+def test_a_store_that_another_process_writes_is_waited_for(uri):
     other = sqlite3.connect(uri.removeprefix("sqlite:///"), check_same_thread=False, isolation_level=None)
     tracker = MlflowTracker("locked", uri)
     tracker.begin("study", "s")

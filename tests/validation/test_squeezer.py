@@ -38,7 +38,7 @@ def test_first_accelerations():
 
 @pytest.mark.slow
 def test_the_published_reference():
-    """Angles (all turns are told apart) and rates at 0.03 s, to 1e-6 of the reference."""
+    """Angles (full turns included) and rates at 0.03 s, to 1e-6 of the reference."""
     motion = mbd.simulate(squeezer(), 0.03, method="dopri8", steps=600, rtol=1e-10, atol=1e-10).require_ok()
     angles, rates = (dict(zip(START, x, strict=True)) for x in (ANGLES, RATES))
     for name in BODIES:

@@ -7,7 +7,7 @@
     RelativeDisplacement    u_a - u_b of two nodes of a body: local torsion, eq. (38)           [m]
     Reaction                force or torque that a joint exerts on a body                       [N], [N m]
 
-A vector is told by a component: an axis "x", "y", "z" or a direction of three numbers, in the axes of the observer, or
+A vector is given by a component: an axis "x", "y", "z" or a direction of three numbers, in the axes of the observer, or
 in those of another body (`axes`). Seen from a body with rotation A and origin r, a point g is at y = A'(g - r), and
 
     y' = A'(g - r)' - om x y          y'' = A'(g - r)'' - om x (A'(g - r)' + y') - om' x y

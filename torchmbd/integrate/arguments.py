@@ -13,13 +13,12 @@ from typing import Any
 import torch
 import torch.autograd.forward_ad as forward_ad
 from torch import Tensor
-from torch._C._functorch import is_functorch_wrapped_tensor
 
 from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.native.library import BACKENDS
 from torchmbd.integrate.registry import INTEGRATORS, integrator_of
-from torchmbd.math.owned import all_true, plain, watched, whole
+from torchmbd.math.owned import all_true, plain, transformed, watched, whole
 from torchmbd.math.plausible_units import check_parameter
 from torchmbd.multibody.system import Start, System
 from torchmbd.results.motion_data import MotionData
@@ -85,7 +84,7 @@ def check_timed(duration: Any, gradients: str, integrator: Integrator, phases: b
 def refuse_dual_level(batch: Mapping[str, Tensor]) -> None:
     """InputError where a dual level of torch.autograd.forward_ad is open: tangents would be a second one inside."""
     for name, x in batch.items():
-        if not is_functorch_wrapped_tensor(x) and forward_ad.unpack_dual(x).tangent is not None:
+        if not transformed(x) and forward_ad.unpack_dual(x).tangent is not None:
             raise InputError(
                 f"{name!r} is a dual number of torch.autograd.forward_ad, in which no tangents can be integrated; allowed: "
                 "torch.func.jvp, or method 'generalized_alpha' without phases with gradients='auto' or 'reverse'"

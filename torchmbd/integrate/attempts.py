@@ -160,10 +160,10 @@ def _complaint(found: dict[str, float]) -> str:
         return f"failed: a body turns by {found['turn']:.2g} rad in one step; allowed: {TURN:g}"
     if found.get("step_error", 0.0) > STEP_ERROR:
         # Of a stiff body only the gross motion may be wanted, which damped vibrations leave right: the numbers stay.
-        told = (
+        message = (
             f"the steps do not resolve the vibrations of a flexible body (estimated error {100 * found['step_error']:.0f} % of "
             f"the largest): its energies mean little; {found['suggested_steps']:.0f} steps would resolve them"
         )
-        warn(told)
-        return f"unresolved: {told}"
+        warn(message)
+        return f"unresolved: {message}"
     return OK

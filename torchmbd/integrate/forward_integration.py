@@ -118,7 +118,7 @@ class ForwardIntegration:
         if not self.variables:
             raise InputError("a motion with gradients='none' is being differentiated; allowed: 'auto' or 'forward'")
         by = dict(self._by_name(directions))
-        found = [by.get(name) for name in self.variables]  # in their order, that of the slots
+        found = [by.get(name) for name in self.variables]  # in their order, that of the tangents
         count = next((x.shape[-2] for x in found if x is not None), 1)
         flat = []
         for name, d in zip(self.variables, found, strict=True):
@@ -149,7 +149,7 @@ class ForwardIntegration:
         return self.history.expansion_by(data)
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor:
-        """As of ReverseIntegration, with as many slots as the history has."""
+        """As of ReverseIntegration, with the tangents of the history."""
         if self._multiphase is not None:
             return self._multiphase.multipliers(history, data)
         return history.settled(self.dynamics.least_norm, self.duration, data)

@@ -20,9 +20,9 @@ from typing import Any, NoReturn, Protocol
 
 import torch
 from torch import Tensor
-from torch._C._functorch import is_legacy_batchedtensor
 
 from torchmbd.errors import InputError
+from torchmbd.math.owned import transformed
 
 Tensors = Sequence[Tensor | None]
 
@@ -90,11 +90,22 @@ def _refuse() -> NoReturn:
 
 
 def _refuse_batched(cotangents: Tensors) -> None:
-    if any(x is not None and is_legacy_batchedtensor(x) for x in cotangents):
+    if any(x is not None and _batched_by_grad(x) for x in cotangents):
         raise InputError(
             "torch.autograd.grad of a motion has is_grads_batched=True, which torch does without the rules of its operations; "
             "allowed: torch.vmap over torch.autograd.grad, or torch.func.jacrev"
         )
+
+
+def _batched_by_grad(x: Tensor) -> bool:
+    """Whether `is_grads_batched` made x: without storage, and by no transform of torch.func."""
+    if transformed(x):
+        return False
+    try:
+        x.untyped_storage()
+    except NotImplementedError:  # "Cannot access storage of BatchedTensorImpl"
+        return True
+    return False
 
 
 class _Derivative(torch.autograd.Function):

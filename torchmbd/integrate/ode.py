@@ -16,17 +16,17 @@ from typing import Any
 import torch
 import torchdiffeq
 from torch import Tensor
-from torchdiffeq._impl.odeint import SOLVERS
 
 from torchmbd.integrate.native.rates import RightHandSide
 from torchmbd.math.pair import value
 from torchmbd.multibody.system.dynamics import Dynamics
 
 FIXED = {"euler", "midpoint", "heun2", "heun3", "rk4", "explicit_adams", "implicit_adams", "fixed_adams"}
+ADAPTIVE = {"dopri8", "dopri5", "bosh3", "fehlberg2", "adaptive_heun"}
 # torchdiffeq's own order of explicit_adams, 12, leaves no stability: at 50 steps, y' = -y ends 35 % off.
 DEFAULTS: dict[str, dict[str, Any]] = {"explicit_adams": {"max_order": 5}}
 FIRST_STEP = 0.01  # of 1 / omega; the steps grow tenfold at most from one to the next
-METHODS = tuple(sorted(name for name in SOLVERS if name != "scipy_solver"))
+METHODS = tuple(sorted(FIXED | ADAPTIVE))
 
 
 def first_step(dynamics: Dynamics) -> dict[str, float]:

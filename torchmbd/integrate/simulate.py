@@ -224,7 +224,7 @@ def _reverse(
     inputs = (*data.values(), duration[None, None]) if timed else data.values()
     outputs: Any = Motion.apply(integration, *inputs)
     if not torch.is_grad_enabled():
-        shapes = {}  # they are made when somebody asks, and take no room before
+        shapes = {}  # they are made on demand, and take no room before
     motion = presented(system, integration, outputs, dict(data), batch, labels_of(system, names), names, shapes)
     return _timed(motion, duration) if timed else motion
 
@@ -332,6 +332,6 @@ def same_lanes(batch: dict[str, Tensor], least: int = 1) -> dict[str, Tensor]:
     counts = {name: x.shape[0] for name, x in batch.items()}
     lanes = max([*counts.values(), least])
     if not {1, lanes}.issuperset([*counts.values(), least]):
-        told = f" and start {least}" if least > 1 else ""
-        raise InputError(f"designs have lanes {counts}{told}; allowed: the same number for all, or one")
+        other = f" and start {least}" if least > 1 else ""
+        raise InputError(f"designs have lanes {counts}{other}; allowed: the same number for all, or one")
     return {name: x.clone().expand(lanes, *x.shape[1:]) for name, x in batch.items()}

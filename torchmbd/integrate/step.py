@@ -177,5 +177,5 @@ class Model:
 
 
 def apply(H: Factored | Eliminated, R: Tensor) -> Tensor:
-    """Multiply right-hand sides [n, slots, lanes] by the inverses of matrices."""
+    """Multiply right-hand sides [n, pair, lanes] by the inverses of matrices."""
     return (H @ R.permute(2, 0, 1)).permute(1, 2, 0)

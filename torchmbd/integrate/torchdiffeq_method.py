@@ -67,7 +67,7 @@ class Torchdiffeq(Integrator):
             if dynamics.lanes == 1:
                 x = initial(dynamics).map(lambda y: y * torch.nan)
                 return Integrated(History.of([x] * (steps + 1)), {}, {0: str(error)})
-            return _side_by_side([self.integrate(dynamics.some([i]), duration, steps) for i in range(dynamics.lanes)])
+            return _joined_lanes([self.integrate(dynamics.some([i]), duration, steps) for i in range(dynamics.lanes)])
         return Integrated(history, {"evaluations": dynamics.statistics["evaluations"] - before})
 
     def _together(self, dynamics: Dynamics, duration: float, steps: int) -> History:
@@ -133,7 +133,7 @@ def _number(x: Any) -> bool:
     return isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x)
 
 
-def _side_by_side(parts: list[Integrated]) -> Integrated:
+def _joined_lanes(parts: list[Integrated]) -> Integrated:
     """Lanes that were integrated one by one."""
     histories = [part.history for part in parts]
     q, v, vd, lam = (torch.cat([getattr(h, name) for h in histories], -1) for name in ("q", "v", "vd", "lam"))

@@ -56,7 +56,7 @@ def _solved(dynamics: Dynamics, step: Step, z: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def converged(step: Step, H: Factored, z: Tensor, dz: Tensor) -> Tensor:
-    """Tangents [n, slots, lanes] of the unknowns z of a step, iterated to rounding from an estimate."""
+    """Tangents [n, pair, lanes] of the unknowns z of a step, iterated to rounding from an estimate."""
     before = torch.inf
     for _ in range(_MOST):
         dz, correction = step.tangent(H, z, dz)

@@ -1,4 +1,4 @@
-"""A linear map of batches, told once with its adjoint: derivatives apply it again.
+"""A linear map of batches, defined once with its adjoint: derivatives apply it again.
 
     y = L(x_1, x_2, ...),     dy = L(dx_1, dx_2, ...),     (x_1, x_2, ...)' = L*(y')
 

@@ -7,7 +7,7 @@ where several modules hold the same one.
 The parameters are replaced in place, and torch.func keeps what it differentiates in globals of the process: what does either is
 `exclusive`, one thread at a time.
 
-Under a transform of torch.func every tensor that is made is wrapped, also those that nobody differentiates: what makes tensors
+Under a transform of torch.func every tensor that is made is wrapped, also those that are not differentiated: what makes tensors
 that stay, or reads their memory, is run `outside`.
 Checked in tests/math/test_module_call.py.
 """

@@ -2,10 +2,10 @@
 
     x(b)  ->  [x, dx/db_1, ..., dx/db_n]          f: [x, dx] -> [f(x), f'(x) dx]
 
-A number of the motion stage is a plain tensor or a `Pair`. Both end with a slot axis and a lane axis:
+A number of the motion stage is a plain tensor or a `Pair`. Both end with the axis of the pair and the axis of lanes:
 
     tensor      [component..., 1, lane]          a value; no tangent, which is skipped, not multiplied by zero
-    Pair.full   [component..., 1 + n_b, lane]    slot 0 the value, then one slot for each design variable
+    Pair.full   [component..., 1 + n_b, lane]    the value, then a tangent for each design variable
 
 Value and tangents share one tensor, so a linear map is one operator, and a product two. An eager operator costs about
 5 us whatever its size: this counts more than flops, and it is 3-6 times cheaper than functorch.
@@ -144,9 +144,9 @@ class _Apart(Pair):
 
     @property
     def shape(self) -> Any:
-        slots = 1 + self._tangent.shape[-2]
+        pair = 1 + self._tangent.shape[-2]
         lanes = max(self._value.shape[-1], self._tangent.shape[-1])
-        return (*self._value.shape[:-2], slots, lanes)
+        return (*self._value.shape[:-2], pair, lanes)
 
     def map(self, f: Callable[[Tensor], Tensor]) -> Pair:
         return _Apart(f(self._value), f(self._tangent))

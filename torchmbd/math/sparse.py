@@ -123,7 +123,7 @@ class Pattern:
 class SparseMatrix:
     """Values [..., nnz] on a pattern: one matrix for each lane.  Raises InputError when their number is wrong.
 
-    symmetric: by the way in which it was made, so that nobody needs to look
+    symmetric: by the way in which it was made, so that no comparison is needed
     """
 
     pattern: Pattern

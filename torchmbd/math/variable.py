@@ -4,13 +4,14 @@
     mbd.SpringDamper(a, b, stiffness=mbd.variable(2e3))       a stiffness
     mbd.Ply(E1=mbd.variable(128e9), ...)                      a modulus: a field of a frozen dataclass of numbers (`Numbers`)
 
-The same variable in several places is one design variable. Among the data of a design they are flat [k, slots, lanes].
+The same variable in several places is one design variable. Among the data of a design they are flat [k, pair, lanes].
 Checked in tests/sensitivity/test_law_variables.py.
 """
 
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -18,8 +19,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchmbd.errors import InputError
 from torchmbd.math.gradients import is_variable
-from torchmbd.math.owned import scalar
+from torchmbd.math.owned import real, scalar
 from torchmbd.math.pair import linear
 
 
@@ -63,6 +65,17 @@ def plain(given: Any) -> Any:
         return given
     own = {f.name: getattr(given, f.name) for f in fields(given)}
     return replaced(given, {name: number(x) if is_variable(x) else plain(x) for name, x in own.items()})
+
+
+def check_positive(given: Any, unit: str = "", infinite: bool = False) -> None:
+    """InputError unless the fields that `given.positive` names are positive; finite, unless `infinite` is allowed."""
+    for name in given.positive:
+        value = number(getattr(given, name))
+        if not (real(value) and value > 0.0 and (infinite or math.isfinite(value))):
+            allowed = "a number > 0" if infinite else "a finite number > 0"
+            raise InputError(
+                f"{type(given).__name__}: {name} = {value!r}{unit}; allowed: {allowed}, or mbd.variable(...) of one"
+            )
 
 
 def stacked(numbers: Sequence[Any]) -> Tensor:

@@ -50,7 +50,7 @@ def optimize(
 ) -> OptimizationResult:
     """Minimize from one start.
 
-    problem          such as a Problem; any object as told in optimizer.py
+    problem          such as a Problem; any object as described in optimizer.py
     method           "mmfd", "slsqp", "trust-constr", "mma", "ccsaq", "ipopt" or "differential_evolution"
     start            initial design [n]; None: problem.start
     max_iterations   accepted designs at most

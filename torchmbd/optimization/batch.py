@@ -31,7 +31,7 @@ class Batch(Protocol[T_co]):
         ...
 
     def cancel(self) -> None:
-        """Nobody waits for it any more."""
+        """It is not waited for any more."""
         ...
 
 

@@ -115,7 +115,7 @@ class Cache(Remembered[T]):
 
 @dataclass
 class _Completed(Generic[T]):
-    """A batch whose unknown part is under way; kept, in the caller's thread, before anybody hears of it."""
+    """A batch whose unknown part is under way; kept, in the caller's thread, before it is returned."""
 
     unknown: Batch[T]
     complete: Callable[[list[T]], list[T]]

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 
 def wanted(progress: bool | None) -> bool:
-    """Whether to show a bar; None: where somebody looks."""
+    """Whether to show a bar; None: in a terminal or a notebook."""
     return sys.stderr.isatty() or "ipykernel" in sys.modules if progress is None else progress
 
 

@@ -26,7 +26,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.math.pair import dot, matvec, value
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.times_as_lanes import side_by_side
+from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.motion_data import MotionData
 from torchmbd.summary import Summary
@@ -105,7 +105,7 @@ def _lane(motion: MotionData, lane: int) -> list[Tensor]:
     T, samples = motion.dynamics.topology, _Samples.of(motion, lane)
     t, q, v, lam = samples[:4]
     data = {name: _of(value(x), lane) for name, x in motion.dynamics.data.items()}
-    given = side_by_side(T.schedule(t, data))
+    given = as_lanes(T.schedule(t, data))
     at = equations.placement(T, data, q, given)
     w, wd = at.w, equations.split_v(T, v)[2]
     plain = {name: x for name, x in data.items() if name not in ("gravity", "D")}

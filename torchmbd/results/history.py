@@ -68,16 +68,16 @@ class History:
         q, v, vd, lam = (x[..., some] for x in (self.q, self.v, self.vd, self.lam))
         return History(q, v, vd, lam, between=None if self.between is None else self.between.lanes(some))
 
-    def rows(self, order: int, rows: Sequence[int] | None = None, slots: slice = slice(None)) -> Tensor:
-        """Rows of q (order 0), v (1) or a (2) of the whole [times, k, slots, lanes]."""
-        x = (self.q, self.v, self.vd)[order][:, :, slots]
+    def rows(self, order: int, rows: Sequence[int] | None = None, pair: slice = slice(None)) -> Tensor:
+        """Rows of q (order 0), v (1) or a (2) of the whole [times, k, pair, lanes]."""
+        x = (self.q, self.v, self.vd)[order][:, :, pair]
         if self.expansion is not None:
-            return self.expansion.rows(order, x, rows, known=not slots.start)
+            return self.expansion.rows(order, x, rows, known=not pair.start)
         return x if rows is None else chosen(x, rows)
 
     @property
     def multipliers(self) -> Tensor:
-        """Of all constraints [times, rows, slots, lanes]."""
+        """Of all constraints [times, rows, pair, lanes]."""
         if self.expansion is None:
             return self.lam
         return self.expansion.multipliers(self.q, self.v, self.vd, self.lam)
@@ -87,7 +87,7 @@ class History:
         return None if self.expansion is None else replace(self.expansion, data=data)
 
     def settled(self, least: LeastNorm | None, duration: float, data: Data) -> Tensor:
-        """Multipliers of all constraints [times, rows, slots, lanes]; of redundant rows those of least norm."""
+        """Multipliers of all constraints [times, rows, pair, lanes]; of redundant rows those of least norm."""
         if least is None:
             return self.multipliers
         times = (

@@ -1,4 +1,4 @@
-"""Mode shapes of the designs of a motion: the structure stage once more, when somebody asks.
+"""Mode shapes of the designs of a motion: the structure stage once more, on demand.
 
     values(name)     [lanes, nodes, 6, modes] of a flexible body
 
@@ -56,7 +56,7 @@ class DesignShapes(Shapes):
     ):
         super().__init__()
         self.system, self.lanes, self.good = system, lanes, good
-        # All parameters as they are now: they may be others when somebody looks.
+        # All parameters as they are now: they may be others later.
         self.designs = {name: x.detach().clone() for name, x in system.named_parameters()} | designs
         self._kept |= {(name, True): self._of_all(psi) for name, psi in shapes.items()}
 

@@ -1,4 +1,4 @@
-"""The numbers of a motion: coordinates, rates, accelerations, multipliers, their sensitivities, and passages between phases.
+"""The numbers of a motion: coordinates, rates, accelerations, multipliers, their sensitivities, and switches between phases.
 
 Checked in tests/integrate/test_simulate.py, tests/integrate/test_motion.py.
 """
@@ -43,7 +43,7 @@ class Moment:
 
 @dataclass(frozen=True, eq=False)
 class Switch:
-    """The passage of all lanes into a phase; sensitivities follow the time of the switch, which moves with the design.
+    """The switch of all lanes into a phase; sensitivities follow the time of the switch, which moves with the design.
 
     t [lanes] (inf: a lane that does not get there), dt_db [lanes, n_b]; before, after: equal positions
     """
@@ -75,8 +75,8 @@ class MotionData(Summary):
                 numbers there, where the vibrations that they show are no more than errors of the steps
     stats       what the integrator counted
     designs     parameters of the lanes by name, [lanes, ...]
-    parameters  names of the design variables of the sensitivities, one for each slot
-    switches    passages into the second phase and all later ones
+    parameters  names of the design variables of the sensitivities, one for each tangent
+    switches    those into the second phase and all later ones
     good        which lanes have not failed [lanes], also where torch.func.vmap makes several motions of one; None: all
     actions     applied forces of each phase; none: of all the same
     variables   designs by which the motion is differentiable, by name [lanes, ...]: inputs of torch.autograd.grad
@@ -133,7 +133,7 @@ class MotionData(Summary):
 
     @property
     def lam(self) -> Tensor:
-        """Multipliers [lanes, times, rows], of redundant rows those of least norm; computed when somebody asks."""
+        """Multipliers [lanes, times, rows], of redundant rows those of least norm; computed on demand."""
         return self.signals.values("lam")
 
     @property

@@ -20,7 +20,7 @@ from torchmbd.math.rotation import exponential, rotation_matrix
 from torchmbd.multibody.bodies import Frame, Ground
 from torchmbd.multibody.joints.joint import Joint
 from torchmbd.multibody.system import System, equations
-from torchmbd.multibody.system.times_as_lanes import side_by_side
+from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.results.body_motion import BodyMotion, point_of
 from torchmbd.results.motion_data import MotionData
 from torchmbd.summary import Summary
@@ -104,7 +104,7 @@ def _constraint_forces(motion: MotionData, rows: Tensor) -> tuple[equations.Plac
     def spread(x: Tensor) -> Tensor:
         return x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x
 
-    given = side_by_side(T.schedule(motion.t, {name: value(x) for name, x in data.items()}), lanes, lanes_first=True)
+    given = as_lanes(T.schedule(motion.t, {name: value(x) for name, x in data.items()}), lanes, lanes_first=True)
     vectors = {key: spread(value(data[key])) for key in ("x", "Y") if key in data}
     at = equations.placement(T, vectors, flat(motion.q), given)
     return at, equations.force_on_vectors(T, at, flat(motion.lam * rows))

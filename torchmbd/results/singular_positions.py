@@ -77,7 +77,7 @@ def _minima(x: Tensor, below: float) -> list[int]:
 def explain(motion: MotionData) -> None:
     """Name singular positions: in the status of lanes that failed, else as a warning.
 
-    Lanes that failed are told of laws of forces as well.
+    Of lanes that failed, laws of forces are named as well.
     """
     failed_first = motion.stats.get("failed_first", ())
     for lane, status in enumerate(motion.status):

@@ -2,7 +2,7 @@
 
     ratio = max |om| / om_1           om_1: lowest frequency of the body with its reference nodes fixed, from Kr
 
-Elastic displacements are linear, so what spin does to stiffness is half told: inertia softens a bending mode,
+Elastic displacements are linear, so only half of what spin does to stiffness is included: inertia softens a bending mode,
 om_1^2 - om^2, and the tension that outweighs it (a blade: om_1^2 + 0.19 om^2 in the plane of the spin) is of second
 order. What is missing is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without bound.
 Several bodies instead of one, joined by `Fixed`, have their own frames and the tension between them along the bent line,

@@ -1,4 +1,4 @@
-"""A motion as it is shown: q, v, a and multipliers by rows, presented only when somebody asks.
+"""A motion as it is shown: q, v, a and multipliers by rows, made only on demand.
 
     values(name, rows)     [lanes, times, k]
     tangents(name, rows)   [lanes, times, k, n_b], None without sensitivities
@@ -82,7 +82,7 @@ class Given(Signals):
 
 
 class Multipliers(Protocol):
-    """Makes the multipliers [times, rows, slots, lanes] that are shown of those that were integrated."""
+    """Makes the multipliers [times, rows, pair, lanes] that are shown of those that were integrated."""
 
     def multipliers(self, history: History, data: dict[str, Any]) -> Tensor: ...
 
@@ -103,8 +103,8 @@ class Recorded(Signals):
     ):
         super().__init__()
         self.history, self.settle, self.data, self.until = history, settle, data or {}, until
-        self.times, _, slots, self.lanes = history.q.shape
-        self.moving = slots > 1
+        self.times, _, pair, self.lanes = history.q.shape
+        self.moving = pair > 1
         self._settled: dict[bool, Tensor] = {}
 
     def detach(self) -> Recorded:
@@ -139,18 +139,18 @@ class Recorded(Signals):
             self._settled[mode] = h.multipliers if self.settle is None else self.settle.multipliers(h, self.data)
         return self._settled[mode]
 
-    def _of(self, name: str, rows: Rows, slots: slice) -> Tensor:
-        x = self._whole(name, rows, slots)
+    def _of(self, name: str, rows: Rows, pair: slice) -> Tensor:
+        x = self._whole(name, rows, pair)
         if self.until is None or all_true(self.until >= self.times):
             return x
         lost = torch.arange(self.times)[:, None] >= self.until
         return x.masked_fill(lost[:, None, None], torch.nan)
 
-    def _whole(self, name: str, rows: Rows, slots: slice) -> Tensor:
+    def _whole(self, name: str, rows: Rows, pair: slice) -> Tensor:
         if name == "lam":
-            x = self._multipliers()[:, :, slots]
+            x = self._multipliers()[:, :, pair]
             return x if rows is None else x[:, list(rows)]
-        return self.history.rows(ORDERS.index(name), rows, slots)
+        return self.history.rows(ORDERS.index(name), rows, pair)
 
 
 def detached(x: Any) -> Any:

@@ -8,7 +8,7 @@ Presented lanes (designs) first, then time, then components, the design axis las
 Sensitivities of modal rows go with the basis, which moves with the design (fem/reduction/transport.py): differences of w of two
 designs are something else, for each has modes of its own. Responses do not depend on the choice.
 
-What nobody asks for is not made: rows of the whole, multipliers of condensed joints, mode shapes (time_rows.py,
+What is not asked for is not made: rows of the whole, multipliers of condensed joints, mode shapes (time_rows.py,
 mode_shapes.py). A lane that failed says why in `status`; its numbers are nan from the failure on and must not be used.
 """
 

@@ -1,7 +1,7 @@
 """The design vector as people read it: short names, values in the unit of the study.
 
 rod.laminate.angles[0], deg  ->  angle_1_deg         (rod_angle_1_deg where two parameters would share the name)
-spring.stiffness[0]          ->  stiffness           a parameter that is one number has no others to be told from
+spring.stiffness[0]          ->  stiffness           a parameter that is one number has no others to be distinguished from
 bound                        ->  bound               an extra variable, as of a min-max problem
 
 Checked in tests/study/test_columns.py.

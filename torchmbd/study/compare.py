@@ -49,7 +49,7 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
 
 
 def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
-    """Print what two studies were told differently, and how they ended."""
+    """Print in what the files of two studies differ, and how they ended."""
     store = store_uri(uri)
     first, second = find(store, a), find(store, b)
     table = _table("what differs, and how they ended")

@@ -8,8 +8,8 @@
 
 Optimizers are deterministic, so a study that was killed asks for the same designs again: the store answers up to the
 batch that was in flight, and the study goes on from there as if nothing had happened.
-SQLite, one transaction for a batch, on the disk before anybody hears of it. What cannot be written (a full disk) is
-kept in memory, told once, and written with the next batch that can be.
+SQLite, one transaction for a batch, on the disk before it is returned. What cannot be written (a full disk) is
+kept in memory, reported once, and written with the next batch that can be.
 Assumed: a law that reads a file, or imports a module, while it runs, finds there what it found before.
 Checked in tests/study/test_evaluations.py.
 """

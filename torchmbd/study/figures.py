@@ -68,7 +68,7 @@ def _draw(plan: FiguresPlan, folder: Path, tracker: MlflowTracker, console: Cons
         shown = draw(folder=folder, **plan.study.options)
     except MbdError:
         raise
-    except Exception as error:  # the user's own code: told by its name, not as a crash of ours
+    except Exception as error:  # the user's own code: reported by its name, not as a crash of ours
         raise MbdError(f"{plan.study.figures}: {type(error).__name__}: {error}") from error
     numbers = {key: float(value) for key, value in shown.items() if not isinstance(value, str)}
     words = {key: value for key, value in shown.items() if isinstance(value, str)}

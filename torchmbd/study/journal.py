@@ -189,5 +189,5 @@ def _legal(key: str) -> str:
 
 
 def _finite(numbers: Mapping[str, float]) -> dict[str, float]:
-    """Leave out what does not exist: a failed evaluation has no numbers, and is told by tags and counts instead."""
+    """Leave out what does not exist: a failed evaluation has no numbers, and is described by tags and counts instead."""
     return {key: float(value) for key, value in numbers.items() if math.isfinite(value)}

@@ -75,6 +75,6 @@ def _misfit(value: Any, type_: Any) -> str | None:
     try:
         TypeAdapter(type_).validate_json(json.dumps(value), strict=True)
     except ValidationError as error:
-        told = [details["msg"].replace("Input should", "must") for details in error.errors(include_url=False)]
-        return "; or ".join(dict.fromkeys(told))
+        messages = [details["msg"].replace("Input should", "must") for details in error.errors(include_url=False)]
+        return "; or ".join(dict.fromkeys(messages))
     return None

@@ -85,9 +85,9 @@ def require_returns(spec: str, function: Callable[..., Any], allowed: tuple[str,
     annotation = function.__annotations__.get("return")
     said = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
     if annotation is None or said.partition("[")[0].rpartition(".")[2] not in allowed:
-        told = "nothing" if annotation is None else f"-> {said}"
+        returned = "nothing" if annotation is None else f"-> {said}"
         raise InputError(
-            f"= {shown(spec)}: the function says {told} about what it returns; "
+            f"= {shown(spec)}: the function says {returned} about what it returns; "
             f"allowed: a function annotated with -> {' or '.join(allowed)}"
         )
 
@@ -127,7 +127,7 @@ def build_model(builder: Builder, options: Mapping[str, Any]) -> System:
         system = builder(**options)
     except InputError:
         raise
-    except Exception as error:  # the user's own code: told with the place in it, not as a crash of ours
+    except Exception as error:  # the user's own code: reported with the place in it, not as a crash of ours
         last = traceback.extract_tb(error.__traceback__)[-1]
         raise InputError(f"{type(error).__name__} in {last.filename}:{last.lineno}: {error}") from error
     if not isinstance(system, System):

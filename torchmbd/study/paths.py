@@ -3,7 +3,7 @@
     .torchmbd/evaluations.db      every evaluation (evaluations.py)
     .torchmbd/<study>/            a study that has not finished (unfinished.py)
 
-TORCHMBD_STORE names another folder. A study is known by a hash of all that its course depends on, so that the same
+TORCHMBD_STORE names another folder. A study is known by a hash of all that its results depend on, so that the same
 command goes on with it. Checked in tests/study/test_paths.py.
 """
 

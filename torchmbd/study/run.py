@@ -1,8 +1,8 @@
 """Run a study: watch it on the terminal, tell it to the tracker, end with a table, pictures and links.
 
 Whatever happens, the runs end with a status that is true: FINISHED, KILLED (Ctrl-C, with what was computed),
-FAILED (an exception, or no start succeeded). Results are told before pictures are drawn: no picture costs a result.
-Every evaluation is on disk before anybody hears of it (evaluations.py), so the same command goes on where a study
+FAILED (an exception, or no start succeeded). Results are sent before pictures are drawn: no picture costs a result.
+Every evaluation is on disk before it is returned (evaluations.py), so the same command goes on where a study
 ended, however it ended (unfinished.py). Checked in tests/study/test_run.py, test_resume.py.
 """
 
@@ -179,7 +179,7 @@ def close(tracker: MlflowTracker, study: Unfinished | None, console: Console) ->
         console.print(f"Tracking failed: {escape(str(error))}", style="red", soft_wrap=True)
         return None
     if study is not None and record.runs:
-        study.told()
+        study.mark_sent()
     elif study is not None:  # nothing is there to go on with
         study.conclude()
     return record

@@ -1,4 +1,4 @@
-"""`torchmbd sync`: studies whose tracking store was away, or that were killed, told once more from what is on disk.
+"""`torchmbd sync`: studies whose tracking store was away, or that were killed, sent once more from what is on disk.
 
 A study runs again by its own file, and its evaluations come from the disk; where they end, it ends as after Ctrl-C. So the
 store gets what it would have got. Figures are drawn again. Checked in tests/study/test_unfinished.py.

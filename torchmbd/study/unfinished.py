@@ -2,7 +2,7 @@
 
     .torchmbd/<study>/study.json   name, experiment file (none of a study that Python has made), overrides and store, both as
                                    seen from .torchmbd, which can be copied with them; `id`, by which its runs are found in the
-                                   store; whether all that it has told so far is there
+                                   store; whether all its results so far are in it
     .torchmbd/<study>/study.lock   held by the process of the study: the same study cannot run twice at once
 
 The folder goes when the study has finished, its store has it, and the screen has said so. As long as it is there the same
@@ -60,8 +60,8 @@ class Unfinished:
             return f"run() of mbd.Study(..., name={self.name!r}), in Python"
         return shlex.join(["torchmbd", "run", os.path.relpath(self.path), *self.overrides])
 
-    def told(self) -> None:
-        """Everything that was told so far is in the store."""
+    def mark_sent(self) -> None:
+        """Everything that was logged so far is in the store."""
         self.sent = True
         with contextlib.suppress(OSError):  # a disk without room: it is sent once more
             self._write()

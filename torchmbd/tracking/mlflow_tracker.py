@@ -1,7 +1,7 @@
 """Runs in an MLflow store, written by one background thread: a study waits for its store at its end only.
 
     study                                 thread
-    metrics("start_3", {...}, 7)    ->    every few seconds: MlflowClient.log_batch of what was told of each run
+    metrics("start_3", {...}, 7)    ->    every few seconds: MlflowClient.log_batch of what was logged of each run
     close()                         ->    the rest; then the Record
 
     begin    a run opens, under a key that the caller chooses ("study", "start_3"), perhaps below a parent
@@ -12,7 +12,7 @@
     end      it is over: FINISHED, FAILED or KILLED
     close    nothing more will come: what is still open is KILLED; returns where the runs are
 
-What is told gets its time when it is told. Sending the same again changes nothing in the store, so whatever fails is sent
+What is logged gets its time when it is logged. Sending the same again changes nothing in the store, so whatever fails is sent
 again: a store that is away is tried until it is back, or until `TORCHMBD_PATIENCE` seconds (default 15) after the end of the
 study. What it refuses (a file that is gone) is named by `close`, and costs nothing else.
 
@@ -64,7 +64,7 @@ class Point(NamedTuple):
 
 @dataclass
 class Draft:
-    """What was told of one run and is not in the store yet."""
+    """What was logged of one run and is not in the store yet."""
 
     name: str | None = None  # of a run that begins
     began: int = 0  # ms since 1970
@@ -88,7 +88,7 @@ class MlflowTracker:
         self.study = study or uuid.uuid4().hex
         self.trouble: str | None = None  # why nothing reaches the store now: the study goes on in any case
         self._lock = threading.Lock()
-        self._pending: dict[str, Draft] = {}  # told since the last delivery, by the key of the run
+        self._pending: dict[str, Draft] = {}  # logged since the last delivery, by the key of the run
         self._open: dict[str, bool] = {}  # every run that has begun: whether it is open
         self._last = 0  # ms since 1970 of the last metric
         self._store = _Store(experiment, self.uri, self.study)
@@ -154,7 +154,7 @@ class MlflowTracker:
         """Wait until everything is in the store; TrackingError says what is not, and what to do."""
         for run in reversed([run for run, is_open in self._open.items() if is_open]):  # children before their parent
             self.end(run, "KILLED")
-        if self._thread.ident is None:  # nothing was told: no store is made for it
+        if self._thread.ident is None:  # nothing was logged: no store is made for it
             return self.record
         self._deadline = time.monotonic() + float(os.environ.get(PATIENCE, "15"))
         self._closing.set()
@@ -179,7 +179,7 @@ class MlflowTracker:
         return self._pending.setdefault(run, Draft())
 
     def _taken(self) -> deque[tuple[str, Draft]]:
-        """Return what was told since it was last asked."""
+        """Return what was logged since the last call."""
         with self._lock:
             pending, self._pending = self._pending, {}
         return deque(pending.items())
@@ -199,7 +199,7 @@ class MlflowTracker:
                     taken.popleft()
                     if closing and not taken:
                         taken = self._taken()
-            except Exception as error:  # MLflow's, the database's, the network's: told, and tried again
+            except Exception as error:  # MLflow's, the database's, the network's: reported, and tried again
                 self.trouble = (
                     f"the store {self.uri!r} does not take the runs: {first_line(error)}\nNothing is lost: every evaluation "
                     "is on disk. When the store is back, `torchmbd sync` sends the study again"

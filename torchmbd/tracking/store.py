@@ -30,7 +30,7 @@ SCHEMES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databrick
 _SETTINGS = {  # of MLflow
     "MLFLOW_DISABLE_TELEMETRY": "true",
     "MLFLOW_LOGGING_LEVEL": "WARNING",
-    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",  # a server that is not there is told within seconds, not minutes
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1",  # a missing server is reported within seconds, not minutes
     "MLFLOW_HTTP_REQUEST_TIMEOUT": "20",
 }
 
@@ -70,7 +70,7 @@ def open_store(uri: str) -> MlflowClient:
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
     logging.getLogger("alembic").setLevel(logging.WARNING)
-    logging.getLogger("urllib3").setLevel(logging.ERROR)  # its retries; how they end is told
+    logging.getLogger("urllib3").setLevel(logging.ERROR)  # its retries; how they end is reported
     from mlflow import MlflowClient  # 3 seconds: imported when a store is wanted, not before
     from mlflow.exceptions import MlflowException
 

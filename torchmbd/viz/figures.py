@@ -1,7 +1,7 @@
 """Figures of a study, in the style of a printed paper: convergence, energy over time, criterion against angle.
 
 Each function returns a matplotlib Figure (no pyplot, no global state); `save` writes it by the ending of the file name
-(.png for a browser, .pdf or .svg for print). Colors: Okabe and Ito, told apart by color-blind eyes as well.
+(.png for a browser, .pdf or .svg for print). Colors: Okabe and Ito, distinguished by color-blind eyes as well.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Lines of beams: generators, names, and what the door refuses."""
+"""Lines of beams: generators, names, and what is refused."""
 
 from __future__ import annotations
 

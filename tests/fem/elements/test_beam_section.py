@@ -1,4 +1,4 @@
-"""Given sections, sections off the line, and what their doors refuse."""
+"""Given sections, sections off the line, and what is refused."""
 
 from __future__ import annotations
 

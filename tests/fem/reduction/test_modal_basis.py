@@ -1,4 +1,4 @@
-"""modal_basis: values against SciPy and closed forms, all forms of matrices, and errors at the door."""
+"""modal_basis: values against SciPy and closed forms, all forms of matrices, and errors of arguments."""
 
 import numpy as np
 import pytest

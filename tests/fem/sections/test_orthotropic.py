@@ -1,4 +1,4 @@
-"""The orthotropic solid: its law, its completion from a ply, its rotation, and what its door refuses."""
+"""The orthotropic solid: its law, its completion from a ply, its rotation, and what is refused."""
 
 from __future__ import annotations
 

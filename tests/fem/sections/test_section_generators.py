@@ -1,4 +1,4 @@
-"""Generated sections: areas, inertia, wall axes, order of the plies, and what the doors refuse."""
+"""Generated sections: areas, inertia, wall axes, order of the plies, and what is refused."""
 
 from __future__ import annotations
 

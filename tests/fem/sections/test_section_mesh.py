@@ -1,4 +1,4 @@
-"""What the door of a section's mesh refuses, by element; and user meshes that it takes."""
+"""What a section's mesh refuses, by element; and user meshes that it takes."""
 
 from __future__ import annotations
 

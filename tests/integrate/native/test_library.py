@@ -40,7 +40,7 @@ def dynamics(modes: int = 3, tangents: bool = True, layers: int = 3) -> Dynamics
 
 def test_a_key_covers_source_and_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     before = library.key(dynamics())
-    monkeypatch.setattr(library, "surroundings", lambda sources: "another source")
+    monkeypatch.setattr(library, "toolchain_digest", lambda sources: "another source")
     assert library.key(dynamics()) != before
 
 
@@ -142,7 +142,7 @@ def test_a_key_is_that_of_a_kind() -> None:
     assert library.key(chains[0]) not in (library.key(dynamics()), library.key(linked(2, mbd.Revolute).dynamics()))
 
 
-def test_a_compiler_that_fails_is_told(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_compiler_that_fails_is_reported(cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CXX", "false")
     with pytest.raises(MbdError, match="false failed on the step of rod"):
         library.build("name", "step", "", "rod")

@@ -108,7 +108,7 @@ def test_cards_that_change_others_are_refused(card):
         data(f"GRID,1,,0.,0.,0.\n{card}")
 
 
-def test_inertias_that_differ_are_told():
+def test_inertias_that_differ_are_named():
     with pytest.warns(UserWarning, match=r"CONM2 9 .*\[1.0, 2.0, 3.0\].*taken as 2 about any axis"):
         (mass,) = data("GRID,1,,0.,0.,0.\nCONM2,9,1,,5.\n,1.,,2.,,,3.").masses
     assert mass.rotary == pytest.approx(2.0)

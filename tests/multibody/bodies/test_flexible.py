@@ -1,4 +1,4 @@
-"""Flexible bodies: what the structure stage hands over, references, frames on nodes, and what the door refuses."""
+"""Flexible bodies: what the structure stage hands over, references, frames on nodes, and what is refused."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def test_a_laminated_model_is_the_body_made_by_hand(body):
     ids=["mm", "triangles", "first side along y", "first side along -x", "basic system", "system"],
 )
 def test_units_elements_and_material_directions(given, body):
-    """The same plate told otherwise is the same plate. (Triangles need THETA 0 along their first side: here x.)"""
+    """The same plate written otherwise is the same plate. (Triangles need THETA 0 along their first side: here x.)"""
     if given.get("triangles"):
         given = given | {"theta": "0"}  # the basic system's x axis
     made = body(model(**given), units="mm" if given.get("millimeters") else "m")

@@ -1,4 +1,4 @@
-"""Rigid bodies: moments against a cloud of mass points, and what the door refuses."""
+"""Rigid bodies: moments against a cloud of mass points, and what is refused."""
 
 from __future__ import annotations
 

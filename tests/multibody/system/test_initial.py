@@ -144,8 +144,8 @@ def test_a_platform_keeps_its_velocity_and_its_struts_follow(given):
     assert float(v.norm()) > 1.5 * float(torch.cat([tensor(*x) for x in given.values()]).norm())
 
 
-def test_velocities_that_contradict_each_other_are_told():
-    """Struts that are given to rest and a platform that is given to move: the least change of all, told by name."""
+def test_velocities_that_contradict_each_other_are_named():
+    """Struts that are given to rest and a platform that is given to move: the least change of all, named."""
     system = hexapod({"velocity": (0.0, 0.0, 0.2)}, {"velocity": (0.0,) * 3, "angular_velocity": (0.0,) * 3})
     with pytest.warns(UserWarning, match=r": velocity of 'platform' given \(0, 0, 0\.2\), starts with.*and .* more"):
         _, _, _, velocity = closed(system)

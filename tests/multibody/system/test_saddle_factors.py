@@ -111,3 +111,14 @@ def test_a_lane_without_factors_is_nan_alone():
     assert x.isnan().flatten(0, 1).all(0).tolist() == [False, True, True, False]
     for lane in (0, 3):
         assert_close(K[lane] @ x[..., lane], b[..., lane])
+
+
+def test_other_errors_of_superlu_are_raised(monkeypatch):
+    def splu(K):
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr("scipy.sparse.linalg.splu", splu)
+    index = torch.arange(3).numpy()
+    columns = Columns.of(index, index, index, 3, 3)
+    with pytest.raises(RuntimeError, match="out of memory"):
+        Factors(torch.ones(1, 3, dtype=torch.float64), None, columns).solve(torch.ones(3, 1, 1, dtype=torch.float64))

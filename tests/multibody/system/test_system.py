@@ -1,4 +1,4 @@
-"""The system: its door, its order of unknowns, batches of designs, and the dynamics that it returns."""
+"""The system: its arguments, its order of unknowns, batches of designs, and the dynamics that it returns."""
 
 from __future__ import annotations
 

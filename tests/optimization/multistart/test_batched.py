@@ -1,4 +1,4 @@
-"""Groups of starts on a problem that evaluates several batches at once: the same results, nobody waits, all can be stopped."""
+"""Groups of starts on a problem that evaluates several batches at once: the same results, none waits, all can be stopped."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def valley(**changes) -> Analytic:
 
 
 @pytest.mark.parametrize("method", ["mmfd", "slsqp"])
-def test_groups_end_as_one_lockstep_does(method):
+def test_groups_end_as_one_batch_does(method):
     starts = sobol(11, seed=3)
     alone = multistart(valley(), method, starts)
     grouped = multistart(Elsewhere(valley(), 3), method, starts, max_lanes=7)

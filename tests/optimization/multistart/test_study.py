@@ -152,16 +152,16 @@ def test_interruption_returns_what_there_is(method):
     assert len(reports) == sum(len(r.history) for r in study.results)
 
 
-def test_results_are_told_as_they_come():
-    told, problem = [], waves()
+def test_results_are_reported_as_they_come():
+    reported, problem = [], waves()
     before: dict[int, int] = {}  # batches until a start had ended
 
     def ended(result):
-        told.append(result)
+        reported.append(result)
         before[result.start] = len(problem.batches)
 
     study = multistart(problem, "mmfd", sobol(6, seed=5), ended=ended, max_lanes=3, second_order=False)
-    assert sorted(told, key=lambda result: result.start) == study.results
+    assert sorted(reported, key=lambda result: result.start) == study.results
     assert min(before.values()) < max(before.values()) == len(problem.batches)
 
 
@@ -219,7 +219,7 @@ def test_one_failing_lane_leaves_the_others_alone(method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_minima_are_told_apart_and_counted(method):
+def test_minima_are_separated_and_counted(method):
     study = multistart(waves(), method, sobol(24, seed=2))
     assert study.converged == 24
     assert len(study.minima) == 4

@@ -18,7 +18,7 @@ Since the variation of kappa meets D - B S B instead of D, a cell's stiffness is
 
     K = J' C(A, B) J,     J: W and kappa - kappa_mean   [13, freedoms]
 
-C is quadratic in w less B S B. Whatever varies is told by its amounts of three functions over the cell, without mean and
+C is quadratic in w less B S B. Whatever varies is given by its amounts of three functions over the cell, without mean and
 orthonormal in the mean. Exact derivatives come through the inverses of 3 x 3 and 2 x 2 matrices.
 Source: T. H. H. Pian and P. Tong, Int. J. Numer. Methods Eng. 1 (1969) 3-28 (assumed stresses); quad_membrane.py.
 Checked in tests/fem/elements/test_inner_forces.py, tests/contracts/test_shell_elements.py,

@@ -76,7 +76,7 @@ class Plates:
         """The only laminate, or all of them as one."""
         first = self.laminates[0]
         alone = self._zones is None or isinstance(first, SteeredLaminate)
-        return first if alone else Laminate.side_by_side(self.laminates)
+        return first if alone else Laminate.stacked(self.laminates)
 
     @property
     def kind(self) -> tuple:

@@ -141,7 +141,7 @@ class Laminate(nn.Module):
         return self
 
     @staticmethod
-    def side_by_side(laminates: Sequence[Laminate]) -> Laminate:
+    def stacked(laminates: Sequence[Laminate]) -> Laminate:
         """Laminates with the same plies as one, whose parameters have an axis more: [*lanes, laminates, layers]."""
         result = copy.copy(laminates[0])
         result._parameters = {}  # of the copy, which has tensors instead

@@ -7,7 +7,7 @@ E1, E2          moduli along and across the fibre      [Pa]
 G12, G13, G23   shear moduli                           [Pa]
 nu12            Poisson's ratio: strain along 2 for a stress along 1
 density         [kg/m3]
-strength        what failure criteria need (strength.py); None where nobody asks for it
+strength        what failure criteria need (strength.py); None: no criterion is evaluated
 
 Assumed: linear elastic; the strain energy is positive, that is E1, E2, G > 0 and nu12^2 < E1 / E2.
 Source: R. M. Jones, Mechanics of Composite Materials, 2nd ed., sections 2.4-2.5.
@@ -26,8 +26,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.materials.strength import Strength
+from torchmbd.math.owned import real
 from torchmbd.math.plausible_units import doubt_material
-from torchmbd.math.variable import number, plain, stacked
+from torchmbd.math.variable import check_positive, number, plain, stacked
 
 
 @dataclass(frozen=True)
@@ -59,12 +60,9 @@ class Ply:
     strength: Strength | None = None
 
     def __post_init__(self) -> None:
-        for name in self.positive:
-            value = number(getattr(self, name))
-            if not (_is_number(value) and math.isfinite(value) and value > 0):
-                raise InputError(f"Ply: {name} = {value!r}; allowed: a finite number > 0, or mbd.variable(...) of one")
+        check_positive(self)
         nu12 = number(self.nu12)
-        if not (_is_number(nu12) and math.isfinite(nu12)):
+        if not (real(nu12) and math.isfinite(nu12)):
             raise InputError(f"Ply: nu12 = {nu12!r}; allowed: a finite number, or mbd.variable(...) of one")
         limit = math.sqrt(number(self.E1) / number(self.E2))
         if abs(nu12) >= limit:
@@ -81,9 +79,9 @@ class Ply:
     @classmethod
     def isotropic(cls, E: float, nu: float, density: float | Tensor, strength: Strength | None = None) -> Ply:
         """Make the ply of a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5], density [kg/m3], which may vary."""
-        if not (_is_number(nu) and -1.0 < nu <= 0.5):
+        if not (real(nu) and -1.0 < nu <= 0.5):
             raise InputError(f"Ply.isotropic: nu = {nu!r}; allowed: -1 < nu <= 0.5")
-        if not (_is_number(E) and E > 0):
+        if not (real(E) and E > 0):
             raise InputError(f"Ply.isotropic: E = {E!r}; allowed: a finite number > 0; Ply(...) takes moduli that vary")
         G = E / (2.0 * (1.0 + nu))
         return cls(E1=E, E2=E, G12=G, G13=G, G23=G, nu12=nu, density=density, strength=strength)
@@ -99,7 +97,3 @@ class Ply:
     def shear_stiffness(self) -> Float[Tensor, "*lanes 2 2"]:
         """Transverse shear stiffness [Pa]: (tau_13, tau_23) = diag(G13, G23) (gamma_13, gamma_23)."""
         return torch.diag_embed(stacked((self.G13, self.G23)))
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

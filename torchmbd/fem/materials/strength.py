@@ -28,7 +28,8 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.materials.failure_modes import MODES
-from torchmbd.math.variable import number, stacked
+from torchmbd.math.owned import real
+from torchmbd.math.variable import check_positive, number, stacked
 
 #: The stresses and strains of a ply, in this order; 1 = fibre, 3 = thickness. Shear strains are engineering strains.
 PLY_COMPONENTS = ("11", "22", "12", "13", "23")
@@ -61,12 +62,9 @@ class Strength:
     interaction: float | Tensor = -0.5
 
     def __post_init__(self) -> None:
-        for name in self.positive:
-            value = number(getattr(self, name))
-            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-                raise InputError(f"Strength: {name} = {value!r} Pa; allowed: a number > 0, or mbd.variable(...) of one")
+        check_positive(self, " Pa", infinite=True)
         ratio = number(self.interaction)
-        if isinstance(ratio, bool) or not isinstance(ratio, int | float) or not -1.0 < ratio < 1.0:
+        if not (real(ratio) and -1.0 < ratio < 1.0):
             raise InputError(
                 f"Strength: interaction = {ratio!r}; allowed: -1 < interaction < 1, or mbd.variable(...) of that"
             )

@@ -1,4 +1,4 @@
-"""Near neighbors told apart: the retained modes turned among themselves by what rounding has mixed.
+"""Near neighbors separated: the retained modes turned among themselves by what rounding has mixed.
 
     G = Psi' K Psi,     H = Psi' M Psi       in extended precision, from the modes as they were found
     A = 1 - (H - 1) / 2 + Theta,     Theta_ij = (G_ij - (H - 1)_ij (lambda_i + lambda_j) / 2) / (lambda_j - lambda_i)

@@ -27,8 +27,9 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.fem.materials import Ply, Strength
+from torchmbd.math.owned import real
 from torchmbd.math.plausible_units import doubt_material
-from torchmbd.math.variable import number, plain, replaced, stacked, varies
+from torchmbd.math.variable import check_positive, number, plain, replaced, stacked, varies
 
 
 @dataclass(frozen=True)
@@ -52,15 +53,10 @@ class Orthotropic:
     strength: Strength | None = None
 
     def __post_init__(self) -> None:
-        for name in self.positive:
-            value = number(getattr(self, name))
-            if not (_is_number(value) and math.isfinite(value) and value > 0):
-                raise InputError(
-                    f"Orthotropic: {name} = {value!r}; allowed: a finite number > 0, or mbd.variable(...) of one"
-                )
+        check_positive(self)
         for name in ("nu12", "nu13", "nu23"):
             value = number(getattr(self, name))
-            if not (_is_number(value) and math.isfinite(value)):
+            if not (real(value) and math.isfinite(value)):
                 raise InputError(
                     f"Orthotropic: {name} = {value!r}; allowed: a finite number, or mbd.variable(...) of one"
                 )
@@ -79,9 +75,9 @@ class Orthotropic:
     @classmethod
     def isotropic(cls, E: float, nu: float, density: float | Tensor) -> Orthotropic:
         """Make a metal: one modulus [Pa], Poisson's ratio in (-1, 0.5), density [kg/m3], which may vary."""
-        if not (_is_number(nu) and -1.0 < nu < 0.5):
+        if not (real(nu) and -1.0 < nu < 0.5):
             raise InputError(f"Orthotropic.isotropic: nu = {nu!r}; allowed: -1 < nu < 0.5")
-        if not (_is_number(E) and E > 0):
+        if not (real(E) and E > 0):
             raise InputError(
                 f"Orthotropic.isotropic: E = {E!r}; allowed: a finite number > 0; Orthotropic(...) takes moduli that vary"
             )
@@ -146,7 +142,3 @@ def strain_rotation(theta: Float[Tensor, "*lanes layers"]) -> Float[Tensor, "*la
         [-2 * c * s, 2 * c * s, o, o, o, c * c - s * s],
     ]
     return torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

@@ -40,7 +40,7 @@ def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
 
 
 def _in_memory(dynamics: Dynamics) -> dict[str, Any]:
-    """Data in the order in which they stand in memory [..., slots, lanes]."""
+    """Data in the order in which they stand in memory [..., pair, lanes]."""
     found: dict[str, Any] = {}
     for name in kind_of(dynamics).data:
         order = memory_order(SHAPES[name])
@@ -56,7 +56,7 @@ def _in_memory(dynamics: Dynamics) -> dict[str, Any]:
 
 
 def _number(x: Any, dynamics: Dynamics) -> Any:
-    """A number of a law [1, slots, lanes]."""
+    """A number of a law [1, pair, lanes]."""
     if isinstance(x, tuple):
         key, row = x
         return dynamics.data[key][row : row + 1]

@@ -40,7 +40,7 @@ from torchmbd.math.codegen.compiler import (
     compilation_wanted,
     compiler,
     load,
-    surroundings,
+    toolchain_digest,
     unavailable,
 )
 from torchmbd.math.codegen.scalars import Untraceable
@@ -218,7 +218,7 @@ def written_out(dynamics: Dynamics) -> Dynamics:
 def key(dynamics: Dynamics, kind: str = "step") -> str:
     """Name of the library of a system, for this source, these versions and this processor."""
     facts = repr([kind, simd_layout.LANES, _facts(data.kind_of(dynamics))])
-    return hashlib.sha256(facts.encode() + surroundings(_SOURCES).encode()).hexdigest()[:32]
+    return hashlib.sha256(facts.encode() + toolchain_digest(_SOURCES).encode()).hexdigest()[:32]
 
 
 def _facts(x: Any) -> Any:

@@ -19,7 +19,7 @@ LANES = 4
 
 
 def blocks(x: Tensor) -> Tensor:
-    """Numbers [n, slots, lanes] as [block, slots, n, LANES]; the last lane fills the last block."""
+    """Numbers [n, pair, lanes] as [block, slots, n, LANES]; the last lane fills the last block."""
     missing = -x.shape[-1] % LANES
     if missing:
         x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], missing)], -1)

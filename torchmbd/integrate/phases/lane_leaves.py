@@ -22,7 +22,7 @@ Key = tuple[str, str]  # kind of a leaf, "data", "design" or "shape", and its na
 
 
 class LaneLeaves:
-    """Data, designs and mode shapes of one lane as leaves of a graph; shapes when somebody asks."""
+    """Data, designs and mode shapes of one lane as leaves of a graph; shapes on demand."""
 
     def __init__(self, views: Views, lane: int, dynamics: Dynamics, wanted: Sequence[str]):
         self.leaves: dict[Key, Tensor] = {}

@@ -4,12 +4,12 @@
     t_k - t*                        the first step of the next one, back to the grid
 
 Every integrator goes this way: it makes regular steps by its stepper and those of other sizes by `Integrator.sized`. The steps
-are differentiated as they stand: sizes are numbers with design tangents, and while h* is sought it is one more design variable.
+are differentiated as they stand: sizes are numbers with design tangents, and h*, while it is iterated, is one more.
 What the adjoint needs is recorded (`PhaseRecord`). Steps that are too short for the integrator are not made: the last step of
 a phase begins one point of the grid earlier instead, the first one ends one later, and the points between take the first
 terms of the Taylor series from the switch.
 
-All lanes are in one phase together; those that left it, or are not there yet, with numbers that nobody looks at.
+All lanes are in one phase together; those that left it, or are not there yet, with numbers that are not used.
 Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.py.
 """
 

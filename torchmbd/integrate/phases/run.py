@@ -20,12 +20,12 @@ from torchmbd.integrate.phases.switch import (
     InitialState,
     accelerations,
     at_time,
+    joined_lanes,
     jump,
     lane_of,
     mapped,
     marked,
     pick,
-    side_by_side,
     together,
 )
 from torchmbd.math.pair import Pair, linear, value
@@ -114,7 +114,7 @@ class MultiphaseRun:
         return History(self.q, self.v, self.vd, self.lam)
 
     def multipliers(self, history: History, data: equations.Data | None = None) -> Tensor:
-        """Multipliers of all rows [times, rows, slots, lanes]; of redundant ones those of least norm.
+        """Multipliers of all rows [times, rows, pair, lanes]; of redundant ones those of least norm.
 
         data   instead of those of the whole
         """
@@ -133,7 +133,7 @@ class MultiphaseRun:
         return History(q, v, vd, self.lam)
 
     def broken(self, lane: int) -> bool:
-        """Note the first time at which a lane that marched to the end is not finite; whether there is one."""
+        """Note the first time at which a lane that was integrated to the end is not finite; whether there is one."""
         bad = [~torch.isfinite(x[..., lane]).flatten(1).all(1) for x in (self.q, self.v, self.vd)]
         first = torch.nonzero(bad[0] | bad[1] | bad[2])
         if len(first):
@@ -204,7 +204,7 @@ class MultiphaseRun:
             own = [pick(y, [lane]) for y in (t, x.q, x.lam)]
             data = lane_of(self.whole, lane).data if bool(torch.isfinite(value(own[0])).all()) else None
             parts.append(self.settled(number, data, *own))
-        return side_by_side(parts)
+        return joined_lanes(parts)
 
     def settled(self, number: int, data: equations.Data | None, t: Any, q: Any, lam: Any) -> Any:
         """Multipliers of all rows of one lane from those of a phase; data None: as they are."""
@@ -301,7 +301,7 @@ class MultiphaseRun:
     ) -> PhaseExit:
         """Where all lanes left a phase that they entered at `entry`; those that did not are at an infinite time.
 
-        left     passages of the lanes that left
+        left     exits of the lanes that left
         staying  lanes that were in the phase when the simulation ended: an error, unless it is the last
         """
         for lane in staying:
@@ -309,7 +309,7 @@ class MultiphaseRun:
                 self.never_ends(phase_model, lane)
         nowhere = PhaseExit(entry.t * 0.0 + torch.inf, entry.x)
         parts = [left.get(lane) or nowhere.lane(lane) for lane in range(self.whole.lanes)]
-        return PhaseExit(side_by_side([p.t for p in parts]), together([p.x for p in parts]))
+        return PhaseExit(joined_lanes([p.t for p in parts]), together([p.x for p in parts]))
 
 
 def _moment(x: State, lam: Any) -> Moment:

@@ -55,7 +55,7 @@ def pick(x: Any, lanes: Sequence[int]) -> Any:
     return Pair(x.full.index_select(-1, index)) if isinstance(x, Pair) else x.index_select(-1, index)
 
 
-def side_by_side(parts: Sequence[Any]) -> Any:
+def joined_lanes(parts: Sequence[Any]) -> Any:
     """Lanes of several numbers as one."""
     if isinstance(parts[0], Pair):
         return Pair(torch.cat([x.full for x in parts], -1))
@@ -64,7 +64,7 @@ def side_by_side(parts: Sequence[Any]) -> Any:
 
 def together(states: Sequence[State]) -> State:
     """Lanes of several states as one."""
-    q, v, vd, a, lam = (side_by_side(x) for x in zip(*states, strict=True))
+    q, v, vd, a, lam = (joined_lanes(x) for x in zip(*states, strict=True))
     return State(q, v, vd, a, lam)
 
 

@@ -217,7 +217,7 @@ def _given(card: Card) -> tuple[list[float], float]:
 
 
 def _after_stations(card: Card) -> int:
-    """The field of K1 of a PBEAM: after end B, if that is told."""
+    """The field of K1 of a PBEAM: after end B, if that is given."""
     stations = ("YES", "YESA", "NO")
     last = 33 if card.text(17).upper() in stations else 17
     for k, word in enumerate(card.fields[18:], start=19):

@@ -3,7 +3,7 @@
     code.so = what the compiler wrote + SEAL + SHA-256 of it
 
 To load a library that was cut short ends the process by SIGBUS, and to load another's runs his code. So nothing is loaded
-whose seal is wrong, or that anybody but the user can write. A file gets its name when it is on the disk as a whole.
+whose seal is wrong, or that another user can write. A file gets its name when it is on the disk as a whole.
 The seal finds accidents, not forgery: against that stand the owner and the mode of the folder and of the file.
 Checked in tests/math/codegen/test_build_cache.py.
 """

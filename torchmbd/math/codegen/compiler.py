@@ -51,13 +51,13 @@ def unavailable() -> str | None:
     return build_cache.refusal(cache_folder())
 
 
-def surroundings(sources: Iterable[str]) -> str:
+def toolchain_digest(sources: Iterable[str]) -> str:
     """Source files of the package (or folders of them), versions, compiler and processor, as a digest."""
-    return _surroundings(tuple(sources), compiler())
+    return _toolchain_digest(tuple(sources), compiler())
 
 
 @cache
-def _surroundings(sources: tuple[str, ...], compiler: str) -> str:
+def _toolchain_digest(sources: tuple[str, ...], compiler: str) -> str:
     digest = hashlib.sha256()
     for part in sources:
         path = PACKAGE / part
@@ -105,7 +105,7 @@ class Native:
 
     def path(self) -> Path:
         """Where the library is, or would be."""
-        return cache_folder() / f"{Path(self.source).stem}-{surroundings([self.source])[:32]}{SUFFIX}"
+        return cache_folder() / f"{Path(self.source).stem}-{toolchain_digest([self.source])[:32]}{SUFFIX}"
 
     def _made(self) -> ctypes.CDLL | None:
         if (why := unavailable()) is not None:

@@ -67,11 +67,11 @@ class InterpolationConstraint:
             w[:, None] * d
         )
         values, axes = torch.linalg.eigh(T)
-        told = values > _FLAT * values[-1]
+        determined = values > _FLAT * values[-1]
         moment = torch.linalg.cross(d[:, :, None].expand_as(own[..., :3, :]), own[..., :3, :], dim=-2)
-        inverse = (axes[:, told] / values[told]) @ axes[:, told].T
+        inverse = (axes[:, determined] / values[determined]) @ axes[:, determined].T
         turn = torch.einsum("ij,k,...kjm->...im", inverse, w, moment)
-        N = axes[:, ~told]
+        N = axes[:, ~determined]
         turn = turn + torch.einsum("ij,k,...kjm->...im", N @ N.T, w, own[..., 3:, :])
         return torch.cat([u, turn], dim=-2)
 

@@ -6,7 +6,7 @@ What a controller reads, and what it sets, are actions of the usual kinds (actio
 force of its own. `Links` adds the u of all controllers to the strengths of all actions. So design tangents, the adjoint and
 the iteration matrix come from the directions of the kinds and from derivatives of the module.
 The module sees one lane at a time, under torch.func.vmap where there are several: lanes cannot mix.
-`data["law NAME"]` holds the parameters of the controller NAME, flat [k, slots, lanes].
+`data["law NAME"]` holds the parameters of the controller NAME, flat [k, pair, lanes].
 Checked in tests/multibody/forces/test_controller.py, tests/multibody/forces/test_controller_refusals.py.
 """
 
@@ -40,7 +40,7 @@ class Control:
         return f"module {type(self.module).__name__} of the controller {self.name!r}"
 
     def __call__(self, x: Any, t: Any, data: Mapping[str, Any]) -> Any:
-        """u [outputs, slots, lanes] of x [inputs, slots, lanes] at time t."""
+        """u [outputs, pair, lanes] of x [inputs, pair, lanes] at time t."""
         both = [self._weights(x, data), x]
         plain = [value(y)[:, 0] for y in both]
         every = self._every(t)
@@ -88,7 +88,7 @@ class Control:
         return every(self._weights(x, data)[:, 0], x[:, 0]).movedim(-1, 0)
 
     def _weights(self, x: Any, data: Mapping[str, Any]) -> Any:
-        """Parameters [k, slots, lanes]; k = 0 of a module without."""
+        """Parameters [k, pair, lanes]; k = 0 of a module without."""
         return x[:0] if self.variables is None else data[key(self.name)]
 
     def _one(self, t: Any) -> Callable[[Tensor, Tensor], Tensor]:
@@ -212,7 +212,7 @@ class Links:
 
     @staticmethod
     def _signals(states: Sequence[tuple], t: Any) -> Any:
-        """s | s' | t of all actions [2 n + 1, slots, lanes]."""
+        """s | s' | t of all actions [2 n + 1, pair, lanes]."""
         s, rate = cat([x[0] for x in states]), cat([x[1] for x in states])
         if isinstance(t, Pair):
             time: Any = t.unsqueeze(0) if t.full.dim() == 2 else t

@@ -1,8 +1,8 @@
 """Laws of forces with design variables: numbers of a law that are taken from the data of a design.
 
-    f(s, s', t; b)     the law with its numbers [1, slots, lanes] in the places of its fields
+    f(s, s', t; b)     the law with its numbers [1, pair, lanes] in the places of its fields
 
-`data["law NAME"]` holds those of the force NAME, flat [k, slots, lanes]. Such a law is evaluated on values and tangents
+`data["law NAME"]` holds those of the force NAME, flat [k, pair, lanes]. Such a law is evaluated on values and tangents
 together, so it is compiled like any other.
 Checked in tests/sensitivity/test_law_variables.py: against central differences, on both routes.
 """

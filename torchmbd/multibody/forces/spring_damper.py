@@ -21,7 +21,7 @@ from torchmbd.multibody.joints.joint import AttachmentTable, others
 
 
 class _Between(ForceElement):
-    """a, b: the frames; name: of the element, and of its design variables; others as told by each kind."""
+    """a, b: the frames; name: of the element, and of its design variables; others as described by each kind."""
 
     def __init__(
         self,

@@ -1,9 +1,9 @@
 """The law of a drive with design variables: a torch module of time, its parameters taken from the data of a design.
 
-    x(t, b)     values [n, slots, lanes] at times [n], with x_b db where the data are pairs
+    x(t, b)     values [n, pair, lanes] at times [n], with x_b db where the data are pairs
     jets        x, x', x'' [slots, lanes] at one time
 
-Parameters of any shape; `data["law NAME"]` holds those of the law of joint NAME, flat [k, slots, lanes]. Without data
+Parameters of any shape; `data["law NAME"]` holds those of the law of joint NAME, flat [k, pair, lanes]. Without data
 they have their own values. Derivatives by time and by parameters from forward mode.
 Checked in tests/sensitivity/test_law_variables.py: against central differences, on both routes.
 """
@@ -31,7 +31,7 @@ class ParametricDrive(Finite):
         self.variables = variables
 
     def numbers(self, times: Tensor, data: Mapping[str, Any] | None) -> Any:
-        """Values [n, slots, lanes] at times [n]."""
+        """Values [n, pair, lanes] at times [n]."""
         found = self._of(lambda p: torch.func.vmap(lambda t: self._law(p, t))(times), data)
         return self._checked(found, times)
 
@@ -45,7 +45,7 @@ class ParametricDrive(Finite):
         return torch.func.functional_call(self.variables.module, self.variables.named(flat), (t,))
 
     def _of(self, f: Callable[[Tensor], Tensor], data: Mapping[str, Any] | None) -> Any:
-        """f [m] of the parameters of every lane: a number [m, slots, lanes]."""
+        """f [m] of the parameters of every lane: a number [m, pair, lanes]."""
         own = self.variables.flat().detach() if data is None else data[key(self.name)]
         every: Any = torch.func.vmap(f, 1, 1)
         p = value(own)[:, 0]

@@ -76,11 +76,11 @@ class Primitive:
         return any(hasattr(law, "numbers") for law in self.data)
 
     def prescribed(self, times: Tensor, data: Mapping[str, Any] | None = None) -> tuple:
-        """What the laws prescribe at times [n], parts [n, laws, slots, lanes]; data: with their design variables."""
+        """What the laws prescribe at times [n], parts [n, laws, pair, lanes]; data: with their design variables."""
         return self.drive(cat([_numbers(law, times, data) for law in self.data], 1))
 
     def prescribed_jets(self, t: Tensor, data: Mapping[str, Any] | None = None) -> tuple[Jet, ...]:
-        """The same at time t with time derivatives, parts [laws, slots, lanes]."""
+        """The same at time t with time derivatives, parts [laws, pair, lanes]."""
         parts = zip(*(_jet(law, t, data).parts for law in self.data), strict=True)
         return self.drive(Jet(*(cat(part) for part in parts)))
 
@@ -207,14 +207,14 @@ def _row(x):
 
 
 def _numbers(law: Any, times: Tensor, data: Mapping[str, Any] | None) -> Any:
-    """Values [n, 1, slots, lanes] of a law."""
+    """Values [n, 1, pair, lanes] of a law."""
     if hasattr(law, "numbers"):
         return law.numbers(times, data).unsqueeze(1)
     return values_at(law, times)[:, None, None, None]
 
 
 def _jet(law: Any, t: Tensor, data: Mapping[str, Any] | None) -> Jet:
-    """A law with its slopes, parts [1, slots, lanes]."""
+    """A law with its slopes, parts [1, pair, lanes]."""
     if hasattr(law, "numbers"):
         return law.jets(t, data).map(lambda x: x.unsqueeze(0))
     return Jet(*(x[None, None, None] for x in slopes(law, t)))

@@ -7,7 +7,7 @@
 
 Exact: what is left is the same motion with fewer unknowns; the slider-crank has 22 of 44. Whether a subspace or the
 turn of a drive satisfies the joints everywhere and not only at the start is tried at poses far away.
-The whole motion, and the multipliers of the rows that went, follow when somebody asks (expansion.py, reactions.py).
+The whole motion, and the multipliers of the rows that went, follow on demand (expansion.py, reactions.py).
 Checked in tests/multibody/system/test_condensation.py: against the same system with nothing condensed.
 """
 

@@ -87,8 +87,8 @@ class Dynamics:
     @property
     def tangents(self) -> int:
         """Number of design variables whose tangents the data carry."""
-        slots = [x.shape[-2] - 1 for x in self.data.values() if isinstance(x, Pair)]
-        return max(slots, default=0)
+        tangents = [x.shape[-2] - 1 for x in self.data.values() if isinstance(x, Pair)]
+        return max(tangents, default=0)
 
     @cached_property
     def alike(self) -> Any:
@@ -97,7 +97,7 @@ class Dynamics:
 
     @cached_property
     def start(self) -> tuple[Any, Any]:
-        """Initial q [n_q, slots, lanes] and v [n_v, slots, lanes]: joints closed, velocities compatible."""
+        """Initial q [n_q, pair, lanes] and v [n_v, pair, lanes]: joints closed, velocities compatible."""
         return self.initial.solve(self)
 
     @cached_property
@@ -142,20 +142,20 @@ class Dynamics:
         return LeastNorm.of(self.topology, found)
 
     def diagonal(self, everywhere: bool = False) -> Diagonal | None:
-        """For the saddle-point matrix: which rows and columns stay, 1 or 0 [n], and what its diagonal loses [n].
+        """For the saddle-point matrix: row_mask [n], 1 or 0 of rows and columns, and diagonal_shift [n], subtracted.
 
         None: it is determined as it is. everywhere: regularized also without redundant rows, near singular positions.
         """
         if not self.topology.rows or not (self.redundant or everywhere):
             return None
         n, left_out = self.topology.n_v, list(self.rank.left_out)
-        stay = torch.ones(n + self.topology.rows, dtype=torch.float64)
-        lost = torch.zeros_like(stay)
+        row_mask = torch.ones(n + self.topology.rows, dtype=torch.float64)
+        diagonal_shift = torch.zeros_like(row_mask)
         if everywhere or len(left_out) < len(self.redundant):
-            lost[n:] = REGULARIZATION / float(value(self.data["mass"]).max())
+            diagonal_shift[n:] = REGULARIZATION / float(value(self.data["mass"]).max())
         for i in left_out:
-            stay[n + i], lost[n + i] = 0.0, LEFT_OUT
-        return stay, lost
+            row_mask[n + i], diagonal_shift[n + i] = 0.0, LEFT_OUT
+        return row_mask, diagonal_shift
 
     def determined(self, K: Tensor) -> Tensor:
         """The saddle-point matrices K [lanes, n, n]: regularized where rows are redundant, without those left out."""
@@ -214,7 +214,7 @@ class Dynamics:
         return value(dz)[:, 0].T.reshape(z.shape)
 
     def rates(self, t: Tensor, z):
-        """dz/dt [n_z, slots, lanes] of values, or of pairs with the design tangents of all variables."""
+        """dz/dt [n_z, pair, lanes] of values, or of pairs with the design tangents of all variables."""
         self.statistics["evaluations"] += 1
         T = self.topology
         q, v = z[: T.n_q], z[T.n_q :]

@@ -4,7 +4,7 @@
     prescribed bodies                 known motions: they have no design tangents
     multipliers of rows that went: reactions.py
 
-By rows, when somebody asks: most of a motion is never looked at.
+By rows, on demand: most of a motion is never read.
 Checked in tests/multibody/system/test_condensation.py.
 """
 
@@ -34,7 +34,7 @@ class Expansion:
 
     @classmethod
     def of(cls, c: Condensation, data: Data, times: Tensor) -> Expansion:
-        """Asks the laws of the prescribed bodies now: they may be others when somebody looks."""
+        """Asks the laws of the prescribed bodies now: they may be others later."""
         known = [
             (c.whole.names.index(prescribed_body.name), prescribed_body.motion(times))
             for prescribed_body in c.topology.prescribed_bodies
@@ -42,10 +42,10 @@ class Expansion:
         return cls(c, data, times, known)
 
     def rows(self, order: int, x: Tensor, index: Sequence[int] | None = None, known: bool = True) -> Tensor:
-        """Rows of q (order 0), v (1) or a (2) [times, k, slots, lanes] of the whole out of x of what was left.
+        """Rows of q (order 0), v (1) or a (2) [times, k, pair, lanes] of the whole out of x of what was left.
 
         index   rows of the whole; None: all
-        known   whether the first slot holds values, and the others tangents; False: all are tangents
+        known   whether the first of the pair axis are values, and the others tangents; False: all are tangents
         """
         c, each = self.condensation, 6 if order else 7
         own = component_rows(c.whole, c.bodies, each).tolist()
@@ -66,13 +66,13 @@ class Expansion:
         return result
 
     def multipliers(self, q: Tensor, v: Tensor, a: Tensor, lam: Tensor) -> Tensor:
-        """All multipliers [times, rows, slots, lanes] from q, v, a and multipliers of what was left."""
+        """All multipliers [times, rows, pair, lanes] from q, v, a and multipliers of what was left."""
         q, v, a = (self.rows(order, x) for order, x in enumerate((q, v, a)))
         return multipliers(self.condensation, self.data, self.times, q, v, a, lam)
 
 
 def _picked(spread, x: Tensor, rows: list[int]) -> Tensor:
-    """Rows of x [times, k, slots, lanes], or of what a map makes of it."""
+    """Rows of x [times, k, pair, lanes], or of what a map makes of it."""
     if spread is not None:
         y = spread.some(rows)(x.transpose(0, 1).flatten(1, 2))
         return y.unflatten(1, (x.shape[0], x.shape[2])).transpose(0, 1)
@@ -80,5 +80,5 @@ def _picked(spread, x: Tensor, rows: list[int]) -> Tensor:
 
 
 def chosen(x: Tensor, rows: Sequence[int]) -> Tensor:
-    """Rows of x [times, k, slots, lanes]."""
+    """Rows of x [times, k, pair, lanes]."""
     return x.index_select(1, torch.tensor(rows, dtype=torch.long))

@@ -15,7 +15,7 @@ The derivatives by the design are those of these steps. With the multipliers y =
 
     ds = u - C G u + w - F+ (G (u - C G u) + F w) - K (dPhi + dJ s)     u = dG' y - G' F+' dF' y,  w = dF' z
 
-and d(J v0 + Phi_t) of a velocity for dPhi. A given velocity that is not kept is told with a warning.
+and d(J v0 + Phi_t) of a velocity for dPhi. A given velocity that is not kept gives a warning.
 
 On pairs, or on tensors that require gradients, every step carries them; a last one the position's at the closed joints.
 What cannot close is named with its residual.
@@ -48,7 +48,7 @@ _CLOSED = 1e-11  # [m] or [-]: largest violation of a closed joint
 _STEPS = 50
 _RANK = 1e-10  # share of the largest singular value of J that counts as zero
 _KEPT = 1e-6  # share of the largest given velocity by which one may change without a word
-_TOLD = 4  # velocities that are not kept, the worst first
+_SHOWN = 4  # velocities that are not kept, the worst first
 
 
 START = ("q0", "v0")  # where approximate initial coordinates and rates are among the data of a design, if these vary
@@ -191,9 +191,9 @@ class InitialConditions:
                     own, found = (", ".join(f"{x:.4g}" for x in y[rows, lane].tolist()) for y in (v, v + s))
                     lost.append((-float(change), f"{kind} of {name!r} given ({own}), starts with ({found}) {unit}"))
         if lost:
-            told, more = [text for _, text in sorted(lost)[:_TOLD]], len(lost) - _TOLD
+            shown, more = [text for _, text in sorted(lost)[:_SHOWN]], len(lost) - _SHOWN
             warn(
-                f"the joints do not allow the initial velocities that the bodies were given: {'; '.join(told)}"
+                f"the joints do not allow the initial velocities that the bodies were given: {'; '.join(shown)}"
                 + (f"; and {more} more" if more > 0 else ""),
             )
 
@@ -297,5 +297,5 @@ def _pseudo_inverse(J: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _times(A: Tensor, x: Tensor) -> Tensor:
-    """Matrices [lanes, n, k] times numbers [k, slots, lanes]."""
+    """Matrices [lanes, n, k] times numbers [k, pair, lanes]."""
     return (A @ x.permute(2, 0, 1)).permute(1, 2, 0)

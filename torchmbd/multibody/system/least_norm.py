@@ -24,7 +24,7 @@ from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.equations import Data, Placement
 from torchmbd.multibody.system.rank import Rank
 from torchmbd.multibody.system.reactions import in_parts, number, repeated, unit_forces
-from torchmbd.multibody.system.times_as_lanes import side_by_side
+from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
 _APART = 1e-4  # of the largest singular value: rows that depended at the start and do not any more
@@ -53,13 +53,13 @@ class LeastNorm:
         return cls(T, acting, rank.rank)
 
     def at_times(self, data: Data, times: Tensor, q: Tensor, lam: Tensor) -> Tensor:
-        """Multipliers [times, rows, slots, lanes] that act as `lam` does along the motion q [times, n_q, slots, lanes]."""
+        """Multipliers [times, rows, pair, lanes] that act as `lam` does along the motion q [times, n_q, pair, lanes]."""
         return in_parts(lambda *x: self._chunk(data, *x), times, q, lam)
 
     def _chunk(self, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
         n, lanes = len(times), motion[0].shape[-1]
         wide = {name: repeated(data[name], n, lanes) for name in ("x", "Y") if name in data}
-        found = self(wide, side_by_side(self.T.schedule(times, data), lanes), *(number(x) for x in motion))
+        found = self(wide, as_lanes(self.T.schedule(times, data), lanes), *(number(x) for x in motion))
         full = found.full if isinstance(found, Pair) else found
         return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)
 
@@ -129,5 +129,5 @@ def _forces(T: Topology, data: Data, at: Placement, nu: Tensor) -> Tensor:
 
 
 def _times(matrices: Tensor, x: Tensor) -> Tensor:
-    """Matrices [lanes, n, m] times numbers [m, slots, lanes]."""
+    """Matrices [lanes, n, m] times numbers [m, pair, lanes]."""
     return (matrices @ x.permute(2, 0, 1)).permute(1, 2, 0)

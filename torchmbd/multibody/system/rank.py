@@ -30,7 +30,7 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.math.pair import value
 from torchmbd.multibody.system import equations
-from torchmbd.multibody.system.times_as_lanes import side_by_side
+from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Topology
 
 RELATIVE = 1e-9  # what counts as zero
@@ -203,7 +203,7 @@ def jacobians(dynamics: Any, q: Tensor, times: Tensor) -> Tensor:
     count = max(1, _TOGETHER // max(1, T.rows * T.n_v))
     for start in range(0, len(q), count):
         some = slice(start, start + count)
-        at = equations.placement(T, data, q[some].T[:, None], side_by_side(schedule[some]).values())
+        at = equations.placement(T, data, q[some].T[:, None], as_lanes(schedule[some]).values())
         parts.append(saddle.jacobian(data, at))
     J = torch.cat(parts)
     return J / J.norm(dim=2, keepdim=True).clamp_min(torch.finfo(J.dtype).tiny)

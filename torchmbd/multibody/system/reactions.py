@@ -20,24 +20,24 @@ from torchmbd.math.pair import Pair, cat, slope_of, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.condensation import Condensation
 from torchmbd.multibody.system.equations import INERTIA, Data, Placement
-from torchmbd.multibody.system.times_as_lanes import side_by_side
+from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Topology
 
 _TOGETHER = 2048  # times x lanes in one evaluation
 
 
 def multipliers(c: Condensation, data: Data, times: Tensor, q: Tensor, v: Tensor, a: Tensor, left: Tensor) -> Tensor:
-    """All multipliers [times, rows, slots, lanes] of a motion.
+    """All multipliers [times, rows, pair, lanes] of a motion.
 
     data            of the whole system
-    times, q, v, a  its motion [times, component, slots, lanes]
+    times, q, v, a  its motion [times, component, pair, lanes]
     left            multipliers of the rows that were left
     """
     return in_parts(lambda *x: _chunk(c, data, *x), times, q, v, a, left)
 
 
 def in_parts(f: Callable[..., Tensor], times: Tensor, *motion: Tensor) -> Tensor:
-    """f(times, *motion) [times, ...] of many times and lanes [times, component, slots, lanes], some at once."""
+    """f(times, *motion) [times, ...] of many times and lanes [times, component, pair, lanes], some at once."""
     some = max(1, _TOGETHER // motion[0].shape[-1])
     parts = [slice(i, i + some) for i in range(0, len(times), some)]
     return torch.cat([f(times[s], *(x[s] for x in motion)) for s in parts])
@@ -49,7 +49,7 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
     T = c.whole
     names = ("x", "Y", "gravity", *INERTIA)
     wide = {name: repeated(data[name], n, lanes) for name in names if name in data}
-    given = side_by_side([T.prescribed(t, data) for t in times], lanes)
+    given = as_lanes([T.prescribed(t, data) for t in times], lanes)
     gone = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)
     at = equations.placement(T, wide, q, given)
     lam = _placed(left, c.rows, T.rows)
@@ -68,7 +68,7 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
 
 
 def number(x: Tensor) -> Any:
-    """A motion [times, component, slots, lanes] as a number: times and lanes are one axis."""
+    """A motion [times, component, pair, lanes] as a number: times and lanes are one axis."""
     flat = x.permute(1, 2, 0, 3).flatten(2)
     return Pair(flat) if x.shape[2] > 1 else flat
 

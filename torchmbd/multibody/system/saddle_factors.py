@@ -64,7 +64,7 @@ class DenseFactors:
         self.LU, self.pivots, _ = torch.linalg.lu_factor_ex(regularized(K, diagonal))
 
     def solve(self, rhs: Tensor) -> Tensor:
-        """K^-1 rhs [n, slots, lanes]."""
+        """K^-1 rhs [n, pair, lanes]."""
         b = rhs.permute(2, 0, 1)
         x = torch.linalg.lu_solve(self.LU, self.pivots, b)
         for _ in range(0 if self.exact is None else REFINEMENTS):
@@ -79,13 +79,13 @@ class SparseFactors:
         entries = np.ascontiguousarray(K.numpy())  # SuperLU takes no strides
         self.exact = None if diagonal is None else [columns.matrix(x) for x in entries]
         if diagonal is not None:
-            stay, lost = (x.numpy() for x in diagonal)
-            entries = entries * (stay[columns.rows] * stay[columns.columns])
-            entries[:, columns.rows == columns.columns] -= lost
+            row_mask, diagonal_shift = (x.numpy() for x in diagonal)
+            entries = entries * (row_mask[columns.rows] * row_mask[columns.columns])
+            entries[:, columns.rows == columns.columns] -= diagonal_shift
         self.factors = [_factors(columns.matrix(x)) for x in entries]
 
     def solve(self, rhs: Tensor) -> Tensor:
-        """K^-1 rhs [n, slots, lanes]."""
+        """K^-1 rhs [n, pair, lanes]."""
         lanes = max(len(self.factors), rhs.shape[-1])
         exact = self.exact or []
         found = np.full((*rhs.shape[:-1], lanes), np.nan)
@@ -108,7 +108,9 @@ def _factors(K: scipy.sparse.csc_array) -> Any:
         return None
     try:
         return scipy.sparse.linalg.splu(K)
-    except RuntimeError:  # singular
+    except RuntimeError as error:  # SuperLU: "Factor is exactly singular"
+        if "singular" not in str(error):
+            raise
         return None
 
 
@@ -124,7 +126,7 @@ class Factors:
         self._made: list[tuple[Tensor, Any]] = []
 
     def solve(self, rhs: Tensor) -> Tensor:
-        """K^-1 rhs [n, slots, lanes], differentiable by rhs."""
+        """K^-1 rhs [n, pair, lanes], differentiable by rhs."""
         if not self.by:
             return self.of(self.K).solve(rhs)
         return _Solved.apply(self, self.K, rhs, *self.by)  # pyright: ignore[reportReturnType]
@@ -141,7 +143,7 @@ class Factors:
 
 
 def _folded(info: Any, in_dims: tuple, K: Tensor, rhs: Tensor) -> tuple[Tensor, Tensor, bool]:
-    """A batch as slots, or as lanes where K is a batch too."""
+    """A batch as more right-hand sides, or as lanes where K is a batch too."""
     n, k, r = info.batch_size, in_dims[1], in_dims[2]
     b = rhs.expand(n, *rhs.shape) if r is None else rhs.movedim(r, 0)
     if k is None:
@@ -207,5 +209,5 @@ def regularized(K: Tensor, diagonal: Diagonal | None) -> Tensor:
     """Matrices K [lanes, n, n] with the changes of Dynamics.diagonal."""
     if diagonal is None:
         return K
-    stay, lost = diagonal
-    return K * (stay[:, None] * stay) - torch.diag(lost)
+    row_mask, diagonal_shift = diagonal
+    return K * (row_mask[:, None] * row_mask) - torch.diag(diagonal_shift)

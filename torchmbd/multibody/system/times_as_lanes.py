@@ -14,7 +14,7 @@ from torchmbd.math.pair import Pair
 from torchmbd.multibody.system.topology import Prescribed
 
 
-def side_by_side(known: list[Prescribed], lanes: int = 1, lanes_first: bool = False) -> Prescribed:
+def as_lanes(known: list[Prescribed], lanes: int = 1, lanes_first: bool = False) -> Prescribed:
     """What is known at some times for `lanes` lanes, as lanes [times x lanes], or [lanes x times]; t [times] stays."""
     laws = [
         None if kind[0] is None else tuple(_joined(part, lanes, lanes_first) for part in zip(*kind, strict=True))

@@ -10,7 +10,7 @@ Order of the unknowns (flexible bodies come first):
 Prescribed bodies are bodies whose motion is known: the ground, and before it those that a condensation took out
 (prescribed_body.py).
 They follow the bodies in `vector_body`. `rates`, where a condensation left it, gives the rates of all bodies from
-independent ones; v and a then hold the independent ones, and nobody but `split_v` and `dynamic_residual` knows.
+independent ones; v and a then hold the independent ones, which only `split_v` and `dynamic_residual` know.
 
 Sums over attached vectors are gathers from a padded table (`SegmentSum`): one gather and one sum whatever the number of
 joints, and no atomic additions.

@@ -10,7 +10,7 @@ import numpy as np
 
 from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.discrete.grid import Grid
-from torchmbd.optimization.multistart.batched import side_by_side
+from torchmbd.optimization.multistart.batched import run_batched
 from torchmbd.optimization.multistart.run import MultistartResult
 from torchmbd.optimization.optimizer import Evaluation, OptimizationResult
 from torchmbd.optimization.search import Ask, Report, Search, variable_scale
@@ -74,7 +74,7 @@ class Branching:
             queue = sorted((b for b in queue if b.bound < self.limit), key=lambda b: b.bound)
             room = min(self.max_lanes, max_boxes - self.boxes)
             wave, queue = queue[:room], queue[room:]
-            ends, interrupted = side_by_side(
+            ends, interrupted = run_batched(
                 self.cache, [partial(self.search, b) for b in wave], self.run_one, self.max_lanes
             )
             if interrupted:

@@ -1,7 +1,7 @@
 """Optimizers of other packages as methods: what they see, when they are begun afresh, how they end.
 
 Packages take a run over not-a-number for success (SciPy) or never return from it (NLopt), so they never see one. A failed
-evaluation is told as a wall: an objective far above the last one, from which line searches, trust regions and conservative
+evaluation is returned as a wall: an objective far above the last one, from which line searches, trust regions and conservative
 approximations turn back. If one stops on the wall all the same, it is begun afresh from the best design, inside a box that
 leaves the wall outside. Absolute tolerances: where the objective fell far below the start's, it is begun afresh in units of
 the objective reached, so that "small" means small there. And only a Kuhn-Tucker point, or nearly one where the package's

@@ -1,6 +1,6 @@
 """IPOPT (a primal-dual interior point method with a filter line search), by cyipopt where it is installed.
 
-A design that fails is told to IPOPT as such: it shortens the step. Second derivatives by its limited-memory BFGS.
+A design that fails is reported to IPOPT as such: it shortens the step. Second derivatives by its limited-memory BFGS.
 Source: Waechter and Biegler, On the implementation of an interior-point filter line-search algorithm for large-scale nonlinear
 programming, Math. Programming 106 (2006) 25-57; cyipopt.Problem.
 """

@@ -227,7 +227,7 @@ class BatchedSearches:
         self._back.release()
 
 
-def side_by_side(
+def run_batched(
     problem: Any,
     searches: Sequence[Callable[[int, Ask, Report], Search]],
     run_one: Callable[[Search], OptimizationResult],

@@ -14,7 +14,7 @@ import numpy as np
 
 from torchmbd.optimization.cache import Cache
 from torchmbd.optimization.criteria import Criteria
-from torchmbd.optimization.multistart.batched import side_by_side
+from torchmbd.optimization.multistart.batched import run_batched
 from torchmbd.optimization.optimizer import Evaluation, OptimizationResult
 from torchmbd.optimization.search import Ask, Report, Search, variable_scale
 
@@ -111,7 +111,7 @@ class Family:
             return [None] * len(jobs)
 
         searches = [partial(self._search, member, x) for member, x in jobs]
-        ends, self.interrupted = side_by_side(self.cache, searches, self.run_one, self.max_lanes)
+        ends, self.interrupted = run_batched(self.cache, searches, self.run_one, self.max_lanes)
         return [end if end is not None and end.violation <= self.feasibility else None for end in ends]
 
     def _search(self, member: Member, x: np.ndarray, index: int, ask: Ask, report: Report) -> Search:

@@ -8,7 +8,7 @@ the starts of a study are in as many groups (batched.py), and no worker waits fo
 workers, each is cut into pieces. A worker makes the problem once and evaluates a piece as one batch. Pieces are pure functions
 of the designs: one that a worker takes with it when it dies is evaluated again by another, and nothing depends on which. What
 is evaluated together moves gradients in their seventh digit (an iteration ends for all designs of a batch at once): studies
-agree to the last digit where they have as many workers, whoever dies.
+agree to the last digit where they have as many workers, whichever worker dies.
 Half a batch takes more than half its time (a step costs the same operations): it is many starts that workers speed up.
 
 One thread each: a worker must be started with OMP_NUM_THREADS=1 (the local cluster and jobs of SLURM are).
@@ -47,7 +47,7 @@ _SETTINGS: dict[str, Any] = {
     "distributed.admin.tick.interval": "500ms",  # 20 ms by itself: a wake-up that interrupts the numbers
 }
 _LOUD = ("distributed", "distributed.client", "tornado.application")
-_START = 60  # seconds to wait for a scheduler, and for workers that nobody has to queue for
+_START = 60  # seconds to wait for a scheduler, and for workers without a queue
 
 
 class Workers:
@@ -86,7 +86,7 @@ class Workers:
                 f"workers need the package {error.name!r}: pip install 'torchmbd[cluster]'; allowed without: one process"
             ) from None
         config.set(_SETTINGS)
-        for name in _LOUD:  # with tracebacks; what matters of it is told by an MbdError
+        for name in _LOUD:  # with tracebacks; what matters of it is said by an MbdError
             logging.getLogger(name).setLevel(logging.CRITICAL)
         if self.scheduler is None:
             start = self._start or partial(start_local_cluster, module=self.order[0].__module__)
@@ -137,7 +137,7 @@ class Workers:
         return Pieces(self, [len(part) for part in parts], futures)
 
     def dismiss(self, futures: list[Any]) -> None:
-        """Stop what nobody waits for, unless the scheduler is gone."""
+        """Stop what is not waited for, unless the scheduler has ended."""
         if self._client.status == "running":
             self._client.cancel(futures, force=True)
 

@@ -1,4 +1,4 @@
-"""Do torchmbd and Exudyn find the same motion? `python -m experiments.side_by_side` (needs the extra `bench`)
+"""Do torchmbd and Exudyn find the same motion? `python -m experiments.exudyn_comparison` (needs the extra `bench`)
 
 The slider-crank of the paper and a panel on three joints, the same modes in both codes, equal steps. Differences over
 time, relative to the largest value: of the strain energy, and of the place of one node, relative to its way. The rod's end at

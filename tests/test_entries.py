@@ -1,4 +1,4 @@
-"""Arguments of another kind are refused at the door: the error names the argument, its value and what is allowed."""
+"""Arguments of another kind are refused: the error names the argument, its value and what is allowed."""
 
 from __future__ import annotations
 

@@ -6,7 +6,7 @@ import pytest
 
 import torchmbd as mbd
 from experiments import exudyn_peer, panel, slider_crank
-from experiments.side_by_side import Comparison, compare
+from experiments.exudyn_comparison import Comparison, compare
 
 
 def agree(found: Comparison) -> None:
