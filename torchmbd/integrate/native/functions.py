@@ -313,7 +313,8 @@ def _adjoint(kind: Kind) -> str:
             p.buffer(name, 0, "lanes")
         for name in ("z_bar", "x_bar", "strength_bars", *(f"b_{buffer_name(name)}" for name in s.names)):
             p.buffer(name, 0, "output")
-        p.buffers.pop("R"), p.buffers.pop("next")
+        for name in ("R", "next"):
+            p.buffers.pop(name)
         of_state, of_z, of_strengths = {"x": "x_bar"}, {"z": "z_bar"}, {"strengths": "strength_bars"}
         of_data = {f"d_{buffer_name(name)}": f"b_{buffer_name(name)}" for name in s.names}
         s.module.moving = {

@@ -6,7 +6,7 @@
     a function of parameters, likewise     f(**parameters)                              "rod.model.<name>"
 
 Numbers are arrays, tensors, SciPy sparse matrices, or files (io/matrix_file.py). Rows: three displacements, or these and
-three rotations, of each node in turn; or any freedoms, told by (node, component) of each row.
+three rotations, of each node in turn; or any freedoms, each row named by (node, component).
 Checked in tests/multibody/bodies/test_from_matrices.py.
 """
 
@@ -138,10 +138,10 @@ def _places(name: str, nodes: Any, read: Sequence[FileMatrix]) -> tuple[list[int
     x = nodes.nodes.detach() if isinstance(nodes, Mesh) else reals(f"nodes of {name!r}", nodes)
     if x.dim() != 2 or x.shape[1] != 3 or not len(x):
         raise InputError(f"nodes of {name!r} have shape {tuple(x.shape)}; allowed: [n, 3], or label -> place")
-    told = sorted({label for found in read if found.rows is not None for label, _ in found.rows})
-    if told and len(told) != len(x):
-        raise InputError(f"matrices of {name!r} refer to {len(told)} nodes; allowed: {len(x)}, the nodes given")
-    return told or None, x
+    named = sorted({label for found in read if found.rows is not None for label, _ in found.rows})
+    if named and len(told) != len(x):
+        raise InputError(f"matrices of {name!r} refer to {len(named)} nodes; allowed: {len(x)}, the nodes given")
+    return named or None, x
 
 
 def _freedoms(
