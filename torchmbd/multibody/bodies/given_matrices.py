@@ -139,7 +139,7 @@ def _places(name: str, nodes: Any, read: Sequence[FileMatrix]) -> tuple[list[int
     if x.dim() != 2 or x.shape[1] != 3 or not len(x):
         raise InputError(f"nodes of {name!r} have shape {tuple(x.shape)}; allowed: [n, 3], or label -> place")
     named = sorted({label for found in read if found.rows is not None for label, _ in found.rows})
-    if named and len(told) != len(x):
+    if named and len(named) != len(x):
         raise InputError(f"matrices of {name!r} refer to {len(named)} nodes; allowed: {len(x)}, the nodes given")
     return named or None, x
 

@@ -149,7 +149,7 @@ def _shapes(name: str, n: int, modes: Any) -> Float[Tensor, "n 6 m"]:
 
 
 def save_reduced(path: str | Path, mesh: Any, origin: Tensor, made: Mapping[str, Tensor]) -> Path:
-    """Write a reduced body to an .npz file; nodes are told from the origin of its frame."""
+    """Write a reduced body to an .npz file; nodes are measured from the origin of its frame."""
     path = Path(path)
     if path.suffix != ".npz":
         raise InputError(f"path = {str(path)!r}; allowed: a name that ends in .npz")
