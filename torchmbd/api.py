@@ -51,6 +51,7 @@ from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.rainflow import rainflow
+from torchmbd.design.scenarios import Scenarios
 from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, name_arguments
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, FiberField, GivenSection, SteeredLaminate
@@ -227,6 +228,7 @@ __all__ = [
     "RobustProblem",
     "RotationalSpringDamper",
     "SNCurve",
+    "Scenarios",
     "SectionHistory",
     "SimulationFailure",
     "Sine",

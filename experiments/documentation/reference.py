@@ -31,7 +31,7 @@ GROUPS: dict[str, str] = {
     "PlyFailure PlyStress history",
     "measures": "Integral Mean RMS Max Min SmoothMax Final AtTime AtTimes AtPeaks Frequency Frequencies Mass BucklingFactor "
     "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence measure",
-    "problems": "Problem Constraint DesignSpace Tradeoff Differences load problem_of",
+    "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences load problem_of",
     "optimization": "optimize multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes sobol "
     "latin_hypercube",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",

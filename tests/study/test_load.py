@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+import torchmbd as mbd
 from torchmbd.study.file_errors import StudyError
 from torchmbd.study.load import load
 from torchmbd.study.schema import StudyFile
@@ -62,6 +64,27 @@ def test_motions_start_where_the_file_says(write):
         [fault] = faults(write(simulate=simulate | {"start": wrong}))
         assert fault.path[:2] == ("simulate", "start")
         assert words in fault.text
+
+
+def test_scenarios_of_a_file_are_those_of_python(write):
+    simulate = {"duration": 0.002, "steps": 8}
+    cases = [
+        {"name": "thin", "set": {"rod.laminate.thickness": 1e-3}},
+        {"set": {"rod.laminate.thickness": 2e-3}, "weight": 3},
+    ]
+    told = load(write(simulate=simulate, scenarios=cases, combine={"objective": "mean"})).simulated
+    assert isinstance(told, mbd.Scenarios)
+    assert list(told.scenarios) == ["thin", "scenario 2"]
+    assert told.weights.tolist() == [0.25, 0.75]
+    assert told.evaluate(told.start[None], False)[0].status == "ok"
+    for wrong, words in (
+        ({"combine": {"objective": "mean"}}, "without scenarios"),
+        ({"scenarios": [{"set": {"rod.laminate.thicknes": 1.0}}]}, "rod.laminate.thickness"),
+        ({"scenarios": cases, "combine": {"objective": "all"}}, "worst, mean"),
+        ({"scenarios": [copy.deepcopy(cases[0]), cases[0]]}, "each name once"),
+    ):
+        found = [fault.text for fault in faults(write(simulate=simulate, **wrong))]
+        assert any(words in text for text in found), found
 
 
 def test_phases_come_from_a_function(write):

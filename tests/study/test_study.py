@@ -151,6 +151,23 @@ def test_other_problems_fronts_tolerances_and_steps(own):
     np.testing.assert_allclose(angles, angles.round(), atol=1e-9)
 
 
+def test_scenarios_are_a_study_like_any_other(own):
+    cases = [{"rod.laminate.thickness": h} for h in (1e-3, 2e-3)]
+    asked = mbd.Scenarios(
+        build(),
+        0.002,
+        mbd.Max(ENERGY),
+        steps=8,
+        scenarios=cases,
+        variables=["rod.laminate.angles"],
+        bounds=mbd.deg([-90, 90]),
+    )
+    found = mbd.Study(asked, mbd.sobol(2, seed=1), name="cases", max_iterations=2).run(console=QUIET)
+    assert found.status == "FINISHED"
+    assert found.columns.names[-1] == "bound"
+    assert found.best.value <= asked.evaluate(asked.start[None], False)[0].objective
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

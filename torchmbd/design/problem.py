@@ -259,7 +259,7 @@ class Problem(Summary):
             unit = _largest(measures[0], motion) if self.peaks else 1.0
             if not unit > 0.0:
                 raise InputError(f"{self.objective!r} is {unit:g} at most at the initial design; allowed: positive")
-        scale = [_scale(c, limit) for c, limit in zip(self.constraints, limits, strict=True)]
+        scale = [scale_of(c, limit) for c, limit in zip(self.constraints, limits, strict=True)]
         rows = [c.measure.rows for c in self.constraints]
         return Reference(measures, unit, np.repeat(limits, rows), np.repeat(scale, rows))
 
@@ -352,6 +352,7 @@ def _largest(measure: Measure, motion: Trajectory) -> float:
     return float(measure.value(motion)[0].max())
 
 
-def _scale(constraint: Constraint, limit: float) -> float:
+def scale_of(constraint: Constraint, limit: float) -> float:
+    """What the violation of a constraint is divided by, with the sign of its kind."""
     size = constraint.scale or abs(limit) or 1.0
     return -size if constraint.kind == "at_least" else size

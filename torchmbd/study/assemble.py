@@ -13,12 +13,13 @@ import numpy as np
 
 from torchmbd.design import Constraint, Problem
 from torchmbd.design.response_spec import measure_of
+from torchmbd.design.scenarios import Scenarios
 from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts, given, latin_hypercube, sobol
 from torchmbd.study.check import labels, vector
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.model import find_phases, find_response
-from torchmbd.study.schema import UNITS, Optimizer, StudyFile
+from torchmbd.study.schema import UNITS, Combine, Optimizer, StudyFile
 from torchmbd.study.settings import Origin, StudySettings
 
 S = TypeVar("S", bound=StudySettings)
@@ -54,7 +55,12 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem:
     start, lower, upper = (_entries(data, system, key) for key in ("start", "lower", "upper"))
     simulate = data.simulate
     read = partial(measure_of, find=partial(find_response, folder=folder))
-    return Problem(
+    kind, more = Problem, dict(simulate.options)
+    if data.scenarios is not None:
+        kind, combine = Scenarios, data.combine or Combine()
+        named = {s.name or f"scenario {k + 1}": s.set for k, s in enumerate(data.scenarios)}
+        more |= {"scenarios": named, "weights": [s.weight for s in data.scenarios], **combine.model_dump()}
+    return kind(
         system,
         duration=simulate.duration,
         minimize=read(data.minimize),
@@ -68,7 +74,7 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem:
         gradients=simulate.gradients,
         backend=simulate.backend,
         motion_start=simulate.start,
-        **simulate.options,
+        **more,
     )
 
 

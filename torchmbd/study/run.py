@@ -118,8 +118,8 @@ def _search(
     each = getattr(target, "simulations", 1)  # of one design
     options: dict[str, Any] = {"max_lanes": max(1, lanes // each)} | study.options
     title = f"{study.name}: {study.method} from {len(points)} start{'s' if len(points) > 1 else ''}"
-    if each > 1:
-        words = {"expected": "mean", "worst": "worst case"}[target.kind]
+    words = {"expected": "mean", "worst": "worst case"}.get(getattr(study.problem, "kind", ""))
+    if words:
         console.print(f"the objective is its {words} over the tolerances", style="dim")
     with Progress(study.columns, len(points), title, console) as progress:
 

@@ -4,6 +4,8 @@
     design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, ...
     minimize   {integral: {strain_energy: rod}}, see design/response_spec.py          subject_to  [{max: ..., at_most: initial}]
     optimizer  name, max_iterations, the method's own options                starts    sampler, count, seed, ...
+    scenarios  [{name: heavy, set: {tool.mass: 0.4}, weight: 1}, ...]: one design in all of them, see design/scenarios.py
+    combine    {objective: worst | mean, constraints: each | worst | mean} over the scenarios
     sweep      one design variable from .. to ..: evaluated together, instead of optimizer and starts
     tracking   experiment, uri
 
@@ -37,6 +39,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from torchmbd.design.response_spec import SpecError, measure_of
+from torchmbd.design.scenarios import CONSTRAINTS, OBJECTIVES
 from torchmbd.design.words import unit
 from torchmbd.errors import nearest
 from torchmbd.integrate.arguments import BACKENDS, GRADIENTS
@@ -202,6 +205,21 @@ class Constraint(Section):
         return x * self.factor if isinstance(x, float) else x
 
 
+class Scenario(Section):
+    """What a scenario sets: parameters of the model that are no design variables [SI], and its weight in means."""
+
+    name: str | None = None  # default: scenario 1, 2, ...
+    set: Annotated[dict[str, Numbers], Len(min_length=1)]
+    weight: float = Field(default=1.0, ge=0)
+
+
+class Combine(Section):
+    """What is asked over the scenarios."""
+
+    objective: Annotated[str, _one_of(OBJECTIVES)] = OBJECTIVES[0]
+    constraints: Annotated[str, _one_of(CONSTRAINTS)] = CONSTRAINTS[0]
+
+
 class Optimizer(Section):
     """Arguments of torchmbd.multistart; more keys are options of the method."""
 
@@ -282,6 +300,8 @@ class StudyFile(Section):
     simulate: Simulation
     minimize: Measure
     subject_to: list[Constraint] = []
+    scenarios: Annotated[list[Scenario], Len(min_length=1)] | None = None
+    combine: Combine | None = None
     optimizer: Optimizer | None = None
     starts: Starts | None = None
     sweep: Annotated[dict[str, Range], Len(1, 1)] | None = None
@@ -292,6 +312,14 @@ class StudyFile(Section):
         extra = [key for key in ("optimizer", "starts") if getattr(self, key) is not None]
         if self.sweep is not None and extra:
             text = f"sweep and {' and '.join(extra)} are both given; allowed: a sweep, or an optimizer with starts"
+            raise PydanticCustomError("kind", "{text}", {"text": text})
+        if self.combine is not None and self.scenarios is None:
+            raise PydanticCustomError("kind", "combine is given without scenarios; allowed: both, or none")
+        if self.sweep is not None and self.scenarios is not None:
+            raise PydanticCustomError("kind", "sweep and scenarios are both given; allowed: one of them")
+        names = [scenario.name for scenario in self.scenarios or () if scenario.name is not None]
+        if len({*names}) < len(names):
+            text = f"scenarios have the names {names}; allowed: each name once"
             raise PydanticCustomError("kind", "{text}", {"text": text})
         for key in ("tolerance", "step"):
             if self.sweep is not None and any(getattr(variable, key) is not None for variable in self.design.values()):

@@ -1,0 +1,117 @@
+"""One design in several scenarios, as one batch."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+
+ENERGY = mbd.StrainEnergy("arm")
+TIP = abs(mbd.Displacement("arm", "z", node="right"))
+
+
+def system() -> mbd.System:
+    """The arm, whose tool has a mass that can be set."""
+    carbon, plate = mbd.examples.carbon(), mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 2))
+    body = mbd.FlexibleBody.plate(
+        "arm",
+        plate,
+        mbd.Laminate(carbon, mbd.deg([45.0, -30.0]), thickness=1e-3),
+        modes=2,
+        position=(0.25, 0, 0),
+        axes=[[1, 0, 0], [0, 0, 1], [0, -1, 0]],
+    )
+    tool = mbd.RigidBody("tool", mass=mbd.variable(0.2), inertia=(1e-4, 1e-4, 1e-4), position=(0.5, 0, 0))
+    hinge = mbd.Revolute(mbd.Ground().at(0, 0, 0), body.at("left"), axis="z", name="hinge")
+    grip = mbd.Fixed(body.at("right"), tool.at(0, 0, 0), name="grip")
+    return mbd.System([body, tool], [hinge, grip], gravity=(0, -9.81, 0))
+
+
+MASSES = np.linspace(0.05, 0.5, 20).tolist()
+CASES = {f"{mass:.3f} kg": {"tool.mass": mass} for mass in MASSES}
+
+
+def problem(cases=CASES, **options) -> mbd.Scenarios:
+    given = {"minimize": mbd.Integral(ENERGY), "subject_to": mbd.Integral(TIP) <= "initial", "steps": 20}
+    given |= {"variables": ["arm.laminate.angles"], "bounds": mbd.deg([-90, 90])}
+    return mbd.Scenarios(system(), 0.02, **given | options, scenarios=cases)
+
+
+def single(mass: float, x: np.ndarray) -> float:
+    one = system()
+    motion = mbd.simulate(
+        one,
+        0.02,
+        steps=20,
+        designs={"arm.laminate.angles": torch.tensor(x)[None], "tool.mass": torch.tensor([mass], dtype=torch.float64)},
+        gradients="none",
+    )
+    return mbd.Integral(ENERGY)(motion).item()
+
+
+X = np.array([0.6, -0.4])
+
+
+def test_they_are_the_motions_one_by_one():
+    alone = np.array([single(mass, X) for mass in MASSES[::7]])
+    some = {key: CASES[key] for key in list(CASES)[::7]}
+    [mean] = problem(some, objective="mean").evaluate(X[None], False)
+    assert mean.objective == pytest.approx(alone.mean(), rel=1e-9)
+    weights = [1.0, 2.0, 5.0]
+    [weighted] = problem(some, objective="mean", weights=weights).evaluate(X[None], False)
+    assert weighted.objective == pytest.approx(np.average(alone, weights=weights), rel=1e-9)
+    worst = problem(some)
+    assert worst.names[-1] == "bound"
+    [found] = worst.evaluate(np.append(X, 0.7)[None], False)
+    assert found.objective + worst.reference.unit * found.constraints[:3].max() == pytest.approx(alone.max(), rel=1e-9)
+
+
+@pytest.mark.parametrize("constraints", ["each", "worst", "mean"])
+@pytest.mark.parametrize("gradients", ["forward", "reverse"])
+def test_gradients_of_twenty_load_cases_are_those_of_differences(constraints, gradients):
+    asked = problem(objective="mean", constraints=constraints, gradients=gradients)
+    [exact] = asked.evaluate(X[None], True)
+    assert len(exact.constraints) == asked.rows == (20 if constraints == "each" else 1)
+    h, slopes = 1e-3, []
+    for k in range(2):
+        e = np.eye(2)[k]
+        designs = np.stack([X + step * e for step in (h, -h, h / 2, -h / 2)])
+        rows = np.array([[f.objective, *f.constraints] for f in asked.evaluate(designs, False)])
+        coarse, fine = (rows[0] - rows[1]) / (2 * h), (rows[2] - rows[3]) / h
+        slopes.append((4 * fine - coarse) / 3)
+    expected = np.stack(slopes, 1)
+    got = np.vstack([exact.objective_gradient, exact.constraint_gradients])
+    np.testing.assert_allclose(got, expected, atol=1e-6 * np.abs(expected).max(), rtol=0)
+
+
+def test_a_failing_scenario_is_named_and_the_others_designs_go_on():
+    cases = {"light": {"tool.mass": 0.1}, "none": {"tool.mass": -0.1}}
+    [found] = problem(cases, objective="mean").evaluate(X[None], True)
+    assert "scenario 'none'" in found.status
+
+
+def test_an_optimum_of_the_mean():
+    cases = {key: CASES[key] for key in list(CASES)[::9]}
+    asked = problem(cases, objective="mean", subject_to=())
+    [before] = asked.evaluate(asked.start[None], False)
+    found = mbd.optimize(asked, method="slsqp", max_iterations=4)
+    assert found.value < before.objective
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"objective": "each"}, "objective is 'each'; allowed: worst, mean"),
+        ({"constraints": "all"}, "constraints is 'all'"),
+        ({"weights": [1.0]}, "weights is .*20 numbers"),
+        ({"cases": {"a": {"tool.mas": 1.0}}}, "did you mean 'tool.mass'"),
+        ({"cases": {"a": {"arm.laminate.angles": [0.0, 1.0]}}}, "a design variable"),
+        ({"cases": {"a": {"tool.mass": "heavy"}}}, "tool.mass in scenario 'a' is 'heavy'"),
+        ({"cases": []}, "scenarios is"),
+    ],
+)  # fmt: skip
+def test_what_is_refused(options, message):
+    with pytest.raises(mbd.InputError, match=message):
+        problem(**options)

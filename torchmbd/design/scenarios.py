@@ -1,0 +1,282 @@
+"""One design in several scenarios: payloads, speeds, load cases. All scenarios of all designs are one batch.
+
+    minimize f(b) over the scenarios s   subject to   g_i(b, s) <= c_i
+
+    payloads = {"light": {"tool.mass": 0.1}, "heavy": {"tool.mass": 0.4}}
+    problem = mbd.Scenarios(system, 0.1, mbd.Max(deflection), mbd.Max(failure) <= 1.0, scenarios=payloads)
+
+A scenario sets parameters of the system that are no design variables: lane l S + s of the batch is design l in scenario s,
+so that the topology is the same and each further scenario costs a lane. Checked in tests/design/test_scenarios.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmbd.design.differentiate import differentiate
+from torchmbd.design.problem import Problem, Reference, scale_of
+from torchmbd.design.response import Constraint, Measure
+from torchmbd.errors import InputError, SimulationFailure, unknown
+from torchmbd.fem.reduction import CutCluster
+from torchmbd.integrate import Trajectory, simulate
+from torchmbd.math.owned import real
+from torchmbd.multibody.system import System
+from torchmbd.optimization import Evaluation
+from torchmbd.results.motion_data import OK
+
+OBJECTIVES, CONSTRAINTS = ("worst", "mean"), ("each", "worst", "mean")
+
+
+class Scenarios(Problem):
+    """A transient optimization problem of one design in several scenarios.
+
+    system, duration, minimize, subject_to   as in Problem
+    scenarios    name -> {parameter: value}, or a list of such settings; parameters that are no design variables [SI]
+    objective    "worst": the largest over the scenarios (a min-max problem, with an extra variable); "mean"
+    constraints  "each": hold in every scenario; "worst": one row, of the scenario that is nearest to its limit; "mean"
+    weights      of the scenarios in means; None: equal. They are divided by their sum
+    options      bounds, variables, start, links, method, steps, phases and options of the method, as in Problem
+
+    A limit "initial" is the value of the initial design in the same scenario. What a WeightedSum is normalized by is its
+    value in the first scenario. A design that fails in one scenario is a failed evaluation that names the scenario.
+
+    >>> problem = mbd.Scenarios(
+    ...     mbd.examples.arm(),
+    ...     0.05,
+    ...     mbd.Integral(mbd.StrainEnergy("arm")),
+    ...     scenarios={"light": {"arm.laminate.thickness": [1e-3, 1e-3]}, "heavy": {"arm.laminate.thickness": [2e-3, 2e-3]}},
+    ...     objective="mean",
+    ...     variables=["arm.laminate.angles"],
+    ...     steps=20,
+    ... )
+    >>> [found] = problem.evaluate(problem.start[None], True)
+    >>> found.status, found.objective_gradient.shape
+    ('ok', (2,))
+    >>> problem.motions(problem.start).lanes  # one for each scenario
+    2
+    """
+
+    def __init__(
+        self,
+        system: System,
+        duration: float,
+        minimize: Measure,
+        subject_to: Constraint | Sequence[Constraint] = (),
+        *,
+        scenarios: Mapping[str, Mapping[str, Any]] | Sequence[Mapping[str, Any]],
+        objective: str = "worst",
+        constraints: str = "each",
+        weights: Sequence[float] | None = None,
+        **options: Any,
+    ):
+        super().__init__(system, duration, minimize, subject_to, **options)
+        for what, given, allowed in (("objective", objective, OBJECTIVES), ("constraints", constraints, CONSTRAINTS)):
+            if given not in allowed:
+                raise InputError(f"{what} is {given!r}; allowed: {', '.join(allowed)}")
+        if constraints != "each" and any(c.kind == "equal" for c in self.constraints):
+            raise InputError(f"constraints is {constraints!r}, and one is an equality; allowed: 'each'")
+        if self.peaks and objective == "mean":
+            raise InputError(
+                f"minimize has {self.peaks} rows, and objective is 'mean'; allowed: a measure of one number"
+            )
+        self.scenarios = self._settings(scenarios)
+        self._of_objective, self._of_constraints = objective, constraints
+        self.weights = _weights(weights, len(self.scenarios))
+        if objective == "worst":
+            self.peaks = minimize.rows * len(self.scenarios)
+
+    def _settings(self, given: Any) -> dict[str, dict[str, Tensor]]:
+        """Name -> parameter -> value, all scenarios of the same parameters."""
+        if isinstance(given, Sequence) and not isinstance(given, str):
+            given = {f"scenario {k + 1}": settings for k, settings in enumerate(given)}
+        if not isinstance(given, Mapping) or not given or not all(isinstance(x, Mapping) and x for x in given.values()):
+            raise InputError(f"scenarios is {given!r}; allowed: name -> {{parameter: value}}, one at least")
+        own = dict(self.system.named_parameters())
+        names = list(dict.fromkeys(name for settings in given.values() for name in settings))
+        for name in names:
+            if name not in own:
+                raise unknown("parameter of a scenario", name, own)
+            if name in self.space.variables:
+                raise InputError(f"scenarios set {name!r}, a design variable; allowed: parameters that are none")
+        return {
+            str(key): {name: _value(key, name, settings.get(name), own[name].detach()) for name in names}
+            for key, settings in given.items()
+        }
+
+    def settings(self) -> list[Any]:
+        return [*super().settings(), self.scenarios, self._of_objective, self._of_constraints, self.weights]
+
+    @property
+    def simulations(self) -> int:
+        """Motions of one design."""
+        return len(self.scenarios)
+
+    @property
+    def rows(self) -> int:
+        return self.peaks + sum(c.measure.rows for c in self.constraints) * self._repeats
+
+    @property
+    def _repeats(self) -> int:
+        return len(self.scenarios) if self._of_constraints == "each" else 1
+
+    @property
+    def equalities(self) -> np.ndarray:
+        kinds = ["at_most"] * self.peaks
+        kinds += [c.kind for c in self.constraints for _ in range(c.measure.rows * self._repeats)]
+        return np.array([i for i, kind in enumerate(kinds) if kind == "equal"], dtype=int)
+
+    def motions(self, x: np.ndarray) -> Trajectory:
+        """Motions of one design [n], a lane for each scenario."""
+        return self._simulated(np.asarray(x, dtype=float)[None], False, list(self.scenarios.values()))
+
+    def _simulated(self, X: np.ndarray, gradients: bool, scenarios: Sequence[dict[str, Tensor]]) -> Trajectory:
+        count, n = len(scenarios), len(self.space.names)
+        designs = self.space.designs(self._checked(X, n, len(self.names))[:, :n].repeat(count, axis=0))
+        for name in scenarios[0]:
+            values = torch.stack([settings[name] for settings in scenarios])
+            designs[name] = values.repeat(len(X), *[1] * (values.dim() - 1))
+        way = self.gradients if gradients else "none"
+        names = self.space.variables
+        return simulate(self.system, self.duration, designs=designs, gradients=way, variables=names, **self.simulation)
+
+    @cached_property
+    def reference(self) -> Reference:
+        motion = self.motions(self.start)
+        for name, status in zip(self.scenarios, motion.status, strict=True):
+            if status != OK:
+                raise SimulationFailure(f"the initial design in scenario {name!r}: {status}")
+        measures = [m.at_start(motion) for m in (self.objective, *(c.measure for c in self.constraints))]
+        unit = float(measures[0].value(motion).max()) if self.peaks else 1.0
+        if not unit > 0.0:
+            raise InputError(f"{self.objective!r} is {unit:g} at most at the initial design; allowed: positive")
+        limits, scales = [], []
+        for c, measure in zip(self.constraints, measures[1:], strict=True):
+            count = len(self.scenarios)
+            own = np.full(count, np.nan if c.limit == "initial" else c.limit, dtype=float)
+            if c.limit == "initial":
+                own = measure.value(motion).detach().reshape(count, -1).max(1).values.numpy()
+            if self._of_constraints != "each":
+                own = np.array([self.weights @ own if self._of_constraints == "mean" else own.max()])
+            limits.append(own.repeat(measure.rows))
+            scales.append(np.array([scale_of(c, float(limit)) for limit in limits[-1]]))
+        return Reference(measures, unit, np.concatenate([np.zeros(0), *limits]), np.concatenate([np.zeros(0), *scales]))
+
+    def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
+        """Evaluate designs [lanes, n] in all scenarios as one batch, or as several where it would fill much of the memory."""
+        X = self._checked(X, len(self.names))
+        most = max(1, self._lanes_at_once(gradients) // len(self.scenarios))
+        if len(X) > most:
+            parts = [X[first : first + most] for first in range(0, len(X), most)]
+            return [evaluation for part in parts for evaluation in self.evaluate(part, gradients)]
+        try:
+            motion = self._simulated(X, gradients, list(self.scenarios.values()))
+        except (CutCluster, InputError, SimulationFailure) as error:
+            if len(X) == 1:
+                return [Evaluation.failure(self._refused(X, gradients, error), self.rows)]
+            return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]
+        values, slopes = self._rows(motion, X)
+        return [
+            self._evaluation(motion.status[lane * self.simulations :][: self.simulations], v, s)
+            for lane, (v, s) in enumerate(zip(values, slopes if slopes is not None else [None] * len(X), strict=True))
+        ]
+
+    def _refused(self, X: np.ndarray, gradients: bool, error: Exception) -> str:
+        """Which scenario the structure stage refuses, and why."""
+        for name, settings in self.scenarios.items():
+            try:
+                self._simulated(X, gradients, [settings])
+            except (CutCluster, InputError, SimulationFailure) as own:
+                return f"failed: scenario {name!r}: {own}"
+        return f"failed: {error}"
+
+    def _evaluation(self, statuses: Sequence[str], values: np.ndarray, slope: np.ndarray | None) -> Evaluation:
+        for name, status in zip(self.scenarios, statuses, strict=True):
+            if status != OK:
+                return Evaluation.failure(f"failed: scenario {name!r}: {status.removeprefix('failed: ')}", self.rows)
+        if not np.isfinite(values).all():
+            return Evaluation.failure("failed: a response is not finite", self.rows)
+        if slope is None:
+            return Evaluation(float(values[0]), values[1:])
+        if not np.isfinite(slope).all():
+            return Evaluation.failure("failed: the gradient of a response is not finite", self.rows)
+        return Evaluation(float(values[0]), values[1:], slope[0], slope[1:])
+
+    def _rows(self, motion: Trajectory, X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n], over the scenarios."""
+        reference, count = self.reference, len(self.scenarios)
+
+        def rows(motion: Trajectory) -> Tensor:
+            return torch.cat([m.value(motion).reshape(len(X) * count, -1) for m in reference.measures], 1)
+
+        found = differentiate(rows, motion)
+        values = found.value.numpy().reshape(len(X), count, -1)
+        slopes = None
+        if found.gradient is not None:
+            slopes = (found.gradient.numpy() @ self.space.map).reshape(*values.shape, -1)
+        parts, first = [], 0
+        ways = [("each" if self._of_objective == "worst" else "mean", 1.0)]
+        ways += [(self._of_constraints, -1.0 if c.kind == "at_least" else 1.0) for c in self.constraints]
+        for measure, (way, sign) in zip(reference.measures, ways, strict=True):
+            own = slice(first, first := first + measure.rows)
+            parts.append(self._over(way, sign, values[:, :, own], None if slopes is None else slopes[:, :, own]))
+        combined = np.concatenate([v for v, _ in parts], 1)
+        gradient = None if slopes is None else np.concatenate([s for _, s in parts if s is not None], 1)
+        own = self.peaks or 1
+        combined[:, own:] = (combined[:, own:] - reference.limits) / reference.scale
+        if gradient is not None:
+            gradient[:, own:] /= reference.scale[:, None]
+        return (
+            self._with_extra_variable(combined, gradient, X[:, -1], reference.unit)
+            if self.peaks
+            else (combined, gradient)
+        )
+
+    def _over(
+        self, way: str, sign: float, values: np.ndarray, slopes: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """Rows of a measure [lanes, scenarios, rows] as what is asked of the scenarios."""
+        lanes, count, rows = values.shape
+        if way == "each":
+            return values.reshape(lanes, -1), None if slopes is None else slopes.reshape(lanes, count * rows, -1)
+        if way == "mean":
+            weigh = np.einsum("s,ls...->l...", self.weights, values)
+            return weigh, None if slopes is None else np.einsum("s,ls...->l...", self.weights, slopes)
+        worst = np.argmax(sign * values, 1)[:, None]
+        chosen = np.take_along_axis(values, worst, 1)[:, 0]
+        return chosen, None if slopes is None else np.take_along_axis(slopes, worst[..., None], 1)[:, 0]
+
+
+def _weights(given: Any, count: int) -> np.ndarray:
+    if given is None:
+        return np.full(count, 1.0 / count)
+    if (
+        not isinstance(given, (Sequence, np.ndarray))
+        or len(given) != count
+        or not all(map(real, given))
+        or min(given) < 0
+    ):
+        raise InputError(f"weights is {given!r}; allowed: {count} numbers that are not negative, one for each scenario")
+    if not sum(given) > 0.0:
+        raise InputError(f"weights is {given!r}; allowed: one that is positive at least")
+    return np.asarray(given, dtype=float) / float(sum(given))
+
+
+def _value(scenario: str, name: str, given: Any, own: Tensor) -> Tensor:
+    """The value of a parameter in a scenario; its own where the scenario says nothing."""
+    if given is None:
+        return own
+    try:
+        value = torch.as_tensor(given, dtype=own.dtype)
+    except (TypeError, ValueError, RuntimeError):
+        value = torch.full_like(own, torch.nan)
+    if value.shape not in (own.shape, torch.Size([])) or not torch.isfinite(value).all():
+        raise InputError(
+            f"{name} in scenario {scenario!r} is {given!r}; allowed: finite numbers of shape {list(own.shape)}, or one for all"
+        )
+    return value.detach().expand(own.shape)
