@@ -10,7 +10,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "torchmbd"
 # From the ground up; packages of one line do not import each other.
 LAYERS = (
-    {"errors", "process", "summary"},
+    {"errors", "process", "progress", "summary"},
     {"math", "viz.figures"},
     {"fem.mesh", "fem.materials"},
     {"fem.elements", "fem.sections"},
@@ -30,7 +30,10 @@ LAYERS = (
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}
 # Narrower than their layer: modes are those of any K and M, optimizers know arrays only.
-ONLY = {"fem.reduction": {"errors", "math"}, "optimization": {"errors", "process", "summary", "viz.figures"}}
+ONLY = {
+    "fem.reduction": {"errors", "math"},
+    "optimization": {"errors", "process", "progress", "summary", "viz.figures"},
+}
 EMPTY = {"torchmbd.fem", "torchmbd.multibody"}  # packages of packages: they import nothing
 FILES = sorted(file for file in PACKAGE.rglob("*.py") if file != PACKAGE / "__init__.py")
 

@@ -1,6 +1,7 @@
 """Hooks of mkdocs: generated parts are put into their pages, equations become MathML.
 
 <!-- insert: commands -->          the Markdown that INSERTS["commands"] returns
+<!-- insert: experiments -->       a table of the files in configs/
 <!-- insert: group joints -->      the same with an argument
 <!-- insert: file some/file.py -->  a file of the repository, as a block with its name
 """
@@ -20,6 +21,7 @@ from experiments.documentation import reference
 
 INSERTS: dict[str, Callable[..., str]] = {
     "commands": reference.commands,
+    "experiments": reference.experiments,
     "file": reference.file,
     "file_keys": reference.file_keys,
     "first_file": reference.first_file,

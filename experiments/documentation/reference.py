@@ -57,6 +57,19 @@ def file(path: str) -> str:
     return f'```{language} title="{Path(path).name}"\n{text}```\n'
 
 
+def experiments() -> str:
+    """A table of the shipped experiment files: the question of each, and a picture of its mechanism."""
+    pictures = {"slider_crank": "slider_crank", "sar_antenna": "antenna", "two_link_arm": "two_link_arm"}
+    rows = []
+    for path in sorted((ROOT / "configs").rglob("*.yaml")):
+        picture, text = pictures.get(path.parent.name), path.read_text(encoding="utf-8")
+        if picture is not None:
+            question = text.partition("\n")[0].removeprefix("# ")
+            name = path.relative_to(ROOT)
+            rows.append(f"| `{name}` | {_cell(question)} | [{picture.replace('_', ' ')}](images/{picture}.svg) |")
+    return "\n".join(["| file | question | motion |", "|---|---|---|", *rows, ""])
+
+
 def commands() -> str:
     """Every command with its arguments, as the command line tells them."""
     from torchmbd.cli import app

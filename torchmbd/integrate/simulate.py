@@ -44,6 +44,7 @@ from torchmbd.math.module_call import exclusive, outside
 from torchmbd.math.owned import watched
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.expansion import Expansion
+from torchmbd.progress import motion_shown
 from torchmbd.results.history import History
 from torchmbd.results.mode_shapes import DesignShapes, without_failed
 from torchmbd.results.singular_positions import explain
@@ -64,6 +65,7 @@ def simulate(
     variables: Sequence[str] | None = None,
     backend: str = "auto",
     start: str | Mapping[str, Any] | Trajectory = "assembled",
+    progress: bool | None = None,
     **options: Any,
 ) -> Trajectory:
     """Simulate one design, or a batch of designs that do not see each other (lanes).
@@ -90,6 +92,8 @@ def simulate(
                 rest under gravity and forces, drives where they are at t = 0. A motion: its last state. Or numbers [...] or
                 [lanes, ...] for some bodies, {"rod.modal": ..., "load.velocity": ...}: position, axes, velocity,
                 angular_velocity, modal, modal_velocity. Joints are closed and rates made compatible from there
+    progress    a bar of the simulated time on standard error; None: in a terminal or a notebook, where the motion takes more
+                than three seconds
     variables   names of the parameters by which gradients are wanted; default with "forward" and "reverse": all that require
                 a gradient
     options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
@@ -119,7 +123,7 @@ def simulate(
     check_backend(backend)
     grad = gradients in ("forward", "reverse") or (gradients == "auto" and torch.is_grad_enabled())
     # Inference tensors have no gradients, not even later; to leave their mode switches grad mode on.
-    with torch.inference_mode(False), torch.set_grad_enabled(grad):
+    with torch.inference_mode(False), torch.set_grad_enabled(grad), motion_shown(progress, seconds):
         timed = check_timed(duration, gradients, integrator, phases is not None)
         names = variables_of(system, given, gradients, variables, timed)
         check_start(begins, gradients, integrator)

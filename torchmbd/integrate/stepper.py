@@ -19,6 +19,7 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.elimination import Eliminated, Elimination, Factored, factored, pays
 from torchmbd.multibody.system.saddle_factors import regularized
 from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.progress import reach
 from torchmbd.results.history import History, Record
 from torchmbd.results.state import State
 
@@ -130,6 +131,7 @@ class EagerStepper:
         self.H = None
 
     def _step(self, i: int, x: State, given: Any) -> State:
+        reach(value(given.t))
         renew, looks = self.refresh == 0 or i % self.refresh == 0, isinstance(x.q, Pair) and i % CHECK == 0
         made = self.made(Kind(self.H is None, renew, looks, self.most), x, given)
         self.H = made.H

@@ -27,8 +27,8 @@ from torchmbd.optimization.optimizer import (
     require_problem,
     require_range,
 )
-from torchmbd.optimization.progress import both, shown
 from torchmbd.optimization.search import Interrupted, OutOfAnalyses, Search, variable_scale
+from torchmbd.progress import both, shown
 
 MAX_ITERATIONS = 100
 FEASIBILITY = 1e-6

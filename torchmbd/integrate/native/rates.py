@@ -18,6 +18,7 @@ from torchmbd.integrate.native.library import Library, library
 from torchmbd.integrate.native.simd_layout import addresses
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.progress import reach
 
 LOOK = 100  # evaluations between two looks at the factors
 _NUMBERS = ("lanes", "slots", "data", "data_tangents", "check")
@@ -80,6 +81,7 @@ class RightHandSide:
 
     def __call__(self, t: Tensor, y: Tensor) -> Tensor:
         """dy/dt [n_z, 1 + n_b, lanes] at time t."""
+        reach(t)
         found = self._compiled(t, y)
         if found is None:
             return augment(self.dynamics.rates(t, Pair(y) if y.shape[1] > 1 else y), self.dynamics)

@@ -27,9 +27,10 @@ from torchmbd.integrate.native.simd_layout import (
 )
 from torchmbd.integrate.step import Model, Weights
 from torchmbd.integrate.stepper import CHECK, EagerStepper, Record, between_looks
-from torchmbd.math.pair import Pair
+from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.progress import reach
 from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "slots", "data", "data_tangents", "uniform", "first", "steps", "corrections", "most", "refresh")
@@ -94,6 +95,7 @@ class NativeStepper(EagerStepper):
                 self.feedback.times = torch.stack([given.t for given in schedule[some]])
             if not self._some(state, table[some], moved[some], record, first + at, place + at):
                 return super().run(self._state(state), schedule[at:], record, first + at, place + at)
+            reach(value(schedule[some][-1].t))
         return self._state(state)
 
     def _some(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, place: int) -> bool:

@@ -24,8 +24,8 @@ from torchmbd.optimization.optimizer import (
     require_count,
     require_range,
 )
-from torchmbd.optimization.progress import both, shown
 from torchmbd.optimization.search import Ask, Report, Search, variable_scale
+from torchmbd.progress import both, shown
 from torchmbd.summary import Summary, few
 
 if TYPE_CHECKING:

@@ -7,6 +7,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.optimization.analytic import Analytic
+from torchmbd import progress as bars
 
 
 def bowl() -> Analytic:
@@ -36,3 +37,30 @@ def test_starts_are_counted(capsys):
     for found in (study, study.best):
         assert len(repr(found).splitlines()) < 10
         assert "converged" in found._repr_html_()
+
+
+@pytest.mark.parametrize("method", ["generalized_alpha", "dopri5"])
+def test_a_motion_has_a_bar_on_request(method, capsys):
+    mbd.simulate(mbd.examples.pendulum(), 0.5, method, steps=50, progress=True)
+    assert "simulate" in (text := capsys.readouterr().err)
+    assert "/0.5 s" in text
+    mbd.simulate(mbd.examples.pendulum(), 0.5, method, steps=50)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_short_motion_has_none_in_a_terminal(monkeypatch, capsys):
+    monkeypatch.setattr(bars.sys.stderr, "isatty", lambda: True, raising=False)
+    mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
+    assert "simulate" not in capsys.readouterr().err
+    monkeypatch.setattr(bars, "DELAY", 0.0)
+    mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
+    assert "simulate" in capsys.readouterr().err
+
+
+def test_motions_of_an_optimization_have_none(monkeypatch, capsys):
+    monkeypatch.setattr(bars, "DELAY", 0.0)
+    monkeypatch.setattr(bars.sys.stderr, "isatty", lambda: True, raising=False)
+    energy = mbd.Integral(mbd.StrainEnergy("arm"))
+    problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
+    mbd.optimize(problem, max_iterations=1, progress=False)
+    assert capsys.readouterr().err == ""

@@ -1,0 +1,95 @@
+"""Progress bars of motions, optimizations and multistarts: in a terminal and in notebooks, on standard error.
+
+Checked in tests/test_progress.py.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+    from torch import Tensor
+
+DELAY = 3.0  # [s] of a motion before its bar appears: a motion that takes less has none
+_silent: ContextVar[bool] = ContextVar("silent", default=False)  # motions have no bars of their own
+_reached: ContextVar[Callable[[float], None] | None] = ContextVar("reached", default=None)
+
+
+def wanted(progress: bool | None) -> bool:
+    """Whether to show a bar; None: in a terminal or a notebook."""
+    return sys.stderr.isatty() or "ipykernel" in sys.modules if progress is None else progress
+
+
+def be_silent() -> None:
+    """No bars of motions in this context: the command line has tables of its own."""
+    _silent.set(True)
+
+
+@contextmanager
+def shown(progress: bool | None, what: str, total: int) -> Iterator[Callable[[int, float], None]]:
+    """A bar of `total` parts; what is yielded is called with the parts that are done and the best objective so far.
+
+    The motions inside have no bars.
+    """
+    token = _silent.set(True)
+    try:
+        if not wanted(progress):
+            yield lambda done, objective: None
+            return
+        with _bar("{task.completed}/{task.total}", "{task.fields[best]}") as bar:
+            task = bar.add_task(what, total=total, best="")
+            yield lambda done, objective: bar.update(task, completed=done, best=f"objective {objective:.6g}")
+    finally:
+        _silent.reset(token)
+
+
+@contextmanager
+def motion_shown(progress: bool | None, duration: float) -> Iterator[None]:
+    """A bar of simulated time [s], which `reach` moves; it appears after `DELAY`, or at once where it is asked for."""
+    if _silent.get() or not wanted(progress):
+        yield
+        return
+    with _bar("{task.completed:.4g}/{task.total:.4g} s") as bar:
+        task = bar.add_task("simulate", total=duration, visible=bool(progress))
+        began = time.monotonic()
+
+        def reached(t: float) -> None:
+            bar.update(task, completed=t, visible=bool(progress) or time.monotonic() - began > DELAY)
+
+        token = _reached.set(reached)
+        try:
+            yield
+        finally:
+            _reached.reset(token)
+
+
+def reach(t: Tensor) -> None:
+    """Move the bar of a motion, if there is one, to time t [s]."""
+    found = _reached.get()
+    if found is not None:
+        found(float(t.max()))
+
+
+def both(first: Callable[[Any], None], second: Callable[[Any], None] | None) -> Callable[[Any], None]:
+    """A callback that calls two."""
+
+    def call(x: Any) -> None:
+        first(x)
+        if second is not None:
+            second(x)
+
+    return call
+
+
+def _bar(*texts: str) -> Progress:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = TextColumn("{task.description}"), BarColumn(), *map(TextColumn, texts), TimeElapsedColumn()
+    return Progress(*columns, console=Console(stderr=True))
