@@ -28,10 +28,10 @@ GROUPS: dict[str, str] = {
     "simulation": "simulate equilibrium Equilibrium buckling Buckling Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
-    "PlyFailure PlyStress history",
+    "PlyFailure PlyStress History history",
     "measures": "Integral Mean RMS Max Min SmoothMax Final AtTime AtTimes AtPeaks Frequency Frequencies Mass BucklingFactor "
-    "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence measure",
-    "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences load problem_of",
+    "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence Measure measure",
+    "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of",
     "optimization": "optimize multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes sobol "
     "latin_hypercube",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
