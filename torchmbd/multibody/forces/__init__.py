@@ -1,6 +1,6 @@
 """Applied forces: lists of actions between frames. A new force element is one file and one line here.
 
-Laws of springs stand here too: Gap, Table, Pieces, Scaled.
+Laws of springs stand here too: Friction, Gap, Table, Pieces, Scaled.
 
 >>> stop = mbd.forces.Gap(stiffness=1e4, limit=0.1, sign=-1.0)  # it acts where s > 0.1 m
 >>> [round(stop(torch.tensor(s), torch.tensor(0.0), 0.0).item()) for s in (0.05, 0.11)]  # [N]
@@ -11,7 +11,7 @@ from torchmbd.multibody.forces.bushing import Bushing
 from torchmbd.multibody.forces.control_history import ControlHistory
 from torchmbd.multibody.forces.controller import Controller
 from torchmbd.multibody.forces.force import ForceElement
-from torchmbd.multibody.forces.laws import Gap, OfTime, Pieces, Scaled, Spring, Table
+from torchmbd.multibody.forces.laws import Friction, Gap, OfTime, Pieces, Scaled, Spring, Table
 from torchmbd.multibody.forces.load import Force, Torque
 from torchmbd.multibody.forces.pressure import Pressure
 from torchmbd.multibody.forces.spring_damper import AxialSpringDamper, RotationalSpringDamper, SpringDamper
@@ -29,6 +29,7 @@ __all__ = [
     "Controller",
     "Force",
     "ForceElement",
+    "Friction",
     "Gap",
     "OfTime",
     "Pieces",

@@ -4,6 +4,7 @@
     Table      f = piecewise linear in s through knots, constant outside, - c s'
     Pieces     f = a_i + k_i s on intervals, jumps smoothed over a stated width, - c s'
     OfTime     f = g(t)
+    Friction   f = -f0 tanh(s' / v0)
     Scaled     f = factor g(s, s', t), g any law
 
 Numbers of Spring and the factor of Scaled, whose law g may be one of time alone where OfTime is one, may be design
@@ -212,12 +213,34 @@ class Gap:
         return depth, u * u * (3.0 - 2.0 * u), 6.0 * u * (1.0 - u) / self.smooth
 
 
+@dataclass(frozen=True)
+class Friction:
+    """Dry friction, smoothed: f = -force tanh(s' / speed). Slower than `speed` it creeps in place of sticking."""
+
+    force: float
+    speed: float
+    center: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("force", "speed"):
+            if not scalar(f"{name} of a Friction", getattr(self, name)) > 0.0:
+                raise InputError(f"{name} of a Friction is {getattr(self, name)!r}; allowed: positive")
+
+    def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
+        return -self.force * torch.tanh(rate / self.speed)
+
+    def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
+        """Derivatives by s and s'."""
+        share = torch.tanh(rate / self.speed)
+        return torch.zeros_like(s), -self.force / self.speed * (1.0 - share * share)
+
+
 # How a law of a force may vary with the design.
 VARIABLES = (
     "numbers of a Spring and the factor of Scaled, given to a force element as mbd.variable(...); constant tensors"
 )
 
-LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap)
+LAWS: tuple[type, ...] = (Spring, Table, Pieces, OfTime, Gap, Friction)
 
 
 def checked(name: str, law: object) -> object:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import copy
 import functools
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, Self
 
 import torch
@@ -36,6 +37,7 @@ from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
 from torchmbd.multibody.system.initial import START, given_start
+from torchmbd.multibody.system.robot import robot
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.start import Start
 from torchmbd.multibody.system.state_equation import StateEquation
@@ -104,6 +106,15 @@ class System(nn.Module):
             self.add_module(body.name, body)
         self._add_laws()
         self.register_load_state_dict_post_hook(_joined_anew)
+
+    @classmethod
+    def from_urdf(cls, path: str | Path, flexible: Any = None, fixed_base: bool = True, **options: Any) -> Self:
+        """A robot of a URDF file: links as rigid bodies, or as flexible ones whose mesh is in the frame of the link.
+
+        flexible, fixed_base   link name -> body in its place; whether the root link is the ground, else a free body
+        options                positions, velocities, stop_stiffness, friction_speed, gravity (multibody/system/robot.py)
+        """
+        return cls(**robot(path, flexible or {}, fixed_base, **options))
 
     def _add_laws(self) -> None:
         """Take in the modules of joints and forces whose parameters are design variables, by the names of these."""

@@ -1,0 +1,78 @@
+"""URDF files that are broken: named by file and element; 200 spoilt files; no entities."""
+
+from __future__ import annotations
+
+import random
+import warnings
+
+import pytest
+
+import torchmbd as mbd
+from tests.multibody.system.test_robot import ARM
+from torchmbd.errors import InputError
+from torchmbd.io.urdf import read_urdf
+
+TEXT = '<robot name="arm">\n' + "\n".join(ARM) + "\n</robot>\n"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('type="continuous"', 'type="ball"', "joint 'j3': type 'ball'"),
+        ('<parent link="link2"/>', '<parent link="link7"/>', "link 'link7'"),
+        ('<parent link="link2"/>', "", "joint 'j3': parent is missing"),
+        ('<child link="link3"/>', '<child link="link2"/>', "child of two joints"),
+        ('xyz="0.6 0 0.8"', 'xyz="0 0 0"', "joint 'j3': axis is"),
+        ('xyz="0.6 0 0.8"', 'xyz="0.6 0"', "allowed: 3 numbers"),
+        ('<mass value="0.4"/>', '<mass value="-0.4"/>', "link 'link3': mass is -0.4"),
+        ('<mass value="0.4"/>', '<mass value="nan"/>', "value is 'nan'"),
+        ('<mass value="0.4"/>', "", "value is missing"),
+        ('name="link3"', 'name="link2"', "stands twice"),
+        ('lower="-2" upper="2"', 'lower="2" upper="-2"', "lower below upper"),
+        ('damping="0.3"', 'damping="-0.3"', "damping, friction"),
+        ('<parent link="world"/>', '<parent link="link3"/>', "form a loop"),
+        ("</robot>", '<link name="alone"/></robot>', "have no parent"),
+        ("</robot>", "", "allowed: XML"),
+        ("<robot", "<!DOCTYPE r [<!ENTITY a 'b'>]><robot", "document type"),
+        ("robot", "model", "its root is <model>"),
+    ],
+)
+def test_broken_files_are_named(old, new, words, tmp_path):
+    assert old in TEXT
+    path = tmp_path / "arm.urdf"
+    path.write_text(TEXT.replace(old, new, 2 if old == "robot" else 1) if old != "robot" else TEXT.replace(old, new))
+    with pytest.raises(InputError) as error:
+        read_urdf(path)
+    assert words in str(error.value), error.value
+    assert "arm.urdf" in str(error.value)
+
+
+def test_spoilt_files(tmp_path):
+    """Each of 200 makes a system, or an InputError."""
+    path, refused = tmp_path / "arm.urdf", 0
+    for seed in range(200):
+        draw = random.Random(seed)
+        text = TEXT
+        for _ in range(draw.randint(1, 3)):
+            place = draw.randrange(len(text))
+            lines = text.split("\n")
+            k = draw.randrange(len(lines))
+            kind = draw.randrange(4)
+            if kind == 0:
+                text = text[:place] + draw.choice("0123456789.-<>/'\" aejlm=") + text[place + 1 :]
+            elif kind == 1:
+                text = "\n".join(lines[:k] + lines[k + 1 :])
+            elif kind == 2:
+                text = "\n".join([*lines[:k], draw.choice(lines), *lines[k:]])
+            else:
+                text = (
+                    text[:place] + draw.choice(["0", "1e400", "-1", "link1", '"']) + text[place + draw.randrange(4) :]
+                )
+        path.write_text(text)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                mbd.System.from_urdf(path)
+            except InputError:
+                refused += 1
+    assert 20 < refused < 200

@@ -1,0 +1,247 @@
+"""Robots of URDF files: motion against a recursion of Newton and Euler, fixed links, limits, damping, friction, plates."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.mechanisms import finished, laminate
+from torchmbd.errors import InputError
+from torchmbd.io.urdf import Pose, read_urdf
+
+INERTIAL = (
+    '<inertial><origin xyz="{at}" rpy="{turn}"/><mass value="{m}"/>'
+    '<inertia ixx="{a}" iyy="{b}" izz="{c}" ixy="{d}" ixz="0" iyz="{e}"/></inertial>'
+)
+
+
+def link(
+    name: str, m: float, at: str, a: float, b: float, c: float, d: float = 0.0, e: float = 0.0, turn: str = "0 0 0"
+):
+    return f'<link name="{name}">{INERTIAL.format(at=at, m=m, a=a, b=b, c=c, d=d, e=e, turn=turn)}</link>'
+
+
+def joint(
+    name: str, kind: str, parent: str, child: str, xyz: str, rpy: str = "0 0 0", axis: str = "0 0 1", extra: str = ""
+):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{extra}</joint>'
+    )
+
+
+ARM = [
+    '<link name="world"/>',
+    link("link1", 2.0, "0 0 0.12", 0.0061, 0.0061, 0.011),
+    link("link2", 0.3935, "0.25 0.01 0", 1.9e-4, 8.3e-3, 8.2e-3, 1e-5, -2e-5, "0.1 0.2 -0.3"),
+    link("link3", 0.4, "0.25 0 0.02", 1.9e-4, 8.3e-3, 8.2e-3),
+    '<link name="flange"/>',
+    link("load", 0.2, "0.025 0 0.01", 1e-4, 2e-4, 2e-4),
+    joint(
+        "j1",
+        "revolute",
+        "world",
+        "link1",
+        "0 0 0",
+        extra='<limit lower="-3.14159" upper="3.14159"/>',
+    ),
+    joint("j2", "revolute", "link1", "link2", "0 0 0.15", "1.57 0 0", extra='<limit lower="-2" upper="2"/>'),
+    joint(
+        "j3",
+        "continuous",
+        "link2",
+        "link3",
+        "0.5 0 0",
+        "0.2 0.1 0",
+        "0.6 0 0.8",
+        '<dynamics damping="0.3" friction="0"/>',
+    ),
+    joint("f1", "fixed", "link3", "flange", "0.5 0 0", "0 0 0.4"),
+    joint("f2", "fixed", "flange", "load", "0.01 0 0", "0.3 0 0"),
+]
+Q = {"j1": 0.3, "j2": -0.7, "j3": 1.1}
+RATE = {"j1": 1.5, "j2": -2.0, "j3": 0.8}
+MOVING = ["j1", "j2", "j3"]
+
+
+@pytest.fixture
+def file(tmp_path):
+    def written(*lines: str, name: str = "robot.urdf") -> Path:
+        path = tmp_path / name
+        path.write_text('<?xml version="1.0"?>\n<robot name="arm">\n' + "\n".join(lines) + "\n</robot>\n")
+        return path
+
+    return written
+
+
+def turned(axis, angle):
+    K = np.cross(np.eye(3), axis).T
+    K = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    return np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
+
+
+def recursion(robot, q, rate, acceleration, gravity=9.81):
+    """Torques of Newton-Euler recursions, and angular accelerations of links in their own axes; all in link frames."""
+    order = [j for j in robot.joints if j.kind != "fixed"]
+    merged = {}
+    for j in order:
+        parts, stack = [], [(j.child, Pose(np.zeros(3), np.eye(3)))]
+        while stack:
+            name, pose = stack.pop()
+            parts.append((robot.links[name], pose))
+            stack += [(k.child, pose @ k.origin) for k in robot.joints if k.kind == "fixed" and k.parent == name]
+        merged[j.child] = parts
+    w, dw, dv = np.zeros(3), np.zeros(3), np.array([0.0, 0.0, gravity])
+    out = []
+    for k, j in enumerate(order):
+        R = j.origin.axes @ turned(j.axis, q[k])  # axes of the link in its parent
+        p = j.origin.place
+        dv = R.T @ (dv + np.cross(dw, p) + np.cross(w, np.cross(w, p)))
+        w0 = R.T @ w
+        dw = R.T @ dw + j.axis * acceleration[k] + np.cross(w0, j.axis * rate[k])
+        w = w0 + j.axis * rate[k]
+        force, moment = np.zeros(3), np.zeros(3)
+        for own, pose in merged[j.child]:
+            c = pose.place + pose.axes @ own.center
+            J = pose.axes @ own.inertia @ pose.axes.T
+            f = own.mass * (dv + np.cross(dw, c) + np.cross(w, np.cross(w, c)))
+            force, moment = force + f, moment + J @ dw + np.cross(w, J @ w) + np.cross(c, f)
+        out.append((R, p, force, moment, j.axis, dw))
+    torque, f, n = np.zeros(len(order)), np.zeros(3), np.zeros(3)
+    for k in reversed(range(len(order))):
+        R, p, force, moment, axis, _ = out[k]
+        f, n = force + f, moment + n
+        torque[k] = axis @ n
+        f, n = R @ f, R @ n + np.cross(p, R @ f)
+    return torque, [o[-1] for o in out]
+
+
+def free_acceleration(robot, q, rate, damping):
+    zero = np.zeros(3)
+    bias, _ = recursion(robot, q, rate, zero)
+    M = np.stack([recursion(robot, q, zero, e, 0.0)[0] for e in np.eye(3)], axis=1)
+    qdd = np.linalg.solve(M, -bias - damping * rate)
+    return qdd, recursion(robot, q, rate, qdd)[1]
+
+
+def test_an_arm_of_three_joints_follows_the_recursion(file):
+    """Angular accelerations of all links at 1e-10, at the start and along a motion; links fixed to others are parts of them."""
+    path = file(*ARM)
+    with pytest.warns(UserWarning, match=r"limits of joint 'j1' are 6.283 rad apart"):
+        system = mbd.System.from_urdf(path, positions=Q, velocities=RATE)
+    assert [body.name for body in system.bodies] == ["link1", "link2", "link3"]
+    assert system.describe().freedoms == 3
+    motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
+    robot, damping = read_urdf(path), np.array([0.0, 0.0, 0.3])
+    q, rate = (np.array([x[name] for name in MOVING]) for x in (Q, RATE))
+    _, want = free_acceleration(robot, q, rate, damping)
+    for name, own in zip(("link1", "link2", "link3"), want, strict=True):
+        found = motion.body(name).omega_rate[0, 0].numpy()
+        np.testing.assert_allclose(found, own, rtol=1e-10, atol=1e-10 * abs(own).max())
+
+
+def test_the_motion_converges_to_that_of_the_recursion(file):
+    """Positions after 0.1 s against steps of Runge and Kutta on the recursion."""
+    path = file(*ARM)
+    system = mbd.System.from_urdf(path, positions=Q, velocities=RATE, stop_stiffness=None)
+    motion = finished(mbd.simulate(system, 0.1, steps=400, gradients="none"))
+    robot, damping, h = read_urdf(path), np.array([0.0, 0.0, 0.3]), 2e-3
+    y = np.array([[x[name] for name in MOVING] for x in (Q, RATE)])
+
+    def f(y):
+        return np.stack([y[1], free_acceleration(robot, y[0], y[1], damping)[0]])
+
+    for _ in range(50):
+        a = f(y)
+        b = f(y + h / 2 * a)
+        c = f(y + h / 2 * b)
+        y = y + h / 6 * (a + 2 * b + 2 * c + f(y + h * c))
+    pose = Pose(np.zeros(3), np.eye(3))
+    for j, angle in zip([j for j in robot.joints if j.kind != "fixed"], y[0], strict=True):
+        pose = pose @ j.origin @ Pose(np.zeros(3), turned(j.axis, angle))
+    tip = motion.body("link3").r[0, -1].numpy()
+    np.testing.assert_allclose(tip, pose.place, atol=2e-5)
+
+
+PENDULUM = [
+    '<link name="world"/>',
+    link("rod", 1.0, "0.5 0 0", 1e-3, 0.1, 0.1),
+]
+
+
+def hinge(extra: str = "", kind: str = "revolute", axis: str = "0 1 0") -> str:
+    return joint("hinge", kind, "world", "rod", "0 0 0", axis=axis, extra=extra)
+
+
+def test_limits_are_stops_and_friction_takes_energy(file):
+    """A pendulum falls on its stop: as deep as its energy tells. Without gravity friction slows it down by F / J t."""
+    stop = file(*PENDULUM, hinge('<limit lower="-1" upper="0.4"/><dynamics damping="0.1"/>'))
+    motion = finished(mbd.simulate(mbd.System.from_urdf(stop), 0.35, steps=350, gradients="none"))
+    x = motion.body("rod").A[0, :, :, 0]
+    angle = torch.atan2(-x[:, 2], x[:, 0])
+    depth = math.sqrt(2.0 * 9.81 * 0.5 * math.sin(0.4) / 1e4)
+    assert 0.4 + 0.9 * depth < float(angle.max()) < 0.4 + 1.02 * depth
+    assert float(angle[-1]) < 0.4
+    J = 0.1 + 0.25
+    rough = file(*PENDULUM, hinge('<dynamics friction="0.7"/>', "continuous", "0 0 1"), name="rough.urdf")
+    system = mbd.System.from_urdf(rough, gravity=None, velocities={"hinge": 3.0})
+    motion = finished(mbd.simulate(system, 0.5, steps=500, gradients="none"))
+    assert float(motion.body("rod").omega[0, -1, 2]) == pytest.approx(3.0 - 0.7 / J * 0.5, rel=1e-6)
+
+
+def test_slides_and_free_bases(file):
+    """A prismatic joint along a direction, damped; a base that is not fixed falls."""
+    path = file(*PENDULUM, hinge('<dynamics damping="2"/><limit lower="0" upper="0"/>', "prismatic", "0 0.6 0.8"))
+    system = mbd.System.from_urdf(path, gravity=None, velocities={"hinge": 1.0}, stop_stiffness=None)
+    motion = finished(mbd.simulate(system, 0.5, steps=500, gradients="none"))
+    along = motion.body("rod").r[0, -1] @ torch.tensor([0.0, 0.6, 0.8], dtype=torch.float64)
+    assert float(along) == pytest.approx((1.0 - math.exp(-1.0)) / 2.0, rel=1e-5)
+    base = [link("world", 3.0, "0 0 0", 1.0, 1.0, 1.0), PENDULUM[1], hinge()]
+    system = mbd.System.from_urdf(file(*base), fixed_base=False)
+    assert system.describe().freedoms == 7
+    motion = finished(mbd.simulate(system, 0.1, steps=50, gradients="none"))
+    assert float(motion.body("world").r[0, -1, 2]) == pytest.approx(-0.5 * 9.81 * 0.01, rel=1e-3)
+
+
+def test_a_link_is_replaced_by_a_plate(file):
+    """Link 2 as a laminated plate in its frame: joints sit on its edges, and its angles are design variables."""
+    mesh = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 1))
+    mesh = mbd.Mesh(
+        mesh.nodes + torch.tensor([0.25, 0.0, 0.0], dtype=torch.float64), quads=mesh.quads, node_sets=mesh.node_sets
+    )
+    plate = mbd.FlexibleBody.plate("plate", mesh, laminate((30.0, -50.0)), modes=2, reference=0)
+    system = mbd.System.from_urdf(file(*ARM), flexible={"link2": plate}, stop_stiffness=None, positions=Q)
+    assert [body.name for body in system.bodies] == ["link1", "plate", "link3"]
+    assert system.describe().freedoms == 3 + plate.modes
+    assert "plate.laminate.angles" in dict(system.named_parameters())
+    motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
+    rigid = mbd.System.from_urdf(file(*ARM), stop_stiffness=None, positions=Q)
+    same = mbd.simulate(rigid, 1e-3, steps=10, gradients="none")
+    torch.testing.assert_close(motion.body("link3").r[0, 0], same.body("link3").r[0, 0], rtol=0.0, atol=2e-3)
+    far = mbd.FlexibleBody.plate("plate", mbd.mesh.rectangle(0.2, 0.05, (2, 1)), laminate((30.0,)), modes=2)
+    with pytest.raises(InputError, match=r"joint 'j\d' is 0\.\d+ m away"):
+        mbd.System.from_urdf(file(*ARM), flexible={"link2": far})
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ({"flexible": {"link9": None}}, "'link9'"),
+        ({"positions": {"j9": 1.0}}, "'j9'"),
+        ({"positions": {"j1": "x"}}, "positions"),
+        ({"velocities": [1.0]}, r"velocities is \[1.0\]"),
+        ({"flexible": {"link2": 3}}, "allowed: a FlexibleBody"),
+        ({"fixed_base": 1}, "fixed_base is 1"),
+        ({"stop_stiffness": -1.0}, "stop_stiffness"),
+        ({"friction_speed": 0.0, "positions": {}}, "friction_speed"),
+    ],
+)
+def test_wrong_arguments_are_named(file, given, words):
+    extra = joint("j4", "revolute", "link3", "hook", "1 0 0", extra='<dynamics friction="1"/>')
+    with pytest.raises(InputError, match=words):
+        mbd.System.from_urdf(file(*ARM, link("hook", 1.0, "0 0 0", 1e-3, 1e-3, 1e-3), extra), **given)
