@@ -227,7 +227,8 @@ def test_the_adjoint_gives_the_same_gradient(response, motions):
     measure = AtTime(response, 0.0123) if isinstance(response, History) else response
     wanted, found = (measure.of(x) for x in (motions[0], motions[0].stats["reverse"]))
     assert_close(found.value, wanted.value, rtol=1e-9, atol=1e-9 * float(wanted.value.abs().max()))
-    assert found.gradient is not None and wanted.gradient is not None
+    assert found.gradient is not None
+    assert wanted.gradient is not None
     assert_close(found.gradient, wanted.gradient, rtol=0, atol=1e-8 * float(wanted.gradient.abs().max()))
 
 
