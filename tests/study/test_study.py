@@ -18,6 +18,7 @@ import torchmbd as mbd
 from tests.study.rod_model import build
 from torchmbd.optimization import Evaluation
 from torchmbd.study.evaluations import Evaluations
+from torchmbd.study.html_report import write_report
 from torchmbd.study.paths import evaluations_file, problem_key
 from torchmbd.tracking.catalog import children, find
 
@@ -72,6 +73,13 @@ def test_it_is_tracked_and_reported(own, small):
     assert "best" in repr(small)
     with pytest.raises(mbd.InputError, match="made in Python"):
         mbd.load("small")
+    shutil.copytree(own, own / "copy", ignore=lambda folder, names: {"copy"} & {*names})
+    shutil.rmtree(own / "mlartifacts")
+    with pytest.raises(mbd.InputError, match="no files in its store"):
+        write_report("small", own / "empty.html", f"sqlite:///{own / 'mlflow.db'}")
+    assert not (own / "empty.html").exists()
+    copied = write_report("small", own / "copied.html", f"sqlite:///{own / 'copy' / 'mlflow.db'}")
+    assert copied.read_text() == page
 
 
 SCRIPT = """

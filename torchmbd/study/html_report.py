@@ -60,6 +60,10 @@ def write_report(run: str, path: Path | None = None, uri: str | None = None) -> 
 def _page(store: str, entry: Entry, scratch: Path) -> str:
     given = fetch(store, entry, "config_as_given.yaml", scratch)
     config = fetch(store, entry, "config.yaml", scratch)
+    if config is None and entry.kind in ("study", "sweep"):
+        raise InputError(
+            f"run {entry.run_id[:8]} has no files in its store; allowed: a store with its mlartifacts folder beside it"
+        )
     asked = entry.tags.get("question") or (question(given) if given else QUESTION_MISSING)
     took = "" if entry.seconds is None else f", {entry.seconds:.0f} s"
     parts = [
