@@ -110,18 +110,33 @@ def known(file: Path, tracker) -> tuple[int, str]:
         ("plate.bdf", "ENDDATA", "$ a comment\nENDDATA", True),
     ],
 )
-def test_what_a_model_reads_counts_and_comments_do_not(study, folder, monkeypatch, name, old, new, same):
-    """One number elsewhere makes another study, with another table; a comment leaves all evaluations known."""
+def test_what_a_model_reads_counts_and_comments_do_not(study, folder, name, old, new, same):
+    """One number elsewhere makes another problem; a comment leaves it."""
+    before = problem_key(load_study(study).simulated)
+    assert problem_key(load_study(study).simulated) == before
+    replace(folder / name, old, new)
+    assert (problem_key(load_study(study).simulated) == before) is same
+
+
+def test_evaluations_of_the_same_model_are_known(study, folder, monkeypatch):
+    """Those of a file with one more comment, but none of a file with another number, whose table is another."""
     monkeypatch.setenv("TORCHMBD_STORE", str(folder / "store"))
     first = known(study, Silent())
     assert first[0] == 0
-    assert known(study, Silent())[0] > 0
-    file = folder / name
+    replace(folder / "masses.py", "def", "# of the crank\n\ndef")
+    second = known(study, Silent())
+    assert second[0] > 0
+    assert second[1] == first[1]
+    replace(folder / "masses.py", "2.0", "3.0")
+    third = known(study, Silent())
+    assert third[0] == 0
+    assert third[1] != first[1]
+
+
+def replace(file: Path, old: str, new: str) -> None:
     text = file.read_text()
     assert old in text
     file.write_text(text.replace(old, new))
-    second = known(study, Silent())
-    assert (second[0] > 0, second[1] == first[1]) == (same, same)
 
 
 class Silent:
