@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 
 from torchmbd.errors import InputError
 from torchmbd.viz import design_map, save
@@ -45,7 +45,28 @@ def test_one_variable():
     assert figure.axes[0].get_ylabel() == "energy"
 
 
-@pytest.mark.parametrize("size", [3, 0])
-def test_more_variables_are_refused(size):
-    with pytest.raises(InputError, match="allowed: one or two variables"):
-        design_map({"a": np.zeros((2, size))}, {"a": np.zeros(2)}, ["x"] * size)
+def test_more_variables_are_seen_in_the_plane_in_which_they_spread_most(tmp_path):
+    turn = np.linalg.qr(RNG.normal(size=(4, 4)))[0]
+    flat = {name: np.c_[path, np.zeros((len(path), 2))] for name, path in PATHS.items()}
+    X = np.concatenate(list(flat.values()))
+    figure = design_map(flat, OBJECTIVES, list("abcd"), {"a": 0}, (X @ turn, np.arange(len(X)) + 1.0))
+    axes = figure.axes[0]
+    drawn = np.concatenate([lines(axes)[3 * k] for k in range(3)])
+    span = np.ptp(X, axis=0)
+    scaled = X[:, :2] / span[:2]
+    apart = np.linalg.norm(scaled[:, None] - scaled[None], axis=-1)
+    assert_allclose(np.linalg.norm(drawn[:, None] - drawn[None], axis=-1), apart, atol=1e-12)  # nothing is lost
+    shares = [float(text.partition("(")[2].partition("%")[0]) for text in (axes.get_xlabel(), axes.get_ylabel())]
+    assert sum(shares) == pytest.approx(100.0, abs=1.0)
+    assert "mostly" in axes.get_xlabel()
+    save(figure, tmp_path / "map.png")
+
+
+def test_a_single_design_of_many_variables():
+    design_map({"a": np.zeros((1, 3))}, {"a": np.zeros(1)}, list("xyz"))
+
+
+@pytest.mark.parametrize("count", [3, 0])
+def test_headings_must_fit(count):
+    with pytest.raises(InputError, match="a variable for each heading"):
+        design_map(PATHS, OBJECTIVES, ["x"] * count)

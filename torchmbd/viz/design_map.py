@@ -1,7 +1,9 @@
-"""The design space of one or two variables: what was visited, where searches went, in which minimum they ended.
+"""The design space: what was visited, where searches went, in which minimum they ended.
 
 One variable: objective over the variable, all evaluations as dots, the paths of the starts on them.
 Two variables: evaluations as dots colored by their objective, contours between them where they are enough.
+More variables: the same in the plane in which the searches spread most (principal components of their designs, each variable
+divided by its range), without contours: designs that lie on top of each other may differ.
 Searches that end in the same minimum have the same color: its basin, as far as it was seen.
 Checked in tests/viz/test_design_map.py.
 """
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _CONTOURS = 12  # evaluations from which on contours are drawn
+_NAMED = 3  # variables in the heading of a direction
 _WIDE = 10.0  # ratio of objectives from which on their colors and contours are logarithmic
 
 
@@ -32,9 +35,9 @@ def design_map(
     visited: tuple[np.ndarray, np.ndarray] | None = None,
     objective: str = "objective",
 ) -> Figure:
-    """Draw the paths of searches through a space of one or two variables.
+    """Draw the paths of searches through a design space; of more than two variables in the plane in which they spread most.
 
-    paths       designs of every search [k, n], n = 1 or 2, in the units of the headings
+    paths       designs of every search [k, n], in the units of the headings
     objectives  their objectives [k]
     ends        number of the minimum in which a search ended; searches without one are gray
     visited     designs [m, n] and objectives [m] of every evaluation; those that are not finite are left out
@@ -45,15 +48,21 @@ def design_map(
     'ply 1 [deg]'
     """
     sizes = {np.asarray(path).shape[1:] for path in paths.values()}
-    if sizes not in ({(1,)}, {(2,)}) or len(headings) != next(iter(sizes))[0]:
+    if len(sizes) != 1 or (len(headings),) not in sizes:
         raise InputError(
-            f"paths have designs of shape {sizes or 'none'}; allowed: one or two variables, each with a heading"
+            f"paths have designs of shape {sizes or 'none'}; allowed: ({len(headings)},), a variable for each heading"
         )
-    figure, (axes,) = figure_of(4.2)
+    flat = len(headings) > 2
+    if flat:
+        paths, visited, headings = _projected(paths, visited, list(headings))
+    figure, (axes,) = figure_of(4.6 if flat else 4.2)
     X, y = (np.asarray(x, dtype=float) for x in (visited if visited is not None else ((), ())))
     X = X.reshape(-1, len(headings))
     seen = np.isfinite(y)
-    (_one if len(headings) == 1 else _two)(axes, X[seen], y[seen], objective)
+    if len(headings) == 1:
+        _one(axes, X[seen], y[seen])
+    else:
+        _two(axes, X[seen], y[seen], objective, contours=not flat)
     named = set()
     for name, path in paths.items():
         end = None if ends is None else ends.get(name)
@@ -79,16 +88,38 @@ def design_map(
     return figure
 
 
-def _one(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str) -> None:
+def _projected(
+    paths: Mapping[str, np.ndarray], visited: tuple[np.ndarray, np.ndarray] | None, headings: list[str]
+) -> tuple[dict[str, np.ndarray], tuple[np.ndarray, np.ndarray] | None, list[str]]:
+    """Paths and visited designs in the plane in which the paths spread most, with headings of its axes."""
+    X = np.concatenate([np.asarray(path, dtype=float) for path in paths.values()])
+    middle, span = X.mean(0), np.ptp(X, axis=0)
+    span = np.where(span > 0.0, span, 1.0)
+    _, sizes, directions = np.linalg.svd((X - middle) / span, full_matrices=False)
+    directions = np.vstack([directions, np.zeros((2, len(headings)))])[:2]  # of a single design there is no direction
+    shares = np.append(sizes**2 / max(float((sizes**2).sum()), 1e-300), [0.0, 0.0])
+
+    def plane(designs: np.ndarray) -> np.ndarray:
+        return (np.asarray(designs, dtype=float).reshape(-1, len(headings)) - middle) / span @ directions.T
+
+    names = []
+    for k, direction in enumerate(directions):
+        first = [headings[i].partition(" [")[0] for i in np.argsort(-np.abs(direction))[:_NAMED]]
+        names.append(f"direction {k + 1} ({shares[k]:.0%} of the spread):\nmostly {', '.join(first)}")
+    seen = None if visited is None else (plane(visited[0]), np.asarray(visited[1], dtype=float))
+    return {name: plane(path) for name, path in paths.items()}, seen, names
+
+
+def _one(axes: Axes, X: np.ndarray, y: np.ndarray) -> None:
     order = np.argsort(X[:, 0])
     axes.plot(X[order, 0], y[order], ".", color="#c0c0c0", ms=4, zorder=1)
 
 
-def _two(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str) -> None:
+def _two(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str, contours: bool) -> None:
     if not len(X):
         return
     wide = y.min() > 0.0 and y.max() > _WIDE * y.min()
-    if len(X) >= _CONTOURS and np.linalg.matrix_rank(X - X.mean(0)) == 2:
+    if contours and len(X) >= _CONTOURS and np.linalg.matrix_rank(X - X.mean(0)) == 2:
         levels = np.geomspace(y.min(), y.max(), 13)[1:] if wide else 12
         axes.tricontour(X[:, 0], X[:, 1], y, levels=levels, colors="#d0d0d0", linewidths=0.7, zorder=0)
     dots = axes.scatter(X[:, 0], X[:, 1], c=y, s=12, cmap="viridis", norm="log" if wide else None, zorder=1)

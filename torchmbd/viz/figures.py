@@ -6,6 +6,7 @@ Each function returns a matplotlib Figure (no pyplot, no global state); `save` w
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -150,6 +151,13 @@ def save(figure: Figure, path: str | Path) -> Path:
         line.set_in_layout(False)  # curves lie inside their axes: what surrounds these is arranged in half the time
     figure.savefig(path, dpi=160)
     return path
+
+
+def titled(figure: Figure, title: str) -> Figure:
+    """The figure with a title, in lines of its width."""
+    if title:
+        figure.suptitle("\n".join(textwrap.wrap(title, 75)), x=0.01, ha="left", fontsize=10)
+    return figure
 
 
 def degrees(axes: Axes, x: str = "", y: str = "") -> None:

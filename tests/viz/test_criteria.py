@@ -1,0 +1,160 @@
+"""Pictures of a question: what is drawn is what the problem asks for, with its limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from numpy.testing import assert_allclose
+
+import torchmbd as mbd
+from torchmbd.errors import InputError
+from torchmbd.optimization.optimizer import Iterate
+from torchmbd.viz.criteria import histories_of
+
+ENERGY, ANGLE, FAILURE = mbd.StrainEnergy("arm"), mbd.Angle("arm", "z"), mbd.PlyFailure("arm")
+SUM = mbd.WeightedSum([(0.7, mbd.Integral(ENERGY)), (0.3, mbd.RMS(ANGLE))])
+LIMITS = [
+    mbd.Max(ENERGY) <= "initial",
+    mbd.Max(FAILURE, window=(0.01, 0.03)) <= 1.0,
+    mbd.Min(ANGLE) >= -0.5,
+    mbd.Mass("arm") <= 0.1,
+]
+LABELS = ["start", "best"]
+
+
+@pytest.fixture(scope="module")
+def problem() -> mbd.Problem:
+    return mbd.Problem(mbd.examples.arm(), 0.05, SUM, LIMITS, bounds=(-1.5, 1.5), steps=40)
+
+
+@pytest.fixture(scope="module")
+def motion(problem):
+    return problem.simulate(np.array([problem.start, [0.3, -0.2]]))
+
+
+def curves(axes: Any) -> list[np.ndarray]:
+    return [np.asarray(line.get_ydata(), dtype=float) for line in axes.lines]
+
+
+def test_every_history_is_drawn_once_with_its_limits(problem, motion, tmp_path):
+    figure = mbd.viz.criteria_over_time(problem, motion, LABELS, "What is best?")
+    energy, angle, failure = figure.axes
+    assert energy.get_ylabel() == "strain energy of arm [J]"
+    assert angle.get_ylabel() == "angle of arm, z [deg]"
+    for axes, history, factor in ((energy, ENERGY, 1.0), (angle, ANGLE, 180.0 / np.pi), (failure, FAILURE, 1.0)):
+        assert_allclose(curves(axes)[:2], factor * history(motion).detach().numpy())
+    assert_allclose(curves(energy)[2], problem.limits[0])
+    assert_allclose(problem.limits[0], float(mbd.Max(ENERGY)(motion)[0].detach()))
+    assert "minimize weighted sum; max of strain energy at most" in energy.get_title(loc="left")
+    assert "at least -28.65 deg" in angle.get_title(loc="left")
+    assert [text.get_text() for text in failure.texts] == ["limit (at most 1): above"]  # far from the curves
+    assert len(failure.patches) == 1  # the window
+    assert figure.get_suptitle() == "What is best?"
+    assert mbd.viz.save(figure, tmp_path / "time.png").stat().st_size > 5000
+
+
+def test_a_failed_lane_ends_where_it_fails(problem):
+    motion = problem.simulate(np.array([problem.start]))
+    values = ENERGY(motion).detach().clone()
+    values[:, 20:] = torch.nan
+    broken = mbd.Problem(problem.system, 0.05, mbd.Max(mbd.history(_given(values))), steps=40)
+    figure = mbd.viz.criteria_over_time(broken, motion, ["start"])
+    assert "fails at t" in figure.legends[0].get_texts()[0].get_text()
+
+
+def _given(values: torch.Tensor) -> Any:
+    def energy(motion: Any) -> torch.Tensor:
+        return values
+
+    return energy
+
+
+def test_designs_without_histories_have_no_curves_over_time(motion):
+    problem = mbd.Problem(mbd.examples.arm(), 0.05, mbd.Mass("arm"), steps=40)
+    assert mbd.viz.criteria_over_time(problem, motion, LABELS) is None
+    assert mbd.viz.weighted_parts(problem, motion, LABELS) is None
+
+
+def test_responses_over_the_iterations_are_in_their_units(problem, motion):
+    evaluations = problem.evaluate(np.array([problem.start, [0.3, -0.2]]), False)
+    history = [
+        Iterate(0, k, problem.start, found.objective, 0.0, found.constraints, k + 1)
+        for k, found in enumerate(evaluations)
+    ]
+    figure = mbd.viz.criteria_over_iterations(problem, {"start 0": history, "start 1": history[:1]}, best="start 0")
+    rows = figure.axes
+    assert [axes.get_ylabel().replace("\n", " ") for axes in rows] == [
+        "weighted sum",
+        "max of strain energy of arm [J]",
+        "max of ply failure of arm",
+        "min of angle of arm [deg]",
+        "mass of arm [kg]",
+    ]
+    expected = [c.measure(motion).detach().numpy() for c in problem.constraints]
+    expected[2] = np.degrees(expected[2])
+    for axes, values in zip(rows[1:], expected, strict=True):
+        assert_allclose(curves(axes)[1], values, rtol=1e-9)
+    assert_allclose(curves(rows[3])[2], np.degrees(-0.5))
+    with pytest.raises(InputError, match="searches is empty"):
+        mbd.viz.criteria_over_iterations(problem, {"start 0": []})
+
+
+def test_min_max_problems_draw_their_constraints(motion):
+    peaks = mbd.AtPeaks(ENERGY, count=2)
+    problem = mbd.Problem(mbd.examples.arm(), 0.05, peaks, mbd.Max(ENERGY) <= 1.0, steps=40)
+    [found] = problem.evaluate(problem.start[None], False)
+    history = [Iterate(0, 0, problem.start, found.objective, 0.0, found.constraints, 1)]
+    figure = mbd.viz.criteria_over_iterations(problem, {"start 0": history})
+    assert_allclose(curves(figure.axes[1])[0], float(mbd.Max(ENERGY)(motion)[0].detach()))
+
+
+def test_parts_of_a_sum_add_up(problem, motion):
+    figure = mbd.viz.weighted_parts(problem, motion, LABELS)
+    (axes,) = figure.axes
+    widths = np.array([bar.get_width() for bar in axes.patches]).reshape(2, 2)  # designs, terms
+    assert_allclose(widths[0], [0.7, 0.3])  # divided by those of the start
+    objectives = [e.objective for e in problem.evaluate(np.array([problem.start, [0.3, -0.2]]), False)]
+    assert_allclose(widths.sum(1), objectives)
+    assert "integral of strain" in axes.get_yticklabels()[0].get_text()
+
+
+def test_the_failure_map_holds_the_largest_index(motion):
+    figure = mbd.viz.failure_map(motion, "arm", LABELS)
+    drawn = [np.asarray(axes.collections[0].get_array()).max() for axes in figure.axes[:2]]
+    assert_allclose(drawn, FAILURE(motion).detach().amax(1).numpy(), rtol=1e-12)
+    with pytest.raises(InputError, match="labels are"):
+        mbd.viz.failure_map(motion, "arm", ["start"])
+
+
+def test_the_failure_map_of_a_beam():
+    tube = mbd.sections.tube(0.02, mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3, cells=(12, 1))
+    rod = mbd.FlexibleBody.beam("rod", mbd.BeamLine.straight(0.5, 3), tube, modes=2, reference="start")
+    push = mbd.Force(rod.at("end"), (0, 0, 10.0))
+    system = mbd.System([rod], [mbd.Fixed(mbd.Ground().at(), rod.at("start"))], [push])
+    motion = mbd.simulate(system, 0.01, steps=80)
+    (axes,) = mbd.viz.failure_map(motion, "rod", ["start"]).axes
+    x, y = axes.lines[0].get_data()
+    assert_allclose([x[0], x[-1]], [0.0, 0.5])
+    assert_allclose(np.max(y), mbd.SectionHistory(motion, "rod").failure().amax().item(), rtol=1e-12)
+
+
+def test_bodies_without_plies_have_no_failure_map(motion):
+    with pytest.raises(InputError, match="has no plies"):
+        mbd.viz.failure_map(motion, "tool", LABELS)
+
+
+def test_parallel_coordinates():
+    X, y = np.array([[45.0, 0.0], [30.0, 60.0], [0.0, 0.0]]), [2.0, 1.0, 0.5]
+    figure = mbd.viz.parallel_coordinates(X, y, ["a [deg]", "b"], [True, True, False], (-90.0, [np.inf, -np.inf][0]))
+    best = next(line for line in figure.axes[0].lines if line.get_label() == "best")
+    assert_allclose(best.get_ydata(), [(30 + 90) / 135, 1.0, (1.0 - 0.5) / 1.5])
+    with pytest.raises(InputError, match="a row for each objective"):
+        mbd.viz.parallel_coordinates(X, y[:2], ["a", "b"])
+
+
+def test_histories_inside_of_sums_and_products_are_found():
+    both = 2.0 * mbd.Max(ENERGY) + mbd.RMS(ANGLE)
+    assert [history for history, _ in histories_of(both)] == [ENERGY, ANGLE]

@@ -1,0 +1,302 @@
+"""Pictures of a question: its objective and constraints over time and over iterations, with their limits; the parts of a sum.
+
+Names and units come from the responses (design/words.py); angles are drawn in degrees. Checked in tests/viz/test_criteria.py.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from torchmbd.design.measures import AtTime, Integral, OfHistory
+from torchmbd.design.problem import Problem
+from torchmbd.design.response import Constraint, History, Measure, Total
+from torchmbd.design.weighted import WeightedSum
+from torchmbd.design.words import unit, words
+from torchmbd.errors import InputError
+from torchmbd.viz.animation import require_motion
+from torchmbd.viz.figures import BAD, BEST, CYCLE, OTHER, figure_of, over_time, titled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from torchmbd.integrate import Trajectory
+    from torchmbd.optimization.optimizer import Iterate
+
+_SIGNS = {"at_most": "at most", "at_least": "at least", "equal": "equal to"}
+_SHORT = 24  # characters beside a low row
+_FAR = 3.0  # a limit that is this many ranges of the curves away from them is written, not drawn
+
+
+@dataclass
+class _Panel:
+    """A history with what the problem asks of it."""
+
+    history: History
+    asked: list[str] = field(default_factory=list)
+    limits: list[tuple[float, str]] = field(default_factory=list)  # number [SI], kind
+    windows: list[tuple[float, float]] = field(default_factory=list)
+
+
+def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[str], title: str = "") -> Figure | None:
+    """The histories behind the objective and the constraints of a problem, with the limits; a curve for each design.
+
+    problem  an mbd.Problem
+    motion   its motion, a lane for each design, as problem.simulate(X)
+    labels   a name for each lane
+    title    of the figure
+
+    None where the problem asks for no history, but for a mass or a frequency.
+
+    >>> arm = mbd.examples.arm()
+    >>> energy = mbd.StrainEnergy("arm")
+    >>> problem = mbd.Problem(arm, 0.1, mbd.Integral(energy), mbd.Max(energy) <= 5.0, steps=40)
+    >>> figure = mbd.viz.criteria_over_time(problem, problem.motion(problem.start), ["start"])
+    >>> figure.axes[0].get_ylabel()
+    'strain energy of arm [J]'
+    """
+    _require(problem)
+    require_motion(motion)
+    if len(labels) != motion.lanes:
+        raise InputError(f"labels are {list(labels)!r}; allowed: {motion.lanes}, one for each design of the motion")
+    panels = _panels(problem)
+    if not panels:
+        return None
+    figure, rows = figure_of(1.0 + 2.1 * len(panels), rows=len(panels))
+    t = motion.t.numpy()
+    for axes, panel in zip(rows, panels, strict=True):
+        factor, name = _shown(unit(panel.history))
+        values = factor * np.asarray(panel.history(motion).detach())
+        for y, label, color in zip(values, labels, _colors(len(labels)), strict=True):
+            over_time(axes, t, y, label, color)
+        _limits(axes, values, [(factor * x, kind) for x, kind in panel.limits], name)
+        for window in panel.windows:
+            axes.axvspan(*window, color="#f0f0f0", zorder=0)
+        axes.set_title("; ".join(panel.asked), loc="left", fontsize=8)
+        axes.set_ylabel(_label(_full(panel.history), name), fontsize=8)
+        axes.ticklabel_format(axis="y", scilimits=(-2, 4))
+    rows[-1].set_xlabel("time [s]")
+    rows[-1].set_xlim(float(t[0]), float(t[-1]))
+    _legend(figure, rows)
+    return titled(figure, title)
+
+
+def criteria_over_iterations(
+    problem: Problem, searches: Mapping[str, Sequence[Iterate]], best: str | None = None, title: str = ""
+) -> Figure:
+    """Objective and every constrained response over the iterations of all starts, with the limits; the best start stands out.
+
+    problem   an mbd.Problem
+    searches  name of a start -> its iterates, as `.history` of its result
+    best      name of the best start
+    title     of the figure
+
+    Of a response of several rows the one nearest to its limit is drawn.
+
+    >>> problem = mbd.Problem(mbd.examples.arm(), 0.02, mbd.Integral(mbd.StrainEnergy("arm")), steps=20)
+    >>> result = mbd.optimize(problem, max_iterations=1, progress=False)
+    >>> figure = mbd.viz.criteria_over_iterations(problem, {"start 0": result.history}, best="start 0")
+    >>> figure.axes[0].get_ylabel()
+    'integral of strain energy of arm [J s]'
+    """
+    _require(problem)
+    searches = {name: history for name, history in searches.items() if len(history)}
+    if not searches:
+        raise InputError("searches is empty; allowed: at least one start with one iterate")
+    figure, rows = figure_of(1.4 + 1.5 * (1 + len(problem.constraints)), rows=1 + len(problem.constraints))
+    for name in sorted(searches, key=lambda name: name == best):  # the best is drawn last, on top
+        style: dict[str, Any] = {"color": OTHER, "lw": 0.9}
+        if name == best:
+            style = {"color": BEST, "lw": 2.0, "label": f"best: {name}"}
+        steps = [iterate.iteration for iterate in searches[name]]
+        for axes, curve in zip(rows, _curves(problem, searches[name]), strict=True):
+            axes.plot(steps, curve, marker="o", ms=2.5, **style)
+    factor, name = _shown(unit(problem.objective))
+    rows[0].set_ylabel(_label(words(problem.objective), name, _SHORT), fontsize=8)
+    if all(value > 0.0 for line in rows[0].lines for value in np.asarray(line.get_ydata(), dtype=float)):
+        rows[0].set_yscale("log")
+    for axes, constraint, limit in zip(rows[1:], problem.constraints, _first_limits(problem), strict=True):
+        factor, name = _shown(unit(constraint.measure))
+        drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
+        _limits(axes, drawn, [(factor * limit, constraint.kind)], name)
+        axes.set_ylabel(_label(words(constraint.measure), name, _SHORT), fontsize=8)
+        axes.ticklabel_format(axis="y", scilimits=(-2, 4))
+    rows[-1].set_xlabel("iteration")
+    rows[-1].locator_params(axis="x", integer=True)
+    _legend(figure, rows)
+    return titled(figure, title or (f"{len(searches)} starts" if len(searches) > 1 else "1 start"))
+
+
+def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], title: str = "") -> Figure | None:
+    """The parts of an objective that is a sum, each with its weight: a bar for each design; None for any other objective.
+
+    Arguments as of `criteria_over_time`.
+
+    >>> arm = mbd.examples.arm()
+    >>> both = mbd.WeightedSum([(0.7, mbd.Mass("arm")), (0.3, mbd.Integral(mbd.StrainEnergy("arm")))])
+    >>> problem = mbd.Problem(arm, 0.02, both, steps=20)
+    >>> figure = mbd.viz.weighted_parts(problem, problem.motion(problem.start), ["start"])
+    >>> [text.get_text() for text in figure.axes[0].get_yticklabels()]
+    ['0.7 x mass of arm', '0.3 x integral of...']
+    """
+    _require(problem)
+    require_motion(motion)
+    if not isinstance(problem.objective, Total) or len(problem.objective.terms) < 2:
+        return None
+    measure = problem.reference.measures[0]
+    assert isinstance(measure, Total)
+    scales = measure.normalize if isinstance(measure, WeightedSum) else None
+    divisors = [1.0] * len(measure.terms) if scales is None else [float(s) for s in scales]
+    names, values = [], []
+    for (weight, part), divisor in zip(measure.terms, divisors, strict=True):
+        names.append(f"{weight:g} x {words(part)}")
+        values.append(weight / divisor * np.asarray(part(motion).detach()))
+    figure, (axes,) = figure_of(1.4 + 0.25 * len(names) * (1 + len(labels)))
+    thick, places = 0.8 / len(labels), np.arange(len(names))
+    for k, (label, color) in enumerate(zip(labels, _colors(len(labels)), strict=True)):
+        heights = np.array([value[k] for value in values])
+        axes.barh(
+            places + (k - 0.5 * (len(labels) - 1)) * thick,
+            heights,
+            thick,
+            color=color,
+            label=f"{label}: {heights.sum():.4g}",
+        )
+    axes.set_yticks(places, [_label(name, "") for name in names], fontsize=8)
+    axes.invert_yaxis()
+    divided = "weight x criterion / criterion at start" if problem.objective.refers_to_start else "weight x criterion"
+    axes.set_xlabel(divided)
+    _legend(figure, [axes])
+    return titled(figure, title)
+
+
+def histories_of(measure: Measure) -> Iterator[tuple[History, Measure]]:
+    """Every history that a measure is made of, and the measure that takes it."""
+    values: list[Any] = [getattr(measure, f.name) for f in fields(measure)] if is_dataclass(measure) else []
+    while values:
+        value = values.pop(0)
+        if isinstance(value, History):
+            yield value, measure
+        elif isinstance(value, Measure):
+            yield from histories_of(value)
+        elif isinstance(value, (list, tuple)):
+            values = [*value, *values]
+
+
+def _require(problem: Any) -> None:
+    if not isinstance(problem, Problem):
+        raise InputError(f"problem is {problem!r}; allowed: mbd.Problem(...)")
+
+
+def _panels(problem: Problem) -> list[_Panel]:
+    """One for every history, in the order of the question."""
+    found: list[_Panel] = []
+    limits = _first_limits(problem)
+    for asked, limit in [(problem.objective, None), *zip(problem.constraints, limits, strict=True)]:
+        outer = asked.measure if isinstance(asked, Constraint) else asked
+        for history, measure in histories_of(outer):
+            panel = next((known for known in found if known.history == history), None)
+            if panel is None:
+                found.append(panel := _Panel(history))
+            panel.asked.append(_asked(asked, limit))
+            # A limit of the history itself: not of its integral, nor of what is computed of its measure.
+            if isinstance(asked, Constraint) and measure is outer and _of_one_unit(measure, history):
+                panel.limits.append((float(limit or 0.0), asked.kind))
+            if (window := getattr(measure, "window", None)) is not None:
+                panel.windows.append(window)
+    return found
+
+
+def _of_one_unit(measure: Measure, history: History) -> bool:
+    kinds = isinstance(measure, (OfHistory, AtTime)) and not isinstance(measure, Integral)
+    return kinds and unit(measure) == unit(history)
+
+
+def _asked(asked: Measure | Constraint, limit: float | None) -> str:
+    if isinstance(asked, Measure):
+        return f"minimize {words(asked, bodies=False)}"
+    factor, name = _shown(unit(asked.measure))
+    return f"{words(asked.measure, bodies=False)} {_SIGNS[asked.kind]} {factor * (limit or 0.0):.4g} {name}".rstrip()
+
+
+def _first_limits(problem: Problem) -> list[float]:
+    """The limit of every constraint [SI]: all rows of one have the same."""
+    sizes = [constraint.measure.rows for constraint in problem.constraints]
+    return [float(problem.limits[k]) for k in np.cumsum([0, *sizes])[:-1]] if sizes else []
+
+
+def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
+    """Objective, and every constrained response, over the iterates; of several rows the one nearest to its limit."""
+    factor, _ = _shown(unit(problem.objective))
+    curves = [factor * np.array([iterate.objective for iterate in history])]
+    scaled = np.array([np.atleast_1d(iterate.constraints) for iterate in history])
+    first = problem.peaks
+    for constraint in problem.constraints:
+        rows = slice(first, first := first + constraint.measure.rows)
+        own = slice(rows.start - problem.peaks, rows.stop - problem.peaks)
+        part = scaled[:, rows]
+        nearest = np.argmax(np.abs(part) if constraint.kind == "equal" else part, axis=1)
+        values = part * problem.reference.scale[own] + problem.limits[own]
+        factor, _ = _shown(unit(constraint.measure))
+        curves.append(factor * np.take_along_axis(values, nearest[:, None], 1)[:, 0])
+    return curves
+
+
+def _limits(axes: Axes, values: np.ndarray, limits: Sequence[tuple[float, str]], name: str) -> None:
+    """Draw limits that are near the curves; write those that are far."""
+    good = values[np.isfinite(values)]
+    low, high = (float(good.min()), float(good.max())) if good.size else (0.0, 1.0)
+    reach = _FAR * max(high - low, 0.05 * max(abs(low), abs(high)))
+    for limit, kind in limits:
+        label = f"{_SIGNS[kind]} {limit:.4g} {name}".rstrip()
+        if low - reach <= limit <= high + reach:
+            axes.axhline(limit, color=BAD, lw=1.0, ls="--", label="limit")
+        else:
+            side = "above" if limit > high else "below"
+            place = {"above": (0.99, 0.97, "top"), "below": (0.99, 0.03, "bottom")}[side]
+            axes.text(
+                *place[:2],
+                f"limit, {label}: {side}",
+                transform=axes.transAxes,
+                ha="right",
+                va=place[2],
+                fontsize=7,
+                color=BAD,
+            )
+
+
+def _shown(si: str | None) -> tuple[float, str]:
+    """The factor and the name of the unit in which numbers of an SI unit are drawn."""
+    return (180.0 / math.pi, "deg") if si == "rad" else (1.0, si or "")
+
+
+def _full(history: History) -> str:
+    """A history in words, with the point and the direction that it is of."""
+    own = [getattr(history, name, None) for name in ("node", "axis")]
+    return ", ".join([words(history), *(str(x) for x in own if x is not None)])
+
+
+def _label(said: str, name: str, width: int = 30) -> str:
+    return "\n".join(textwrap.wrap(f"{said} [{name}]" if name else said, width))
+
+
+def _colors(count: int) -> list[str]:
+    return [CYCLE[k % len(CYCLE)] for k in range(count)]
+
+
+def _legend(figure: Figure, rows: Sequence[Axes]) -> None:
+    """One legend for all axes, each entry once."""
+    entries: dict[str, Any] = {}
+    for axes in rows:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            entries.setdefault(label, handle)
+    if entries:
+        figure.legend(
+            list(entries.values()), list(entries), frameon=False, fontsize=8, loc="outside lower left", ncols=3
+        )

@@ -1,0 +1,168 @@
+"""Where a laminated body is nearest to failure: the largest failure index of the motion over its cells, and over its beams.
+
+Plates and shells: colors on the mesh, seen from the side that shows most of it. Beams: the index along their axes.
+Checked in tests/viz/test_criteria.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.materials import CRITERIA, FailureForms
+from torchmbd.results.ply_history import PlyHistory
+from torchmbd.results.section_history import SectionHistory, laminated
+from torchmbd.viz.animation import require_motion
+from torchmbd.viz.figures import BAD, CYCLE, figure_of, titled
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+    from torchmbd.integrate import Trajectory
+
+_CHUNK = 500_000  # indices that are looked through at once
+_FACES = ("bottom", "top")
+
+
+def failure_map(
+    motion: Trajectory, body: str, labels: Sequence[str], criterion: str = "tsai_wu", title: str = ""
+) -> Figure:
+    """The largest failure index that every cell of a laminated body sees during a motion, and where and when it is largest.
+
+    motion     a lane for each design
+    body       name of the body; its plies have a Strength
+    labels     a name for each lane
+    criterion  as of `PlyFailure`
+    title      of the figure
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> figure = mbd.viz.failure_map(motion, "arm", ["start"])
+    >>> figure.axes[0].get_title(loc="left")[:20]
+    'start: largest index'
+    """
+    require_motion(motion)
+    if len(labels) != motion.lanes:
+        raise InputError(f"labels are {list(labels)!r}; allowed: {motion.lanes}, one for each design of the motion")
+    owner: Any = motion.system.body(body)
+    if getattr(owner, "plates", None):
+        found = _of_plates(motion, body, criterion)
+        return titled(_on_mesh(owner, found, labels, criterion), title)
+    if laminated(owner):
+        return titled(_along_beams(motion, body, labels, criterion), title)
+    raise InputError(f"body {body!r} has no plies; allowed: a plate or a beam of laminated sections")
+
+
+def _of_plates(motion: Trajectory, body: str, criterion: str) -> list[tuple[np.ndarray, str]]:
+    """Of every lane: the largest index of each cell, and a sentence on the largest of all."""
+    plies = PlyHistory(motion, body)
+    if plies.strength is None or criterion not in CRITERIA:
+        plies.failure(criterion)  # says what is wrong
+    assert plies.strength is not None
+    cells = int(plies.points[:, 0].max()) + 1
+    found = []
+    for basis, w, own in zip(plies.basis.stress.detach(), plies.w.detach(), plies.strength.detach(), strict=True):
+        largest, when = _largest(FailureForms(criterion, basis, own), w, len(basis))
+        most = torch.full((cells,), -torch.inf, dtype=largest.dtype).scatter_reduce(
+            0, plies.points[:, 0], largest, "amax"
+        )
+        point = int(largest.argmax())
+        cell, layer, face = plies.points[point].tolist()
+        place = f"{float(largest[point]):.3g} at t = {float(motion.t[when[point]]):.4g} s"
+        place += f", cell {cell}, layer {layer + 1}, {_FACES[face]}"
+        found.append((most.numpy(), place))
+    return found
+
+
+def _largest(index: Any, w: Tensor, points: int) -> tuple[Tensor, Tensor]:
+    """The largest index of every point over the times, and the number of its time."""
+    largest = torch.full((points,), -torch.inf, dtype=w.dtype)
+    when = torch.zeros(points, dtype=torch.long)
+    size = max(1, _CHUNK // points)
+    for k, some in enumerate(w.split(size)):
+        value, time = index(some.nan_to_num()).reshape(len(some), points).max(0)
+        when = torch.where(value > largest, time + k * size, when)
+        largest = torch.maximum(largest, value)
+    return largest, when
+
+
+def _on_mesh(owner: Any, found: list[tuple[np.ndarray, str]], labels: Sequence[str], criterion: str) -> Figure:
+    from matplotlib.collections import PolyCollection
+
+    mesh = owner.mesh
+    flat = _flat(mesh.nodes.detach().numpy())
+    corners = [flat[cell] for cells in (mesh.triangles, mesh.quads) for cell in cells.numpy()]
+    shown = [values for values, _ in found]
+    low, high = min(0.0, *(float(v.min()) for v in shown)), max(float(v.max()) for v in shown)
+    width, height = np.ptp(flat, axis=0)
+    figure, rows = figure_of(1.7 + len(found) * min(3.2, 0.8 + 5.0 * height / width), rows=len(found))
+    parts = None
+    for axes, (values, place), label in zip(rows, found, labels, strict=True):
+        parts = PolyCollection(corners, array=values[: len(corners)], cmap="viridis", edgecolors="face", linewidths=0.2)
+        parts.set_clim(low, high)
+        axes.add_collection(parts)
+        worst = np.mean(corners[int(values.argmax())], axis=0)
+        axes.plot(*worst, "o", ms=9, mfc="none", mec=BAD, mew=1.6)
+        axes.set_title(f"{label}:\nlargest index {place}", loc="left", fontsize=8)
+        axes.set_aspect("equal")
+        axes.autoscale_view()
+        axes.set_ylabel("[m]", fontsize=8)
+        axes.grid(False)
+    rows[-1].set_xlabel("[m]", fontsize=8)
+    assert parts is not None
+    said = f"failure index ({criterion.replace('_', ' ')}), largest of all times, layers and faces"
+    figure.colorbar(parts, ax=rows, label=said, location="bottom", aspect=50, shrink=0.9)
+    return figure
+
+
+def _flat(nodes: np.ndarray) -> np.ndarray:
+    """Nodes [n, 3] seen along the axis in which they spread least; in axes of the body where these do it."""
+    spread = np.ptp(nodes, axis=0)
+    axes = np.sort(np.argsort(-spread)[:2])
+    if spread.min() <= 1e-9 * spread.max():
+        return nodes[:, axes]
+    _, _, directions = np.linalg.svd(nodes - nodes.mean(0), full_matrices=False)
+    return (nodes - nodes.mean(0)) @ directions[:2].T
+
+
+def _along_beams(motion: Trajectory, body: str, labels: Sequence[str], criterion: str) -> Figure:
+    owner: Any = motion.system.body(body)
+    beams = SectionHistory(motion, body)
+    parts = tuple(laminated(owner))
+    figure, rows = figure_of(0.9 + 2.4 * len(parts), rows=len(parts))
+    for axes, key in zip(rows, parts, strict=True):
+        basis, strength = beams.basis(key)
+        if strength is None:
+            beams.failure(criterion)  # says what is wrong
+        assert strength is not None
+        x = _lengths(owner.beams[key].matrices.length.detach())
+        for lane, (label, color) in enumerate(zip(labels, CYCLE * len(labels), strict=False)):
+            index = FailureForms(criterion, basis[lane].detach(), strength[lane].detach())
+            largest, when = _largest(index, beams.w[lane].detach(), basis.shape[1])
+            each = largest.unflatten(0, (len(x), -1))
+            most = each.amax(1).numpy()
+            point = int(largest.argmax())
+            time = float(motion.t[when[point]])
+            axes.plot(x, most, color=color, lw=1.3, label=f"{label}: {most.max():.3g} at t = {time:.4g} s")
+            axes.plot(x[most.argmax()], most.max(), "o", ms=7, mfc="none", mec=BAD, mew=1.4)
+        _finish(axes, key if len(parts) > 1 else "", criterion)
+    rows[-1].set_xlabel("length along the beam [m]")
+    return figure
+
+
+def _lengths(sizes: Tensor) -> np.ndarray:
+    """How far both ends of elements are along their axes [m], element after element."""
+    return torch.stack([torch.cumsum(sizes, 0) - sizes, torch.cumsum(sizes, 0)], 1).flatten().numpy()
+
+
+def _finish(axes: Axes, part: str, criterion: str) -> None:
+    axes.set_ylabel(f"failure index ({criterion.replace('_', ' ')})", fontsize=8)
+    axes.set_ylim(bottom=0.0)
+    axes.legend(frameon=False, fontsize=8)
+    if part:
+        axes.set_title(part, loc="left", fontsize=8)
