@@ -50,7 +50,7 @@ def test_every_history_is_drawn_once_with_its_limits(problem, motion, tmp_path):
     assert_allclose(problem.limits[0], float(mbd.Max(ENERGY)(motion)[0].detach()))
     assert "minimize weighted sum; max of strain energy at most" in energy.get_title(loc="left")
     assert "at least -28.65 deg" in angle.get_title(loc="left")
-    assert [text.get_text() for text in failure.texts] == ["limit (at most 1): above"]  # far from the curves
+    assert [text.get_text() for text in failure.texts] == ["limit, at most 1: above"]  # far from the curves
     assert len(failure.patches) == 1  # the window
     assert figure.get_suptitle() == "What is best?"
     assert mbd.viz.save(figure, tmp_path / "time.png").stat().st_size > 5000
