@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+import torchmbd as mbd
 from torchmbd.study.estimate import estimate, print_estimate
 from torchmbd.study.load import load_study
 
@@ -48,3 +49,25 @@ def test_the_cost_of_a_valid_file(write):
     text = output.getvalue()
     assert "is valid: integral of strain energy of rod, 2 design variables, 1 constraint" in text
     assert "at most about 6 simulations in batches of 2" in text
+    assert (
+        "gradients: reverse mode, chosen by counting," in text or "gradients: forward mode, chosen by counting," in text
+    )
+    assert "reverse mode" in text
+    assert "forward mode" in text
+
+
+def test_responses_count(write):
+    """A response that takes longer than the motion is in the time of a batch."""
+
+    def slow(motion):
+        time.sleep(0.02 * motion.t.numel())
+        return motion.body("rod").strain_energy
+
+    plan = load_study(write(simulate={"duration": 0.01, "steps": 60}, subject_to=[]))
+    problem = plan.simulated
+    usual = estimate(plan, problem)
+    times = 61
+    asked = mbd.Integral(mbd.history(slow), window=(0.005, 0.01))  # not in the part that is measured
+    problem = mbd.Problem(problem.system, 0.01, asked, steps=60, bounds=(-1.5, 1.5))
+    cost = estimate(plan, problem)
+    assert cost.batch_seconds - usual.batch_seconds == pytest.approx(0.02 * times, rel=0.5)

@@ -10,7 +10,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+import torchmbd as mbd
 from torchmbd import cli
 from torchmbd.tracking.store import open_store
 
@@ -68,9 +70,29 @@ def test_sync_sends_what_the_study_would_have_sent(file, folder, capsys):
     client = open_store(f"sqlite:///{folder / 'store' / 'runs.db'}")
     for run in runs(folder):
         client.delete_run(run.info.run_id)
-    assert not [path for path in (folder / ".torchmbd").iterdir() if path.is_dir()]
-    assert cli.main(["run", str(file)]) == 0
+    assert cli.main(["run", str(file)]) == 0  # its runs are gone: it makes others
     assert logged(folder) == late
+
+
+def test_a_finished_study_makes_no_second_run(file, folder, capsys):
+    assert cli.main(["run", str(file)]) == 0
+    first = {run.info.run_id: run.info.end_time for run in runs(folder)}
+    capsys.readouterr()
+    assert cli.main(["run", str(file)]) == 0
+    output = capsys.readouterr().out
+    assert "finished on" in output
+    assert "nothing is run again" in output
+    assert "--fresh" in output
+    parent = next(run.info.run_id for run in runs(folder) if "mlflow.parentRunId" not in run.data.tags)
+    assert f"runs/{parent}/artifacts" in output
+    assert {run.info.run_id: run.info.end_time for run in runs(folder)} == first
+    study = mbd.Study.from_file(file).run(
+        console=Console(quiet=True)
+    )  # in Python the results are there, in the same runs
+    assert study.best is not None
+    assert {run.info.run_id for run in runs(folder)} == set(first)
+    assert cli.main(["run", str(file), "--fresh"]) == 0
+    assert len(runs(folder)) == 2 * len(first)
 
 
 def test_a_file_that_has_changed_since_is_not_sent(file, folder, capsys):

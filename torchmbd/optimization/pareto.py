@@ -38,7 +38,6 @@ from torchmbd.optimization.optimizer import (
     require_range,
 )
 from torchmbd.optimization.search import Search
-from torchmbd.viz.figures import BEST, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -88,6 +87,8 @@ class Front:
 
     def plot(self) -> Figure:
         """Figure of the criteria over the first."""
+        from torchmbd.viz.figures import BEST, figure_of
+
         figure, axes = figure_of(2.2 + 1.4 * (len(self.names) - 1), rows=len(self.names) - 1)
         for ax, name, values in zip(axes, self.names[1:], self.criteria.T[1:], strict=True):
             ax.plot(self.criteria[:, 0], values, color=BEST, marker="o", ms=4, lw=1.0)

@@ -1,7 +1,11 @@
 """What a study will cost, from two short motions of its own first batch: `torchmbd check`.
 
-    seconds = batches (structure + steps * step)          two lengths tell the structure stage and a step apart
+    seconds = batches (structure + steps * step)          two lengths tell the structure stage and a step apart; with the
+                                                          responses of the question and their gradients
     memory  = base + lanes * (bytes of a motion) * 3      the motion, its work arrays, the responses on the way
+
+Gradients in forward and in reverse mode are both measured, where the method has both: the study takes what the problem has
+chosen by counting.
 
 Simulations: of a sweep its points; of an optimization at most 1.5 per iteration of every start, as the shipped studies
 do (README), and no start ends early. Methods that choose their steps: a time unit in place of a step.
@@ -10,61 +14,84 @@ Measured eagerly, on this machine, with whatever else it does. Checked in tests/
 
 from __future__ import annotations
 
+import contextlib
 import math
 import resource
 import time
 import warnings
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
+import torch
 from rich.console import Console
+from torch import Tensor
 
 from torchmbd.design import Problem
+from torchmbd.design.differentiate import differentiate
 from torchmbd.design.words import words
+from torchmbd.errors import MbdError
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.optimization.multistart.workers import LANES
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.load import FiguresPlan
 from torchmbd.study.paths import evaluations_file, problem_key
 from torchmbd.study.settings import StudySettings
+from torchmbd.viz.criteria import histories_of
 
 _PER_ITERATION = 1.5  # analyses
 _SHARES = (0.02, 0.06)  # of the motion that are measured
 _FEWEST = 4  # steps
 _COPIES = 3.0
+_WAYS = {"forward": ("reverse",), "reverse": ("forward",)}
 _SOUGHT = {"expected": ", mean over the tolerances", "worst": ", worst case over the tolerances"}  # of RobustProblem
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """Cost of a study on this machine: simulations at most, seconds of one batch and of all, peak memory [bytes]."""
+    """Cost of a study on this machine: simulations at most, seconds of one batch and of all, peak memory [bytes].
+
+    gradients  how they are computed: "forward", "reverse", "none" of a sweep
+    others     the other way -> seconds of one batch
+    """
 
     simulations: int
     lanes: int
     batch_seconds: float
     seconds: float
     memory: float
+    gradients: str
+    others: dict[str, float]
 
 
 def estimate(study: StudySettings, problem: Problem) -> Estimate:
-    """Measure two short motions and extrapolate."""
+    """Measure two short motions with their responses, and extrapolate."""
     starts = np.repeat(_starts(study), getattr(study.problem, "simulations", 1), axis=0)
-    gradients = study.sweep is None
     X = starts[:LANES, : len(problem.names)]
-    each = math.ceil(_PER_ITERATION * study.max_iterations) if gradients else 1
+    way = problem.gradients if study.sweep is None else "none"
+    each = math.ceil(_PER_ITERATION * study.max_iterations) if study.sweep is None else 1
+    batch, size = _batch(problem, X, way)
+    others = {}
+    for other in _WAYS.get(way, ()):
+        with contextlib.suppress(MbdError):  # a method or a system without it
+            others[other] = _batch(problem, X, other)[0]
+    batches = each * math.ceil(len(starts) / LANES)
+    base = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return Estimate(each * len(starts), len(X), batch, batches * batch, base + _COPIES * size, way, others)
+
+
+def _batch(problem: Problem, X: np.ndarray, way: str) -> tuple[float, float]:
+    """Seconds and bytes of a batch of designs [lanes, n], with gradients in one way."""
     times, size = [], 0.0
     shares = _shares(problem.simulation["steps"])
-    _short(problem, X[:1], gradients, shares[0])  # what is done once per process does not count
+    _short(problem, X[:1], way, shares[0])  # what is done once per process does not count
     for share in shares:
         began = time.perf_counter()
-        size = _bytes(_short(problem, X, gradients, share)) / share
+        size = _bytes(_short(problem, X, way, share)) / share
         times.append((share, time.perf_counter() - began))
     (a, fast), (b, slow) = times[0], times[-1]
     rate = max((slow - fast) / (b - a), 0.0) if b > a else fast / a
-    batch = max(fast - rate * a, 0.0) + rate
-    batches = each * math.ceil(len(starts) / LANES)
-    base = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return Estimate(each * len(starts), len(X), batch, batches * batch, base + _COPIES * size)
+    return max(fast - rate * a, 0.0) + rate, size
 
 
 def _starts(study: StudySettings) -> np.ndarray:
@@ -81,21 +108,33 @@ def _shares(steps: int | None) -> list[float]:
     return [first / steps, min(3 * first, steps) / steps]
 
 
-def _short(problem: Problem, X: np.ndarray, gradients: bool, share: float) -> Trajectory:
-    """Simulate the beginning of the motion."""
+def _short(problem: Problem, X: np.ndarray, way: str, share: float) -> Trajectory:
+    """Simulate the beginning of the motion, and evaluate the responses on it."""
     settings = dict(problem.simulation)
     steps = settings.pop("steps")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a few steps tell what they cost, not how good they are
-        return simulate(
+        motion = simulate(
             problem.system,
             share * problem.duration,
             steps=None if steps is None else round(share * steps),
-            gradients=problem.gradients if gradients else "none",
+            gradients=way,
             variables=problem.space.variables,
             designs=problem.space.designs(X[:, : len(problem.space.names)]),
             **settings,
         )
+        differentiate(partial(_responses, problem), motion)
+    return motion
+
+
+def _responses(problem: Problem, motion: Trajectory) -> Tensor:
+    """Numbers [lanes, rows] that cost what those of the problem do: of each history a sum, for windows may begin later."""
+    rows = []
+    for measure in (problem.objective, *(constraint.measure for constraint in problem.constraints)):
+        histories = [history for history, _ in histories_of(measure)]
+        found = [history.values(motion).sum(-1)[:, None].expand(-1, measure.rows) for history in histories]
+        rows += found or [measure.value(motion).reshape(motion.lanes, -1)]
+    return torch.cat(rows, 1)
 
 
 def _bytes(motion: Trajectory) -> float:
@@ -125,6 +164,8 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
         soft_wrap=True,
     )
     cost = estimate(study, problem)
+    ways = [f"{cost.gradients} mode, chosen by counting, {_time(cost.batch_seconds)} a batch"]
+    ways += [f"{other} mode {_time(seconds)}" for other, seconds in cost.others.items()]
     store = Evaluations(evaluations_file(), problem_key(problem)) if evaluations_file().exists() else None
     known = f"; {store.count()} evaluations of this problem are in the store already" if store else ""
     console.print(
@@ -135,6 +176,8 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
         markup=False,
         soft_wrap=True,
     )
+    if cost.gradients != "none":
+        console.print(f"gradients: {'; '.join(ways)}", markup=False, soft_wrap=True)
     return cost
 
 

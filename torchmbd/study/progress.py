@@ -58,18 +58,15 @@ class Progress:
             self.console.out(self._line(iterate), highlight=False)
 
     def _line(self, iterate: Iterate) -> str:
-        """An iterate in a line; of its design what fits."""
+        """An iterate in a line, with its design where it fits."""
         objective, less, violation = outcome(self.first[iterate.start], iterate.objective, iterate.violation)
         line = (
             f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:<3d} iteration {iterate.iteration:<3d} "
             f"objective {objective}  less by {less}"
         )
         line += f"  violation {violation}" if iterate.violation else ""
-        for value in self.columns.shown(iterate.x).values():
-            if len(line) + 10 > self.console.width:
-                break
-            line += f"  {value:z8.3f}"
-        return line
+        values = "".join(f"  {value:z8.3f}" for value in self.columns.shown(iterate.x).values())
+        return line + values if len(line) + len(values) <= self.console.width else line
 
     def note(self, text: str) -> None:
         """Say something once, above the table."""

@@ -11,13 +11,25 @@ from rich.console import Console
 from rich.markup import escape
 
 from torchmbd.design import Problem
+from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
 from torchmbd.optimization import MultistartResult
 from torchmbd.study.journal import Journal
 from torchmbd.study.progress import FEASIBLE, give_way, outcome, print_table, table_of
 from torchmbd.study.settings import StudySettings
-from torchmbd.viz import animate, convergence, design_map, energy_over_time, save
+from torchmbd.viz import (
+    animate,
+    convergence,
+    criteria_over_iterations,
+    criteria_over_time,
+    design_map,
+    failure_map,
+    parallel_coordinates,
+    save,
+    weighted_parts,
+)
+from torchmbd.viz.criteria import histories_of
 
 
 def print_results(study: StudySettings, found: MultistartResult, failures: Sequence[str], console: Console) -> None:
@@ -50,28 +62,46 @@ Visited = tuple[np.ndarray, np.ndarray]  # designs [m, n], objectives [m]
 def study_pictures(
     study: StudySettings, found: MultistartResult, visited: Visited, journal: Journal, console: Console
 ) -> None:
-    """Draw convergence, the map of a small design space, energy and motion before and after; file them."""
-    histories = {f"start {r.start}": r.history for r in found.results if r.history}
-    if not histories:
+    """Draw what the question asks for, over iterations and over time, start against best, and all starts; file the pictures."""
+    searches = {f"start {r.start}": r.history for r in found.results if r.history}
+    if not searches:
         return
     best, problem = found.best, study.simulated
     objective = heading(problem.objective) if isinstance(problem, Problem) else "objective"
+    chosen, title = None if best is None else f"start {best.start}", study.question or study.name
     draw(
         convergence,
         ["convergence.png"],
         journal,
         console,
-        objectives={name: [i.objective for i in history] for name, history in histories.items()},
-        violations={name: [i.violation for i in history] for name, history in histories.items()},
-        best=None if best is None else f"start {best.start}",
+        objectives={name: [i.objective for i in history] for name, history in searches.items()},
+        violations={name: [i.violation for i in history] for name, history in searches.items()},
+        best=chosen,
         ylabel=objective,
     )
-    if len(study.columns.names) <= 2 and len(visited[0]):
-        draw(design_map, ["design_map.png"], journal, console, **_map(study, found, visited, objective))
+    draw(design_map, ["design_map.png"], journal, console, **_map(study, found, visited, objective))
+    draw(
+        parallel_coordinates,
+        ["parallel_coordinates.png"],
+        journal,
+        console,
+        **_ends(study, found, objective),
+        title=title,
+    )
+    if (
+        isinstance(problem, Problem) and study.problem is problem
+    ):  # over tolerances the numbers are those of many designs
+        given = {"problem": problem, "searches": searches, "best": chosen, "title": title}
+        draw(criteria_over_iterations, _both("criteria_over_iterations"), journal, console, **given)
     with no_picture_costs_a_result(console):
         # An interrupted study is not asked for two simulations more.
         if best is not None and not found.interrupted and isinstance(problem, Problem):
             _motion_pictures(study, np.stack([problem.start, best.x[: len(problem.start)]]), problem, journal, console)
+
+
+def _both(name: str) -> list[str]:
+    """A picture for a browser and for print."""
+    return [f"{name}.png", f"{name}.pdf"]
 
 
 def draw(
@@ -80,6 +110,8 @@ def draw(
     """File a figure of torchmbd.viz under one name or several; say why it is missing."""
     try:
         drawn = figure(**arguments)
+        if drawn is None:  # nothing of this kind to draw
+            return
         for name in files:
             journal.file(save(drawn, journal.folder / name), "figures")
     except Exception as error:  # matplotlib's, the disk's: no picture costs a result
@@ -100,12 +132,27 @@ def _map(study: StudySettings, found: MultistartResult, visited: Visited, object
     factors = study.columns.factors
     moved = [result for result in found.results if result.history]
     ends = {f"start {start}": k for k, minimum in enumerate(found.minima) for start in minimum.starts}
+    seen = (visited[0] / factors, visited[1]) if visited[0].shape[1:] == factors.shape else None  # extra variables
     return {
         "paths": {f"start {r.start}": np.array([i.x for i in r.history]) / factors for r in moved},
         "objectives": {f"start {r.start}": [i.objective for i in r.history] for r in moved},
         "headings": study.columns.headings,
         "ends": ends,
-        "visited": (visited[0] / factors, visited[1]),
+        "visited": seen,
+        "objective": objective,
+    }
+
+
+def _ends(study: StudySettings, found: MultistartResult, objective: str) -> dict[str, Any]:
+    """Return the arguments of parallel coordinates of where the starts ended."""
+    ended = [result for result in found.results if np.isfinite(result.value)]
+    factors = study.columns.factors
+    return {
+        "designs": np.array([result.x for result in ended]).reshape(-1, len(factors)) / factors,
+        "objectives": [result.value for result in ended],
+        "headings": study.columns.headings,
+        "feasible": [result.violation <= FEASIBLE for result in ended],
+        "bounds": (np.asarray(study.problem.lower) / factors, np.asarray(study.problem.upper) / factors),
         "objective": objective,
     }
 
@@ -114,16 +161,19 @@ def _motion_pictures(
     study: StudySettings, designs: np.ndarray, problem: Problem, journal: Journal, console: Console
 ) -> None:
     motion = problem.simulate(designs).require_ok()
-    t = motion.t.numpy()
     shown = [study.columns.sentence(x) for x in designs]
     labels = [f"start design ({shown[0]})", f"best design ({shown[1]})"]
-    for body in motion.system.bodies:
-        if motion.body(body.name).mesh is None:
-            continue
-        energy = motion.body(body.name).strain_energy.numpy()
-        files = [f"energy_{body.name}.{ending}" for ending in ("png", "pdf")]
-        energies = dict(zip(labels, energy, strict=True))
-        draw(energy_over_time, files, journal, console, t=t, energies=energies, body=body.name)
+    title = study.question or study.name
+    given = {"motion": motion, "labels": labels, "title": title}
+    draw(criteria_over_time, _both("criteria_over_time"), journal, console, problem=problem, **given)
+    draw(weighted_parts, _both("weighted_parts"), journal, console, problem=problem, **given)
+    measures = [problem.objective, *(constraint.measure for constraint in problem.constraints)]
+    indices = [
+        history for measure in measures for history, _ in histories_of(measure) if isinstance(history, PlyFailure)
+    ]
+    for body, criterion in dict.fromkeys((index.body, index.criterion) for index in indices):
+        name = f"failure_{body}_{criterion}"
+        draw(failure_map, _both(name), journal, console, body=body, criterion=criterion, **given)
     for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
         path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{study.name}: {label}")
         journal.file(path)

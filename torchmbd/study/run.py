@@ -17,6 +17,7 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from torchmbd.errors import InputError
 from torchmbd.optimization import DiscreteResult, Iterate, MultistartResult
 from torchmbd.optimization.cache import Remembered
 from torchmbd.optimization.multistart import multistart
@@ -34,6 +35,7 @@ from torchmbd.study.settings import Outcome, StudySettings
 from torchmbd.study.sweep import run_sweep
 from torchmbd.study.unfinished import Unfinished, claimed, unsent
 from torchmbd.tracking import MlflowTracker, Record, Status, TrackingError
+from torchmbd.tracking.catalog import Entry, find
 from torchmbd.tracking.links import DEFAULT_BASE
 from torchmbd.tracking.store import sqlite_file, store_uri
 
@@ -49,6 +51,7 @@ def run_study(
     fresh: bool = False,
     uri: str | None = None,
     source: Any = None,
+    again: bool = False,
 ) -> int:
     """Run a study and return the exit code; what it finds is its `outcome`.
 
@@ -58,6 +61,7 @@ def run_study(
     fresh      forget the evaluations of this problem, and begin the study anew
     uri        the MLflow store; None: that of the study
     source     evaluates what is not on disk; None: this process, or the workers
+    again      go through a study that has finished, in its runs, with what is known; False: only say where it is
     """
     problem, key, began = study.simulated, problem_key(study.simulated), time.monotonic()
     pool = None
@@ -72,6 +76,8 @@ def run_study(
             file, overrides = (study.origin.file, study.origin.overrides) if study.origin else (None, ())
             claim = claimed(study_key(study, uri), study.name, file, overrides, uri, fresh)
             unfinished = stack.enter_context(claim)
+            if unfinished.run_id and not again and (entry := _there(unfinished)):
+                return _finished(study.name, unfinished, entry, console)
             tracker = MlflowTracker(study.experiment, uri, unfinished.id)
         if fresh:  # a study that is running has been refused by then
             store.forget()
@@ -104,6 +110,29 @@ def run_study(
         known = f", {remembered.known} of {remembered.known + remembered.computed} evaluations known"
         since = f"{time.monotonic() - began:.1f} s{known if remembered.known else ''}"
         return conclude(study.name, study.kind, status, since, record, unfinished, console)
+
+
+def _there(study: Unfinished) -> Entry | None:
+    """The run in which a study has finished; None, and it begins anew, where its store has it no more."""
+    try:
+        return find(study.uri, study.run_id)
+    except InputError:
+        study.renew()
+        return None
+
+
+def _finished(name: str, study: Unfinished, entry: Entry, console: Console) -> int:
+    """Say of a study that has finished where it is; the exit code."""
+    best = entry.metrics.get("best_objective")
+    outcome = "" if best is None else f", best objective {best:.6g}"
+    console.print(f"{escape(name)}: finished on {study.ended}{outcome}; nothing is run again", soft_wrap=True)
+    record = Record(study.uri, entry.experiment_id, {PARENT: entry.run_id})
+    print_run_links(record, entry.kind, "FINISHED", console)
+    short = entry.run_id[:8]
+    console.print(
+        f"its designs: torchmbd best {short}; to run it anew: {study.command} --fresh", soft_wrap=True, highlight=False
+    )
+    return EXIT["FINISHED"]
 
 
 def _search(
@@ -181,7 +210,7 @@ def close(tracker: MlflowTracker, study: Unfinished | None, console: Console) ->
     if study is not None and record.runs:
         study.mark_sent()
     elif study is not None:  # nothing is there to go on with
-        study.conclude()
+        study.forget()
     return record
 
 
@@ -194,7 +223,7 @@ def conclude(
     study: Unfinished | None,
     console: Console,
 ) -> int:
-    """Say how it ended and where to look at it; return the exit code. A study that has finished is gone on with no more."""
+    """Say how it ended and where to look at it; return the exit code. A study that has finished is not run again."""
     console.print(f"{escape(name)}: {status.lower()} after {since}", soft_wrap=True)
     if record is None:
         return 1
@@ -203,7 +232,10 @@ def conclude(
     if status == "KILLED" and study is not None:
         console.print(f"to go on with it: {study.command}", soft_wrap=True, highlight=False, markup=False)
     if status == "FINISHED" and study is not None:
-        study.conclude()
+        if kind == "figures":  # their function may draw something else the next time
+            study.forget()
+        else:
+            study.conclude(record.runs[PARENT])
     if waiting := unsent():
         console.print(f"{len(waiting)} earlier studies are not in their tracking store: torchmbd sync", soft_wrap=True)
     return EXIT[status]

@@ -71,11 +71,13 @@ class Study(StudySettings):
     ) -> Self:
         """Run the study, or go on with it where it was interrupted or killed; returns it.
 
+        One that has finished makes no second run of the tracking store: its results come from what is known.
+
         workers, scheduler, fresh   as of `torchmbd run`: processes that evaluate, a Dask cluster, forget what is known
         console                     where it shows its progress, of rich; None: standard output; Console(quiet=True): nowhere
         A script with workers keeps what it does under `if __name__ == "__main__":`, since every process imports it.
         """
-        run_study(self, console or Console(), workers=workers, scheduler=scheduler, fresh=fresh)
+        run_study(self, console or Console(), workers=workers, scheduler=scheduler, fresh=fresh, again=True)
         return self
 
     def check(self, console: Console | None = None) -> Estimate | None:

@@ -1,13 +1,14 @@
-"""Studies that have not finished, or are not in their tracking store: what it takes to go on with them.
+"""Studies and where they stand: what it takes to go on with one that has not finished, or is not in its tracking store.
 
     .torchmbd/<study>/study.json   name, experiment file (none of a study that Python has made), overrides and store, both as
                                    seen from .torchmbd, which can be copied with them; `id`, by which its runs are found in the
                                    store; whether all its results so far are in it
     .torchmbd/<study>/study.lock   held by the process of the study: the same study cannot run twice at once
 
-The folder goes when the study has finished, its store has it, and the screen has said so. As long as it is there the same
-command goes on with the study in its runs, and `torchmbd sync` sends again what is not in the store: the study is run once
-more, and every evaluation is taken from the disk. Checked in tests/study/test_unfinished.py.
+As long as a study has not finished, or its store does not have it, the same command goes on with it in its runs, and
+`torchmbd sync` sends again what is not in the store: the study is run once more, and every evaluation is taken from the
+disk. One that has finished makes no second run; where its store has it no more, or with `fresh`, it begins anew.
+Checked in tests/study/test_unfinished.py.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import json
 import os
 import shlex
 import shutil
+import time
 import uuid
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -40,6 +42,8 @@ class Unfinished:
     store: str  # likewise
     id: str
     sent: bool = False
+    run_id: str = ""  # in which it has finished; "": it has not
+    ended: str = ""  # when
 
     @property
     def path(self) -> Path | None:
@@ -66,8 +70,19 @@ class Unfinished:
         with contextlib.suppress(OSError):  # a disk without room: it is sent once more
             self._write()
 
-    def conclude(self) -> None:
-        """It has finished: the same command begins another."""
+    def conclude(self, run_id: str) -> None:
+        """It has finished in this run: the same command makes no other."""
+        self.run_id, self.ended, self.sent = run_id, time.strftime("%d %b %Y %H:%M"), True
+        with contextlib.suppress(OSError):  # a disk without room: the same command goes through it once more
+            self._write()
+
+    def renew(self) -> None:
+        """Its runs are gone: the same command makes others."""
+        self.run_id, self.ended, self.id = "", "", uuid.uuid4().hex
+        self._write()
+
+    def forget(self) -> None:
+        """Nothing is there to go on with."""
         shutil.rmtree(self.folder, ignore_errors=True)
 
     def _write(self) -> None:
@@ -93,8 +108,9 @@ def claimed(
         earlier = None if fresh else _read(folder)
         seen = None if file is None else os.path.relpath(file, folder.parent)
         study = earlier or Unfinished(folder, name, seen, list(overrides), relative_store(uri), uuid.uuid4().hex)
-        study.sent = False
-        study._write()
+        if not study.run_id:
+            study.sent = False
+            study._write()
         yield study
 
 
