@@ -102,8 +102,8 @@ def criteria_over_iterations(
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.02, mbd.Integral(mbd.StrainEnergy("arm")), steps=20)
     >>> result = mbd.optimize(problem, max_iterations=1, progress=False)
     >>> figure = mbd.viz.criteria_over_iterations(problem, {"start 0": result.history}, best="start 0")
-    >>> figure.axes[0].get_ylabel()
-    'integral of strain energy of arm [J s]'
+    >>> figure.axes[-1].get_xlabel()
+    'iteration'
     """
     _require(problem)
     searches = {name: history for name, history in searches.items() if len(history)}
