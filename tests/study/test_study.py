@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import json
 import os
 import shutil
 import signal
@@ -111,7 +112,7 @@ def test_a_killed_study_goes_on_in_its_runs(own, small):
     small.run(console=Console(file=output, width=120))
     assert small.status == "FINISHED"
     assert "2 of " in output.getvalue().replace("evaluations known", "")
-    assert not left.exists()
+    assert json.loads((left / "study.json").read_text())["run_id"] == small.outcome.run_id  # it makes no second run
 
 
 @pytest.mark.slow  # starts two processes
