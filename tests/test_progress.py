@@ -7,6 +7,7 @@ import pytest
 
 import torchmbd as mbd
 from tests.optimization.analytic import Analytic
+from torchmbd import cli
 from torchmbd import progress as bars
 
 
@@ -54,6 +55,13 @@ def test_a_short_motion_has_none_in_a_terminal(monkeypatch, capsys):
     assert "simulate" not in capsys.readouterr().err
     monkeypatch.setattr(bars, "DELAY", 0.0)
     mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
+    assert "simulate" in capsys.readouterr().err
+
+
+def test_the_command_line_leaves_bars_as_they_were(capsys):
+    assert cli.main(["list", "no.such.folder"]) == 2
+    capsys.readouterr()
+    mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50, progress=True)
     assert "simulate" in capsys.readouterr().err
 
 

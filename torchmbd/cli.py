@@ -21,7 +21,7 @@ from rich.markup import escape
 from torchmbd import __version__
 from torchmbd.errors import InputError, MbdError
 from torchmbd.process import brief_warnings, use_one_thread
-from torchmbd.progress import be_silent
+from torchmbd.progress import without_bars
 
 EXIT_INTERRUPTED = 130
 
@@ -264,10 +264,10 @@ def sync() -> int:
     return min(send_all(Console()), 1)
 
 
+@without_bars()
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit code."""
     brief_warnings()
-    be_silent()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: with what was computed
     try:

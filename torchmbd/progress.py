@@ -26,9 +26,14 @@ def wanted(progress: bool | None) -> bool:
     return sys.stderr.isatty() or "ipykernel" in sys.modules if progress is None else progress
 
 
-def be_silent() -> None:
-    """No bars of motions in this context: the command line has tables of its own."""
-    _silent.set(True)
+@contextmanager
+def without_bars() -> Iterator[None]:
+    """No bars of motions inside: optimizers have their own, the command line has tables."""
+    token = _silent.set(True)
+    try:
+        yield
+    finally:
+        _silent.reset(token)
 
 
 @contextmanager
@@ -37,16 +42,13 @@ def shown(progress: bool | None, what: str, total: int) -> Iterator[Callable[[in
 
     The motions inside have no bars.
     """
-    token = _silent.set(True)
-    try:
+    with without_bars():
         if not wanted(progress):
             yield lambda done, objective: None
             return
         with _bar("{task.completed}/{task.total}", "{task.fields[best]}") as bar:
             task = bar.add_task(what, total=total, best="")
             yield lambda done, objective: bar.update(task, completed=done, best=f"objective {objective:.6g}")
-    finally:
-        _silent.reset(token)
 
 
 @contextmanager

@@ -245,7 +245,7 @@ def test_bad_input_is_refused_at_the_door(given, words):
         (lambda: WeightedSum([(1.0, AtPeaks(ENERGY))]), "measures of one number"),
         (lambda: WeightedSum([("1", mbd.Max(ENERGY))]), "factor of a measure is '1'"),
         (lambda: WeightedSum([(1.0, mbd.Max(ENERGY))], normalize=(1.0, 2.0)), "normalize is (1.0, 2.0)"),
-        (lambda: mbd.Max(ENERGY) + 1.0, "sum of 1.0; allowed: measures of one number"),
+        (lambda: mbd.Max(ENERGY) + "x", "sum of 'x'; allowed: measures of one number"),
         (lambda: ENERGY + "x", "combined with 'x'"),
         (lambda: mbd.Max(ENERGY).equals(0.0, scale=-1.0), "scale of a constraint is -1.0"),
     ],
