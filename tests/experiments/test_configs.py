@@ -72,5 +72,5 @@ def test_every_study_runs(file, uri):
     assert {run.info.status for run in runs} == {"FINISHED"}
     (parent,) = [run for run in runs if run.data.tags["kind"] in ("study", "sweep")]
     assert len(runs) - 1 == (5 if plan.sweep else 2)
-    assert parent.data.metrics["failed_evaluations"] == 0
+    assert parent.data.metrics["search/failed_evaluations"] == 0
     assert parent.data.metrics["reduction_percent"] > 0  # the start designs are far from the best

@@ -70,4 +70,4 @@ def test_its_file_runs_for_two_iterations(tmp_path):
     runs = open_store(tracker.uri).search_runs([tracker.record.experiment_id])
     assert {run.info.status for run in runs} == {"FINISHED"}
     (parent,) = [run for run in runs if run.data.tags["kind"] == "study"]
-    assert parent.data.metrics["failed_evaluations"] == 0
+    assert parent.data.metrics["search/failed_evaluations"] == 0

@@ -54,15 +54,15 @@ def test_the_table_shows_the_starts_with_objective_and_angles(page, base, finish
         [study.experiment_id], f"tags.mlflow.parentRunId = '{study.run_id}'", order_by=["metrics.objective ASC"]
     )
     for child in children:
-        assert f"{child.data.metrics['angle_1_deg']}"[:7] in text
+        assert f"{child.data.metrics['design/angle_1_deg']}"[:7] in text
     assert text.index(children[0].info.run_name) < text.index(children[1].info.run_name)  # the best first
 
 
 def test_the_charts_show_convergence(page, base, finished):
     study = find(finished.uri, finished.runs[1])
     page.goto(view_link(base, study.experiment_id, study.run_id, charts=True))
-    page.get_by_text("start 1 (angle_1_deg)").first.wait_for()
-    assert page.get_by_text("start 0 (angle_1_deg)").count()
+    page.get_by_text("start 1 (design/angle_1_deg)").first.wait_for()
+    assert page.get_by_text("start 0 (design/angle_1_deg)").count()
 
 
 def test_the_table_of_all_runs_opens(page, base, finished):

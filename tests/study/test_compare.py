@@ -31,7 +31,7 @@ def test_the_best_come_first(finished):
     text = shown(print_best, finished.runs[0], finished.uri, 1)
     best = children(finished.uri, find(finished.uri, finished.runs[0]))[0]
     assert f"{best.metrics['objective']:.6g}" in text
-    assert f"{best.metrics['angle_2_deg']:.3f}" in text
+    assert f"{best.metrics['design/angle_2_deg']:.3f}" in text
     assert text.count("start ") == 1
     assert finished.runs[1][:8] in shown(print_best, None, finished.uri, 5)  # the latest
 

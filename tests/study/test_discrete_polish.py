@@ -38,7 +38,7 @@ def test_the_best_design_on_the_steps(write, folder, empty_store):
     metrics = open_store(tracker.uri).get_run(tracker.record.runs["study"]).data.metrics
     assert metrics["objective"] == pytest.approx(least, rel=1e-9)
     assert metrics["relaxed_objective"] <= (1.0 + 1e-6) * metrics["objective"]
-    angles = np.array([metrics["angle_1_deg"], metrics["angle_2_deg"]])
+    angles = np.array([metrics["design/angle_1_deg"], metrics["design/angle_2_deg"]])
     np.testing.assert_allclose(angles, 30 * np.round(angles / 30), atol=1e-9)
     assert problem.evaluate(np.radians(angles)[None], False)[0].objective == pytest.approx(least, rel=1e-9)
     assert "on the steps: " in output.getvalue()

@@ -62,15 +62,15 @@ def test_failed_evaluations_are_counted(heard):
     journal.evaluated(X[:2], [Evaluation(1.0, np.zeros(1)), Evaluation.failure("failed: no", 1)])
     journal.evaluated(X[1:], [Evaluation.failure("failed: never", 1), Evaluation.failure("failed: not yet", 1)])
     journal.evaluated(X[:1], [Evaluation(1.0, np.zeros(1))])
-    assert tracker.points[PARENT, "evaluations"] == [(2, 2), (4, 4), (5, 5)]
-    assert tracker.points[PARENT, "failed_evaluations"] == [(2, 1), (4, 3), (5, 3)]
+    assert tracker.points[PARENT, "search/evaluations"] == [(2, 2), (4, 4), (5, 5)]
+    assert tracker.points[PARENT, "search/failed_evaluations"] == [(2, 1), (4, 3), (5, 3)]
     assert tracker.words[PARENT]["last_failure"] == "failed: not yet (design 0.5)"
 
 
 def test_failed_evaluations_of_a_start_are_counted(heard):
     journal, tracker = heard
     journal.result(ended(2.0, 0.0, failures=3))
-    assert [value for _, value in tracker.points[child(0), "failed_evaluations"]] == [3]
+    assert [value for _, value in tracker.points[child(0), "search/failed_evaluations"]] == [3]
 
 
 def test_an_infeasible_or_failed_iterate_is_not_the_best(heard):

@@ -40,7 +40,7 @@ def test_a_study_of_the_highest_peaks_is_run_and_loaded(write, folder, empty_sto
     metrics = find(uri, tracker.record.runs["study"]).metrics
     assert study.x.shape == (2,)
     highest = float(mbd.Max(mbd.StrainEnergy("rod")).value(study.motion)[0])
-    assert 0.0 < metrics["bound"] <= 1.0
+    assert 0.0 < metrics["design/bound"] <= 1.0
     assert highest <= metrics["objective"] * (1.0 + 2e-6)  # the peaks are below the bound
 
 

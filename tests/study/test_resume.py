@@ -129,7 +129,7 @@ def test_a_study_that_was_interrupted_goes_on_in_its_runs(study, folder):
 def _interrupting(metrics):
     def tell(run, values, step=0):
         metrics(run, values, step)
-        if "evaluations" in values and values["evaluations"] > 2:
+        if "search/evaluations" in values and values["search/evaluations"] > 2:
             raise KeyboardInterrupt
 
     return tell

@@ -19,7 +19,7 @@ def test_system_and_motion_are_rebuilt(finished):
     study = mbd.load(finished.runs[0][:10], finished.uri, finished.folder / "rod_model.py")
     metrics = find(finished.uri, finished.runs[0]).metrics
     assert study.value == metrics["objective"]
-    shown = [metrics[f"angle_{k}_deg"] for k in (1, 2)]
+    shown = [metrics[f"design/angle_{k}_deg"] for k in (1, 2)]
     assert_allclose(np.degrees(study.x), shown, rtol=1e-12)
     angles = dict(study.system.named_parameters())["rod.laminate.angles"]
     assert_allclose(angles.detach().numpy(), study.x)

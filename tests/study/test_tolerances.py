@@ -50,12 +50,15 @@ def test_a_study_with_tolerances(write, tmp_path, empty_store):
     alone = mbd.optimize(own, "mmfd", max_iterations=2)
     metrics = open_store(uri).get_run(tracker.record.runs["study"]).data.metrics
     assert metrics["objective"] == pytest.approx(alone.value, rel=1e-9)
-    angles = [metrics[f"angle_{k}_deg"] for k in (1, 2)]
+    angles = [metrics[f"design/angle_{k}_deg"] for k in (1, 2)]
     np.testing.assert_allclose(angles, np.degrees(alone.x), atol=1e-6)
-    assert metrics["evaluations"] >= 5 * alone.analyses
+    assert metrics["search/evaluations"] >= 5 * alone.analyses
     again = io.StringIO()
     assert run_study(plan, Console(file=again, width=200), MlflowTracker("again", uri)) == 0
-    assert f"{metrics['evaluations']:.0f} of {metrics['evaluations']:.0f} evaluations known" in again.getvalue()
+    assert (
+        f"{metrics['search/evaluations']:.0f} of {metrics['search/evaluations']:.0f} evaluations known"
+        in again.getvalue()
+    )
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ def test_a_killed_study_is_sent_as_far_as_it_went(file, folder, capsys):
     first = {run.info.run_id: run.info.status for run in runs(folder)}
     assert list(first.values()) == ["KILLED"] * 3
     (parent,) = [run for run in runs(folder) if "mlflow.parentRunId" not in run.data.tags]
-    assert parent.data.metrics["evaluations"] == 4  # two batches of two starts
+    assert parent.data.metrics["search/evaluations"] == 4  # two batches of two starts
     assert cli.main(["run", str(file)]) == 0
     assert {run.info.run_id: run.info.status for run in runs(folder)} == dict.fromkeys(first, "FINISHED")
     assert "4 of " in capsys.readouterr().out

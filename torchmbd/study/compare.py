@@ -8,11 +8,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from torchmbd.errors import InputError
+from torchmbd.study.metric_names import CONVERGED, EVALUATIONS, STARTS, is_design, short
 from torchmbd.study.progress import give_way, in_lines, print_table
 from torchmbd.tracking.catalog import Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 
-_OUTCOME = ("best_objective", "reduction_percent", "violation", "starts", "converged_starts", "evaluations")
+_OUTCOME = ("best_objective", "reduction_percent", "violation", STARTS, CONVERGED, EVALUATIONS)
 _QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key")
 
 
@@ -28,7 +29,7 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     found = [child for child in children(store, entry) if "objective" in child.metrics][:count]
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
     table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
-    for heading in ("", "objective", "less by", *names, "status"):
+    for heading in ("", "objective", "less by", *map(short, names), "status"):
         table.add_column(escape(in_lines(heading)), justify="right", no_wrap=True)
     for child in found:
         less = child.metrics.get("reduction_percent")
@@ -37,7 +38,7 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
     if not print_table(table, console, give_way(3, len(names), [-1, 2])):
         for child in found:
-            values = ", ".join(f"{name} {child.metrics[name]:.6g}" for name in names if name in child.metrics)
+            values = ", ".join(f"{short(name)} {child.metrics[name]:.6g}" for name in names if name in child.metrics)
             console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
     model = entry.params.get("model", "").rpartition(":")[0]
     console.print(
@@ -60,7 +61,9 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
     table.add_section()
     shared = [name for name in (*_OUTCOME, *first.metrics) if name in first.metrics or name in second.metrics]
     for name in dict.fromkeys(name for name in shared if name in _OUTCOME or is_design(name)):
-        table.add_row(escape(name), *(f"{e.metrics[name]:.6g}" if name in e.metrics else "-" for e in (first, second)))
+        table.add_row(
+            escape(short(name)), *(f"{e.metrics[name]:.6g}" if name in e.metrics else "-" for e in (first, second))
+        )
     took = ["-" if e.seconds is None else f"{e.seconds:.0f} s" for e in (first, second)]
     table.add_row("took", *took)
     print_table(table, console)
@@ -75,11 +78,6 @@ def differences(first: Entry, second: Entry) -> list[tuple[str, str, str]]:
             if values[0] != values[1] and not name.startswith(_QUIET):
                 found.append((name, *values))
     return found
-
-
-def is_design(metric: str) -> bool:
-    """Whether a metric is a design variable: named with its number, `angle_1_deg`."""
-    return any(part.isdigit() for part in metric.split("_")) and not metric.startswith("constraint_")
 
 
 def _table(title: str) -> Table:

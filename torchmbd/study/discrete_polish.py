@@ -42,7 +42,7 @@ def lay(
         soft_wrap=True,
         highlight=False,
     )
-    numbers = {"objective": best.value, "violation": best.violation, **study.columns.shown(best.x)}
+    numbers = {"objective": best.value, "violation": best.violation, **journal.shown(best.x)}
     numbers |= {} if above is None else {"relaxed_objective": above.value}
     journal.summary(numbers, {})
     journal.design(best.x)

@@ -45,7 +45,7 @@ def run_front(
         journal.begin_start(k, point.x, kind="point")
         numbers = dict(zip(names, point.criteria.tolist(), strict=True))
         numbers |= {"objective": float(point.criteria[0]), "violation": point.result.violation}
-        journal.tracker.metrics(child(k), numbers | study.columns.shown(point.x))
+        journal.tracker.metrics(child(k), numbers | journal.shown(point.x))
         journal.tracker.tags(child(k), {"status": point.result.status, "message": point.result.message})
         journal.end(child(k), "FINISHED")
     _show(study, front, journal, console)

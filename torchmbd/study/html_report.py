@@ -14,8 +14,8 @@ from pathlib import Path
 
 from torchmbd.errors import InputError
 from torchmbd.math.units import UNITS
-from torchmbd.study.compare import is_design
 from torchmbd.study.config_index import QUESTION_MISSING, question
+from torchmbd.study.metric_names import ANALYSES, CONVERGED, EVALUATIONS, FAILED, ITERATIONS, STARTS, is_design, short
 from torchmbd.tracking.catalog import Entry, children, fetch, files, find
 from torchmbd.tracking.store import store_uri
 
@@ -32,10 +32,10 @@ _OUTCOME = {
     "best_objective": "best objective",
     "reduction_percent": "reduction [%]",
     "violation": "largest violation",
-    "starts": "starts",
-    "converged_starts": "of them converged",
-    "evaluations": "evaluations",
-    "failed_evaluations": "of them failed",
+    STARTS: "starts",
+    CONVERGED: "of them converged",
+    EVALUATIONS: "evaluations",
+    FAILED: "of them failed",
 }
 _UNITS = (*UNITS, "%")  # at the ends of metrics
 _PROVENANCE = ("git_commit", "version.torchmbd", "version.torch", "version.python", "machine", "seed", "overrides")
@@ -71,7 +71,7 @@ def _page(store: str, entry: Entry, scratch: Path) -> str:
         f'<p class="quiet">{escape(entry.name)}, {entry.began:%d %b %Y %H:%M}{took}, '
         f"{escape(entry.status.lower())}, run {escape(entry.run_id)}</p>",
     ]
-    if note := entry.tags.get("mlflow.note.content"):
+    if (note := entry.tags.get("mlflow.note.content")) and note != asked:
         parts.append(f"<p>{escape(note)}</p>")
     parts.append(
         _rows({label: _number(key, entry.metrics[key]) for key, label in _OUTCOME.items() if key in entry.metrics})
@@ -98,7 +98,7 @@ def _children(store: str, entry: Entry) -> str:
     if not found:
         return ""
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
-    columns = ["objective", "reduction_percent", "violation", *names, "iterations", "analyses"]
+    columns = ["objective", "reduction_percent", "violation", *names, ITERATIONS, ANALYSES]
     columns = [name for name in columns if any(name in child.metrics for child in found)]
     head = "".join(f"<th>{escape(_heading(name))}</th>" for name in ("run", *columns, "status"))
     rows = []
@@ -112,8 +112,8 @@ def _children(store: str, entry: Entry) -> str:
 
 def _heading(metric: str) -> str:
     """Return the title of a metric's column: `angle 1 [deg]`, `reduction [%]`."""
-    word, _, last = metric.replace("percent", "%").rpartition("_")
-    return f"{word.replace('_', ' ')} [{last}]" if last in _UNITS else metric.replace("_", " ")
+    word, _, last = short(metric).replace("percent", "%").rpartition("_")
+    return f"{word.replace('_', ' ')} [{last}]" if last in _UNITS else short(metric).replace("_", " ")
 
 
 def _number(metric: str, value: float) -> str:

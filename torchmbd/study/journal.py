@@ -1,9 +1,9 @@
 """What a study tells its tracker: one parent run, one child per start (or per point of a sweep).
 
 parent   params: the resolved file; tags: versions, commit, machine, seed; metrics: best_objective over iterations,
-         evaluations, failed_evaluations; files: config, best design, figures, animation, table
-child    params: start design; metrics over iterations: objective, violation, constraint_1, ..., angle_1_deg, ...,
-         analyses; at the end reduction_percent, iterations, failed_evaluations; tags: status, message, best
+         evaluations; names as in metric_names.py; files: config, best design, figures, animation, table
+child    params: start design; metrics over iterations: objective, violation, constraints, design,
+         analyses; at the end reduction_percent, iterations, failed evaluations; tags: status, message, best
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import yaml
 
 from torchmbd.optimization.optimizer import Evaluation, Iterate, OptimizationResult
 from torchmbd.study.columns import EXTRA
+from torchmbd.study.metric_names import ANALYSES, DESIGN, EVALUATIONS, FAILED, ITERATIONS, constraint_names, legal
 from torchmbd.study.paths import problem_key
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import MlflowTracker, Status
@@ -45,7 +46,7 @@ class Journal:
         tags = {"kind": kind, **provenance(Path() if origin is None else origin.file.parent)}
         tags["problem_key"] = problem_key(study.simulated)
         if study.question:
-            tags["question"] = study.question
+            tags["question"] = tags["mlflow.note.content"] = study.question  # the description of the run
         if origin is not None:
             tags["mlflow.source.name"] = str(origin.file)
             tags |= {"overrides": " ".join(origin.overrides)} if origin.overrides else {}
@@ -59,8 +60,8 @@ class Journal:
 
     def _columns(self, kind: str) -> list[str]:
         """Return what the table of the children shows."""
-        own = ["ratio"] if kind == "sweep" else ["reduction_percent", "violation", "iterations", "failed_evaluations"]
-        names = ["objective", *own, *self.study.columns.names]
+        own = ["ratio"] if kind == "sweep" else ["reduction_percent", "violation", ITERATIONS, FAILED]
+        names = ["objective", *own, *(DESIGN + name for name in self.study.columns.names)]
         return [*(f"metrics.{name}" for name in names), "tags.status"]
 
     def begin_start(self, index: int, x: np.ndarray, kind: str = "start") -> None:
@@ -72,6 +73,15 @@ class Journal:
         self.tracker.begin(run, name, parent=PARENT, params={kind: index, **params}, tags={"kind": kind})
         self._open.append(run)
 
+    def shown(self, x: np.ndarray) -> dict[str, float]:
+        """The metrics of a design [SI]."""
+        return {DESIGN + name: value for name, value in self.study.columns.shown(x).items()}
+
+    def constraints(self, values: Any) -> dict[str, float]:
+        """The metrics of the rows of the constraints."""
+        rows = np.atleast_1d(values).tolist()
+        return dict(zip(constraint_names(getattr(self.study, "problem", None), len(rows)), rows, strict=True))
+
     def iterate(self, iterate: Iterate) -> None:
         """Log one iterate of one start."""
         self.iterates += 1
@@ -79,9 +89,9 @@ class Journal:
         numbers = {
             "objective": iterate.objective,
             "violation": iterate.violation,
-            "analyses": iterate.analyses,
-            **{f"constraint_{k + 1}": float(c) for k, c in enumerate(np.atleast_1d(iterate.constraints))},
-            **self.study.columns.shown(iterate.x),
+            ANALYSES: iterate.analyses,
+            **self.constraints(iterate.constraints),
+            **self.shown(iterate.x),
         }
         self.tracker.metrics(run, _finite(numbers), iterate.iteration)
         if iterate.iteration == 0:
@@ -98,7 +108,7 @@ class Journal:
         for x, evaluation in zip(X, evaluations, strict=True):
             if evaluation.status != "ok":
                 self.failures.append(f"{evaluation.status} (design {self.study.columns.sentence(x)})")
-        counts = {"evaluations": self.evaluations, "failed_evaluations": len(self.failures)}
+        counts = {EVALUATIONS: self.evaluations, FAILED: len(self.failures)}
         self.tracker.metrics(PARENT, counts, self.evaluations)
         if self.failures:
             self.tracker.tags(PARENT, {"last_failure": self.failures[-1]})
@@ -109,11 +119,11 @@ class Journal:
         last = {
             "objective": result.value,
             "violation": result.violation,
-            "analyses": result.analyses,
-            "iterations": result.iterations,
-            "failed_evaluations": result.failures,
+            ANALYSES: result.analyses,
+            ITERATIONS: result.iterations,
+            FAILED: result.failures,
             "reduction_percent": percent(self.first.get(result.start, math.nan), result.value),
-            **self.study.columns.shown(result.x),
+            **self.shown(result.x),
         }
         self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
         tags = {"status": result.status, "message": result.message, "method": result.method, "best": "false"}
@@ -179,13 +189,8 @@ def flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, object]:
         if isinstance(value, Mapping):
             result |= flat(value, f"{prefix}{key}.")
         else:
-            result[_legal(f"{prefix}{key}")] = value
+            result[legal(f"{prefix}{key}")] = value
     return result
-
-
-def _legal(key: str) -> str:
-    """MLflow allows letters, digits and _-.:/ and spaces in a key."""
-    return "".join(c if c.isalnum() or c in "_-.:/ " else "_" for c in key)
 
 
 def _finite(numbers: Mapping[str, float]) -> dict[str, float]:

@@ -28,6 +28,7 @@ from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.front import run_front
 from torchmbd.study.journal import PARENT, Journal, percent
 from torchmbd.study.listing import print_links_of, study_links
+from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
 from torchmbd.study.progress import Progress
 from torchmbd.study.report import print_results, study_pictures
@@ -187,14 +188,14 @@ def _search(
 
 
 def _summarize(study: MultistartResult, journal: Journal) -> None:
-    numbers = {"starts": len(study.results), "converged_starts": study.converged, "analyses": study.analyses}
+    numbers = {STARTS: len(study.results), CONVERGED: study.converged, ANALYSES: study.analyses}
     tags = {}
     best = study.best
     if best is not None:
         initial = journal.first.get(0, float("nan"))
         numbers |= {"objective": best.value, "best_objective": best.value, "violation": best.violation}
         numbers |= {"reduction_percent": percent(initial, best.value)} if initial else {}
-        numbers |= journal.study.columns.shown(best.x)
+        numbers |= journal.shown(best.x)
         tags = {"best_start": str(best.start), "status": best.status, "message": best.message}
     journal.summary(numbers, tags)
 

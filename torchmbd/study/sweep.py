@@ -57,17 +57,17 @@ def run_sweep(
         return "FAILED"
     numbers = {"objective": evaluations[best].objective, "best_objective": evaluations[best].objective}
     numbers["reduction_percent"] = 100.0 * (1.0 - evaluations[best].objective / first.objective)
-    journal.summary(numbers | study.columns.shown(X[best]), {"best_point": str(best)})
+    journal.summary(numbers | journal.shown(X[best]), {"best_point": str(best)})
     journal.design(X[best])
     return "FINISHED"
 
 
 def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation, first: Evaluation) -> None:
     journal.begin_start(k, x, kind="point")
-    numbers = journal.study.columns.shown(x)
+    numbers = journal.shown(x)
     if evaluation.status == "ok":
         numbers |= {"objective": evaluation.objective, "ratio": evaluation.objective / first.objective}
-        numbers |= {f"constraint_{i + 1}": float(c) for i, c in enumerate(evaluation.constraints)}
+        numbers |= journal.constraints(evaluation.constraints)
     else:
         journal.tracker.tags(child(k), {"last_failure": evaluation.status})
     journal.tracker.metrics(child(k), numbers)

@@ -1,0 +1,57 @@
+"""Names of the metrics of a study. MLflow's charts stand in groups by what is before the `/`; those without come first.
+
+    objective, violation, reduction_percent, best_objective    what was asked for
+    constraint/max of strain energy of rod                     satisfied where it is not positive
+    design/angle_1_deg                                         the design, in the units of the study
+    search/iterations, search/analyses, ...                    what it took
+
+Checked in tests/study/test_metric_names.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from torchmbd.design import Problem
+from torchmbd.design.words import words
+
+CONSTRAINT, DESIGN, SEARCH = "constraint/", "design/", "search/"
+ITERATIONS, ANALYSES = f"{SEARCH}iterations", f"{SEARCH}analyses"
+EVALUATIONS, FAILED = f"{SEARCH}evaluations", f"{SEARCH}failed_evaluations"
+STARTS, CONVERGED = f"{SEARCH}starts", f"{SEARCH}converged_starts"
+
+
+def is_design(metric: str) -> bool:
+    """Whether a metric is a design variable."""
+    return metric.startswith(DESIGN)
+
+
+def short(metric: str) -> str:
+    """A metric without its group."""
+    return metric.rpartition("/")[2]
+
+
+def constraint_names(problem: Any, count: int) -> list[str]:
+    """A name for each of the rows of the constraints; by their numbers where the problem does not tell what they are."""
+    said: list[str] = []
+    if isinstance(problem, Problem):
+        said = [f"peak {k + 1}" for k in range(problem.peaks)]
+        for constraint in problem.constraints:
+            text, rows = legal(words(constraint.measure)), constraint.measure.rows
+            said += [text] if rows == 1 else [f"{text} {k + 1}" for k in range(rows)]
+    if len(said) != count:  # over tolerances: those of many designs
+        said = [str(k + 1) for k in range(count)]
+    return [CONSTRAINT + name for name in _unique(said)]
+
+
+def _unique(names: Sequence[str]) -> list[str]:
+    """The same names, with a number behind those that occur before."""
+    return [
+        name if k == names.index(name) else f"{name} no {names[:k].count(name) + 1}" for k, name in enumerate(names)
+    ]
+
+
+def legal(key: str) -> str:
+    """MLflow allows letters, digits and _-.:/ and spaces in a key."""
+    return "".join(c if c.isalnum() or c in "_-.:/ " else "_" for c in key)
