@@ -36,6 +36,12 @@ def without_bars() -> Iterator[None]:
         _silent.reset(token)
 
 
+def say(text: str) -> None:
+    """A line on standard error, where a motion has a bar of its own by default or on request."""
+    if not _silent.get() and _reached.get() is not None:
+        print(text, file=sys.stderr)
+
+
 @contextmanager
 def shown(progress: bool | None, what: str, total: int) -> Iterator[Callable[[int, float], None]]:
     """A bar of `total` parts; what is yielded is called with the parts that are done and the best objective so far.

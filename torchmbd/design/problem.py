@@ -31,11 +31,11 @@ from torchmbd.errors import InputError, SimulationFailure, argument_names
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Phase, Trajectory, simulate
 from torchmbd.integrate.arguments import check, check_backend, check_gradients, start_of
-from torchmbd.integrate.attempts import FEWEST, default_steps
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.memory import lanes_at_once, require_room
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.integrate.registry import DEFAULT
+from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.owned import real, several
 from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
@@ -235,7 +235,8 @@ class Problem(Summary):
         designs = self.space.designs(self._checked(X, n, len(self.names))[:, :n])
         way = self.gradients if gradients else "none"
         names = self.space.variables
-        return simulate(self.system, self.duration, designs=designs, gradients=way, variables=names, **self.simulation)
+        options: dict[str, Any] = {**self.simulation, "steps": self.steps}
+        return simulate(self.system, self.duration, designs=designs, gradients=way, variables=names, **options)
 
     def motion(self, x: np.ndarray) -> Trajectory:
         """Motion of one design [n]."""
@@ -269,15 +270,29 @@ class Problem(Summary):
         return self.reference.limits
 
     def _lanes_at_once(self, gradients: bool) -> int:
-        return lanes_at_once(self.system, self._steps, self._tangents if gradients else 0, self.gradients == "reverse")
+        return lanes_at_once(
+            self.system, self.steps or FEWEST, self._tangents if gradients else 0, self.gradients == "reverse"
+        )
 
     @cached_property
-    def _steps(self) -> int:
-        """Of a motion: those that are asked for, else as many as that of the initial design has."""
+    def steps(self) -> int | None:
+        """Steps of every motion: those that are asked for, else as many as the motion of the initial design needs.
+
+        All designs have the same: a criterion that changes its number of steps with the design is not smooth. None: the initial
+        design cannot be simulated, and each batch chooses.
+        """
         if self.simulation["steps"]:
             return self.simulation["steps"]
-        start = self.system.dynamics(self.space.designs(self.space.start[None]))
-        return default_steps(start, self.duration)
+        try:
+            designs = self._initial_designs()
+            motion = simulate(self.system, self.duration, designs=designs, gradients="none", **self.simulation)
+        except (CutCluster, InputError, SimulationFailure):
+            return None
+        return motion.integration.steps if all(x == OK for x in motion.status) else None
+
+    def _initial_designs(self) -> dict[str, Tensor]:
+        """What one evaluation of the initial design simulates."""
+        return self.space.designs(self.space.start[None])
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:
         """Evaluate designs [lanes, n] as one batch, or as several where it would fill a large part of the memory."""

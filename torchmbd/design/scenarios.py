@@ -136,14 +136,22 @@ class Scenarios(Problem):
         return self._simulated(np.asarray(x, dtype=float)[None], False, list(self.scenarios.values()))
 
     def _simulated(self, X: np.ndarray, gradients: bool, scenarios: Sequence[dict[str, Tensor]]) -> Trajectory:
-        count, n = len(scenarios), len(self.space.names)
-        designs = self.space.designs(self._checked(X, n, len(self.names))[:, :n].repeat(count, axis=0))
+        designs = self._designs(self._checked(X, len(self.space.names), len(self.names)), scenarios)
+        way = self.gradients if gradients else "none"
+        names = self.space.variables
+        options: dict[str, Any] = {**self.simulation, "steps": self.steps}
+        return simulate(self.system, self.duration, designs=designs, gradients=way, variables=names, **options)
+
+    def _designs(self, X: np.ndarray, scenarios: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
+        """Of designs [lanes, n], each in all scenarios."""
+        designs = self.space.designs(X[:, : len(self.space.names)].repeat(len(scenarios), axis=0))
         for name in scenarios[0]:
             values = torch.stack([settings[name] for settings in scenarios])
             designs[name] = values.repeat(len(X), *[1] * (values.dim() - 1))
-        way = self.gradients if gradients else "none"
-        names = self.space.variables
-        return simulate(self.system, self.duration, designs=designs, gradients=way, variables=names, **self.simulation)
+        return designs
+
+    def _initial_designs(self) -> dict[str, Tensor]:
+        return self._designs(self.space.start[None], list(self.scenarios.values()))
 
     @cached_property
     def reference(self) -> Reference:

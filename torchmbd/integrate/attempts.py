@@ -7,17 +7,17 @@ Checked in tests/integrate/test_simulate.py.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import warn
-from torchmbd.integrate.integrator import Integrator
+from torchmbd.errors import InputError, warn
+from torchmbd.integrate.integrator import Integrated, Integrator
 from torchmbd.integrate.memory import require_room
-from torchmbd.integrate.ode import fastest_vibration
+from torchmbd.integrate.step_count import RIGID, all_modes, first_steps, wanted_steps
 from torchmbd.integrate.stepper import ITERATION_ERROR, TURN
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.results.history import History
@@ -25,25 +25,31 @@ from torchmbd.results.motion_data import OK
 
 # With sensitivities more than this is tried again carefully: gradients are those of equations that are solved.
 IMPRECISE = 1e-3
-FEWEST = 200  # steps, where their number is not given
+_UNRESOLVED = "unresolved: "
 # Errors of a step by the largest vibration of the motion. The estimate sees the fastest modes, which may hardly count: of 71
 # rods of the slider-crank with 100 to 1200 steps, estimates up to 3 go with 3 % of the integral of U and 23 % of its peak at
 # most, and the stiffest design with 600 steps, 0.1 and 0.7 % off, has 1.04. Above 3 nothing is known of the vibrations.
 STEP_ERROR = 3.0
+_LEAST_SHARE = 1000  # of the steps that resolve every mode: a motion of which not even so few fit is refused at once
 _LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
 
 
 def run(
-    integrator: Integrator, dynamics: Dynamics, duration: float, steps: int, precise: bool
+    integrator: Integrator,
+    dynamics: Dynamics,
+    duration: float,
+    steps: int,
+    precise: bool,
+    found: Integrated | None = None,
 ) -> tuple[History, dict[str, Any], list[str]]:
     """Integrate; lanes that fail, or whose gradients are imprecise, are tried again as the integrator says.
 
-    precise: whether there are gradients
+    precise: whether there are gradients;  found: what was integrated already
     """
-    found, again = integrator.integrate(dynamics, duration, steps), integrator.again()
+    found, again = found or integrator.integrate(dynamics, duration, steps), integrator.again()
     history, stats = found.history, found.statistics
-    status = status_of(history, duration, stats)
-    status = [f"failed: {found.failed[i]}" if i in found.failed else reason for i, reason in enumerate(status)]
+    status = _status(found, duration)
+    warn_unresolved(status)
     poor = [False] * len(status)
     if precise and again is not None and again.steps == 1:
         poor = (stats["iteration_error"] > IMPRECISE).tolist()
@@ -96,21 +102,75 @@ def _finer(better: History, often: int, cured: list[tuple[int, int]]) -> dict:
     return result
 
 
-def default_steps(dynamics: Dynamics, duration: float) -> int:
-    """Twenty steps per period of the fastest retained mode, at least 200 in all."""
-    if "Kr" not in dynamics.data:
-        return 1000
-    return max(FEWEST, math.ceil(20.0 * duration * fastest_vibration(dynamics) / (2.0 * math.pi)))
+def resolved_run(
+    integrator: Integrator, dynamics: Dynamics, duration: float, precise: bool, room: Callable[[int], None]
+) -> tuple[int, tuple[History, dict[str, Any], list[str]]]:
+    """As many steps as the motion needs (step_count.py), and `run` with them.
+
+    room: refuses numbers of steps that do not fit into memory
+    """
+
+    def attempt(steps: int) -> tuple[Integrated, dict[str, Any], list[str]]:
+        found = integrator.integrate(values, duration, steps)
+        return found, found.statistics, _status(found, duration)
+
+    values = dynamics.values() if dynamics.tangents else dynamics
+    steps, found = chosen(integrator, values, duration, attempt, room)
+    return steps, run(integrator, dynamics, duration, steps, precise, None if dynamics.tangents else found)
 
 
-def steps_that_fit(
-    system: System | None, dynamics: Dynamics, duration: float, tangents: int, integrator: Integrator
-) -> int:
-    """The default number of steps; InputError where such a motion does not fit into memory."""
-    steps = integrator.fitting(default_steps(dynamics, duration))
-    if system is not None:
-        require_room(system, dynamics.lanes, integrator.kept(steps), tangents)
-    return steps
+Found = TypeVar("Found")
+
+
+def chosen(
+    integrator: Integrator,
+    dynamics: Dynamics,
+    duration: float,
+    attempt: Callable[[int], tuple[Found, dict[str, Any], list[str]]],
+    room: Callable[[int], None],
+) -> tuple[int, Found | None]:
+    """How many steps a motion needs, and what was found with them; of methods without estimates all that modes need."""
+    most = integrator.fitting(all_modes(dynamics, duration))
+    if not integrator.adjoint:
+        most = min(most, RIGID) if "Kr" not in dynamics.data else most
+        room(most)
+        return most, None
+    try:
+        room(most // _LEAST_SHARE)
+    except InputError:
+        room(most)
+    steps = min(integrator.fitting(first_steps(dynamics, duration)), most)
+    while True:
+        room(steps)
+        found, stats, status = attempt(steps)
+        wanted = wanted_steps(steps, stats, status, dynamics.faults)
+        if wanted <= steps or steps >= most:
+            return steps, found
+        steps = min(integrator.fitting(wanted), most)
+
+
+def memory_check(
+    system: System | None, dynamics: Dynamics, tangents: int, integrator: Integrator
+) -> Callable[[int], None]:
+    """Refuses a number of steps whose motion does not fit into memory (InputError)."""
+
+    def room(steps: int) -> None:
+        if system is not None:
+            require_room(system, dynamics.lanes, integrator.kept(steps), tangents)
+
+    return room
+
+
+def _status(found: Integrated, duration: float) -> list[str]:
+    status = status_of(found.history, duration, found.statistics)
+    return [f"failed: {found.failed[i]}" if i in found.failed else reason for i, reason in enumerate(status)]
+
+
+def warn_unresolved(status: Sequence[str]) -> None:
+    """Warn of lanes whose steps do not resolve their vibrations."""
+    for reason in dict.fromkeys(status):
+        if reason.startswith(_UNRESOLVED):
+            warn(reason.removeprefix(_UNRESOLVED))
 
 
 def status_of(history: History, duration: float, stats: dict[str, Any]) -> list[str]:
@@ -164,6 +224,5 @@ def _complaint(found: dict[str, float]) -> str:
             f"the steps do not resolve the vibrations of a flexible body (estimated error {100 * found['step_error']:.0f} % of "
             f"the largest): its energies mean little; {found['suggested_steps']:.0f} steps would resolve them"
         )
-        warn(message)
-        return f"unresolved: {message}"
+        return f"{_UNRESOLVED}{message}"
     return OK

@@ -29,11 +29,13 @@ class StepErrors:
         self.modes = self.T.modes * self.T.flexible
         self.change = self.largest = torch.zeros(dynamics.lanes, dtype=torch.float64)
 
-    def see(self, history: History) -> None:
-        """Go on with states, the first of which was the last before."""
+    def see(self, history: History, smooth: Tensor | None = None) -> None:
+        """Go on with states, the first of which was the last before; smooth: steps without a jump [steps, lanes]."""
         T, accelerations = self.T, history.vd[:, :, 0].transpose(0, 1)
         rows = split_v(T, accelerations)[2 if self.modes else 1].flatten(0, 1)
         change = rows[:, 1:] - rows[:, :-1]
+        if smooth is not None:
+            change = torch.where(smooth, change, 0.0)
         self.change = self.change.maximum(change.square().sum(0).sqrt().amax(0))
         modal = history.q[:, T.n_q - self.modes :, 0]
         self.largest = self.largest.maximum(modal.square().sum(1).sqrt().amax(0))
@@ -42,7 +44,12 @@ class StepErrors:
         """ "step_error" and "suggested_steps" [lanes]."""
         error = self.factor * self.change
         error = error / self.largest.clamp_min(_STILL) if self.modes else error
-        return {"step_error": error, "suggested_steps": (steps * (error / GOOD_STEP).sqrt()).ceil()}
+        # Of resolved vibrations it falls with the third power of h, of others with the second: never too few steps.
+        ratio = error / GOOD_STEP
+        return {
+            "step_error": error,
+            "suggested_steps": (steps * ratio.pow(0.5).maximum(ratio.pow(1 / 3).clamp_max(1.0))).ceil(),
+        }
 
 
 def turns(dynamics: Dynamics, history: History, h: float) -> Tensor:

@@ -18,12 +18,12 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.attempts import run, steps_that_fit, validity
+from torchmbd.integrate.attempts import memory_check, resolved_run, run, validity
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native.library import resolved
 from torchmbd.integrate.phases.events import Views
-from torchmbd.integrate.phases.multiphase import integrate, numbers_of, switches_of
+from torchmbd.integrate.phases.multiphase import integrate, numbers_of, steps_of_phases, switches_of
 from torchmbd.integrate.phases.phase import Phase, plan
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.math.pair import Pair, value
@@ -91,19 +91,21 @@ class ForwardIntegration:
     def _plainly(self, designs: dict[str, Tensor]) -> None:
         dynamics = self.system.dynamics(designs, tangents=self.variables)
         self.dynamics = resolved(dynamics, self.backend, self.integrator.kind)
-        self.steps = self.steps or steps_that_fit(
-            self.system, self.dynamics, self.duration, len(self.labels), self.integrator
-        )
-        self.history, self.stats, self.status = run(
-            self.integrator, self.dynamics, self.duration, self.steps, precise=self.dynamics.tangents > 0
-        )
+        precise = self.dynamics.tangents > 0
+        if self.steps is None:
+            room = memory_check(self.system, self.dynamics, len(self.labels), self.integrator)
+            self.steps, made = resolved_run(self.integrator, self.dynamics, self.duration, precise, room)
+        else:
+            made = run(self.integrator, self.dynamics, self.duration, self.steps, precise)
+        self.history, self.stats, self.status = made
         self.dynamics.judged()
 
     def _through_phases(self, designs: dict[str, Tensor], phases: Sequence[Phase]) -> None:
         self.system, phase_models = plan(self.system, phases, self.duration)
         dynamics = resolved(self.system.dynamics(designs, tangents=self.variables), self.backend, None)
-        self.steps = steps = self.steps or steps_that_fit(
-            self.system, dynamics, self.duration, len(self.labels), self.integrator
+        room = memory_check(self.system, dynamics, len(self.labels), self.integrator)
+        self.steps = steps = self.steps or steps_of_phases(
+            self.system, dynamics, phase_models, designs, self.duration, self.integrator, room
         )
         directions = unit_directions({name: designs[name] for name in self.variables})
         views = Views.of(self.system, dynamics, designs, directions)

@@ -39,6 +39,7 @@ from torchmbd.integrate.phases import loop
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.integrate.prepared import prepare
 from torchmbd.integrate.step import Weights
+from torchmbd.integrate.step_count import announce
 from torchmbd.integrate.stepper import TURN, EagerStepper, IterationErrors, first, resume
 from torchmbd.integrate.variable_step import sized
 from torchmbd.math.owned import whole
@@ -121,6 +122,7 @@ class OneStep(Integrator):
         iterations = IterationErrors(value(x.q)[:, 0], duration, h)
         errors = StepErrors(left, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), h)
         turned, resumed = [], []
+        announce(steps, left.lanes)
         for some in segments(steps, every):
             ends = h * torch.arange(some.start + 1, some.stop + 1, dtype=torch.float64)
             schedule = left.topology.schedule(ends, left.data)

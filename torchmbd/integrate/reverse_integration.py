@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.adjoint import Adjoint
-from torchmbd.integrate.attempts import has_failed, run, steps_that_fit, validity
+from torchmbd.integrate.attempts import has_failed, memory_check, resolved_run, run, validity
 from torchmbd.integrate.duration_derivative import tangents
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native import backward
@@ -78,11 +78,15 @@ class ReverseIntegration:
                 f"duration requires a gradient and checkpoint is {self.integrator.checkpoint}; allowed: checkpoint=1"
             )
         self.dynamics = resolved(self._with(data), self.backend, also=["adjoint"])
-        self.steps = self.steps or steps_that_fit(self.system, self.dynamics, self.duration, 0, self.integrator)
         if self.wanted:
             self._known = differentiable(self.dynamics, self.wanted)
         known = self._known or self.dynamics
-        self.history, self.stats, self.status = run(self.integrator, known, self.duration, self.steps, self.precise)
+        if self.steps is None:
+            room = memory_check(self.system, self.dynamics, 0, self.integrator)
+            self.steps, made = resolved_run(self.integrator, known, self.duration, self.precise, room)
+        else:
+            made = run(self.integrator, known, self.duration, self.steps, self.precise)
+        self.history, self.stats, self.status = made
         h = self.history
         self.validity = validity(h, self.status, self.stats)
         vars(self.dynamics)["rank"] = known.rank

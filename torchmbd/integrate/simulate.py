@@ -31,7 +31,6 @@ from torchmbd.integrate.arguments import (
     seconds_of,
     start_of,
 )
-from torchmbd.integrate.attempts import FEWEST
 from torchmbd.integrate.forward_integration import ForwardIntegration
 from torchmbd.integrate.memory import require_room
 from torchmbd.integrate.motion import Motion
@@ -40,6 +39,7 @@ from torchmbd.integrate.phases.phase import Phase, plan
 from torchmbd.integrate.phases.reverse import ReversePhaseIntegration
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.reverse_integration import ReverseIntegration
+from torchmbd.integrate.step_count import FEWEST
 from torchmbd.math.module_call import exclusive, outside
 from torchmbd.math.owned import watched
 from torchmbd.multibody.system import Dynamics, System
@@ -76,7 +76,8 @@ def simulate(
     system      the model; its own parameters are the design where `designs` says nothing
     duration    simulated time [s], positive; a tensor [] is differentiated by: the steps are as many, their size changes
     method      "generalized_alpha", "hht_alpha", or a method of torchdiffeq, such as "dopri5" or "rk4"
-    steps       equal time steps, and output intervals; default: 20 per period of the fastest retained mode, at least 200.
+    steps       equal time steps, and output intervals; default: as many as drives, loads and the vibrations that they excite
+                need, by the estimated error of a step, at least 200 (how-to "Choose steps"); `stats["steps"]` says how many.
                 Adaptive methods choose their own steps between the outputs
     designs     parameter name -> values [lanes, ...], or [...] for one lane; others keep their own values
     phases      locks, releases and ends of the phases that follow each other (phase.py); default: one without either

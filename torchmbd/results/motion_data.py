@@ -109,7 +109,7 @@ class MotionData(Summary):
             ("bodies", few(T.names)),
             ("coordinates", f"{T.n_q} (q), {T.n_v} rates (v, a), {T.rows} multipliers (lam)"),
         ]
-        return rows + [(name, self.stats[name]) for name in ("backend", "gradients") if name in self.stats]
+        return rows + [(name, self.stats[name]) for name in ("steps", "backend", "gradients") if name in self.stats]
 
     @property
     def lanes(self) -> int:

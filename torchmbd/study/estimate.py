@@ -84,7 +84,7 @@ def estimate(study: StudySettings, problem: Problem) -> Estimate:
 def _batch(problem: Problem, X: np.ndarray, way: str) -> tuple[float, float]:
     """Seconds and bytes of a batch of designs [lanes, n], with gradients in one way."""
     times, size = [], 0.0
-    shares = _shares(problem.simulation["steps"])
+    shares = _shares(problem.steps)
     _short(problem, X[:1], way, shares[0])  # what is done once per process does not count
     for share in shares:
         tries = []
@@ -114,8 +114,8 @@ def _shares(steps: int | None) -> list[float]:
 
 def _short(problem: Problem, X: np.ndarray, way: str, share: float) -> Trajectory:
     """Simulate the beginning of the motion, and evaluate the responses on it."""
-    settings = dict(problem.simulation)
-    steps = settings.pop("steps")
+    steps = problem.steps
+    settings = {name: value for name, value in problem.simulation.items() if name != "steps"}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a few steps tell what they cost, not how good they are
         motion = simulate(

@@ -6,14 +6,15 @@ Checked in tests/integrate/phases/test_phase.py, tests/sensitivity/test_events.p
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.attempts import has_failed, status_of
+from torchmbd.integrate.attempts import chosen, has_failed, status_of
+from torchmbd.integrate.estimates import StepErrors
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.phase import PhaseModel
@@ -54,6 +55,33 @@ def integrate(
             failed = [lane for lane, reason in enumerate(status) if has_failed(reason)]
             return other, counts | {"renewed": list(range(len(status))), "failed_first": failed}, better
     return multiphase, stats, status
+
+
+def steps_of_phases(
+    system: Any,
+    dynamics: Dynamics,
+    phase_models: list[PhaseModel],
+    designs: dict[str, Tensor],
+    duration: float,
+    integrator: Integrator,
+    room: Callable[[int], None],
+) -> int:
+    """How many steps a motion through phases needs, of values alone (step_count.py)."""
+    values = dynamics.values()
+
+    def attempt(steps: int) -> tuple[None, dict[str, Any], list[str]]:
+        multiphase = MultiphaseRun(values, phase_models, Views.of(system, values, designs), duration, steps)
+        stats = integrator.integrate_phases(multiphase)
+        h, recorded = duration / steps, multiphase.recorded()
+        constant = abs(integrator.weights(1.0).step_from_new - 1.0 / 6.0)  # pyright: ignore[reportAttributeAccessIssue]
+        errors = StepErrors(values, constant, h)
+        errors.see(recorded, multiphase.number[1:] == multiphase.number[:-1])
+        found = status_of(multiphase.history, duration, stats)
+        # A phase that never ends does so with more steps as well.
+        found = [OK if own != OK else other for own, other in zip(multiphase.status, found, strict=True)]
+        return None, stats | errors.statistics(steps), found
+
+    return chosen(integrator, values, duration, attempt, room)[0]
 
 
 def numbers_of(switch: Switch) -> list[Any]:

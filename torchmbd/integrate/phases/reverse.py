@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.attempts import has_failed, steps_that_fit, validity
+from torchmbd.integrate.attempts import has_failed, memory_check, validity
 from torchmbd.integrate.motion import Tensors
 from torchmbd.integrate.native import backward
 from torchmbd.integrate.native.library import resolved
@@ -26,7 +26,7 @@ from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.phases.adjoint import MARKED, PhaseAdjoint, PhaseCotangents
 from torchmbd.integrate.phases.events import Views
 from torchmbd.integrate.phases.lane_leaves import Key
-from torchmbd.integrate.phases.multiphase import NUMBERS, integrate, numbers_of, switches_of
+from torchmbd.integrate.phases.multiphase import NUMBERS, integrate, numbers_of, steps_of_phases, switches_of
 from torchmbd.integrate.phases.phase import PhaseModel
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.math.pair import Pair, value
@@ -82,7 +82,10 @@ class ReversePhaseIntegration:
         """As of `Integration`."""
         data, designs = self._split(inputs)
         model = resolved(replace(self.model, data=data), self.backend, None)
-        self.steps = self.steps or steps_that_fit(self.system, model, self.duration, 0, self.integrator)
+        room = memory_check(self.system, model, 0, self.integrator)
+        self.steps = self.steps or steps_of_phases(
+            self.system, model, self.phase_models, designs, self.duration, self.integrator, room
+        )
         views = Views.of(self.system, model, designs)
         self._multiphase, self.stats, self.status = self._through(model, views)
         self.dynamics, self.history, self.switches = (

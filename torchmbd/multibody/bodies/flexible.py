@@ -201,7 +201,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
-                        of `interface`; the highest frequencies are then those of these nodes: give `steps` to simulate
+                        of `interface`; the highest frequencies are then those of these nodes
         interface       nodes whose motion is kept, those that carry joints or loads
         updated         False: modes are held fixed in derivatives (eq. 36), for comparison only: gradients are wrong
         mass            "lumped" (eq. 2), or "consistent", for comparison

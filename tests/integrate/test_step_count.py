@@ -1,0 +1,142 @@
+"""Steps where the caller does not say how many: enough for what moves, not for modes that nothing excites."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.mechanisms import box, tensor
+from torchmbd.integrate.step_count import all_modes, announce, first_steps, wanted_steps
+from torchmbd.progress import motion_shown, without_bars
+
+GROUND = mbd.Ground()
+ROD = mbd.GivenSection.isotropic(E=2.1e11, nu=0.3, density=7800.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9)
+
+
+@pytest.fixture(autouse=True)
+def compiled(library, monkeypatch):
+    """Thousands of steps: by native code."""
+    monkeypatch.setenv("TORCHMBD_CACHE", library)
+    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+
+
+def arm(angle=None, push=None, **options) -> mbd.System:
+    """A beam on a driven hinge, or on a wall with a load at its end; its interface modes are stiff."""
+    options = {"reduction": "craig-bampton", "interface": ["end"], "modes": 2} | options
+    body = mbd.FlexibleBody.beam("bar", mbd.BeamLine.straight(1.0, 6), ROD, reference="start", **options)
+    if angle is None:
+        joints = [mbd.Fixed(GROUND.at(), body.at("start"))]
+    else:
+        hinge = GROUND.at(), body.at("start")
+        joints = [mbd.Revolute(*hinge, axis="z", name="hinge"), mbd.Drive(*hinge, axis="z", angle=angle, name="motor")]
+    return mbd.System([body], joints, [] if push is None else [mbd.Force(body.at("end"), push, name="push")])
+
+
+def error(system: mbd.System, duration: float, finer: int = 8) -> tuple[int, float]:
+    """Steps by default, and the largest error of the tip's displacement beside many more, of its largest."""
+    tip = mbd.Displacement("bar", "y", node="end")
+    with torch.no_grad():
+        motion = mbd.simulate(system, duration).require_ok()
+        steps = motion.stats["steps"]
+        a, b = tip(motion)[0], tip(mbd.simulate(system, duration, steps=finer * steps))[0, ::finer]
+    return steps, float((a - b).abs().max() / b.abs().max())
+
+
+def test_modes_that_nothing_excites_cost_nothing():
+    system = arm(mbd.SmoothStep(1.0, 0.8))
+    steps, off = error(system, 1.0)
+    assert all_modes(system.dynamics(), 1.0) > 20_000
+    assert steps < 1000
+    assert off < 0.02
+
+
+@pytest.mark.parametrize("frequency", [3.0, 20.0])
+def test_a_drive_is_followed(frequency):
+    system = arm(mbd.Sine(0.02, 2 * math.pi * frequency))
+    steps, off = error(system, 0.5)
+    assert 20 * frequency * 0.5 < steps < all_modes(system.dynamics(), 0.5) / 5
+    assert off < 0.02
+
+
+def pulse(t: torch.Tensor) -> torch.Tensor:
+    """Of 4 ms in 4 s, which 200 steps would jump over."""
+    y = torch.exp(-(((t - 1.2345) / 2e-3) ** 2))
+    return torch.stack([0.0 * y, 10.0 * y, 0.0 * y])
+
+
+def test_a_short_load_is_seen():
+    assert first_steps(arm(push=pulse, modes=0).dynamics(), 4.0) >= 1024
+    assert first_steps(arm(push=[0.0, 10.0, 0.0], modes=0).dynamics(), 4.0) == 200
+
+
+def test_what_starts_in_a_high_mode_is_resolved():
+    """Every mode moves: as many steps as the fastest that does so asks for."""
+    body = mbd.FlexibleBody.beam("bar", mbd.BeamLine.straight(1.0, 6), ROD, modes=6, reference="start")
+    system = mbd.System([body.bent(None, [0.0] * 4 + [1e-2, 0.0])], [mbd.Fixed(GROUND.at(), body.at("start"))])
+    with torch.no_grad():
+        motion = mbd.simulate(system, 0.02).require_ok()
+        energy = mbd.StrainEnergy("bar")(motion)[0]
+    assert float(energy.max()) == pytest.approx(0.5 * 1e-4, rel=0.02)
+    assert motion.stats["steps"] > 15 * 0.02 * float(mbd.equilibrium(system).frequencies[0, 4])
+
+
+def stats(turn: float, error: float, suggested: float) -> dict[str, torch.Tensor]:
+    return {"turn": tensor(turn), "step_error": tensor(error), "suggested_steps": tensor(suggested)}
+
+
+@pytest.mark.parametrize(
+    ("found", "status", "wanted"),
+    [
+        (stats(0.1, 1e-5, 30.0), "ok", 200),
+        (stats(0.1, 4e-2, 400.0), "ok", 1600),  # at most 8 times as many
+        (stats(0.1, 4e-3, 120.0), "ok", 528),
+        (stats(math.nan, math.nan, math.nan), "failed: the motion is not finite from t = 0.1 s on", 800),
+    ],
+)
+def test_steps_that_an_estimate_asks_for(found, status, wanted):
+    assert wanted_steps(200, found, [status], {}) == wanted
+    assert wanted_steps(200, found, [status], {0: "it starts nowhere"}) == 200
+
+
+def test_phases_choose_alike():
+    """The release shakes the bar."""
+    system = arm(mbd.SmoothStep(0.1, 0.08))
+    phases = [mbd.Phase(until=0.1), mbd.Phase(release=["motor"])]
+    motion = mbd.simulate(system, 0.2, phases=phases, gradients="none").require_ok()
+    assert 200 < motion.integration.steps <= all_modes(system.dynamics(), 0.2)
+
+
+def test_a_problem_keeps_the_steps_of_its_initial_design():
+    """Alone, a short bar takes more than a long one; a batch has those of its fastest."""
+    ball = box("ball", mass=mbd.variable(0.7))
+    bar = mbd.FlexibleBody.beam("bar", mbd.BeamLine.straight(mbd.variable(1.0), 4), ROD, modes=2, reference="start")
+    joints = [mbd.Fixed(GROUND.at(), bar.at("start")), mbd.Fixed(bar.at("end"), ball.at())]
+    system = mbd.System([bar, ball], joints, gravity=(0.0, -9.81, 0.0))
+    one, two, both = (
+        mbd.simulate(system, 0.5, designs={"bar.line.length": tensor(*x)}, gradients="none").stats["steps"]
+        for x in ((1.0,), (0.2,), (0.2, 1.0))
+    )
+    assert one < two == both
+    problem = mbd.Problem(
+        system, 0.5, mbd.Max(mbd.StrainEnergy("bar")), variables=["bar.line.length"], bounds=(0.2, 2.0)
+    )
+    assert problem.steps == one
+    assert problem.motion(0.2 * problem.start).stats["steps"] == one
+    lengths = [{"bar.line.length": 1.0}, {"bar.line.length": 0.2}]
+    many = mbd.Scenarios(
+        system, 0.5, mbd.Max(mbd.StrainEnergy("bar")), scenarios=lengths, variables=["ball.mass"], bounds=(0.1, 2.0)
+    )
+    assert many.steps == two
+    assert many.motions(2.0 * many.start).stats["steps"] == two
+
+
+def test_a_long_motion_says_so_before_it_starts(capsys):
+    with motion_shown(True, 1.0):
+        announce(54_348, 3)
+        announce(400, 3)
+    with without_bars():
+        announce(54_348, 3)
+    assert capsys.readouterr().err.count("a motion of 54348 steps begins, of 3 designs") == 1
