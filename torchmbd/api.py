@@ -48,13 +48,15 @@ from torchmbd.design.differences import Differences
 from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.fibers import FiberCurvature, FiberDivergence
 from torchmbd.design.lamination import LaminationRules
+from torchmbd.design.lamination_region import LaminationRegion
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.rainflow import rainflow
 from torchmbd.design.scenarios import Scenarios
+from torchmbd.design.stack_recovery import recover_stacks
 from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, name_arguments
 from torchmbd.fem import mesh, sections
-from torchmbd.fem.elements import BeamLine, FiberField, GivenSection, SteeredLaminate
+from torchmbd.fem.elements import BeamLine, FiberField, GivenSection, LaminationParameters, SteeredLaminate
 from torchmbd.fem.materials import Laminate, Ply, SNCurve, Strength
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
@@ -200,6 +202,8 @@ __all__ = [
     "InputError",
     "Integral",
     "Laminate",
+    "LaminationParameters",
+    "LaminationRegion",
     "LaminationRules",
     "Mass",
     "Max",
@@ -267,6 +271,7 @@ __all__ = [
     "pareto_front",
     "problem_of",
     "rainflow",
+    "recover_stacks",
     "sections",
     "signals",
     "simulate",

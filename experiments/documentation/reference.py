@@ -17,7 +17,8 @@ from torchmbd.study.scaffold import begin
 
 ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, str] = {
-    "materials": "Ply Laminate SteeredLaminate FiberField Strength SNCurve LaminationRules deg",
+    "materials": "Ply Laminate SteeredLaminate FiberField LaminationParameters Strength SNCurve LaminationRules "
+    "recover_stacks deg",
     "meshes": "Mesh BeamLine mesh sections GivenSection",
     "bodies": "Ground RigidBody FlexibleBody Frame",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
@@ -30,7 +31,7 @@ GROUPS: dict[str, str] = {
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "PlyFailure PlyStress History history",
     "measures": "Integral Mean RMS Max Min SmoothMax Final AtTime AtTimes AtPeaks Frequency Frequencies Mass BucklingFactor "
-    "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence Measure measure",
+    "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence LaminationRegion Measure measure",
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of",
     "optimization": "optimize multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes sobol "
     "latin_hypercube",

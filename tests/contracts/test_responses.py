@@ -184,8 +184,13 @@ def difference(x: Tensor, step: float) -> Tensor:
     return (total / (60.0 * step)).movedim(1, -1)
 
 
-#: Of bodies that the pendulum does not have: tests/sensitivity/test_fiber_variables.py, tests/design/test_fibers.py.
-ELSEWHERE = {"fiber_curvature": mbd.FiberCurvature, "fiber_divergence": mbd.FiberDivergence}
+#: Of bodies that the pendulum does not have: tests/sensitivity/test_fiber_variables.py, tests/design/test_fibers.py,
+#: tests/design/test_lamination_region.py.
+ELSEWHERE = {
+    "fiber_curvature": mbd.FiberCurvature,
+    "fiber_divergence": mbd.FiberDivergence,
+    "lamination_region": mbd.LaminationRegion,
+}
 
 
 def test_every_registered_response_is_in_this_contract():

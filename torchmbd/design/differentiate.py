@@ -28,20 +28,30 @@ class Valued(NamedTuple):
 
 
 @exclusive
-def differentiate(f: Callable[[Any], Tensor], motion: Trajectory) -> Valued:
-    """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b] by `motion.variables`."""
+def differentiate(f: Callable[[Any], Tensor | Sequence[Tensor]], motion: Trajectory) -> Valued:
+    """f(motion) [lanes, ...] with its gradient [lanes, ..., n_b] by `motion.variables`.
+
+    f may return several tensors [lanes, rows], which become one: each is pulled back by itself, so that many rows of one cost
+    nothing of what another is computed from.
+    """
     if not isinstance(motion, Trajectory):
         raise InputError(f"motion is {motion!r}; allowed: a motion, as mbd.simulate(...) makes it")
     shared = replace(motion, known={})  # what measures share lives as long as this
     inputs = list(motion.variables.values())
     if not any(x.requires_grad for x in inputs):
         with torch.no_grad():
-            return Valued(f(shared), None)
+            return Valued(_joined(f(shared)), None)
     with torch.inference_mode(False), torch.enable_grad():  # wherever the caller is
-        found = f(shared)
-        rows = found.flatten(1).sum(0) if found.dim() > 1 else found.sum()[None]  # of each row the sum over lanes
-        parts = [_gradients(some, inputs) for some in rows.split(ROWS)]
-    return Valued(found.detach(), torch.cat(parts, 1).reshape(*found.shape, -1))
+        given = f(shared)
+        each = [given] if isinstance(given, Tensor) else given
+        rows = [x.flatten(1).sum(0) if x.dim() > 1 else x.sum()[None] for x in each]  # of each row the sum over lanes
+        parts = [_gradients(some, inputs) for own in rows for some in own.split(ROWS)]
+    found = _joined(given).detach()
+    return Valued(found, torch.cat(parts, 1).reshape(*found.shape, -1))
+
+
+def _joined(found: Tensor | Sequence[Tensor]) -> Tensor:
+    return found if isinstance(found, Tensor) else torch.cat(list(found), 1)
 
 
 def _gradients(rows: Tensor, inputs: Sequence[Tensor]) -> Tensor:

@@ -46,7 +46,7 @@ class _OfPaths(Measure):
         found = call_module(_Paths(motion.system, self.body), designs)
         x = torch.cat([self.values_of(paths).flatten(-2) for paths in found], -1)
         largest = x.abs().amax(-1)
-        return (largest if self.power is None else _norm(x, largest.detach(), self.power)).expand(motion.lanes)
+        return (largest if self.power is None else norm(x, largest.detach(), self.power)).expand(motion.lanes)
 
     def values_of(self, paths: FiberPaths) -> Tensor:
         """The values [..., cells, layers]."""
@@ -114,7 +114,7 @@ class _Paths(nn.Module):
         return found
 
 
-def _norm(x: Tensor, scale: Tensor, power: float) -> Tensor:
+def norm(x: Tensor, scale: Tensor, power: float) -> Tensor:
     """The p-norm; numbers are scaled, so that none overflows. Of zeros it is zero, and so are its derivatives."""
     m = scale.clamp(min=torch.finfo(x.dtype).tiny)
     total = ((x / m[..., None]).abs() ** power).sum(-1)

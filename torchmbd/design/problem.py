@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.design.differentiate import differentiate
+from torchmbd.design.differentiate import ROWS, differentiate
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure, argument_names
@@ -335,8 +335,15 @@ class Problem(Summary):
         reference = self.reference
         lanes, first = len(X), self.peaks or 1
 
-        def rows(motion: Trajectory) -> Tensor:
-            return torch.cat([measure.value(motion).reshape(lanes, -1) for measure in reference.measures], 1)
+        def rows(motion: Trajectory) -> list[Tensor]:
+            """Of measures with many rows each by itself, of others those that follow each other together."""
+            groups: list[list[Tensor]] = [[]]
+            for measure in reference.measures:
+                many = measure.rows > ROWS
+                groups += [[]] if many else []
+                groups[-1].append(measure.value(motion).reshape(lanes, -1))
+                groups += [[]] if many else []
+            return [torch.cat(group, 1) for group in groups if group]
 
         found = differentiate(rows, motion)
         values, slopes = found.value.numpy(), None

@@ -23,6 +23,7 @@ from torchmbd.design.histories import (
     StrainEnergy,
     Velocity,
 )
+from torchmbd.design.lamination_region import LaminationRegion
 from torchmbd.design.measures import (
     RMS,
     AtTime,
@@ -73,4 +74,5 @@ OF_DESIGN: dict[str, type[Measure]] = {
     "fatigue_damage": FatigueDamage,
     "fiber_curvature": FiberCurvature,
     "fiber_divergence": FiberDivergence,
+    "lamination_region": LaminationRegion,
 }

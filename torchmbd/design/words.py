@@ -37,6 +37,7 @@ UNITS = {
     "buckling_factor": "",
     "fatigue_damage": "",
     "fiber_curvature": "1/m",
+    "lamination_region": "",
     "fiber_divergence": "1/m",
 }
 _NAMES: dict[type, str] = {kind: name for names in (RESPONSES, COMBINATORS, OF_DESIGN) for name, kind in names.items()}

@@ -8,6 +8,7 @@ from torchmbd.fem.elements.beams import Beams
 from torchmbd.fem.elements.fiber_field import FiberField
 from torchmbd.fem.elements.freedoms import Average, Freedoms, RigidLink
 from torchmbd.fem.elements.given_elements import GivenElements
+from torchmbd.fem.elements.lamination_parameters import LaminationParameters
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.fem.elements.plate import PlateMatrices
 from torchmbd.fem.elements.plates import MASSES, Plates, PointMasses, merged
@@ -33,6 +34,7 @@ __all__ = [
     "Freedoms",
     "GivenElements",
     "GivenSection",
+    "LaminationParameters",
     "MassPoints",
     "Part",
     "PlateMatrices",

@@ -103,6 +103,17 @@ class FiberField:
         """Its gradient there, in mesh axes [1/m]."""
         return torch.einsum("cxr,...crk->...ckx", self.slopes, p[..., self.nearest, :])
 
+    def zones(self, mesh: Mesh, cells: Int[Tensor, " cells"]) -> Int[Tensor, " cells"]:
+        """The row of the field that each cell of a plate has; InputError where the field is for others."""
+        if mesh is not self.mesh:
+            raise InputError(f"field of a laminate is for {self.mesh!r}; allowed: the mesh of the body, {mesh!r}")
+        row = torch.full((mesh.cell_count,), -1).index_copy(0, self.cells, torch.arange(len(self.cells)))[cells]
+        if len(cells) != len(self.cells) or bool((row < 0).any()):
+            raise InputError(
+                f"field of a laminate is for {len(self.cells)} cells; allowed: the {len(cells)} that it lies on"
+            )
+        return row
+
 
 def _cells(mesh: Mesh, cells: Sequence[int] | Tensor | None) -> Tensor:
     if cells is None:

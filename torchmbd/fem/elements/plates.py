@@ -29,7 +29,6 @@ from torchmbd.fem.elements.geometric import StressedCells
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.fem.elements.plate import PlateMatrices
 from torchmbd.fem.elements.shell_geometric import stressed_shells
-from torchmbd.fem.elements.steered_laminate import SteeredLaminate
 from torchmbd.fem.materials import Laminate
 from torchmbd.fem.mesh import Mesh
 from torchmbd.math.gradients import constants
@@ -67,15 +66,15 @@ class Plates:
                 raise InputError(f"laminate of a plate is {one!r}; allowed: a Laminate")
         self.mesh, self._zones = mesh, zones
         self.cells = torch.arange(mesh.cell_count) if cells is None else torch.as_tensor(cells, dtype=torch.long)
-        steered = self.laminates[0]
-        if isinstance(steered, SteeredLaminate):
-            self._zones = steered.zones(mesh, self.cells)
+        field = self.laminates[0].field
+        if field is not None:
+            self._zones = field.zones(mesh, self.cells)
 
     @property
     def laminate(self) -> Laminate:
         """The only laminate, or all of them as one."""
         first = self.laminates[0]
-        alone = self._zones is None or isinstance(first, SteeredLaminate)
+        alone = self._zones is None or first.field is not None
         return first if alone else Laminate.stacked(self.laminates)
 
     @property

@@ -23,13 +23,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.fiber_field import FiberField
 from torchmbd.fem.materials import Laminate, Ply
-from torchmbd.fem.mesh import Mesh
 from torchmbd.math.owned import parameter
 from torchmbd.math.plausible_units import check_angles
 
@@ -122,21 +121,6 @@ class SteeredLaminate(Laminate):
         if self._thickness_varies:
             return self._stack(self.field.values(self.thickness))
         return self._stack(self.thickness).unsqueeze(-2).expand(*self.thickness.shape[:-1], len(self.field.cells), -1)
-
-    def zones(self, mesh: Mesh, cells: Int[Tensor, " cells"]) -> Int[Tensor, " cells"]:
-        """The row of the field that each cell of a plate has; InputError where the field is for others."""
-        if mesh is not self.field.mesh:
-            raise InputError(
-                f"field of a SteeredLaminate is for {self.field.mesh!r}; allowed: the mesh of the body, {mesh!r}"
-            )
-        row = torch.full((mesh.cell_count,), -1).index_copy(0, self.field.cells, torch.arange(len(self.field.cells)))[
-            cells
-        ]
-        if len(cells) != len(self.field.cells) or bool((row < 0).any()):
-            raise InputError(
-                f"field of a SteeredLaminate is for {len(self.field.cells)} cells; allowed: the {len(cells)} that it lies on"
-            )
-        return row
 
     def paths(self, axes: Float[Tensor, "cells 3 3"]) -> FiberPaths:
         """Curvature and divergence of the fiber paths; axes: rows e1, e2, e3 of the laminate in each cell of the field."""

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -103,6 +103,7 @@ class Laminate(nn.Module):
     positive: ClassVar[tuple[str, ...]] = ("thickness",)  # parameters that are, whatever the design
     angles: Tensor
     thickness: Tensor
+    field: Any = None  # a FiberField, where parameters vary over a mesh (fem/elements)
     _constant: Tensor
 
     def __init__(
