@@ -11,6 +11,7 @@ Parts (default: all):
     batches         fixed cost of a batch, and cost of ply failure
     adjoint         gradients beside values, and values under no_grad beside their parts
     angles          gradient by 288 and by 3,000 angles over one simulation
+    load-cases      damage over 100 load cases, gradient by 100 variables; 30 variables and 20 cases beside the peer
     mesh            motion stage on a fine mesh
     chain           cost per link of a flexible chain
     chains          chains of 5 to 50 links
@@ -49,6 +50,7 @@ from experiments.benchmark_adjoint import adjoint
 from experiments.benchmark_angles import many_angles
 from experiments.benchmark_batches import batches
 from experiments.benchmark_integrators import work_precision
+from experiments.benchmark_load_cases import load_cases
 from experiments.benchmark_multistart import multistart
 from experiments.benchmark_report import Result, Settings
 
@@ -62,6 +64,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "batches": batches,
     "adjoint": adjoint,
     "angles": many_angles,
+    "load-cases": load_cases,
     "mesh": costs.mesh,
     "chain": costs.chain,
     "chains": benchmark_chains.chains,
@@ -91,6 +94,9 @@ FIGURES = (
     "many_angles",
     "many_angles_3000",
     "many_angles_gb",
+    "load_cases",
+    "load_cases_error",
+    "load_cases_peer",
     "tenth_variable",
     "tenth_variable_tangents",
     "mesh_ratio",

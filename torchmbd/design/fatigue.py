@@ -35,7 +35,7 @@ from torchmbd.results.section_history import SectionHistory, laminated
 
 # Where the strengths in tension and compression of each component stand among Strength.numbers().
 _STRENGTHS = ((0, 1), (2, 3), (4, 4), (5, 5), (6, 6))
-_TOGETHER = 256  # histories that are counted at once
+_TOGETHER = 64  # histories of each lane that are counted at once
 
 
 def _positive(name: str, x: Any) -> None:
@@ -196,44 +196,57 @@ def _stresses(motion: Trajectory, name: str) -> list[tuple[Tensor, Tensor | None
 def _worst(stresses: tuple[Tensor, Tensor | None], rule: FatigueDamage, motion: Trajectory) -> Tensor:
     """Damage [lanes] at the point and component where it is largest."""
     basis, strengths = stresses
-    view, damages = motion.body(rule.body), []
-    for lane in range(len(basis)):
-        w, rates = view.w[lane], (view.wd[lane], view.wdd[lane])
-        own = None if strengths is None else strengths[lane]
-        component, point = _place(basis[lane].detach(), w.detach(), None if own is None else own.detach(), rule)
-        direction = basis[lane, point, component]
-        y, (slow, fast) = w @ direction, (x @ direction for x in rates)
-        curve = Spline.of(motion.t, y, rates=(slow, fast))
-        damages.append(rule.of_cycles(rainflow(curve.extremes()), component, None if own is None else own[point]))
-    return torch.stack(damages)
+    view, lanes = motion.body(rule.body), torch.arange(motion.lanes)
+    with torch.no_grad():
+        component, point = _places(basis, view.w, strengths, rule)
+    y, slow, fast = (torch.einsum("ltm,lm->lt", x, basis[lanes, point, component]) for x in (view.w, view.wd, view.wdd))
+    cycles = rainflow(Spline.of(motion.t, y, rates=(slow, fast)).extremes())
+    return _damages(cycles, component, None if strengths is None else strengths[lanes, point], rule)
 
 
-def _place(basis: Tensor, w: Tensor, strengths: Tensor | None, rule: FatigueDamage) -> tuple[int, int]:
-    """Component and point of the largest damage of one lane, by the stresses at the output times.
+def _damages(cycles: Cycles, component: Tensor, strengths: Tensor | None, rule: FatigueDamage) -> Tensor:
+    """Damage [h] of the cycles [h, n] of histories of different components [h]; strengths [h, 8]."""
+    damages, rows = [], []
+    for c in component.unique().tolist():
+        own = torch.nonzero(component == c)[:, 0]
+        rows.append(own)
+        damages.append(rule.of_cycles(Cycles(*(x[own] for x in cycles)), c, None if strengths is None else strengths[own]))
+    return torch.cat(damages)[torch.cat(rows).argsort()]
 
-    Cycles are counted where they may do the largest damage: as many as the history has, all of its whole range.
+
+def _places(basis: Tensor, w: Tensor, strengths: Tensor | None, rule: FatigueDamage) -> tuple[Tensor, Tensor]:
+    """Component and point [lanes] of the largest damage, by the stresses at the output times.
+
+    Cycles are counted where they may do the largest damage: as many as the history has, all of its whole range. The most
+    suspicious histories of all lanes are counted together, then the next ones of the lanes where these may do more.
     """
-    components = rule.components()
-    most = torch.stack([_most(basis[:, c] @ w.T, c, strengths, rule) for c in components])
-    worst, place = -1.0, (components[0], 0)
-    order = most.flatten().argsort(descending=True)
-    for some in order.split(_TOGETHER):
-        if float(most.flatten()[some[0]]) <= worst:
+    components, lanes, points = torch.tensor(rule.components()), len(basis), basis.shape[1]
+    own = [None] * lanes if strengths is None else strengths
+    most = torch.stack([_most(basis[k], w[k], own[k], rule) for k in range(lanes)])  # [lanes, components * points]
+    bound, order = most.sort(descending=True)
+    worst, place = bound.new_full((lanes,), -1.0), order[:, 0].clone()
+    for first in range(0, order.shape[1], _TOGETHER):
+        lane = torch.nonzero(bound[:, first] > worst)[:, 0]
+        if not len(lane):
             break
-        for i, component in enumerate(components):
-            points = some[torch.div(some, len(basis), rounding_mode="floor") == i] % len(basis)
-            if not len(points):
-                continue
-            cycles = rainflow(basis[points, component] @ w.T)
-            own = None if strengths is None else strengths[points]
-            value, k = rule.of_cycles(cycles, component, own).max(0)
-            if float(value) > worst:
-                worst, place = float(value), (component, int(points[k]))
-    return place
+        some = order[lane, first : first + _TOGETHER]
+        component, point = components[torch.div(some, points, rounding_mode="floor")], some % points
+        y = basis[lane[:, None], point, component] @ w[lane].mT
+        strength = None if strengths is None else strengths[lane[:, None], point].flatten(0, 1)
+        damage = _damages(rainflow(y.flatten(0, 1)), component.flatten(), strength, rule).reshape(some.shape)
+        value, k = damage.max(1)
+        better = value > worst[lane]
+        worst[lane[better]], place[lane[better]] = value[better], some[better, k[better]]
+    return components[torch.div(place, points, rounding_mode="floor")], place % points
 
 
-def _most(y: Tensor, component: int, strengths: Tensor | None, rule: FatigueDamage) -> Tensor:
-    """Damage [points] that histories y [points, times] do not exceed: a mean counts most at one of its ends."""
+def _most(basis: Tensor, w: Tensor, strengths: Tensor | None, rule: FatigueDamage) -> Tensor:
+    """Damage [components * points] that the histories of a lane do not exceed: a mean counts most at one of its ends."""
+    return torch.cat([_bound(basis[:, c] @ w.T, c, strengths, rule) for c in rule.components()])
+
+
+def _bound(y: Tensor, component: int, strengths: Tensor | None, rule: FatigueDamage) -> Tensor:
+    """The same [points] of histories y [points, times] of a component."""
     low, high = y.amin(-1, keepdim=True), y.amax(-1, keepdim=True)
     turns = (y.diff().sign().diff() != 0.0).sum(-1, keepdim=True)
     cycles = (Cycles(high - low, mean, 0.5 * (turns + 1.0)) for mean in (low, high))
