@@ -29,6 +29,7 @@ from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.equilibrium import Balance, reactions, rest, search
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.linearized import AtRest, Vibrations
+from torchmbd.multibody.system.truncation import look
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK
 from torchmbd.results.trajectory import Trajectory
@@ -207,6 +208,7 @@ def equilibrium(
     system = system.starting(begins)
     given = check_designs(system, designs)
     with torch.inference_mode(False), torch.set_grad_enabled(torch.is_grad_enabled()):
+        look(system)
         names = variables_of(system, given, "auto", variables, False)
         own = dict(system.named_parameters())
         batch = {name: own[name][None] for name in names if name not in given} | given

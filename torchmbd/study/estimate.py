@@ -180,9 +180,21 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
         markup=False,
         soft_wrap=True,
     )
+    _print_truncation(problem, console)
     if cost.gradients != "none":
         console.print(f"gradients: {'; '.join(ways)}", markup=False, soft_wrap=True)
     return cost
+
+
+def _print_truncation(problem: Problem, console: Console) -> None:
+    """Print what the retained modes leave out, where the system asks for it."""
+    limit = problem.system.truncation
+    found = None if limit is None else problem.system.static_truncation()
+    if limit is None or found is None:
+        return
+    small = f"make joints and forces {100 * max(found.share, 0.0):.1g} % too stiff at most"
+    text = f"retained modes: {small}" if found.share <= limit else f"warning: {found}"
+    console.print(text, markup=False, soft_wrap=True)
 
 
 def _count(n: int, what: str) -> str:

@@ -13,7 +13,7 @@ Assumed: small elastic displacements about the undeformed body.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Self
 
@@ -40,6 +40,7 @@ from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import CutCluster, inertia_invariants
 from torchmbd.io.mesh_file import MeshFile, read_mesh
 from torchmbd.io.nastran.body import read_bdf
+from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.beam_parts import beam_parts
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.frame import Frame, bend, identifier, move, put, rotation, vector
@@ -340,6 +341,20 @@ class FlexibleBody(MatrixMethods, nn.Module):
         """
         self.damping = self.damping.with_ratios(ratio, self.modes)
         return self
+
+    def flexibility(self) -> tuple[SparseMatrix, Callable[[Tensor], Tensor]] | None:
+        """Stiffness of the freedoms that are free, of the first design without gradients, and the motion of all nodes
+        [nodes, 6, k] out of displacements of these [N, k]; None for a body that was reduced elsewhere."""
+        if self.given is not None:
+            return self.given.flexibility()
+        with torch.no_grad():
+            K = self.assembly.stiffness()
+
+        def expand(u: Tensor) -> Tensor:
+            psi = self.assembly.freedoms.expand(u)
+            return psi if self._rotations is None else self._rotations(psi)
+
+        return SparseMatrix(K.pattern, K.values.reshape(-1, K.pattern.nnz)[0].detach(), symmetric=True), expand
 
     def structure(self) -> dict[str, Tensor]:
         """Run the structure stage.

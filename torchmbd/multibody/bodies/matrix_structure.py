@@ -14,7 +14,7 @@ Checked in tests/multibody/bodies/test_from_matrices.py.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import scipy.linalg
@@ -90,6 +90,19 @@ class MatrixStructure:
         vectors, Kr = self._basis(M, K)
         psi = self._rotations(vectors.unflatten(-2, (-1, 6)))
         return mass_invariants(self.mesh.nodes - self.origin, M, psi, self._arms) | {"Kr": Kr, "psi": psi}
+
+    def flexibility(self) -> tuple[SparseMatrix, Callable[[Tensor], Tensor]] | None:
+        """As of FlexibleBody; None where the modes are given, which hold nothing."""
+        if self.shapes is not None:
+            return None
+        with torch.no_grad():
+            K = self.given.now()[1].restrict(self.free)
+
+        def expand(u: Tensor) -> Tensor:
+            full = u.new_zeros(6 * len(self.mesh.nodes), u.shape[-1]).index_copy(-2, self.free, u)
+            return self._rotations(full.unflatten(-2, (-1, 6)))
+
+        return SparseMatrix(K.pattern, K.values.reshape(-1, K.pattern.nnz)[0].detach(), symmetric=True), expand
 
     def _basis(self, M: SparseMatrix, K: SparseMatrix) -> tuple[Tensor, Tensor]:
         """Modes [..., 6 n, m] and Kr."""

@@ -107,6 +107,10 @@ class ReducedStructure:
             found[key] = own
         return found
 
+    def flexibility(self) -> None:
+        """As of FlexibleBody: there is no stiffness of all freedoms."""
+        return None
+
     def _normal(self, found: dict[str, Tensor], Kr: Tensor, psi: Tensor) -> dict[str, Tensor]:
         """Coordinates whose modal mass is the identity."""
         Mr = torch.einsum("iiab->ab", found["C1"] + found["R2"])

@@ -41,6 +41,7 @@ from torchmbd.multibody.system.robot import robot
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.start import Start
 from torchmbd.multibody.system.state_equation import StateEquation
+from torchmbd.multibody.system.truncation import StaticTruncation, static_truncation
 
 # Numbers of a system and of its bodies by which nothing is differentiated, and those of bodies that Parameters are.
 _CONSTANTS = ("gravity", "axes")
@@ -57,6 +58,8 @@ class System(nn.Module):
     gravity        acceleration of gravity in ground axes [m/s2]
     stabilization  time constant of the constraint stabilization of ODE methods [s]
     free           names of bodies that no joint holds on purpose
+    truncation     share of stiffness that retained modes may have too much at joints and forces before the first motion warns
+                   of it, 0 to 1 (`static_truncation`); None: it is not looked at
 
     >>> ground, bob = mbd.Ground(), mbd.RigidBody("bob", 1.0, (0.01, 0.01, 0.01), position=(0, -1, 0))
     >>> hinge = mbd.Revolute(ground.at(), bob.at(0, 1, 0), axis="z", name="hinge")
@@ -76,6 +79,7 @@ class System(nn.Module):
         gravity: Sequence[float] | Tensor | None = None,
         stabilization: float = 5e-3,
         free: Sequence[str] = (),
+        truncation: float | None = 0.1,
     ):
         super().__init__()
         self._start = Start()
@@ -97,6 +101,7 @@ class System(nn.Module):
         self.bodies = bodies
         self.register_buffer("gravity", None if gravity is None else vector("gravity", gravity))
         self.stabilization = positive("stabilization", stabilization, "s")
+        self.truncation = None if truncation is None else positive("truncation", truncation, "")
         self.forces = forces
         check_connected(self.bodies, joints, forces, free)
         self._join(joints)
@@ -167,6 +172,18 @@ class System(nn.Module):
         ...
         """
         return describe(self)
+
+    @exclusive
+    def static_truncation(self) -> StaticTruncation | None:
+        """What the retained modes leave out of the flexibility at joints and forces, in the present design (truncation.py).
+
+        None: no joint and no force acts on a flexible body whose stiffness is known.
+
+        >>> found = mbd.examples.arm().static_truncation()
+        >>> found.share < 0.02, found.body  # of the stiffness in the first vibrations
+        (True, 'arm')
+        """
+        return static_truncation(self)
 
     def _repr_html_(self) -> str:
         return html(self)
