@@ -29,8 +29,8 @@ from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system.design_tangents import unit_directions
 from torchmbd.multibody.system.expansion import Expansion
-from torchmbd.multibody.system.system import unit_directions
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import Switch
 

@@ -21,7 +21,6 @@ from torchmbd.errors import InputError, one_of, unknown
 from torchmbd.math.gradients import refuse_lost
 from torchmbd.math.module_call import call_module, exclusive
 from torchmbd.math.owned import positive, refuse_derivatives, several
-from torchmbd.math.pair import Pair
 from torchmbd.math.variable import key
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES, vector
@@ -33,6 +32,7 @@ from torchmbd.multibody.joints.drive import VARIABLES as OF_DRIVES
 from torchmbd.multibody.joints.joint import Joint
 from torchmbd.multibody.system import topology
 from torchmbd.multibody.system.description import Description, check_connected, describe
+from torchmbd.multibody.system.design_tangents import tangents_of
 from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
@@ -265,7 +265,7 @@ class System(nn.Module):
         with torch.no_grad():
             if tangents:
                 fixed = {name: x for name, x in given.items() if name not in tangents}
-                data = _tangents(lambda moving: stage(fixed | moving), {name: given[name] for name in tangents})
+                data = tangents_of(lambda moving: stage(fixed | moving), {name: given[name] for name in tangents})
             else:
                 data = stage(given)
         return self._made(data)
@@ -385,33 +385,3 @@ def _vector_modes(T: topology.Topology, stages: list[dict[str, Tensor]]) -> Tens
     if not rows:
         return stages[0]["psi"].new_zeros(3, T.modes, 0, 1, 1)
     return _together(rows, 2)
-
-
-def unit_directions(given: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """A direction for each entry of the parameters [lanes, ...], of all lanes at once: [n_b, lanes, ...]."""
-    sizes = {name: x[0].numel() for name, x in given.items()}
-    total, start = sum(sizes.values()), 0
-    directions = {}
-    for name, x in given.items():
-        unit = torch.zeros(total, sizes[name], dtype=x.dtype, device=x.device)
-        unit[start : start + sizes[name]] = torch.eye(sizes[name], dtype=x.dtype, device=x.device)
-        directions[name] = unit.reshape(total, 1, *x.shape[1:]).expand(total, *x.shape)
-        start += sizes[name]
-    return directions
-
-
-def _tangents(stage: Any, given: dict[str, Tensor]) -> dict[str, Any]:
-    """Values and tangents of the structure stage: one linearization, all design directions together.
-
-    A quantity whose tangent is zero for every design and direction becomes a plain tensor: nothing to carry.
-    """
-
-    def push(direction: dict[str, Tensor]) -> tuple:
-        return torch.func.jvp(stage, (given,), (direction,))
-
-    values, tangents = torch.func.vmap(push, out_dims=(None, 0))(unit_directions(given))  # pyright: ignore[reportArgumentType]
-    result: dict[str, Any] = {}
-    for name, x in values.items():
-        dx = tangents[name].movedim(0, -1).squeeze(-3).movedim(-1, -2)
-        result[name] = Pair.of(x, dx) if bool(dx.any()) else x
-    return result

@@ -37,6 +37,7 @@ _NEAR = 2.0  # times the first elastic frequency: vibrations that are looked at
 LARGEST = 300  # rates of a system whose vibrations are looked at: dense methods
 _LOOKED_AT: WeakSet[Any] = WeakSet()  # bodies; no attribute of a system, which is what it is made of (math/digest.py)
 _REGULAR = 1e-12  # of the largest flexibility in the joints: redundant rows are determined by it
+_SHOWN = 4  # nodes in a message
 _ELASTIC = 0.2  # of the energy of a vibration that is elastic
 _RIGID = 1e-5  # of the highest frequency: freedoms without stiffness are below
 _SHIFT = 1e-2  # of the first elastic frequency: a stiffness that makes these regular
@@ -258,13 +259,14 @@ def _said(residual: _Residual, k: int) -> tuple[str, str, str]:
     """Body, frame and advice."""
     mesh = residual.body.mesh
     names = [_named(mesh, mount) for mount in residual.mounts]
-    advice = f'reduction="craig-bampton" with interface=[{", ".join(map(repr, dict.fromkeys(names)))}], or more modes'
-    return residual.body.name, repr(names[k]), advice
+    advice = f'reduction="craig-bampton" with interface=[{", ".join(dict.fromkeys(names))}], or more modes'
+    return residual.body.name, names[k], advice
 
 
-def _named(mesh: Any, mount: InterpolationConstraint) -> Any:
+def _named(mesh: Any, mount: InterpolationConstraint) -> str:
     """What the caller of `body.at` calls the nodes."""
     for name, members in mesh.node_sets.items():
         if sorted(int(i) for i in members) == sorted(mount.nodes):
-            return name
-    return mount.nodes[0] if len(mount.nodes) == 1 else list(mount.nodes)
+            return repr(name)
+    nodes = ", ".join(map(str, mount.nodes[:_SHOWN]))
+    return nodes if len(mount.nodes) == 1 else f"[{nodes}{', ...' * (len(mount.nodes) > _SHOWN)}]"

@@ -1,0 +1,44 @@
+"""Tangents of the structure stage by design variables: one linearization along all directions together.
+
+Checked in tests/multibody/system/test_system.py, tests/sensitivity/test_gradients.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.math.pair import Pair
+
+
+def unit_directions(given: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """A direction for each entry of the parameters [lanes, ...], of all lanes at once: [n_b, lanes, ...]."""
+    sizes = {name: x[0].numel() for name, x in given.items()}
+    total, start = sum(sizes.values()), 0
+    directions = {}
+    for name, x in given.items():
+        unit = torch.zeros(total, sizes[name], dtype=x.dtype, device=x.device)
+        unit[start : start + sizes[name]] = torch.eye(sizes[name], dtype=x.dtype, device=x.device)
+        directions[name] = unit.reshape(total, 1, *x.shape[1:]).expand(total, *x.shape)
+        start += sizes[name]
+    return directions
+
+
+def tangents_of(stage: Any, given: dict[str, Tensor]) -> dict[str, Any]:
+    """Values and tangents of the structure stage: one linearization, all design directions together.
+
+    A quantity whose tangent is zero for every design and direction becomes a plain tensor: nothing to carry.
+    """
+
+    def push(direction: dict[str, Tensor]) -> tuple:
+        return torch.func.jvp(stage, (given,), (direction,))
+
+    values, tangents = torch.func.vmap(push, out_dims=(None, 0))(unit_directions(given))  # pyright: ignore[reportArgumentType]
+    result: dict[str, Any] = {}
+    for name, x in values.items():
+        dx = tangents[name].movedim(0, -1).squeeze(-3).movedim(-1, -2)
+        result[name] = Pair.of(x, dx) if bool(dx.any()) else x
+    return result
