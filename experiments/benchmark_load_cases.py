@@ -100,7 +100,9 @@ def _error(own: mbd.Scenarios, x: np.ndarray) -> float:
     motion = mbd.simulate(
         own.system, own.duration, designs={**designs, name: angles}, steps=own.steps, variables=[name]
     )
-    exact = DAMAGE.value_and_gradient(motion)[1].numpy() @ along
+    gradient = DAMAGE.value_and_gradient(motion).gradient
+    assert gradient is not None
+    exact = gradient.numpy() @ along
     one, two = (
         (DAMAGE(own.motions(x + h * along)) - DAMAGE(own.motions(x - h * along))) / (2 * h) for h in (5e-5, 1e-4)
     )

@@ -210,7 +210,9 @@ def _damages(cycles: Cycles, component: Tensor, strengths: Tensor | None, rule: 
     for c in component.unique().tolist():
         own = torch.nonzero(component == c)[:, 0]
         rows.append(own)
-        damages.append(rule.of_cycles(Cycles(*(x[own] for x in cycles)), c, None if strengths is None else strengths[own]))
+        damages.append(
+            rule.of_cycles(Cycles(*(x[own] for x in cycles)), c, None if strengths is None else strengths[own])
+        )
     return torch.cat(damages)[torch.cat(rows).argsort()]
 
 
