@@ -15,9 +15,10 @@ NAMES = [name for name in api.__all__ if not isinstance(getattr(api, name), Modu
 
 
 def text_of(thing: object) -> str:
-    """The docstring; of a class also those that it inherits from."""
+    """The docstring, of a class also those that it inherits from, without examples: these use names and describe none."""
     family = thing.__mro__ if inspect.isclass(thing) else [thing]
-    return "\n".join(own.__doc__ or "" for own in family if own.__module__.startswith("torchmbd"))
+    texts = [inspect.cleandoc(own.__doc__ or "") for own in family if own.__module__.startswith("torchmbd")]
+    return re.sub(r"(?ms)^>>> .*?(?=^\s*$|\Z)", "", "\n\n".join(texts))
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -62,7 +62,7 @@ def faults(text):
 
 def test_every_duplicate_is_named_with_both_lines():
     found = faults("a: 1\nb: {c: 1,\n  c: 2}\na: 3\n")
-    assert [line for line, _ in found] == [2, 4] or [line for line, _ in found] == [3, 4]
+    assert [line for line, _ in found] == [3, 4]
     assert "first in line 1" in found[-1][1]
     assert all("given twice" in text for _, text in found)
 
@@ -86,8 +86,7 @@ def test_every_duplicate_is_named_with_both_lines():
 def test_what_is_refused(text, line, word):
     found = faults(text)
     assert any(word in message for _, message in found)
-    if line:
-        assert found[0][0] in (line, line + 1)
+    assert found[0][0] == line
 
 
 @pytest.mark.parametrize(("content", "word"), [(b"\xff\xfe\x00", "UTF-8"), (b"a: 1\n" * 300_000, "bytes")])

@@ -29,7 +29,7 @@ class Cycles(NamedTuple):
 
 
 def rainflow(y: Float[Tensor, "*histories n"]) -> Cycles:
-    """Count the cycles of histories with n >= 2 values each. Raises InputError for fewer.
+    """Count the cycles of histories `y` with n >= 2 values each, of any unit. Raises InputError for fewer.
 
     >>> y = torch.tensor([-2.0, 1, -3, 5, -1, 3, -4, 4, -2])
     >>> cycles = mbd.rainflow(y)

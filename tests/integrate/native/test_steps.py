@@ -49,6 +49,7 @@ def same(eager: mbd.Trajectory, fast: mbd.Trajectory, q: float = 1e-10, dq: floa
     assert fast.status == eager.status
     torch.testing.assert_close(fast.q, eager.q, rtol=0, atol=q)
     if eager.stats["gradients"] == "forward" and eager.dq_db is not None and eager.dq_db.numel():
+        assert fast.dq_db is not None
         assert float((fast.dq_db - eager.dq_db).abs().max()) < dq * float(eager.dq_db.abs().max())
 
 

@@ -66,9 +66,12 @@ def test_values_tangents_and_cotangents_are_those_of_dense_matrices(closed):
             )
         )(torch.eye(2, dtype=torch.float64))
         found.append(dict(zip(dynamics.data, rows, strict=True)))
-    for name, x in found[1].items():
-        if x is not None:
-            assert_close(found[0][name], x, rtol=1e-7, atol=1e-9 * float(x.abs().max()))
+    used = {name for name, x in found[1].items() if x is not None}
+    assert used
+    assert {name for name, x in found[0].items() if x is not None} == used
+    for name in used:
+        x = found[1][name]
+        assert_close(found[0][name], x, rtol=1e-7, atol=1e-9 * float(x.abs().max()))
 
 
 def test_derivatives_by_states_in_both_modes():

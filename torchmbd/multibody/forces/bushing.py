@@ -25,6 +25,7 @@ class Bushing(ForceElement):
     a, b                                  the frames that it joins
     stiffness, damping                    along x, y, z of frame a [N/m], [N s/m]
     turning_stiffness, turning_damping    about them [N m/rad], [N m s/rad]
+    name                                  of the element, and of its design variables
 
     One number stands for all three axes. A number may be a design variable: "mount.stiffness", or "mount.stiffness_x" of
     one axis.

@@ -80,7 +80,9 @@ class Force(_Load):
 class Torque(_Load):
     """`Torque(frame, (mx, my, mz))`: a torque on the body, or on the node, of a frame.
 
-    vector  [N m], or a torch function of time, [] [s] -> [3] [N m]; others as of Force
+    vector  [N m], or a torch function of time, [] [s] -> [3] [N m]
+    axes    "ground": the torque keeps its direction; "frame": it follows the frame
+    name    of the element, and of its design variables
 
     >>> wheel = mbd.RigidBody("wheel", 2.0, (0.5, 0.5, 0.5))
     >>> system = mbd.System([wheel], [], [mbd.Torque(wheel.at(), (0, 0, 1.0))], free=["wheel"])

@@ -36,6 +36,7 @@ class Pressure(ForceElement):
     pressure   a number, or a torch function of time, [] [s] -> [] [Pa]; a design variable "NAME.pressure" as
                mbd.variable(5e3), "NAME.factor" as mbd.forces.Scaled(mbd.variable(1.0), function)
     direction  in ground axes, which the load then keeps, whatever its length [3]
+    name       of the element, and of its design variables
 
     >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([0, 90]), thickness=1e-3)
     >>> wing = mbd.FlexibleBody.plate("wing", mbd.mesh.rectangle(0.5, 0.1, (4, 2)), laminate, 2, reference="left_edge")

@@ -48,6 +48,7 @@ class SpringDamper(_Between):
 
     stiffness [N/m], damping [N s/m], rest: unstretched length [m]
     law        f(l, l', t) [N], positive when it pushes the points apart; instead of the three numbers
+    name       of the element, and of its design variables
 
     >>> ball = mbd.RigidBody("ball", 1.0, (0.01, 0.01, 0.01), position=(0, 0, -0.5))
     >>> spring = mbd.SpringDamper(mbd.Ground().at(), ball.at(), stiffness=200.0, damping=1.0, rest=0.5, name="spring")

@@ -12,6 +12,8 @@ from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 class Cylindrical(Joint):
     """`Cylindrical(a, b, axis="z")`: the point of b slides along `axis` of frame a; b may turn about it. Four equations.
 
+    name    of the joint in reactions and messages; None: made of the kind and the bodies
+
     >>> piston = mbd.RigidBody("piston", 1.0, (0.01, 0.01, 0.01))
     >>> guide = mbd.Cylindrical(mbd.Ground().at(), piston.at(), axis="z")
     >>> mbd.System([piston], [guide]).describe().freedoms

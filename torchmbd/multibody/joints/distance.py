@@ -13,6 +13,8 @@ from torchmbd.multibody.joints.primitive import Distance as DistancePrimitive
 class Distance(Joint):
     """`Distance(a, b, length=...)`: the points of both frames keep their distance `length` > 0 [m]. One equation.
 
+    name    of the joint in reactions and messages; None: made of the kind and the bodies
+
     >>> ball = mbd.RigidBody("ball", 1.0, (0.01, 0.01, 0.01), position=(0, -0.7, 0))
     >>> rope = mbd.Distance(mbd.Ground().at(), ball.at(), length=0.7)
     >>> mbd.System([ball], [rope]).describe().freedoms

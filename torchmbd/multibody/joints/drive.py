@@ -30,6 +30,7 @@ class Drive(Joint):
     angle      law of the rotation about it: a torch function of time [s] -> [rad], or one of multibody/joints/laws.py
     velocity   constant velocity of the point of b along `axis` of frame a [m/s]
     position   law of the travel along it [m]
+    name       of the drive, and of its design variables and reactions
 
     The numbers of a law may be design variables: speed=mbd.variable(2.0), angle=mbd.SmoothStep(mbd.variable(0.5), 1.0).
     They are parameters of the system, named by the joint: "motor.speed", "motor.size".

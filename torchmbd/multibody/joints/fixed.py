@@ -11,6 +11,8 @@ from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 class Fixed(Joint):
     """`Fixed(a, b)`: the points coincide, and the relative rotation keeps its initial value. Six equations.
 
+    name    of the joint in reactions and messages; None: made of the kind and the bodies
+
     >>> tool = mbd.RigidBody("tool", 1.0, (0.01, 0.01, 0.01))
     >>> grip = mbd.Fixed(mbd.Ground().at(), tool.at())
     >>> mbd.System([tool], [grip]).describe().freedoms

@@ -3,11 +3,12 @@
 A joint names its equations once, at the given initial positions of the bodies; it holds no numbers of the motion:
 
     class Revolute(Joint):
-        def equations(self, scribe): yield Coincide, scribe.point(a), scribe.point(b) ...
+        def equations(self, attachments):
+            yield Equation(Coincide, (attachments.point(self.a), attachments.point(self.b)))
+            ...
 
 `AttachmentTable` turns points and axes of frames into indices of attached vectors. The axes of a joint are those of its
-first frame; their *twin* on the second body is scribed where it lies at the given initial positions, as a fitter
-would mark it.
+first frame; the second body has the axis that coincides with it at the given initial positions.
 """
 
 from __future__ import annotations
@@ -158,7 +159,7 @@ class Joint:
     def common_axis(self, axis: str) -> str:
         """The letter of an axis that both bodies share; a second frame with axes of its own must agree to 0.1 rad.
 
-        A second frame without axes agrees with anything: its twin is scribed.
+        A second frame without axes agrees with anything: `coincident_axis` is taken.
         """
         axis_index(axis)
         a, b = self.a, self.b

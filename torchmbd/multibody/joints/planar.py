@@ -12,6 +12,8 @@ from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 class Planar(Joint):
     """`Planar(a, b, normal="z")`: the point of b stays in the plane of frame a across `normal`; b turns about the normal.
 
+    name    of the joint in reactions and messages; None: made of the kind and the bodies
+
     >>> puck = mbd.RigidBody("puck", 1.0, (0.01, 0.01, 0.01))
     >>> table = mbd.Planar(mbd.Ground().at(), puck.at(), normal="z")
     >>> mbd.System([puck], [table]).describe().freedoms

@@ -12,6 +12,8 @@ from torchmbd.multibody.joints.primitive import Plane
 class PointOnPlane(Joint):
     """`PointOnPlane(a, b, normal="z")`: the point of b stays in the plane through frame a across `normal`. One equation.
 
+    name    of the joint in reactions and messages; None: made of the kind and the bodies
+
     >>> foot = mbd.RigidBody("foot", 1.0, (0.01, 0.01, 0.01))
     >>> floor = mbd.PointOnPlane(mbd.Ground().at(), foot.at(), normal="z")
     >>> mbd.System([foot], [floor]).describe().freedoms

@@ -12,6 +12,8 @@ from torchmbd.multibody.joints.primitive import Perpendicular, Plane
 class Prismatic(Joint):
     """`Prismatic(a, b, axis="x")`: the point of b slides along `axis` of frame a; b does not turn. Five equations.
 
+    name    of the joint in reactions and messages; None: made of the kind and the bodies
+
     >>> block = mbd.RigidBody("block", 1.0, (0.01, 0.01, 0.01))
     >>> slide = mbd.Prismatic(mbd.Ground().at(), block.at(), axis="x")
     >>> mbd.System([block], [slide]).describe().freedoms

@@ -12,6 +12,8 @@ from torchmbd.multibody.joints.primitive import Coincide, Perpendicular
 class Revolute(Joint):
     """`Revolute(a, b, axis="z")`: hinge at the points of both frames, about `axis` of frame a. Five equations.
 
+    name    of the joint in reactions and messages; None: made of the kind and the bodies
+
     >>> arm = mbd.RigidBody("arm", 1.0, (0.01, 0.01, 0.01))
     >>> hinge = mbd.Revolute(mbd.Ground().at(), arm.at(-0.5, 0, 0), axis="z", name="hinge")
     >>> mbd.System([arm], [hinge]).describe().freedoms

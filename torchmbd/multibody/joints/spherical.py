@@ -11,6 +11,8 @@ from torchmbd.multibody.joints.primitive import Coincide
 class Spherical(Joint):
     """`Spherical(a, b)`: the points of frames a and b coincide. Three equations.
 
+    name    of the joint in reactions and messages; None: made of the kind and the bodies
+
     >>> arm = mbd.RigidBody("arm", 1.0, (0.01, 0.01, 0.01))
     >>> ball = mbd.Spherical(mbd.Ground().at(), arm.at(-0.5, 0, 0))
     >>> mbd.System([arm], [ball]).describe().freedoms

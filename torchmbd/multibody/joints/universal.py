@@ -15,6 +15,8 @@ class Universal(Joint):
 
     The first arm of the cross stays with body a, the second with body b.
 
+    name    of the joint in reactions and messages; None: made of the kind and the bodies
+
     >>> arm = mbd.RigidBody("arm", 1.0, (0.01, 0.01, 0.01))
     >>> cross = mbd.Universal(mbd.Ground().at(), arm.at(-0.5, 0, 0), axes="yz")
     >>> mbd.System([arm], [cross]).describe().freedoms
