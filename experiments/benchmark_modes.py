@@ -99,20 +99,20 @@ def large(cells: tuple[int, int] = (82, 40), layers: int = 8, modes: int = 20) -
     matrices = PlateMatrices(mesh, laminate)
     clamped = set(mesh.node_sets["left_edge"])
     keep = [6 * node + f for node in range(len(mesh.nodes)) if node not in clamped for f in range(6)]
-    pattern, slots = matrices.pattern.restrict(keep)
+    pattern, positions = matrices.pattern.restrict(keep)
     mass = matrices.lumped_mass(laminate.mass_per_area, laminate.rotary_inertia_per_area)[keep].detach()
     angles = laminate.angles.detach()
 
     def stage(angles: Tensor) -> tuple[Tensor, ...]:
         return modal_basis(
-            SparseMatrix(pattern, matrices.values(functional_call(laminate, {"angles": angles}, ()), slots)),
+            SparseMatrix(pattern, matrices.values(functional_call(laminate, {"angles": angles}, ()), positions)),
             mass,
             modes,
         )
 
     with torch.no_grad():
         values = best(lambda: stage(angles), 3)
-        K = pattern.to_scipy(matrices.values(laminate.entries().detach(), slots))
+        K = pattern.to_scipy(matrices.values(laminate.entries().detach(), positions))
     M = scipy.sparse.diags_array(mass.numpy()).tocsc()
     eigsh = best(lambda: scipy.sparse.linalg.eigsh(K, k=modes, M=M, sigma=0.0), 1)
     derivatives = best(lambda: with_tangents(stage, angles), 3) - values

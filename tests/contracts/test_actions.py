@@ -38,8 +38,8 @@ def action(kind: type[Action]) -> Action:
     return kind(tuple(torch.arange(COUNT) for _ in kind.arguments), (law,) * COUNT)
 
 
-def numbers(kind: type[Action], seed: int, slots: int = 1) -> list[Tensor]:
-    return [random(3, COUNT, slots, LANES, seed=seed + k) for k in range(len(kind.arguments))]
+def numbers(kind: type[Action], seed: int, columns: int = 1) -> list[Tensor]:
+    return [random(3, COUNT, columns, LANES, seed=seed + k) for k in range(len(kind.arguments))]
 
 
 kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)

@@ -35,8 +35,8 @@ def drive_of(kind: type[Primitive], t: Tensor, derivatives: bool = False):
     return P.prescribed_jets(t) if derivatives else tuple(x[0] for x in P.prescribed(t[None]))
 
 
-def numbers(kind: type[Primitive], slots: int = 1) -> list[Tensor]:
-    return [random(3, COUNT, slots, LANES, seed=10 + k) for k in range(len(kind.arguments))]
+def numbers(kind: type[Primitive], columns: int = 1) -> list[Tensor]:
+    return [random(3, COUNT, columns, LANES, seed=10 + k) for k in range(len(kind.arguments))]
 
 
 kinds = pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)

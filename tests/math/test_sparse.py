@@ -37,17 +37,17 @@ def test_to_scipy_agrees_also_for_unsymmetric_values(matrix):
 
 @pytest.mark.parametrize("keep", [[0, 2, 3], [5, 1, 6, 0], [6, 5, 4, 3, 2, 1, 0]])
 def test_restrict_is_the_submatrix_in_the_order_asked_for(matrix, keep):
-    pattern, slots = matrix.pattern.restrict(keep)
-    small = SparseMatrix(pattern, matrix.values[..., slots])
+    pattern, positions = matrix.pattern.restrict(keep)
+    small = SparseMatrix(pattern, matrix.values[..., positions])
     assert torch.equal(small.dense(), matrix.dense()[:, keep][:, :, keep])
     assert torch.equal(matrix.restrict(keep).dense(), small.dense())
 
 
 def test_gather_sums_an_assembly():
     rows, cols = [2, 0, 1, 0, 2, 1, 0], [0, 2, 1, 0, 0, 1, 2]
-    pattern, slot = Pattern.gather(rows, cols, 3)
+    pattern, position = Pattern.gather(rows, cols, 3)
     parts = torch.arange(1.0, 8.0, dtype=torch.float64)
-    values = torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, slot, parts)
+    values = torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, position, parts)
     expected = torch.zeros(3, 3, dtype=torch.float64)
     for i, j, part in zip(rows, cols, parts, strict=True):
         expected[i, j] += part

@@ -36,12 +36,14 @@ def plate(request):
     matrices = PlateMatrices(mesh, laminate)
     edge = {i for name, nodes in mesh.node_sets.items() if name.endswith("_edge") for i in nodes}
     keep = [6 * i + f for i in range(len(mesh.nodes)) for f in range(6) if i not in edge or f > 2]
-    pattern, slots = matrices.pattern.restrict(keep)
+    pattern, positions = matrices.pattern.restrict(keep)
     mass = matrices.lumped_mass(laminate.mass_per_area, laminate.rotary_inertia_per_area)[keep].detach()
 
     def of_angle(theta):
         angles = torch.cat([theta, -theta] * pairs)
-        return SparseMatrix(pattern, matrices.values(functional_call(laminate, {"angles": angles}, ()), slots)), mass
+        return SparseMatrix(
+            pattern, matrices.values(functional_call(laminate, {"angles": angles}, ()), positions)
+        ), mass
 
     return of_angle
 

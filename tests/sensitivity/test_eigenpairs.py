@@ -78,11 +78,11 @@ def test_agrees_with_nelsons_bordered_solve_on_a_sparse_chain():
     spring = 1 + torch.rand(size, generator=make, dtype=torch.float64)
     rows = torch.cat([torch.arange(size), torch.arange(size - 1), torch.arange(1, size)])
     cols = torch.cat([torch.arange(size), torch.arange(1, size), torch.arange(size - 1)])
-    pattern, slot = Pattern.gather(rows, cols, size)
+    pattern, position = Pattern.gather(rows, cols, size)
 
     def values_of(k):
         entries = torch.cat([k + torch.cat([k[1:], k.new_zeros(1)]), -k[1:], -k[1:]])
-        return k.new_zeros(pattern.nnz).index_add(0, slot, entries)
+        return k.new_zeros(pattern.nnz).index_add(0, position, entries)
 
     mass = 1 + torch.rand(size, generator=make, dtype=torch.float64)
     change, mass_change = (torch.rand(size, generator=make, dtype=torch.float64) for _ in range(2))

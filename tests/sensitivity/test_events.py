@@ -55,7 +55,7 @@ def rebound(motion: Trajectory) -> Tensor:
     ("method", "impact"), [("generalized_alpha", RESTITUTION), ("generalized_alpha", rebound), ("rk4", RESTITUTION)]
 )
 def test_bouncing_mass_has_its_closed_form(method, impact):
-    """Three designs side by side, whose impacts lie between different output times."""
+    """Three designs in one batch, whose impacts lie between different output times."""
     fields = tensor(9.81, 7.0, 20.0)
     landing = mbd.Event(mbd.Position("mass", axis="z"), "falling")
     phases = [mbd.Phase(until=landing, impact=impact)] * 2 + [mbd.Phase()]

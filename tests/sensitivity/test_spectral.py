@@ -154,10 +154,12 @@ def ring(x, size=200):
     at = torch.arange(size)
     place = at.double()
     rows, cols = torch.cat([at, at, (at + 1) % size]), torch.cat([at, (at + 1) % size, at])
-    pattern, slot = Pattern.gather(rows, cols, size)
+    pattern, position = Pattern.gather(rows, cols, size)
     spring = 1 + x[0] * torch.cos(0.7 * place) + x[1] * torch.sin(0.1 * place**2)
     entries = torch.cat([0.01 + spring + spring.roll(1), -spring, -spring])
-    return SparseMatrix(pattern, entries.new_zeros(pattern.nnz).index_add(0, slot, entries)), torch.ones(size).double()
+    return SparseMatrix(pattern, entries.new_zeros(pattern.nnz).index_add(0, position, entries)), torch.ones(
+        size
+    ).double()
 
 
 BATCHED = {

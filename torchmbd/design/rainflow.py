@@ -73,7 +73,7 @@ class _Pairs(torch.autograd.Function):
 def pairs(y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of histories [h, n]: places of the two turning points of each cycle, and counts [h, n - 1]; 0 where there is none.
 
-    All histories are counted side by side: a stack of turning points each, from which closed cycles are taken.
+    All histories are counted at the same time: a stack of turning points each, from which closed cycles are taken.
     """
     histories, n = y.shape
     first, second = np.zeros((2, histories, n - 1), dtype=np.int64)

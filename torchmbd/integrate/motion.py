@@ -196,7 +196,7 @@ def _unfold(x: Tensor, batch: int) -> Tensor:
 
 
 def _stack(x: Tensor, dim: int | None, batch: int) -> Tensor:
-    """A batch of derivatives side by side: [component..., batch * k, lanes]."""
+    """A batch of derivatives, concatenated: [component..., batch * k, lanes]."""
     y = x[None].expand(batch, *x.shape) if dim is None else x.movedim(dim, 0)
     return y.movedim(0, -3).flatten(-3, -2)
 

@@ -155,7 +155,7 @@ class StaticIntegration:
         return history.settled(self.dynamics.least_norm, self.duration, data)
 
     def _numbers(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
-        """q and lam [times, n, slots, lanes] as functions of the data."""
+        """q and lam [times, n, 1 + n_b, lanes] as functions of the data."""
         rows: list[tuple[Tensor, Tensor]] = []
         for t, found in zip(self.times, self._found, strict=True):
             q = rest(dynamics, found, t)

@@ -146,7 +146,7 @@ class Step:
         return dz - correction, correction
 
     def size(self, correction: Tensor) -> Tensor:
-        """Size of a correction of the accelerations [slots, lanes]."""
+        """Size of a correction of the accelerations [1 + n_b, lanes]."""
         return correction[: self.model.T.n_v].abs().amax(0)
 
     def finish(self, z: Tensor, dz: Tensor | None = None) -> State:

@@ -33,7 +33,7 @@ CROSS_FORM = torch.linalg.cross(_UNIT[:, :, None], _UNIT[:, None], dim=0).reshap
 
 
 class Pair:
-    """A value with its tangents for every design variable, side by side in `full` [component..., 1 + n_b, lane]."""
+    """A value with its tangents for every design variable, concatenated in `full` [component..., 1 + n_b, lane]."""
 
     __slots__ = ("_tangent", "_value", "full")
 

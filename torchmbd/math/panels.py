@@ -7,7 +7,7 @@
     sums, shares          sums of chosen numbers, and their transpose               math/sums.py
     conjugate_gradients   (1 - H / mu) y = c                                        sparse_modes.py
 
-A batch of designs that torch treats side by side leaves the cache of the processor with every operation; one after
+A batch of designs that torch treats as one tensor leaves the cache of the processor with every operation; one after
 another they stay in it, and there is no call for each block. The same sums in another order: results agree to rounding.
 `panels` gives None where there is no compiled code (no compiler, not built yet, another device): torch does it then.
 Tensors are float64 on the CPU. No autograd inside. Checked in tests/math/test_panels.py.

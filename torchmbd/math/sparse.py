@@ -68,13 +68,13 @@ class Pattern:
 
     @staticmethod
     def gather(rows: ArrayLike | Tensor, cols: ArrayLike | Tensor, size: int) -> tuple[Pattern, Tensor]:
-        """Sort and merge any coordinates: the pattern, and for each given coordinate its slot among the values.
+        """Sort and merge any coordinates: the pattern, and for each given coordinate its position among the values.
 
-        An assembly is then `values = zeros(nnz).index_add(0, slot, contributions)`.
+        An assembly is then `values = zeros(nnz).index_add(0, position, contributions)`.
         """
         key = _indices("rows", rows, size) * size + _indices("cols", cols, size)
-        unique, slot = torch.unique(key, sorted=True, return_inverse=True)
-        return Pattern(torch.div(unique, size, rounding_mode="floor"), unique % size, size), slot
+        unique, position = torch.unique(key, sorted=True, return_inverse=True)
+        return Pattern(torch.div(unique, size, rounding_mode="floor"), unique % size, size), position
 
     @property
     def nnz(self) -> int:
@@ -93,23 +93,23 @@ class Pattern:
 
     @cached_property
     def transposed(self) -> Tensor:
-        """For each value the slot of its mirror image [nnz]."""
+        """For each value the position of its mirror image [nnz]."""
         return torch.argsort(self.cols * self.size + self.rows)
 
     def restrict(self, keep: ArrayLike | Tensor) -> tuple[Pattern, Tensor]:
-        """Keep rows and columns `keep`, in that order: the smaller pattern, and the slots of its values.
+        """Keep rows and columns `keep`, in that order: the smaller pattern, and the positions of its values.
 
-        `values[..., slots]` are the values of the submatrix. A permutation of all rows is a renumbering.
+        `values[..., positions]` are the values of the submatrix. A permutation of all rows is a renumbering.
         """
         kept = _indices("keep", keep, self.size)
-        position = torch.full((self.size,), -1, dtype=torch.long)
-        position[kept] = torch.arange(len(kept))
-        if int((position >= 0).sum()) != len(kept):
+        row_of = torch.full((self.size,), -1, dtype=torch.long)
+        row_of[kept] = torch.arange(len(kept))
+        if int((row_of >= 0).sum()) != len(kept):
             raise InputError("keep names a row more than once; each at most once is allowed")
-        rows, cols = position[self.rows], position[self.cols]
-        slots = ((rows >= 0) & (cols >= 0)).nonzero().squeeze(-1)
-        slots = slots[torch.argsort(rows[slots] * len(kept) + cols[slots])]
-        return Pattern(rows[slots], cols[slots], len(kept)), slots
+        rows, cols = row_of[self.rows], row_of[self.cols]
+        positions = ((rows >= 0) & (cols >= 0)).nonzero().squeeze(-1)
+        positions = positions[torch.argsort(rows[positions] * len(kept) + cols[positions])]
+        return Pattern(rows[positions], cols[positions], len(kept)), positions
 
     def to_scipy(self, values: Tensor | np.ndarray) -> scipy.sparse.csc_array:
         """One design's values [nnz] as a SciPy matrix (both triangles)."""
@@ -144,8 +144,8 @@ class SparseMatrix:
 
     def restrict(self, keep: ArrayLike | Tensor) -> SparseMatrix:
         """Keep rows and columns `keep`, in that order."""
-        pattern, slots = self.pattern.restrict(keep)
-        return SparseMatrix(pattern, self.values[..., slots], self.symmetric)
+        pattern, positions = self.pattern.restrict(keep)
+        return SparseMatrix(pattern, self.values[..., positions], self.symmetric)
 
     def dense(self) -> Float[Tensor, "*lanes n n"]:
         """All size x size numbers."""

@@ -39,7 +39,7 @@ class Batch(Protocol[T_co]):
 class Elsewhere(Protocol):
     """What a problem has, beside what every problem has (optimizer.py), that evaluates elsewhere.
 
-    Its number `at_once` tells how many batches it evaluates side by side, in about the time of one.
+    Its number `at_once` is how many batches it evaluates in parallel, in about the time of one.
     """
 
     def begin(self, X: np.ndarray, gradients: bool, among: int) -> Batch[Any]:
@@ -66,7 +66,7 @@ class Done(Generic[T]):
 
 
 def at_once(problem: Any) -> int:
-    """Return how many batches a problem evaluates side by side."""
+    """Return how many batches a problem evaluates in parallel."""
     return getattr(problem, "at_once", 1)
 
 

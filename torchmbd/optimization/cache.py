@@ -76,7 +76,7 @@ class Remembered(Generic[T]):
 
     @property
     def at_once(self) -> int:
-        """How many batches are evaluated side by side."""
+        """How many batches are evaluated in parallel."""
         return at_once(self.source)
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[T]:

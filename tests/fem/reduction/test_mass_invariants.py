@@ -13,9 +13,9 @@ from torchmbd.math.sparse import Pattern, SparseMatrix
 def sparse(A) -> SparseMatrix:
     A = np.asarray(A)
     i, j = (k.ravel() for k in np.indices(A.shape))
-    pattern, slot = Pattern.gather(i, j, len(A))
+    pattern, position = Pattern.gather(i, j, len(A))
     return SparseMatrix(
-        pattern, torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, slot, torch.tensor(A.ravel()))
+        pattern, torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, position, torch.tensor(A.ravel()))
     )
 
 

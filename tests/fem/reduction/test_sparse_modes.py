@@ -108,9 +108,9 @@ def test_nothing_of_the_size_of_a_dense_matrix_is_ever_made():
     size, n = 3000, 5
     rows = torch.cat([torch.arange(size), torch.arange(size - 1), torch.arange(1, size)])
     cols = torch.cat([torch.arange(size), torch.arange(1, size), torch.arange(size - 1)])
-    pattern, slot = Pattern.gather(rows, cols, size)
+    pattern, position = Pattern.gather(rows, cols, size)
     entries = torch.cat([torch.full((size,), 2.0), torch.full((2 * size - 2,), -1.0)]).double()
-    K = torch.zeros(1, pattern.nnz, dtype=torch.float64).index_add(1, slot, entries[None])
+    K = torch.zeros(1, pattern.nnz, dtype=torch.float64).index_add(1, position, entries[None])
     with _LargestTensor() as largest:
         modes = SparseModes(Sparse(pattern), Diagonal(size), K, torch.ones(1, size, dtype=torch.float64), n)
         values, _ = modes.lowest()

@@ -83,10 +83,10 @@ def test_tangents_of_the_data_are_those_of_jacfwd():
     data = system.dynamics(own, tangents=names).data
     h = 1e-6
     variables = [(name, i) for name in names for i in range(own[name].shape[1])]
-    for slot, (name, i) in enumerate(variables):
+    for k, (name, i) in enumerate(variables):
         moved = [own | {name: own[name] + sign * h * torch.eye(own[name].shape[1]).double()[i]} for sign in (1, -1)]
         Kr = [torch.linalg.eigvalsh(system.dynamics(x).data["Kr"][..., 0, 0].permute(2, 0, 1)) for x in moved]
-        K, dK = data["Kr"].value[..., 0, 0].permute(2, 0, 1), data["Kr"].tangent[..., slot, 0].permute(2, 0, 1)
+        K, dK = data["Kr"].value[..., 0, 0].permute(2, 0, 1), data["Kr"].tangent[..., k, 0].permute(2, 0, 1)
         vectors = torch.linalg.eigh(K).eigenvectors
         slopes = torch.einsum("bim,bij,bjm->bm", vectors, dK, vectors)
         assert_close(slopes, (Kr[0] - Kr[1]) / (2 * h), rtol=0, atol=1e-6 * float(K.abs().max()))

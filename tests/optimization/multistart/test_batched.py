@@ -15,7 +15,7 @@ from torchmbd.optimization.multistart import multistart
 
 
 class Elsewhere:
-    """A problem that threads evaluate, `at_once` batches side by side; a batch of design k takes `seconds(k)`."""
+    """A problem that threads evaluate, `at_once` batches in parallel; a batch of design k takes `seconds(k)`."""
 
     def __init__(self, problem, at_once, seconds=lambda X: 0.0):
         self.problem, self.at_once, self.seconds = problem, at_once, seconds

@@ -86,16 +86,17 @@ class Assembly:
         return self.freedoms.free[~(used | heavy)]
 
     def _prepare_stiffness(self) -> None:
-        """Where the values of every part go in the common pattern of the free freedoms: (source, slot, factor)."""
+        """Where the values of every part go in the common pattern of the free freedoms: (source, position, factor)."""
         reduced = [self.freedoms.reduced(part.pattern) for part in self.parts.values()]
         if len(reduced) == 1:
-            self.pattern, slots = reduced[0][0], [torch.arange(reduced[0][0].nnz)]
+            self.pattern, positions = reduced[0][0], [torch.arange(reduced[0][0].nnz)]
         else:
             rows, cols = (torch.cat([getattr(pattern, name) for pattern, *_ in reduced]) for name in ("rows", "cols"))
-            self.pattern, slot = Pattern.gather(rows, cols, len(self.freedoms.free))
-            slots = list(slot.split([pattern.nnz for pattern, *_ in reduced]))
+            self.pattern, position = Pattern.gather(rows, cols, len(self.freedoms.free))
+            positions = list(position.split([pattern.nnz for pattern, *_ in reduced]))
         self._places = [
-            (source, place[slot], factor) for (_, source, slot, factor), place in zip(reduced, slots, strict=True)
+            (source, place[position], factor)
+            for (_, source, position, factor), place in zip(reduced, positions, strict=True)
         ]
 
     def _prepare_mass(self) -> None:
@@ -105,10 +106,10 @@ class Assembly:
         pairs = torch.stack([ends[:, [0, 0, 1, 1]], ends[:, [0, 1, 0, 1]]], dim=-1)  # [points, 4, 2]
         rows, cols = (6 * pairs[..., k, None] + local for k, local in ((0, i), (1, j)))  # [points, 4, entries]
         pattern, entry = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(self.mesh.nodes))
-        self.mass_pattern, source, slot, factor = self.freedoms.reduced(pattern)
+        self.mass_pattern, source, position, factor = self.freedoms.reduced(pattern)
         # M values = sum over (point, corner, entry) with the weight 1/4, then through T.
         self._mass_entry, self._mass_size = entry, pattern.nnz
-        self._mass_source, self._mass_slot, self._mass_factor = source, slot, factor
+        self._mass_source, self._mass_position, self._mass_factor = source, position, factor
 
     def stiffness(self) -> SparseMatrix:
         """K of the free freedoms."""
@@ -138,8 +139,8 @@ class Assembly:
             return SparseMatrix(self.pattern, values[0], symmetric=True)
         lanes = np.broadcast_shapes(*(v.shape[:-1] for v in values))
         total = values[0].new_zeros(*lanes, self.pattern.nnz)
-        for (_, slot, factor), v in zip(self._places, values, strict=True):
-            total = total.index_add(-1, slot, (v * factor).expand(*lanes, -1))
+        for (_, position, factor), v in zip(self._places, values, strict=True):
+            total = total.index_add(-1, position, (v * factor).expand(*lanes, -1))
         return SparseMatrix(self.pattern, total, symmetric=True)
 
     def masses(self) -> MassPoints:
@@ -168,7 +169,7 @@ class Assembly:
         corners = (inertia[..., None, :] / 4.0).expand(*inertia.shape[:-1], 4, -1).flatten(-3)
         values = mass.new_zeros(*mass.shape[:-1], self._mass_size).index_add(-1, self._mass_entry, corners)
         small = mass.new_zeros(*mass.shape[:-1], self.mass_pattern.nnz)
-        small = small.index_add(-1, self._mass_slot, values[..., self._mass_source] * self._mass_factor)
+        small = small.index_add(-1, self._mass_position, values[..., self._mass_source] * self._mass_factor)
         return SparseMatrix(self.mass_pattern, small)
 
     def places(self, x: Float[Tensor, "n 3"], arm: Tensor | None) -> Float[Tensor, "*lanes points 3"]:

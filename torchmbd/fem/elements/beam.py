@@ -101,7 +101,7 @@ class BeamMatrices:
         self.stations, self._weights, self._running = 0.5 + points, weights, cumulative(stations)
         freedoms = (6 * self.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
         rows, cols = freedoms[:, :, None].expand(-1, 12, 12), freedoms[:, None, :].expand(-1, 12, 12)
-        self.pattern, self._slot = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
+        self.pattern, self._position = Pattern.gather(rows.flatten(), cols.flatten(), 6 * len(mesh.nodes))
         self._place(mesh.nodes)
 
     def at(self, nodes: Float[Tensor, "*lanes n 3"]) -> BeamMatrices:
@@ -132,7 +132,7 @@ class BeamMatrices:
         k = balanced_inverse(self.flexibility(balanced_inverse(stiffness)))
         element = (self._ends.mT @ k @ self._ends).flatten(-3)
         result = element.new_zeros(*element.shape[:-1], self.pattern.nnz)
-        return result.index_add(-1, self._slot, element)
+        return result.index_add(-1, self._position, element)
 
     def stiffness(self, stiffness: Float[Tensor, "*lanes m g 6 6"]) -> SparseMatrix:
         """K of one design or of a batch."""

@@ -86,7 +86,7 @@ class Freedoms:
         self.rows, self.cols, self.factor = (torch.cat(part)[order] for part in (rows, cols, factor))
 
     def reduced(self, pattern: Pattern) -> tuple[Pattern, Tensor, Tensor, Tensor]:
-        """Return the pattern of T' K T, and (source, slot, factor): values[slot] sum up factor * values_of_K[source]."""
+        """The pattern of T' K T, and (source, position, factor): values[position] sum up factor * values_of_K[source]."""
         if self.plain:
             small, source = pattern.restrict(self.free)
             return small, source, torch.arange(small.nnz), self.factor.new_ones(small.nnz)
@@ -98,8 +98,8 @@ class Freedoms:
         r, c = pattern.rows[source], pattern.cols[source]
         left = first[r] + torch.div(within, count[c], rounding_mode="floor")
         right = first[c] + within % count[c]
-        small, slot = Pattern.gather(self.cols[left], self.cols[right], len(self.free))
-        return small, source, slot, self.factor[left] * self.factor[right]
+        small, position = Pattern.gather(self.cols[left], self.cols[right], len(self.free))
+        return small, source, position, self.factor[left] * self.factor[right]
 
     def expand(self, vectors: Float[Tensor, "*lanes N k"]) -> Float[Tensor, "*lanes n 6 k"]:
         """Return T times columns: the motion of all nodes."""

@@ -61,10 +61,10 @@ def assembled(pattern: Pattern, cells: Sequence[StressedCells]) -> Float[Tensor,
         small = rows.flatten(-4, -2).mT @ m  # [*lanes, k, m, f, f]
         freedoms = (6 * own.nodes[:, :, None] + torch.arange(6)).flatten(1)
         place = freedoms[:, :, None] * pattern.size + freedoms[:, None, :]
-        slot = torch.searchsorted(key, place.flatten())
+        position = torch.searchsorted(key, place.flatten())
         values = 0.5 * (small + small.mT)
         empty = values.new_zeros(*values.shape[:-3], pattern.nnz)
-        found = empty.index_add(-1, slot, values.flatten(-3))
+        found = empty.index_add(-1, position, values.flatten(-3))
         total = found if total is None else total + found
     assert total is not None
     return total

@@ -122,7 +122,7 @@ class PlateMatrices:
 
     def _numbers(self) -> _Numbers:
         """Numbers of K on the pattern, which is found here."""
-        self.pattern, slots = _block_pattern([own.corners for own in self.kinds.values()], len(self.mesh.nodes))
+        self.pattern, positions = _block_pattern([own.corners for own in self.kinds.values()], len(self.mesh.nodes))
         made, sources, count = [], [], 0
         self.variants: list[tuple[CellStiffness, Tensor]] = []  # of each kind: its matrices, and which one a cell has
         laminates = self.zones.split([len(own.shape) for own in self.kinds.values()])
@@ -133,8 +133,8 @@ class PlateMatrices:
             made.append(cell)
             self.variants.append((cell, variant))
             count += cell.numbers
-        slot = torch.cat([x.flatten() for x in slots])
-        return _Numbers(made, Sums.of(slot, torch.cat(sources), (self.pattern.nnz, count)))
+        position = torch.cat([x.flatten() for x in positions])
+        return _Numbers(made, Sums.of(position, torch.cat(sources), (self.pattern.nnz, count)))
 
     @property
     def axes(self) -> Float[Tensor, "m 3 3"]:
@@ -203,7 +203,7 @@ class PlateMatrices:
 
 
 def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
-    """Pattern of 6 x 6 blocks between nodes that share a cell, and for each kind the slots of every cell's numbers.
+    """Pattern of 6 x 6 blocks between nodes that share a cell, and for each kind the positions of every cell's numbers.
 
     The place of a number follows from the place of its block, so only the node pairs are sorted, not all coordinates.
     """
@@ -216,12 +216,12 @@ def _block_pattern(kinds: list[Tensor], n: int) -> tuple[Pattern, list[Tensor]]:
     six = torch.arange(6)
     # [block, r, c]: all blocks of the rows before, then r whole rows of this row of blocks, then the blocks before.
     start = 36 * first[row, None, None] + 6 * degree[row, None, None] * six[:, None]
-    slots = start + 6 * place[:, None, None] + six
-    rows, cols = torch.empty(slots.numel(), dtype=torch.long), torch.empty(slots.numel(), dtype=torch.long)
-    rows[slots.flatten()] = (6 * row[:, None, None] + six[:, None]).expand_as(slots).flatten()
-    cols[slots.flatten()] = (6 * col[:, None, None] + six).expand_as(slots).flatten()
+    positions = start + 6 * place[:, None, None] + six
+    rows, cols = torch.empty(positions.numel(), dtype=torch.long), torch.empty(positions.numel(), dtype=torch.long)
+    rows[positions.flatten()] = (6 * row[:, None, None] + six[:, None]).expand_as(positions).flatten()
+    cols[positions.flatten()] = (6 * col[:, None, None] + six).expand_as(positions).flatten()
     cells = []
     for corners, own in zip(kinds, block.split([len(p) for p in pairs]), strict=True):
         m, c = corners.shape
-        cells.append(slots[own].reshape(m, c, c, 6, 6).transpose(2, 3).reshape(m, 6 * c, 6 * c))
+        cells.append(positions[own].reshape(m, c, c, 6, 6).transpose(2, 3).reshape(m, 6 * c, 6 * c))
     return Pattern(rows, cols, 6 * n), cells

@@ -83,8 +83,8 @@ def _restricted(pattern: Pattern, interface: tuple[int, ...]) -> tuple[Pattern, 
 def interior(matrix: Matrix, interface: tuple[int, ...], size: int) -> Matrix:
     """The interior rows and columns of a matrix in any form that modal_basis takes."""
     if isinstance(matrix, SparseMatrix):
-        pattern, slots = _restricted(matrix.pattern, interface)
-        return SparseMatrix(pattern, matrix.values[..., slots])
+        pattern, positions = _restricted(matrix.pattern, interface)
+        return SparseMatrix(pattern, matrix.values[..., positions])
     keep = interior_freedoms(interface, size)
     diagonal = matrix.dim() == 1 or matrix.shape[-2] != size
     return matrix[..., keep] if diagonal else matrix[..., keep, :][..., keep]
@@ -102,8 +102,8 @@ class Split:
     def factorize(self, K: Tensor) -> None:
         form: Form
         if isinstance(self.pencil.K_form, Sparse):
-            pattern, slots = _restricted(self.pencil.K_form.pattern, self.interface)
-            form, values = Sparse(pattern), K[:, slots]
+            pattern, positions = _restricted(self.pencil.K_form.pattern, self.interface)
+            form, values = Sparse(pattern), K[:, positions]
         else:
             form, values = Dense(len(self.interior)), K[:, self.interior][:, :, self.interior]
         self.layout = partition(form, Diagonal(form.size))

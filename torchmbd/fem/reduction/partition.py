@@ -36,10 +36,10 @@ class Partition:
     def sizes(self) -> list[int]:
         return [end - start for start, end in zip(self.bounds, self.bounds[1:], strict=False)]
 
-    def slots(self, rows: Tensor, cols: Tensor) -> tuple[Tensor, Tensor, int]:
+    def positions(self, rows: Tensor, cols: Tensor) -> tuple[Tensor, Tensor, int]:
         """Where entries go in the storage D_0, D_1, ..., B_1, B_2, ... of diagonal and lower blocks, row by row.
 
-        Returns the entries that are stored (those of lower blocks), their slots, and the length of the storage.
+        Returns the entries that are stored (those of lower blocks), their positions, and the length of the storage.
         """
         bounds = torch.tensor(self.bounds)
         size = bounds.diff()
@@ -105,12 +105,12 @@ def _cut(rows: np.ndarray, cols: np.ndarray, size: int) -> list[int]:
 
 @lru_cache(maxsize=64)
 def form_sums(layout: Partition, form: Form) -> Sums:
-    """From the values of a form, flattened to one dimension, to the storage: `Partition.slots`."""
+    """From the values of a form, flattened to one dimension, to the storage: `Partition.positions`."""
     if isinstance(form, Sparse):
         rows, cols = form.pattern.rows, form.pattern.cols
     else:
         every = torch.arange(form.size)
         dense = isinstance(form, Dense)
         rows, cols = (every.repeat_interleave(form.size), every.repeat(form.size)) if dense else (every, every)
-    stored, slots, length = layout.slots(rows, cols)
-    return Sums.of(slots, stored, (length, len(rows)))
+    stored, positions, length = layout.positions(rows, cols)
+    return Sums.of(positions, stored, (length, len(rows)))

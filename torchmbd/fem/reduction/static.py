@@ -27,7 +27,7 @@ class StaticLoads:
         free, load = torch.arange(n).repeat_interleave(k), n + torch.arange(k).repeat(n)
         own = n + torch.arange(k)
         rows, cols = torch.cat([pattern.rows, free, load, own]), torch.cat([pattern.cols, load, free, own])
-        self.pattern, self._slot = Pattern.gather(rows, cols, n + k)
+        self.pattern, self._position = Pattern.gather(rows, cols, n + k)
         self.loads = tuple(range(n, n + k))
         self._one = torch.ones(n + k, dtype=torch.float64)
 
@@ -37,7 +37,7 @@ class StaticLoads:
         lanes = np.broadcast_shapes(K.values.shape[:-1], F.shape[:-2])
         flat = F.expand(*lanes, n, k).flatten(-2)
         numbers = torch.cat([K.values.expand(*lanes, -1), -flat, -flat, F.new_ones(*lanes, k)], -1)
-        values = numbers.new_zeros(*lanes, self.pattern.nnz).index_copy(-1, self._slot, numbers)
+        values = numbers.new_zeros(*lanes, self.pattern.nnz).index_copy(-1, self._position, numbers)
         try:
             modes, _ = constraint_modes(SparseMatrix(self.pattern, values, symmetric=True), self._one, self.loads)
         except InputError as error:

@@ -34,8 +34,8 @@ class WarpingProblem:
         self.geometry = geometry
         n, nodes = geometry.nodes, geometry.connectivity
         pair = (nodes[:, :, None] * n + nodes[:, None, :]).flatten()
-        unique, slot = torch.unique(pair, return_inverse=True)
-        self.blocks, self.slot = len(unique), slot
+        unique, position = torch.unique(pair, return_inverse=True)
+        self.blocks, self.position = len(unique), position
         indptr = np.concatenate([[0], np.cumsum(np.bincount(unique // n, minlength=n))])
         order = np.arange(9 * self.blocks, dtype=np.float64).reshape(-1, 3, 3)
         csc = bsr_array((order, unique % n, indptr), shape=(3 * n, 3 * n)).tocsc()
@@ -55,7 +55,7 @@ class WarpingProblem:
         """E of one design, its held freedoms replaced by the identity."""
         k = element.shape[-1] // 3
         blocks = element.reshape(-1, k, 3, k, 3).transpose(2, 3).reshape(-1, 3, 3)
-        data = element.new_zeros(self.blocks, 3, 3).index_add_(0, self.slot, blocks).numpy().ravel()[self._order]
+        data = element.new_zeros(self.blocks, 3, 3).index_add_(0, self.position, blocks).numpy().ravel()[self._order]
         data[self._removed] = 0.0
         data[self._diagonal] = 1.0
         return csc_array((data, self._indices, self._indptr), shape=(len(self._indptr) - 1,) * 2)

@@ -24,13 +24,13 @@ struct Job {
   const double *start;                             // a at the start [block][N_V][LANES]
   double *values;                                  // [block][data][LANES]
   const double *moved;                             // [steps][block][1 + any][moving][LANES]
-  const double *stay, *lost;                       // [N], or null
+  const double *row_mask, *diagonal_shift;         // [N], or null
   const double *nothing;                           // [block][LANES], see stepper.py
   double *slopes, *moved_slopes;                   // [block][rows][data][LANES], [steps][block][rows][moving][LANES], zeros
   double *state_slopes;                            // [block][rows][N_X][LANES], in: by the last state, out: by the first
   double *error;                                   // [block][LANES], estimated relative error of mu
   double *room;                                    // scratch
-  long moved_slots, corrections;                   // 1 + any; of mu, at least
+  long moved_columns, corrections;                 // 1 + any; of mu, at least
   const Mechanism *mechanism;
   long read;                                       // only the signals are wanted: no rows, no strengths
   double *signals;                                 // [steps][block][2 called][LANES]
@@ -104,7 +104,7 @@ extern "C" long adjoint(const Job* job) {
     state(J, p, J.steps, block, valid, x);
     for (long i = J.steps - 1; i >= 0; i--) {
       if (J.moving) {
-        const V* from = (const V*)J.moved + (i * blocks + block) * J.moved_slots * J.moving;
+        const V* from = (const V*)J.moved + (i * blocks + block) * J.moved_columns * J.moving;
         std::memcpy((void*)(values + J.data - J.moving), from, J.moving * sizeof(V));
       }
       in.u = J.given + i * J.uniform;
@@ -123,8 +123,8 @@ extern "C" long adjoint(const Job* job) {
       in.strengths = (const V*)J.strengths + step * m.called;
       if (m.called) in.slopes = (const V*)J.law_slopes + step * 2 * m.pairs;
       in.signal_bars = worth;
-      if (i % CHECK == 0 && !reliable(in, m, c, J.stay, J.lost, K, R)) return 1;
-      if (i % CHECK) renew(in, m, N_, J.stay, J.lost, K);
+      if (i % CHECK == 0 && !reliable(in, m, c, J.row_mask, J.diagonal_shift, K, R)) return 1;
+      if (i % CHECK) renew(in, m, N_, J.row_mask, J.diagonal_shift, K);
       boundary(in);
       for (long s = 0; s < S; s++) {
         V *y = ys + s * n_x, *own = slopes + s * J.data, *of_motion = (V*)J.strength_bars + (step * S + s) * m.called;

@@ -31,7 +31,7 @@ from torchmbd.results.state import State
 
 _NUMBERS = ("lanes", "rows", "data", "uniform", "steps", "moving")
 _ARRAYS = ("given", "q", "v", "vd", "lam", "q_bar", "v_bar", "vd_bar", "lam_bar", "start", "values", "moved")
-_ARRAYS += ("stay", "lost", "nothing", "slopes", "moved_slopes", "state_slopes", "error", "room")
+_ARRAYS += ("row_mask", "diagonal_shift", "nothing", "slopes", "moved_slopes", "state_slopes", "error", "room")
 
 
 class _Job(ctypes.Structure):
@@ -40,7 +40,7 @@ class _Job(ctypes.Structure):
     _fields_ = [
         *((n, ctypes.c_long) for n in _NUMBERS),
         *((n, ctypes.c_void_p) for n in _ARRAYS),
-        ("moved_slots", ctypes.c_long),
+        ("moved_columns", ctypes.c_long),
         ("corrections", ctypes.c_long),
         ("mechanism", ctypes.c_void_p),
         ("read", ctypes.c_long),

@@ -26,14 +26,14 @@ def flat_data(dynamics: Dynamics) -> tuple[Tensor, Tensor]:
 
     Behind them room for what laws with design variables prescribe, `moving`.
     """
-    lanes, slots = dynamics.lanes, dynamics.tangents
+    lanes, n_b = dynamics.lanes, dynamics.tangents
     parts = [linear(lambda y: y.reshape(-1, *y.shape[-2:]), x) for x in _in_memory(dynamics).values()]
     T = dynamics.topology
     room = sum(T.primitives[i].driven * len(T.primitives[i].data) for i in T.varied)
     parts.append(value(parts[0]).new_zeros(room, 1, 1))
 
     def tangents(x: Any) -> Tensor:
-        found = x.tangent if isinstance(x, Pair) else x.new_zeros(len(x), slots, 1)
+        found = x.tangent if isinstance(x, Pair) else x.new_zeros(len(x), n_b, 1)
         return found.expand(-1, -1, lanes)
 
     return torch.cat([value(x).expand(-1, 1, lanes) for x in parts]), torch.cat([tangents(x) for x in parts])

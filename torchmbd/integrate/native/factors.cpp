@@ -127,8 +127,8 @@ void solve(const Mechanism& m, long unknowns, const V* K, V* b) {
   }
 }
 
-// The matrix at the values of `in`; in.entries is scratch. stay, lost: see Dynamics.diagonal.
-void fill(const In& in, const Mechanism& m, const double* stay, const double* lost, V* K) {
+// The matrix at the values of `in`; in.entries is scratch. row_mask, diagonal_shift: see Dynamics.diagonal.
+void fill(const In& in, const Mechanism& m, const double* row_mask, const double* diagonal_shift, V* K) {
   matrix(in);
   V* entries = in.entries;
   const N& n = in.n;
@@ -139,22 +139,22 @@ void fill(const In& in, const Mechanism& m, const double* stay, const double* lo
   for (long e = 0; e < m.fills; e++) K[m.to[e]] += m.factor[e] * entries[m.from[e]];
   for (long e = 0; e < m.products; e++)
     K[m.product_to[e]] += m.product_factor[e] * entries[m.weight[e]] * entries[m.first[e]] * entries[m.second[e]];
-  if (!stay) return;
+  if (!row_mask) return;
   for (long e = 0; e < m.numbers; e++) {
-    K[e] *= stay[m.row[e]] * stay[m.column[e]];
-    if (m.row[e] == m.column[e]) K[e] -= lost[m.row[e]];
+    K[e] *= row_mask[m.row[e]] * row_mask[m.column[e]];
+    if (m.row[e] == m.column[e]) K[e] -= diagonal_shift[m.row[e]];
   }
 }
 
-void renew(const In& in, const Mechanism& m, long unknowns, const double* stay, const double* lost, V* K) {
-  fill(in, m, stay, lost, K);
+void renew(const In& in, const Mechanism& m, long unknowns, const double* row_mask, const double* diagonal_shift, V* K) {
+  fill(in, m, row_mask, diagonal_shift, K);
   factor(m, unknowns, K);
 }
 
 // Renews the factors and solves for the row sums: all rates must come out as one. A lane whose matrix is nan says nothing.
-bool reliable(const In& in, const Mechanism& m, const Counts& c, const double* stay, const double* lost, V* K, V* b) {
+bool reliable(const In& in, const Mechanism& m, const Counts& c, const double* row_mask, const double* diagonal_shift, V* K, V* b) {
   V sound = spread(0.0);
-  fill(in, m, stay, lost, K);
+  fill(in, m, row_mask, diagonal_shift, K);
   std::memset((void*)b, 0, c.unknowns * sizeof(V));
   for (long e = 0; e < m.numbers; e++) {
     b[m.row[e]] += K[e];

@@ -8,7 +8,7 @@ enum { STRENGTHS, SLOPES, TANGENTS };  // what is asked for, each with those bef
 // Of one block of lanes, [number][LANES] each.
 struct Feedback {
   long (*call)(long what, long step, long block);  // makes the others of the signals; not 0: it raised
-  V *signals, *strengths, *slopes, *tangents;      // [2 called], [called], [2][pairs], [slots][called]: at constant signals
+  V *signals, *strengths, *slopes, *tangents;      // [2 called], [called], [2][pairs], [n_b][called]: at constant signals
   V *strength_tangents;                            // [called], scratch
 };
 
@@ -29,10 +29,10 @@ namespace {
 }
 
 // Strength tangents out of those of the signals, which stand in `signals`, and of the weights.
-[[maybe_unused]] void strength_tangents(const In& in, const Mechanism& m, const Feedback* f, long slot) {
+[[maybe_unused]] void strength_tangents(const In& in, const Mechanism& m, const Feedback* f, long column) {
   const V* ds = in.signals;
   V* df = f->strength_tangents;
-  std::memcpy((void*)df, f->tangents + slot * m.called, m.called * sizeof(V));
+  std::memcpy((void*)df, f->tangents + column * m.called, m.called * sizeof(V));
   for (long p = 0; p < m.pairs; p++)
     df[m.pair_to[p]] += in.slopes[p] * ds[m.pair_from[p]] + in.slopes[m.pairs + p] * ds[m.called + m.pair_from[p]];
 }

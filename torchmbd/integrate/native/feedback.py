@@ -92,13 +92,13 @@ class _Struct(ctypes.Structure):
 class Feedback:
     """What is called back while steps are made. times: of the ends of the steps to come, set before these."""
 
-    def __init__(self, laws: CalledLaws, data: Mapping[str, Any], lanes: int, slots: int):
+    def __init__(self, laws: CalledLaws, data: Mapping[str, Any], lanes: int, n_b: int):
         self.laws, self.lanes, self.times = laws, lanes, torch.zeros(1, dtype=torch.float64)
         self.parameters = [p.clone() for p in laws.parameters(data)]
         names = [key(link.control.name) for link in laws.links]
         self.moves = [data[name].tangent if isinstance(data.get(name), Pair) else None for name in names]
         n, pairs = len(laws.places), len(laws.pairs)
-        shapes = [(2 * n,), (n,), (2, pairs), (slots, n), (n,)]
+        shapes = [(2 * n,), (n,), (2, pairs), (n_b, n), (n,)]
         self.arrays = [torch.zeros(*shape, LANES, dtype=torch.float64) for shape in shapes]
         self.own = [p[:0] if p.shape[1] == 1 else p for p in self.parameters]
         self.error: BaseException | None = None

@@ -165,7 +165,7 @@ def _mechanism(T: Topology, known: Dynamics, kind: str, code: ctypes.CDLL) -> An
 
 
 def _load(dynamics: Dynamics, kinds: Sequence[str]) -> None:
-    """Load libraries; those that are missing are built first, side by side."""
+    """Load libraries; those that are missing are built first, in parallel."""
     missing: dict[str, str] = {}
     for kind in kinds:
         name = key(dynamics, kind)

@@ -68,7 +68,7 @@ class Mechanism:
         sizes |= {f"P{i}": len(p.members[0]) for i, p in enumerate(T.primitives)}
         sizes |= {f"A{i}": len(some) for i, some in enumerate(self.groups.values())}
         for letter, units in (("R", rows), ("D", actions)):
-            counts = (len(units.flexible_slots), len(units.pairs), len(units.flexible_pairs))
+            counts = (len(units.flexible_arguments), len(units.pairs), len(units.flexible_pairs))
             sizes |= {f"{letter}{x}": n for x, n in zip("TPF", counts, strict=True)}
         return sizes
 
@@ -83,18 +83,18 @@ class Mechanism:
             "vector_origin": T.vector_origin,
             "vector_flexible": T.vector_flexible,
             "vector_body_only": [min(b, n) for b in body],
-            "slots": T.slots,
-            "action_slots": acting,
+            "argument_vectors": T.argument_vectors,
+            "action_vectors": acting,
             "body_groups": forces + torques,
         }
         for name, units in (("row", self.blocks.rows), ("action", self.blocks.actions)):
             left_out = len(units.pairs)
             found |= {
                 f"{name}_pair_body": units.pair_body,
-                f"{name}_slot_vector": units.slot_vector,
-                f"{name}_slot_pair": [left_out if p < 0 else p for p in units.slot_pair],
+                f"{name}_argument_vector": units.argument_vector,
+                f"{name}_argument_pair": [left_out if p < 0 else p for p in units.argument_pair],
                 f"{name}_point_pair": [left_out if p < 0 else p for p in units.point_pair],
-                f"{name}_bent_slot": units.flexible_slots,
+                f"{name}_bent_argument": units.flexible_arguments,
                 f"{name}_bent_vector": units.flexible_vector,
                 f"{name}_bent_pair": units.flexible_pair,
             }

@@ -4,10 +4,10 @@
 //   signals, residual, kinematics, matrix, boundary, signal_tangents, residual_tangent, kinematics_tangent      (functions.py)
 
 struct Job {
-  long lanes, slots, data, data_tangents, check;  // check: whether the factors can be relied on, or return 1
-  const double *uniform, *values, *tangents;  // [], [block][data][LANES], [block][slots][data_tangents][LANES]
-  const double *y;                            // [N_Q + N_V][1 + slots][lanes]
-  double *dy, *lam;                           // the same; [ROWS][1 + slots][lanes]
+  long lanes, n_b, data, data_tangents, check;  // check: whether the factors can be relied on, or return 1
+  const double *uniform, *values, *tangents;  // [], [block][data][LANES], [block][n_b][data_tangents][LANES]
+  const double *y;                            // [N_Q + N_V][1 + n_b][lanes]
+  double *dy, *lam;                           // the same; [ROWS][1 + n_b][lanes]
   double *room;
   const Mechanism *mechanism;
   const Feedback *feedback;                   // or null
@@ -21,7 +21,7 @@ extern "C" long rates_room(const Mechanism* m) {
 
 extern "C" long rates(const Job* job) {
   const Job& J = *job;
-  const long S = J.slots, L = J.lanes;
+  const long S = J.n_b, L = J.lanes;
   const Mechanism& m = *J.mechanism;
   const Counts c(m);
   const long n_z = c.n_q + c.n_v;
@@ -42,17 +42,17 @@ extern "C" long rates(const Job* job) {
     const long at = block * LANES;
     const int valid = (int)(L - at < LANES ? L - at : LANES);
     point_data(in, (const V*)J.values + block * J.data);
-    auto take = [&](V* to, long slot) {
+    auto take = [&](V* to, long column) {
       for (long n = 0; n < n_z; n++) {
-        const double* from = J.y + (n * (1 + S) + slot) * L + at;
+        const double* from = J.y + (n * (1 + S) + column) * L + at;
         to[n] = spread(from[0]);  // the first lane fills an incomplete block
         std::memcpy((void*)(to + n), from, valid * sizeof(double));
       }
     };
-    auto give = [&](const V* a, long slot) {  // a holds minus (accelerations, multipliers)
-      for (long n = 0; n < c.n_q; n++) put(J.dy + (n * (1 + S) + slot) * L + at, out[n], valid);
-      for (long n = 0; n < c.n_v; n++) put(J.dy + ((c.n_q + n) * (1 + S) + slot) * L + at, -a[n], valid);
-      for (long n = 0; n < c.rows; n++) put(J.lam + (n * (1 + S) + slot) * L + at, -a[c.n_v + n], valid);
+    auto give = [&](const V* a, long column) {  // a holds minus (accelerations, multipliers)
+      for (long n = 0; n < c.n_q; n++) put(J.dy + (n * (1 + S) + column) * L + at, out[n], valid);
+      for (long n = 0; n < c.n_v; n++) put(J.dy + ((c.n_q + n) * (1 + S) + column) * L + at, -a[n], valid);
+      for (long n = 0; n < c.rows; n++) put(J.lam + (n * (1 + S) + column) * L + at, -a[c.n_v + n], valid);
     };
     take(x, 0);
     if (J.check) {

@@ -21,7 +21,7 @@ from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.progress import reach
 
 LOOK = 100  # evaluations between two looks at the factors
-_NUMBERS = ("lanes", "slots", "data", "data_tangents", "check")
+_NUMBERS = ("lanes", "n_b", "data", "data_tangents", "check")
 _ARRAYS = ("uniform", "values", "tangents", "y", "dy", "lam", "room", "mechanism", "feedback")
 
 
@@ -105,6 +105,6 @@ class RightHandSide:
 
 
 def augment(x: Any, dynamics: Dynamics) -> Tensor:
-    """Value and tangents side by side [n, 1 + n_b, lanes]."""
+    """Value and tangents, concatenated [n, 1 + n_b, lanes]."""
     full = x.full if isinstance(x, Pair) else torch.cat([x, x.new_zeros(x.shape[0], dynamics.tangents, x.shape[2])], 1)
     return full.expand(-1, -1, dynamics.lanes)

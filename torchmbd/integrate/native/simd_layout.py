@@ -19,7 +19,7 @@ LANES = 4
 
 
 def blocks(x: Tensor) -> Tensor:
-    """Numbers [n, pair, lanes] as [block, slots, n, LANES]; the last lane fills the last block."""
+    """Numbers [n, pair, lanes] as [block, 1 + n_b, n, LANES]; the last lane fills the last block."""
     missing = -x.shape[-1] % LANES
     if missing:
         x = torch.cat([x, x[..., -1:].expand(*x.shape[:-1], missing)], -1)
@@ -42,21 +42,21 @@ def in_all_lanes(x: Tensor, lanes: int) -> Tensor:
     return x.expand(*x.shape[:-1], lanes)
 
 
-def moving_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, slots: int) -> Tensor:
+def moving_blocks(T: Topology, schedule: Sequence[Prescribed], lanes: int, n_b: int) -> Tensor:
     """What laws with design variables prescribe [times, block, 1 + n_b, n, LANES]."""
     if not T.varied:
         return torch.zeros(len(schedule), 0, 0, 0, LANES, dtype=torch.float64)
-    return torch.stack([blocks(x) for x in moving(T, schedule, lanes, slots)])
+    return torch.stack([blocks(x) for x in moving(T, schedule, lanes, n_b)])
 
 
-def moving(T: Topology, schedule: Sequence[Prescribed], lanes: int, slots: int) -> Tensor:
+def moving(T: Topology, schedule: Sequence[Prescribed], lanes: int, n_b: int) -> Tensor:
     """What laws with design variables prescribe [times, n, 1 + n_b, lanes]."""
     if not T.varied:
-        return schedule[0].A.new_zeros(len(schedule), 0, 1 + slots, lanes)
+        return schedule[0].A.new_zeros(len(schedule), 0, 1 + n_b, lanes)
 
     def numbers(given: Prescribed) -> Tensor:
         parts = [x.full if isinstance(x, Pair) else x for i in T.varied for x in given.laws[i] or ()]
-        wide = [torch.cat([x, x.new_zeros(len(x), 1 + slots - x.shape[1], x.shape[2])], 1) for x in parts]
+        wide = [torch.cat([x, x.new_zeros(len(x), 1 + n_b - x.shape[1], x.shape[2])], 1) for x in parts]
         return torch.cat([in_all_lanes(x, lanes) for x in wide])
 
     return torch.stack([numbers(given) for given in schedule])

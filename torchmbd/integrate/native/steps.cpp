@@ -2,33 +2,33 @@
 //
 // Before this text stand factors.cpp, feedback.cpp and, generated,
 //   signals, residual, finish, matrix, boundary, signal_tangents, residual_tangent, finish_tangent      (functions.py)
-// A block is LANES lanes. Arrays of a block: state [slot][number], data [number], tangents of data [slot][number].
+// A block is LANES lanes. Arrays of a block: state [column][number], data [number], tangents of data [tangent][number].
 // If factors cannot be relied on, `run_steps` returns 1 and has done nothing; 2 where what was called back raised.
 
 constexpr int MOST = 4;  // as in stepper.py
 
 struct Job {
-  long lanes, slots, data, data_tangents, uniform;                // numbers of each
+  long lanes, n_b, data, data_tangents, uniform;                 // numbers of each
   long first, steps, corrections, most, refresh, look, fresh;  // look: at factors and tangents; fresh: no factors yet
   long moving;                                                   // the last of the data, which change from step to step
   const double *given;                                           // [steps][uniform]
-  double *state;                                                 // [block][1 + slots][N_X][LANES], in and out
-  double *values, *tangents;                                     // [block][data][LANES], [block][slots][data_tangents][LANES]
+  double *state;                                                 // [block][1 + n_b][N_X][LANES], in and out
+  double *values, *tangents;                                     // [block][data][LANES], [block][n_b][data_tangents][LANES]
   double *factors;                                               // [block][numbers of the matrix][LANES]
-  const double *stay, *lost;                                     // [N], or null
-  double *q, *v, *vd, *lam;                                      // records [steps][number][1 + slots][lanes]
-  double *sizes, *errors;                                        // [steps][2][lanes], [3][slots][lanes]
+  const double *row_mask, *diagonal_shift;                       // [N], or null
+  double *q, *v, *vd, *lam;                                      // records [steps][number][1 + n_b][lanes]
+  double *sizes, *errors;                                        // [steps][2][lanes], [3][n_b][lanes]
   double *room;                                                  // scratch
-  const double *moved;                                           // [steps][block][1 + slots][moving][LANES]
+  const double *moved;                                           // [steps][block][1 + n_b][moving][LANES]
   const Mechanism *mechanism;
   const double *passes;                                          // [block][LANES], corrections of tangents; `most` of all
   const Feedback *feedback;                                      // or null
 };
 
 // Bytes of scratch memory, and of the factors of a block.
-extern "C" long steps_room(const Mechanism* m, long slots) {
+extern "C" long steps_room(const Mechanism* m, long n_b) {
   const Counts c(*m);
-  return sizeof(V) * (m->numbers + c.scratch + c.entries + (2 + slots) * c.unknowns + (1 + slots) * c.n_x);
+  return sizeof(V) * (m->numbers + c.scratch + c.entries + (2 + n_b) * c.unknowns + (1 + n_b) * c.n_x);
 }
 
 extern "C" long steps_factors(const Mechanism* m) { return sizeof(V) * m->numbers; }
@@ -43,15 +43,15 @@ static void start(const Counts& c, const V* x, V* z) {
 static void move(const Job& J, long step, long block) {
   if (!J.moving) return;
   const long blocks = (J.lanes + LANES - 1) / LANES, n = J.moving;
-  const V* from = (const V*)J.moved + (step * blocks + block) * (1 + J.slots) * n;
+  const V* from = (const V*)J.moved + (step * blocks + block) * (1 + J.n_b) * n;
   std::memcpy((void*)((V*)J.values + (block + 1) * J.data - n), from, n * sizeof(V));
-  for (long s = 0; s < J.slots; s++)
-    std::memcpy((void*)((V*)J.tangents + (block * J.slots + s + 1) * J.data_tangents - n), from + (s + 1) * n, n * sizeof(V));
+  for (long s = 0; s < J.n_b; s++)
+    std::memcpy((void*)((V*)J.tangents + (block * J.n_b + s + 1) * J.data_tangents - n), from + (s + 1) * n, n * sizeof(V));
 }
 
 extern "C" long run_steps(const Job* job) {
   const Job& J = *job;
-  const int S = (int)J.slots;
+  const int S = (int)J.n_b;
   const Mechanism& m = *J.mechanism;
   const Counts c(m);
   const long N_ = c.unknowns, n_x = c.n_x;
@@ -72,7 +72,7 @@ extern "C" long run_steps(const Job* job) {
       in.u = J.given;
       start(c, in.x, z);
       if (ask(in, m, J.feedback, SLOPES, 0, block)) return 2;
-      if (!reliable(in, m, c, J.stay, J.lost, trial, R)) return 1;
+      if (!reliable(in, m, c, J.row_mask, J.diagonal_shift, trial, R)) return 1;
     }
   }
   for (long block = 0; block * LANES < J.lanes; block++) {
@@ -94,14 +94,14 @@ extern "C" long run_steps(const Job* job) {
       const long renewed = J.corrections > 1 ? (J.corrections - 1 > 1 ? J.corrections - 1 : 1) : -1;
       if (fresh) {
         if (ask(in, m, J.feedback, SLOPES, i, block)) return 2;
-        renew(in, m, N_, J.stay, J.lost, factors);
+        renew(in, m, N_, J.row_mask, J.diagonal_shift, factors);
       }
       const bool begins = fresh;
       fresh = false;
       for (long k = 0; k < J.corrections; k++) {
         const bool anew = always || (due && k == renewed);
         if (ask(in, m, J.feedback, anew ? SLOPES : STRENGTHS, i, block)) return 2;
-        if (anew) renew(in, m, N_, J.stay, J.lost, factors);
+        if (anew) renew(in, m, N_, J.row_mask, J.diagonal_shift, factors);
         residual(in);
         solve(m, N_, factors, R);
         for (long n = 0; n < N_; n++) z[n] -= R[n];
@@ -111,7 +111,7 @@ extern "C" long run_steps(const Job* job) {
       }
       const bool last = due && J.corrections == 1;
       if ((S || last) && ask(in, m, J.feedback, S ? TANGENTS : SLOPES, i, block)) return 2;
-      if (last) renew(in, m, N_, J.stay, J.lost, factors);
+      if (last) renew(in, m, N_, J.row_mask, J.diagonal_shift, factors);
       finish(in);
       if (S) boundary(in);
       for (int s = 0; s < S; s++) {

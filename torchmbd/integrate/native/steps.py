@@ -33,9 +33,10 @@ from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.progress import reach
 from torchmbd.results.state import State
 
-_NUMBERS = ("lanes", "slots", "data", "data_tangents", "uniform", "first", "steps", "corrections", "most", "refresh")
+_NUMBERS = ("lanes", "n_b", "data", "data_tangents", "uniform", "first", "steps", "corrections", "most", "refresh")
 _NUMBERS += ("look", "fresh", "moving")
-_ARRAYS = ("given", "state", "values", "tangents", "factors", "stay", "lost", "q", "v", "vd", "lam", "sizes", "errors")
+_ARRAYS = ("given", "state", "values", "tangents", "factors", "row_mask", "diagonal_shift", "q", "v", "vd", "lam")
+_ARRAYS += ("sizes", "errors")
 _ARRAYS += ("room", "moved", "mechanism", "passes", "feedback")
 
 
@@ -67,14 +68,14 @@ class NativeStepper(EagerStepper):
         super().__init__(dynamics, Model.of(dynamics, w), iterations, refresh)
         self.code: ctypes.CDLL | None = library.code
         code, self.library = library.code, library
-        self.lanes, self.slots, self.fresh = dynamics.lanes, dynamics.tangents, 1
+        self.lanes, self.n_b, self.fresh = dynamics.lanes, dynamics.tangents, 1
         code.steps_room.restype = code.steps_factors.restype = code.run_steps.restype = ctypes.c_long
         code.steps_room.argtypes, code.steps_factors.argtypes = [ctypes.c_void_p, ctypes.c_long], [ctypes.c_void_p]
         self.weights = torch.tensor(w, dtype=torch.float64)
         self.feedback = library.feedback(dynamics)
         self.values, self.tangents = library.data_blocks(dynamics)
         self.factors = torch.empty(len(self.values) * code.steps_factors(library.address) // 8, dtype=torch.float64)
-        self.room = torch.empty(code.steps_room(library.address, self.slots) // 8, dtype=torch.float64)
+        self.room = torch.empty(code.steps_room(library.address, self.n_b) // 8, dtype=torch.float64)
 
     def forget(self) -> None:
         super().forget()
@@ -87,9 +88,9 @@ class NativeStepper(EagerStepper):
         if self.code is None:
             return super().run(x, schedule, record, first, place)
         state = blocks(torch.cat([in_all_lanes(y.full if isinstance(y, Pair) else y, self.lanes) for y in x]))
-        moved = moving_blocks(self.dynamics.topology, schedule, self.lanes, self.slots)
+        moved = moving_blocks(self.dynamics.topology, schedule, self.lanes, self.n_b)
         table = uniform(self.weights, shared(self.dynamics.topology, schedule))
-        for some in between_looks(len(schedule), first, self.slots):
+        for some in between_looks(len(schedule), first, self.n_b):
             at = some.start
             if self.feedback is not None:
                 self.feedback.times = torch.stack([given.t for given in schedule[some]])
@@ -101,9 +102,9 @@ class NativeStepper(EagerStepper):
     def _some(self, state: Tensor, table: Tensor, moved: Tensor, record: Record, first: int, place: int) -> bool:
         """Steps between two looks; False if the factors cannot be relied on, and nothing is done."""
         sizes = torch.empty(len(table), 2, self.lanes, dtype=torch.float64)
-        errors = torch.empty(3, self.slots, self.lanes, dtype=torch.float64)
+        errors = torch.empty(3, self.n_b, self.lanes, dtype=torch.float64)
         look = int(first % CHECK == 0)
-        numbers = (self.lanes, self.slots, self.values.shape[2], self.tangents.shape[2])
+        numbers = (self.lanes, self.n_b, self.values.shape[2], self.tangents.shape[2])
         numbers += (
             table.shape[1],
             first,
@@ -115,8 +116,8 @@ class NativeStepper(EagerStepper):
             self.fresh,
             moved.shape[3],
         )
-        stay, lost = self.diagonal or (None, None)
-        arrays = [table, state, self.values, self.tangents, self.factors, stay, lost]
+        row_mask, diagonal_shift = self.diagonal or (None, None)
+        arrays = [table, state, self.values, self.tangents, self.factors, row_mask, diagonal_shift]
         arrays += [part[place:] for part in record.parts] + [sizes, errors, self.room, moved]
         arrays.append(blocks(self.passes[None, None]))
         assert self.code is not None
@@ -129,7 +130,7 @@ class NativeStepper(EagerStepper):
             return False
         self.fresh = 0
         self.sizes += sizes.unbind(0)
-        if look and self.slots:
+        if look and self.n_b:
             self.look(*errors)
         return True
 
@@ -137,7 +138,7 @@ class NativeStepper(EagerStepper):
         return f() if self.feedback is None else self.feedback.run(f)
 
     def _state(self, state: Tensor) -> State:
-        """A state out of blocks [block, slot, number, LANES]."""
+        """A state out of blocks [block, column, number, LANES]."""
         T = self.dynamics.topology
         parts = lanes_out(state, self.lanes).split([T.n_q, T.n_v, T.n_v, T.n_v, T.rows])
-        return State(*(Pair(y) if self.slots else y for y in parts))
+        return State(*(Pair(y) if self.n_b else y for y in parts))

@@ -2,7 +2,7 @@
 
     sizes    B bodies, F flexible, M modes, V vectors, W vectors of flexible bodies, C prescribed bodies and the ground, U
     independent rates, E and G entries of the maps between them and all rates; P0, P1, ... primitives of each kind,
-             A0, A1, ... actions of each kind and form of law; of unit multipliers (R) and unit strengths (D): slots
+             A0, A1, ... actions of each kind and form of law; of unit multipliers (R) and unit strengths (D): arguments
              on flexible bodies, pairs, pairs with flexible bodies (RT, RP, RF)
 
 What is not a count is part of the kind (`Kind`): one library serves all mechanisms of a kind.
@@ -215,10 +215,10 @@ class SymbolicTopology:
         self.n_v = U if kind.condensed else self.n_rates
         self.vector_body, self.vector_origin = Table("vector_body", V), Table("vector_origin", V)
         self.vector_flexible = Table("vector_flexible", W)
-        self.vector_fold = SymbolicSegmentSum(Table("slots", V), V)
-        self.action_fold = SymbolicSegmentSum(Table("action_slots", V), V)
-        self.body_fold = SymbolicSegmentSum(Table("body_groups", 2 * V), 2 * B)
-        self.modal_fold = SymbolicSegmentSum(self.vector_flexible, self.flexible)
+        self.vector_sum = SymbolicSegmentSum(Table("argument_vectors", V), V)
+        self.action_sum = SymbolicSegmentSum(Table("action_vectors", V), V)
+        self.body_sum = SymbolicSegmentSum(Table("body_groups", 2 * V), 2 * B)
+        self.modal_sum = SymbolicSegmentSum(self.vector_flexible, self.flexible)
         self.spread = self.gather = None
         if kind.condensed:
             self.spread = _SparseMap(program, "spread", E, self.n_rates)
@@ -248,10 +248,10 @@ class SymbolicTopology:
         return result
 
     def arguments(self, g: Any) -> list[list[Any]]:
-        return self._gathered(g, self.primitives, "slots", primitive_count)
+        return self._gathered(g, self.primitives, "argument_vectors", primitive_count)
 
     def action_arguments(self, g: Any) -> list[list[Any]]:
-        return self._gathered(g, self.actions, "action_slots", action_count)
+        return self._gathered(g, self.actions, "action_vectors", action_count)
 
     @staticmethod
     def _gathered(g: Any, kinds: tuple, table: str, count: Any) -> list[list[Any]]:
@@ -312,15 +312,18 @@ class _UnitForces:
 
     blocks: Any = UnitForces.blocks
 
-    def __init__(self, name: str, letter: str, slots: AnySize, flexible: bool):
+    def __init__(self, name: str, letter: str, arguments: AnySize, flexible: bool):
         bent, pairs, bent_pairs = (Size(f"{letter}{x}") for x in "TPF")
         self.pairs, self.flexible_pairs, self._letter = pairs, bent_pairs if flexible else 0, letter
-        self.pair_body, self.slot_vector = Table(f"{name}_pair_body", pairs), Table(f"{name}_slot_vector", slots)
-        self.turn_fold = SymbolicSegmentSum(Table(f"{name}_slot_pair", slots), pairs)
-        self.force_fold = SymbolicSegmentSum(Table(f"{name}_point_pair", slots), pairs)
-        self.flexible_slots = Table(f"{name}_bent_slot", bent)
+        self.pair_body, self.argument_vector = (
+            Table(f"{name}_pair_body", pairs),
+            Table(f"{name}_argument_vector", arguments),
+        )
+        self.turn_sum = SymbolicSegmentSum(Table(f"{name}_argument_pair", arguments), pairs)
+        self.force_sum = SymbolicSegmentSum(Table(f"{name}_point_pair", arguments), pairs)
+        self.flexible_arguments = Table(f"{name}_bent_argument", bent)
         self.flexible_vector = Table(f"{name}_bent_vector", bent)
-        self.modal_fold = SymbolicSegmentSum(Table(f"{name}_bent_pair", bent), self.flexible_pairs)
+        self.modal_sum = SymbolicSegmentSum(Table(f"{name}_bent_pair", bent), self.flexible_pairs)
 
     def shapes(self, modes: Any, name: str) -> list[tuple[str, tuple]]:
         return [
@@ -339,7 +342,7 @@ class SymbolicBlocks(SaddleBlocks):
         strengths = sum((len(a.arguments) * action_count(i) for i, a in enumerate(T.actions)), 0)
         self.rows: Any = _UnitForces("row", "R", rows, T.kind.row_flexible)
         self.actions: Any = _UnitForces("action", "D", strengths, T.kind.action_flexible)
-        self._body_fold = SymbolicSegmentSum(Table("vector_body_only", V), B)
+        self._body_sum = SymbolicSegmentSum(Table("vector_body_only", V), B)
 
 
 def data_arrays(program: Program, kind: Kind, prefix: str) -> dict[str, Any]:

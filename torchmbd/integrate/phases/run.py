@@ -91,7 +91,7 @@ class MultiphaseRun:
     records: list[PhaseRecord] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        T, lanes, slots = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
+        T, lanes, columns = self.whole.topology, self.whole.lanes, 1 + self.whole.tangents
         self.times = torch.linspace(0.0, self.duration, self.steps + 1, dtype=torch.float64)
         self.status = [OK] * lanes
         self.given = self.whole.data  # without marks
@@ -103,7 +103,7 @@ class MultiphaseRun:
         self.least_norm: list[LeastNorm | None] = []
 
         def nothing(rows: int) -> Tensor:
-            return torch.full((self.steps + 1, rows, slots, lanes), torch.nan, dtype=torch.float64)
+            return torch.full((self.steps + 1, rows, columns, lanes), torch.nan, dtype=torch.float64)
 
         self.q, self.v, self.vd, self.lam = (nothing(n) for n in (T.n_q, T.n_v, T.n_v, T.rows))
         self.number = torch.full((self.steps + 1, lanes), -1)

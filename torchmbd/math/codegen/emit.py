@@ -1,4 +1,4 @@
-"""C++ of the functions of a program: loops over run-time sizes, in which every number is that of several lanes side by side.
+"""C++ of the functions of a program: loops over run-time sizes, in which every number is a vector of several lanes.
 
     static void name(const In& in)
 

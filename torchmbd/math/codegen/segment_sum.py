@@ -15,7 +15,7 @@ from torchmbd.math.pair import Pair, value
 
 
 class SymbolicSegmentSum:
-    """Sum the columns of arrays [k, n, ...], side by side, into groups [k, groups, ...]: `table` has the group of each.
+    """Sum the columns of arrays [k, n, ...], concatenated, into groups [k, groups, ...]: `table` has the group of each.
 
     Group number `groups`, one more than there are, is left out. k may be flattened.
     """

@@ -181,11 +181,11 @@ def _common(freedoms: Tensor, matrices: Sequence[Any], size: int) -> tuple[Patte
     own = freedoms.numpy()
     i = np.concatenate([own[e.row] for e in entries])
     j = np.concatenate([own[e.col] for e in entries])
-    pattern, slot = Pattern.gather(np.concatenate([i, j]), np.concatenate([j, i]), size)
-    slots = list(slot[: len(i)].split([len(e.data) for e in entries]))
+    pattern, position = Pattern.gather(np.concatenate([i, j]), np.concatenate([j, i]), size)
+    positions = list(position[: len(i)].split([len(e.data) for e in entries]))
     values = [
         torch.zeros(pattern.nnz, dtype=torch.float64).index_add(0, place, torch.from_numpy(np.array(e.data, float)))
-        for place, e in zip(slots, entries, strict=True)
+        for place, e in zip(positions, entries, strict=True)
     ]
     return pattern, values
 

@@ -1,7 +1,7 @@
 """The law of a drive with design variables: a torch module of time, its parameters taken from the data of a design.
 
     x(t, b)     values [n, pair, lanes] at times [n], with x_b db where the data are pairs
-    jets        x, x', x'' [slots, lanes] at one time
+    jets        x, x', x'' [1 + n_b, lanes] at one time
 
 Parameters of any shape; `data["law NAME"]` holds those of the law of joint NAME, flat [k, pair, lanes]. Without data
 they have their own values. Derivatives by time and by parameters from forward mode.
@@ -36,7 +36,7 @@ class ParametricDrive(Finite):
         return self._checked(found, times)
 
     def jets(self, t: Tensor, data: Mapping[str, Any] | None) -> Jet:
-        """Value, velocity and acceleration [slots, lanes] at the time t."""
+        """Value, velocity and acceleration [1 + n_b, lanes] at the time t."""
         found = self._of(lambda p: torch.stack(slopes(lambda s: self._law(p, s), t)), data)
         return Jet(*(self._checked(found[i], t) for i in range(3)))
 

@@ -122,7 +122,7 @@ class BucklingCase:
         if not bool(kept.any()):
             raise InputError(f"supports hold all freedoms of {body.name!r}; allowed: fewer")
         self.kept = kept.nonzero()[:, 0]
-        self.pattern, self._slots = self.assembly.pattern.restrict(self.kept)
+        self.pattern, self._positions = self.assembly.pattern.restrict(self.kept)
         self.loads = NodalLoads(body.mesh, body.name, loads)
         self._moves = bool(self._imposed.any())
         if not self.loads.any and not self._moves:
@@ -142,7 +142,7 @@ class BucklingCase:
             allowed = f"1 to {self.pattern.size}, the free freedoms of {self.body.name!r}"
             raise InputError(f"number is {number!r}; allowed: {allowed}")
         K = self.assembly.stiffness()
-        inner = SparseMatrix(self.pattern, K.values[..., self._slots], symmetric=True)
+        inner = SparseMatrix(self.pattern, K.values[..., self._positions], symmetric=True)
         forces = self.assembly.freedoms.gathered(self.loads()[..., None])
         pull = forces - K @ self._imposed if self._moves else forces
         try:
@@ -151,7 +151,7 @@ class BucklingCase:
             raise InputError(f"supports of {self.body.name!r} leave it movable: {error}") from None
         known = self._imposed.expand(*u.shape[:-2], -1, -1).index_copy(-2, self.kept, u)
         moved = self.assembly.freedoms.expand(known)
-        Kg = self.assembly.geometric(moved).values[..., 0, :][..., self._slots]
+        Kg = self.assembly.geometric(moved).values[..., 0, :][..., self._positions]
         lanes = np.broadcast_shapes(inner.values.shape[:-1], Kg.shape[:-1])
         inverse, vectors = _eigen(self.pattern, inner.values.expand(*lanes, -1), Kg.expand(*lanes, -1), number)
         factors, shapes = _factors(inverse), self._shapes(vectors.detach())

@@ -90,7 +90,7 @@ class _Hold:
 
 def _holds(T: Topology) -> list[_Hold]:
     # A body with applied forces keeps its equations of motion: the forces may depend on its rates.
-    loaded = set() if T.action_slots is None else set(T.vector_body[T.action_slots].tolist())
+    loaded = set() if T.action_vectors is None else set(T.vector_body[T.action_vectors].tolist())
     holds = {b: _Hold(b, [], [], []) for b in range(T.flexible, T.bodies) if b not in loaded}
     placed = T.placed  # what holds in one design need not in another
     for primitive, rows in T.row_slices():

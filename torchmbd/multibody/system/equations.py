@@ -261,10 +261,10 @@ def constraint_forces(T: Topology, data: Data, at: Placement, lam):
 
 def applied_on_vectors(T: Topology, data: Data, at: Placement, v):
     """What the actions do to the attached vectors [3, vectors, ...], in ground axes."""
-    states, slots = action_states(T, data, at, v), []
+    states, forces = action_states(T, data, at, v), []
     for f, (_, _, direction) in zip(strengths(T, data, states, at.t), states, strict=True):
-        slots += [f * d for d in direction]
-    return T.action_fold(*slots)  # pyright: ignore[reportOptionalCall]
+        forces += [f * d for d in direction]
+    return T.action_sum(*forces)  # pyright: ignore[reportOptionalCall]
 
 
 def strengths(T: Topology, data: Data, states: list[tuple], t: Any) -> list:
@@ -282,18 +282,18 @@ def action_states(T: Topology, data: Data, at: Placement, v) -> list[tuple]:
 
 def force_on_vectors(T: Topology, at: Placement, lam):
     """Gradient of lam . Phi by the attached vectors [3, vectors, ...], in ground axes."""
-    slots = []
+    forces = []
     for (primitive, rows), vectors, drive in zip(T.row_slices(), at.arguments, at.drives, strict=True):
-        slots += primitive.forces(vectors, lam[rows].unflatten(0, (primitive.rows, -1)), drive)
-    return T.vector_fold(*slots)
+        forces += primitive.forces(vectors, lam[rows].unflatten(0, (primitive.rows, -1)), drive)
+    return T.vector_sum(*forces)
 
 
 def generalized_forces(T: Topology, data: Data, at: Placement, force):
     """Carry the forces on attached vectors [3, vectors, ...], in ground axes, to the bodies."""
     local = matvec_t(at.A_of, force)
-    both = T.body_fold(force, cross(at.rho, local))
+    both = T.body_sum(force, cross(at.rho, local))
     if T.attached_flexible:
-        modal = T.modal_fold(matvec_t(data["Y"], local[:, : T.attached_flexible]))
+        modal = T.modal_sum(matvec_t(data["Y"], local[:, : T.attached_flexible]))
     else:
         none = T.modes, T.flexible
         modal = linear(lambda y: y.new_zeros(*none, *y.shape[2:]), force)

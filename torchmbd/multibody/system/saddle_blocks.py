@@ -31,7 +31,7 @@ class SaddleBlocks:
 
     def __init__(self, T: Topology, rows: UnitForces, actions: UnitForces):
         self.T, self.rows, self.actions = T, rows, actions
-        self._body_fold = SegmentSum([b if b < T.bodies else -1 for b in T.vector_body.tolist()], T.bodies)
+        self._body_sum = SegmentSum([b if b < T.bodies else -1 for b in T.vector_body.tolist()], T.bodies)
 
     def shapes(self) -> list[Block]:
         """Names and shapes, in the order of the entries."""
@@ -105,12 +105,12 @@ class SaddleBlocks:
 
         states: of the actions (equations.action_states).
         """
-        slots, weights = [], []
+        forces, weights = [], []
         for action, (s, rate, direction) in zip(self.T.actions, states, strict=True):
-            slots += direction
+            forces += direction
             by_s, by_rate = action.slopes(s, rate, at.t, data)
             weights.append(-(stiffness * by_s + damping * by_rate))
-        blocks = self.actions.blocks(data, at, cat(slots, 1), "action")
+        blocks = self.actions.blocks(data, at, cat(forces, 1), "action")
         if "action_modal" not in blocks:
             blocks["action_modal"] = blocks["action_force"].new_zeros(0, 1, 1)
         return blocks, cat(weights)
@@ -222,21 +222,21 @@ class SaddleBlocks:
         T = self.T
         local = matvec_t(at.A_of, pulls)
         turned = matmul(skew(at.rho), skew(local))
-        torque = self._body_fold(turned.flatten(0, 1)).unflatten(0, (3, 3))
+        torque = self._body_sum(turned.flatten(0, 1)).unflatten(0, (3, 3))
         blocks["inertia"] = blocks["inertia"] + factor * torque
         if T.attached_flexible:
             bent = -matmul(skew(local[:, : T.attached_flexible]), data["Y"])
-            twist = factor * T.modal_fold(bent.flatten(0, 1)).unflatten(0, (3, T.modes))
+            twist = factor * T.modal_sum(bent.flatten(0, 1)).unflatten(0, (3, T.modes))
             blocks["twist"], blocks["twist_back"] = blocks["twist"] + twist, blocks["twist_back"] + twist
 
     def _row_blocks(self, data: Data, at: Placement) -> dict[str, Any]:
-        slots = []
+        forces = []
         for primitive, arguments, drive in zip(self.T.primitives, at.arguments, at.drives, strict=True):
             vectors = [x.unsqueeze(1) for x in arguments]
             eye = torch.eye(primitive.rows, dtype=at.g.dtype, device=at.g.device)
             lam = eye[:, :, None, None, None] + torch.zeros_like(vectors[0][:1])
-            slots += [force.flatten(1, 2) for force in primitive.forces(vectors, lam, drive)]
-        return self.rows.blocks(data, at, cat(slots, 1), "row")
+            forces += [force.flatten(1, 2) for force in primitive.forces(vectors, lam, drive)]
+        return self.rows.blocks(data, at, cat(forces, 1), "row")
 
 
 def _times(A: Tensor, B: Tensor) -> Tensor:

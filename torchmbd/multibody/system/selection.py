@@ -23,12 +23,12 @@ def selected(T: Topology, rows: Sequence[int]) -> Topology:
         if kept:
             members = tuple(member[torch.tensor(kept)] for member in primitive.members)
             primitives.append(type(primitive)(members, tuple(primitive.data[j] for j in kept)))
-    slots = [int(i) for primitive in primitives for member in primitive.members for i in member]
+    vectors = [int(i) for primitive in primitives for member in primitive.members for i in member]
     return replace(
         T,
         primitives=tuple(primitives),
-        slots=torch.tensor(slots, dtype=torch.long),
+        argument_vectors=torch.tensor(vectors, dtype=torch.long),
         row_names=tuple(T.row_names[i] for i in sorted(wanted)),
         row_joints=tuple(T.row_joints[i] for i in sorted(wanted)),
-        vector_fold=SegmentSum(slots, len(T.attached)),
+        vector_sum=SegmentSum(vectors, len(T.attached)),
     )

@@ -55,7 +55,7 @@ class SegmentSum:
         self.padded = any(padding in m for m in table)
 
     def __call__(self, *parts):
-        """Sum the columns of all parts, side by side."""
+        """Sum the columns of all parts, concatenated."""
         if self.width == 0:
             return linear(lambda y: y.new_zeros(y.shape[0], self.groups, *y.shape[2:]), parts[0])
         columns = list(parts)
@@ -120,15 +120,15 @@ class Topology:
     vector_origin: Tensor  # [vectors] body whose r is added: len(names) (zero) for axes and the ground
     vector_flexible: Tensor  # [attached_flexible] flexible body of each
     primitives: tuple[Primitive, ...]
-    slots: Tensor  # vectors of all arguments of all primitives, in order
+    argument_vectors: Tensor  # vectors of all arguments of all primitives, in order
     row_names: tuple[str, ...]
     row_joints: tuple[str, ...]  # the joint of each row
-    vector_fold: SegmentSum  # slots of constraint forces -> vectors
-    body_fold: SegmentSum  # [forces of points | torques] of vectors -> [forces | torques] of bodies
-    modal_fold: SegmentSum  # modal forces of flexible vectors -> flexible bodies
+    vector_sum: SegmentSum  # constraint forces of the arguments -> vectors
+    body_sum: SegmentSum  # [forces of points | torques] of vectors -> [forces | torques] of bodies
+    modal_sum: SegmentSum  # modal forces of flexible vectors -> flexible bodies
     actions: tuple[Action, ...] = ()
-    action_slots: Tensor | None = None  # vectors of all arguments of all actions, in order
-    action_fold: SegmentSum | None = None  # slots of applied forces -> vectors
+    action_vectors: Tensor | None = None  # vectors of all arguments of all actions, in order
+    action_sum: SegmentSum | None = None  # applied forces of the arguments -> vectors
     prescribed_bodies: tuple[PrescribedBody, ...] = ()
     rates: Tensor | None = None  # [rates of all bodies, independent rates]
     spread: SparseMap | None = None  # the same
@@ -172,11 +172,11 @@ class Topology:
 
     def arguments(self, g: Any) -> list[list[Any]]:
         """The vectors [3, n, ...] of each primitive's arguments, out of all attached vectors: one gather."""
-        return _arguments(g.index_select(1, self.slots), self.primitives)
+        return _arguments(g.index_select(1, self.argument_vectors), self.primitives)
 
     def action_arguments(self, g: Any) -> list[list[Any]]:
         """The same for the actions."""
-        return _arguments(g.index_select(1, self.action_slots), self.actions)
+        return _arguments(g.index_select(1, self.action_vectors), self.actions)
 
     @property
     def placed(self) -> set[int]:
@@ -280,7 +280,7 @@ def assemble(
     """Make the index tensors. body_of: body of each attached vector, prescribed bodies after the bodies; flexible bodies
     first."""
     n, flexible, ground = len(names), len(own_modes), len(names) + len(prescribed_bodies)
-    slots, action_slots = (
+    argument_vectors, action_vectors = (
         [int(i) for kind in kinds for member in kind.members for i in member] for kinds in (primitives, actions)
     )
     bent = [body for body in body_of if body < flexible]
@@ -299,15 +299,15 @@ def assemble(
         ),
         vector_flexible=torch.tensor(bent, dtype=torch.long),
         primitives=primitives,
-        slots=torch.tensor(slots, dtype=torch.long),
+        argument_vectors=torch.tensor(argument_vectors, dtype=torch.long),
         row_names=row_names,
         row_joints=row_joints,
-        vector_fold=SegmentSum(slots, len(attached)),
-        body_fold=SegmentSum(force_of + torque_of, 2 * n),
-        modal_fold=SegmentSum(bent, flexible),
+        vector_sum=SegmentSum(argument_vectors, len(attached)),
+        body_sum=SegmentSum(force_of + torque_of, 2 * n),
+        modal_sum=SegmentSum(bent, flexible),
         actions=actions,
-        action_slots=torch.tensor(action_slots, dtype=torch.long) if actions else None,
-        action_fold=SegmentSum(action_slots, len(attached)) if actions else None,
+        action_vectors=torch.tensor(action_vectors, dtype=torch.long) if actions else None,
+        action_sum=SegmentSum(action_vectors, len(attached)) if actions else None,
         prescribed_bodies=prescribed_bodies,
         rates=rates,
         spread=None if rates is None else SparseMap(rates),

@@ -1,7 +1,7 @@
 """What unit multipliers, or unit strengths of applied forces, do to the bodies: columns of Phi_q' and of force directions.
 
-A column acts on the vectors of its arguments; per argument it is a slot. Slots of one column on one body are added up: a
-pair (column, body).
+A column acts on the vectors of its arguments, on each with a force. Forces of one column on one body are added up: they
+are a pair (column, body).
 """
 
 from __future__ import annotations
@@ -21,45 +21,47 @@ Block = tuple[str, tuple[int, ...]]  # name and shape
 class UnitForces:
     """Index tensors of the columns of one topology.
 
-    slot_pair, point_pair, flexible_pair   pair of each slot, or -1: of all, of those on points, of those on flexible bodies
+    argument_pair    pair of each argument
+    point_pair       the same of arguments that are points, or -1
+    flexible_pair    pair of each argument on a flexible body, among such pairs
     members   of each kind: the vectors of each argument [n], and the columns of each component [components, n]
     """
 
     def __init__(self, T: Topology, members: Sequence[tuple[Sequence[torch.Tensor], np.ndarray]]):
-        slot_vector, slot_column = [], []
+        argument_vector, argument_column = [], []
         for vectors, columns in members:
             for member in vectors:
                 for component in columns:
-                    slot_vector += member.tolist()
-                    slot_column += component.tolist()
+                    argument_vector += member.tolist()
+                    argument_column += component.tolist()
         body = T.vector_body.tolist()
-        slots = list(zip(slot_column, slot_vector, strict=True))
-        self.pairs = sorted({(c, body[v]) for c, v in slots if body[v] < T.bodies})
+        arguments = list(zip(argument_column, argument_vector, strict=True))
+        self.pairs = sorted({(c, body[v]) for c, v in arguments if body[v] < T.bodies})
         place = {key: i for i, key in enumerate(self.pairs)}
-        pair_of = [place.get((c, body[v]), -1) for c, v in slots]
-        points = [pair if T.attached[v].is_point else -1 for pair, v in zip(pair_of, slot_vector, strict=True)]
+        pair_of = [place.get((c, body[v]), -1) for c, v in arguments]
+        points = [pair if T.attached[v].is_point else -1 for pair, v in zip(pair_of, argument_vector, strict=True)]
         self.pair_body = torch.tensor([b for _, b in self.pairs], dtype=torch.long)
-        self.slot_vector = torch.tensor(slot_vector, dtype=torch.long)
-        self.slot_pair, self.point_pair = pair_of, points
-        self.turn_fold, self.force_fold = SegmentSum(pair_of, len(self.pairs)), SegmentSum(points, len(self.pairs))
-        flexible = [i for i, v in enumerate(slot_vector) if v < T.attached_flexible]
-        self.flexible_slots = torch.tensor(flexible, dtype=torch.long)
-        self.flexible_vector = self.slot_vector[self.flexible_slots]
+        self.argument_vector = torch.tensor(argument_vector, dtype=torch.long)
+        self.argument_pair, self.point_pair = pair_of, points
+        self.turn_sum, self.force_sum = SegmentSum(pair_of, len(self.pairs)), SegmentSum(points, len(self.pairs))
+        flexible = [i for i, v in enumerate(argument_vector) if v < T.attached_flexible]
+        self.flexible_arguments = torch.tensor(flexible, dtype=torch.long)
+        self.flexible_vector = self.argument_vector[self.flexible_arguments]
         self.flexible_pairs = [key for key in self.pairs if key[1] < T.flexible]
         bent = {key: i for i, key in enumerate(self.flexible_pairs)}
         self.flexible_pair = [bent[self.pairs[pair_of[i]]] for i in flexible]
-        self.modal_fold = SegmentSum(self.flexible_pair, len(bent))
+        self.modal_sum = SegmentSum(self.flexible_pair, len(bent))
 
     def blocks(self, data: Any, at: Any, force: Any, name: str) -> dict[str, Any]:
-        """Forces and torques [3, pairs], modal forces [modes, flexible pairs] of the forces of slots [3, slots, ...]."""
-        local = matvec_t(at.A_of.index_select(2, self.slot_vector), force)
+        """Forces, torques [3, pairs], modal forces [modes, flexible pairs] of forces on the arguments [3, arguments, ...]."""
+        local = matvec_t(at.A_of.index_select(2, self.argument_vector), force)
         blocks = {
-            f"{name}_force": self.force_fold(force),
-            f"{name}_torque": self.turn_fold(cross(at.rho.index_select(1, self.slot_vector), local)),
+            f"{name}_force": self.force_sum(force),
+            f"{name}_torque": self.turn_sum(cross(at.rho.index_select(1, self.argument_vector), local)),
         }
         if self.flexible_pairs:
             Y = data["Y"].index_select(2, self.flexible_vector)
-            blocks[f"{name}_modal"] = self.modal_fold(matvec_t(Y, local.index_select(1, self.flexible_slots)))
+            blocks[f"{name}_modal"] = self.modal_sum(matvec_t(Y, local.index_select(1, self.flexible_arguments)))
         return blocks
 
     def shapes(self, modes: int, name: str) -> list[Block]:

@@ -1,4 +1,4 @@
-"""Many starts side by side, so that their simulations are one batch.
+"""Many starts at the same time, so that their simulations are one batch.
 
 Every start runs its own optimizer in its own thread and blocks where it asks for an evaluation. The coordinator, in
 the caller's thread, evaluates all requests as one batch (those with gradients, those without), and hands the answers
