@@ -22,7 +22,6 @@ from typing import Any, ClassVar, NamedTuple, Protocol, get_type_hints
 from torch import Tensor
 
 from torchmbd.integrate.phases.run import MultiphaseRun
-from torchmbd.integrate.pullback import PulledBack
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Prescribed
 from torchmbd.results.history import History
@@ -66,14 +65,6 @@ class Stepper(Protocol):
 
     def errors(self, history: History, duration: float, numbers: list[int] | None = None) -> dict[str, Tensor]:
         """What the steps to the times of these numbers left to be desired, for statistics [lanes]."""
-        ...
-
-
-class DifferentiableStepper(Stepper, Protocol):
-    """Steps with a pullback, the transpose of their tangents: they serve reverse mode (adjoint.py)."""
-
-    def pullback(self, before: State, after: State, given: Prescribed, y: State) -> PulledBack:
-        """Cotangents of all that a step depends on, from those of the state after it [n, rows, lanes]."""
         ...
 
 
