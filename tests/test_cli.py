@@ -79,8 +79,9 @@ def test_bad_input_ends_with_2_and_no_traceback(folder, empty_store, capsys, arg
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_a_study_that_is_interrupted_keeps_what_was_computed(folder, number):
-    study = start("run", "study.yaml", "optimizer.max_iterations=100", "optimizer.name=mmfd", "simulate.steps=400")
+def test_a_study_that_is_interrupted_keeps_what_was_computed(folder, empty_store, number):
+    shutil.copy(empty_store, folder / "mlflow.db")
+    study = start("run", "study.yaml", "optimizer.max_iterations=100", "optimizer.name=mmfd", "simulate.steps=100")
     assert study.stdout is not None
     lines = iter(study.stdout.readline, "")
     shown = next(line for line in lines if re.search(r"start +1 +iteration +0", line))
@@ -101,7 +102,8 @@ def test_a_study_that_is_interrupted_keeps_what_was_computed(folder, number):
 def test_a_store_that_cannot_be_written_costs_no_result(folder):
     """The study ends with its table and says that it was not recorded."""
     (folder / "file").write_text("")
-    study = start("run", "study.yaml", f"tracking.uri=sqlite:///{folder}/file/runs.db", "optimizer.max_iterations=1")
+    short = ["simulate.duration=0.002", "simulate.steps=8", "optimizer.max_iterations=1"]
+    study = start("run", "study.yaml", f"tracking.uri=sqlite:///{folder}/file/runs.db", *short)
     output, error = study.communicate(timeout=120)
     assert study.returncode == 1
     assert "Traceback" not in error
