@@ -72,11 +72,11 @@ def test_scenarios_of_a_file_are_those_of_python(write):
         {"name": "thin", "set": {"rod.laminate.thickness": 1e-3}},
         {"set": {"rod.laminate.thickness": 2e-3}, "weight": 3},
     ]
-    problem = load(write(simulate=simulate, scenarios=cases, combine={"objective": "mean"})).simulated
-    assert isinstance(problem, mbd.Scenarios)
-    assert list(problem.scenarios) == ["thin", "scenario 2"]
-    assert problem.weights.tolist() == [0.25, 0.75]
-    assert problem.evaluate(problem.start[None], False)[0].status == "ok"
+    loaded = load(write(simulate=simulate, scenarios=cases, combine={"objective": "mean"})).simulated
+    assert isinstance(loaded, mbd.Scenarios)
+    assert list(loaded.scenarios) == ["thin", "scenario 2"]
+    assert loaded.weights.tolist() == [0.25, 0.75]
+    assert loaded.evaluate(loaded.start[None], False)[0].status == "ok"
     for wrong, words in (
         ({"combine": {"objective": "mean"}}, "without scenarios"),
         ({"scenarios": [{"set": {"rod.laminate.thicknes": 1.0}}]}, "rod.laminate.thickness"),
