@@ -51,24 +51,21 @@ def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A cache of compiled code, of all tests of a file."""
-    return tmp_path_factory.mktemp("libraries")
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A cache of compiled code of this run, for all processes of pytest-xdist: what one has built the others load."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base) / "libraries"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    return str(folder)
 
 
 @pytest.fixture
-def native(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Native code is built here, in a cache of its own."""
+def native(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Native code may be built, into the cache of the run."""
     if shutil.which("g++") is None:
         pytest.skip("no C++ compiler")
-    monkeypatch.setenv("TORCHMBD_CACHE", str(kept))
-
-
-@pytest.fixture(scope="session")
-def library(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A folder of its own for the compiled products, which are built once."""
-    return str(tmp_path_factory.mktemp("libraries"))
+    monkeypatch.setenv("TORCHMBD_CACHE", library)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ AT = np.radians([[20.0, -50.0], [70.0, 15.0]])
 
 @pytest.fixture(scope="module")
 def problem() -> mbd.Problem:
-    tight = {"steps": 30, "iterations": (6, 6), "refresh": 1}
+    tight = {"steps": 12, "iterations": (6, 6), "refresh": 1}
     limited = [mbd.Max(ENERGY) <= "initial"]
     return mbd.Problem(pendulum(), 0.03, mbd.Integral(ENERGY), limited, mbd.deg([-90, 90]), **tight)
 

@@ -35,7 +35,7 @@ def problem(minimize=None, subject_to=(), **given) -> mbd.Problem:
     asked = {
         "duration": 0.03,
         "bounds": mbd.deg([-90, 90]),
-        "steps": 30,
+        "steps": 15,
         "iterations": (5, 5),
         "refresh": 1,
     }
