@@ -86,7 +86,7 @@ def test_a_study_that_is_interrupted_keeps_what_was_computed(folder, empty_store
     lines = iter(study.stdout.readline, "")
     shown = next(line for line in lines if re.search(r"start +1 +iteration +0", line))
     study.send_signal(number)
-    output, error = study.communicate(timeout=120)
+    output, error = study.communicate(timeout=600)
     assert "Traceback" not in error
     assert study.returncode == 130
     assert "killed" in output
@@ -104,7 +104,7 @@ def test_a_store_that_cannot_be_written_costs_no_result(folder):
     (folder / "file").write_text("")
     short = ["simulate.duration=0.002", "simulate.steps=8", "optimizer.max_iterations=1"]
     study = start("run", "study.yaml", f"tracking.uri=sqlite:///{folder}/file/runs.db", *short)
-    output, error = study.communicate(timeout=120)
+    output, error = study.communicate(timeout=600)
     assert study.returncode == 1
     assert "Traceback" not in error
     assert "2 starts" in output
