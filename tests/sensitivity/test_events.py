@@ -142,7 +142,7 @@ def neighbors(swing, which: str, step: float) -> Trajectory:
     b = dict(system.named_parameters())[NAME].detach()
     designs = {NAME: torch.stack([b, b + step * DIRECTION, b - step * DIRECTION])}
     return mbd.simulate(
-        system, 0.075, steps=25, gradients="forward", designs=designs, phases=phases, iterations=(16, 6)
+        system, 0.075, steps=42, gradients="forward", designs=designs, phases=phases, iterations=(16, 6)
     ).require_ok()
 
 

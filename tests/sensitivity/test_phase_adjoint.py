@@ -55,20 +55,20 @@ def falling(impact: float | Callable | None = None) -> list[mbd.Phase]:
 
 
 CASES = {
-    "locks and a release": (lambda: pendulum(damping=1e-4), 0.075, 25, PHASES),
-    "drive and forces": (driven, 0.075, 25, DRIVEN),
-    "restitution": (lambda: pendulum(damping=1e-4), 0.06, 20, falling(0.4)),
-    "a map of velocities": (lambda: pendulum(damping=1e-4), 0.06, 20, falling(slowed)),
+    "locks and a release": (lambda: pendulum(damping=1e-4), 0.075, 42, PHASES),
+    "drive and forces": (driven, 0.075, 42, DRIVEN),
+    "restitution": (lambda: pendulum(damping=1e-4), 0.06, 30, falling(0.4)),
+    "a map of velocities": (lambda: pendulum(damping=1e-4), 0.06, 30, falling(slowed)),
     "an event of the design": (
         lambda: pendulum(damping=1e-4),
         0.06,
-        20,
+        30,
         [mbd.Phase(until=mbd.Event(leaning)), mbd.Phase(lock=["universal_arm_rod"])],
     ),
     "on the grid": (
         lambda: pendulum(damping=1e-4),
         0.06,
-        20,
+        30,
         [
             mbd.Phase(until=0.02, lock=["universal_arm_rod"]),
             mbd.Phase(lasting=0.003),
