@@ -154,13 +154,13 @@ def _local(T: Any, at: Any, forces: Tensor) -> Tensor:
 def _action_loads(dynamics: Any, at: Any, v: Tensor) -> Tensor:
     """Of unit strengths of the actions [actions, vectors, 3]."""
     T = dynamics.topology
-    count, start, slots = sum(len(action.members[0]) for action in T.actions), 0, []
+    count, start, strengths = sum(len(action.members[0]) for action in T.actions), 0, []
     for action, (_, _, direction) in zip(T.actions, equations.action_states(T, dynamics.data, at, v), strict=True):
         n = len(action.members[0])
         unit = torch.eye(count, dtype=v.dtype)[start : start + n, None]
-        slots += [unit * d for d in direction]
+        strengths += [unit * d for d in direction]
         start += n
-    return _local(T, at, T.action_fold(*slots))
+    return _local(T, at, T.action_sum(*strengths))
 
 
 def _wrenches(residual: _Residual, T: Any, loads: Tensor) -> Tensor:
