@@ -15,7 +15,7 @@ LAYERS = (
     {"fem.mesh", "fem.materials"},
     {"fem.elements", "fem.sections"},
     {"fem.reduction"},
-    {"io"},
+    {"io", "fem.exact_beam"},
     {"multibody.bodies"},
     {"multibody.joints", "multibody.statics"},
     {"multibody.forces"},

@@ -57,6 +57,7 @@ from torchmbd.design.stack_recovery import recover_stacks
 from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, name_arguments
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, FiberField, GivenSection, LaminationParameters, SteeredLaminate
+from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
 from torchmbd.fem.materials import Laminate, Ply, SNCurve, Strength
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
@@ -167,6 +168,7 @@ __all__ = [
     "AtTimes",
     "AxialSpringDamper",
     "BeamLine",
+    "BeamState",
     "Buckling",
     "BucklingFactor",
     "Bushing",
@@ -185,6 +187,7 @@ __all__ = [
     "Equilibrium",
     "EquivalentLoad",
     "Event",
+    "ExactBeam",
     "FatigueDamage",
     "FiberCurvature",
     "FiberDivergence",
@@ -234,6 +237,7 @@ __all__ = [
     "SNCurve",
     "Scenarios",
     "SectionHistory",
+    "SectionTable",
     "SimulationFailure",
     "Sine",
     "SmoothMax",

@@ -19,13 +19,14 @@ ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, str] = {
     "materials": "Ply Laminate SteeredLaminate FiberField LaminationParameters Strength SNCurve LaminationRules "
     "recover_stacks deg",
-    "meshes": "Mesh BeamLine mesh sections GivenSection",
+    "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable",
     "bodies": "Ground RigidBody FlexibleBody Frame",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing Force Torque Pressure forces variable",
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics examples",
+    "exact_beams": "ExactBeam BeamState",
     "simulation": "simulate equilibrium Equilibrium buckling Buckling Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "

@@ -143,6 +143,11 @@ class BeamMatrices:
         weight = self.length[..., None] * self._weights
         return (weight[..., None, None] * (self._carry.mT @ compliance @ self._carry)).sum(-3)
 
+    def average(self, compliance: Float[Tensor, "*lanes m g 6 6"]) -> Float[Tensor, "*lanes m 6 6"]:
+        """Integral of the sections' compliance along the elements."""
+        weight = self.length[..., None] * self._weights
+        return (weight[..., None, None] * compliance).sum(-3)
+
     def forces(
         self, stiffness: Float[Tensor, "*lanes m g 6 6"], motion: Float[Tensor, "*lanes n 6 k"]
     ) -> Float[Tensor, "*lanes m 2 6 k"]:

@@ -24,6 +24,8 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import constants, refuse_gradients
+from torchmbd.math.owned import all_true
+from torchmbd.math.owned import plain as plain_numbers
 from torchmbd.math.plausible_units import DIMENSION, doubt, doubt_material
 from torchmbd.math.variable import Numbers, number, plain, stacked, varies
 
@@ -148,10 +150,10 @@ class IsotropicSection(Numbers):
 
 def line_transform(offset: Float[Tensor, "*n 2"], twist: Float[Tensor, "*n"]) -> Float[Tensor, "*n 6 6"]:
     """W: forces of the section about the line of the nodes, in the beam's axes. offset: (y, z) [m]; twist [rad]."""
-    if not torch.isfinite(offset).all():
+    if not all_true(torch.isfinite(offset)):
         raise InputError(f"offset is {offset.tolist()}; allowed: finite numbers, y and z [m]")
-    if not (twist.abs() <= 2 * torch.pi).all():
-        raise InputError(f"twist is {twist.tolist()}; allowed: -2 pi to 2 pi [rad]")
+    if not all_true(twist.abs() <= 2 * torch.pi):
+        raise InputError(f"twist is {plain_numbers(twist).tolist()}; allowed: -2 pi to 2 pi [rad]")
     y, z, twist = torch.broadcast_tensors(*offset.unbind(-1), twist)
     c, s = torch.cos(twist), torch.sin(twist)
     o, one = torch.zeros_like(c), torch.ones_like(c)

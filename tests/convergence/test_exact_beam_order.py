@@ -1,0 +1,44 @@
+"""Exact beams converge with the square of the elements' length: curved, twisted, tapered, under all kinds of loads."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.fem.exact_beam.cases import PLANE, bend, coupled, given, twisted
+
+
+def tapered(elements: int) -> mbd.ExactBeam:
+    table = mbd.SectionTable([0.0, 0.5, 1.0], [(scale * coupled(), PLANE) for scale in (1.0, 0.5, 0.4)])
+    return mbd.ExactBeam("blade", mbd.BeamLine.straight(1.0, elements), table)
+
+
+def straight(elements: int) -> mbd.ExactBeam:
+    return mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, elements), given(1e4, 1e4, 1e4, 1.0, 1.0, 2.0))
+
+
+CASES = {
+    "bend": (bend, {"loads": {"end": (0.0, 0.0, 600.0)}}),
+    "twisted": (twisted, {"loads": {"end": (0.0, 0.0, -4e6)}}),
+    "tapered": (tapered, {"loads": {"end": (0.1, 0.6, 0.4)}}),
+    "follower": (straight, {"follower_loads": {"end": (0.0, 3.0, 1.0)}}),
+    "line loads": (straight, {"line_load": (0.0, 4.0, 1.0), "follower_line_load": (0.0, 1.0, 3.0, 0.2, 0.0, 0.0)}),
+    "spin": (straight, {"line_load": (0.0, 3.0, 0.0), "gravity": (0.0, 0.0, -3.0), "spin": (0.0, 0.5, 1.0)}),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_second_order(case):
+    make, loads = CASES[case]
+    tips = []
+    for n in (8, 16, 32):
+        state = make(n).equilibrium(**loads)
+        assert state.status == "ok"
+        tips.append(torch.cat([state.nodes[-1], state.rotations[-1].flatten()]).numpy())
+    steps = [float(np.linalg.norm(b - a)) for a, b in pairwise(tips)]
+    assert math.log2(steps[0] / steps[1]) == pytest.approx(2.0, abs=0.15)

@@ -1,0 +1,132 @@
+"""Loads and supports of exact beams against closed forms and the differential equation."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.fem.exact_beam.cases import given
+from tests.fem.exact_beam.cosserat import cantilever
+
+ROD = (1e6, 1e6, 1e6, 1.0, 1.0, 1.0)
+
+
+def rod(elements: int = 16) -> mbd.ExactBeam:
+    return mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, elements), given(*ROD))
+
+
+@pytest.mark.parametrize("which", ["line_load", "follower_line_load"])
+def test_line_loads_of_small_displacements(which):
+    load: Any = {which: (0.0, 1e-6, 0.0)}
+    found = [rod(n).equilibrium(**load).nodes[-1, 1].item() * 8e6 for n in (5, 10)]
+    assert found == pytest.approx([1.0 - 1 / 75, 1.0 - 1 / 300], abs=1e-4)  # 1 - 1 / (3 n^2)
+
+
+def test_follower_loads_are_those_of_the_differential_equation():
+    """A load that turns with the tip."""
+    state = rod(40).equilibrium(follower_loads={"end": (0.0, 6.0, 0.0)})
+    wanted = cantilever(1.0, np.diag(ROD), np.zeros(3), np.array([0.0, 6.0, 0.0]), follower=True)
+    assert np.abs(state.nodes[-1].numpy() - wanted).max() < 5e-4
+
+
+def test_a_dead_and_a_follower_moment_bend_alike_in_a_plane():
+    moment = (0.0, 0.0, 0.0, 0.0, 0.0, 3.0)
+    dead, follower = rod(4).equilibrium({"end": moment}), rod(4).equilibrium(follower_loads={"end": moment})
+    torch.testing.assert_close(dead.nodes, follower.nodes, rtol=1e-9, atol=1e-9)
+
+
+def test_pressure_on_a_ring():
+    """A half ring between guided ends under pressure: it stays a half ring, N = p R."""
+    line = mbd.BeamLine.arc(1.0, math.pi, 12)
+    beam = mbd.ExactBeam("ring", line, given(*ROD), orientation=(0.0, 0.0, 1.0))
+    held = {"start": "u1 u3 phi1 phi2 phi3", "end": "u1 u3 phi1 phi2 phi3", "center": "u2"}
+    state = beam.equilibrium(follower_line_load=(0.0, 0.0, 2.0), supports=held)  # outward
+    assert state.status == "ok"
+    assert state.forces[..., 0].mean().item() == pytest.approx(2.0, rel=2e-2)
+    assert float(state.forces[..., 4].abs().max()) < 0.02
+
+
+def test_gravity_and_spin():
+    """N = mass (L - x) g for a hanging rod, mass w^2 (L^2 - x^2) / 2 for a spinning one, lumped at the nodes."""
+    mass = torch.diag(torch.tensor([3.0, 3.0, 3.0, 2e-6, 1e-6, 1e-6], dtype=torch.float64))
+    beam = mbd.ExactBeam("rod", mbd.BeamLine.straight(2.0, 10), given(*ROD, mass=mass))
+    hung = beam.equilibrium(gravity=(9.81, 0.0, 0.0))
+    assert hung.forces[0, 0, 0].item() == pytest.approx(3.0 * (2.0 - 0.1) * 9.81, rel=1e-6)
+    assert hung.reactions[0, 0].item() == pytest.approx(-3.0 * 2.0 * 9.81, rel=1e-6)
+    spun = beam.equilibrium(spin=(0.0, 0.0, 5.0))
+    assert spun.forces[0, 0, 0].item() == pytest.approx(3.0 * 25.0 * 2.0, rel=6e-3)
+    moved = beam.equilibrium(spin=(0.0, 0.0, 5.0), center=(-1.0, 0.0, 0.0))
+    assert moved.forces[0, 0, 0].item() == pytest.approx(
+        3.0 * 25.0 * 4.0, rel=3e-2
+    )  # half of the first element is held
+
+
+def test_an_eccentric_mass_twists_the_beam():
+    mass = torch.diag(torch.tensor([2.0, 2.0, 2.0, 0.0, 0.0, 0.0], dtype=torch.float64))
+    y = 0.01  # center of mass, along y
+    mass[0, 5] = mass[5, 0] = -2.0 * y
+    mass[2, 3] = mass[3, 2] = 2.0 * y
+    mass[3:, 3:] = 2.0 * torch.diag(torch.tensor([2e-6 + y * y, 1e-6, 1e-6 + y * y], dtype=torch.float64))
+    beam = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, 20), given(*ROD, mass=mass))
+    state = beam.equilibrium(gravity=(0.0, 0.0, -0.1))
+    assert math.asin(state.rotations[-1, 2, 1].item()) == pytest.approx(
+        -0.2 * y * 0.5, rel=5e-3
+    )  # m g y L^2 / 2 / (G J)
+
+
+def test_imposed_ends():
+    """A rod whose end is turned by half a turn and free to come along x bends to a half circle."""
+    state = rod(8).equilibrium(supports={"start": "all", "end": (None, None, None, 0.0, 0.0, math.pi)})
+    assert state.status == "ok"
+    assert state.nodes[-1].tolist() == pytest.approx([0.0, 2.0 / math.pi, 0.0], abs=1e-9)
+    assert state.reactions[-1, 5].item() == pytest.approx(math.pi, rel=1e-9)
+    pulled = rod(3).equilibrium(supports={"start": "all", "end": (1e-3, 0.0, 0.0, None, None, None)})
+    assert pulled.reactions[-1, 0].item() == pytest.approx(1e3, rel=1e-6)
+
+
+def test_reactions_balance_the_loads():
+    state = rod(6).equilibrium({3: (1.0, 2.0, 3.0), ("center", "end"): (0.0, 2.0, 0.0)}, line_load=(0.0, 0.0, 4.0))
+    assert state.reactions[:, :3].sum(0).tolist() == pytest.approx([-1.0, -4.0, -7.0], abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ({"loads": {"tip": (0.0, 1.0, 0.0)}}, "tip"),
+        ({"loads": {99: (0.0, 1.0, 0.0)}}, "node is 99; allowed: a name, 0 to 16"),
+        ({"loads": {"end": (0.0, 1.0)}}, "3 or 6"),
+        ({"loads": {"end": (0.0, float("nan"), 0.0)}}, "finite"),
+        ({"loads": [1.0]}, "loads is"),
+        ({"line_load": [[0.0, 1.0, 0.0]] * 3}, "each of 16 elements"),
+        ({"supports": {}}, "supports of 'rod'"),
+        ({"supports": {"start": "u4"}}, "allowed: some of u1"),
+        ({"supports": {"start": "u1 phi1"}}, "1 rotations of node 0"),
+        ({"supports": {"start": (0.0, 0.0, 0.0, 0.1, 0.0, None)}}, "hinge"),
+        ({"gravity": (0.0, 1.0)}, "gravity"),
+        ({"spin": 3.0}, "spin"),
+    ],
+)
+def test_what_is_refused(arguments, match):
+    with pytest.raises(mbd.InputError, match=match):
+        rod().equilibrium(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "match"),
+    [
+        ({"name": ""}, "name of an ExactBeam"),
+        ({"line": [[0, 0, 0]]}, "line of 'rod' is a list"),
+        ({"section": 3.0}, "section of 'rod' is 3.0"),
+        ({"twist": [0.0, 1.0]}, "twist of 'rod'"),
+        ({"offset": [0.0, 1.0, 2.0]}, "offset of 'rod'"),
+    ],
+)
+def test_beams_that_are_refused(arguments, match):
+    usual = {"name": "rod", "line": mbd.BeamLine.straight(1.0, 4), "section": given(*ROD)}
+    with pytest.raises(mbd.InputError, match=match):
+        mbd.ExactBeam(**(usual | arguments))

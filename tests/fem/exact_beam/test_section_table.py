@@ -1,0 +1,111 @@
+"""Sections along a beam: tables, BeamDyn's files, one for each element, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import torchmbd as mbd
+from tests.fem.exact_beam.cases import PLANE, coupled, given, matrix
+from tests.fem.exact_beam.cosserat import cantilever
+
+
+def test_a_table_is_linear_between_its_stations():
+    thick, thin = given(4.0, 2.0, 2.0, 2.0, 2.0, 2.0), given(2.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    table = mbd.SectionTable([0.0, 0.4, 1.0], [thick, thick, thin])
+    at = torch.tensor([[0.0, 0.2], [0.4, 0.7], [0.9, 1.0]], dtype=torch.float64)
+    found = table.stiffness(at)
+    assert found.shape == (3, 2, 6, 6)
+    assert found[..., 0, 0].flatten().tolist() == pytest.approx([4.0, 4.0, 4.0, 3.0, 2.0 + 1.0 / 3.0, 2.0])
+    assert table.mass(at).shape == (3, 2, 6, 6)
+    assert [name for name, _ in table.named_parameters()] == ["0.matrix", "2.matrix"]
+
+
+def test_a_tapered_twisted_coupled_beam_is_that_of_the_differential_equation():
+    K = coupled()
+    table = mbd.SectionTable([0.0, 1.0], [(K, PLANE), (0.5 * K, PLANE)])
+    n = 24
+    twist = torch.linspace(0.0, 0.8, n + 1, dtype=torch.float64)
+    beam = mbd.ExactBeam("blade", mbd.BeamLine.straight(1.0, n), table, twist=torch.stack([twist[:-1], twist[1:]], 1))
+    force, moment, load = np.array([0.4, 1.2, -0.8]), np.array([0.3, 0.1, -0.2]), np.array([0.0, 0.5, 1.0])
+    state = beam.equilibrium({"end": (*force, *moment)}, line_load=load.tolist())
+    wanted = cantilever(1.0, lambda s: (1.0 - 0.5 * s) * K.numpy(), np.array([0.8, 0.0, 0.0]), force, moment, load)
+    assert state.status == "ok"
+    assert np.abs(state.nodes[-1].numpy() - wanted).max() < 2e-3 * np.linalg.norm(wanted - [1.0, 0.0, 0.0])
+
+
+def test_a_blade_file_of_beamdyn(tmp_path):
+    """Its axes are x, y, z with z along the blade; the same blade by our own axes bends alike."""
+    ours, mass = coupled().numpy(), np.diag([2.0, 2.0, 2.0, 3e-3, 1e-3, 2e-3])
+    to_theirs = [1, 2, 0, 4, 5, 3]  # theirs x, y, z are ours y, z, x
+    blocks = []
+    for s, scale in ((0.0, 1.0), (1.0, 0.6)):
+        rows = [
+            "\n".join(" ".join(f"{v:.14E}" for v in row) for row in x[np.ix_(to_theirs, to_theirs)])
+            for x in (scale * ours, mass)
+        ]
+        blocks.append(f"  {s:.6f}\n{rows[0]}\n\n{rows[1]}\n")
+    head = "------- BEAMDYN V1.00.* INDIVIDUAL BLADE INPUT FILE ---\n Test\n---- Blade Parameters ----\n"
+    damping = "2   station_total  - Number\n1   damp_type\n---- Damping ---\nmu1 mu2\n1.0E-03 1.0E-03\n"
+    file = tmp_path / "blade.inp"
+    file.write_text(head + damping + "---- Distributed Properties ----\n" + "\n".join(blocks))
+    read = mbd.SectionTable.beamdyn(file)
+    own = mbd.SectionTable([0.0, 1.0], [(ours, mass), (0.6 * ours, mass)])
+    line = mbd.BeamLine.straight(1.0, 4)
+    found = [mbd.ExactBeam("blade", line, t).equilibrium({"end": (0.1, 0.5, 0.3)}).nodes for t in (read, own)]
+    torch.testing.assert_close(found[0], found[1], rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(read.mass(torch.tensor([0.5])), own.mass(torch.tensor([0.5])))
+
+
+def test_one_section_for_each_element():
+    thick, thin = given(1e5, 1e5, 1e5, 2.0, 4.0, 4.0), given(1e5, 1e5, 1e5, 1.0, 1.0, 1.0)
+    beam = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, 40), [thick] * 20 + [thin] * 20)
+    assert [name for name, _ in beam.named_parameters()] == ["section0.matrix", "section1.matrix"]
+    state = beam.equilibrium({"end": (0.0, 0.0, 1e-6)})
+    wanted = 1e-6 * ((1.0 - 0.125) / 3.0 / 4.0 + 0.125 / 3.0 + 1.0 / 1e5)
+    assert state.nodes[-1, 2].item() == pytest.approx(wanted, rel=1e-3)
+
+
+def test_a_section_that_is_not_positive_definite_is_refused_with_its_position():
+    bad = matrix(1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+    bad[4, 5] = bad[5, 4] = 2.0
+    with pytest.raises(mbd.InputError, match=r"position 0\.3.*not positive definite"):
+        mbd.SectionTable([0.0, 0.3, 1.0], [(PLANE, PLANE), (bad, PLANE), (PLANE, PLANE)])
+    table = mbd.SectionTable([0.0, 0.5, 1.0], [given(*[1.0] * 6) for _ in range(3)])
+    beam = mbd.ExactBeam("blade", mbd.BeamLine.straight(2.0, 4), table)
+    with torch.no_grad():
+        table.sections[1].matrix[3, 3] = -1.0
+    with pytest.raises(
+        mbd.InputError, match=r"section of 'blade' at 0.255 of its length \(element 1\) is not positive"
+    ):
+        beam.equilibrium({"end": (0.0, 0.1, 0.0)})
+
+
+@pytest.mark.parametrize(
+    ("positions", "sections", "match"),
+    [
+        ([0.0, 0.5], 2, "rising numbers from 0 to 1"),
+        ([0.0, 0.7, 0.6, 1.0], 4, "rising numbers"),
+        ([0.0, 1.0], 3, "3 sections for 2 positions"),
+    ],
+)
+def test_tables_that_are_refused(positions, sections, match):
+    with pytest.raises(mbd.InputError, match=match):
+        mbd.SectionTable(positions, [given(*[1.0] * 6)] * sections)
+
+
+def test_more_that_is_refused(tmp_path):
+    with pytest.raises(mbd.InputError, match="section at position 1 is 'thin'"):
+        mbd.SectionTable([0.0, 1.0], [given(*[1.0] * 6), "thin"])
+    (tmp_path / "empty.inp").write_text("nothing")
+    with pytest.raises(mbd.InputError, match="no stations"):
+        mbd.SectionTable.beamdyn(tmp_path / "empty.inp")
+    line = mbd.BeamLine([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 0, 0]], [[0, 1], [1, 2], [1, 3]])
+    table = mbd.SectionTable([0.0, 1.0], [given(*[1.0] * 6)] * 2)
+    with pytest.raises(mbd.InputError, match="no chain"):
+        mbd.ExactBeam("fork", line, table)
+    with pytest.raises(mbd.InputError, match="2 sections for 3 elements"):
+        mbd.ExactBeam("fork", line, [given(*[1.0] * 6)] * 2)
+    with pytest.raises(mbd.InputError, match=r"turns by more than 2\.6 rad"):
+        mbd.ExactBeam("ring", mbd.BeamLine.arc(1.0, 3.0, 1), given(*[1.0] * 6))

@@ -1,0 +1,103 @@
+"""Loads and masses of an exact beam at its nodes.
+
+Checked in tests/fem/exact_beam/test_loads.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.fem.elements import BeamLine
+from torchmbd.fem.exact_beam.data import BeamData
+from torchmbd.fem.exact_beam.loads import along, nodal, vector
+from torchmbd.fem.exact_beam.sections import Elements, SpanSections, block
+from torchmbd.math.owned import plain
+
+
+class NodalMass(NamedTuple):
+    """Of particles m on arms a at the nodes, in their axes: sums of m, m a, m a a'."""
+
+    mass: Float[Tensor, "*lanes n"]
+    first: Float[Tensor, "*lanes n 3"]
+    second: Float[Tensor, "*lanes n 3 3"]
+
+
+def nodal_mass(line: BeamLine, sections: SpanSections, made: Elements) -> NodalMass:
+    """Half of each element's mass at each of its ends."""
+    ends = torch.tensor([0.0, 1.0], dtype=torch.float64)
+    own = made.to_line @ sections.mass(made.matrices.length, ends) @ made.to_line.mT
+    points = made.matrices.particles(own)
+    n, where = len(line.nodes), points.ends[:, 0]
+    m, a = points.mass, points.arm
+    first = m[..., None] * a
+    second = first[..., None] * a[..., None, :]
+    return NodalMass(*(_sum(x, where, n, k) for x, k in ((m, 0), (first, 1), (second, 2))))
+
+
+def beam_data(
+    line: BeamLine, sections: SpanSections, made: Elements, nodes: Tensor, imposed: Tensor, given: dict[str, Any]
+) -> tuple[BeamData, bool]:
+    """Numbers of a beam under loads, arguments of `ExactBeam.equilibrium`; and whether all loads have a potential."""
+    n, where = len(line.nodes), line.elements.flatten()
+    q, p = (along(key, line, given[key]) for key in ("line_load", "follower_line_load"))
+    loads, turning = (nodal(key, line, given[key]) for key in ("loads", "follower_loads"))
+    symmetric = not any(bool(plain(x).any()) for x in (loads[:, 3:], q[:, 3:], p, turning))
+    half = 0.5 * made.matrices.length[..., None]
+    tangent = made.axes[..., 0]  # [*lanes, m, 2, 3]
+    arm = tangent * (half / 3.0)[..., None, :] * torch.tensor([[1.0], [-1.0]], dtype=torch.float64)
+    share = (half * q)[..., None, :].expand(*tangent.shape[:-1], 6)
+    dead = loads + _gathered(share, where, n, 1)
+    arms = _gathered(arm[..., :, None] * share[..., None, :3], where, n, 2)
+    push = (block(made.axes) @ (half * p)[..., None, :, None])[..., 0]
+    push = push + torch.cat([torch.zeros_like(arm), torch.linalg.cross(arm, push[..., :3])], -1)
+    first = _first_ends(line)
+    axes = made.axes.flatten(-4, -3)[..., first, :, :]
+    follower = (block(axes) @ turning[..., None])[..., 0] + _gathered(push, where, n, 1)
+    gravity, spin, center = (vector(key, given[key]) for key in ("gravity", "spin", "center"))
+    heavy = bool(plain(gravity).any()) or bool(plain(spin).any())
+    own = nodal_mass(line, sections, made) if heavy else _massless(n)
+    start, end = made.axes.unbind(-3)
+    data = BeamData(
+        made.stiffness,
+        made.screws,
+        start,
+        end,
+        nodes,
+        dead,
+        arms,
+        follower,
+        own.mass,
+        own.first,
+        own.second,
+        gravity,
+        spin,
+        center,
+        imposed,
+    )
+    return data, symmetric
+
+
+def _massless(n: int) -> NodalMass:
+    return NodalMass(*(torch.zeros(n, *core, dtype=torch.float64) for core in ((), (3,), (3, 3))))
+
+
+def _first_ends(line: BeamLine) -> Tensor:
+    """For each node the first end of an element that is there: 2 * element + end [n]."""
+    flat = line.elements.flatten().tolist()
+    return torch.tensor([flat.index(k) for k in range(len(line.nodes))])
+
+
+def _gathered(ends: Tensor, where: Tensor, n: int, core: int) -> Tensor:
+    """Sums at the nodes of what belongs to the ends of elements [*lanes, m, 2, *core]."""
+    return _sum(ends.flatten(-2 - core, -1 - core), where, n, core)
+
+
+def _sum(x: Tensor, where: Tensor, n: int, core: int) -> Tensor:
+    dim = -1 - core
+    shape = list(x.shape)
+    shape[dim] = n
+    return x.new_zeros(shape).index_add(dim, where, x)

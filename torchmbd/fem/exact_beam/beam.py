@@ -1,0 +1,203 @@
+"""A geometrically exact beam on its own: finite displacements and rotations under static loads.
+
+Sections are those of fem/sections or tables of 6 x 6 matrices, lines those of all beams: straight, arcs, chains, nets with
+kinks, twisted. Equations in forces.py, the search for equilibrium in continuation.py, its derivatives in solution.py.
+Assumed: plane sections that keep their shape; strains are small enough for a linear section.
+Checked in tests/fem/exact_beam/, tests/validation/test_exact_beam.py, tests/convergence/test_exact_beam_order.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import BeamLine, BeamMatrices
+from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
+from torchmbd.fem.exact_beam.assemble import beam_data
+from torchmbd.fem.exact_beam.continuation import STATUS, Continuation
+from torchmbd.fem.exact_beam.data import BeamData, Topology
+from torchmbd.fem.exact_beam.forces import element_wrenches, residual
+from torchmbd.fem.exact_beam.loads import Loads, Supports, held
+from torchmbd.fem.exact_beam.sections import Elements, SpanSections, elements
+from torchmbd.fem.exact_beam.solution import solve
+from torchmbd.math.module_call import outside
+from torchmbd.math.owned import parameter, plain, reals
+
+_STATIONS, _TURNING = 2, 8  # of prismatic elements; of those that are twisted, tapered or arcs
+_SIDES = torch.tensor([-1.0, 1.0], dtype=torch.float64)  # section forces act on the face whose normal is along the beam
+_WHY = {
+    "ok": "ok",
+    "limit point": "limit point: no equilibrium near the last one beyond {factor:.4f} of the loads",
+    "unstable": "unstable: the beam buckles at {factor:.4f} of the loads",
+    "not converged": "not converged: Newton's method ends at {factor:.4f} of the loads; "
+    "allowed: smaller loads, or more elements",
+    "turned too far": "an element turns by more than 2.6 rad beyond {factor:.4f} of the loads; allowed: more elements",
+}
+
+
+class BeamState(NamedTuple):
+    """An equilibrium of an ExactBeam; nan where there is none.
+
+    nodes      places [*lanes, n, 3], m
+    rotations  of the nodes, from their axes without load to space [*lanes, n, 3, 3]
+    forces     (N, V_y, V_z, T, M_y, M_z) at start and end of each element, about its section's axes [*lanes, m, 2, 6]
+    reactions  forces and moments of the supports on the beam at their nodes, in mesh axes [*lanes, n, 6]
+    factor     of the loads that was reached: 1 where the status is "ok" [*lanes]
+    status     "ok", or why the loads are not borne: a limit point, buckling, no convergence; of the first lane that fails
+    path       the equilibria on the way (of the first lane that fails, else the last): factors [k] and places [k, n, 3]
+
+    >>> rod = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9)
+    >>> column = mbd.ExactBeam("column", mbd.BeamLine.straight(1.0, 8), rod)
+    >>> state = column.equilibrium({"end": (-1000.0, 0.0, 0.0)})  # Euler: pi^2 E I / (4 L^2) = 518 N
+    >>> state.status
+    'unstable: the beam buckles at 0.5198 of the loads'
+    """
+
+    nodes: Float[Tensor, "*lanes n 3"]
+    rotations: Float[Tensor, "*lanes n 3 3"]
+    forces: Float[Tensor, "*lanes m 2 6"]
+    reactions: Float[Tensor, "*lanes n 6"]
+    factor: Float[Tensor, "*lanes"]
+    status: str
+    path: tuple[Float[Tensor, " k"], Float[Tensor, "k n 3"]]
+
+
+class ExactBeam(nn.Module):
+    """A beam of finite displacements and rotations, on its own (no body of a System).
+
+    name           for messages
+    line           nodes and two-node elements, straight or arcs
+    section        a Section or GivenSection (its parameters are "section.angles", ...), a SectionTable along a chain, or a list
+                   of one for each element
+    orientation    the sections' y-axis in mesh axes, projected across the elements: [3], or one for each [m, 3]
+    offset, twist  of the section's axes from the line of the nodes: y, z [m] and angle [rad], or one for each element; twist
+                   also at the start and the end of each [m, 2], and as a torch.nn.Parameter, then "twist"
+
+    An element must not turn by more than 2.6 rad, without load and under it.
+
+    >>> steel = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=1e-5, Iyy=1e-11, Izz=1e-11, J=2e-11)
+    >>> beam = mbd.ExactBeam("rod", mbd.BeamLine.straight(1.0, elements=4), steel)
+    >>> state = beam.equilibrium({"end": (0, 0, 0, 0, 0, 2 * torch.pi * 210e9 * 1e-11)})  # rolls up to a circle
+    >>> state.status, bool(state.nodes[-1].norm() < 1e-9)
+    ('ok', True)
+    """
+
+    twist: Tensor
+    offset: Tensor
+
+    def __init__(
+        self,
+        name: str,
+        line: BeamLine,
+        section: Any,
+        orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
+        offset: Sequence[float] | Tensor = (0.0, 0.0),
+        twist: float | Sequence | Tensor = 0.0,
+    ) -> None:
+        super().__init__()
+        if not isinstance(name, str) or not name:
+            raise InputError(f"name of an ExactBeam is {name!r}; allowed: a string")
+        if not isinstance(line, BeamLine):
+            raise InputError(f"line of {name!r} is a {type(line).__name__}; allowed: a BeamLine")
+        self.name, self.mesh = name, line
+        m = len(line.elements)
+        self.sections = SpanSections(name, line, section)
+        for key, own in self.sections.modules.items():
+            self.add_module(key, own)
+        if line.shape is not None:
+            self.line = line.shape
+        if isinstance(twist, nn.Parameter):
+            self.twist = parameter(f"twist of {name!r}", twist)
+        else:
+            self.register_buffer("twist", reals(f"twist of {name!r}", twist), persistent=False)
+        if self.twist.shape not in ((), (m,), (m, 2)):
+            allowed = f"one angle, one for each element [{m}], or two, at its start and end [{m}, 2]"
+            raise InputError(f"twist of {name!r} has shape {tuple(self.twist.shape)}; allowed: {allowed}")
+        self.register_buffer("offset", reals(f"offset of {name!r}", offset), persistent=False)
+        if self.offset.shape not in ((2,), (m, 2)):
+            allowed = f"[2], or one for each element [{m}, 2]"
+            raise InputError(f"offset of {name!r} has shape {tuple(self.offset.shape)}; allowed: {allowed}")
+        plain_twist = self.twist.dim() < 2 and not isinstance(self.twist, nn.Parameter)
+        simple = line.middles is None and plain_twist and not self.sections.tapered
+        self._matrices = BeamMatrices(line, orientation, stations=_STATIONS if simple else _TURNING)
+        with torch.no_grad():
+            self._elements()
+
+    def equilibrium(
+        self,
+        loads: Loads | None = None,
+        follower_loads: Loads | None = None,
+        line_load: Sequence | Tensor | None = None,
+        follower_line_load: Sequence | Tensor | None = None,
+        supports: Supports | None = None,
+        gravity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        spin: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        unstable: bool = False,
+    ) -> BeamState:
+        """Find the equilibrium that is reached while all loads grow together from zero.
+
+        loads               nodes -> force [N], or force and moment [N, N m], in mesh axes; they keep their directions
+        follower_loads      the same in the axes of the section (of the first element at the node); they turn with it
+        line_load           force [N/m], or force and moment, per length without load, in mesh axes: 3 or 6 numbers, or
+                            as many for each element; it keeps its direction
+        follower_line_load  the same in the axes of the elements' sections; it turns with them
+        supports            nodes -> freedoms that are held, as "u1 u2 u3", or "all"; or six numbers, displacements and a
+                            rotation vector [m, rad], None where it is free. None: all of "start"
+        gravity             [m/s2]
+        spin, center        angular velocity [rad/s] of the supports about an axis through a point [m]: steady rotation
+        unstable            True: equilibria are followed past points where they lose their stability
+
+        Differentiable, forward and reverse, by parameters of sections, line and twist, and by loads, gravity, spin and
+        center that are tensors. Moments that keep their directions and follower loads have no potential: for these a
+        change of the determinant's sign counts as buckling. Raises InputError where arguments are wrong.
+
+        >>> flat = mbd.GivenSection.isotropic(E=70e9, nu=0.3, density=2700.0, area=1e-4, Iyy=1e-9, Izz=1e-10, J=3e-10)
+        >>> beam = mbd.ExactBeam("strip", mbd.BeamLine.straight(1.0, 8), flat)
+        >>> beam.equilibrium({"end": (0.0, 10.0, 0.0)}).nodes[-1].round(decimals=3).tolist()  # [m]
+        [0.9, 0.396, 0.0]
+        """
+        n = len(self.mesh.nodes)
+        fixed, imposed = held(self.name, self.mesh, supports)
+        free = torch.tensor([f for f in range(6 * n) if f not in set(fixed)])
+        given = {
+            "loads": loads,
+            "follower_loads": follower_loads,
+            "line_load": line_load,
+            "follower_line_load": follower_line_load,
+            "gravity": gravity,
+            "spin": spin,
+            "center": center,
+        }
+        made = self._elements()
+        data, symmetric = beam_data(self.mesh, self.sections, made, present_nodes(self.mesh), imposed, given)
+        search = outside(lambda: Continuation(Topology(self.mesh.elements, free, symmetric), n, unstable))
+        return self._state(search, data, solve(search, data), made)
+
+    def _elements(self) -> Elements:
+        """In the present design."""
+        nodes, matrices = present_nodes(self.mesh), self._matrices
+        if varying_nodes(self.mesh):
+            matrices = matrices.at(nodes)
+        return elements(self.sections, matrices, self.offset, self.twist, nodes)
+
+    def _state(
+        self, search: Continuation, data: BeamData, found: tuple[Tensor, Tensor, Tensor, Tensor], made: Elements
+    ) -> BeamState:
+        x, R, factor, code = found
+        ends = element_wrenches(data, search.topology, x, R)
+        forces = (made.recover @ ends[..., None])[..., 0] * _SIDES[:, None]
+        missing = residual(data, search.topology, x, R)
+        held = torch.ones(missing.shape[-2] * 6, dtype=torch.bool).index_fill(0, search.topology.free, False)
+        reactions = torch.where(held.reshape(-1, 6), -missing, 0.0)
+        codes = plain(code).flatten()
+        worst = next((k for k, c in enumerate(codes.tolist()) if c), len(codes) - 1)
+        status = _WHY[STATUS[int(codes[worst])]].format(factor=float(plain(factor).flatten()[worst]))
+        way = search.paths[worst]
+        path = torch.tensor(way.factors, dtype=torch.float64), torch.stack(way.places)
+        return BeamState(x, R, forces, reactions, factor, status, path)

@@ -1,0 +1,202 @@
+"""Equilibrium of one exact beam by Newton's method while its loads grow: steps of variable size, limit points, buckling.
+
+    K(q, f*) dq = p(factor + step) - f(q)       f* = f(q before) + df/dq dq: forces of the elements by their derivative
+
+K is that of the mixed equations in displacements and forces: where rotations stretch slender elements, the forces f(q)
+between two iterations are far off, f* are not (D. Magisano, L. Leonetti, G. Garcea, Int. J. Numer. Methods Eng. 109 (2017)
+1237-1262). At the end f* = f(q). The first increment of a step is its predictor.
+
+A step turns no node by more than TURN by its predictor. It is halved where Newton's method fails, where it ends elsewhere than
+the rates at both ends say (another branch), and where the equilibrium there is unstable: the number of negative pivots
+of K is that of its negative eigenvalues; where loads have no potential, an odd number says that the determinant has
+changed its sign. The factor at which steps end is known to SHORTEST.
+Checked in tests/fem/exact_beam/test_continuation.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+import torch
+from torch import Tensor
+
+from torchmbd.fem.exact_beam.data import BeamData, Topology
+from torchmbd.fem.exact_beam.forces import element_tangents, load_tangents, residual, screws, strengths
+from torchmbd.math.rigid_motion import LARGEST, exponential
+from torchmbd.math.sparse import Pattern
+
+TURN = 1.0  # largest rotation of a node in a step [rad]
+ITERATIONS = 15
+SETTLED = 1e-9  # increment after which another one is below rounding, of the size of the beam and in rad
+# What a step may differ, as a part of it, from the rate at its start and from the mean of the rates at both ends; together they
+# exclude a jump to a branch that hardly moves, where the mean is half of the rate at the start.
+START, MEAN = 0.5, 0.2
+SHORTEST = 1e-5  # of the loads
+STEEP = 20.0  # displacement per load over its mean from the start: a limit point is near
+NEAR = 0.75 * LARGEST  # rotation of an element at which its limit is the likely reason of a failure [rad]
+STATUS = ("ok", "limit point", "unstable", "not converged", "turned too far")
+
+
+@dataclass
+class Path:
+    """Where the search ended: code into STATUS, the last factor in equilibrium, the state there, and all states before.
+
+    x, R       [n, 3], [n, 3, 3];  K: stiffness of the free freedoms there
+    factors    of the loads, and places of the nodes there [n, 3]
+    """
+
+    code: int
+    factor: float
+    x: Tensor
+    R: Tensor
+    K: scipy.sparse.csc_array
+    factors: list[float] = field(default_factory=list)
+    places: list[Tensor] = field(default_factory=list)
+
+
+@dataclass
+class _Balance:
+    """An equilibrium: factor of the loads, state, forces of the elements, stiffness of all freedoms."""
+
+    factor: float
+    x: Tensor
+    R: Tensor
+    f: Tensor
+    K: Any = None
+
+
+class Continuation:
+    """Finds equilibria of beams of one topology.
+
+    follow  whether unstable equilibria are followed
+    paths   of the last search, one for each lane
+    """
+
+    paths: list[Path]
+
+    def __init__(self, topology: Topology, nodes: int, follow: bool = False) -> None:
+        self.topology, self.follow = topology, follow
+        ends = (6 * topology.elements[:, :, None] + torch.arange(6)).flatten(1)  # [m, 12]
+        own = torch.arange(6 * nodes).reshape(nodes, 6)
+        rows = [x[:, :, None].expand(-1, -1, x.shape[1]).flatten() for x in (ends, own)]
+        cols = [x[:, None, :].expand(-1, x.shape[1], -1).flatten() for x in (ends, own)]
+        self._pattern, self._slot = Pattern.gather(torch.cat(rows), torch.cat(cols), 6 * nodes)
+
+    def stiffness(self, data: BeamData, x: Tensor, R: Tensor, f: Tensor, factor: float) -> tuple[Any, Tensor]:
+        """K of all freedoms of one design whose elements bear f, and df by motions of their nodes [m, 6, 12]."""
+        elements, B = element_tangents(data, self.topology, x, R, f)
+        blocks = torch.cat([elements.flatten(), load_tangents(data, x, R, factor).flatten()])
+        values = blocks.new_zeros(self._pattern.nnz).index_add(0, self._slot, blocks)
+        return self._pattern.to_scipy(values), B
+
+    def run(self, data: BeamData) -> Path:
+        """From the unloaded beam to the whole loads."""
+        n = len(data.nodes)
+        size = float((data.nodes.amax(0) - data.nodes.amin(0)).norm())
+        self._scale = np.tile([size] * 3 + [1.0] * 3, n)
+        state = _Balance(
+            0.0, data.nodes, torch.eye(3, dtype=torch.float64).expand(n, 3, 3), torch.zeros_like(data.screws)
+        )
+        state.K, _ = self.stiffness(data, state.x, state.R, state.f, 0.0)
+        path = Path(0, 0.0, state.x, state.R, state.K, [0.0], [state.x])
+        moved, largest = np.zeros(6 * n), 1.0
+        while state.factor < 1.0:
+            rate = self._rate(data, state)  # of increments by the factor
+            fast = float(np.abs(rate.reshape(n, 6)[:, 3:]).max()) if np.isfinite(rate).all() else np.inf
+            step, why, found = min(1.0 - state.factor, largest, TURN / max(fast, 1e-300)), 3, None
+            while step >= SHORTEST:
+                found, why, increment = self._step(data, state, step, rate)
+                if found is not None:
+                    break
+                step = 0.5 * step
+            if found is None:
+                steep = self._size(rate) * state.factor > STEEP * self._size(moved)
+                turned = float(screws(data, self.topology, state.x, state.R)[0][..., 3:].norm(dim=-1).max())
+                path.code = 2 if why == 2 else 4 if turned > NEAR else 1 if steep else 3
+                break
+            state, moved, largest = found, moved + increment, 2.0 * step
+            path.factors.append(state.factor)
+            path.places.append(state.x)
+        free = self.topology.free.numpy()
+        path.factor, path.x, path.R, path.K = state.factor, state.x, state.R, state.K[free][:, free]
+        return path
+
+    def _step(
+        self, data: BeamData, old: _Balance, step: float, rate: np.ndarray
+    ) -> tuple[_Balance | None, int, np.ndarray]:
+        """The equilibrium that follows, or None and a code; and the increment."""
+        at = 1.0 if old.factor + step > 1.0 - SHORTEST else old.factor + step
+        x, R, f, K, predicted = old.x, old.R, old.f, old.K, 0.0
+        B = element_tangents(data, self.topology, x, R, f)[1]
+        total = np.zeros(6 * len(x))
+        for k in range(ITERATIONS):
+            change = (at - old.factor) * data.imposed if k == 0 else torch.zeros_like(data.imposed)
+            increment = self._solve(K, change, residual(data, self.topology, x, R, at))
+            length = self._size(increment)
+            predicted = predicted or length
+            if not np.isfinite(length) or length > 10.0 * predicted:
+                break
+            move, total = torch.from_numpy(increment).reshape(-1, 6), total + increment
+            df = (B @ move[self.topology.elements].flatten(1)[..., None])[..., 0]
+            f = strengths(data, self.topology, x, R) + df
+            x, R = x + move[:, :3], exponential(move[:, 3:]) @ R
+            settled = np.abs(increment / self._scale).max() <= SETTLED
+            f = strengths(data, self.topology, x, R) if settled else f
+            K, B = self.stiffness(data, x, R, f, at)
+            if not np.isfinite(K.data).all():
+                break
+            if settled:
+                new = _Balance(at, x, R, f, K)
+                if not self._smooth(total, (at - old.factor) * rate, (at - old.factor) * self._rate(data, new)):
+                    break
+                return (None, 2, total) if self._unstable(K) else (new, 0, total)
+        return None, 3, total
+
+    def _smooth(self, total: np.ndarray, before: np.ndarray, after: np.ndarray) -> bool:
+        """Whether an increment is that of its rates at both ends."""
+        size = self._size(total)
+        apart = self._size(total - 0.5 * (before + after))
+        return self._size(total - before) <= START * size and apart <= MEAN * size
+
+    def _rate(self, data: BeamData, state: _Balance) -> np.ndarray:
+        """Increment for loads that grow by 1."""
+        more = [residual(data, self.topology, state.x, state.R, state.factor + step) for step in (1.0, 0.0)]
+        return self._solve(state.K, data.imposed, more[0] - more[1])
+
+    def _solve(self, K: Any, change: Tensor, missing: Tensor) -> np.ndarray:
+        """Increment of all freedoms: `change` where they are held."""
+        free = self.topology.free.numpy()
+        result = change.flatten().numpy().copy()
+        result[free] = 0.0
+        right = missing.flatten().numpy() - K @ result
+        try:
+            result[free] = scipy.sparse.linalg.splu(K[free][:, free].tocsc()).solve(right[free])
+        except RuntimeError:  # singular
+            result[free] = np.nan
+        return result
+
+    def _size(self, increment: np.ndarray) -> float:
+        return float(np.linalg.norm(increment / self._scale))
+
+    def _unstable(self, K: Any) -> bool:
+        if self.follow:
+            return False
+        free = self.topology.free.numpy()
+        negative = negative_pivots(K[free][:, free])
+        return negative > 0 if self.topology.symmetric else negative % 2 == 1
+
+
+def negative_pivots(K: scipy.sparse.csc_array) -> int:
+    """Number of negative eigenvalues of a symmetric matrix; of any other its parity is that of the determinant's sign."""
+    d = 1.0 / np.sqrt(np.maximum(np.abs(K.diagonal()), 1e-300))
+    scaled = scipy.sparse.diags_array(d) @ K @ scipy.sparse.diags_array(d)
+    factors = scipy.sparse.linalg.splu(
+        scaled.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    )
+    if (factors.perm_r != factors.perm_c).any():  # a pivot was zero
+        return int((np.linalg.eigvals(scaled.toarray()).real < 0.0).sum())
+    return int((factors.U.diagonal() < 0.0).sum())

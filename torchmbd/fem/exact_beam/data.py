@@ -1,0 +1,72 @@
+"""What the equilibrium of an exact beam depends on, as tensors with or without leading lanes.
+
+Axes: space is that of the mesh; a node's axes are those of the mesh before it turned; an element's end has those of its
+section there, which turn with the node.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+class BeamData(NamedTuple):
+    """Numbers of a beam of n nodes and m elements and of its loads; each may have leading lanes.
+
+    stiffness  of the elements, by their screws [m, 6, 6]
+    screws     of the elements without load: from the frame at the start to that at the end [m, 6]
+    start, end axes of the sections there in the axes of the nodes, columns [m, 3, 3]
+    nodes      places without load [n, 3], m
+    dead       forces and moments that keep their directions, at the nodes [n, 6], N, N m
+    arms       of dead forces on arms: arm times force [n, 3, 3], N m
+    follower   forces and moments that turn with the nodes, in their axes [n, 6]
+    mass, first, second   of the nodes: m, m a, m a a' of particles on arms a [n], [n, 3], [n, 3, 3]
+    gravity    [3], m/s2
+    spin, center  angular velocity [3], rad/s, about an axis through a point [3], m
+    imposed    displacements and rotation vectors of held freedoms [n, 6]
+    """
+
+    stiffness: Float[Tensor, "*lanes m 6 6"]
+    screws: Float[Tensor, "*lanes m 6"]
+    start: Float[Tensor, "*lanes m 3 3"]
+    end: Float[Tensor, "*lanes m 3 3"]
+    nodes: Float[Tensor, "*lanes n 3"]
+    dead: Float[Tensor, "*lanes n 6"]
+    arms: Float[Tensor, "*lanes n 3 3"]
+    follower: Float[Tensor, "*lanes n 6"]
+    mass: Float[Tensor, "*lanes n"]
+    first: Float[Tensor, "*lanes n 3"]
+    second: Float[Tensor, "*lanes n 3 3"]
+    gravity: Float[Tensor, "*lanes 3"]
+    spin: Float[Tensor, "*lanes 3"]
+    center: Float[Tensor, "*lanes 3"]
+    imposed: Float[Tensor, "*lanes n 6"]
+
+    @property
+    def lanes(self) -> torch.Size:
+        """Leading axes of all."""
+        return torch.broadcast_shapes(*(x.shape[: x.dim() - k] for x, k in zip(self, RANKS, strict=True)))
+
+    def flat(self) -> list[BeamData]:
+        """The lanes one by one."""
+        lanes = self.lanes
+        wide = [
+            x.expand(*lanes, *x.shape[x.dim() - k :]).reshape(-1, *x.shape[x.dim() - k :])
+            for x, k in zip(self, RANKS, strict=True)
+        ]
+        return [BeamData(*own) for own in zip(*wide, strict=True)]
+
+
+#: Axes of each field besides lanes.
+RANKS = (3, 2, 3, 3, 2, 2, 3, 2, 1, 2, 3, 1, 1, 1, 2)
+
+
+class Topology(NamedTuple):
+    """Which nodes the elements join [m, 2], and which freedoms 6 * node + i are free [f]."""
+
+    elements: Int[Tensor, "m 2"]
+    free: Int[Tensor, " f"]
+    symmetric: bool  # whether all loads have a potential

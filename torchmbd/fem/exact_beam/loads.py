@@ -1,0 +1,123 @@
+"""Loads and supports of an exact beam as numbers of its nodes.
+
+Checked in tests/fem/exact_beam/test_loads.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import FREEDOMS, BeamLine
+from torchmbd.math.owned import all_true, whole
+
+Loads = Mapping[Any, Sequence[float] | Tensor]
+Supports = Mapping[Any, str | Sequence[float | None]]
+
+
+def nodes_of(line: BeamLine, given: Any) -> list[int]:
+    """Nodes of a name, a number, or a tuple of these."""
+    if isinstance(given, str):
+        return list(line.node_set(given))
+    if isinstance(given, tuple | list):
+        return [k for one in given for k in nodes_of(line, one)]
+    if not whole(given) or not 0 <= given < len(line.nodes):
+        raise InputError(f"node is {given!r}; allowed: a name, 0 to {len(line.nodes) - 1}, or a tuple of these")
+    return [int(given)]
+
+
+def wrench(name: str, given: Any) -> Float[Tensor, "*lanes 6"]:
+    """A force, or force and moment, with its gradient; InputError names the argument."""
+    try:
+        x = torch.as_tensor(given, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"{name} is {given!r}; allowed: 3 or 6 finite numbers") from error
+    if x.dim() == 0 or x.shape[-1] not in (3, 6) or not all_true(torch.isfinite(x)):
+        raise InputError(f"{name} is {given!r}; allowed: 3 or 6 finite numbers")
+    return x if x.shape[-1] == 6 else torch.cat([x, torch.zeros_like(x)], -1)
+
+
+def vector(name: str, given: Any) -> Float[Tensor, " 3"]:
+    """Three numbers, with their gradient."""
+    x = wrench(name, given)
+    if torch.as_tensor(given).shape != (3,):
+        raise InputError(f"{name} is {given!r}; allowed: three finite numbers")
+    return x[:3]
+
+
+def nodal(name: str, line: BeamLine, loads: Loads | None) -> Float[Tensor, "n 6"]:
+    """Loads of nodes; a set shares its load evenly."""
+    total = torch.zeros(len(line.nodes), 6, dtype=torch.float64)
+    if loads is None:
+        return total
+    if not isinstance(loads, Mapping):
+        raise InputError(f"{name} is {loads!r}; allowed: nodes -> force, or force and moment")
+    for where, given in loads.items():
+        own = wrench(f"{name}[{where!r}]", given)
+        if own.shape != (6,):
+            raise InputError(f"{name}[{where!r}] has shape {tuple(own.shape)}; allowed: 3 or 6 numbers")
+        nodes = nodes_of(line, where)
+        total = total.index_add(0, torch.tensor(nodes), (own / len(nodes)).expand(len(nodes), 6))
+    return total
+
+
+def along(name: str, line: BeamLine, given: Any) -> Float[Tensor, "m 6"]:
+    """Loads per length of the elements."""
+    m = len(line.elements)
+    if given is None:
+        return torch.zeros(m, 6, dtype=torch.float64)
+    own = wrench(name, given)
+    if own.shape not in ((6,), (m, 6)):
+        raise InputError(
+            f"{name} has shape {tuple(own.shape)}; allowed: 3 or 6 numbers, or as many for each of {m} elements"
+        )
+    return own.expand(m, 6)
+
+
+def held(name: str, line: BeamLine, supports: Supports | None) -> tuple[list[int], Float[Tensor, "n 6"]]:
+    """Freedoms 6 * node + i that are held, and where [n, 6]; default: all of the node "start"."""
+    supports = {"start": "all"} if supports is None else supports
+    if not isinstance(supports, Mapping) or not supports:
+        raise InputError(f"supports of {name!r} is {supports!r}; allowed: nodes -> freedoms, at least one")
+    found: dict[int, float] = {}
+    for where, given in supports.items():
+        values = _values(f"support {where!r} of {name!r}", given)
+        for node in nodes_of(line, where):
+            for i, x in enumerate(values):
+                if x is not None and found.setdefault(6 * node + i, x) != x:
+                    raise InputError(
+                        f"supports of {name!r} put {FREEDOMS[i]} of node {node} at two places; allowed: one"
+                    )
+    imposed = torch.zeros(6 * len(line.nodes), dtype=torch.float64)
+    imposed[list(found)] = torch.tensor(list(found.values()), dtype=torch.float64)
+    for node in {f // 6 for f in found}:
+        turns = [found[f] for f in range(6 * node + 3, 6 * node + 6) if f in found]
+        if len(turns) == 1 or (len(turns) == 2 and any(turns)):
+            raise InputError(
+                f"supports of {name!r} hold {len(turns)} rotations of node {node}; allowed where rotations are finite: none, "
+                "all three, or two at 0 (a hinge)"
+            )
+    return sorted(found), imposed.reshape(-1, 6)
+
+
+def _values(name: str, given: Any) -> list[float | None]:
+    if isinstance(given, str):
+        names = list(FREEDOMS) if given == "all" else given.replace(",", " ").split()
+        if names and all(x in FREEDOMS for x in names):
+            return [0.0 if x in names else None for x in FREEDOMS]
+    elif isinstance(given, Sequence) and len(given) == 6:
+        found: list[float | None]
+        try:
+            found = [None if x is None else float(x) for x in given]
+        except (TypeError, ValueError):
+            found = [float("nan")]
+        if all(x is None or abs(x) < float("inf") for x in found):
+            return found
+    raise InputError(
+        f"{name} is {given!r}; allowed: some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free"
+    )

@@ -1,0 +1,145 @@
+"""The sections of an exact beam along its line, and what its elements are made of.
+
+Checked in tests/fem/exact_beam/test_section_table.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import BeamLine, BeamMatrices, BeamSection
+from torchmbd.fem.elements.beam_section import line_transform
+from torchmbd.fem.exact_beam.section_table import SectionTable
+from torchmbd.math.inverse import balanced_inverse
+from torchmbd.math.owned import all_true, plain
+from torchmbd.math.rigid_motion import LARGEST, logarithm
+
+
+class SpanSections:
+    """One section, one for each element, or a table along a chain.
+
+    modules   by the names of their parameters: "section", or "section0", ...
+    tapered   whether the section varies within an element
+    """
+
+    def __init__(self, name: str, line: BeamLine, section: Any) -> None:
+        m = len(line.elements)
+        self.name, self._table = name, section if isinstance(section, SectionTable) else None
+        self.tapered = self._table is not None
+        if self._table is not None:
+            chain = torch.stack([torch.arange(m), torch.arange(m) + 1], 1)
+            if not torch.equal(line.elements, chain):
+                raise InputError(
+                    f"section of {name!r} is a SectionTable and its line is no chain; allowed: 0-1, 1-2, ..."
+                )
+            self.modules: dict[str, nn.Module] = {"section": self._table}
+            return
+        given: list[Any] = list(section) if isinstance(section, list | tuple) else [section] * m
+        if len(given) != m:
+            raise InputError(f"{len(given)} sections for {m} elements of {name!r}; allowed: one, or one for each")
+        for own in given:
+            if not (isinstance(own, nn.Module) and isinstance(own, BeamSection)):
+                raise InputError(f"section of {name!r} is {own!r}; allowed: a Section, a GivenSection, a SectionTable")
+        self._own = list(dict.fromkeys(given))
+        self._index = torch.tensor([self._own.index(own) for own in given])
+        names = ["section"] if len(self._own) == 1 else [f"section{k}" for k in range(len(self._own))]
+        self.modules = dict(zip(names, self._own, strict=True))
+
+    def stiffness(self, length: Float[Tensor, "*lanes m"], t: Float[Tensor, " g"]) -> Float[Tensor, "*lanes m g 6 6"]:
+        """Of the sections at parts t of the elements; InputError where one is not positive definite."""
+        at = positions(length, t)
+        found = self._at("stiffness", at)
+        good = torch.linalg.cholesky_ex(plain(found))[1] == 0
+        if not all_true(good):
+            m, g = at.shape[-2:]
+            k = int(good.reshape(-1, m * good.shape[-1]).all(0).logical_not().nonzero()[0, 0])
+            element, place = (
+                k // good.shape[-1],
+                float(plain(at).reshape(-1, m, g)[0].flatten()[k if good.shape[-1] == g else k * g]),
+            )
+            raise InputError(
+                f"section of {self.name!r} at {place:.3g} of its length (element {element}) is not positive definite; "
+                "allowed: a stiffness that does work in every strain"
+            )
+        return found
+
+    def mass(self, length: Float[Tensor, "*lanes m"], t: Float[Tensor, " g"]) -> Float[Tensor, "*lanes m g 6 6"]:
+        """Mass per length at parts t of the elements."""
+        return self._at("mass", positions(length, t))
+
+    def _at(self, what: str, at: Tensor) -> Tensor:
+        if self._table is not None:
+            return getattr(self._table, what)(at)
+        every = torch.stack(torch.broadcast_tensors(*(getattr(own, what)() for own in self._own)), -3)
+        return every[..., self._index, None, :, :]
+
+
+def positions(length: Float[Tensor, "*lanes m"], t: Float[Tensor, " g"]) -> Float[Tensor, "*lanes m g"]:
+    """Parts of the whole length of a chain, at parts t of its elements."""
+    end = length.cumsum(-1)
+    return ((end - length)[..., None] + t * length[..., None]) / end[..., -1:, None]
+
+
+class Elements(NamedTuple):
+    """Elements in the present design: stiffness by screws, screws without load, axes at the ends, and what recovers forces.
+
+    recover  (N, V_y, V_z, T, M_y, M_z) of the section from force and moment in the axes of the end [m, 2, 6, 6]
+    matrices, to_line   of the linear element, and W of its sections at its ends [m, 2, 6, 6]
+    """
+
+    stiffness: Float[Tensor, "*lanes m 6 6"]
+    screws: Float[Tensor, "*lanes m 6"]
+    axes: Float[Tensor, "*lanes m 2 3 3"]
+    recover: Float[Tensor, "*lanes m 2 6 6"]
+    matrices: BeamMatrices
+    to_line: Float[Tensor, "*lanes m 2 6 6"]
+
+
+_ENDS = torch.tensor([0.0, 1.0], dtype=torch.float64)
+
+
+def elements(sections: SpanSections, matrices: BeamMatrices, offset: Tensor, twist: Tensor, nodes: Tensor) -> Elements:
+    """Of matrices at the present nodes; offset [2] or [m, 2]; twist [], [m], [m, 2].
+
+    Raises InputError where an element turns by more than LARGEST, or a section is not positive definite.
+    """
+    ends = twist[..., None].expand(*twist.shape, 2) if twist.dim() < 2 else twist
+    offset = offset.expand(len(matrices.elements), 2)[:, None]
+    t = matrices.stations
+    at = ends[..., :1] + t * (ends[..., 1:] - ends[..., :1])
+    own = block(_turn(at)).mT @ line_transform(
+        offset, at
+    )  # forces of the section about the line, in the section's axes
+    stiffness = own @ sections.stiffness(matrices.length, t) @ own.mT
+    compliance = matrices.average(balanced_inverse(stiffness))
+    turn = _turn(ends)
+    axes = matrices.frames(_ENDS).mT @ turn
+    first, second = axes.unbind(-3)
+    i, j = matrices.elements.unbind(1)
+    relative = first.mT @ second
+    good = plain(relative).diagonal(dim1=-2, dim2=-1).sum(-1) > 1.0 + 2.0 * torch.cos(torch.tensor(LARGEST))
+    if not all_true(good):
+        k = int(good.reshape(-1, len(i)).all(0).logical_not().nonzero()[0, 0])
+        raise InputError(f"element {k} of {sections.name!r} turns by more than {LARGEST} rad; allowed: more elements")
+    apart = nodes[..., j, :] - nodes[..., i, :]
+    screws = logarithm((first.mT @ apart[..., None])[..., 0], relative)
+    to_line = line_transform(offset, ends)
+    recover = torch.linalg.inv(to_line) @ block(turn)
+    return Elements(balanced_inverse(compliance), screws, axes, recover, matrices, to_line)
+
+
+def _turn(twist: Float[Tensor, "*n"]) -> Float[Tensor, "*n 3 3"]:
+    """Axes of sections in those of the beam, columns."""
+    c, s, o = torch.cos(twist), torch.sin(twist), torch.zeros_like(twist)
+    return torch.stack([o + 1.0, o, o, o, c, -s, o, s, c], -1).unflatten(-1, (3, 3))
+
+
+def block(A: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 6 6"]:
+    """A for forces and for moments."""
+    o = torch.zeros_like(A)
+    return torch.cat([torch.cat([A, o], -1), torch.cat([o, A], -1)], -2)

@@ -1,0 +1,83 @@
+"""The equilibrium of an exact beam as an operation of torch.
+
+The search (continuation.py) makes numbers without a derivative; one more step of Newton's method with the exact stiffness,
+which moves nothing, has the derivatives of the implicit function theorem, forward and reverse:
+
+    dq = K^-1 dr,    r(q, b) = 0
+
+Checked in tests/fem/exact_beam/test_gradients.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy.sparse.linalg
+import torch
+from torch import Tensor
+
+from torchmbd.fem.exact_beam.continuation import Continuation, Path
+from torchmbd.fem.exact_beam.data import RANKS, BeamData
+from torchmbd.fem.exact_beam.forces import residual, turned
+from torchmbd.math.owned import watched
+
+
+def solve(search: Continuation, data: BeamData) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Places x [*lanes, n, 3] and rotations R of the nodes, nan where there is none; factor and code of STATUS [*lanes]."""
+    derivatives = any(watched(x) for x in data)
+    x, R, answer, factor, code = _Search.apply(search, derivatives, *data)
+    if not derivatives:
+        return x, R, factor, code
+    topology, n = search.topology, x.shape[-2]
+    still = torch.ones(6 * n, dtype=torch.bool)
+    still[topology.free] = False
+    x = torch.where(still.reshape(n, 6)[:, :3], data.nodes + data.imposed[..., :3], x)
+    missing = residual(data, topology, x, R).flatten(-2)
+    move = torch.zeros_like(missing).index_copy(-1, topology.free, (answer @ missing[..., topology.free, None])[..., 0])
+    move = move.unflatten(-1, (n, 6))
+    return x + move[..., :3], turned(R, move[..., 3:]), factor, code
+
+
+class _Search(torch.autograd.Function):
+    """x, R, K^-1 of the free freedoms (empty if not wanted), factor and code of each lane: numbers without a derivative."""
+
+    @staticmethod
+    def forward(search: Continuation, derivatives: bool, *data: Tensor) -> tuple[Tensor, ...]:
+        given = BeamData(*(x.detach() for x in data))
+        search.paths = [search.run(own) for own in given.flat()]
+        rows = [_row(path, derivatives) for path in search.paths]
+        return tuple(torch.stack(own).reshape((*given.lanes, *own[0].shape)) for own in zip(*rows, strict=True))
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
+        ctx.mark_non_differentiable(*output)
+
+    @staticmethod
+    def jvp(ctx: Any, *_: Any) -> Any:
+        return (None,) * 5
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> Any:
+        return (None,) * (2 + len(RANKS))
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, search: Continuation, derivatives: bool, *data: Tensor) -> Any:
+        inner = max(x.dim() - (dim is not None) - k for x, dim, k in zip(data, in_dims[2:], RANKS, strict=True))
+        wide = []
+        for x, dim, k in zip(data, in_dims[2:], RANKS, strict=True):
+            own = x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
+            missing = inner - (own.dim() - 1 - k)
+            wide.append(own.reshape(len(own), *(1,) * missing, *own.shape[1:]))
+        return _Search.apply(search, derivatives, *wide), (0,) * 5
+
+
+def _row(path: Path, derivatives: bool) -> tuple[Tensor, ...]:
+    fine = path.code == 0
+    x, R = (y if fine else torch.full_like(y, torch.nan) for y in (path.x, path.R))
+    size = len(path.K.indptr) - 1 if derivatives else 0
+    answer = np.full((size, size), np.nan)
+    if fine and size:
+        answer = scipy.sparse.linalg.splu(path.K.tocsc()).solve(np.eye(size))
+    number = path.x.new_tensor
+    return x, R, torch.from_numpy(answer), number(path.factor), torch.tensor(path.code)
