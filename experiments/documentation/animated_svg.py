@@ -21,6 +21,8 @@ from torchmbd.viz.animation import through_joints
 
 WIDTH = 720.0  # of the picture; its height follows from the motion
 INK, FLEXIBLE, GROUND = "#455a64", "#d84315", "#90a4ae"
+KINDS = {FLEXIBLE: "flexible", INK: "rigid", GROUND: "fixed"}
+FONT = 18  # [px]; pages show a picture at half its size
 
 
 class Line(NamedTuple):
@@ -92,7 +94,7 @@ def drawing(
             continue
         u = _array(state.displacements)[lane][number]
         x = _array(body.mesh.nodes - body.origin)
-        nodes = sorted({node for side in sides if side.body.name == body.name for node in side.mount.nodes})
+        nodes = sorted({node for side in sides if side.body.name == body.name for node in side.interpolation.nodes})
         bent = u - through_joints(x, u, nodes)  # what is enlarged: the parts stay joined
         places = _seen(r[:, None] + np.einsum("tij,tnj->tni", A, x + u + (scale - 1.0) * bent), view)
         lines += [Line(places[:, chain], FLEXIBLE, 3.0) for chain in _chained(_edges(state.mesh))]
@@ -119,26 +121,34 @@ def _seen(x: np.ndarray, view: str) -> np.ndarray:
     return x[..., ["xyz".index(axis) for axis in view]]
 
 
-def animated_svg(columns: Sequence[tuple[str, list[Line]]], path: str | Path, seconds: float = 4.0) -> Path:
-    """Write motions side by side, a line of text above each; they take so many seconds and begin again."""
+def animated_svg(
+    columns: Sequence[tuple[str, list[Line]]],
+    path: str | Path,
+    seconds: float = 4.0,
+    duration: float | None = None,
+    scale: float = 1.0,
+) -> Path:
+    """Write motions side by side, a line of text above each and a legend below; they take so many seconds and begin again.
+
+    duration   of the motion [s], for the legend
+    scale      of its deflections, for the legend
+    """
     points = np.concatenate([line.points.reshape(-1, 2) for _, lines in columns for line in lines])
     low, high = points.min(0), points.max(0)
     wide = WIDTH / len(columns)
     factor = (wide - 40.0) / max(high[0] - low[0], (high[1] - low[1]) / 0.75, 1e-9)
-    height = factor * (high[1] - low[1]) + 60.0
+    floor = factor * (high[1] - low[1]) + 45.0  # the lowest point
+    height = floor + 70.0
     parts = [f'<rect width="{WIDTH:.0f}" height="{height:.0f}" fill="white"/>']
     for k, (text, lines) in enumerate(columns):
         left = k * wide + (wide - factor * (high[0] - low[0])) / 2
-        if text:
-            parts.append(
-                f'<text x="{k * wide + 14:.0f}" y="20" font-family="sans-serif" font-size="13" fill="#37474f">{text}</text>'
-            )
+        parts += [_text(k * wide + 14.0, 24.0, text)] if text else []
         for line in lines:
-            x, y = (
-                left + factor * (line.points[..., 0] - low[0]),
-                height - 20.0 - factor * (line.points[..., 1] - low[1]),
-            )
+            x, y = left + factor * (line.points[..., 0] - low[0]), floor - factor * (line.points[..., 1] - low[1])
             parts.append(_path(np.stack([x, y], -1), line, seconds))
+    words = [] if duration is None else [f"{duration:.2g} s"]
+    words += [] if scale == 1.0 else [f"deflections \u00d7 {scale:g}"]
+    parts += _legend({line.color for _, lines in columns for line in lines}, factor, height - 18.0, ", ".join(words))
     body = "\n".join(parts)
     view = f'viewBox="0 0 {WIDTH:.0f} {height:.0f}"'
     text = (
@@ -146,6 +156,35 @@ def animated_svg(columns: Sequence[tuple[str, list[Line]]], path: str | Path, se
     )
     Path(path).write_text(text, encoding="utf-8")
     return Path(path)
+
+
+def _text(x: float, y: float, text: str) -> str:
+    return f'<text x="{x:.0f}" y="{y:.0f}" font-family="sans-serif" font-size="{FONT}" fill="#37474f">{text}</text>'
+
+
+def _legend(colors: set[str], factor: float, y: float, words: str) -> list[str]:
+    """Names of the colors, a bar of a round length (factor: px/m), and words, in one row at the height y."""
+    parts, x = [], 14.0
+    for color, name in KINDS.items():
+        if color in colors:
+            bar = 0.0 if color == GROUND else 22.0
+            parts.append(
+                _bar(x + (11.0 if color == GROUND else 0.0), y - 6.0, bar, color, 9.0 if color == GROUND else 4.0)
+            )
+            parts.append(_text(x + 30.0, y, name))
+            x += 30.0 + 0.55 * FONT * len(name) + 18.0
+    longest = 120.0 / factor
+    power = 10.0 ** np.floor(np.log10(longest))
+    length = max(n * power for n in (1, 2, 5) if n * power <= longest)
+    parts.append(_bar(x, y - 6.0, factor * length, "black", 2.0))
+    parts.append(_text(x + factor * length + 8.0, y, f"{length:g} m"))
+    parts.append(_text(x + factor * length + 75.0, y, words))
+    return parts
+
+
+def _bar(x: float, y: float, length: float, color: str, width: float) -> str:
+    """A horizontal line; a point where its length is zero."""
+    return _path(np.array([[[x, y], [x + max(length, 0.1), y]]]), Line(np.zeros((1, 2, 2)), color, width), 1.0)
 
 
 def _path(xy: np.ndarray, line: Line, seconds: float) -> str:

@@ -41,7 +41,7 @@ def slider_crank(folder: Path) -> Path:
         f"optimized, {angles} degrees: {1e3 * stored[1]:.2f} mJ s",
     )
     columns = [(text, drawing(motion, 61, scale=SCALE, lane=k)) for k, text in enumerate(texts)]
-    return animated_svg(columns, folder / "slider_crank.svg")
+    return animated_svg(columns, folder / "slider_crank.svg", duration=0.0504, scale=SCALE)
 
 
 def robot_arm(folder: Path) -> Path:
@@ -52,7 +52,7 @@ def robot_arm(folder: Path) -> Path:
     motion = mbd.simulate(build(), 0.7, steps=175, designs=designs, gradients="none").require_ok()
     texts = ("plies at 45/-45 degrees", "optimized, -14/1 degrees")
     columns = [(text, drawing(motion, 57, scale=3.0, lane=k)) for k, text in enumerate(texts)]
-    return animated_svg(columns, folder / "robot_arm.svg")
+    return animated_svg(columns, folder / "robot_arm.svg", duration=0.7, scale=3.0)
 
 
 def two_link_arm(folder: Path) -> Path:
@@ -61,7 +61,7 @@ def two_link_arm(folder: Path) -> Path:
 
     motion = mbd.simulate(build(), 1.2, steps=400, phases=phases(), gradients="none", spectral_radius=0.7).require_ok()
     tip = {"fore": [(-0.15, 0, 0), (0.15, 0, 0)]}
-    return animated_svg([("", drawing(motion, 61, along=tip))], folder / "two_link_arm.svg")
+    return animated_svg([("", drawing(motion, 61, along=tip))], folder / "two_link_arm.svg", duration=1.2)
 
 
 def antenna(folder: Path) -> Path:
@@ -69,14 +69,17 @@ def antenna(folder: Path) -> Path:
     from experiments.sar_antenna import build
 
     motion = mbd.simulate(build((55.0, -55.0), modes=4), 7.9, steps=1580, gradients="none")
-    return animated_svg([("", drawing(motion, 61, view="xz"))], folder / "antenna.svg", seconds=6.0)
+    return animated_svg([("", drawing(motion, 61, view="xz"))], folder / "antenna.svg", 6.0, duration=7.9)
 
 
 def _of_gallery(name: str, **how: Any) -> Callable[[Path], Path]:
     def picture(folder: Path) -> Path:
         seconds = how.pop("seconds", 4.0)
         motion = importlib.import_module(f"experiments.gallery.{name}").motion().require_ok()
-        return animated_svg([("", drawing(motion, **how))], folder / f"{name}.svg", seconds)
+        lines = drawing(motion, **how)
+        return animated_svg(
+            [("", lines)], folder / f"{name}.svg", seconds, float(motion.t[-1]), float(how.get("scale", 1.0))
+        )
 
     return picture
 

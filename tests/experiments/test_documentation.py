@@ -89,4 +89,14 @@ def test_a_picture_shows_the_motion(tmp_path):
     file = animated_svg([("an arm", lines), ("again", lines)], tmp_path / "arm.svg")
     tags = [element.tag.rpartition("}")[2] for element in ElementTree.parse(file).iter()]
     assert tags.count("animate") == 2
-    assert tags.count("text") == 2
+    assert tags.count("text") == 6  # two titles; rigid, fixed, the length of the bar, words
+
+
+def test_a_picture_of_a_flexible_body_says_lengths_time_and_scale(tmp_path):
+    motion = mbd.simulate(mbd.examples.arm(), 0.05, steps=10, gradients="none")
+    still, large = (drawing(motion, frames=3, view="xz", scale=scale)[0].points for scale in (1.0, 5.0))
+    assert still.shape == large.shape
+    assert np.abs(large - still).max() > 0
+    file = animated_svg([("", drawing(motion, 3))], tmp_path / "arm.svg", duration=0.05, scale=5.0)
+    texts = [element.text for element in ElementTree.parse(file).iter() if element.tag.endswith("text")]
+    assert texts == ["flexible", "rigid", "fixed", "0.05 m", "0.05 s, deflections × 5"]
