@@ -65,7 +65,7 @@ from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibriu
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
-from torchmbd.multibody.bodies import FlexibleBody, Frame, Ground, RigidBody
+from torchmbd.multibody.bodies import FlexibleBody, Frame, Ground, Interface, RigidBody
 from torchmbd.multibody.forces import (
     AxialSpringDamper,
     Bushing,
@@ -204,6 +204,7 @@ __all__ = [
     "History",
     "InputError",
     "Integral",
+    "Interface",
     "Laminate",
     "LaminationParameters",
     "LaminationRegion",

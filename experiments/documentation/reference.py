@@ -20,7 +20,7 @@ GROUPS: dict[str, str] = {
     "materials": "Ply Laminate SteeredLaminate FiberField LaminationParameters Strength SNCurve LaminationRules "
     "recover_stacks deg",
     "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable",
-    "bodies": "Ground RigidBody FlexibleBody Frame",
+    "bodies": "Ground RigidBody FlexibleBody Frame Interface",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing Force Torque Pressure forces variable",

@@ -6,7 +6,7 @@ from torchmbd.fem.elements.beam_line import BeamLine
 from torchmbd.fem.elements.beam_section import BeamSection, GivenSection
 from torchmbd.fem.elements.beams import Beams
 from torchmbd.fem.elements.fiber_field import FiberField
-from torchmbd.fem.elements.freedoms import Average, Freedoms, RigidLink
+from torchmbd.fem.elements.freedoms import Average, Freedoms, MeanMotion, RigidLink
 from torchmbd.fem.elements.given_elements import GivenElements
 from torchmbd.fem.elements.lamination_parameters import LaminationParameters
 from torchmbd.fem.elements.part import MassPoints, Part
@@ -36,6 +36,7 @@ __all__ = [
     "GivenSection",
     "LaminationParameters",
     "MassPoints",
+    "MeanMotion",
     "Part",
     "PlateMatrices",
     "Plates",

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchmbd.fem.elements.freedoms import Average, Freedoms, RigidLink
+from torchmbd.fem.elements.freedoms import Average, Freedoms, MeanMotion, RigidLink
 from torchmbd.fem.elements.geometric import StressedCells, assembled
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.math.sparse import Pattern, SparseMatrix
@@ -44,6 +44,7 @@ class Assembly:
     parts   name -> part
     held    nodes that are fixed
     links   nodes that follow others
+    means   mean motions that are freedoms of their own
     """
 
     def __init__(
@@ -52,13 +53,14 @@ class Assembly:
         parts: Mapping[str, Part],
         held: Sequence[int] = (),
         links: Sequence[RigidLink | Average] = (),
+        means: Sequence[MeanMotion] = (),
     ) -> None:
         self.mesh, self.parts = mesh, dict(parts)
-        self.freedoms = Freedoms(mesh.nodes, held, links)
+        self.freedoms = Freedoms(mesh.nodes, held, links, means=means)
         points = [part.masses() for part in self.parts.values()]
         absent = self._absent(points)
         if len(absent):
-            self.freedoms = Freedoms(mesh.nodes, held, links, absent)
+            self.freedoms = Freedoms(mesh.nodes, held, links, absent, means)
         self._ends = torch.cat([p.ends for p in points])
         self._lumped = bool((self._ends[:, 0] == self._ends[:, 1]).all())
         self._prepare_stiffness()

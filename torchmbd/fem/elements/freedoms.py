@@ -5,6 +5,7 @@
 held node     u = 0; single freedoms that have neither stiffness nor mass, too
 rigid link    u_s = u_m + phi_m x d,  phi_s = phi_m       node s follows node m, d from m to s        (RBE2)
 average       the rigid motion that fits weighted nodes best, in the sense of least squares           (RBE3)
+mean motion   y = B u of several nodes, six free freedoms of their own; six of the nodes' follow: u_d = B_d^-1 (y - B_r u_r)
 
 So K_free = T' K T has values that are linear in those of K: `reduced` tells how, once per mesh.
 Checked in tests/fem/elements/test_freedoms.py.
@@ -15,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import scipy.linalg
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -40,10 +42,18 @@ class Average:
     weights: tuple[float, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class MeanMotion:
+    """Six freedoms, the mean motion y = matrix u of the freedoms u of some nodes [6, 6 nodes]."""
+
+    nodes: tuple[int, ...]
+    matrix: Float[Tensor, "6 k"]
+
+
 class Freedoms:
     """The free freedoms of the nodes x [n, 3] and the map T; see the module header.
 
-    free                freedom number 6 * node + i of each free freedom [N], ascending
+    free                freedom number 6 * node + i of each free freedom [N], ascending; mean motions are nodes after the others
     rows, cols, factor  the entries of T, sorted by rows
     plain               whether T only selects: no links
     absent              freedoms that are left out
@@ -55,20 +65,25 @@ class Freedoms:
         held: Sequence[int] = (),
         links: Sequence[RigidLink | Average] = (),
         absent: Int[Tensor, " k"] | None = None,
+        means: Sequence[MeanMotion] = (),
     ) -> None:
         self.nodes = len(x)
         dependent = [link.node for link in links]
         _check(self.nodes, list(held), links)
-        bound = torch.zeros(self.nodes, dtype=torch.bool)
+        _check_means(list(held), links, means)
+        bound = torch.zeros(self.nodes + len(means), dtype=torch.bool)
         bound[torch.tensor([*held, *dependent], dtype=torch.long)] = True
         bound = bound.repeat_interleave(6)
         self.absent = torch.zeros(0, dtype=torch.long) if absent is None else absent
         bound[self.absent] = True
+        following = [_following(x, mean, bound) for mean in means]
+        bound[torch.tensor([f for led, _ in following for f in led.tolist()], dtype=torch.long)] = True
         self.free = torch.nonzero(~bound)[:, 0]
-        self.plain = not links
-        column = torch.full((6 * self.nodes,), -1, dtype=torch.long)
+        self.plain = not links and not means
+        column = torch.full((6 * (self.nodes + len(means)),), -1, dtype=torch.long)
         column[self.free] = torch.arange(len(self.free))
-        rows, cols, factor = [self.free], [torch.arange(len(self.free))], [torch.ones(len(self.free), dtype=x.dtype)]
+        own = self.free[self.free < 6 * self.nodes]
+        rows, cols, factor = [own], [torch.arange(len(own))], [torch.ones(len(own), dtype=x.dtype)]
         for link in links:
             blocks = (
                 [(link.leader, _rigid(x[link.node] - x[link.leader]))]
@@ -82,6 +97,15 @@ class Freedoms:
                 rows.append(6 * link.node + i[kept])
                 cols.append(target[kept])
                 factor.append(block[i, j][kept])
+        for j, (mean, (led, inverse)) in enumerate(zip(means, following, strict=True)):
+            others = _freedoms(mean.nodes)
+            kept = column[others] >= 0
+            block = torch.cat([inverse, -inverse @ mean.matrix[:, kept]], 1)
+            source = torch.cat([column[6 * (self.nodes + j) + torch.arange(6)], column[others[kept]]])
+            i, k = torch.nonzero(block, as_tuple=True)
+            rows.append(led[i])
+            cols.append(source[k])
+            factor.append(block[i, k])
         order = torch.argsort(torch.cat(rows), stable=True)
         self.rows, self.cols, self.factor = (torch.cat(part)[order] for part in (rows, cols, factor))
 
@@ -151,6 +175,44 @@ def _mean(x: Tensor, link: Average) -> list[tuple[int, Tensor]]:
 def _cross(d: Tensor) -> Tensor:
     zero = d.new_zeros(())
     return torch.stack([zero, -d[2], d[1], d[2], zero, -d[0], -d[1], d[0], zero]).reshape(3, 3)
+
+
+def _freedoms(nodes: Sequence[int]) -> Tensor:
+    """All freedoms of nodes, in their order."""
+    return (6 * torch.tensor(nodes)[:, None] + torch.arange(6)).flatten()
+
+
+def _following(x: Tensor, mean: MeanMotion, bound: Tensor) -> tuple[Tensor, Tensor]:
+    """The six freedoms that follow the mean motion, the best conditioned, and the inverse of their columns."""
+    freedoms, B = _freedoms(mean.nodes), mean.matrix
+    own = x[list(mean.nodes)]
+    size = float((own - own.mean(0)).norm(dim=1).max())
+    missing = bound[freedoms] & (B != 0.0).any(0)
+    if bool(missing.any()):
+        raise InputError(
+            f"the mean motion of nodes {list(mean.nodes)} needs the rotations of nodes that have none; allowed: nodes that are "
+            "not on a line"
+        )
+    scale = torch.tensor([1.0, 1.0, 1.0, size, size, size], dtype=x.dtype)
+    scaled = scale[:, None] * B / scale.repeat(len(mean.nodes))
+    _, R, order = scipy.linalg.qr(scaled.numpy(), mode="economic", pivoting=True)  # pyright: ignore[reportAssignmentType]
+    assert abs(R[5, 5]) > 0.0  # the mean motion of a rigid motion is that motion: B has rank six
+    led = torch.from_numpy(order[:6].astype("int64"))
+    return freedoms[led], torch.linalg.inv(B[:, led])
+
+
+def _check_means(held: list[int], links: Sequence[RigidLink | Average], means: Sequence[MeanMotion]) -> None:
+    taken = dict.fromkeys(held, "is held")
+    for link in links:
+        leaders = (link.leader,) if isinstance(link, RigidLink) else link.nodes
+        taken |= dict.fromkeys((link.node, *leaders), "is linked to others")
+    for mean in means:
+        for k in mean.nodes:
+            if k in taken:
+                raise InputError(
+                    f"node {k} of a mean motion {taken[k]}; allowed: nodes that are neither held nor linked"
+                )
+            taken[k] = "is in another mean motion"
 
 
 def _check(n: int, held: list[int], links: Sequence[RigidLink | Average]) -> None:

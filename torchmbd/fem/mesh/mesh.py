@@ -24,7 +24,7 @@ from torch import Tensor
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.mesh.mesh_checks import check, directed_area
 from torchmbd.math.gradients import constants
-from torchmbd.math.owned import indices, reals
+from torchmbd.math.owned import indices, reals, scalar
 from torchmbd.math.plausible_units import EXTENT, doubt
 
 
@@ -123,6 +123,30 @@ class Mesh:
         if not len(near):
             raise InputError(f"Mesh: no node within {radius!r} m of {point!r}; allowed: a larger radius")
         return tuple(near.tolist())
+
+    @constants
+    def edge(self, x: float | None = None, y: float | None = None, z: float | None = None) -> tuple[int, ...]:
+        """Return the nodes on the edge of the surface, the sides of one cell alone; those at given coordinates [m].
+
+        x, y, z  coordinates of the edge, within a millionth of the extent; None: any
+
+        >>> mesh = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 2))
+        >>> mesh.edge(x=-0.25) == mesh.node_set("left_edge"), len(mesh.edge())
+        (True, 12)
+        """
+        sides = [torch.stack([c, c.roll(-1, 1)], -1).flatten(0, 1) for c in self.cells.values()]
+        pairs, count = torch.unique(torch.cat(sides).sort(1).values, dim=0, return_counts=True)
+        found = torch.zeros(len(self.nodes), dtype=torch.bool)
+        found[pairs[count == 1].flatten()] = True
+        near = 1e-6 * float((self.nodes.amax(0) - self.nodes.amin(0)).norm())
+        for axis, at in enumerate((x, y, z)):
+            if at is not None:
+                found &= (self.nodes[:, axis] - scalar(f"{'xyz'[axis]} of edge", at, "a number", " m")).abs() <= near
+        if not bool(found.any()):
+            raise InputError(
+                f"Mesh: no edge at x={x}, y={y}, z={z}; allowed: coordinates [m] of nodes on an edge, or None"
+            )
+        return tuple(found.nonzero().flatten().tolist())
 
     def node_name(self, k: int) -> str:
         """What messages call a node."""

@@ -2,6 +2,7 @@
 
 from torchmbd.multibody.bodies.flexible import FlexibleBody
 from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.bodies.interfaces import Interface
 from torchmbd.multibody.bodies.rigid import Ground, RigidBody
 
-__all__ = ["FlexibleBody", "Frame", "Ground", "RigidBody"]
+__all__ = ["FlexibleBody", "Frame", "Ground", "Interface", "RigidBody"]

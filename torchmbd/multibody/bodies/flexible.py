@@ -44,6 +44,7 @@ from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.beam_parts import beam_parts
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
 from torchmbd.multibody.bodies.frame import Frame, bend, identifier, move, put, rotation, vector
+from torchmbd.multibody.bodies.interfaces import Interface, Interfaces
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices, rigid_links
 from torchmbd.multibody.bodies.matrix_methods import MatrixMethods
 from torchmbd.multibody.bodies.mesh_quality import warn_mesh
@@ -52,6 +53,9 @@ from torchmbd.multibody.bodies.reduced import matrices, reduced
 from torchmbd.multibody.bodies.reference import reference_nodes
 from torchmbd.multibody.bodies.unit_checks import warn_slender, warn_units
 from torchmbd.multibody.bodies.zones import zone_parts
+
+Node = str | int
+Kept = Node | Interface | Sequence[Node | Interface] | Mapping[str, Any]  # what a reduction keeps
 
 
 def _is_part(x: Any) -> bool:
@@ -118,7 +122,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reference: str | int | Sequence[int] | None = None,
         damping: float = 0.0,
         reduction: str = "vibration",
-        interface: str | int | Sequence[str | int] = (),
+        interface: Kept = (),
         updated: bool = True,
         links: Sequence[RigidLink | Average] = (),
         rigid: Sequence[str | Sequence[int]] = (),
@@ -128,7 +132,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self.mesh = mesh
         _check_parts(name, mesh, parts)
         put(self, position, axes)
-        self.links = links = [*links, *rigid_links(mesh, rigid)]
+        interfaces = Interfaces.of(self.name, mesh, interface)
+        self.links = links = [*links, *rigid_links(mesh, rigid), *interfaces.links]
         self.parts = dict(parts)
         joined = merged(self.parts)
         self.reference = reference_nodes(mesh, joined, reference, links)
@@ -138,11 +143,11 @@ class FlexibleBody(MatrixMethods, nn.Module):
                 raise InputError(f"nodes of {name!r} vary, and some are linked; allowed: numbers, or no links")
             self.add_module("line", mesh.shape)  # pyright: ignore[reportAttributeAccessIssue]
         self._register(parts)
-        self.assembly = Assembly(mesh, joined, self.reference, links)
+        self.assembly = Assembly(mesh, joined, self.reference, links, interfaces.means)
         self.free = self.assembly.freedoms.free
         self._rotations = _fitted(self.assembly)
-        held = node_indices(mesh, interface)
-        self.reduction = reduced(name, self.assembly, reduction, modes, held, self.reference, updated)
+        self.interfaces = interfaces.frames
+        self.reduction = reduced(name, self.assembly, reduction, modes, interfaces.kept, self.reference, updated)
         self.modes = self.reduction.size
         self.damping = ModalDamping(name, damping)
         bend(self, None, None)
@@ -187,7 +192,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reference: str | int | Sequence[int] | None = None,
         damping: float = 0.0,
         reduction: str = "vibration",
-        interface: str | int | Sequence[str | int] = (),
+        interface: Kept = (),
         updated: bool = True,
         mass: str = "lumped",
         rigid: Sequence[str | Sequence[int]] = (),
@@ -202,8 +207,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
-                        of `interface`; the highest frequencies are then those of these nodes
-        interface       nodes whose motion is kept, those that carry joints or loads
+                        (or Interface) of `interface`; the highest frequencies are then those of these nodes
+        interface       what joints and loads act on: nodes, or `mbd.Interface` of several with six freedoms together, or
+                        {"root": nodes} with names for `body.at("root")`, the mean motion of several (interfaces.py)
         updated         False: modes are held fixed in derivatives (eq. 36), for comparison only: gradients are wrong
         mass            "lumped" (eq. 2), or "consistent", for comparison
         rigid           node sets that move as one rigid body each
@@ -226,7 +232,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reference: str | int | Sequence[int] | None = None,
         damping: float = 0.0,
         reduction: str = "vibration",
-        interface: str | int | Sequence[str | int] = (),
+        interface: Kept = (),
         updated: bool = True,
         orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
         offset: Sequence[float] | Tensor = (0.0, 0.0),
@@ -298,13 +304,12 @@ class FlexibleBody(MatrixMethods, nn.Module):
     ) -> Frame:
         """Frame on a mesh node, or on the mean motion of several (interpolation.py).
 
-        node           name or index of a node, name of a node set, or a list with weights (None: equal ones)
+        node           name or index of a node, name of a node set or of an interface, or a list with weights (None: equal ones)
         axes, offset   columns of its triad, and the rigid arm from the center of the nodes [m], in body axes
         """
-        interpolation, x = (
-            InterpolationConstraint.on(node_indices(self.mesh, node), weights),
-            self.mesh.nodes - self.origin,
-        )
+        x = self.mesh.nodes - self.origin
+        named = self.interfaces.get(node) if isinstance(node, str) and weights is None else None
+        interpolation = named or InterpolationConstraint.on(node_indices(self.mesh, node), weights)
         if varying_nodes(self.mesh) and len(interpolation.nodes) > 1:
             raise InputError(
                 f"frame on nodes {list(interpolation.nodes)} of {self.name!r}, whose nodes vary; allowed: one node"

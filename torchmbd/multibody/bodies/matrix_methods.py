@@ -101,7 +101,7 @@ class MatrixMethods:
         body: Any = cls.__new__(cls)
         nn.Module.__init__(body)
         body.name = identifier("flexible body", name)
-        body.given, body.mesh, body.parts = given, given.mesh, {}
+        body.given, body.mesh, body.parts, body.interfaces = given, given.mesh, {}, {}
         put(body, position, axes)
         body.reference, body.origin, body.modes = list(given.reference), given.origin, given.size
         if given.module is not None:

@@ -259,7 +259,8 @@ def _said(residual: _Residual, k: int) -> tuple[str, str, str]:
     """Body, frame and advice."""
     mesh = residual.body.mesh
     names = [_named(mesh, mount) for mount in residual.mounts]
-    advice = f'reduction="craig-bampton" with interface=[{", ".join(dict.fromkeys(names))}], or more modes'
+    kept = [f"mbd.Interface({n})" if len(m.nodes) > 1 else n for n, m in zip(names, residual.mounts, strict=True)]
+    advice = f'reduction="craig-bampton" with interface=[{", ".join(dict.fromkeys(kept))}], or more modes'
     return residual.body.name, names[k], advice
 
 

@@ -1,0 +1,124 @@
+"""Interfaces of a flexible body: what of its motion a Craig-Bampton reduction keeps, six freedoms each.
+
+    node       its own motion
+    averaged   the mean motion of several nodes, as a frame on them has it (interpolation.py): the set stays flexible     (RBE3)
+    rigid      nodes that are one rigid body                                                                             (RBE2)
+
+A mean motion is made a freedom of the body: y = B u of the nodes, and six freedoms of these follow,
+
+    u_d = B_d^-1 (y - B_r u_r)
+
+with the six columns B_d that are best conditioned (fem/elements/freedoms.py). So constraint modes are static shapes under loads
+on the frame that leave the set flexible, and fixed-interface modes those of the body whose mean motion there is held.
+Checked in tests/multibody/bodies/test_interfaces.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import MeanMotion, RigidLink
+from torchmbd.fem.elements.beam_nodes import varying_nodes
+from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices
+
+
+@dataclass(frozen=True)
+class Interface:
+    """Nodes whose common motion a Craig-Bampton reduction keeps, six freedoms; see the module header.
+
+    nodes     a node set, `mesh.edge(x=...)`, or a list of nodes
+    rigid     True: they are one rigid body; False: their mean motion, the set stays flexible
+    weights   of the nodes in the mean; None: equal
+
+    >>> plate = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 2))
+    >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
+    >>> options = {"reference": "center", "reduction": "craig-bampton", "modes": 2}
+    >>> ends = {"root": plate.edge(x=-0.25), "tip": mbd.Interface("right_edge", rigid=True)}
+    >>> body = mbd.FlexibleBody.plate("plate", plate, laminate, interface=ends, **options)
+    >>> body.modes, body.at("root")  # six for each interface, and two modes
+    (14, plate.at(nodes [0, 1, 2]))
+    """
+
+    nodes: Any
+    rigid: bool = False
+    weights: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.rigid, bool):
+            raise InputError(f"rigid of an Interface is {self.rigid!r}; allowed: True or False")
+        if self.rigid and self.weights is not None:
+            raise InputError("weights of an Interface are given, and it is rigid; allowed: one of both")
+
+
+@dataclass
+class Interfaces:
+    """What an argument `interface` says of a mesh.
+
+    kept    nodes whose freedoms are kept; mean motions are counted after the nodes of the mesh
+    links   of rigid interfaces;  means  of averaged ones;  frames  name -> what carries a frame of that name
+    """
+
+    kept: list[int] = field(default_factory=list)
+    links: list[RigidLink] = field(default_factory=list)
+    means: list[MeanMotion] = field(default_factory=list)
+    frames: dict[str, InterpolationConstraint] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, name: str, mesh: Any, given: Any) -> Interfaces:
+        """Read the argument of a body; InputError names what is wrong."""
+        found = cls()
+        if isinstance(given, Mapping):
+            for key, item in given.items():
+                found._add_named(name, mesh, key, item)
+            return found
+        items = [given] if isinstance(given, Interface) else given
+        if isinstance(items, (list, tuple)) and any(isinstance(item, Interface) for item in items):
+            for item in items:
+                found._add(name, mesh, item) if isinstance(item, Interface) else found._keep(mesh, item)
+        else:
+            found._keep(mesh, items)
+        return found
+
+    def _keep(self, mesh: Any, nodes: Any) -> None:
+        self.kept += node_indices(mesh, nodes)
+
+    def _add_named(self, name: str, mesh: Any, key: Any, item: Any) -> None:
+        if not isinstance(key, str) or not key:
+            raise InputError(f"interface of {name!r} has the name {key!r}; allowed: a word")
+        mount = self._add(name, mesh, item if isinstance(item, Interface) else Interface(item))
+        if key in mesh.node_sets and sorted(node_indices(mesh, key)) != sorted(mount.nodes):
+            raise InputError(
+                f"interface {key!r} of {name!r} has the name of other nodes of its mesh; allowed: another name"
+            )
+        self.frames[key] = mount
+
+    def _add(self, name: str, mesh: Any, item: Interface) -> InterpolationConstraint:
+        nodes = node_indices(mesh, item.nodes)
+        mount = InterpolationConstraint.on(nodes, item.weights)
+        if len(set(nodes)) != len(nodes):
+            raise InputError(f"interface of {name!r} has a node twice: {nodes}; allowed: each node once")
+        if len(nodes) == 1:
+            self.kept += nodes
+        elif varying_nodes(mesh):
+            raise InputError(f"interface of {name!r} has several nodes, and nodes vary; allowed: single nodes")
+        elif item.rigid:
+            self.kept.append(nodes[0])
+            self.links += [RigidLink(node, nodes[0]) for node in nodes[1:]]
+        else:
+            self.kept.append(len(mesh.nodes) + len(self.means))
+            self.means.append(MeanMotion(mount.nodes, _matrix(mesh.nodes, mount)))
+        return mount
+
+
+def _matrix(x: Tensor, mount: InterpolationConstraint) -> Tensor:
+    """Mean motion of the nodes out of their freedoms [6, 6 nodes]."""
+    columns = 6 * len(mount.nodes)
+    psi = torch.zeros(len(x), 6, columns, dtype=x.dtype)
+    psi[list(mount.nodes)] = torch.eye(columns, dtype=x.dtype).reshape(-1, 6, columns)
+    return mount.motion(x, psi)
