@@ -17,7 +17,7 @@ from torchmbd.results import spin
 )
 def test_only_known_ratios_count(monkeypatch: pytest.MonkeyPatch, ratios: list[float], said: str | None) -> None:
     monkeypatch.setattr(spin, "spin_ratios", lambda motion: {"rod": torch.tensor(ratios)})
-    motion = SimpleNamespace(stats={})
+    motion = SimpleNamespace(stats={}, dynamics=SimpleNamespace(data={}))
     if said is None:
         with warnings.catch_warnings():
             warnings.simplefilter("error")

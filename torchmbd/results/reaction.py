@@ -105,7 +105,7 @@ def _constraint_forces(motion: MotionData, rows: Tensor) -> tuple[equations.Plac
         return x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x
 
     given = as_lanes(T.schedule(motion.t, {name: value(x) for name, x in data.items()}), lanes, lanes_first=True)
-    vectors = {key: spread(value(data[key])) for key in ("x", "Y") if key in data}
+    vectors = {key: spread(value(data[key])) for key in equations.ATTACHED if key in data}
     at = equations.placement(T, vectors, flat(motion.q), given)
     return at, equations.force_on_vectors(T, at, flat(motion.lam * rows))
 

@@ -2,9 +2,9 @@
 
     ratio = max |om| / om_1           om_1: lowest frequency of the body with its reference nodes fixed, from Kr
 
-Elastic displacements are linear, so only half of what spin does to stiffness is included: inertia softens a bending mode,
-om_1^2 - om^2, and the tension that outweighs it (a blade: om_1^2 + 0.19 om^2 in the plane of the spin) is of second
-order. What is missing is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without bound.
+Without stiffening elastic displacements are linear, and only half of what spin does to stiffness is included: inertia softens
+a bending mode, om_1^2 - om^2, and the tension that outweighs it (a blade: om_1^2 + 0.19 om^2 in the plane of the spin) is of
+second order. What is missing is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without bound.
 Several bodies instead of one, joined by `Fixed`, have their own frames and the tension between them along the bent line,
 but need enough modes each.
 Source: Kane, Ryan, Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guid. Control Dyn. 10 (1987)
@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import warn
+from torchmbd.math.pair import value
 
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
@@ -37,14 +38,22 @@ def spin_ratios(motion: Trajectory) -> dict[str, Tensor]:
     return found
 
 
+def stiffened(motion: Trajectory, name: str) -> bool:
+    """Whether a body has displacements of second order (multibody/bodies/stiffening.py)."""
+    dynamics = motion.dynamics
+    F1 = dynamics.data.get("F1")
+    return F1 is not None and bool(value(F1)[:, :, :, dynamics.topology.names.index(name)].any())
+
+
 def warn_of_spin(motion: Trajectory) -> None:
-    """Keep the ratios in stats["spin_ratio"], and warn of bodies that turn too fast."""
+    """Keep the ratios in stats["spin_ratio"], and warn of bodies without stiffening that turn too fast."""
     motion.stats["spin_ratio"] = spin_ratios(motion)
     for name, ratios in motion.stats["spin_ratio"].items():
         known = ratios[ratios.isfinite()]  # not of a motion that failed, nor of a body that nothing holds
         ratio = float(known.max()) if len(known) else 0.0
-        if ratio > FAST:
+        if ratio > FAST and not stiffened(motion, name):
             warn(
                 f"body {name!r} turns at {ratio:.1g} of its first frequency: centrifugal stiffening, which linear elastic "
-                f"displacements leave out, is of the size {min(ratio**2, 1.0):.0%} of its deflections",
+                f"displacements leave out, is of the size {min(ratio**2, 1.0):.0%} of its deflections; allowed: "
+                "stiffening=True of a body of plates and beams",
             )

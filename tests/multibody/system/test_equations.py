@@ -128,12 +128,19 @@ def test_rigid_bodies_obey_newton_and_euler(kinds):
 
 def mechanisms() -> dict[str, mbd.System]:
     """Mechanisms with every kind of body and primitive."""
+    rigid = mbd.System([box("first"), box("second")], gravity=GRAVITY)
+    return {"mixed": mixed(), "stiffened": mixed(True), "rigid": rigid, "pendulum": pendulum()}
+
+
+def mixed(stiffening: bool = False) -> mbd.System:
+    """All kinds; stiffening: of one of the two flexible bodies."""
     ground, first, second = (
         mbd.Ground(),
         box("first"),
         box("second", position=(0.4, 0.1, 0.2), axes=turned(0.3, 1, -0.5)),
     )
-    link = plate("link", modes=4, damping=1e-4, position=(-0.2, 0.3, 0.1), axes=turned(-0.4, 0.2, 0.8))
+    placed: dict = {"position": (-0.2, 0.3, 0.1), "axes": turned(-0.4, 0.2, 0.8), "stiffening": stiffening}
+    link = plate("link", modes=4, damping=1e-4, **placed)
     other = plate(
         "other", modes=2, made_of=laminate((10.0, 80.0)), position=(0.1, -0.3, 0.2), axes=turned(0.6, -0.2, 0.3)
     )
@@ -145,11 +152,10 @@ def mechanisms() -> dict[str, mbd.System]:
         mbd.Drive(ground, second, axis="x", speed=7.0),
         mbd.Spherical(second.at(), ground.at(0.4, 0.1, 0.2)),
     ]
-    rigid = mbd.System([box("first"), box("second")], gravity=GRAVITY)
-    return {"mixed": mbd.System([first, link, second, other], joints), "rigid": rigid, "pendulum": pendulum()}
+    return mbd.System([first, link, second, other], joints)
 
 
-@pytest.fixture(scope="module", params=["mixed", "rigid", "pendulum"])
+@pytest.fixture(scope="module", params=["mixed", "stiffened", "rigid", "pendulum"])
 def linearized(request):
     """A mechanism at a general state, its data, and a residual of accelerations and multipliers [n, 1, lanes]."""
     system = mechanisms()[request.param]
@@ -217,7 +223,7 @@ def _spring(T: Topology, data, q, w, v, quiet, drives) -> Tensor:
     return equations.dynamic_residual(T, still, at, zero, zero, quiet)[6 * T.bodies :, 0, 0]
 
 
-@pytest.mark.parametrize("linearized", ["mixed", "pendulum"], indirect=True)
+@pytest.mark.parametrize("linearized", ["mixed", "stiffened", "pendulum"], indirect=True)
 def test_geometric_stiffness_is_the_derivative_of_the_constraint_forces(linearized):
     """Forces on the attached vectors held in ground axes while the bodies turn and bend under them."""
     system, data, t, q, _, _, lam = linearized
@@ -239,7 +245,7 @@ def test_geometric_stiffness_is_the_derivative_of_the_constraint_forces(lineariz
     assert not found[n_v:].any()
 
 
-@pytest.mark.parametrize("linearized", ["mixed", "pendulum"], indirect=True)
+@pytest.mark.parametrize("linearized", ["mixed", "stiffened", "pendulum"], indirect=True)
 def test_inertial_stiffness_is_the_derivative_of_the_inertia_forces_by_the_coordinates(linearized):
     system, data, t, q, v, a, _ = linearized
     T = system.topology

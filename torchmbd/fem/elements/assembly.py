@@ -187,6 +187,17 @@ class Assembly:
         moved, turned = at.split(3, dim=-2)
         return torch.cat([moved + torch.linalg.cross(turned, arm[..., None].expand_as(turned), dim=-2), turned], dim=-2)
 
+    def carried(self, forces: Float[Tensor, "*lanes points 6 k"], arm: Tensor | None) -> Float[Tensor, "*lanes n 6 k"]:
+        """Forces and moments on the mass points as those on the nodes: the transpose of `motion`."""
+        if arm is not None:
+            force, moment = forces.split(3, dim=-2)
+            moment = moment + torch.linalg.cross(arm[..., None].expand_as(force), force, dim=-2)
+            forces = torch.cat([force, moment], dim=-2)
+        none = forces.new_zeros(*forces.shape[:-3], len(self.mesh.nodes), *forces.shape[-2:])
+        if self._lumped:
+            return none.index_add(-3, self._ends[:, 0], forces)
+        return none.index_add(-3, self._ends[:, 0], 0.5 * forces).index_add(-3, self._ends[:, 1], 0.5 * forces)
+
     def _middles(self, field: Tensor, axis: int) -> Tensor:
         one = field.index_select(axis, self._ends[:, 0])
         return one if self._lumped else 0.5 * (one + field.index_select(axis, self._ends[:, 1]))

@@ -170,7 +170,10 @@ SHAPES: dict[str, tuple[AnySize, ...]] = {
     "H": (3, M, M, F),
     "Kr": (M, M, F),
     "D": (M, M, F),
+    "F1": (3, M, M, F),
+    "F2": (3, 3, M, M, F),
     "Y": (3, M, W),
+    "E": (3, M, M, W),
     "x": (3, V),
     "gravity": (3, 1),
 }

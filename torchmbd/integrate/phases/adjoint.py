@@ -36,10 +36,11 @@ from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.step import Weights
 from torchmbd.integrate.variable_step import shortly_after
 from torchmbd.multibody.system.dynamics import Dynamics
+from torchmbd.multibody.system.equations import ATTACHED
 from torchmbd.results.history import History
 from torchmbd.results.state import State
 
-MARKED = ("x", "Y")  # data that locks change
+MARKED = tuple(ATTACHED)  # data that locks change
 
 
 @dataclass

@@ -110,10 +110,11 @@ def _solve(B: Any, y: Any) -> Any:
 
 def _set(data: equations.Data, T: Topology, own: int, axes: list[int], c: Any, origin: int | None) -> equations.Data:
     """Set an attached vector to c_1 axes_1 + c_2 axes_2 + c_3 axes_3, from the vector `origin` if there is one."""
-    names = ("x", "Y") if own < T.attached_flexible else ("x",)
     data = dict(data)
-    for name in names:
-        x, axis = data[name], 2 if name == "Y" else 1
+    for name, axis in equations.ATTACHED.items():
+        if name not in data or (name != "x" and own >= T.attached_flexible):
+            continue
+        x = data[name]
         take = (slice(None),) * axis
         vectors = x[(*take, axes)]
         vector = (vectors * c).sum(axis)

@@ -51,6 +51,7 @@ from torchmbd.multibody.bodies.mesh_quality import warn_mesh
 from torchmbd.multibody.bodies.modal_damping import ModalDamping
 from torchmbd.multibody.bodies.reduced import matrices, reduced
 from torchmbd.multibody.bodies.reference import reference_nodes
+from torchmbd.multibody.bodies.stiffening import Stiffening
 from torchmbd.multibody.bodies.unit_checks import warn_slender, warn_units
 from torchmbd.multibody.bodies.zones import zone_parts
 
@@ -91,7 +92,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
     parts   name -> part of the assembly
     links   nodes that follow others
     rigid   sets of nodes that move as one rigid body; the first of each leads and may carry what the whole set carries
-    name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface, updated   as in `plate`
+    name, mesh, modes, position [m], axes, reference, damping [s], reduction, interface, updated, stiffening   as in `plate`
 
     >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([45, -45]), thickness=1e-3)
     >>> plate = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(4, 2))
@@ -126,6 +127,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         updated: bool = True,
         links: Sequence[RigidLink | Average] = (),
         rigid: Sequence[str | Sequence[int]] = (),
+        stiffening: bool = False,
     ):
         super().__init__()
         self.name = identifier("flexible body", name)
@@ -149,6 +151,9 @@ class FlexibleBody(MatrixMethods, nn.Module):
         self.interfaces = interfaces.frames
         self.reduction = reduced(name, self.assembly, reduction, modes, interfaces.kept, self.reference, updated)
         self.modes = self.reduction.size
+        if not isinstance(stiffening, bool):
+            raise InputError(f"stiffening of {name!r} is {stiffening!r}; allowed: True or False")
+        self.stiffening = Stiffening(name, self.assembly) if stiffening else None
         self.damping = ModalDamping(name, damping)
         bend(self, None, None)
         warn_mesh(name, self.assembly.parts.values())
@@ -196,6 +201,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         updated: bool = True,
         mass: str = "lumped",
         rigid: Sequence[str | Sequence[int]] = (),
+        stiffening: bool = False,
     ) -> FlexibleBody:
         """A laminated plate or shell.
 
@@ -213,9 +219,10 @@ class FlexibleBody(MatrixMethods, nn.Module):
         updated         False: modes are held fixed in derivatives (eq. 36), for comparison only: gradients are wrong
         mass            "lumped" (eq. 2), or "consistent", for comparison
         rigid           node sets that move as one rigid body each
+        stiffening      True: displacements of second order, so that spin and joints' forces stiffen the body (stiffening.py)
         """
         parts = {"plate": Plates(mesh, laminate, mass=mass)}
-        options = (position, axes, reference, damping, reduction, interface, updated, (), rigid)
+        options = (position, axes, reference, damping, reduction, interface, updated, (), rigid, stiffening)
         body = cls(name, mesh, parts, modes, *options)
         warn_slender(name, mesh, body.plates.values())
         return body
@@ -238,6 +245,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         offset: Sequence[float] | Tensor = (0.0, 0.0),
         twist: float | Sequence | Tensor = 0.0,
         mass: str = "lumped",
+        stiffening: bool = False,
     ) -> FlexibleBody:
         """A beam, straight or of arcs, with branches if need be.
 
@@ -250,7 +258,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         Others as in `plate`. The inertia of the section sits on rigid arms at the nodes (and middles, if consistent).
         """
         parts = beam_parts(name, line, section, orientation, offset, twist, mass)
-        return cls(name, line, parts, modes, position, axes, reference, damping, reduction, interface, updated)
+        options = (position, axes, reference, damping, reduction, interface, updated, (), (), stiffening)
+        return cls(name, line, parts, modes, *options)
 
     @classmethod
     def from_mesh(
@@ -269,7 +278,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         laminate    one for all, or one for each named zone of the file
         scale       meters per unit of the file, or its name: "mm", "cm", "in", "ft"
         direction   the laminate's x-axis in mesh axes, projected into each cell: [3], or one for each [m, 3]
-        options     position, axes, reference, damping, reduction, interface, updated: as in `plate`
+        options     position, axes, reference, damping, reduction, interface, updated, stiffening: as in `plate`
         Warns if size, density or speed of sound is implausible.
         """
         found = MeshFile(mesh, {}) if isinstance(mesh, Mesh) else read_mesh(mesh, scale)
@@ -285,7 +294,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
         units     of the file: "m" (m, kg, s, N, Pa), "mm" (mm, t, s, N, MPa), "cm" (cm, N s2/cm, s, N, N/cm2), "in" (in,
                   lbf s2/in, s, lbf, psi), "ft" (ft, slug, s, lbf, lbf/ft2); a PARAM WTMASS of the file counts
-        options   position, axes, reference, damping, reduction, interface, updated: as in `plate`; without a reference
+        options   position, axes, reference, damping, reduction, interface, updated, stiffening: as in `plate`; without a reference
                   the grids are taken whose six freedoms the file holds (SPC, SPC1)
         Raises InputError that names card and line; warns if units are implausible, and of cards that are left out.
         """
@@ -361,22 +370,26 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
         return SparseMatrix(K.pattern, K.values.reshape(-1, K.pattern.nnz)[0].detach(), symmetric=True), expand
 
-    def structure(self) -> dict[str, Tensor]:
+    def structure(self, nodes: Sequence[int] = ()) -> dict[str, Tensor]:
         """Run the structure stage.
 
-        Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; leading axes are those of the
-        laminate's parameters (designs).
+        Returns the inertia invariants, "Kr" [..., m, m] and "psi" [..., nodes, 6, m]; with stiffening also F1, F2 and, of
+        `nodes`, "bow" (stiffening.py). Leading axes are those of the laminate's parameters (designs).
         """
         if self.given is not None:
             return self.given.structure()
         points = self.assembly.masses()
+        K, M = matrices(self.assembly, points)
         try:
-            basis = self.reduction(*matrices(self.assembly, points))
+            basis = self.reduction(K, M)
         except CutCluster as error:
             raise CutCluster(f"{self.name!r}: {error}", error.lanes, error.beyond) from None
         psi = self.assembly.freedoms.expand(basis.vectors)
         psi = psi if self._rotations is None else self._rotations(psi)
         _, mass, rotary, arm = points
         x = self.assembly.places(self.places(), arm)
-        result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi, arm))
-        return result | {"Kr": basis.stiffness, "psi": psi}
+        result = inertia_invariants(x, mass, rotary, self.assembly.motion(psi, arm)) | {
+            "Kr": basis.stiffness,
+            "psi": psi,
+        }
+        return result if self.stiffening is None else result | self.stiffening(K, points, x, psi, nodes)

@@ -24,6 +24,7 @@ class MatrixMethods:
     """What a FlexibleBody can do with matrices; `given` is None for a body of elements."""
 
     given: MatrixStructure | ReducedStructure | None = None
+    stiffening: Any = None
     mesh: Any
     origin: Any
     structure: Any

@@ -157,6 +157,8 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, made: Mapping[str,
     path = Path(path)
     if path.suffix != ".npz":
         raise InputError(f"path = {str(path)!r}; allowed: a name that ends in .npz")
+    if "F1" in made:
+        raise InputError("the body has stiffening, which no file of reduced bodies holds; allowed: stiffening=False")
     if made["Kr"].dim() > 2:
         raise InputError(f"the body has {made['Kr'].shape[0]} designs at once; allowed: one")
     arrays = {key: made[key].detach().numpy() for key in (*SHAPES, "Kr", "psi")}

@@ -13,7 +13,7 @@ first frame; the second body has the axis that coincides with it at the given in
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -26,6 +26,7 @@ from torchmbd.math.variable import Numbers, Variables
 from torchmbd.multibody.bodies.frame import Frame, axis_index
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.bodies.rigid import Ground
+from torchmbd.multibody.bodies.stiffening import turned_arm
 
 
 class Equation(NamedTuple):
@@ -73,6 +74,26 @@ class Attached:
         lever = self.vector - self.interpolation.center(x) if self.is_point else self.vector
         turned = torch.linalg.cross(moved[..., 3:, :], lever[:, None].expand_as(moved[..., 3:, :]), dim=-2)
         return moved[..., :3, :] + turned if self.is_point else turned
+
+    def quadratic_rows(self, psi: Tensor, bow: Tensor, nodes: Sequence[int]) -> Tensor:
+        """How the rows of `modal_rows` change with the modes: [..., 3, modes, modes], symmetric.
+
+        bow    displacements and rotations of second order of some nodes [..., k, 6, modes, modes] (multibody/bodies/stiffening.py)
+        nodes  which these are
+        """
+        if self.interpolation is None:
+            return torch.zeros_like(bow[..., 0, :3, :, :])
+        x = self.body.mesh.nodes - self.body.origin
+        own = [list(nodes).index(k) for k in self.interpolation.nodes]
+        here = InterpolationConstraint(tuple(range(len(own))), self.interpolation.weights)
+        moved = here.motion(x[list(self.interpolation.nodes)], bow[..., own, :, :, :].flatten(-2)).unflatten(
+            -1, bow.shape[-2:]
+        )
+        lever = self.vector - self.interpolation.center(x) if self.is_point else self.vector
+        turn = moved[..., 3:, :, :]
+        turned = torch.linalg.cross(turn, lever[:, None, None].expand_as(turn), dim=-3)
+        turned = turned + turned_arm(self.interpolation.motion(x, psi)[..., 3:, :], lever)
+        return moved[..., :3, :, :] + turned if self.is_point else turned
 
 
 @dataclass

@@ -26,13 +26,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import FREEDOMS, Assembly, GivenElements
+from torchmbd.fem.elements import FREEDOMS, Assembly
 from torchmbd.fem.reduction import StaticLoads, eigenvalues
 from torchmbd.math.module_call import outside
 from torchmbd.math.owned import all_true, whole
 from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
 from torchmbd.multibody.bodies.interpolation import node_indices
+from torchmbd.multibody.bodies.stiffening import check_stressed
 from torchmbd.multibody.statics.nodal_loads import Loads, NodalLoads
 
 SMALL = 400  # freedoms; below, a dense method costs no more
@@ -99,12 +100,7 @@ class BucklingCase:
             raise InputError(
                 f"body {body.name!r} of buckling is made of matrices, which give no stress; allowed: one of elements"
             )
-        for name, part in body.parts.items():
-            if isinstance(part, GivenElements):
-                raise InputError(
-                    f"part {name!r} of {body.name!r} is rods, springs or solids, which have no geometric stiffness here; "
-                    "allowed in buckling: plates and beams"
-                )
+        check_stressed(body.name, "buckling", body.parts)
         self.body = body
         self.assembly = Assembly(body.mesh, body.assembly.parts, (), body.links)
         held = _held(body, {tuple(body.reference): "all"} if supports is None else supports)

@@ -51,7 +51,7 @@ class Condensation:
     def data(self, data: equations.Data) -> equations.Data:
         """Data of what is left."""
         bent = [i for i in self.vectors if i < self.whole.attached_flexible]
-        kept = {"x": (1, self.vectors), "Y": (2, bent)}
+        kept = {name: (axis, self.vectors if name == "x" else bent) for name, axis in equations.ATTACHED.items()}
         kept |= {name: (rank, self.bodies) for name, rank in equations.INERTIA.items()}
 
         def pick(name: str, x: Any) -> Any:

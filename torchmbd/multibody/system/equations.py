@@ -1,16 +1,22 @@
 """The equations of motion of a system of rigid and flexible bodies: the one text from which everything derives.
 
-For each body, with b = x + t w the position and r w the rotation of a node in the body frame, om the angular velocity:
+For each body, with b = x + t w + 1/2 w' f w the position and r w the rotation of a node in the body frame, om the angular
+velocity (f: of bodies with stiffening, else zero):
 
     Z = ~om' + ~om ~om                         acceleration of a body-fixed vector b is A Z b
-    force    m r'' + A (Z S + S1 w'' + 2 ~om S1 w')                                         ground axes
-    torque   axial(Z P + G w'' + 2 ~om G w') + S x A'r'' + mu om' + R1 w'' + om x R1 w'      body axes
-    modes    S1' A'r'' + R1' om' + Z : G + w'' + om . H w' + Kr w + D w'
+    force    m r'' + A (Z S + s w'' + 2 ~om s w' + w' F1 w')                                           ground axes
+    torque   axial(Z P + G w'' + 2 ~om G w' + w' F2 w') + S x A'r'' + mu om' + R1 w'' + om x R1 w'      body axes
+    modes    s' A'r'' + R1' om' + Z : G + w'' + om . H w' + Kr w + D w'
 
-    S = S0 + S1 w                              sum m b
-    G = C0 + C1 w                              sum m t b'    [3, 3, modes]
-    P = P0 + (C0 w)' + G w                     sum m b b'
+    s = S1 + F1 w                              sum m (t + f w)
+    S = S0 + S1 w + 1/2 w' F1 w                sum m b
+    G = C0 + C1 w + F2 w                       sum m (t + f w) b'    [3, 3, modes]
+    P = P0 + (C0 w)' + G w                     sum m b b', its part with F2 halved and symmetric
     H                                          sum m t x t + mu r x r (antisymmetric in the modes)
+    F1, F2                                     sum m f, sum m f x'   (multibody/bodies/stiffening.py)
+
+The terms with F1 and F2 in the modes are stiffness by the accelerations of the frame; those in force and torque make the mass
+matrix symmetric: all come from one kinetic energy, exact to the second order in w and w', so energy is conserved.
 
 set equal to the applied forces minus Phi_q' lam: eqs. (5)-(9) of the paper, with the nodal sums of eq. (2) replaced by
 inertia invariants. Gravity g enters as r'' - g. Rotary inertia of a node is isotropic (lumped), modes are normalized to
@@ -37,6 +43,7 @@ from torchmbd.math.rotation import axial, euler_rates, exponential, quaternion_p
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
 INERTIA = {"mass": 0, "S0": 1, "P0": 2, "mu": 0}  # data of every body and their tensor rank
+ATTACHED = {"x": 1, "Y": 2, "E": 3}  # data of attached vectors and the axis of these
 Data = dict[str, Any]  # name -> tensor or pair, [component..., 1, lanes]
 
 
@@ -49,6 +56,7 @@ class Placement:
     A_of  [3, 3, vectors]      rotation of the body of each vector
     rho   [3, vectors]         vectors in body axes
     g     [3, vectors]         vectors in ground axes; points include the origin of their body
+    Y    [3, modes, vectors of flexible bodies]  their derivatives by w; None without any
     arguments                  the same, for each argument of each kind of primitive
     drives                     what the laws prescribe at this time, for each kind of primitive
     t                          the time
@@ -62,13 +70,15 @@ class Placement:
     arguments: list[list[Any]]
     drives: list[tuple | None]
     t: Any = None
+    Y: Any = None
 
     def map(self, f: Callable[[Any], Any]) -> Placement:
         """The same with f(x) of all numbers."""
         A, w, A_of, rho, g = (f(x) for x in (self.A, self.w, self.A_of, self.rho, self.g))
+        Y = None if self.Y is None else f(self.Y)
         arguments = [[f(x) for x in vectors] for vectors in self.arguments]
         drives: list[tuple | None] = [drive and tuple(f(x) for x in drive) for drive in self.drives]
-        return Placement(A, w, A_of, rho, g, arguments, drives, self.t)
+        return Placement(A, w, A_of, rho, g, arguments, drives, self.t, Y)
 
     def values(self) -> Placement:
         """The same without tangents."""
@@ -101,14 +111,23 @@ def placement(T: Topology, data: Data, q, given: Prescribed) -> Placement:
     """Rotations and attached vectors at the coordinates q [n_q, ...]; `given` by Topology.prescribed."""
     r, p, w = split_q(T, q)
     A, r = cat([rotation_matrix(p), given.A], 2), cat([r, given.r], 1)
-    rho = data["x"]
+    rho, Y = data["x"], None
     if T.attached_flexible:
-        bent = _modal_vector(T, data["Y"], w)
+        Y = data["Y"]
+        bent = _modal_vector(T, Y, w)
+        if "E" in data:
+            turned = _bow(T, data, w)
+            bent, Y = bent + 0.5 * _modal_vector(T, turned, w), Y + turned
         n = T.attached_flexible
         rho = cat([rho[:, :n] + bent, rho[:, n:]], 1) if n < T.vectors else rho + bent
     A_of = A.index_select(2, T.vector_body)
     g = matvec(A_of, rho) + r.index_select(1, T.vector_origin)
-    return Placement(A, w, A_of, rho, g, T.arguments(g), given.laws, given.t)
+    return Placement(A, w, A_of, rho, g, T.arguments(g), given.laws, given.t, Y)
+
+
+def _bow(T: Topology, data: Data, w):
+    """E w: how the rows Y of attached vectors change by bending, [3, modes, vectors]."""
+    return contract(data["E"], w.index_select(1, T.vector_flexible), 2)
 
 
 def _modal_vector(T: Topology, Y, w):
@@ -135,8 +154,7 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
         force = data["mass"] * rdd + matvec(A, matvec(Z, S))
         return force, axial(matmul(Z, data["P0"])) + cross(S, u) + data["mu"] * omd, linear(torch.zeros_like, w)
     spin_f, Z_f, u_f, om_f, omd_f = spin[:, :, :f], Z[:, :, :f], u[:, :f], om[:, :f], omd[:, :f]
-    SR = data["SR"]  # SR = S1 above R1: [6, modes, flexible]
-    S, P, G = moments(T, data, w)
+    S, P, G, SR = moments(T, data, w)
     rates = _stack2(wd, wdd)  # [modes, 2, flexible]
     sr = contract(SR.unsqueeze(2), rates, 1)  # [6, 2, flexible]
     gg = contract(G.unsqueeze(3), rates, 2)  # [3, 3, 2, flexible]
@@ -144,6 +162,9 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
     extra = sr[:3, 1] + 2.0 * matvec(spin_f, sr[:3, 0])
     Y = matmul(Z, P)
     extra_Y = gg[:, :, 1] + 2.0 * matmul(spin_f, gg[:, :, 0])
+    if "F1" in data:
+        extra = extra + contract(contract(data["F1"], wd, 2), wd, 1)
+        extra_Y = extra_Y + contract(contract(data["F2"], wd, 3), wd, 2)
     turn = sr[3:, 1] + cross(om_f, sr[3:, 0])
     torque = cross(S, u) + data["mu"] * omd
     if f < n:
@@ -162,15 +183,19 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
 
 
 def moments(T: Topology, data: Data, w):
-    """S [3, bodies], P [3, 3, bodies] and G [3, 3, modes, flexible] of the deformed bodies."""
+    """S [3, bodies], P [3, 3, bodies], G [3, 3, modes, flexible] and s above R1 [6, modes, flexible] of the deformed bodies."""
     f = T.flexible
-    S, P, C0 = data["S0"], data["P0"], data["C0"]
+    S, P, C0, SR = data["S0"], data["P0"], data["C0"], data["SR"]
     G = C0 + contract(data["C1"], w, 3)
-    S_f = S[:, :f] + matvec(data["SR"][:3], w)
-    P_f = P[:, :, :f] + contract(C0.transpose(0, 1) + G, w, 2)
+    S_f, outer = S[:, :f] + matvec(SR[:3], w), C0.transpose(0, 1) + G
+    if "F1" in data:
+        s, g = contract(data["F1"], w, 2), contract(data["F2"], w, 3)
+        S_f, outer = S_f + 0.5 * matvec(s, w), outer + 0.5 * (g + g.transpose(0, 1))
+        G, SR = G + g, cat([SR[:3] + s, SR[3:]])
+    P_f = P[:, :, :f] + contract(outer, w, 2)
     if f == T.bodies:
-        return S_f, P_f, G
-    return cat([S_f, S[:, f:]], 1), cat([P_f, P[:, :, f:]], 2), G
+        return S_f, P_f, G, SR
+    return cat([S_f, S[:, f:]], 1), cat([P_f, P[:, :, f:]], 2), G, SR
 
 
 def _stack2(a, b):
@@ -225,8 +250,10 @@ def vector_jets(T: Topology, at: Placement, data: Data, v, a) -> Jet:
     velocity, acceleration = matvec(spin, at.rho), matvec(Z, at.rho)
     n = T.attached_flexible
     if n:
-        slow, fast = _modal_vector(T, data["Y"], wd), _modal_vector(T, data["Y"], wdd)
+        slow, fast = _modal_vector(T, at.Y, wd), _modal_vector(T, at.Y, wdd)
         fast = fast + 2.0 * matvec(spin[:, :, :n], slow)
+        if "E" in data:
+            fast = fast + _modal_vector(T, _bow(T, data, wd), wd)
         velocity = cat([velocity[:, :n] + slow, velocity[:, n:]], 1)
         acceleration = cat([acceleration[:, :n] + fast, acceleration[:, n:]], 1)
     return Jet(at.g, rd + matvec(at.A_of, velocity), rdd + matvec(at.A_of, acceleration))
@@ -240,7 +267,7 @@ def vector_velocities(T: Topology, at: Placement, data: Data, v):
     velocity = cross(om, at.rho)
     n = T.attached_flexible
     if n:
-        bending = velocity[:, :n] + _modal_vector(T, data["Y"], wd)
+        bending = velocity[:, :n] + _modal_vector(T, at.Y, wd)
         velocity = cat([bending, velocity[:, n:]], 1) if n < T.vectors else bending
     return _with_carriers(T, rd, 1).index_select(1, T.vector_origin) + matvec(at.A_of, velocity)
 
@@ -293,7 +320,7 @@ def generalized_forces(T: Topology, data: Data, at: Placement, force):
     local = matvec_t(at.A_of, force)
     both = T.body_sum(force, cross(at.rho, local))
     if T.attached_flexible:
-        modal = T.modal_sum(matvec_t(data["Y"], local[:, : T.attached_flexible]))
+        modal = T.modal_sum(matvec_t(at.Y, local[:, : T.attached_flexible]))
     else:
         none = T.modes, T.flexible
         modal = linear(lambda y: y.new_zeros(*none, *y.shape[2:]), force)

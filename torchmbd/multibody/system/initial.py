@@ -129,8 +129,7 @@ class InitialConditions:
         seen = [x, *(part for drive in laws for jet in drive for part in jet.parts)]
         if not self._last or not all(map(torch.equal, seen, self._last[0].seen)):
             data = {name: value(y).detach()[..., :1] for name, y in dynamics.data.items()}
-            if "Y" in data:
-                data["Y"] = torch.zeros_like(data["Y"])
+            data |= {name: torch.zeros_like(data[name]) for name in ("Y", "E") if name in data}
             self._last[:] = [Alike(seen, *self._closed(replace(dynamics, data=data)), {})]
         return self._last[0]
 

@@ -58,7 +58,7 @@ class LeastNorm:
 
     def _chunk(self, data: Data, times: Tensor, *motion: Tensor) -> Tensor:
         n, lanes = len(times), motion[0].shape[-1]
-        wide = {name: repeated(data[name], n, lanes) for name in ("x", "Y") if name in data}
+        wide = {name: repeated(data[name], n, lanes) for name in equations.ATTACHED if name in data}
         found = self(wide, as_lanes(self.T.schedule(times, data), lanes), *(number(x) for x in motion))
         full = found.full if isinstance(found, Pair) else found
         return full.unflatten(2, (n, lanes)).permute(2, 0, 1, 3)

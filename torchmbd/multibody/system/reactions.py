@@ -47,7 +47,7 @@ def _chunk(c: Condensation, data: Data, times: Tensor, *motion: Tensor) -> Tenso
     n, lanes = len(times), motion[0].shape[-1]
     q, v, a, left = (number(x) for x in motion)
     T = c.whole
-    names = ("x", "Y", "gravity", *INERTIA)
+    names = (*equations.ATTACHED, "gravity", *INERTIA)
     wide = {name: repeated(data[name], n, lanes) for name in names if name in data}
     given = as_lanes([T.prescribed(t, data) for t in times], lanes)
     gone = torch.tensor([i for i in range(T.rows) if i not in set(c.rows.tolist())], dtype=torch.long)

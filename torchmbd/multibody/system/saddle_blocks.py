@@ -23,7 +23,7 @@ from torchmbd.multibody.system.equations import Data, Placement, moments, split_
 from torchmbd.multibody.system.topology import SegmentSum, Topology
 from torchmbd.multibody.system.unit_forces import Block, UnitForces
 
-Moments = tuple[Tensor, Tensor, Tensor | None]  # S, P and G of equations.moments
+Moments = tuple[Tensor, Tensor, Tensor | None, Any]  # S, P, G and s above R1 of equations.moments
 
 
 class SaddleBlocks:
@@ -74,7 +74,7 @@ class SaddleBlocks:
         turn                rotations [3, bodies, 1, lanes] of an increment: Phi_q is then the derivative by the increment
         """
         T = self.T
-        body = moments(T, data, at.w) if T.flexible else (data["S0"], data["P0"], None)
+        body = moments(T, data, at.w) if T.flexible else (data["S0"], data["P0"], None, None)
         blocks = self._mass_blocks(data, at, body, stiffness, damping)
         blocks |= {f"{name}_back": blocks[name] for name in ("turn", "pull", "twist") if name in blocks}
         if v is not None:
@@ -128,7 +128,7 @@ class SaddleBlocks:
         n, f = T.bodies, T.flexible
         eye = torch.eye(3, dtype=at.A.dtype, device=at.A.device)[:, :, None, None, None]
         A = at.A[:, :, :n]
-        S, P, G = body
+        S, P, G, SR = body
         trace = P[0, 0] + P[1, 1] + P[2, 2]
         blocks = {
             "mass": data["mass"],
@@ -137,8 +137,8 @@ class SaddleBlocks:
         }
         if G is not None:
             A_f = A[:, :, :f]
-            blocks["pull"] = (A_f[:, :, None] * data["SR"][:3][None]).sum(1)
-            blocks["twist"] = axial(G) + data["SR"][3:]
+            blocks["pull"] = (A_f[:, :, None] * SR[:3][None]).sum(1)
+            blocks["twist"] = axial(G) + SR[3:]
             modal = T.modal_identity(data["Kr"]) + stiffness * data["Kr"]
             blocks["modal"] = modal + damping * data["D"] if "D" in data else modal
         return blocks
@@ -153,22 +153,25 @@ class SaddleBlocks:
         rates: tuple[Tensor, Tensor, Tensor],
     ) -> None:
         """Add the derivatives of the inertia forces by om and w' (equations.py)."""
-        T, (om, wd, spin), (S, _, G) = self.T, rates, body
+        T, (om, wd, spin), (S, _, G, SR) = self.T, rates, body
         f = T.flexible
         A, J = at.A[:, :, : T.bodies], blocks["inertia"]
         drift = cross(om, S)
         if G is not None:
-            bending = drift[:, :f] + 2.0 * matvec(data["SR"][:3], wd)
+            bending = drift[:, :f] + 2.0 * matvec(SR[:3], wd)
             drift = cat([bending, drift[:, f:]], 1) if f < T.bodies else bending
         blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(drift) + matmul(spin, skew(S)))
         blocks["inertia"] = J + factor * (matmul(spin, J) - skew(matvec(J, om)))
         if G is not None:
             om_f, spin_f = om[:, :f], spin[:, :, :f]
             twice = 2.0 * factor * spin_f
-            coriolis = matmul(twice, data["SR"][:3])
-            blocks["pull"] = blocks["pull"] + matmul(A[:, :, :f], coriolis)
-            R1, X = data["SR"][3:], (G * wd).sum(2)
+            coriolis = matmul(twice, SR[:3])
+            R1, X = SR[3:], (G * wd).sum(2)
             turning = matmul(factor * spin_f, R1) + axial((twice[:, :, None, None] * G[None]).sum(1))
+            if "F1" in data:
+                coriolis = coriolis + 2.0 * factor * (data["F1"] * wd[:, None]).sum(1)
+                turning = turning + 2.0 * factor * axial((data["F2"] * wd[:, None]).sum(2))
+            blocks["pull"] = blocks["pull"] + matmul(A[:, :, :f], coriolis)
             blocks["twist"] = blocks["twist"] + turning
             eye = torch.eye(3, dtype=om.dtype, device=om.device)[:, :, None, None, None]
             stirred = 2.0 * (eye * (X[0, 0] + X[1, 1] + X[2, 2]) - X) - skew(matvec(R1, wd))
@@ -191,25 +194,31 @@ class SaddleBlocks:
         accelerations: tuple[Tensor, Tensor, Tensor],
     ) -> None:
         """Add the derivatives of the inertia forces by the rotations and by w (equations.py)."""
-        T, (wd, spin), (rdd, omd, wdd), (S, _, G) = self.T, rates, accelerations, body
+        T, (wd, spin), (rdd, omd, wdd), (S, _, G, SR) = self.T, rates, accelerations, body
         f = T.flexible
         A = at.A[:, :, : T.bodies]
         Z = skew(omd) + matmul(spin, spin)
         u = matvec_t(A, rdd - data["gravity"] if "gravity" in data else rdd)
         h = matvec(Z, S)
         if G is not None:
-            S1, C1 = data["SR"][:3], data["C1"]
+            S1, C1 = SR[:3], data["C1"]
             Z_f, spin_f, u_f = Z[:, :, :f], spin[:, :, :f], u[:, :f]
             bending = h[:, :f] + matvec(S1, wdd) + 2.0 * matvec(spin_f, matvec(S1, wd))
             h = cat([bending, h[:, f:]], 1) if f < T.bodies else bending
-            blocks["pull"] = blocks["pull"] + factor * matmul(A[:, :, :f], matmul(Z_f, S1))
+            pull, modal = matmul(Z_f, S1), 0.0
+            if "F1" in data:
+                F1, C1 = data["F1"], C1 + data["F2"]
+                slow, fast = ((F1 * x[:, None]).sum(1) for x in (wd, wdd))  # [3, modes, flexible]
+                pull = pull + fast + 2.0 * matmul(spin_f, slow)
+                modal = factor * (u_f[:, None, None] * F1).sum(0)
+            blocks["pull"] = blocks["pull"] + factor * matmul(A[:, :, :f], pull)
             slow, fast = ((C1 * x[:, None]).sum(2) for x in (wd, wdd))  # [3, 3, modes, flexible]
             dP = G + G.transpose(0, 1)  # C1_ijab = C1_jiba
             turned = _times(Z_f, dP) + fast + 2.0 * _times(spin_f, slow)
             pulled = matmul(skew(u_f), S1)
             blocks["twist"] = blocks["twist"] + factor * (axial(turned) - pulled)
             blocks["twist_back"] = blocks["twist_back"] - factor * pulled
-            blocks["modal"] = blocks["modal"] + factor * (Z_f[:, :, None, None] * C1).flatten(0, 1).sum(0)
+            blocks["modal"] = blocks["modal"] + factor * (Z_f[:, :, None, None] * C1).flatten(0, 1).sum(0) + modal
         blocks["turn"] = blocks["turn"] - factor * matmul(A, skew(h))
         blocks["inertia"] = blocks["inertia"] + factor * matmul(skew(S), skew(u))
 
@@ -225,9 +234,14 @@ class SaddleBlocks:
         torque = self._body_sum(turned.flatten(0, 1)).unflatten(0, (3, 3))
         blocks["inertia"] = blocks["inertia"] + factor * torque
         if T.attached_flexible:
-            bent = -matmul(skew(local[:, : T.attached_flexible]), data["Y"])
+            local = local[:, : T.attached_flexible]
+            bent = -matmul(skew(local), at.Y)
             twist = factor * T.modal_sum(bent.flatten(0, 1)).unflatten(0, (3, T.modes))
             blocks["twist"], blocks["twist_back"] = blocks["twist"] + twist, blocks["twist_back"] + twist
+            if "E" in data:
+                pulled = (data["E"] * local[:, None, None]).sum(0)
+                modal = T.modal_sum(pulled.flatten(0, 1)).unflatten(0, (T.modes, T.modes))
+                blocks["modal"] = blocks["modal"] + factor * modal
 
     def _row_blocks(self, data: Data, at: Placement) -> dict[str, Any]:
         forces = []

@@ -292,7 +292,8 @@ class System(nn.Module):
             refuse_lost(f"law of {joint.name!r}", getattr(joint, "law", None), OF_DRIVES, registered)
 
     def _structures(self) -> dict[str, dict[str, Tensor]]:
-        return {name: self.body(name).structure() for name in self.topology.names[: self.topology.flexible]}
+        T = self.topology
+        return {name: self.body(name).structure(_carriers(T, i)) for i, name in enumerate(T.names[: T.flexible])}
 
     def _data(self, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
         T = self.topology
@@ -305,6 +306,8 @@ class System(nn.Module):
                 stages, [b.damping.matrix(s["Kr"]) for b, s in zip(flexible, stages, strict=True)], T.modes
             )
             data["Y"] = _vector_modes(T, stages)
+            if any("F1" in stage for stage in stages):
+                data |= _second_order(T, stages)
         x = [attached.now() for attached in T.attached]
         data["x"] = _together(x, 1) if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
         for element in (*self.joints, *self.forces):
@@ -385,3 +388,29 @@ def _vector_modes(T: topology.Topology, stages: list[dict[str, Tensor]]) -> Tens
     if not rows:
         return stages[0]["psi"].new_zeros(3, T.modes, 0, 1, 1)
     return _together(rows, 2)
+
+
+def _carriers(T: topology.Topology, body: int) -> list[int]:
+    """Nodes of a flexible body that carry frames."""
+    on = T.attached[: T.attached_flexible]
+    own = [a.interpolation for a, b in zip(on, T.vector_flexible.tolist(), strict=True) if b == body]
+    return sorted({node for where in own if where is not None for node in where.nodes})
+
+
+def _second_order(T: topology.Topology, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
+    """F1, F2 of the bodies and E of the attached vectors; zero of bodies without stiffening."""
+    found = {}
+    for name, rank in (("F1", 3), ("F2", 4)):
+        none = [s["C0"].new_zeros(*[3] * (rank - 2), 1, 1) for s in stages]
+        own = [_pad(s.get(name, zero), T.modes, (-2, -1)) for s, zero in zip(stages, none, strict=True)]
+        found[name] = _together(own, rank)
+    rows = []
+    for attached, body in zip(T.attached[: T.attached_flexible], T.vector_flexible.tolist(), strict=True):
+        made = stages[body]
+        if "bow" in made:
+            own = attached.quadratic_rows(made["psi"], made["bow"], _carriers(T, body))
+            rows.append(_pad(own, T.modes, (-2, -1)))
+        else:
+            rows.append(made["psi"].new_zeros(3, T.modes, T.modes))
+    none = found["F1"].new_zeros(3, T.modes, T.modes, 0, 1, 1)
+    return found | {"E": _together(rows, 3) if rows else none}

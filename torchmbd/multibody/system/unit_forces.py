@@ -60,7 +60,7 @@ class UnitForces:
             f"{name}_torque": self.turn_sum(cross(at.rho.index_select(1, self.argument_vector), local)),
         }
         if self.flexible_pairs:
-            Y = data["Y"].index_select(2, self.flexible_vector)
+            Y = at.Y.index_select(2, self.flexible_vector)
             blocks[f"{name}_modal"] = self.modal_sum(matvec_t(Y, local.index_select(1, self.flexible_arguments)))
         return blocks
 
