@@ -4,7 +4,8 @@
 
 Without stiffening elastic displacements are linear, and only half of what spin does to stiffness is included: inertia softens
 a bending mode, om_1^2 - om^2, and the tension that outweighs it (a blade: om_1^2 + 0.19 om^2 in the plane of the spin) is of
-second order. What is missing is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without bound.
+second order. What is missing is of the size ratio^2 of deflections and energies; beyond a ratio of one a body bends without
+bound.
 Several bodies instead of one, joined by `Fixed`, have their own frames and the tension between them along the bent line,
 but need enough modes each.
 Source: Kane, Ryan, Banerjee, Dynamics of a cantilever beam attached to a moving base, J. Guid. Control Dyn. 10 (1987)

@@ -294,8 +294,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
         units     of the file: "m" (m, kg, s, N, Pa), "mm" (mm, t, s, N, MPa), "cm" (cm, N s2/cm, s, N, N/cm2), "in" (in,
                   lbf s2/in, s, lbf, psi), "ft" (ft, slug, s, lbf, lbf/ft2); a PARAM WTMASS of the file counts
-        options   position, axes, reference, damping, reduction, interface, updated, stiffening: as in `plate`; without a reference
-                  the grids are taken whose six freedoms the file holds (SPC, SPC1)
+        options   position, axes, reference, damping, reduction, interface, updated, stiffening: as in `plate`; without a
+                  reference the grids are taken whose six freedoms the file holds (SPC, SPC1)
         Raises InputError that names card and line; warns if units are implausible, and of cards that are left out.
         """
         found = read_bdf(path, units, mass)

@@ -78,7 +78,7 @@ class Attached:
     def quadratic_rows(self, psi: Tensor, bow: Tensor, nodes: Sequence[int]) -> Tensor:
         """How the rows of `modal_rows` change with the modes: [..., 3, modes, modes], symmetric.
 
-        bow    displacements and rotations of second order of some nodes [..., k, 6, modes, modes] (multibody/bodies/stiffening.py)
+        bow    displacements and rotations of second order (bodies/stiffening.py) of some nodes [..., k, 6, modes, modes]
         nodes  which these are
         """
         if self.interpolation is None:

@@ -37,6 +37,7 @@ from torchmbd.multibody.system.diagram import html
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.equations import INERTIA
 from torchmbd.multibody.system.initial import START, given_start
+from torchmbd.multibody.system.modal_data import carriers, modal_data, second_order, together, vector_modes
 from torchmbd.multibody.system.robot import robot
 from torchmbd.multibody.system.saddle import Saddle
 from torchmbd.multibody.system.start import Start
@@ -293,23 +294,23 @@ class System(nn.Module):
 
     def _structures(self) -> dict[str, dict[str, Tensor]]:
         T = self.topology
-        return {name: self.body(name).structure(_carriers(T, i)) for i, name in enumerate(T.names[: T.flexible])}
+        return {name: self.body(name).structure(carriers(T, i)) for i, name in enumerate(T.names[: T.flexible])}
 
     def _data(self, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
         T = self.topology
         flexible = [self.body(name) for name in T.names[: T.flexible]]
         rigid = [self.body(name) for name in T.names[T.flexible :]]
         inertia = [*stages, *(body.invariants() for body in rigid)]
-        data = {key: _together([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
+        data = {key: together([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
         if flexible:
-            data |= _modal_data(
+            data |= modal_data(
                 stages, [b.damping.matrix(s["Kr"]) for b, s in zip(flexible, stages, strict=True)], T.modes
             )
-            data["Y"] = _vector_modes(T, stages)
+            data["Y"] = vector_modes(T, stages)
             if any("F1" in stage for stage in stages):
-                data |= _second_order(T, stages)
+                data |= second_order(T, stages)
         x = [attached.now() for attached in T.attached]
-        data["x"] = _together(x, 1) if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
+        data["x"] = together(x, 1) if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
         for element in (*self.joints, *self.forces):
             if element.variables is not None:
                 data[key(element.name)] = element.variables.flat()
@@ -339,78 +340,3 @@ def _of_all(data: dict[str, Tensor], designs: Mapping[str, Tensor]) -> dict[str,
     lanes = max((x.shape[0] for x in designs.values()), default=1)
     mass = data["mass"]
     return data if mass.shape[-1] == lanes else data | {"mass": mass.expand(*mass.shape[:-1], lanes)}
-
-
-def _together(parts: list[Tensor], rank: int) -> Tensor:
-    """Stack one quantity of several bodies, lanes leading -> [component..., bodies, 1, lanes]."""
-    lanes = max((p.shape[0] for p in parts if p.dim() > rank), default=1)
-    full = [p.expand(lanes, *p.shape[p.dim() - rank :]) if p.dim() == rank else p for p in parts]
-    return torch.stack(full, -1).movedim(0, -1).unsqueeze(-2)
-
-
-def _pad(x: Tensor, modes: int, axes: tuple[int, ...]) -> Tensor:
-    for axis in axes:
-        missing = modes - x.shape[axis]
-        if missing:
-            shape = list(x.shape)
-            shape[axis] = missing
-            x = torch.cat([x, x.new_zeros(shape)], axis)
-    return x
-
-
-def _modal_data(stages: list[dict[str, Tensor]], damping: list[Tensor | None], modes: int) -> dict[str, Tensor]:
-    """Invariants of the modes; padded modes couple to nothing."""
-    SR = [_pad(torch.cat([s["S1"], s["R1"]], -2), modes, (-1,)) for s in stages]
-    C1 = [_pad(s["C1"], modes, (-2, -1)) for s in stages]
-    # H_k ab = eps_ikj (2 C1 + R2)_ij ab: the Coriolis force on mode a is om_k H_kab w'_b.
-    H = []
-    for s in stages:
-        c = _pad(2.0 * s["C1"] + s["R2"], modes, (-2, -1))
-        H.append(torch.stack([c[..., j, i, :, :] - c[..., i, j, :, :] for i, j in ((1, 2), (2, 0), (0, 1))], -3))
-    data = {
-        "SR": _together(SR, 2),
-        "C0": _together([_pad(s["C0"], modes, (-1,)) for s in stages], 3),
-        "C1": _together(C1, 4),
-        "H": _together(H, 3),
-        "Kr": _together([_pad(s["Kr"], modes, (-2, -1)) for s in stages], 2),
-    }
-    if any(D is not None for D in damping):
-        parts = [torch.zeros_like(s["Kr"]) if D is None else D for D, s in zip(damping, stages, strict=True)]
-        data["D"] = _together([_pad(D, modes, (-2, -1)) for D in parts], 2)
-    return data
-
-
-def _vector_modes(T: topology.Topology, stages: list[dict[str, Tensor]]) -> Tensor:
-    """Modal rows Y [3, modes, vectors, 1, lanes] of the vectors attached to flexible bodies (multibody/bodies/frame.py)."""
-    rows = []
-    for attached, body in zip(T.attached[: T.attached_flexible], T.vector_flexible.tolist(), strict=True):
-        rows.append(_pad(attached.modal_rows(stages[body]["psi"]), T.modes, (-1,)))
-    if not rows:
-        return stages[0]["psi"].new_zeros(3, T.modes, 0, 1, 1)
-    return _together(rows, 2)
-
-
-def _carriers(T: topology.Topology, body: int) -> list[int]:
-    """Nodes of a flexible body that carry frames."""
-    on = T.attached[: T.attached_flexible]
-    own = [a.interpolation for a, b in zip(on, T.vector_flexible.tolist(), strict=True) if b == body]
-    return sorted({node for where in own if where is not None for node in where.nodes})
-
-
-def _second_order(T: topology.Topology, stages: list[dict[str, Tensor]]) -> dict[str, Tensor]:
-    """F1, F2 of the bodies and E of the attached vectors; zero of bodies without stiffening."""
-    found = {}
-    for name, rank in (("F1", 3), ("F2", 4)):
-        none = [s["C0"].new_zeros(*[3] * (rank - 2), 1, 1) for s in stages]
-        own = [_pad(s.get(name, zero), T.modes, (-2, -1)) for s, zero in zip(stages, none, strict=True)]
-        found[name] = _together(own, rank)
-    rows = []
-    for attached, body in zip(T.attached[: T.attached_flexible], T.vector_flexible.tolist(), strict=True):
-        made = stages[body]
-        if "bow" in made:
-            own = attached.quadratic_rows(made["psi"], made["bow"], _carriers(T, body))
-            rows.append(_pad(own, T.modes, (-2, -1)))
-        else:
-            rows.append(made["psi"].new_zeros(3, T.modes, T.modes))
-    none = found["F1"].new_zeros(3, T.modes, T.modes, 0, 1, 1)
-    return found | {"E": _together(rows, 3) if rows else none}
