@@ -13,9 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from torchmbd.design import Problem
-from torchmbd.design.words import words
-
 CONSTRAINT, DESIGN, SEARCH = "constraint/", "design/", "search/"
 ITERATIONS, ANALYSES = f"{SEARCH}iterations", f"{SEARCH}analyses"
 EVALUATIONS, FAILED = f"{SEARCH}evaluations", f"{SEARCH}failed_evaluations"
@@ -34,6 +31,9 @@ def short(metric: str) -> str:
 
 def constraint_names(problem: Any, count: int) -> list[str]:
     """A name for each of the rows of the constraints; by their numbers where the problem does not tell what they are."""
+    from torchmbd.design import Problem  # with torch, which commands that read names spare
+    from torchmbd.design.words import words
+
     said: list[str] = []
     if isinstance(problem, Problem):
         said = [f"peak {k + 1}" for k in range(problem.peaks)]
