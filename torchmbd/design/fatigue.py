@@ -30,8 +30,8 @@ from torchmbd.fem.materials import PLY_COMPONENTS, SNCurve, power_law_damage
 from torchmbd.integrate import Trajectory
 from torchmbd.math.owned import scalar
 from torchmbd.multibody.system import System
-from torchmbd.results.ply_history import PlyHistory, require_plies
-from torchmbd.results.section_history import SectionHistory, laminated
+from torchmbd.results.ply_history import PlyHistory
+from torchmbd.results.section_history import SectionHistory, laminated, plies_of
 
 # Where the strengths in tension and compression of each component stand among Strength.numbers().
 _STRENGTHS = ((0, 1), (2, 3), (4, 4), (5, 5), (6, 6))
@@ -139,12 +139,7 @@ class FatigueDamage(Measure):
                 )
 
     def check(self, system: System) -> None:
-        body = system.body(self.body)
-        sections = laminated(body)
-        if not sections:
-            require_plies(body)
-        plies = [ply for part in getattr(body, "plates", {}).values() for ply in part.laminate.layer_plies]
-        plies += [ply for section in sections.values() for ply in section.plies]
+        plies = plies_of(system.body(self.body))
         if self.curves is None and any(ply.strength is None for ply in plies):
             raise InputError(
                 f"a ply of body {self.body!r} has no strength; allowed: Ply(..., strength=Strength(...)), or curves"

@@ -19,8 +19,8 @@ from torchmbd.errors import InputError, unknown
 from torchmbd.fem.materials import CRITERIA
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import System
-from torchmbd.results.ply_history import PlyHistory, require_plies
-from torchmbd.results.section_history import SectionHistory, laminated
+from torchmbd.results.ply_history import PlyHistory
+from torchmbd.results.section_history import SectionHistory, laminated, plies_of
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,7 @@ class PlyFailure(History):
     def check(self, system: System) -> None:
         if self.criterion not in CRITERIA:
             raise unknown("criterion", self.criterion, CRITERIA)
-        body = system.body(self.body)
-        sections = laminated(body)
-        if not sections:
-            require_plies(body)
-        plies = [ply for part in getattr(body, "plates", {}).values() for ply in part.laminate.layer_plies]
-        plies += [ply for section in sections.values() for ply in section.plies]
-        if any(ply.strength is None for ply in plies):
+        if any(ply.strength is None for ply in plies_of(system.body(self.body))):
             raise InputError(f"a ply of body {self.body!r} has no strength; allowed: Ply(..., strength=Strength(...))")
 
     def values(self, motion: Trajectory) -> Tensor:

@@ -27,7 +27,7 @@ from torchmbd.fem.elements import Beams
 from torchmbd.fem.materials import CRITERIA, FailureForms
 from torchmbd.fem.sections import Section
 from torchmbd.math.module_call import call_module
-from torchmbd.results.ply_history import of_plies
+from torchmbd.results.ply_history import of_plies, require_plies
 
 if TYPE_CHECKING:
     from torchmbd.results.trajectory import Trajectory
@@ -175,6 +175,15 @@ def laminated(body: object) -> dict[str, Section]:
     """The meshed sections of a body's beams by the names of the parts; none for a body without."""
     beams: dict[str, Beams] = getattr(body, "beams", {})
     return {key: part.section for key, part in beams.items() if isinstance(part.section, Section)}
+
+
+def plies_of(body: object) -> list[Any]:
+    """The plies of a body's plates and laminated beams; InputError where it has none."""
+    sections = laminated(body)
+    if not sections:
+        require_plies(body)
+    plies = [ply for part in getattr(body, "plates", {}).values() for ply in part.laminate.layer_plies]
+    return plies + [ply for section in sections.values() for ply in section.plies]
 
 
 def _strengths(section: Section) -> Float[Tensor, "*lanes points 8"] | None:
