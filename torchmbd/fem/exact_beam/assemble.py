@@ -1,6 +1,6 @@
 """Loads and masses of an exact beam at its nodes.
 
-Checked in tests/fem/exact_beam/test_loads.py.
+Checked in tests/fem/exact_beam/test_loads.py, tests/fem/exact_beam/test_vibrations.py.
 """
 
 from __future__ import annotations
@@ -39,9 +39,18 @@ def nodal_mass(line: BeamLine, sections: SpanSections, made: Elements) -> NodalM
 
 
 def beam_data(
-    line: BeamLine, sections: SpanSections, made: Elements, nodes: Tensor, imposed: Tensor, given: dict[str, Any]
+    line: BeamLine,
+    sections: SpanSections,
+    made: Elements,
+    nodes: Tensor,
+    imposed: Tensor,
+    given: dict[str, Any],
+    massive: bool,
 ) -> tuple[BeamData, bool]:
-    """Numbers of a beam under loads, arguments of `ExactBeam.equilibrium`; and whether all loads have a potential."""
+    """Numbers of a beam under loads, arguments of `ExactBeam.equilibrium`; and whether all loads have a potential.
+
+    massive  whether masses are wanted without gravity and spin
+    """
     n, where = len(line.nodes), line.elements.flatten()
     q, p = (along(key, line, given[key]) for key in ("line_load", "follower_line_load"))
     loads, turning = (nodal(key, line, given[key]) for key in ("loads", "follower_loads"))
@@ -58,7 +67,7 @@ def beam_data(
     axes = made.axes.flatten(-4, -3)[..., first, :, :]
     follower = (block(axes) @ turning[..., None])[..., 0] + _gathered(push, where, n, 1)
     gravity, spin, center = (vector(key, given[key]) for key in ("gravity", "spin", "center"))
-    heavy = bool(plain(gravity).any()) or bool(plain(spin).any())
+    heavy = massive or bool(plain(gravity).any()) or bool(plain(spin).any())
     own = nodal_mass(line, sections, made) if heavy else _massless(n)
     start, end = made.axes.unbind(-3)
     data = BeamData(

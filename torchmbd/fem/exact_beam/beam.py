@@ -25,8 +25,9 @@ from torchmbd.fem.exact_beam.forces import element_wrenches, residual
 from torchmbd.fem.exact_beam.loads import Loads, Supports, held
 from torchmbd.fem.exact_beam.sections import Elements, SpanSections, elements
 from torchmbd.fem.exact_beam.solution import solve
+from torchmbd.fem.exact_beam.vibrations import frequencies
 from torchmbd.math.module_call import outside
-from torchmbd.math.owned import parameter, plain, reals
+from torchmbd.math.owned import parameter, plain, reals, whole
 
 _STATIONS, _TURNING = 2, 8  # of prismatic elements; of those that are twisted, tapered or arcs
 _SIDES = torch.tensor([-1.0, 1.0], dtype=torch.float64)  # section forces act on the face whose normal is along the beam
@@ -162,9 +163,6 @@ class ExactBeam(nn.Module):
         >>> beam.equilibrium({"end": (0.0, 10.0, 0.0)}).nodes[-1].round(decimals=3).tolist()  # [m]
         [0.9, 0.396, 0.0]
         """
-        n = len(self.mesh.nodes)
-        fixed, imposed = held(self.name, self.mesh, supports)
-        free = torch.tensor([f for f in range(6 * n) if f not in set(fixed)])
         given = {
             "loads": loads,
             "follower_loads": follower_loads,
@@ -174,10 +172,67 @@ class ExactBeam(nn.Module):
             "spin": spin,
             "center": center,
         }
-        made = self._elements()
-        data, symmetric = beam_data(self.mesh, self.sections, made, present_nodes(self.mesh), imposed, given)
-        search = outside(lambda: Continuation(Topology(self.mesh.elements, free, symmetric), n, unstable))
+        search, data, made = self._problem(supports, given, unstable, massive=False)
         return self._state(search, data, solve(search, data), made)
+
+    def frequencies(
+        self,
+        number: int = 6,
+        loads: Loads | None = None,
+        line_load: Sequence | Tensor | None = None,
+        supports: Supports | None = None,
+        gravity: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        spin: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+    ) -> tuple[Float[Tensor, "*lanes number"], BeamState]:
+        """The lowest frequencies [Hz] of small vibrations about an equilibrium, at rest or steadily rotating; and that state.
+
+        number     of frequencies
+        loads, line_load, supports, gravity, spin, center   as of `equilibrium`: loads that have a potential, so no moments
+
+        The mass of the sections is at the nodes. With a spin there are Coriolis's forces, too; vibrations are those that a
+        turning observer sees. nan where there is no stable equilibrium: its status says why. Differentiable like the
+        equilibrium, also where frequencies coincide: each has the mean of their derivatives.
+
+        >>> rod = mbd.GivenSection.isotropic(E=70e9, nu=0.3, density=2700.0, area=1e-4, Iyy=1e-9, Izz=4e-9, J=3e-9)
+        >>> beam = mbd.ExactBeam("rotor", mbd.BeamLine.straight(1.0, 16), rod)
+        >>> rest, _ = beam.frequencies(2)
+        >>> spun, state = beam.frequencies(2, spin=(0.0, 0.0, 100.0))
+        >>> bool(spun[0] > 1.3 * rest[0]), state.status  # the flapping blade is stiffer
+        (True, 'ok')
+        """
+        if not whole(number) or not 1 <= number <= 6 * len(self.mesh.nodes) - 6:
+            raise InputError(f"number of frequencies of {self.name!r} is {number!r}; allowed: an integer >= 1")
+        given = {
+            "loads": loads,
+            "follower_loads": None,
+            "line_load": line_load,
+            "follower_line_load": None,
+            "gravity": gravity,
+            "spin": spin,
+            "center": center,
+        }
+        search, data, made = self._problem(supports, given, False, massive=True)
+        if not search.topology.symmetric:
+            raise InputError(
+                f"loads of {self.name!r} have moments, which have no potential; allowed in frequencies: forces"
+            )
+        found = solve(search, data)
+        w = frequencies(search, data, *found[:2], number)
+        return w / (2.0 * torch.pi), self._state(search, data, found, made)
+
+    def _problem(
+        self, supports: Supports | None, given: dict[str, Any], unstable: bool, massive: bool
+    ) -> tuple[Continuation, BeamData, Elements]:
+        """Numbers under loads, and what finds equilibria."""
+        n, made = len(self.mesh.nodes), self._elements()
+        fixed, imposed = held(self.name, self.mesh, supports)
+        free = torch.tensor([f for f in range(6 * n) if f not in set(fixed)])
+        if not len(free):
+            raise InputError(f"supports of {self.name!r} hold all freedoms; allowed: fewer")
+        data, symmetric = beam_data(self.mesh, self.sections, made, present_nodes(self.mesh), imposed, given, massive)
+        search = outside(lambda: Continuation(Topology(self.mesh.elements, free, symmetric), n, unstable))
+        return search, data, made
 
     def _elements(self) -> Elements:
         """In the present design."""

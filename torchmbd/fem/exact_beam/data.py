@@ -6,6 +6,7 @@ section there, which turn with the node.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -50,13 +51,11 @@ class BeamData(NamedTuple):
         """Leading axes of all."""
         return torch.broadcast_shapes(*(x.shape[: x.dim() - k] for x, k in zip(self, RANKS, strict=True)))
 
-    def flat(self) -> list[BeamData]:
+    def flat(self, lanes: torch.Size | None = None) -> list[BeamData]:
         """The lanes one by one."""
-        lanes = self.lanes
-        wide = [
-            x.expand(*lanes, *x.shape[x.dim() - k :]).reshape(-1, *x.shape[x.dim() - k :])
-            for x, k in zip(self, RANKS, strict=True)
-        ]
+        lanes = self.lanes if lanes is None else lanes
+        cores = [x.shape[x.dim() - k :] for x, k in zip(self, RANKS, strict=True)]
+        wide = [x.expand(*lanes, *core).reshape(-1, *core) for x, core in zip(self, cores, strict=True)]
         return [BeamData(*own) for own in zip(*wide, strict=True)]
 
 
@@ -70,3 +69,14 @@ class Topology(NamedTuple):
     elements: Int[Tensor, "m 2"]
     free: Int[Tensor, " f"]
     symmetric: bool  # whether all loads have a potential
+
+
+def widened(size: int, in_dims: Sequence[int | None], given: Sequence[Tensor], ranks: Sequence[int]) -> list[Tensor]:
+    """Tensors of a batch of torch.func.vmap with the batch as the first of equally many leading lanes."""
+    inner = max(x.dim() - (dim is not None) - k for x, dim, k in zip(given, in_dims, ranks, strict=True))
+    wide = []
+    for x, dim, k in zip(given, in_dims, ranks, strict=True):
+        own = x.expand(size, *x.shape) if dim is None else x.movedim(dim, 0)
+        missing = inner - (own.dim() - 1 - k)
+        wide.append(own.reshape(len(own), *(1,) * missing, *own.shape[1:]))
+    return wide

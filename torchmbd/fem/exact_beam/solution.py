@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.fem.exact_beam.continuation import Continuation, Path
-from torchmbd.fem.exact_beam.data import RANKS, BeamData
+from torchmbd.fem.exact_beam.data import RANKS, BeamData, widened
 from torchmbd.fem.exact_beam.forces import residual, turned
 from torchmbd.math.owned import watched
 
@@ -63,12 +63,7 @@ class _Search(torch.autograd.Function):
 
     @staticmethod
     def vmap(info: Any, in_dims: tuple, search: Continuation, derivatives: bool, *data: Tensor) -> Any:
-        inner = max(x.dim() - (dim is not None) - k for x, dim, k in zip(data, in_dims[2:], RANKS, strict=True))
-        wide = []
-        for x, dim, k in zip(data, in_dims[2:], RANKS, strict=True):
-            own = x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
-            missing = inner - (own.dim() - 1 - k)
-            wide.append(own.reshape(len(own), *(1,) * missing, *own.shape[1:]))
+        wide = widened(info.batch_size, in_dims[2:], data, RANKS)
         return _Search.apply(search, derivatives, *wide), (0,) * 5
 
 
