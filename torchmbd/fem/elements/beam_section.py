@@ -43,7 +43,7 @@ class BeamSection(Protocol):
 
 
 class GivenSection(nn.Module):
-    """A section of known matrices. `.matrix` is a parameter; it asks for no gradient by default.
+    """A section of known matrices. `.matrix` is a parameter; it requires no gradient by default.
 
     stiffness   6 x 6, symmetric and positive definite
     mass        6 x 6, symmetric and positive definite, of a plane section (polar inertia = sum of the other two)
@@ -77,7 +77,7 @@ class GivenSection(nn.Module):
         shear_y: float | Tensor = 5.0 / 6.0,
         shear_z: float | Tensor = 5.0 / 6.0,
     ) -> GivenSection | IsotropicSection:
-        """A metal about its principal axes: area [m2], second moments and torsion constant [m4], shear corrections.
+        """A section of metal in its principal axes: area [m2], second moments and torsion constant [m4], shear corrections.
 
         Each number may be mbd.variable(...): a design variable, "section.area".
         """

@@ -34,15 +34,15 @@ AXES = "xyz"
 class FiberField:
     """Where control points lie, and how the cells of a mesh follow from them.
 
-    mesh      whose cells it is for
+    mesh      the mesh whose cells get values
     controls  (m, n) control points of a spline along two axes of the mesh, or places [k, 3] [m] of radial functions,
               or "cells": the middle of every cell
     radius    of radial functions [m]; every cell needs a control nearer than that
     degree    of the spline, at most one less than the controls along that axis
     axes      the two axes of the mesh; None: those along which it is longest
-    cells     numbers of the cells that it is for; None: all
+    cells     numbers of the cells that get values; None: all
 
-    Of each cell only the controls near it are kept, r of them:
+    For each cell, only the r controls near it are kept:
     nearest   their numbers [cells, r]
     weights   W of these [cells, r]
     slopes    gradient of W in mesh axes [cells, 3, r] [1/m]
@@ -104,7 +104,7 @@ class FiberField:
         return torch.einsum("cxr,...crk->...ckx", self.slopes, p[..., self.nearest, :])
 
     def zones(self, mesh: Mesh, cells: Int[Tensor, " cells"]) -> Int[Tensor, " cells"]:
-        """The row of the field that each cell of a plate has; InputError where the field is for others."""
+        """Row of the field for each cell of a plate. Raises InputError if the field belongs to other cells."""
         if mesh is not self.mesh:
             raise InputError(f"field of a laminate is for {self.mesh!r}; allowed: the mesh of the body, {mesh!r}")
         row = torch.full((mesh.cell_count,), -1).index_copy(0, self.cells, torch.arange(len(self.cells)))[cells]

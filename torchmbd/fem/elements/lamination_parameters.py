@@ -47,10 +47,10 @@ class LaminationParameters(Laminate):
     coupling    the same weighted with 4 z / h [4]; None: a symmetric stack
     field       of parameters that vary over a mesh: [controls, 4], thickness [controls] or a number
     shear_correction   k of As = k h G
-    checked     False: numbers that no stack has are taken as well (the stiffness must be positive definite)
+    checked     False: also accept numbers that no stack has (the stiffness must be positive definite)
 
     A tensor of numbers becomes a design variable, a torch.nn.Parameter is registered itself.
-    Limits that keep them to those of stacks: `LaminationRegion`; stacks that have them: `recover_stacks`.
+    `LaminationRegion` limits the parameters to those of stacks; `recover_stacks` finds stacks for them.
 
     >>> laminate = mbd.LaminationParameters(
     ...     mbd.examples.carbon(), 2e-3, membrane=[0.2, 0.0, -0.3, 0.0], bending=[0.1, 0, -0.5, 0]

@@ -33,7 +33,7 @@ from torchmbd.math.variable import check_positive, number, plain, stacked
 
 @dataclass(frozen=True)
 class Ply:
-    """One unidirectional layer in its own axes (1 = fibre, 2 = across, 3 = thickness); Ply.isotropic makes a metal's.
+    """One unidirectional layer in its own axes (1 = fibre, 2 = across, 3 = thickness); Ply.isotropic makes that of a metal.
 
     E1, E2          moduli along and across the fibre [Pa]
     G12, G13, G23   shear moduli [Pa]

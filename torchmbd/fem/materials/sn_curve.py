@@ -34,9 +34,9 @@ class SNCurve:
     """An S-N curve with its constant-life diagram.
 
     points        (cycles, amplitude [Pa]) at mean zero: two at least, cycles growing, amplitudes falling
-    tension       static strength [Pa]; None: the mean does not count
+    tension       static strength [Pa]; None: the mean stress has no influence
     compression   the same in compression; None: as in tension
-    Raises InputError that names the point which is not in order.
+    Raises InputError that names a point out of order.
 
     >>> curve = mbd.SNCurve([(1e3, 400e6), (1e6, 200e6)], tension=1000e6)
     >>> curve.cycles(torch.tensor([400e6, 200e6]), torch.tensor([0.0, 0.0]))

@@ -45,7 +45,7 @@ class Strength:
     S13, S23      infinite by default: transverse shear stresses do not count
     interaction   F12 / sqrt(F11 F22) of Tsai-Wu, in (-1, 1)
 
-    A finite one may be mbd.variable(...): a design variable, "ply.strength.Xt" of a laminate.
+    A finite strength may be mbd.variable(...): a design variable, "ply.strength.Xt" of a laminate.
 
     >>> strength = mbd.Strength(Xt=1.5e9, Xc=1.2e9, Yt=50e6, Yc=250e6, S12=70e6)
     >>> carbon = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, strength=strength)

@@ -51,14 +51,14 @@ def _members(name: str, given: Sequence[int]) -> tuple[int, ...]:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Mesh:
-    """Cells and lines in space, with names for nodes; the module header tells what is checked.
+    """Cells and lines in space, with names for nodes; the module header lists the checks.
 
     nodes                     positions in the axes of the body [n, 3] [m]
     triangles                 node indices, counted from 0 [m, 3]
-    quads                     quadrilaterals, convex, four corners in turn, flat or a little warped [k, 4]
+    quads                     quadrilaterals, convex, four corners in turn, flat or slightly warped [k, 4]
     lines                     node pairs: beams, rigid links [k, 2]
     node_sets                 name -> node indices; a set of one node is a named node
-    node_labels, cell_labels  what messages call nodes and cells: a reader names the cards of its file
+    node_labels, cell_labels  names of nodes and cells in messages, such as the cards of a file
 
     >>> corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=torch.float64)
     >>> mesh = mbd.Mesh(corners, quads=torch.tensor([[0, 1, 2, 3]]), node_sets={"tip": [2]})

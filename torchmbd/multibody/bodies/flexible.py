@@ -206,10 +206,10 @@ class FlexibleBody(MatrixMethods, nn.Module):
         """A laminated plate or shell.
 
         mesh            triangles or quadrilaterals; the plies follow its x axis
-        laminate        its `angles` [rad] are the body's design parameters
+        laminate        its `angles` [rad] are parameters of the body
         modes           retained vibration modes of the body fixed at its reference nodes (and its interface); a few more
                         where others have the frequency of the last, as in a tube, which bends alike in all directions
-        position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); joints close the rest
+        position, axes  approximate initial origin in ground axes [m] and rotation (columns: mesh axes); the joints correct both
         reference       fixed to the body frame: node, set, `mesh.within(...)`; None: the one nearest to the center of mass
         damping         stiffness-proportional damping C = damping * Kr [s]
         reduction       "vibration", or "craig-bampton": `modes` fixed-interface modes and six constraint modes for each node
@@ -247,7 +247,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass: str = "lumped",
         stiffening: bool = False,
     ) -> FlexibleBody:
-        """A beam, straight or of arcs, with branches if need be.
+        """A beam of straight elements or arcs; it may have branches.
 
         line            nodes and two-node elements
         section         a Section (its `angles` [rad] are the body's design parameters) or a GivenSection; or one for each
@@ -273,7 +273,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         mass: str = "lumped",
         **options: Any,
     ) -> FlexibleBody:
-        """A laminated shell on a mesh from outside: gmsh, Abaqus, VTK (by meshio), or a Mesh.
+        """A laminated shell on a mesh of another program: gmsh, Abaqus, VTK (by meshio), or a Mesh.
 
         laminate    one for all, or one for each named zone of the file
         scale       meters per unit of the file, or its name: "mm", "cm", "in", "ft"
@@ -338,7 +338,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         angular_velocity: Sequence[float] | Tensor | None = None,
     ) -> Self:
         """Give the body an initial velocity of its origin, in ground axes [m/s], and an angular velocity, in body axes
-        [rad/s], kept as far as the joints allow; None: as they ask. Returns the body."""
+        [rad/s], kept as far as the joints allow; None: the smallest possible. Returns the body."""
         move(self, velocity, angular_velocity)
         return self
 

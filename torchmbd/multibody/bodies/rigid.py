@@ -53,7 +53,7 @@ class RigidBody(nn.Module):
     mass              [kg], positive
     inertia           about the center of mass: (Jxx, Jyy, Jzz) or a symmetric 3 x 3 matrix [kg m2]
     center            center of mass in body axes [m]
-    position, axes    approximate initial origin in ground axes [m] and rotation (columns: body axes); joints close the rest
+    position, axes    approximate initial origin in ground axes [m] and rotation (columns: body axes); the joints correct both
     velocity          initial velocity of the origin in ground axes [m/s], kept as far as the joints allow; None: the
                       smallest that the joints and drives allow
     angular_velocity  initial angular velocity in body axes [rad/s], likewise

@@ -27,7 +27,7 @@ class Bushing(ForceElement):
     turning_stiffness, turning_damping    about them [N m/rad], [N m s/rad]
     name                                  of the element, and of its design variables
 
-    One number stands for all three axes. A number may be a design variable: "mount.stiffness", or "mount.stiffness_x" of
+    One number applies to all three axes. A number may be a design variable: "mount.stiffness", or "mount.stiffness_x" for
     one axis.
 
     >>> engine = mbd.RigidBody("engine", 50.0, (1.0, 1.0, 1.0))

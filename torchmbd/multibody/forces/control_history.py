@@ -21,7 +21,7 @@ class ControlHistory(nn.Module):
     duration   [s]
     kind       "linear": between values at `times` equal times 0 ... duration; "hold": each value holds for duration / times
 
-    Before and after, the first and the last value hold.
+    Before the first time the first value acts, after the last time the last one.
 
     >>> push = mbd.ControlHistory([[0.0], [2.0], [0.0]], duration=1.0)
     >>> push(torch.tensor([[0.25]], dtype=torch.float64)).tolist()  # [N]

@@ -36,9 +36,9 @@ class Controller(ForceElement):
     module    a torch module, x [lanes, inputs] -> u [lanes, outputs], float64, a function of its inputs alone
     inputs    signals (mbd.signals): each is one number of x, a position or velocity three, in this order
     outputs   actuators (mbd.signals): each is one number of u, a force [N] or torque [N m]
-    name      of the element, and of its parameters in the system
+    name      of the element; parameters of the system have it too
 
-    The parameters of the module are parameters of the system, "controller.<name>". Native steps call the module back.
+    The parameters of the module are parameters of the system, "controller.<name>". Native code calls the module in every step.
 
     >>> arm = mbd.RigidBody("arm", 1.0, (0.01, 0.02, 0.02))
     >>> hinge = mbd.Revolute(mbd.Ground().at(), arm.at(), axis="z")

@@ -35,7 +35,7 @@ class Pressure(ForceElement):
     body       a flexible body with triangles or quadrilaterals
     pressure   a number, or a torch function of time, [] [s] -> [] [Pa]; a design variable "NAME.pressure" as
                mbd.variable(5e3), "NAME.factor" as mbd.forces.Scaled(mbd.variable(1.0), function)
-    direction  in ground axes, which the load then keeps, whatever its length [3]
+    direction  constant direction of the load, in ground axes [3]; its length does not matter
     name       of the element, and of its design variables
 
     >>> laminate = mbd.Laminate(mbd.examples.carbon(), mbd.deg([0, 90]), thickness=1e-3)

@@ -44,7 +44,7 @@ class _Between(ForceElement):
 
 
 class SpringDamper(_Between):
-    """Spring and damper along the line from a to b, linear or of a law of yours.
+    """Spring and damper along the line from a to b, linear, or with a law of your own.
 
     stiffness [N/m], damping [N s/m], rest: unstretched length [m]
     law        f(l, l', t) [N], positive when it pushes the points apart; instead of the three numbers

@@ -44,11 +44,11 @@ Supports = Mapping[Any, str | Sequence[float | None]]
 
 
 class Buckling(NamedTuple):
-    """What `buckling` finds.
+    """The result of `buckling`.
 
-    factors        of the loads, rising; inf: the loads buckle in no further shape [*lanes, number]
-    shapes         of these, largest displacement 1; zero where there is none [*lanes, nodes, 6, number]
-    displacements  under the loads themselves [*lanes, nodes, 6]
+    factors        of the loads [*lanes, number] [-], ascending; inf: there is no further buckling shape
+    shapes         buckling shapes [*lanes, nodes, 6, number], largest displacement 1; zero where there is none
+    displacements  static displacements under the loads [*lanes, nodes, 6] [m, rad]
     status         "ok", or why factors are infinite
 
     >>> steel = mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0)

@@ -129,7 +129,7 @@ class Dynamics:
         return self.rank.redundant
 
     def judged(self) -> None:
-        """Find now what is found of numbers: inside a transform of torch.func no tensor has any to look at."""
+        """Decide now what depends on values: inside a transform of torch.func no tensor shows its values."""
         if self.redundant:
             _ = self.least_norm
 
@@ -144,7 +144,7 @@ class Dynamics:
     def diagonal(self, everywhere: bool = False) -> Diagonal | None:
         """For the saddle-point matrix: row_mask [n], 1 or 0 of rows and columns, and diagonal_shift [n], subtracted.
 
-        None: it is determined as it is. everywhere: regularized also without redundant rows, near singular positions.
+        None: the matrix is regular as it is. everywhere: regularized also without redundant rows, near singular positions.
         """
         if not self.topology.rows or not (self.redundant or everywhere):
             return None
@@ -158,7 +158,7 @@ class Dynamics:
         return row_mask, diagonal_shift
 
     def determined(self, K: Tensor) -> Tensor:
-        """The saddle-point matrices K [lanes, n, n]: regularized where rows are redundant, without those left out."""
+        """The saddle-point matrices K [lanes, n, n]: regularized where rows are redundant, without rows left out."""
         return regularized(K, self.diagonal())
 
     def carried(self, lam: Any) -> Any:
@@ -186,7 +186,7 @@ class Dynamics:
         )
 
     def some(self, lanes: Sequence[int]) -> Dynamics:
-        """The dynamics of some designs of the batch; itself of all, with what is known of their start."""
+        """The dynamics of some designs of the batch, with what is known of their start; of all designs: itself."""
         if list(lanes) == list(range(self.lanes)):
             return self
         index = torch.tensor(list(lanes))

@@ -117,7 +117,7 @@ class System(nn.Module):
     def from_urdf(cls, path: str | Path, flexible: Any = None, fixed_base: bool = True, **options: Any) -> Self:
         """A robot of a URDF file: links as rigid bodies, or as flexible ones whose mesh is in the frame of the link.
 
-        flexible, fixed_base   link name -> body in its place; whether the root link is the ground, else a free body
+        flexible, fixed_base   link name -> body in its place; True: the root link is the ground, False: a free body
         options                positions, velocities, stop_stiffness, friction_speed, gravity (multibody/system/robot.py)
         """
         return cls(**robot(path, flexible or {}, fixed_base, **options))
@@ -153,7 +153,7 @@ class System(nn.Module):
         return other
 
     def starting(self, start: Start) -> Self:
-        """The same system whose motions start elsewhere; bodies and parameters are shared."""
+        """The same system with another initial state of its motions; bodies and parameters are shared."""
         other = copy.copy(self)
         other._start = start
         other._join(self.joints)
@@ -196,7 +196,7 @@ class System(nn.Module):
 
     @exclusive
     def forward(self, part: str | None = None) -> Any:
-        """The equations of motion as a module (state_equation.py), of the parameters as they are when that is called.
+        """The equations of motion as a module (state_equation.py); a call takes the parameters as they are then.
 
         For part="data" the tensors that the structure stage makes of them; for "stages" these and the structures of all
         flexible bodies; for the name of one its structure.
