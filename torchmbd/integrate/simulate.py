@@ -69,19 +69,19 @@ def simulate(
     progress: bool | None = None,
     **options: Any,
 ) -> Trajectory:
-    """Simulate one design, or a batch of designs that do not see each other (lanes).
+    """Simulate one design, or a batch of independent designs (lanes).
 
     The motion is a differentiable function of the parameters, as any operation of torch: of `designs` and of parameters of
     the system that require a gradient, in grad mode and under torch.func. Second derivatives are refused.
 
-    system      the model; its own parameters are the design where `designs` says nothing
-    duration    simulated time [s], positive; a tensor [] is differentiated by: the steps are as many, their size changes
+    system      the model; parameters that `designs` does not name keep their own values
+    duration    simulated time [s], positive; a tensor [] has a gradient: the number of steps stays, their size changes
     method      "generalized_alpha", "hht_alpha", or a method of torchdiffeq, such as "dopri5" or "rk4"
     steps       equal time steps, and output intervals; default: as many as drives, loads and the vibrations that they excite
                 need, by the estimated error of a step, at least 200 (how-to "Choose steps"); `stats["steps"]` says how many.
                 Adaptive methods choose their own steps between the outputs
     designs     parameter name -> values [lanes, ...], or [...] for one lane; others keep their own values
-    phases      locks, releases and ends of the phases that follow each other (phase.py); default: one without either
+    phases      a list of Phase, one after the other; default: a single phase without locks or releases
     gradients   "reverse": by the adjoint of the steps, about one simulation for the first response and half of one for each
                 further one, however many variables there are; one-step methods, such as generalized_alpha.
                 "forward": by tangents of all variables, integrated with the motion: about a quarter of a simulation for each;
@@ -101,8 +101,8 @@ def simulate(
     options     of the method: the fields of its class in registry.py. generalized_alpha: spectral_radius, iterations, refresh;
                 halvings, and checkpoint=k, which keeps every k-th state (not with phases); torchdiffeq: rtol, atol, options
 
-    A lane that fails is reported in `status`; it is nan from there on and adds nothing to a gradient. So is one whose steps do
-    not resolve its vibrations, with all numbers. `stats` says which way gradients come and which backend made the steps.
+    `status` reports a lane that fails; it is nan from there on and adds nothing to a gradient. `status` also reports a lane
+    whose steps do not resolve its vibrations; this lane has all numbers. `stats` has the mode of gradients and the backend.
     Threads that simulate wait for each other: use processes, or lanes. Raises InputError for bad arguments.
 
     >>> motion = mbd.simulate(mbd.examples.arm(), duration=0.1, steps=40)

@@ -37,9 +37,9 @@ from torchmbd.results.trajectory import Trajectory
 
 @dataclass(eq=False, repr=False)
 class Equilibrium(Trajectory):
-    """A motion at rest at each of its times: coordinates, multipliers, bodies, reactions and stresses as of any motion.
+    """A motion at rest at each of its times. Like any motion it has coordinates, bodies, reactions and stresses.
 
-    Vibrations are those about the last time.
+    Frequencies are those of vibrations about the state at the last time.
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     >>> rest.q.shape, rest.reaction("hinge").force[0, 0].norm().item() > 0.0  # lanes, times, coordinates
@@ -184,15 +184,15 @@ def equilibrium(
 
     A differentiable function of the parameters as `simulate` is, forward and reverse.
 
-    system      the model; its own parameters are the design where `designs` says nothing
-    times       at which loads and drives are held [s], ascending: quasi-static steps, each from where the last one rested
+    system      the model; parameters that `designs` does not name keep their own values
+    times       of the loads and drives [s], ascending: quasi-static steps; each starts at the equilibrium before
     designs     as of `simulate`; lanes
     variables   as of `simulate`
     start       where the search begins: "assembled", a motion, or numbers for bodies, as of `simulate`
-    follow      each lane is searched from where the one before rests: a path of loads or other values,
+    follow      the search of each lane starts at the equilibrium of the lane before: a path of loads or other values,
                 designs={"push.z": torch.linspace(0.0, -100.0, 11)}
 
-    Raises InputError with the forces that remain if there is none. One that is free or unstable is returned: its frequencies
+    Raises InputError with the forces that remain if there is none. A free or unstable equilibrium is returned: its frequencies
     are zero or nan, and freedoms without stiffness stay where they are.
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))

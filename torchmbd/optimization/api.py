@@ -54,7 +54,7 @@ def optimize(
     method           "mmfd", "slsqp", "trust-constr", "mma", "ccsaq", "ipopt" or "differential_evolution"
     start            initial design [n]; None: problem.start
     max_iterations   accepted designs at most
-    scaling          variables by |start|, objective by |objective(start)|
+    scaling          divide variables by |start|, and the objective by |objective(start)|
     callback         called with every accepted Iterate
     feasibility      violation of a constraint that still counts as none [-]
     eager_gradients  ask for gradients together with all values (a simulation saved per iteration), not afterwards
@@ -62,7 +62,7 @@ def optimize(
     progress         a bar of the iterations on standard error; None: in a terminal or a notebook
     options          the method's own
 
-    A simulation that fails is stepped back from, and counted in the result. Raises InputError for an unknown method or
+    The method steps back from a failed simulation; the result counts them. Raises InputError for an unknown method or
     option, crossed bounds, a start outside the bounds, wrong lengths.
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))

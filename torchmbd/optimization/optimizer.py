@@ -148,7 +148,7 @@ def plotted(results: Sequence[OptimizationResult], best: OptimizationResult | No
 
 @dataclass(frozen=True, repr=False)
 class OptimizationResult(Summary):
-    """The end of one start, in physical units.
+    """The result of an optimization from one start, in physical units.
 
     x                     the best design that was found [n]
     value                 objective there; nan: the start could not be evaluated

@@ -124,7 +124,7 @@ def pareto_front(
     problem     a Tradeoff, or another problem of several criteria
     divisions   steps between two anchors; C(divisions + k - 1, k - 1) points in all, of k criteria
     starts      of the anchors' searches, as in `multistart`
-    everywhere  of every point's too, where fronts are only local
+    everywhere  use the starts for every point too, for problems with local fronts
     method, max_iterations, max_lanes, feasibility, options   of every search, as in `multistart`
 
     Raises InputError as `optimize`, for fewer than two criteria, and where no feasible design is found for an anchor. Ctrl-C

@@ -36,7 +36,7 @@ MAX_CORNERS = 4096
 
 
 class RobustProblem:
-    """`problem` with its criterion replaced by its mean or its worst case over a tolerance; itself a problem.
+    """`problem` with its criterion replaced by its mean or its worst case over a tolerance. It is a problem too.
 
     problem     as `optimize` takes it; without equalities
     tolerance   half the width of the box around a design [n], or one number for all variables, in their unit
@@ -90,7 +90,7 @@ class RobustProblem:
 
     @property
     def simulations(self) -> int:
-        """How many designs of the problem are looked at for one of this, corners that constraints rise to left out."""
+        """Number of designs of the problem that one evaluation needs, without corners where constraints are largest."""
         return len(self.shifts)
 
     def design(self, x: np.ndarray) -> np.ndarray:
@@ -98,7 +98,7 @@ class RobustProblem:
         return x[: self.shifts.shape[1]]
 
     def motion(self, x: np.ndarray) -> Any:
-        """Motion of a design as it is meant to be made."""
+        """Motion of the nominal design."""
         return self.problem.motion(self.design(x))  # type: ignore[attr-defined]
 
     def evaluate(self, X: np.ndarray, gradients: bool) -> list[Evaluation]:

@@ -92,7 +92,7 @@ class SectionHistory:
         return section.geometry.points[element, point]
 
     def stress(self, part: str | None = None, times: slice = slice(None)) -> Float[Tensor, "lanes times ends points 6"]:
-        """Stresses (11, 22, 33, 23, 13, 12) [Pa] in ply axes at the chosen output times: choose few of a large section."""
+        """Stresses (11, 22, 33, 23, 13, 12) [Pa] in ply axes at the chosen output times: few, if the section is large."""
         key = self._key(part)
         self._section(key)
         return torch.einsum("lpcs,ltes->ltepc", self._made[key].unit, self.forces(key, times))

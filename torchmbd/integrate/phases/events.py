@@ -68,7 +68,7 @@ class Event:
         return g
 
     def passed(self, before: Tensor, after: Tensor) -> Tensor:
-        """Whether the function passed zero between two values [lanes]; not if the first one is nothing but rounding."""
+        """Whether the function passed zero between two values [lanes]; not if the first one is a rounding error."""
         sign = DIRECTIONS[self.direction]
         falls, rises = (before > 0) & (after <= 0), (before < 0) & (after >= 0)
         passed = (falls & (sign <= 0)) | (rises & (sign >= 0))

@@ -77,7 +77,7 @@ def optimize_discrete(
 
     problem        as in `optimize`
     allowed        one entry per variable, an increment in its unit, a list of values, or None (continuous); one increment
-                   serves all [rad for angles: mbd.deg(5)]
+                   applies to all [rad for angles: mbd.deg(5)]
     max_boxes      boxes searched at most; where others are left that may hold a better design, the status is "max_boxes"
     max_neighbors  where more lie within two increments per variable, the certificate takes two increments in all
     admits         rules that a design [n] on the values must keep, such as those of a laminate; rounding then takes the

@@ -117,18 +117,18 @@ def multistart(
     progress: bool | None = None,
     **options: Any,
 ) -> MultistartResult:
-    """Minimize from every start; the starts' simulations are evaluated together.
+    """Minimize from every start; simulations of different starts share batches.
 
     problem      as in `optimize`; `problem.period` [n], where present, says which variables are angles
     starts       `sobol(...)`, `latin_hypercube(...)` or a list of designs [count, n]; None: the problem's own start
-    ended        hears of every OptimizationResult as it comes
-    max_lanes    designs under evaluation at most
-    scaling      variables by the problem's start, for all starts alike
+    ended        called with every OptimizationResult when its start ends
+    max_lanes    largest number of designs that are evaluated at the same time
+    scaling      divide variables by the problem's start, the same for all starts
     minima_left  begin no further start once the estimated number of unknown minima is below it
     progress     a bar of the starts on standard error; None: in a terminal or a notebook
     method, callback, max_iterations, feasibility, eager_gradients, max_analyses, options   as in `optimize`
 
-    A start that fails says so in its result. Ctrl-C ends every start and returns what there is, `interrupted` set.
+    The result of a start that fails has the reason. Ctrl-C ends every start and returns what there is, `interrupted` set.
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))

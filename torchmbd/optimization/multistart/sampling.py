@@ -49,7 +49,7 @@ def sobol(count: int, seed: int, include_initial: bool = False) -> Starts:
 
 
 def latin_hypercube(count: int, seed: int, include_initial: bool = False) -> Starts:
-    """Start designs of which each variable's values fill its range evenly [count, n].
+    """Start designs [count, n]; the values of each variable fill its range evenly.
 
     count, seed, include_initial   as in `sobol`
     Source: Latin hypercube of scipy.stats.qmc.

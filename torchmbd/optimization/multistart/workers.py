@@ -187,7 +187,7 @@ class Processes(Workers):
     problem  such as a Problem; every process has a copy of it as it is when the `with` block begins
     count    number of processes
 
-    Every other attribute is that of the problem itself. It works inside a `with` block only. A design under which three
+    Every other attribute is that of the problem itself. It works inside a `with` block only. A design during which three
     processes have died is a failed evaluation. Every process imports the script that uses this: keep its actions under
     `if __name__ == "__main__":`. Needs the extra `cluster`.
 
@@ -211,7 +211,7 @@ class Processes(Workers):
         return getattr(self.problem, name)
 
     def wait(self) -> None:
-        """Wait until every process has the problem, and what it makes once for all motions."""
+        """Wait until every process has the problem and has made what all motions share."""
         self._client.run(_prepared, *self.order)
 
 
