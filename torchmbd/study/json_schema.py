@@ -65,7 +65,23 @@ def _measure() -> dict[str, Any]:
     of_history = {name: {"$ref": "#/$defs/History", "description": _first(kind)} for name, kind in COMBINATORS.items()}
     of_design = {name: {"type": ["string", "object"], "description": _first(kind)} for name, kind in OF_DESIGN.items()}
     terms = {"type": "array", "items": {"$ref": "#/$defs/Measure"}}
-    return {"type": "object", "properties": of_history | of_design | {SUM: terms} | _operations("Measure")}
+    return {
+        "type": "object",
+        "properties": of_history | of_design | {SUM: terms | {"description": MEANINGS[SUM]}} | _operations("Measure"),
+    }
+
+
+MEANINGS = {
+    "sum": "Sum of responses; each but the first may be a number.",
+    "difference": "The first response less the others.",
+    "product": "Product of responses; each but the first may be a number.",
+    "quotient": "The first response divided by the others.",
+    "absolute": "Absolute value of a response.",
+    "squared": "Square of a response.",
+    SCALED: "A response times the number `by`.",
+    SUM: "Sum of measures, each times its `weight`; `normalize` says what each is divided by.",
+    "by": "Factor of `scaled`.",
+}
 
 
 def _operations(kind: str) -> dict[str, Any]:
@@ -77,9 +93,9 @@ def _operations(kind: str) -> dict[str, Any]:
         "description": "package.module:function or path/to/file.py:function; more keys are its options",
     }
     return (
-        dict.fromkeys(SEVERAL, several)
-        | dict.fromkeys((*SINGLE, SCALED), one)
-        | {FUNCTION: function, "by": {"type": "number"}}
+        {name: several | {"description": MEANINGS[name]} for name in SEVERAL}
+        | {name: one | {"description": MEANINGS[name]} for name in (*SINGLE, SCALED)}
+        | {FUNCTION: function, "by": {"type": "number", "description": MEANINGS["by"]}}
     )
 
 
