@@ -141,12 +141,12 @@ def load(run: str, uri: str | None = None, model: str | Path | Sequence[str | Pa
 
 
 def problem_of(file: str | Path, *assignments: str) -> Problem:
-    """The problem of an experiment file, for whatever a file has no keys for, such as other criteria of the same motion.
+    """The problem of an experiment file, for tasks that files have no keys for, such as other criteria of the same motion.
 
     file         the experiment file (YAML)
     assignments  overrides of single values, as at the command line: "options.layers=2"
 
-    The tolerances of the file and the increments of its variables are left to the caller (RobustProblem, optimize_discrete).
+    The problem has no tolerances and no increments of the file: the caller adds them (RobustProblem, optimize_discrete).
     Nothing is tracked. Raises InputError with every fault of the file.
 
     >>> problem = mbd.problem_of("arm.yaml", "simulate.steps=100")  # after `torchmbd new arm.yaml`

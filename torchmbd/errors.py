@@ -36,7 +36,7 @@ class InputError(MbdError, ValueError):
 
 
 class ArgumentError(InputError, TypeError):
-    """A function is called with an argument that it does not have, or without one that it needs.
+    """A call has an unknown argument, or lacks one that the function needs.
 
     >>> mbd.sections.tube(0.02, mbd.Ply.isotropic(70e9, 0.3, 2700.0), [0.0], thicknes=1e-3)
     Traceback (most recent call last):
@@ -46,9 +46,9 @@ class ArgumentError(InputError, TypeError):
 
 
 class SimulationFailure(MbdError):
-    """A motion could not be computed: no numbers exist that could be returned.
+    """A motion could not be computed: there are no numbers to return.
 
-    A failure of single designs of a batch is no exception but a status; `require_ok` turns it into this error.
+    A failed design of a batch gives a status, not an exception; `require_ok` turns the status into this error.
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
     >>> motion.require_ok() is motion  # raises SimulationFailure where a lane has failed

@@ -28,7 +28,7 @@ from torchmbd.multibody.system import System
 class Angle(History):
     """Rotation of a body about an axis of another one [lanes, times] [rad].
 
-    body       that turns
+    body       the body that turns
     axis       "x", "y", "z" or a direction of three numbers, in the axes of the observer
     seen_from  the observer: a body or "ground"
     center     the angle is given within half a turn of this one [rad]

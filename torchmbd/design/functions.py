@@ -58,13 +58,13 @@ def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[i
 
 
 def history(function: Callable[[Any], Tensor]) -> History:
-    """Make a history of a function of the motion.
+    """Make a history from a function of the motion.
 
-    function  motion -> [lanes, times], any unit, of torch operations. Its gradient is theirs; what leaves torch
-              (detach, numpy, float) has none
+    function  motion -> [lanes, times] in any unit, of torch operations; these give its gradient. What leaves torch
+              (detach, numpy, float) has no gradient
 
-    The function serves one design and many. torchmbd/results/trajectory.py lists what a motion offers. A call raises
-    InputError where the function returns another shape.
+    The same function is called for one design and for a batch. torchmbd/results/trajectory.py lists the attributes of a
+    motion. A call raises InputError if the function returns another shape.
 
     >>> @mbd.history
     ... def reach(motion):
@@ -77,7 +77,7 @@ def history(function: Callable[[Any], Tensor]) -> History:
 
 
 def measure(function: Callable[[Any], Tensor]) -> Measure:
-    """Make a measure of a function of the motion.
+    """Make a measure from a function of the motion.
 
     function  motion -> [lanes], any unit, of torch operations, as for `history`
 

@@ -65,12 +65,12 @@ class StrainEnergy(History):
 class Position(History):
     """Component of the position of a point [lanes, times] [m].
 
-    body       whose point
+    body       the body of the point
     axis       "x", "y", "z" or a direction of three numbers
     node       mesh node of a flexible body, by name or index; default: the origin of the body frame
     point      position on a rigid body, in body axes [m]
     seen_from  the observer: a body or "ground"
-    axes       whose axes the component is in; default: the observer's
+    axes       the body whose axes the component refers to; default: the observer
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
     >>> height = mbd.Position("bob", "y")
@@ -90,7 +90,7 @@ class Position(History):
 
     @property
     def observer(self) -> str:
-        """Who sees the point: a body or "ground"."""
+        """The observer: a body or "ground"."""
         return GROUND if self.seen_from is None else self.seen_from
 
     def check(self, system: System) -> None:
@@ -158,7 +158,7 @@ class Displacement(Position):
 
     @property
     def observer(self) -> str:
-        """Who sees the point: a body or "ground"."""
+        """The observer: a body or "ground"."""
         return self.seen_from or (self.body if self.node is not None else GROUND)
 
     def vector(self, motion: Trajectory) -> Tensor:

@@ -168,7 +168,7 @@ class Min(OfHistory):
 
 
 class Final(OfHistory):
-    """Value of a history at the end of the motion, or of the window [lanes], in its unit.
+    """Value of a history at the end of the motion, or at the end of its window [lanes], in its unit.
 
     >>> motion = mbd.simulate(mbd.examples.pendulum(), 0.5, steps=50)
     >>> round(mbd.Final(mbd.Angle("bob", "z"))(motion).item(), 2)  # [rad]

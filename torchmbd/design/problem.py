@@ -156,7 +156,7 @@ class Problem(Summary):
         )
 
     def settings(self) -> list[Any]:
-        """All that its numbers depend on, but for the values of the design variables."""
+        """All settings that decide its numbers, except the values of the design variables."""
         space, asked = self.space, [self.objective, *self.constraints]
         motion = [self.system, self.simulation, self.duration, self.gradients]
         return [*motion, asked, space.map, space.offset, space.variables, space.start]
@@ -211,7 +211,7 @@ class Problem(Summary):
 
     @property
     def period(self) -> np.ndarray:
-        """After which a variable repeats itself: pi for ply angles, 0 for others."""
+        """Period of each variable [n]: pi for ply angles, 0 (none) for others."""
         return self._with_bound(self.space.period, 0.0)
 
     def _with_bound(self, x: np.ndarray, bound: float) -> np.ndarray:

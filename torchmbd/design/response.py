@@ -48,7 +48,7 @@ class _Constant:
 class History(_Constant):
     """A number at every time of a motion; called with a motion it gives values [lanes, times], in the unit of the response.
 
-    args, kwargs  of its kind, such as the body of StrainEnergy; `mbd.history` makes one of a function of the motion
+    args, kwargs  arguments of its kind, such as the body of StrainEnergy. `mbd.history` makes one from a function
 
     >>> height = mbd.Position("arm", "z", node="right")
     >>> isinstance(height, mbd.History), height(mbd.simulate(mbd.examples.arm(), 0.01, steps=4)).shape
@@ -68,7 +68,7 @@ class History(_Constant):
         return motion.sound(self.values(motion))
 
     def check(self, system: System) -> None:
-        """Raise InputError where the history asks for what the system does not have."""
+        """Raise InputError if the system lacks what the history needs."""
 
     def series(self, motion: Trajectory) -> Valued:
         """Value [lanes, times] and gradient [lanes, times, n_b], None for a motion without gradients."""
@@ -146,7 +146,7 @@ class Measure(_Constant):
 
     Called with a motion it gives its value [lanes], or [lanes, rows].
 
-    args, kwargs  of its kind, such as the history of Max; `mbd.measure` makes one of a function of the motion
+    args, kwargs  arguments of its kind, such as the history of Max. `mbd.measure` makes one from a function
 
     >>> heavier = mbd.Mass("arm") + mbd.Mass("tool")  # [kg]
     >>> isinstance(heavier, mbd.Measure), round(heavier(mbd.simulate(mbd.examples.arm(), 0.01, steps=4)).item(), 4)
@@ -164,12 +164,12 @@ class Measure(_Constant):
         return motion.sound(self.value(motion))
 
     def check(self, system: System) -> None:
-        """Raise InputError where the measure asks for what the system does not have."""
+        """Raise InputError if the system lacks what the measure needs."""
         for measure in self.operands:
             measure.check(system)
 
     def at_start(self, motion: Trajectory) -> Measure:
-        """The same measure with whatever refers to the initial design filled in from its motion."""
+        """The same measure; what refers to the initial design is a number, taken from its motion."""
         return self.mapped(lambda measure: measure.at_start(motion))
 
     def mapped(self, change: Callable[[Measure], Measure]) -> Measure:

@@ -43,7 +43,7 @@ class Scenarios(Problem):
     weights      of the scenarios in means; None: equal. They are divided by their sum
     options      bounds, variables, start, links, method, steps, phases and options of the method, as in Problem
 
-    A limit "initial" is the value of the initial design in the same scenario. What a WeightedSum is normalized by is its
+    A limit "initial" is the value of the initial design in the same scenario. A WeightedSum is normalized by its
     value in the first scenario. A design that fails in one scenario is a failed evaluation that names the scenario.
 
     >>> problem = mbd.Scenarios(

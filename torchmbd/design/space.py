@@ -90,7 +90,7 @@ class DesignSpace:
 
     @property
     def period(self) -> np.ndarray:
-        """After which a variable repeats itself [n]: pi for ply angles, 0 for others."""
+        """Period of each variable [n]: pi for ply angles, 0 (none) for others."""
         return np.array([math.pi if _parameter(name).rpartition(".")[2] == "angles" else 0.0 for name in self.names])
 
     def _bounds(self, bounds: Any) -> tuple[np.ndarray, np.ndarray]:

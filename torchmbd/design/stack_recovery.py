@@ -49,7 +49,7 @@ def recover_stacks(
 ) -> list[RecoveredStack]:
     """Find the best `number` stacks of equal plies for a laminate of lamination parameters, the nearest first.
 
-    laminate  its present parameters are asked for; without `coupling` all stacks are symmetric
+    laminate  has the parameters that stacks should have; without `coupling` all stacks are symmetric
     plies     how many, at least 1
     angles    which are allowed [rad]
     rules     that stacks should keep; those broken by the fewest come first

@@ -34,11 +34,11 @@ class Study(StudySettings):
     problem         a Problem, RobustProblem or Tradeoff (a Pareto front), or another object that `optimize` takes
     starts          start designs, as in `multistart`: mbd.sobol(8, seed=1), a list of designs; None: the problem's own
     method          the optimizer, as in `optimize`
-    name            of the study; with the problem and the settings it says which study is gone on with
+    name            of the study; a study of the same name, problem and settings is continued
     max_iterations  of every start
     increments      parameter -> step of its values [SI], for variables that take steps only (mbd.deg(5) for angles)
     sweep           {entry: (first, last, count)} [SI]: evaluate along one variable, instead of searching
-    question        what it asks, in a sentence: the title of its report
+    question        the question of the study, one sentence: the title of its report
     units           parameter -> unit of its numbers in tables and records, "deg", "mm", ...; default: deg for ply angles
     experiment, uri   of MLflow: the name there, and the store; default: MLFLOW_TRACKING_URI, else ./mlflow.db
     origin          the experiment file that `from_file` read
@@ -69,11 +69,11 @@ class Study(StudySettings):
         fresh: bool = False,
         console: Console | None = None,
     ) -> Self:
-        """Run the study, or go on with it where it was interrupted or killed; returns it.
+        """Run the study, or continue it after an interruption; returns the study.
 
-        One that has finished makes no second run of the tracking store: its results come from what is known.
+        A finished study is not run again: its results come from stored evaluations.
 
-        workers, scheduler, fresh   as of `torchmbd run`: processes that evaluate, a Dask cluster, forget what is known
+        workers, scheduler, fresh   as of `torchmbd run`: processes that evaluate, a Dask cluster, forget stored evaluations
         console                     where it shows its progress, of rich; None: standard output; Console(quiet=True): nowhere
         A script with workers keeps what it does under `if __name__ == "__main__":`, since every process imports it.
         """
@@ -81,7 +81,7 @@ class Study(StudySettings):
         return self
 
     def check(self, console: Console | None = None) -> Estimate | None:
-        """Measure two short motions, print what the study will cost, and return it; None for what is no mbd.Problem."""
+        """Measure two short motions, print the cost of the study, and return it; None if the problem is no mbd.Problem."""
         return print_estimate(self, console or Console())
 
     def report(self, path: str | Path | None = None) -> Path:
