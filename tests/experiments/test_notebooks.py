@@ -12,7 +12,7 @@ from experiments.documentation import notebooks
 from tests.page_blocks import Block, blocks
 
 PAGES = notebooks.pages()
-QUICK = ("antenna",)
+QUICK = ("antenna", "rotating_blade", "pareto_robust")
 
 
 def cells(page: Path) -> list[str]:
