@@ -12,7 +12,7 @@ from experiments.documentation import notebooks
 from tests.page_blocks import Block, blocks
 
 PAGES = notebooks.pages()
-QUICK = ("antenna", "rotating_blade", "pareto_robust")
+QUICK = ("antenna",)
 
 
 def cells(page: Path) -> list[str]:

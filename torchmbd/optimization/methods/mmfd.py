@@ -7,9 +7,8 @@ Each iteration
 4. stops at a Kuhn-Tucker point, or if the objective changed by less than DELOBJ (relative) or DABOBJ (absolute, in
    units of the start's objective) in ITRMOP consecutive iterations.
 
-From a feasible design only feasible designs are accepted: whenever it is stopped, the last iterate can be built.
-CTMIN is the slack of the first iterations and shrinks with the promised gain down to the problem's feasibility
-tolerance. An infeasible start is restored first, with the weight Phi on the violation. A failed evaluation shortens
+From a feasible design only designs are accepted that violate no constraint by more than the slack. The slack is CTMIN in
+the first iterations and shrinks with the promised gain down to the problem's feasibility tolerance. An infeasible start is restored first, with the weight Phi on the violation. A failed evaluation shortens
 the step. The end must be a minimum, not only a Kuhn-Tucker point (curvature.py): a saddle point is left.
 
 Options have the names of DOT. What differs from DOT: the metric of a direction is learnt along the way (metric.py), all
