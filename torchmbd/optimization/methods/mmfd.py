@@ -8,8 +8,9 @@ Each iteration
    units of the start's objective) in ITRMOP consecutive iterations.
 
 From a feasible design only designs are accepted that violate no constraint by more than the slack. The slack is CTMIN in
-the first iterations and shrinks with the promised gain down to the problem's feasibility tolerance. An infeasible start is restored first, with the weight Phi on the violation. A failed evaluation shortens
-the step. The end must be a minimum, not only a Kuhn-Tucker point (curvature.py): a saddle point is left.
+the first iterations and shrinks with the promised gain down to the problem's feasibility tolerance. An infeasible start
+is restored first, with the weight Phi on the violation. A failed evaluation shortens the step. The end must be a minimum,
+not only a Kuhn-Tucker point (curvature.py): a saddle point is left.
 
 Options have the names of DOT. What differs from DOT: the metric of a direction is learnt along the way (metric.py), all
 constraints are linearized and not only the active, an exact penalty arbitrates the line search, the tolerances are tighter
