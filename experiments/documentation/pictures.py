@@ -64,6 +64,15 @@ def two_link_arm(folder: Path) -> Path:
     return animated_svg([("", drawing(motion, 61, along=tip))], folder / "two_link_arm.svg", duration=1.2)
 
 
+def spatial_arm(folder: Path) -> Path:
+    """The spatial arm of two tubes from rest, deflections enlarged."""
+    from experiments.spatial_arm import END, build
+
+    motion = mbd.simulate(build(), END, steps=300, gradients="none", start="equilibrium").require_ok()
+    lines = drawing(motion, 61, view="iso", scale=10.0)
+    return animated_svg([("", lines)], folder / "spatial_arm.svg", duration=END, scale=10.0)
+
+
 def antenna(folder: Path) -> Path:
     """The first phase of the antenna from the side."""
     from experiments.sar_antenna import build
@@ -88,6 +97,7 @@ PICTURES: dict[str, Callable[[Path], Path]] = {
     "slider_crank": slider_crank,
     "robot_arm": robot_arm,
     "two_link_arm": two_link_arm,
+    "spatial_arm": spatial_arm,
     "antenna": antenna,
     "four_bar": _of_gallery("four_bar", scale=20.0),
     "chain": _of_gallery("chain", frames=81),

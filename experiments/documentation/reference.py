@@ -61,7 +61,7 @@ def file(path: str) -> str:
 
 def experiments() -> str:
     """A table of the shipped experiment files: the question of each, and a picture of its mechanism."""
-    pictures = {"slider_crank": "slider_crank", "sar_antenna": "antenna", "two_link_arm": "two_link_arm"}
+    pictures = {name: name for name in ("slider_crank", "two_link_arm", "spatial_arm")} | {"sar_antenna": "antenna"}
     rows = []
     for path in sorted((ROOT / "configs").rglob("*.yaml")):
         picture, text = pictures.get(path.parent.name), path.read_text(encoding="utf-8")

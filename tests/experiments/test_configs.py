@@ -16,11 +16,13 @@ from torchmbd.tracking.store import open_store
 
 CONFIGS = configs(Path(__file__).parents[2] / "configs")
 PLANS = {file: load(file) for file in CONFIGS}
-# Phases need all their time: those files are in test_sar_antenna_whole.py and test_two_link_arm.py.
+# Phases and windows need all their time: those files have tests of their own, test_sar_antenna_whole.py and so on.
 STUDIES = [
     file
     for file, plan in PLANS.items()
-    if not isinstance(plan, FiguresPlan) and plan.origin.data.simulate.phases is None
+    if not isinstance(plan, FiguresPlan)
+    and plan.origin.data.simulate.phases is None
+    and file.parent.name != "spatial_arm"
 ]
 SMALL = ["simulate.duration=0.004", "simulate.steps=40", "options.modes=4"]
 # The panels of the antenna have their joints on nodes of 16 x 8 cells.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from pathlib import Path
 
@@ -9,11 +10,18 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from rich.console import Console
 
 import torchmbd as mbd
 from experiments.spatial_arm import END, PAYLOADS, build, problem
+from torchmbd.study.load import load_study
+from torchmbd.study.run import run_study
+from torchmbd.tracking.mlflow_tracker import MlflowTracker
+from torchmbd.tracking.store import open_store
 
 FILE = Path(__file__).parents[2] / "configs" / "spatial_arm" / "least_vibration.yaml"
+
+SMALL = ["simulate.steps=60", "options.around=8", "scenarios=[{set: {tool.mass: 0.5}}, {set: {tool.mass: 1.1}}]"]
 
 
 @pytest.fixture(scope="module")
@@ -23,8 +31,7 @@ def small() -> mbd.Scenarios:
 
 def test_file_and_python_ask_the_same(small):
     """Names, bounds, objective and constraints, with two of the twenty payloads; the file is short."""
-    payloads = "scenarios=[{set: {tool.mass: 0.5}}, {set: {tool.mass: 1.1}}]"
-    asked = mbd.problem_of(FILE, "simulate.steps=60", "options.around=8", payloads)
+    asked = mbd.problem_of(FILE, *SMALL)
     assert asked.names == small.names
     for name in ("start", "lower", "upper"):
         np.testing.assert_allclose(getattr(asked, name), getattr(small, name), rtol=1e-14)
@@ -62,3 +69,17 @@ def test_it_starts_at_rest_and_ends_where_its_drives_lead():
     reach = 0.5 + 0.4 * math.cos(math.pi / 6)
     wanted = torch.tensor([reach / 2, reach * math.sqrt(0.75), 0.2]).double()
     torch.testing.assert_close(last, wanted, rtol=0, atol=0.02)  # it sags and vibrates
+
+
+def test_its_file_runs(tmp_path):
+    """One iteration; constraints are tracked by their names."""
+    plan = load_study(FILE, [*SMALL, "starts.count=1", "optimizer.max_iterations=1"])
+    tracker = MlflowTracker("spatial_arm", f"sqlite:///{tmp_path / 'runs.db'}")
+    assert run_study(plan, Console(file=io.StringIO()), tracker) == 0
+    store = open_store(tracker.uri)
+    runs = store.search_runs([tracker.record.experiment_id])
+    assert {run.info.status for run in runs} == {"FINISHED"}
+    [first] = [run for run in runs if run.data.tags["kind"] == "start"]
+    assert first.data.metrics["search/failed_evaluations"] == 0
+    asked = {"mass of upper _ mass of fore", "max of ply failure of upper", "max of ply failure of fore"}
+    assert {f"constraint/{name}" for name in asked} <= set(first.data.metrics)
