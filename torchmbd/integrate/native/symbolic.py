@@ -172,6 +172,8 @@ SHAPES: dict[str, tuple[AnySize, ...]] = {
     "D": (M, M, F),
     "F1": (3, M, M, F),
     "F2": (3, 3, M, M, F),
+    "V0": (6, M, F),
+    "V1": (6, M, M, F),
     "Y": (3, M, W),
     "E": (3, M, M, W),
     "x": (3, V),

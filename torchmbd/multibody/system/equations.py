@@ -16,7 +16,10 @@ velocity (f: of bodies with stiffening, else zero):
     F1, F2                                     sum m f, sum m f x'   (multibody/bodies/stiffening.py)
 
 The terms with F1 and F2 in the modes are stiffness by the accelerations of the frame; those in force and torque make the mass
-matrix symmetric: all come from one kinetic energy, exact to the second order in w and w', so energy is conserved.
+matrix symmetric: all come from one kinetic energy, exact to the second order in w and w', so energy is conserved. Of higher
+order is 1/2 |V w'|^2 - 1/2 |V0 w'|^2 in it, V = V0 + V1 w, V0'V0 = X0' R^-1 X0: R is the rigid inertia of the undeformed body,
+X = X0 + X1 w = (s; axial of G without C1, and R1) couples it with the modes. It takes f for a rigid motion and keeps the mass
+matrix definite where the modes leave little mass to the frame.
 
 set equal to the applied forces minus Phi_q' lam: eqs. (5)-(9) of the paper, with the nodal sums of eq. (2) replaced by
 inertia invariants. Gravity g enters as r'' - g. Rotary inertia of a node is isotropic (lumped), modes are normalized to
@@ -177,6 +180,10 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
     modal = (
         matvec_t(SR, cat([u_f, omd_f])) + contract(Z_f.unsqueeze(2), G, (0, 1)) + wdd + coriolis + matvec(data["Kr"], w)
     )
+    if "F1" in data:
+        V, V0 = frame_share(data, w), data["V0"]
+        rate = matvec(V, wdd) + contract(contract(data["V1"], wd, 2), wd, 1)
+        modal = modal + matvec_t(V, rate) - matvec_t(V0, matvec(V0, wdd))
     if "D" in data:
         modal = modal + matvec(data["D"], wd)
     return data["mass"] * rdd + matvec(A, h), axial(Y) + torque, modal
@@ -196,6 +203,11 @@ def moments(T: Topology, data: Data, w):
     if f == T.bodies:
         return S_f, P_f, G, SR
     return cat([S_f, S[:, f:]], 1), cat([P_f, P[:, :, f:]], 2), G, SR
+
+
+def frame_share(data: Data, w):
+    """V [6, modes, flexible]: the motion of the frame that carries as much momentum as the modes do."""
+    return data["V0"] + contract(data["V1"], w, 2)
 
 
 def _stack2(a, b):

@@ -83,5 +83,34 @@ def second_order(T: Topology, stages: list[dict[str, Tensor]]) -> dict[str, Tens
             rows.append(pad(own, T.modes, (-2, -1)))
         else:
             rows.append(made["psi"].new_zeros(3, T.modes, T.modes))
+    shares = [_frame_shares(s) for s in stages]
+    for k, (name, axes) in enumerate((("V0", (-1,)), ("V1", (-2, -1)))):
+        found[name] = together([pad(share[k], T.modes, axes) for share in shares], 2 + k)
     none = found["F1"].new_zeros(3, T.modes, T.modes, 0, 1, 1)
     return found | {"E": together(rows, 3) if rows else none}
+
+
+def _frame_shares(made: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
+    """V0 [..., 6, m] and V1 [..., 6, m, m] of equations.py: L^-1 X0 and L^-1 X1 with the rigid inertia R = L L'."""
+    S, P, R1 = made["S0"], made["P0"], made["R1"]
+    if "F1" not in made:
+        return torch.zeros_like(torch.cat([made["S1"], R1], -2)), S.new_zeros(6, 1, 1)
+    eye = torch.eye(3, dtype=S.dtype)
+    lever = torch.linalg.cross(S[..., None, :].expand(*S.shape[:-1], 3, 3), eye.expand(*S.shape[:-1], 3, 3), dim=-1)
+    J = (P.diagonal(dim1=-2, dim2=-1).sum(-1) + made["mu"])[..., None, None] * eye - P
+    mass = made["mass"][..., None, None] * eye
+    R = torch.cat([torch.cat([mass, lever], -1), torch.cat([lever.mT, J], -1)], -2)
+    size = R.diagonal(dim1=-2, dim2=-1).detach()
+    small = torch.cat([size[..., :3], size[..., 3:].amax(-1, keepdim=True).expand_as(size[..., 3:])], -1)
+    L = torch.linalg.cholesky(R + 1e-10 * torch.diag_embed(small))
+    X0 = torch.cat([made["S1"], _axial(made["C0"], -2) + R1], -2)
+    X1 = torch.cat([made["F1"], _axial(made["F2"], -3)], -3)
+    V1 = torch.linalg.solve_triangular(L, X1.flatten(-2), upper=False).unflatten(-1, X1.shape[-2:])
+    return torch.linalg.solve_triangular(L, X0, upper=False), V1
+
+
+def _axial(Y: Tensor, dim: int) -> Tensor:
+    """Axial vectors eps_kij Y_ji of matrices on the axes dim - 1 and dim."""
+    y = Y.movedim((dim - 1, dim), (0, 1))
+    found = torch.stack([y[2, 1] - y[1, 2], y[0, 2] - y[2, 0], y[1, 0] - y[0, 1]])
+    return found.movedim(0, dim)

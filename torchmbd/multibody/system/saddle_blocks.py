@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torchmbd.math.pair import cat, cross, matmul, matvec, matvec_t
 from torchmbd.math.rotation import axial, skew
-from torchmbd.multibody.system.equations import Data, Placement, moments, split_v, total_on_vectors
+from torchmbd.multibody.system.equations import Data, Placement, frame_share, moments, split_v, total_on_vectors
 from torchmbd.multibody.system.topology import SegmentSum, Topology
 from torchmbd.multibody.system.unit_forces import Block, UnitForces
 
@@ -140,6 +140,9 @@ class SaddleBlocks:
             blocks["pull"] = (A_f[:, :, None] * SR[:3][None]).sum(1)
             blocks["twist"] = axial(G) + SR[3:]
             modal = T.modal_identity(data["Kr"]) + stiffness * data["Kr"]
+            if "F1" in data:
+                V, V0 = frame_share(data, at.w), data["V0"]
+                modal = modal + (V[:, :, None] * V[:, None]).sum(0) - (V0[:, :, None] * V0[:, None]).sum(0)
             blocks["modal"] = modal + damping * data["D"] if "D" in data else modal
         return blocks
 
@@ -182,6 +185,9 @@ class SaddleBlocks:
             coriolis = (data["H"] * wd).sum(2)
             blocks["twist_back"] = blocks["twist_back"] + factor * (centrifugal + coriolis)
             blocks["modal"] = blocks["modal"] + factor * (data["H"] * om_f[:, None, None]).sum(0)
+            if "F1" in data:
+                V, slow = frame_share(data, at.w), (data["V1"] * wd[:, None]).sum(1)
+                blocks["modal"] = blocks["modal"] + 2.0 * factor * (V[:, :, None] * slow[:, None]).sum(0)
 
     def _add_inertial(
         self,
@@ -210,7 +216,11 @@ class SaddleBlocks:
                 F1, C1 = data["F1"], C1 + data["F2"]
                 slow, fast = ((F1 * x[:, None]).sum(1) for x in (wd, wdd))  # [3, modes, flexible]
                 pull = pull + fast + 2.0 * matmul(spin_f, slow)
-                modal = factor * (u_f[:, None, None] * F1).sum(0)
+                V, V1 = frame_share(data, at.w), data["V1"]
+                slow, fast = ((V1 * x[:, None]).sum(1) for x in (wd, wdd))  # [6, modes, flexible]
+                rate = matvec(V, wdd) + matvec(slow, wd)
+                modal = (u_f[:, None, None] * F1).sum(0) + (rate[:, None, None] * V1).sum(0)
+                modal = factor * (modal + (V[:, :, None] * fast[:, None]).sum(0))
             blocks["pull"] = blocks["pull"] + factor * matmul(A[:, :, :f], pull)
             slow, fast = ((C1 * x[:, None]).sum(2) for x in (wd, wdd))  # [3, 3, modes, flexible]
             dP = G + G.transpose(0, 1)  # C1_ijab = C1_jiba
