@@ -304,6 +304,11 @@ def _checked_plies(ply: Ply | Sequence[Ply], layers: int) -> list[Ply]:
 
 def _checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> nn.Parameter:
     t = parameter("thickness of a Laminate", thickness)
+    if t is thickness and t.ndim == 0:
+        raise InputError(
+            "Laminate: thickness is one variable; allowed: torch.nn.Parameter of one number per angle [layers] [m], which "
+            "`links` of a problem may keep equal"
+        )
     if t is not thickness:  # numbers
         t = nn.Parameter(t.detach().repeat(layers) if t.ndim == 0 else t.detach(), requires_grad=False)
     if t.shape != (layers,):
