@@ -20,6 +20,7 @@ Parts (default: all):
     gradients       error of the gradients
     start           a fresh process to its first step
     memory          peak memory per lane
+    long            memory and time of a gradient of 600,000 steps
     compile         compiling, with an empty cache
     work-precision  all kinds of integrators
 
@@ -73,6 +74,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "gradients": costs.gradient_error,
     "start": costs.start,
     "memory": costs.memory,
+    "long": costs.long,
     "compile": costs.compile_time,
     "work-precision": work_precision,
 }
@@ -97,6 +99,7 @@ FIGURES = (
     "load_cases",
     "load_cases_error",
     "load_cases_peer",
+    "long_gb",
     "tenth_variable",
     "tenth_variable_tangents",
     "mesh_ratio",

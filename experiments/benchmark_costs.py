@@ -20,6 +20,7 @@ from typing import Any
 
 import torch
 
+import torchmbd as mbd
 from experiments import exudyn_peer, gradients, slider_crank
 from experiments.benchmark_cases import (
     Case,
@@ -39,7 +40,7 @@ from torchmbd.math.codegen.compiler import unavailable
 from torchmbd.math.pair import Pair
 from torchmbd.multibody.system import Dynamics
 
-STEPS, LANES = 500, 32
+STEPS, LANES, LONG = 500, 32, 600_000
 TANGENTS = (3, 10)  # numbers of variables between which the cost of one more is taken
 ANGLES = "rod.laminate.angles"
 
@@ -197,6 +198,16 @@ def memory(settings: Settings) -> Result:
     return Result({"mb_per_lane": None if settings.quick else figure}, [Grid(title, ["lanes", "MB"], rows)])
 
 
+def long(settings: Settings) -> Result:
+    """long_gb: peak memory of a fresh process that differentiates 600,000 steps with every twentieth state kept."""
+    if not _compiler() or settings.quick:
+        return Result({"long_gb": None})
+    found = fresh("long", str(LONG), TORCHMBD_COMPILE="1")
+    row = [LONG, found["seconds"], found["mb"]]
+    table = Grid("gradient of one long motion, checkpoint=20", ["steps", "CPU s", "MB"], [row])
+    return Result({"long_gb": found["mb"] / 1024}, [table])
+
+
 def compile_time(settings: Settings) -> Result:
     """Seconds to compile the slider-crank with an empty cache, in a fresh process."""
     if settings.quick or not _compiler():
@@ -232,6 +243,12 @@ def main(arguments: list[str]) -> None:
         }
         motion(replace(dynamics, data=data), slider_crank.DURATION * steps / STEPS, steps)
         print(json.dumps({"mb": _resident_mb()}))
+    elif what == "long":
+        steps, system = int(arguments[1]), mbd.examples.arm()
+        begin = time.process_time()
+        swing = mbd.simulate(system, 5e-4 * steps, steps=steps, gradients="reverse", checkpoint=20).require_ok()
+        mbd.Integral(mbd.StrainEnergy("arm"))(swing).sum().backward()
+        print(json.dumps({"seconds": time.process_time() - begin, "mb": _resident_mb()}))
     elif what == "ready":
         dynamics = (pendulum(50) if arguments[1] == "chain" else loops()).dynamics(1, gradients=False)
         begin = time.perf_counter()
