@@ -237,7 +237,7 @@ def test_gradient_of_the_motion_by_thickness():
         system,
         0.05,
         minimize=mbd.Integral(history**2),
-        steps=600,
+        steps=300,
         iterations=(6, 6),
         refresh=1,
         variables=["plate.laminate.thickness"],
