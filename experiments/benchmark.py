@@ -12,6 +12,7 @@ Parts (default: all):
     adjoint         gradients beside values, and values under no_grad beside their parts
     angles          gradient by 288 and by 3,000 angles over one simulation
     load-cases      damage over 100 load cases, gradient by 100 variables; 30 variables and 20 cases beside the peer
+    stiffening      cost of stiffening
     mesh            motion stage on a fine mesh
     chain           cost per link of a flexible chain
     chains          chains of 5 to 50 links
@@ -54,6 +55,7 @@ from experiments.benchmark_integrators import work_precision
 from experiments.benchmark_load_cases import load_cases
 from experiments.benchmark_multistart import multistart
 from experiments.benchmark_report import Result, Settings
+from experiments.benchmark_stiffening import stiffening
 
 PARTS: dict[str, Callable[[Settings], Result]] = {
     "motion": benchmark_motion.slider_crank_part,
@@ -66,6 +68,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "adjoint": adjoint,
     "angles": many_angles,
     "load-cases": load_cases,
+    "stiffening": stiffening,
     "mesh": costs.mesh,
     "chain": costs.chain,
     "chains": benchmark_chains.chains,
@@ -100,6 +103,8 @@ FIGURES = (
     "load_cases_error",
     "load_cases_peer",
     "long_gb",
+    "stiffening_steps",
+    "stiffening_structure",
     "tenth_variable",
     "tenth_variable_tangents",
     "mesh_ratio",
