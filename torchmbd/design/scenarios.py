@@ -219,8 +219,8 @@ class Scenarios(Problem):
         """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n], over the scenarios."""
         reference, count = self.reference, len(self.scenarios)
 
-        def rows(motion: Trajectory) -> Tensor:
-            return torch.cat([m.value(motion).reshape(len(X) * count, -1) for m in reference.measures], 1)
+        def rows(motion: Trajectory) -> list[Tensor]:
+            return [m.value(motion).reshape(len(X) * count, -1) for m in reference.measures]
 
         found = differentiate(rows, motion)
         values = found.value.numpy().reshape(len(X), count, -1)

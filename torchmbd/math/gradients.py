@@ -99,7 +99,7 @@ def _number(x: Any) -> bool:
     if isinstance(x, (str, bytes, bool)):
         return False
     try:
-        float(x)
+        float(x.detach() if isinstance(x, Tensor) else x)
     except (TypeError, ValueError, RuntimeError):
         return False
     return True

@@ -9,7 +9,7 @@ Z     displacement gradient along x of a rigid section: (eps + z kappa_y - y kap
 B     strains of warping in the section's plane;  H its interpolation;  P puts (x, s, n) into eps_xx, gamma_xs, gamma_xn
 
 Strains (xx, ss, nn, sn, xn, xs), in the axes in which plies are laid: so angles and numbers of plies enter by the layers'
-stiffness D only, and what is here depends on the places of the nodes alone (`at`). Fields are [..., m, g, 6, columns].
+stiffness D only, and what is here depends on the places of the nodes alone (`of`). Fields are [..., m, g, 6, columns].
 Differentiable, forward and reverse, in the nodes, which may carry leading lanes.
 Source: V. Giavotto et al., Anisotropic beam theory and applications, Computers & Structures 16 (1983) 403-413,
 doi:10.1016/0045-7949(83)90179-7.
@@ -19,6 +19,7 @@ Checked in tests/fem/sections/test_section_laws.py.
 from __future__ import annotations
 
 import copy
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
@@ -44,29 +45,68 @@ class SectionGeometry:
         most = max(block.shape[1] for block in mesh.elements)
         self.connectivity = torch.cat([pad(block, (0, most - block.shape[1])) for block in mesh.elements])
         self.dofs = (3 * self.connectivity[..., None] + torch.arange(3)).flatten(1)
+        self._units = torch.cat(
+            [mesh.nodes.new_zeros(0, *mesh.nodes.shape), *(of for _, of in mesh.dimensions.values())]
+        )
+        given = [x.detach().flatten() for x, _ in mesh.dimensions.values()]
+        self._rest = mesh.nodes - torch.einsum("e,eni->ni", torch.cat([mesh.nodes.new_zeros(0), *given]), self._units)
         self._place(mesh.nodes)
 
-    def at(self, nodes: Float[Tensor, "*lanes n 2"]) -> SectionGeometry:
-        """The same mesh with its nodes elsewhere; InputError where that turns an element inside out."""
+    def of(self, x: Float[Tensor, "*lanes e"]) -> SectionGeometry:
+        """The same mesh with dimensions x, in the order of `mesh.dimensions`.
+
+        Raises InputError where that turns an element inside out.
+        """
+        if not x.shape[-1]:
+            return self
         result = copy.copy(self)
-        result._place(nodes)
+        for name in ("turn", "H", "B", "Z"):
+            vars(result).pop(name, None)
+        result._place(self.places(x))
         if not all_true((result.weight >= 0.0).flatten()):
             raise InputError(
                 "dimensions of a section turn an element inside out; allowed: walls that fit into the section"
             )
         return result
 
+    def places(self, x: Float[Tensor, "*lanes e"]) -> Float[Tensor, "*lanes n 2"]:
+        """Of the nodes, for dimensions x."""
+        return self._rest + torch.einsum("...e,eni->...ni", x, self._units)
+
     def _place(self, nodes: Float[Tensor, "*lanes n 2"]) -> None:
-        mesh = self._mesh
-        self.weight, N, slopes, along = _padded(mesh, nodes, self.connectivity.shape[1])
-        self.points = yz = torch.einsum("mgk,...mki->...mgi", N, nodes[..., self.connectivity, :])
-        if mesh.plane_angle is not None:
-            along = torch.stack([torch.cos(mesh.plane_angle), torch.sin(mesh.plane_angle)], dim=-1)[:, None]
-            along = along.expand(*yz.shape[-3:])
-        self.turn = _turn(along)
-        self.H = (N[..., None, :, None] * self.turn[..., None, :]).flatten(-2).flatten(-3, -2)
-        self.B = _warping_strains(slopes @ self.turn[..., 1:, 1:].mT, self.turn).flatten(-3, -2)
-        self.Z = self.turn @ _rigid(yz)
+        self.weight, N, self._slopes, self._along = _padded(self._mesh, nodes, self.connectivity.shape[1])
+        self.points = torch.einsum("mgk,...mki->...mgi", N, nodes[..., self.connectivity, :])
+        self._N = N
+
+    @cached_property
+    def turn(self) -> Float[Tensor, "*lanes m g 3 3"]:
+        """Displacements (x, y, z) to (x, s, n)."""
+        if self._mesh.plane_angle is None:
+            return _turn(self._along)
+        plane = torch.stack([torch.cos(self._mesh.plane_angle), torch.sin(self._mesh.plane_angle)], dim=-1)[:, None]
+        return _turn(plane.expand(*self.points.shape[-3:]))
+
+    @cached_property
+    def H(self) -> Float[Tensor, "*lanes m 3g 3k"]:
+        return (self._N[..., None, :, None] * self.turn[..., None, :]).flatten(-2).flatten(-3, -2)
+
+    @cached_property
+    def B(self) -> Float[Tensor, "*lanes m 6g 3k"]:
+        return _warping_strains(self._slopes @ self.turn[..., 1:, 1:].mT, self.turn).flatten(-3, -2)
+
+    @cached_property
+    def Z(self) -> Float[Tensor, "*lanes m g 3 6"]:
+        return self.turn @ self.rigid
+
+    @property
+    def rigid(self) -> Float[Tensor, "*lanes m g 3 6"]:
+        """Displacement gradient along x of a rigid section, in section axes."""
+        return _rigid(self.points)
+
+    @property
+    def numbers(self) -> int:
+        """Of the largest field of one design."""
+        return self.dofs.numel() * self.weight.shape[-1] * 6
 
     def warp_strain(self, u: Float[Tensor, "*lanes freedoms c"]) -> Tensor:
         """B u."""

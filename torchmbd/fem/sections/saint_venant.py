@@ -26,6 +26,7 @@ Checked in tests/fem/sections/test_section_gradients.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -38,6 +39,8 @@ from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.inverse import balanced_inverse
 
 CLASSICAL, SHEAR = [0, 3, 4, 5], [1, 2]
+
+_NUMBERS = 1_000_000  # of a field of the designs that are analysed together: 8 MB
 
 #: J of the module header: growth of (N, T, M_y, M_z) along the beam for unit V_y, V_z.
 _GROWTH = torch.zeros(4, 2, dtype=torch.float64)
@@ -71,58 +74,108 @@ def unit_fields(problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*
 
 
 def compliance(
-    problem: WarpingProblem, g: SectionGeometry, D: Float[Tensor, "*lanes layers 6 6"]
+    problem: WarpingProblem, x: Float[Tensor, "*lanes e"], D: Float[Tensor, "*lanes layers 6 6"]
 ) -> Float[Tensor, "*lanes 6 6"]:
-    """S; where g is not the geometry of the problem, differentiable by the chain of the solutions."""
-    if g is not problem.geometry:
-        fields = unit_fields(problem, g, D)
-        return g.energy(fields.strain, fields.stress)
-    return _Compliance.apply(problem, D.reshape(-1, *D.shape[-3:])).reshape(*D.shape[:-3], 6, 6)
+    """S of a section of dimensions x; differentiable once in x and D, whose derivatives of equal designs are found once."""
+    lanes = torch.broadcast_shapes(x.shape[:-1], D.shape[:-3])
+    one_axis = (x.expand(*lanes, -1).reshape(lanes.numel(), -1), D.expand(*lanes, -1, 6, 6).reshape(-1, *D.shape[-3:]))
+    return _Compliance.apply(problem, *one_axis).reshape(*lanes, 6, 6)
 
 
 class _Compliance(torch.autograd.Function):
+    """(x [lane, e], D [lane, layers, 6, 6]) -> S [lane, 6, 6]."""
+
     @staticmethod
-    def forward(problem: WarpingProblem, D: Tensor) -> Tensor:
-        fields = unit_fields(problem, problem.geometry, D)
-        return problem.geometry.energy(fields.strain, fields.stress)
+    def forward(problem: WarpingProblem, x: Tensor, D: Tensor) -> Tensor:
+        return _each(_energy, problem, x, D)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
-        ctx.problem = inputs[0]
-        ctx.save_for_forward(inputs[1])
-        ctx.save_for_backward(inputs[1])
+        ctx.problem, *saved = inputs
+        ctx.set_materialize_grads(False)
+        ctx.save_for_forward(*saved)
+        ctx.save_for_backward(*saved)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor) -> tuple:
-        return _flattened(_Compliance, in_dims, problem, D)
+    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
+        return _flattened(_Compliance, info, in_dims, problem, x, D)
 
     @staticmethod
-    def jvp(ctx: Any, _: Any, dD: Tensor) -> Tensor:
-        slopes = _Slopes.apply(ctx.problem, ctx.saved_tensors[0])
-        return torch.einsum("lijkab,lkab->lij", slopes, dD)
+    def jvp(ctx: Any, _: Any, dx: Tensor | None, dD: Tensor | None) -> Tensor:
+        of_x = (
+            0.0
+            if dx is None
+            else torch.einsum("lije,le->lij", _ByDimensions.apply(ctx.problem, *ctx.saved_tensors), dx)
+        )
+        of_D = (
+            0.0
+            if dD is None
+            else torch.einsum("lijkab,lkab->lij", _ByStiffness.apply(ctx.problem, *ctx.saved_tensors), dD)
+        )
+        return of_x + of_D  # pyright: ignore[reportReturnType]
 
     @staticmethod
-    def backward(ctx: Any, S_bar: Tensor) -> Any:
-        slopes = _Slopes.apply(ctx.problem, ctx.saved_tensors[0])
-        return None, torch.einsum("lij,lijkab->lkab", S_bar, slopes)
+    def backward(ctx: Any, S_bar: Tensor | None) -> Any:
+        x_bar = D_bar = None
+        if S_bar is not None and ctx.needs_input_grad[1]:
+            x_bar = torch.einsum("lij,lije->le", S_bar, _ByDimensions.apply(ctx.problem, *ctx.saved_tensors))
+        if S_bar is not None and ctx.needs_input_grad[2]:
+            D_bar = torch.einsum("lij,lijkab->lkab", S_bar, _ByStiffness.apply(ctx.problem, *ctx.saved_tensors))
+        return None, x_bar, D_bar
 
 
-class _Slopes(FirstDerivative):
+class _ByDimensions(FirstDerivative):
+    """dS_ij / dx_e [lane, 6, 6, e], by the chain of the solutions."""
+
+    of = "section stiffness"
+
+    @staticmethod
+    def forward(problem: WarpingProblem, x: Tensor, D: Tensor) -> Tensor:
+        return _each(_by_dimensions, problem, x, D)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
+        return _flattened(_ByDimensions, info, in_dims, problem, x, D)
+
+
+class _ByStiffness(FirstDerivative):
     """dS_ij / dD_kab [lane, 6, 6, layers, 6, 6], for symmetric changes of D."""
 
     of = "section stiffness"
 
     @staticmethod
-    def forward(problem: WarpingProblem, D: Tensor) -> Tensor:
-        return _slopes(problem, D)
+    def forward(problem: WarpingProblem, x: Tensor, D: Tensor) -> Tensor:
+        return _each(_by_stiffness, problem, x, D)
 
     @staticmethod
-    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor) -> tuple:
-        return _flattened(_Slopes, in_dims, problem, D)
+    def vmap(info: Any, in_dims: tuple, problem: WarpingProblem, x: Tensor, D: Tensor) -> tuple:
+        return _flattened(_ByStiffness, info, in_dims, problem, x, D)
 
 
-def _slopes(problem: WarpingProblem, D: Float[Tensor, "lane layers 6 6"]) -> Float[Tensor, "lane 6 6 layers 6 6"]:
-    g = problem.geometry
+def _each(
+    f: Callable[[WarpingProblem, Tensor, Tensor], Tensor], problem: WarpingProblem, x: Tensor, D: Tensor
+) -> Tensor:
+    """f of each design that is another, a few at a time: the fields of all at once would not fit into the cache."""
+    designs, which = torch.unique(torch.cat([x, D.flatten(1)], 1), dim=0, return_inverse=True)
+    parts = designs.split(max(1, _NUMBERS // problem.geometry.numbers))
+    return torch.cat([f(problem, y[:, : x.shape[1]], y[:, x.shape[1] :].unflatten(1, D.shape[1:])) for y in parts])[
+        which
+    ]
+
+
+def _energy(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6"]:
+    g = problem.geometry.of(x)
+    fields = unit_fields(problem, g, D)
+    return g.energy(fields.strain, fields.stress)
+
+
+def _by_dimensions(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6 e"]:
+    directions = [unit.expand_as(x) for unit in torch.eye(x.shape[1], dtype=x.dtype, device=x.device)]
+    return torch.stack([torch.func.jvp(lambda x: _energy(problem, x, D), (x,), (e,))[1] for e in directions], -1)
+
+
+def _by_stiffness(problem: WarpingProblem, x: Tensor, D: Tensor) -> Float[Tensor, "lane 6 6 layers 6 6"]:
+    g = problem.geometry.of(x)
     U, strain, stress = unit_fields(problem, g, D)
     E = g.element_stiffness(D)
     eps_c, eps_v, sig_c, sig_v = strain[..., CLASSICAL], strain[..., SHEAR], stress[..., CLASSICAL], stress[..., SHEAR]
@@ -162,9 +215,15 @@ def _pairs(g: SectionGeometry, left: Tensor, right: Tensor, layers: int) -> Floa
     return result
 
 
-def _flattened(function: Any, in_dims: tuple, problem: WarpingProblem, D: Tensor) -> tuple:
-    D = D.movedim(in_dims[1], 0)
-    return function.apply(problem, D.flatten(0, 1)).unflatten(0, D.shape[:2]), 0
+def _flattened(
+    function: Any, info: Any, in_dims: tuple, problem: WarpingProblem, *tensors: Tensor
+) -> tuple[Tensor, int]:
+    size = info.batch_size
+    full = [
+        y[None].expand(size, *y.shape) if d is None else y.movedim(d, 0)
+        for y, d in zip(tensors, in_dims[1:], strict=True)
+    ]
+    return function.apply(problem, *(y.flatten(0, 1) for y in full)).unflatten(0, full[0].shape[:2]), 0
 
 
 def _columns(matrix: Tensor) -> Tensor:

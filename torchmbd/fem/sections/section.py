@@ -73,7 +73,6 @@ class Section(nn.Module):
     )  # parameters that are, in any design
     angles: Tensor
     _constant: Tensor
-    _fixed: Tensor
 
     def __init__(
         self,
@@ -95,11 +94,8 @@ class Section(nn.Module):
         self._solids = [Orthotropic.of(plain(p)) for p in plies]
         self.mesh = mesh
         self.problem = WarpingProblem(SectionGeometry(mesh), mesh.nodes)
-        fixed = mesh.nodes
-        for name, (x, nodes) in mesh.dimensions.items():
+        for name, (x, _) in mesh.dimensions.items():
             self.register_parameter(name, x)
-            fixed = fixed - torch.einsum("e,eni->ni", x.detach().flatten(), nodes)
-        self.register_buffer("_fixed", fixed, persistent=False)
         self.angles = theta
         self.register_buffer("_constant", _constants_of(self._solids), persistent=False)
 
@@ -116,17 +112,20 @@ class Section(nn.Module):
     @property
     def geometry(self) -> SectionGeometry:
         """Of the present design."""
-        return self.problem.geometry.at(self.nodes) if self.mesh.dimensions else self.problem.geometry
+        return self.problem.geometry.of(self._dimensions)
 
     @property
     def nodes(self) -> Float[Tensor, "*lanes n 2"]:
         """Of the mesh in the present design [m]."""
-        nodes = self._fixed
-        for name, (given, of_unit) in self.mesh.dimensions.items():
-            x = getattr(self, name)
-            x = x.reshape(*x.shape[: x.dim() - given.dim()], -1)
-            nodes = nodes + torch.einsum("...e,eni->...ni", x, of_unit)
-        return nodes
+        return self.problem.geometry.places(self._dimensions)
+
+    @property
+    def _dimensions(self) -> Float[Tensor, "*lanes e"]:
+        """Those of the mesh that are parameters [m]."""
+        given = [(getattr(self, name), x.dim()) for name, (x, _) in self.mesh.dimensions.items()]
+        flat = [x.reshape(*x.shape[: x.dim() - own], -1) for x, own in given]
+        lanes = torch.broadcast_shapes(*(x.shape[:-1] for x in flat))
+        return torch.cat([self._constant.new_zeros(*lanes, 0), *(x.expand(*lanes, -1) for x in flat)], -1)
 
     @property
     def _numbers(self) -> Float[Tensor, "*lanes layers 37"]:
@@ -147,15 +146,15 @@ class Section(nn.Module):
 
     def compliance(self) -> Float[Tensor, "*lanes 6 6"]:
         """S = K^-1."""
-        return compliance(self.problem, self.geometry, self._wall_stiffness)
+        return compliance(self.problem, self._dimensions, self._wall_stiffness)
 
     def mass(self) -> Float[Tensor, "*lanes 6 6"]:
         """Inertia per length of the velocities (v, omega) of the section's axes: kg/m, kg, kg m."""
         g = self.geometry
-        Z = g.turn.mT @ g.Z  # in section axes
-        rigid = torch.zeros_like(Z)
+        gradient = g.rigid
+        rigid = torch.zeros_like(gradient)
         rigid[..., [0, 1, 2], [0, 1, 2]] = 1.0
-        rigid[..., :, 3:] = Z[..., :, 3:]
+        rigid[..., :, 3:] = gradient[..., :, 3:]
         weight = g.weight * self._numbers[..., -1][..., g.layer, None]
         return (weight[..., None, None] * (rigid.mT @ rigid)).sum((-4, -3))
 
