@@ -64,7 +64,7 @@ def test_pictures_numbers_and_the_sentence_are_in_the_store(write, tmp_path, emp
     assert run_.data.params["options.angle"] == "2.5"
     assert run_.data.tags["mlflow.note.content"] == "It turns by 2.5."
     assert (run_.data.tags["word"], run_.data.tags["kind"]) == ("tag", "figures")
-    root = Path(run_.info.artifact_uri)
+    root = tmp_path / "mlartifacts" / run_.info.run_id / "artifacts"
     files = {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
     assert files == {"config.yaml", "figures/one.pdf"}
 

@@ -67,7 +67,7 @@ def sweep(run):
 
 
 def files(outcome):
-    root = Path(outcome.parent.info.artifact_uri)
+    root = outcome.folder / "mlartifacts" / outcome.parent.info.run_id / "artifacts"
     return {str(path.relative_to(root)) for path in root.rglob("*") if path.is_file()}
 
 
@@ -111,7 +111,7 @@ def test_the_parent_sums_the_study_up(study):
 
 
 def test_the_filed_config_runs_the_same_study(study):
-    filed = Path(study.parent.info.artifact_uri) / "config.yaml"
+    filed = study.folder / "mlartifacts" / study.parent.info.run_id / "artifacts" / "config.yaml"
     copy = study.folder / "again.yaml"
     copy.write_text(filed.read_text())
     assert load(copy).resolved() == load(study.folder / "study.yaml").resolved()
@@ -160,7 +160,8 @@ def test_a_sweep_is_one_batch_with_a_run_for_each_point(sweep):
 
 
 def test_the_peak_of_a_sweep_is_normalized_as_well(sweep):
-    text = (Path(sweep.parent.info.artifact_uri) / "sweep.csv").read_text().splitlines()
+    root = sweep.folder / "mlartifacts" / sweep.parent.info.run_id / "artifacts"
+    text = (root / "sweep.csv").read_text().splitlines()
     assert text[0] == "angle_2_deg,integral of strain energy,max of strain energy"
     row = [float(x) for x in text[2].split(",")]
     assert row == pytest.approx([-45.0, 1.0, 1.0], rel=1e-6)

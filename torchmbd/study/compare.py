@@ -14,7 +14,7 @@ from torchmbd.tracking.catalog import Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 
 _OUTCOME = ("best_objective", "reduction_percent", "violation", STARTS, CONVERGED, EVALUATIONS)
-_QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key")
+_QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key", "files")
 
 
 def print_best(run: str | None, uri: str | None, count: int, console: Console) -> None:

@@ -16,7 +16,9 @@ from torchmbd.errors import InputError
 from torchmbd.math.units import UNITS
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.metric_names import ANALYSES, CONVERGED, EVALUATIONS, FAILED, ITERATIONS, STARTS, is_design, short
+from torchmbd.summary import few
 from torchmbd.tracking.catalog import Entry, children, fetch, files, find
+from torchmbd.tracking.mlflow_tracker import FILES
 from torchmbd.tracking.store import store_uri
 
 _STYLE = """
@@ -60,10 +62,7 @@ def write_report(run: str, path: Path | None = None, uri: str | None = None) -> 
 def _page(store: str, entry: Entry, scratch: Path) -> str:
     given = fetch(store, entry, "config_as_given.yaml", scratch)
     config = fetch(store, entry, "config.yaml", scratch)
-    if config is None and entry.kind in ("study", "sweep"):
-        raise InputError(
-            f"run {entry.run_id[:8]} has no files in its store; allowed: a store with its mlartifacts folder beside it"
-        )
+    _require_files(store, entry)
     asked = entry.tags.get("question") or (question(given) if given else QUESTION_MISSING)
     took = "" if entry.seconds is None else f", {entry.seconds:.0f} s"
     parts = [
@@ -85,6 +84,18 @@ def _page(store: str, entry: Entry, scratch: Path) -> str:
     parts += ["<h2>Where it comes from</h2>", _rows({k: entry.tags[k] for k in _PROVENANCE if k in entry.tags})]
     head = f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{escape(entry.name)}</title>'
     return f"{head}<style>{_STYLE}</style></head><body>\n" + "\n".join(parts) + "\n</body></html>\n"
+
+
+def _require_files(store: str, entry: Entry) -> None:
+    """Refuse a run that lacks files that it has filed: its report would be half empty."""
+    filed = entry.tags.get(FILES, "config.yaml").splitlines()
+    present = {name for folder in {name.rpartition("/")[0] for name in filed} for name in files(store, entry, folder)}
+    if missing := [name for name in filed if name not in present]:
+        text = few(missing)
+        raise InputError(
+            f"run {entry.run_id[:8]} lacks {text} in {store}; allowed: a store with the whole of its folder mlartifacts "
+            "beside it"
+        )
 
 
 def _rows(values: dict[str, str]) -> str:

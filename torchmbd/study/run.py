@@ -38,7 +38,7 @@ from torchmbd.study.unfinished import Unfinished, claimed, unsent
 from torchmbd.tracking import MlflowTracker, Record, Status, TrackingError
 from torchmbd.tracking.catalog import Entry, find
 from torchmbd.tracking.links import DEFAULT_BASE
-from torchmbd.tracking.store import sqlite_file, store_uri
+from torchmbd.tracking.store import own_files, store_uri
 
 EXIT: dict[Status, int] = {"FINISHED": 0, "FAILED": 1, "KILLED": 130}
 
@@ -248,7 +248,7 @@ def print_run_links(record: Record, kind: str, status: Status, console: Console)
     served = record.uri.startswith(("http:", "https:"))
     base = record.uri.rstrip("/") if served else DEFAULT_BASE
     links = study_links(base, record.experiment_id, run, kind, status)
-    if file := sqlite_file(record.uri):
+    if own := own_files(record.uri, run):
         console.print("To look at it: torchmbd ui, then", highlight=False)
-        links["on disk"] = str(file.parent / "mlartifacts" / run / "artifacts")
+        links["on disk"] = str(own)
     print_links_of(links, console)

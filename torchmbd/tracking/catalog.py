@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from torchmbd.errors import InputError, nearest
-from torchmbd.tracking.store import open_store, sqlite_file
+from torchmbd.tracking.store import open_store, own_files, sqlite_file
 
 KINDS = ("study", "sweep", "figures")
 _PAGE = 1000  # runs that are listed at most
@@ -58,7 +58,7 @@ def find(uri: str, run: str) -> Entry:
 
 def fetch(uri: str, entry: Entry, name: str, folder: Path) -> Path | None:
     """Copy a file of a run into a folder; None if the run has no such file."""
-    if own := _beside(uri, entry):
+    if own := own_files(uri, entry.run_id):
         return Path(shutil.copy(own / name, folder)) if (own / name).is_file() else None
     client = open_store(uri)
     parent = str(Path(name).parent) if "/" in name else None
@@ -68,17 +68,10 @@ def fetch(uri: str, entry: Entry, name: str, folder: Path) -> Path | None:
 
 
 def files(uri: str, entry: Entry, folder: str) -> list[str]:
-    """Return the names of the files in a folder of a run."""
-    if own := _beside(uri, entry):
-        return sorted(f"{folder}/{path.name}" for path in (own / folder).glob("*") if path.is_file())
-    return [item.path for item in open_store(uri).list_artifacts(entry.run_id, folder) if not item.is_dir]
-
-
-def _beside(uri: str, entry: Entry) -> Path | None:
-    """The files of a run beside a SQLite store: a copied folder is whole, although MLflow keeps absolute paths."""
-    store = sqlite_file(uri)
-    own = None if store is None else store.parent / "mlartifacts" / entry.run_id / "artifacts"
-    return own if own is not None and own.is_dir() else None
+    """Return the names of the files in a folder of a run; "": those beside the folders."""
+    if own := own_files(uri, entry.run_id):
+        return sorted(str(path.relative_to(own)) for path in (own / folder).glob("*") if path.is_file())
+    return [item.path for item in open_store(uri).list_artifacts(entry.run_id, folder or None) if not item.is_dir]
 
 
 def children(uri: str, entry: Entry) -> list[Entry]:

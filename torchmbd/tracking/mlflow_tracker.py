@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import threading
 import time
 import uuid
@@ -35,12 +36,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from torchmbd.tracking.links import VIEW_TAG
-from torchmbd.tracking.store import experiment_id, first_line, open_store, store_uri
+from torchmbd.tracking.store import experiment_id, first_line, open_store, own_files, store_uri
 from torchmbd.tracking.tracker import Record, Status, TrackingError
 
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
+FILES = "files"  # tag of a run that is over: the names of its files, one a line
 PATIENCE = "TORCHMBD_PATIENCE"  # environment variable: seconds to wait for a store that is away when the study is over
 _INTERVAL, _SHARE = 3.0, 0.1  # seconds between two deliveries at least; share of a core that the thread takes at most
 _RETRY, _LAST_RETRY = (
@@ -90,6 +92,7 @@ class MlflowTracker:
         self._lock = threading.Lock()
         self._pending: dict[str, Draft] = {}  # logged since the last delivery, by the key of the run
         self._open: dict[str, bool] = {}  # every run that has begun: whether it is open
+        self._files: dict[str, set[str]] = {}  # names of the files of every run
         self._last = 0  # ms since 1970 of the last metric
         self._store = _Store(experiment, self.uri, self.study)
         self._closing, self._deadline = threading.Event(), float("inf")
@@ -128,6 +131,7 @@ class MlflowTracker:
         """The file must be there until `close` has returned."""
         with self._lock:
             self._draft(run).artifacts.append((Path(file).absolute(), folder))
+            self._files.setdefault(run, set()).add(f"{folder}/{Path(file).name}".lstrip("/"))
 
     def view(self, run: str, columns: Sequence[str], order_by: str) -> None:
         """Store a view of the run's children that `links.view_link` opens.
@@ -147,7 +151,10 @@ class MlflowTracker:
 
     def end(self, run: str, status: Status) -> None:
         with self._lock:
-            self._draft(run).ended = status, _now()
+            draft = self._draft(run)
+            draft.ended = status, _now()
+            if names := "\n".join(sorted(self._files.get(run, ()))):
+                draft.tags[FILES] = names if len(names) < _MAX_VALUE else names[:_MAX_VALUE].rpartition("\n")[0]
         self._open[run] = False
 
     def close(self) -> Record:
@@ -247,7 +254,7 @@ class _Store:
             self._tried(run, partial(client.log_batch, id, metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]))
             del metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]
         for file, folder in draft.artifacts:
-            self._tried(run, partial(client.log_artifact, id, str(file), folder or None))
+            self._tried(run, partial(self._filed, client, id, file, folder))
         if draft.view is not None:
             view = json.loads(draft.view) | {"searchFilter": f'tags.mlflow.parentRunId = "{id}"'}
             client.set_experiment_tag(self.experiment_id, VIEW_TAG + id, json.dumps(view))
@@ -279,6 +286,15 @@ class _Store:
         except Exception:
             self._earlier = None  # it may be there although its answer was lost: looked for before it is made again
             raise
+
+    def _filed(self, client: MlflowClient, id: str, file: Path, folder: str) -> None:
+        """Give a run a file; beside a SQLite store it is copied, which needs no server."""
+        own = own_files(self.uri, id)
+        if own is None:
+            client.log_artifact(id, str(file), folder or None)
+            return
+        (own / folder).mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, own / folder / file.name)
 
     def _is_known(self, client: MlflowClient, run: str, point: Point) -> bool:
         """Whether an earlier life has written a metric at its step."""

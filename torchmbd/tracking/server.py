@@ -14,7 +14,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from torchmbd.errors import InputError
-from torchmbd.tracking.store import open_store, sqlite_file
+from torchmbd.tracking.store import ARTIFACTS, open_store, sqlite_file
 from torchmbd.tracking.tracker import TrackingError
 
 QUIET = {
@@ -36,7 +36,7 @@ def serving(uri: str, host: str = "127.0.0.1", port: int = 5000) -> Iterator[sub
     command = [sys.executable, "-m", "mlflow", "server", "--backend-store-uri", uri]
     command += ["--host", host, "--port", str(port), "--workers", "1"]
     if file := sqlite_file(uri):
-        command += ["--default-artifact-root", str(file.parent / "mlartifacts"), "--no-serve-artifacts"]
+        command += ["--default-artifact-root", ARTIFACTS, "--artifacts-destination", str(file.parent / "mlartifacts")]
     process = subprocess.Popen(
         command,
         env={**os.environ, **QUIET},

@@ -2,6 +2,10 @@
 
     an explicit URI, else MLFLOW_TRACKING_URI, else sqlite:///<working directory>/mlflow.db with mlartifacts/ beside it
 
+The files of the runs of a SQLite store lie beside it, mlartifacts/<run id>/artifacts/, and the store says of them
+`mlflow-artifacts:/` only, where the server of `torchmbd ui` (and of `mlflow server`, started in that folder) finds them:
+it holds no absolute path, so that both can be copied.
+
 A fresh SQLite store is made under a lock (one file in the user's cache), for two processes that create its tables at once
 crash (MLflow 3.17), and beside its place: a full disk or a kill in the middle leaves none rather than half of one.
 """
@@ -25,6 +29,7 @@ from torchmbd.tracking.tracker import TrackingError
 if TYPE_CHECKING:
     from mlflow import MlflowClient
 
+ARTIFACTS = "mlflow-artifacts:/"  # MLflow's name for what its server has
 _MISREAD = ("?", "%")  # the one ends a path, the other is decoded
 SCHEMES = ("sqlite", "http", "https", "postgresql", "mysql", "mssql", "databricks")
 _SETTINGS = {  # of MLflow
@@ -65,6 +70,18 @@ def sqlite_file(uri: str) -> Path | None:
     return Path(uri.removeprefix("sqlite:///")).absolute() if uri.startswith("sqlite:///") else None
 
 
+def own_files(uri: str, run_id: str) -> Path | None:
+    """Return the folder of a run's files beside a SQLite store (absolute), whether it exists or not; None for others."""
+    file = sqlite_file(uri)
+    return None if file is None else file.parent / "mlartifacts" / run_id / "artifacts"
+
+
+def seen_from(uri: str, file: Path) -> str:
+    """Return a path as it is seen from the folder of a SQLite store, of others from the working directory."""
+    store = sqlite_file(uri)
+    return os.path.relpath(file, Path.cwd() if store is None else store.parent)
+
+
 def open_store(uri: str) -> MlflowClient:
     """Open a store, creating its tables if it is new; TrackingError if it cannot be."""
     for name, value in _SETTINGS.items():
@@ -98,6 +115,9 @@ def _require_file(file: Path) -> None:
     with tempfile.TemporaryDirectory(prefix=f".{file.name}-", dir=file.parent) as folder:
         draft = Path(folder) / file.name
         MlflowClient(f"sqlite:///{draft}").search_experiments(max_results=1)  # the first query makes the tables
+        with closing(sqlite3.connect(draft)) as base:  # MLflow's experiment "Default" is in the working directory
+            base.execute("update experiments set artifact_location = ? || experiment_id", (ARTIFACTS,))
+            base.commit()
         draft.replace(file)
 
 
@@ -106,8 +126,7 @@ def experiment_id(client: MlflowClient, name: str, uri: str) -> str:
     with _alone(uri):
         found = client.get_experiment_by_name(name)
         if found is None:
-            file = sqlite_file(uri)
-            return client.create_experiment(name, artifact_location=str(file.parent / "mlartifacts") if file else None)
+            return client.create_experiment(name, artifact_location=ARTIFACTS if sqlite_file(uri) else None)
     if found.lifecycle_stage != "active":
         raise TrackingError(f"experiment {name!r} is deleted in {uri}; restore it there or choose another name")
     return found.experiment_id
