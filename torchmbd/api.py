@@ -68,6 +68,7 @@ from torchmbd.multibody import forces
 from torchmbd.multibody.bodies import FlexibleBody, Frame, Ground, Interface, RigidBody
 from torchmbd.multibody.forces import (
     AxialSpringDamper,
+    BeamElement,
     Bushing,
     ControlHistory,
     Controller,
@@ -167,6 +168,7 @@ __all__ = [
     "AtTime",
     "AtTimes",
     "AxialSpringDamper",
+    "BeamElement",
     "BeamLine",
     "BeamState",
     "Buckling",

@@ -23,7 +23,8 @@ GROUPS: dict[str, str] = {
     "bodies": "Ground RigidBody FlexibleBody Frame Interface",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
     "ConstantSpeed Sine SmoothStep",
-    "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing Force Torque Pressure forces variable",
+    "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "
+    "Pressure forces variable",
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics examples",
     "exact_beams": "ExactBeam BeamState",

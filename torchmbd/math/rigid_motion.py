@@ -36,8 +36,8 @@ def _series() -> Tensor:
     )
 
 
-_SERIES = _series()
-_SLOPES = _SERIES[1:] * torch.arange(1, _TERMS, dtype=torch.float64)[:, None]
+SERIES = _series()
+SLOPES = SERIES[1:] * torch.arange(1, _TERMS, dtype=torch.float64)[:, None]
 
 
 def hat(x: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 3 3"]:
@@ -68,7 +68,7 @@ def rotation_vector(R: Float[Tensor, "*n 3 3"]) -> Float[Tensor, "*n 3"]:
 
 def coefficients(phi: Float[Tensor, "*n 3"]) -> tuple[Tensor, Tensor, Tensor]:
     """c, c2, c4 of the module header [*n, 1]."""
-    c, c2, c4 = _polynomials(_SERIES, (phi * phi).sum(-1, keepdim=True)).split(1, -1)
+    c, c2, c4 = _polynomials(SERIES, (phi * phi).sum(-1, keepdim=True)).split(1, -1)
     return c, c2, c4
 
 
@@ -123,7 +123,7 @@ def wrench_slopes(screw: Float[Tensor, "*n 6"], f: Float[Tensor, "*n 6"]) -> Flo
     phi = screw[..., 3:]
     A = adjoint(screw).mT
     _, c2, c4 = (c[..., None] for c in coefficients(phi))
-    _, d2, d4 = _polynomials(_SLOPES, (phi * phi).sum(-1, keepdim=True)).split(1, -1)
+    _, d2, d4 = _polynomials(SLOPES, (phi * phi).sum(-1, keepdim=True)).split(1, -1)
     by_square = torch.cat([torch.zeros_like(phi), 2.0 * phi], -1)
     powers, slopes = [f], [torch.zeros_like(A)]
     for _ in range(4):  # ad'^k f

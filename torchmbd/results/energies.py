@@ -1,7 +1,7 @@
 """Where the energy of a motion is, where it came from and where it went.
 
-    kinetic     1/2 v' M v                                        strain      1/2 w' Kr w
-    potential   - sum (m r + A S) . g                             dissipated  integral of w' . D w'
+    kinetic     1/2 v' M v                                        strain      1/2 w' Kr w and that of beam elements
+    potential   - sum (m r + A S) . g                             dissipated  integral of w' . D w', and by beam elements
     applied     integral of sum f s'   (forces, with their own springs and dampers: multibody/forces/action.py)
     driven      integral of lam . dPhi/dt   (joints with a law of time)
 
@@ -25,7 +25,7 @@ from torch import Tensor
 
 from torchmbd.errors import InputError
 from torchmbd.math.pair import dot, matvec, value
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.system import beams, equations
 from torchmbd.multibody.system.times_as_lanes import as_lanes
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.results.motion_data import MotionData
@@ -115,6 +115,10 @@ def _lane(motion: MotionData, lane: int) -> list[Tensor]:
         plain["Kr"] = torch.zeros_like(data["Kr"])
         if "D" in data:
             dissipation = (wd * matvec(data["D"], wd)).sum((0, 1))
+    if T.beams is not None:
+        strain = strain + beams.stored_energy(T, data, at)
+        rates = equations.beam_rates(T, data, at, v)
+        dissipation = dissipation if rates is None else dissipation + beams.dissipation(T, data, at, rates)
     momentum = torch.cat([x.flatten(0, 1) for x in equations.inertia_forces(T, plain, at, torch.zeros_like(v), v)])
     energy = [0.5 * dot(v, momentum), strain, _potential(motion, data, at, q)]
     powers = [dissipation, _applied(motion, data, at, v, samples.begins.cumsum(0)), _driven(T, data, t, q, lam)]

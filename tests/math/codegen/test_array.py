@@ -25,7 +25,7 @@ from torchmbd.math.codegen.program import Program, Write
 from torchmbd.math.codegen.segment_sum import SymbolicSegmentSum
 from torchmbd.math.codegen.size import Size, Untraceable, at, place
 from torchmbd.math.pair import cat, contract, cross, matmul, matvec
-from torchmbd.multibody.system.topology import SegmentSum
+from torchmbd.multibody.system.index_maps import SegmentSum
 
 N, M, K = Size("N"), Size("M"), Size("K")
 SIZES = {"N": 4, "M": 3, "K": 6}

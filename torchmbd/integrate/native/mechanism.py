@@ -14,9 +14,11 @@ import torch
 from torchmbd.integrate.native.elimination import elimination
 from torchmbd.integrate.native.feedback import CalledLaws
 from torchmbd.integrate.native.symbolic import groups
+from torchmbd.multibody.system import beams
+from torchmbd.multibody.system.index_maps import SparseMap
 from torchmbd.multibody.system.saddle import places, saddle_entries, size_of
 from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
-from torchmbd.multibody.system.topology import SparseMap, Topology
+from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.unit_forces import UnitForces
 
 
@@ -67,6 +69,7 @@ class Mechanism:
         sizes |= {"U": T.n_v, "E": _entries(T.spread), "G": _entries(T.gather)}
         sizes |= {f"P{i}": len(p.members[0]) for i, p in enumerate(T.primitives)}
         sizes |= {f"A{i}": len(some) for i, some in enumerate(self.groups.values())}
+        sizes |= {"J": 0 if T.beams is None else len(T.beams.ends) // 2}
         for letter, units in (("R", rows), ("D", actions)):
             counts = (len(units.flexible_arguments), len(units.pairs), len(units.flexible_pairs))
             sizes |= {f"{letter}{x}": n for x, n in zip("TPF", counts, strict=True)}
@@ -98,6 +101,10 @@ class Mechanism:
                 f"{name}_bent_vector": units.flexible_vector,
                 f"{name}_bent_pair": units.flexible_pair,
             }
+        if T.beams is not None:
+            on = T.beams.bodies
+            found["beam_ends"] = T.beams.ends
+            found["beam_groups"] = [b if b < n else 2 * n for b in on] + [min(n + b, 2 * n) for b in on]
         for name, sparse in (("spread", T.spread), ("gather", T.gather)):
             if sparse is not None:
                 row, column = torch.nonzero(sparse.matrix, as_tuple=True)
@@ -116,6 +123,9 @@ class Mechanism:
         """Where the entries of the matrix come from and go to."""
         T = self.T
         row, column, place = saddle_entries(T, self.blocks)
+        if T.beams is not None and slopes:
+            own = beams.places(T, places(self.blocks.shapes())["beam"])
+            row, column, place = (np.concatenate(x) for x in zip((row, column, place), own, strict=True))
         row, column, place, factor = self._projected(row, column, place)
         total = size_of(self.blocks.shapes())
         products = self._products(total) if slopes and T.actions else [np.empty(0, dtype=np.int64)] * 6

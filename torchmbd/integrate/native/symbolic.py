@@ -2,8 +2,8 @@
 
     sizes    B bodies, F flexible, M modes, V vectors, W vectors of flexible bodies, C prescribed bodies and the ground, U
     independent rates, E and G entries of the maps between them and all rates; P0, P1, ... primitives of each kind,
-             A0, A1, ... actions of each kind and form of law; of unit multipliers (R) and unit strengths (D): arguments
-             on flexible bodies, pairs, pairs with flexible bodies (RT, RP, RF)
+             J beam elements; A0, A1, ... actions of each kind and form of law; of unit multipliers (R) and unit
+             strengths (D): arguments on flexible bodies, pairs, pairs with flexible bodies (RT, RP, RF)
 
 What is not a count is part of the kind (`Kind`): one library serves all mechanisms of a kind.
 Checked in tests/integrate/native/.
@@ -26,6 +26,7 @@ from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.laws import OfTime, Scaled, Spring
 from torchmbd.multibody.forces.parametric_law import ParametricLaw
 from torchmbd.multibody.joints.primitive import Distance, Primitive
+from torchmbd.multibody.system.beams import SHAPES as BEAMS
 from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
 from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.unit_forces import UnitForces
@@ -56,6 +57,7 @@ class Kind(NamedTuple):
     condensed: bool
     row_flexible: bool
     action_flexible: bool
+    beams: bool
     data: tuple[str, ...]
 
     @classmethod
@@ -68,6 +70,7 @@ class Kind(NamedTuple):
             T.rates is not None,
             bool(blocks.rows.flexible_pairs),
             bool(blocks.actions.flexible_pairs),
+            T.beams is not None,
             tuple(sorted(set(data) & SHAPES.keys())),
         )
 
@@ -157,7 +160,7 @@ class _Distance(Distance):
         return self.data[0]
 
 
-B, F, M, V, W, C, U, E, G = (Size(name) for name in ["B", "F", "M", "V", "W", "C", "U", "E", "G"])
+B, F, M, V, W, C, U, E, G, J = (Size(name) for name in ["B", "F", "M", "V", "W", "C", "U", "E", "G", "J"])
 # Components and loops of each datum.
 SHAPES: dict[str, tuple[AnySize, ...]] = {
     "mass": (B,),
@@ -178,6 +181,7 @@ SHAPES: dict[str, tuple[AnySize, ...]] = {
     "E": (3, M, M, W),
     "x": (3, V),
     "gravity": (3, 1),
+    **{name: (*core, J) for name, core in BEAMS.items()},
 }
 
 
@@ -224,6 +228,7 @@ class SymbolicTopology:
         self.action_sum = SymbolicSegmentSum(Table("action_vectors", V), V)
         self.body_sum = SymbolicSegmentSum(Table("body_groups", 2 * V), 2 * B)
         self.modal_sum = SymbolicSegmentSum(self.vector_flexible, self.flexible)
+        self.beams = _Beams() if kind.beams else None
         self.spread = self.gather = None
         if kind.condensed:
             self.spread = _SparseMap(program, "spread", E, self.n_rates)
@@ -297,8 +302,18 @@ class Feedback:
         return [states[i][k] for k in range(2) for i, _ in self._forms()]
 
 
+class _Beams:
+    """Stands for beams.Beams."""
+
+    def __init__(self):
+        self.sum = SymbolicSegmentSum(Table("beam_groups", 4 * J), 2 * B)
+
+    def pick(self, x: Any, dim: int) -> tuple[Any, Any]:
+        return x.index_select(dim, Table("beam_ends", J)), x.index_select(dim, Table("beam_ends", J, J))
+
+
 class _SparseMap:
-    """Stands for topology.SparseMap: entries with a row, a column and a factor."""
+    """Stands for index_maps.SparseMap: entries with a row, a column and a factor."""
 
     def __init__(self, program: Program, name: str, entries: Size, rows: AnySize):
         self.column, self.rows = Table(f"{name}_column", entries), rows
@@ -348,6 +363,9 @@ class SymbolicBlocks(SaddleBlocks):
         self.rows: Any = _UnitForces("row", "R", rows, T.kind.row_flexible)
         self.actions: Any = _UnitForces("action", "D", strengths, T.kind.action_flexible)
         self._body_sum = SymbolicSegmentSum(Table("vector_body_only", V), B)
+
+    def _beam_shapes(self) -> list[tuple[str, tuple]]:
+        return [("beam", (12, 12, J))] if self.T.beams is not None else []
 
 
 def data_arrays(program: Program, kind: Kind, prefix: str) -> dict[str, Any]:

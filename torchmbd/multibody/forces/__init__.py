@@ -7,6 +7,7 @@ Laws of springs stand here too: Friction, Gap, Table, Pieces, Scaled.
 [0, -100]
 """
 
+from torchmbd.multibody.forces.beam_element import BeamElement
 from torchmbd.multibody.forces.bushing import Bushing
 from torchmbd.multibody.forces.control_history import ControlHistory
 from torchmbd.multibody.forces.controller import Controller
@@ -18,12 +19,23 @@ from torchmbd.multibody.forces.spring_damper import AxialSpringDamper, Rotationa
 
 FORCES: dict[str, type[ForceElement]] = {
     kind.__name__.lower(): kind
-    for kind in (AxialSpringDamper, Bushing, Controller, Force, Pressure, RotationalSpringDamper, SpringDamper, Torque)
+    for kind in (
+        AxialSpringDamper,
+        BeamElement,
+        Bushing,
+        Controller,
+        Force,
+        Pressure,
+        RotationalSpringDamper,
+        SpringDamper,
+        Torque,
+    )
 }
 
 __all__ = [
     "FORCES",
     "AxialSpringDamper",
+    "BeamElement",
     "Bushing",
     "ControlHistory",
     "Controller",

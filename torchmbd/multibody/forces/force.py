@@ -12,6 +12,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
+from torch import Tensor
+
 from torchmbd.errors import InputError
 from torchmbd.math.variable import Variables
 from torchmbd.multibody.bodies.frame import Frame
@@ -54,6 +56,14 @@ class ForceElement:
 
     def actions(self, attachments: AttachmentTable) -> Iterator[Applied]:
         """Yield the actions of the element."""
+        raise NotImplementedError(type(self).__name__)
+
+    def beams(self, attachments: AttachmentTable) -> list[tuple[int, int]]:
+        """Points of the starts and ends of its beam elements, whose numbers are `beam_data` (system/beams.py)."""
+        return []
+
+    def beam_data(self) -> dict[str, Tensor]:
+        """Data of its beam elements in the present design [*lanes, elements, ...]."""
         raise NotImplementedError(type(self).__name__)
 
     def __repr__(self) -> str:

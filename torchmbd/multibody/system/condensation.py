@@ -91,6 +91,7 @@ class _Hold:
 def _holds(T: Topology) -> list[_Hold]:
     # A body with applied forces keeps its equations of motion: the forces may depend on its rates.
     loaded = set() if T.action_vectors is None else set(T.vector_body[T.action_vectors].tolist())
+    loaded |= set() if T.beams is None else set(T.beams.bodies)
     holds = {b: _Hold(b, [], [], []) for b in range(T.flexible, T.bodies) if b not in loaded}
     placed = T.placed  # what holds in one design need not in another
     for primitive, rows in T.row_slices():
@@ -254,7 +255,8 @@ def _condensation(
             parts.append((primitive, kept))
             used |= {int(m[j]) for m in primitive.members for j in kept}
     used |= {int(i) for action in T.actions for member in action.members for i in member}
-    vectors = sorted(used)
+    beams = [] if T.beams is None else T.beams.ends.tolist()
+    vectors = sorted(used.union(beams))
     place = {old: new for new, old in enumerate(vectors)}
     primitives = tuple(
         type(p)(
@@ -277,6 +279,7 @@ def _condensation(
         ),
         tuple(prescribed_bodies.values()),
         rates,
+        [place[i] for i in beams],
     )
     return Condensation(
         T, topology, Saddle(topology), bodies, vectors, torch.tensor(rows, dtype=torch.long), independent

@@ -5,7 +5,7 @@
 
 A mechanism of many bodies has a K of small blocks: what a dense inverse spends on their zeros grows with the cube of
 their number. Block elimination is worth it from some size on (`pays`); a lane with a singular block (a body without
-inertia) goes the dense way. Applied forces couple bodies through their laws: not for them.
+inertia) goes the dense way. Applied forces couple bodies through their laws, beams through their elements: not for them.
 Checked in tests/multibody/system/test_elimination.py: against the dense inverse.
 """
 
@@ -23,7 +23,7 @@ _LARGE, _MANY = 90, 4  # unknowns and bodies from which on it was faster than th
 
 def pays(T: Topology) -> bool:
     """Whether elimination is possible and faster than a dense inverse."""
-    return not T.actions and T.bodies >= _MANY and T.n_v + T.rows >= _LARGE
+    return not T.actions and T.beams is None and T.bodies >= _MANY and T.n_v + T.rows >= _LARGE
 
 
 class Elimination:

@@ -43,6 +43,7 @@ from torch import Tensor
 from torchmbd.math.jet import Jet
 from torchmbd.math.pair import cat, contract, cross, dot, linear, matmul, matvec, matvec_t, value
 from torchmbd.math.rotation import axial, euler_rates, exponential, quaternion_product, rotation_matrix, skew
+from torchmbd.multibody.system import beams
 from torchmbd.multibody.system.topology import Prescribed, Topology
 
 INERTIA = {"mass": 0, "S0": 1, "P0": 2, "mu": 0}  # data of every body and their tensor rank
@@ -284,6 +285,14 @@ def vector_velocities(T: Topology, at: Placement, data: Data, v):
     return _with_carriers(T, rd, 1).index_select(1, T.vector_origin) + matvec(at.A_of, velocity)
 
 
+def beam_rates(T: Topology, data: Data, at: Placement, v) -> tuple[Any, Any] | None:
+    """Velocities of the attached vectors and angular velocities of their bodies; None where no beam has dampers."""
+    if "beam_damping" not in data:
+        return None
+    om = _with_carriers(T, split_v(T, v)[1], 1).index_select(1, T.vector_body)
+    return vector_velocities(T, at, data, v), om
+
+
 def _with_carriers(T: Topology, x, dim: int):
     """Append zeros for the prescribed bodies and the ground."""
 
@@ -345,6 +354,9 @@ def dynamic_residual(T: Topology, data: Data, at: Placement, v, a, lam):
     pulls = total_on_vectors(T, data, at, v, lam)
     if pulls is not None:
         forces = [x + y for x, y in zip(forces, generalized_forces(T, data, at, pulls), strict=True)]
+    if T.beams is not None:
+        force, torque = beams.resistance(T, data, at, beam_rates(T, data, at, v))
+        forces = [forces[0] + force, forces[1] + torque, forces[2]]
     force = cat([x.flatten(0, 1) for x in forces])
     return force if T.gather is None else T.gather(force)
 

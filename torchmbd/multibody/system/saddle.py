@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
+from torchmbd.multibody.system import beams
 from torchmbd.multibody.system.equations import Data, Placement, action_states
 from torchmbd.multibody.system.saddle_blocks import SaddleBlocks
 from torchmbd.multibody.system.saddle_factors import LARGE, Columns, Diagonal, Factors
@@ -44,6 +45,7 @@ class Saddle:
         self._index = torch.from_numpy(index.reshape(-1))
         sparse = T.rates is None and len(index) >= LARGE
         self.columns = Columns.of(row, column, place, len(index), zero) if sparse else None
+        self._beams = None if T.beams is None else _BeamEntries(T, self.blocks)
         acting = self.blocks.action_shapes()
         self.action_names = [name for name, _ in acting]
         rate, action, place = self.blocks.actions.places(T, places(acting), "action")
@@ -65,8 +67,10 @@ class Saddle:
         """Dense saddle-point matrix [lanes, n_v + rows, n_v + rows]; arguments as of `SaddleBlocks`."""
         flat = self._entries(data, at, stiffness, damping, v, a, lam, turn)
         size = self.T.n_v + self.T.rows
-        flat = flat.index_select(0, self._index) if self._project is None else self._project(flat)
-        K = flat.reshape(size, size, -1).permute(2, 0, 1)
+        entries = flat.index_select(0, self._index) if self._project is None else self._project(flat)
+        K = entries.reshape(size, size, -1).permute(2, 0, 1)
+        if v is not None and self._beams is not None:
+            K = K + pad(self._beams(flat), (0, self.T.rows, 0, self.T.rows))
         if v is not None and self.T.actions:
             K = K + pad(self._action_slopes(data, at, v, stiffness, damping), (0, self.T.rows, 0, self.T.rows))
         return K
@@ -97,6 +101,20 @@ class Saddle:
     def jacobian(self, data: Data, at: Placement) -> Tensor:
         """Phi_q [lanes, rows, n_v]."""
         return self.matrix(data, at)[:, self.T.n_v :, : self.T.n_v]
+
+
+class _BeamEntries:
+    """What beam elements add to the matrix of the rates [lanes, n_v, n_v], from the flat entries of all blocks."""
+
+    def __init__(self, T: Topology, blocks: SaddleBlocks):
+        row, column, place = beams.places(T, places(blocks.shapes())["beam"])
+        self.size, self.rates = T.n_rates, T.rates
+        self.to, self.place = torch.from_numpy(row * T.n_rates + column), torch.from_numpy(place)
+
+    def __call__(self, flat: Tensor) -> Tensor:
+        K = flat.new_zeros(self.size**2, flat.shape[-1]).index_add(0, self.to, flat[self.place])
+        K = K.reshape(self.size, self.size, -1).permute(2, 0, 1)
+        return K if self.rates is None else self.rates.T @ K @ self.rates
 
 
 def _flat(blocks: dict[str, Tensor], names: list[str], lanes: int) -> Tensor:

@@ -4,6 +4,7 @@
     pull, pull_back, twist, twist_back    forces by w'', modal forces by r'', torques by w'', modal forces by omega'
     modal                                 modal forces by w''
     row_force, row_torque, row_modal      Phi_q' by pairs (row, body);  row_turn: torques in Phi_q
+    beam                                  forces and torques of beam elements by both ends; of an iteration matrix only
 
 `stiffness`, `damping`: factors of Kr and D added to the modal mass, and derivatives of all other forces by coordinates
 and rates, make the iteration matrix of an implicit integrator out of the same text.
@@ -19,8 +20,18 @@ from torch import Tensor
 
 from torchmbd.math.pair import cat, cross, matmul, matvec, matvec_t
 from torchmbd.math.rotation import axial, skew
-from torchmbd.multibody.system.equations import Data, Placement, frame_share, moments, split_v, total_on_vectors
-from torchmbd.multibody.system.topology import SegmentSum, Topology
+from torchmbd.multibody.system import beams
+from torchmbd.multibody.system.equations import (
+    Data,
+    Placement,
+    beam_rates,
+    frame_share,
+    moments,
+    split_v,
+    total_on_vectors,
+)
+from torchmbd.multibody.system.index_maps import SegmentSum
+from torchmbd.multibody.system.topology import Topology
 from torchmbd.multibody.system.unit_forces import Block, UnitForces
 
 Moments = tuple[Tensor, Tensor, Tensor | None, Any]  # S, P, G and s above R1 of equations.moments
@@ -49,7 +60,11 @@ class SaddleBlocks:
         ]
         rows = self.rows.shapes(m, "row") if self.T.rows else []
         rows += [("row_turn", rows[1][1])] if rows else []
-        return shapes + rows
+        return shapes + rows + self._beam_shapes()
+
+    def _beam_shapes(self) -> list[Block]:
+        T = self.T
+        return [] if T.beams is None else [("beam", (12, 12, len(T.beams.ends) // 2))]
 
     def action_shapes(self) -> list[Block]:
         """Of the directions of the actions."""
@@ -87,6 +102,8 @@ class SaddleBlocks:
             pulls = total_on_vectors(T, data, at, v, lam)
             if pulls is not None:
                 self._add_geometric(blocks, data, at, stiffness, pulls)
+        if T.beams is not None and v is not None:
+            blocks["beam"] = beams.stiffness(T, data, at, beam_rates(T, data, at, v), stiffness, damping)
         if T.rows:
             blocks |= self._row_blocks(data, at)
             blocks["row_turn"] = self._by_increment(blocks["row_torque"], turn)

@@ -11,7 +11,8 @@ from dataclasses import replace
 
 import torch
 
-from torchmbd.multibody.system.topology import SegmentSum, Topology
+from torchmbd.multibody.system.index_maps import SegmentSum
+from torchmbd.multibody.system.topology import Topology
 
 
 def selected(T: Topology, rows: Sequence[int]) -> Topology:

@@ -29,8 +29,9 @@ from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.forces.laws import VARIABLES
 from torchmbd.multibody.joints.drive import VARIABLES as OF_DRIVES
-from torchmbd.multibody.joints.joint import Joint
+from torchmbd.multibody.joints.joint import AttachmentTable, Joint
 from torchmbd.multibody.system import topology
+from torchmbd.multibody.system.beams import beam_data
 from torchmbd.multibody.system.description import Description, check_connected, describe
 from torchmbd.multibody.system.design_tangents import tangents_of
 from torchmbd.multibody.system.diagram import html
@@ -321,6 +322,8 @@ class System(nn.Module):
         ):
             data |= given_start(T, [*flexible, *rigid])
             data |= self._start.data(T, [*flexible, *rigid], {name: data[name] for name in START})
+        if T.beams is not None:
+            data |= beam_data([force.beam_data() for force in self.forces if force.beams(AttachmentTable())])
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data

@@ -11,9 +11,6 @@ Prescribed bodies are bodies whose motion is known: the ground, and before it th
 (prescribed_body.py).
 They follow the bodies in `vector_body`. `rates`, where a condensation left it, gives the rates of all bodies from
 independent ones; v and a then hold the independent ones, which only `split_v` and `dynamic_residual` know.
-
-Sums over attached vectors are gathers from a padded table (`SegmentSum`): one gather and one sum whatever the number of
-joints, and no atomic additions.
 """
 
 from __future__ import annotations
@@ -28,7 +25,7 @@ import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.math.pair import cat, linear, value
+from torchmbd.math.pair import value
 from torchmbd.multibody.bodies import Ground
 from torchmbd.multibody.forces.action import KINDS as ACTIONS
 from torchmbd.multibody.forces.action import Action
@@ -36,56 +33,9 @@ from torchmbd.multibody.forces.feedback import Links
 from torchmbd.multibody.forces.force import Applied, ForceElement
 from torchmbd.multibody.joints.joint import Attached, AttachmentTable, Equation, Joint
 from torchmbd.multibody.joints.primitive import KINDS, Primitive
+from torchmbd.multibody.system.beams import Beams
+from torchmbd.multibody.system.index_maps import SegmentSum, SparseMap
 from torchmbd.multibody.system.prescribed_body import PrescribedBody
-
-
-class SegmentSum:
-    """Sum columns of a number into groups: [k, n, ...] -> [k, groups, ...]."""
-
-    def __init__(self, group: Sequence[int], groups: int):
-        members: list[list[int]] = [[] for _ in range(groups)]
-        for column, g in enumerate(group):
-            if g >= 0:
-                members[g].append(column)
-        width = max((len(m) for m in members), default=0)
-        padding = len(group)  # an extra column of zeros
-        self.groups, self.width = groups, width
-        table: list[list[int]] = [m + [padding] * (width - len(m)) for m in members]
-        self.table = torch.tensor([m[k] for k in range(width) for m in table], dtype=torch.long)
-        self.padded = any(padding in m for m in table)
-
-    def __call__(self, *parts):
-        """Sum the columns of all parts, concatenated."""
-        if self.width == 0:
-            return linear(lambda y: y.new_zeros(y.shape[0], self.groups, *y.shape[2:]), parts[0])
-        columns = list(parts)
-        if self.padded:
-            columns.append(linear(lambda y: torch.zeros_like(y[:, :1]), columns[0]))
-        x = cat(columns, 1) if len(columns) > 1 else columns[0]
-        x = x.index_select(1, self.table)
-        return x if self.width == 1 else x.unflatten(1, (self.width, self.groups)).sum(1)
-
-
-class SparseMap:
-    """A constant matrix [m, k] with few entries in a row: y = matrix x on numbers [k, ...], one gather."""
-
-    def __init__(self, matrix: Tensor):
-        entries = [[(j, float(c)) for j, c in enumerate(row) if c != 0.0] for row in matrix.tolist()]
-        self.rows, self.width = len(entries), max((len(e) for e in entries), default=0)
-        padded = [e + [(0, 0.0)] * (self.width - len(e)) for e in entries]
-        self.table = torch.tensor([e[k][0] for k in range(self.width) for e in padded], dtype=torch.long)
-        factors = torch.tensor([e[k][1] for k in range(self.width) for e in padded], dtype=torch.float64)
-        self.factors = None if bool((factors == 1.0).all()) else factors[:, None, None]
-        self.matrix = matrix
-
-    def some(self, rows: list[int]) -> SparseMap:
-        """The map of some rows."""
-        return SparseMap(self.matrix[rows])
-
-    def __call__(self, x):
-        y = x.index_select(0, self.table)
-        y = y if self.factors is None else y * self.factors
-        return y if self.width == 1 else y.unflatten(0, (self.width, self.rows)).sum(0)
 
 
 class Prescribed(NamedTuple):
@@ -129,6 +79,7 @@ class Topology:
     actions: tuple[Action, ...] = ()
     action_vectors: Tensor | None = None  # vectors of all arguments of all actions, in order
     action_sum: SegmentSum | None = None  # applied forces of the arguments -> vectors
+    beams: Beams | None = None  # elements of beams between rigid bodies
     prescribed_bodies: tuple[PrescribedBody, ...] = ()
     rates: Tensor | None = None  # [rates of all bodies, independent rates]
     spread: SparseMap | None = None  # the same
@@ -254,6 +205,7 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[Force
     attachments = AttachmentTable()
     equations = [(joint, equation) for joint in joints for equation in _checked(joint, attachments, number)]
     applied = [action for force in forces for action in _acting(force, attachments, number)]
+    ends = [pair for force in forces for pair in force.beams(attachments)]
     bends = [number.get(id(x.body), ground) < flexible for x in attachments.vectors]
     arrangement = sorted(range(len(bends)), key=lambda i: not bends[i])
     position = {old: new for new, old in enumerate(arrangement)}
@@ -262,7 +214,9 @@ def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[Force
     own = tuple(body.modes for body in order[:flexible])
     primitives, rows, row_joints = _group(equations, position)
     actions = _group_actions(applied, position)
-    return assemble([body.name for body in order], own, attached, body_of, primitives, rows, row_joints, actions)
+    beams = [position[pair[k]] for k in range(2) for pair in ends]
+    names = [body.name for body in order]
+    return assemble(names, own, attached, body_of, primitives, rows, row_joints, actions, beams=beams)
 
 
 def assemble(
@@ -276,9 +230,10 @@ def assemble(
     actions: tuple[Action, ...] = (),
     prescribed_bodies: tuple[PrescribedBody, ...] = (),
     rates: Tensor | None = None,
+    beams: Sequence[int] = (),
 ) -> Topology:
     """Make the index tensors. body_of: body of each attached vector, prescribed bodies after the bodies; flexible bodies
-    first."""
+    first; beams: attached points of the starts of beam elements, then of their ends."""
     n, flexible, ground = len(names), len(own_modes), len(names) + len(prescribed_bodies)
     argument_vectors, action_vectors = (
         [int(i) for kind in kinds for member in kind.members for i in member] for kinds in (primitives, actions)
@@ -308,6 +263,7 @@ def assemble(
         actions=actions,
         action_vectors=torch.tensor(action_vectors, dtype=torch.long) if actions else None,
         action_sum=SegmentSum(action_vectors, len(attached)) if actions else None,
+        beams=Beams.of(beams, body_of, n) if beams else None,
         prescribed_bodies=prescribed_bodies,
         rates=rates,
         spread=None if rates is None else SparseMap(rates),

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 
 from torchmbd.math.pair import cross, matvec_t
-from torchmbd.multibody.system.topology import SegmentSum, Topology
+from torchmbd.multibody.system.index_maps import SegmentSum
+from torchmbd.multibody.system.topology import Topology
 
 Block = tuple[str, tuple[int, ...]]  # name and shape
 

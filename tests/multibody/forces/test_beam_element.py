@@ -1,0 +1,64 @@
+"""BeamElement: an arc in closed form, gradients by its stiffness on both backends, and what it refuses."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import nn
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.multibody.system.test_beams import SECTION, chain, coupled
+
+GROUND = mbd.Ground()
+
+
+def tip(**given) -> mbd.RigidBody:
+    return mbd.RigidBody("tip", 1.0, (0.01, 0.01, 0.01), position=(0.5, 0, 0), **given)
+
+
+def test_rolls_up_to_an_arc():
+    """A moment M turns one element of length L by M L / E I, 0.6 rad: the tip of an arc."""
+    body, angle = tip(), 0.6
+    strip = mbd.BeamElement(GROUND.at(), body.at(), SECTION.stiffness() / 0.5)
+    moment = angle * float(SECTION.stiffness()[5, 5]) / 0.5
+    rest = mbd.equilibrium(mbd.System([body], [], [strip, mbd.Torque(body.at(), (0, 0, moment))]))
+    radius = torch.tensor(0.5 / angle, dtype=torch.float64)
+    turned = torch.tensor([angle], dtype=torch.float64)
+    wanted = radius * torch.cat([turned.sin(), 1.0 - turned.cos(), torch.zeros(1, dtype=torch.float64)])
+    assert_close(rest.body("tip").r[0, 0], wanted, atol=1e-9, rtol=0)
+
+
+def place(K: torch.Tensor, backend: str, gradients: str = "auto") -> torch.Tensor:
+    system = chain(1e-3, nn.Parameter(coupled()))
+    motion = mbd.simulate(system, 0.2, steps=40, designs={"first.stiffness": K}, backend=backend, gradients=gradients)
+    return motion.body("c").r[:, -1]
+
+
+@pytest.mark.parametrize("backend", ["eager", "native"])
+def test_gradients_by_stiffness(backend):
+    K, h = coupled(), 1e-3
+    along = torch.zeros(6, 6, dtype=torch.float64)
+    along[5, 5], along[0, 4], along[4, 0] = 1.0, 0.5, 0.5
+    near = torch.stack([K - 2 * h * 10 * along, K - h * 10 * along, K + h * 10 * along, K + 2 * h * 10 * along])
+    x = place(near, backend, "none")
+    wanted = (8.0 * (x[2] - x[1]) - (x[3] - x[0])) / (12.0 * h * 10)
+    for gradients in ("forward", "reverse"):
+        design = K[None].clone().requires_grad_()
+        found = [torch.autograd.grad(y, design, retain_graph=True)[0] for y in place(design, backend, gradients)[0]]
+        by = torch.stack([(g[0] * along).sum() for g in found])
+        assert_close(by, wanted, rtol=1e-6, atol=1e-6 * float(wanted.abs().max()))
+
+
+def test_refusals():
+    K = SECTION.stiffness()
+    with pytest.raises(mbd.InputError, match="not positive definite"):
+        mbd.BeamElement(GROUND.at(), tip().at(), torch.diag(torch.tensor([1.0, 1, 1, -1, 1, 1])))
+    with pytest.raises(mbd.InputError, match="not symmetric"):
+        mbd.BeamElement(GROUND.at(), tip().at(), K + torch.ones(6, 6).triu(1))
+    with pytest.raises(mbd.InputError, match="damping of"):
+        mbd.BeamElement(GROUND.at(), tip().at(), K, damping=-1.0)
+    with pytest.raises(mbd.InputError, match="varies with the design"):
+        mbd.BeamElement(GROUND.at(), tip().at(mbd.variable(0.1)), K)
+    with pytest.raises(mbd.InputError, match="on a flexible body"):
+        mbd.BeamElement(GROUND.at(), mbd.examples.arm().body("arm").at("right"), K)

@@ -1,0 +1,125 @@
+"""An elastic connection of two frames, as one element of a beam: any rotations, coupled stiffness.
+
+    l = log(H_a^-1 H_b),    f = K (l - l_0 + d l')
+
+H_a, H_b   the two frames; l their relative screw in the axes of a: (rho, phi), phi the rotation vector; l_0 at the given
+           initial positions
+
+A straight beam of length L with the stiffness S of its sections has K = S / L: forces and moments N, V_y, V_z, T, M_y,
+M_z by strains, and l - l_0 is L times these. Equations in system/beams.py.
+Checked in tests/multibody/forces/test_beam_element.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.math.owned import parameter, reals, scalar
+from torchmbd.math.rigid_motion import LARGEST, logarithm
+from torchmbd.math.variable import Variables
+from torchmbd.multibody.bodies.frame import Frame
+from torchmbd.multibody.forces.force import ForceElement
+from torchmbd.multibody.joints.joint import AttachmentTable
+
+
+class BeamElement(ForceElement):
+    """An elastic connection of two frames of rigid bodies, whose displacements and rotations are not small.
+
+    a, b       frames of rigid bodies, or of the ground
+    stiffness  forces [N] and moments [N m] by the screw from a to b in the axes of a, symmetric and positive definite [6, 6];
+               of a straight beam of length L along x the stiffness of its sections by L; a torch.nn.Parameter is the design
+               variable "NAME.stiffness"
+    damping    time [s]: forces grow by stiffness x damping x rate of the screw
+    name       of the element, and of its design variable
+
+    It has no force at the given initial positions, however the frames lie there. Its energy is part of the strain energy.
+
+    >>> S = mbd.GivenSection.isotropic(E=70e9, nu=0.3, density=2700.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9).stiffness()
+    >>> tip = mbd.RigidBody("tip", 1.0, (0.01, 0.01, 0.01), position=(0.5, 0, 0))
+    >>> strip = mbd.BeamElement(mbd.Ground().at(), tip.at(), S / 0.5, name="strip")
+    >>> rest = mbd.equilibrium(mbd.System([tip], [], [strip, mbd.Torque(tip.at(), (0, 0, 70.0))]))
+    >>> rest.body("tip").r[0, 0].round(decimals=4).tolist()  # an arc of half a radian [m]
+    [0.4794, 0.1224, 0.0]
+    """
+
+    def __init__(self, a: Frame, b: Frame, stiffness: Sequence | Tensor, damping: float = 0.0, name: str | None = None):
+        super().__init__((a, b), name)
+        for frame in self.frames:
+            _check(self.name, frame)
+        given = f"stiffness of {self.name!r}"
+        own = nn.ParameterDict()
+        if isinstance(stiffness, nn.Parameter):
+            own["stiffness"] = parameter(given, stiffness)
+        K = reals(given, stiffness.detach() if isinstance(stiffness, Tensor) else stiffness)
+        check_stiffness(given, K)
+        self.stiffness: Tensor = own["stiffness"] if len(own) else K
+        self._own = own
+        self.damping = damping_time(self.name, damping)
+        self.rest = _screw(a, b)
+        if float(self.rest[3:].norm()) > LARGEST:
+            raise InputError(f"frames of {self.name!r} are turned by more than {LARGEST} rad; allowed: less")
+
+    @property
+    def variables(self) -> Variables | None:
+        """The stiffness, if it varies."""
+        return Variables.of(self._own)
+
+    def actions(self, attachments: AttachmentTable) -> list:
+        """None: it is an element of a beam."""
+        return []
+
+    def beams(self, attachments: AttachmentTable) -> list[tuple[int, int]]:
+        """Its two points."""
+        a, b = self.frames
+        return [(attachments.point(a), attachments.point(b))]
+
+    def beam_data(self) -> dict[str, Tensor]:
+        """Of one element; the stiffness is made symmetric, as its energy sees it."""
+        K = self._own["stiffness"] if len(self._own) else self.stiffness
+        a, b = self.frames
+        found = {"beam_stiffness": 0.5 * (K + K.mT)[..., None, :, :], "beam_rest": self.rest[None]}
+        found |= {"beam_start": a.axes[None], "beam_end": b.axes[None]}
+        return found | damping_data(self.damping, 1)
+
+
+def damping_time(name: str, damping: float) -> float:
+    """A time [s], zero or positive."""
+    if not scalar(f"damping of {name!r}", damping) >= 0.0:
+        raise InputError(f"damping of {name!r} is {damping!r} s; allowed: zero or positive")
+    return float(damping)
+
+
+def damping_data(time: float, count: int) -> dict[str, Tensor]:
+    """Of so many elements; empty without dampers."""
+    return {"beam_damping": torch.full((count,), time, dtype=torch.float64)} if time else {}
+
+
+def check_stiffness(name: str, K: Tensor) -> None:
+    """InputError for anything but a symmetric positive definite matrix [6, 6]."""
+    allowed = "a symmetric, positive definite matrix [6, 6]"
+    if K.shape != (6, 6) or not bool(torch.isfinite(K).all()):
+        raise InputError(f"{name} has shape {tuple(K.shape)} or is not finite; allowed: {allowed}")
+    size = K.diagonal().abs().sqrt()
+    if bool(((K - K.T).abs() > 1e-9 * size[:, None] * size).any()):
+        raise InputError(f"{name} is not symmetric; allowed: {allowed}")
+    if int(torch.linalg.cholesky_ex(K)[1]):
+        raise InputError(f"{name} is not positive definite; allowed: {allowed}")
+
+
+def _check(name: str, frame: Frame) -> None:
+    allowed = "frames of rigid bodies without design variables, and of the ground"
+    if frame.interpolation is not None:
+        raise InputError(f"{name!r} ends at {frame!r}, on a flexible body; allowed: {allowed}")
+    if frame.place is not None or isinstance(frame.body.position, nn.Parameter):
+        raise InputError(f"{name!r} ends at {frame!r}, whose place varies with the design; allowed: {allowed}")
+
+
+def _screw(a: Frame, b: Frame) -> Tensor:
+    """From a to b at the given initial positions [6]."""
+    x, y = (frame.body.position + frame.body.axes @ frame.point for frame in (a, b))
+    A, B = (frame.body.axes @ frame.axes for frame in (a, b))
+    return logarithm(A.T @ (y - x), A.T @ B)
