@@ -92,7 +92,7 @@ def test_responses_have_units():
 def test_responses_in_words():
     both = {"weighted_sum": [{"weight": 1, "integral": {"squared": TWIST_SPEC}}, {"weight": 2, "mass": "rod"}]}
     assert words(both) == "weighted sum"
-    assert words(both["weighted_sum"][0]) == "integral of squared relative displacement of rod"
+    assert words(both["weighted_sum"][0]) == "integral of squared z relative displacement of rod"
     assert terms(both, ("minimize",))[1] == ({"mass": "rod"}, ("minimize", "weighted_sum", 1))
     assert terms({"mass": "rod"}) == [({"mass": "rod"}, ())]
     assert words({"window": [0, 1], "max": {"strain_energy": "rod"}}, bodies=False) == "max of strain energy"

@@ -20,8 +20,8 @@ def tip_deviation(motion, factor=1.0):
     ("response", "said"),
     [
         (mbd.Integral(mbd.StrainEnergy("rod")), "integral of strain energy of rod [J s]"),
-        (mbd.Max(abs(X - 0.3)), "max of |position of rod - 0.3| [m]"),
-        (mbd.Max(X**2 + Y**2), "max of squared position of rod + squared position of rod [m²]"),
+        (mbd.Max(abs(X - 0.3)), "max of |x position of rod - 0.3| [m]"),
+        (mbd.Max(X**2 + Y**2), "max of squared x position of rod + squared y position of rod [m²]"),
         (mbd.Max(mbd.history(tip_deviation)), "max of tip deviation"),
         (mbd.Max(mbd.history(partial(tip_deviation, factor=2.0))), "max of tip deviation"),
         (-mbd.Frequency("rod"), "-frequency of rod [Hz]"),
@@ -30,7 +30,7 @@ def tip_deviation(motion, factor=1.0):
         (mbd.Mass("a") * mbd.Mass("b"), "mass of a · mass of b [kg²]"),
         (1e3 * mbd.Mass(), "1000 · mass"),
         (mbd.WeightedSum([(1.0, mbd.Mass("a"))]), "weighted sum"),
-        (mbd.RMS(mbd.Reaction("hinge", "z", kind="torque")), "rms of reaction of hinge [N m]"),
+        (mbd.RMS(mbd.Reaction("hinge", "z", kind="torque")), "rms of z reaction of hinge [N m]"),
     ],
 )
 def test_titles(response, said):
@@ -38,5 +38,5 @@ def test_titles(response, said):
 
 
 def test_without_bodies():
-    assert words(mbd.Max(X), bodies=False) == "max of position"
+    assert words(mbd.Max(X), bodies=False) == "max of x position"
     assert unit(mbd.Max(X * Y)) == "m²"

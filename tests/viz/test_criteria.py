@@ -43,7 +43,7 @@ def test_every_history_is_drawn_once_with_its_limits(problem, motion, tmp_path):
     figure = mbd.viz.criteria_over_time(problem, motion, LABELS, "What is best?")
     energy, angle, failure = figure.axes
     assert energy.get_ylabel() == "strain energy of arm [J]"
-    assert angle.get_ylabel() == "angle of arm, z [deg]"
+    assert angle.get_ylabel() == "angle about z of arm [deg]"
     for axes, history, factor in ((energy, ENERGY, 1.0), (angle, ANGLE, 180.0 / np.pi), (failure, FAILURE, 1.0)):
         assert_allclose(curves(axes)[:2], factor * history(motion).detach().numpy())
     assert_allclose(curves(energy)[2], problem.limits[0])
@@ -90,7 +90,7 @@ def test_responses_over_the_iterations_are_in_their_units(problem, motion):
         "weighted sum",
         "max of strain energy of arm [J]",
         "max of ply failure of arm",
-        "min of angle of arm [deg]",
+        "min of angle about z of arm [deg]",
         "mass of arm [kg]",
     ]
     expected = [c.measure(motion).detach().numpy() for c in problem.constraints]

@@ -16,6 +16,7 @@ of the batch are not touched. What is said to be "initial" comes from one simula
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -220,8 +221,20 @@ class Problem(Summary):
     @property
     def equalities(self) -> np.ndarray:
         """Indices of the rows that must vanish."""
-        kinds = ["at_most"] * self.peaks + [c.kind for c in self.constraints for _ in range(c.measure.rows)]
+        own = zip(self.constraints, self.constraint_rows, strict=True)
+        kinds = ["at_most"] * self.peaks + [c.kind for c, rows in own for _ in range(rows.start, rows.stop)]
         return np.array([i for i, kind in enumerate(kinds) if kind == "equal"], dtype=int)
+
+    @property
+    def constraint_rows(self) -> list[slice]:
+        """Rows of every constraint, after those of the extra variable."""
+        ends = np.cumsum([0, *(c.measure.rows * self._repeats for c in self.constraints)]).tolist()
+        return [slice(first, last) for first, last in itertools.pairwise(ends)]
+
+    @property
+    def _repeats(self) -> int:
+        """Rows of a constraint for each one of its measure."""
+        return 1
 
     def _checked(self, X: Any, *sizes: int) -> np.ndarray:
         X = as_numbers("designs", X)

@@ -125,12 +125,6 @@ class Scenarios(Problem):
     def _repeats(self) -> int:
         return len(self.scenarios) if self._of_constraints == "each" else 1
 
-    @property
-    def equalities(self) -> np.ndarray:
-        kinds = ["at_most"] * self.peaks
-        kinds += [c.kind for c in self.constraints for _ in range(c.measure.rows * self._repeats)]
-        return np.array([i for i, kind in enumerate(kinds) if kind == "equal"], dtype=int)
-
     def motions(self, x: np.ndarray) -> Trajectory:
         """Motions of one design [n], a lane for each scenario."""
         return self._simulated(np.asarray(x, dtype=float)[None], False, list(self.scenarios.values()))

@@ -67,6 +67,9 @@ def words(response: Response, bodies: bool = True) -> str:
     inner = getattr(response, "history", None)
     if isinstance(inner, History):
         return f"{name} of {words(inner, bodies)}"
+    axis = getattr(response, "axis", None)
+    if isinstance(axis, str):
+        name = f"{name} about {axis}" if name == "angle" else f"{axis} {name}"
     named = getattr(response, "body", getattr(response, "joint", None))
     return f"{name} of {named}" if bodies and isinstance(named, str) else name
 

@@ -56,6 +56,8 @@ def print_results(study: StudySettings, found: MultistartResult, failures: Seque
         )
 
 
+_SHOWN = 6  # design variables that have room in a legend
+
 Visited = tuple[np.ndarray, np.ndarray]  # designs [m, n], objectives [m]
 
 
@@ -161,8 +163,9 @@ def _motion_pictures(
     study: StudySettings, designs: np.ndarray, problem: Problem, journal: Journal, console: Console
 ) -> None:
     motion = problem.simulate(designs).require_ok()
-    shown = [study.columns.sentence(x) for x in designs]
-    labels = [f"start design ({shown[0]})", f"best design ({shown[1]})"]
+    labels = ["start design", "best design"]
+    if designs.shape[1] <= _SHOWN:
+        labels = [f"{label} ({study.columns.sentence(x)})" for label, x in zip(labels, designs, strict=True)]
     title = study.question or study.name
     given = {"motion": motion, "labels": labels, "title": title}
     draw(criteria_over_time, _both("criteria_over_time"), journal, console, problem=problem, **given)

@@ -6,7 +6,6 @@ Names and units come from the responses (design/words.py); angles are drawn in d
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,7 @@ from torchmbd.design.weighted import WeightedSum
 from torchmbd.design.words import unit, words
 from torchmbd.errors import InputError
 from torchmbd.viz.animation import require_motion
-from torchmbd.viz.figures import BAD, BEST, CYCLE, OTHER, figure_of, over_time, titled
+from torchmbd.viz.figures import BAD, BEST, CYCLE, OTHER, figure_of, over_time, titled, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -106,7 +105,8 @@ def criteria_over_iterations(
     'iteration'
     """
     _require(problem)
-    searches = {name: history for name, history in searches.items() if len(history)}
+    searches = {name: [i for i in history if np.isfinite(i.objective)] for name, history in searches.items()}
+    searches = {name: history for name, history in searches.items() if history}
     if not searches:
         raise InputError("searches is empty; allowed: at least one start with one iterate")
     figure, rows = figure_of(1.4 + 1.5 * (1 + len(problem.constraints)), rows=1 + len(problem.constraints))
@@ -227,8 +227,7 @@ def _asked(asked: Measure | Constraint, limit: float | None) -> str:
 
 def _first_limits(problem: Problem) -> list[float]:
     """The limit of every constraint [SI]: all rows of one have the same."""
-    sizes = [constraint.measure.rows for constraint in problem.constraints]
-    return [float(problem.limits[k]) for k in np.cumsum([0, *sizes])[:-1]] if sizes else []
+    return [float(problem.limits[rows.start]) for rows in problem.constraint_rows]
 
 
 def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
@@ -236,11 +235,8 @@ def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
     factor, _ = _shown(unit(problem.objective))
     curves = [factor * np.array([iterate.objective for iterate in history])]
     scaled = np.array([np.atleast_1d(iterate.constraints) for iterate in history])
-    first = problem.peaks
-    for constraint in problem.constraints:
-        rows = slice(first, first := first + constraint.measure.rows)
-        own = slice(rows.start - problem.peaks, rows.stop - problem.peaks)
-        part = scaled[:, rows]
+    for constraint, own in zip(problem.constraints, problem.constraint_rows, strict=True):
+        part = scaled[:, problem.peaks + own.start : problem.peaks + own.stop]
         nearest = np.argmax(np.abs(part) if constraint.kind == "equal" else part, axis=1)
         values = part * problem.reference.scale[own] + problem.limits[own]
         factor, _ = _shown(unit(constraint.measure))
@@ -278,12 +274,13 @@ def _shown(si: str | None) -> tuple[float, str]:
 
 def _full(history: History) -> str:
     """A history in words, with the point and the direction that it is of."""
-    own = [getattr(history, name, None) for name in ("node", "axis")]
+    node, axis = (getattr(history, name, None) for name in ("node", "axis"))
+    own = [node, None if isinstance(axis, str) else axis]
     return ", ".join([words(history), *(str(x) for x in own if x is not None)])
 
 
 def _label(said: str, name: str, width: int = 30) -> str:
-    return "\n".join(textwrap.wrap(f"{said} [{name}]" if name else said, width))
+    return wrapped(f"{said} [{name}]" if name else said, width)
 
 
 def _colors(count: int) -> list[str]:

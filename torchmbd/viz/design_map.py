@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.viz.figures import CYCLE, OTHER, degrees, figure_of
+from torchmbd.viz.figures import CYCLE, OTHER, degrees, figure_of, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -78,7 +78,7 @@ def design_map(
     axes.use_sticky_edges = False  # contours: what lies at the border is seen as a whole
     axes.autoscale_view()
     axes.set_xlabel(headings[0])
-    axes.set_ylabel(headings[1] if len(headings) == 2 else objective)
+    axes.set_ylabel(headings[1] if len(headings) == 2 else wrapped(objective, 50))
     degrees(axes, **dict(zip("xy", headings, strict=False)))
     axes.plot([], [], "s", color="black", ms=5, mfc="white", label="start")
     axes.plot([], [], "*", color="black", ms=9, label="end")
@@ -123,4 +123,4 @@ def _two(axes: Axes, X: np.ndarray, y: np.ndarray, objective: str, contours: boo
         levels = np.geomspace(y.min(), y.max(), 13)[1:] if wide else 12
         axes.tricontour(X[:, 0], X[:, 1], y, levels=levels, colors="#d0d0d0", linewidths=0.7, zorder=0)
     dots = axes.scatter(X[:, 0], X[:, 1], c=y, s=12, cmap="viridis", norm="log" if wide else None, zorder=1)
-    axes.figure.colorbar(dots, ax=axes, label=objective)
+    axes.figure.colorbar(dots, ax=axes, label=wrapped(objective, 50))

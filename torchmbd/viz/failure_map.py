@@ -163,6 +163,5 @@ def _lengths(sizes: Tensor) -> np.ndarray:
 def _finish(axes: Axes, part: str, criterion: str) -> None:
     axes.set_ylabel(f"failure index ({criterion.replace('_', ' ')})", fontsize=8)
     axes.set_ylim(bottom=0.0)
-    axes.legend(frameon=False, fontsize=8)
-    if part:
-        axes.set_title(part, loc="left", fontsize=8)
+    title = {"title": part, "title_fontsize": 8} if part else {}
+    axes.legend(frameon=False, fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.0), alignment="left", **title)

@@ -48,7 +48,7 @@ def convergence(
     values = np.concatenate([np.asarray(values, dtype=float) for values in objectives.values()])
     if (values > 0).all():
         top.set_yscale("log")
-    top.set_ylabel(ylabel)
+    top.set_ylabel(wrapped(ylabel, 45))
     if best is not None:
         top.legend(frameon=False, loc="upper right")
     bottom.set_ylabel("violation")
@@ -167,6 +167,11 @@ def degrees(axes: Axes, x: str = "", y: str = "") -> None:
     for axis, heading in ((axes.xaxis, x), (axes.yaxis, y)):
         if heading.endswith("[deg]"):
             axis.set_major_locator(MaxNLocator(nbins=9, steps=[1.5, 3.0, 4.5, 9.0]))
+
+
+def wrapped(text: str, width: int) -> str:
+    """A long title of an axis in several lines."""
+    return "\n".join(line for part in text.splitlines() for line in textwrap.wrap(part, width))
 
 
 def figure_of(height: float, rows: int = 1, ratios: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
