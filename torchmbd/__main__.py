@@ -1,0 +1,5 @@
+"""`python -m torchmbd` is the command `torchmbd`."""
+
+from torchmbd.cli import main
+
+main()
