@@ -27,6 +27,7 @@ LAYERS = (
     {"viz", "tracking"},
     {"study"},
     {"api", "cli"},
+    {"__main__"},
 )
 HEIGHT = {name: height for height, names in enumerate(LAYERS) for name in names}
 # Narrower than their layer: modes are those of any K and M, optimizers know arrays only.
