@@ -88,11 +88,14 @@ def first_file() -> str:
         return f"```yaml\n{file.read_text(encoding='utf-8')}```\n"
 
 
+_SECTIONS = ("Variable", "Simulation", "Scenario", "Combine", "Optimizer", "Starts", "Range")
+
+
 def file_keys() -> str:
     """A table of keys for each section of an experiment file, from its schema."""
     schema = json_schema()
     sections = {"(top of the file)": schema["else"], "(top of a file of pictures)": schema["then"]}
-    sections |= {name: schema["$defs"][name] for name in ("Variable", "Simulation", "Optimizer", "Starts", "Range")}
+    sections |= {name: schema["$defs"][name] for name in _SECTIONS}
     sections["Tracking"] = schema["$defs"]["Tracking"]
     tables = [_keys(name, section) for name, section in sections.items()]
     words = {"Measure": "of a whole motion or of the design", "History": "of every time"}
@@ -109,7 +112,7 @@ def _keys(name: str, section: Mapping[str, Any]) -> str:
         f"| `{key}` | {_kind(entry)} | {'required' if key in required else _default(entry)} |"
         for key, entry in section["properties"].items()
     ]
-    said = (section.get("description") or "").partition("\n")[0]
+    said = _cell((section.get("description") or "").partition("\n")[0])
     return "\n".join([f"### {name}\n", f"{said}\n", "| key | takes | default |", "|---|---|---|", *rows, ""])
 
 

@@ -74,6 +74,8 @@ class Problem(Summary):
     system      the model; its parameters are the candidates for design variables
     duration    simulated time [s]
     minimize    a measure, such as Integral(StrainEnergy("rod")); of several rows: their largest
+    maximize    a measure of one number, instead of `minimize`. Evaluations and results of optimizers have its negative, which
+                is minimized; tables, records and pictures of a study have its value
     subject_to  a constraint, such as Max(StrainEnergy("rod")) <= "initial", or a list of them
     bounds      (lower, upper) of the design variables: numbers for all, one for each, or a mapping from parameter
                 names to such pairs [rad for angles]
@@ -105,7 +107,7 @@ class Problem(Summary):
         self,
         system: System,
         duration: float,
-        minimize: Measure,
+        minimize: Measure | None = None,
         subject_to: Constraint | Sequence[Constraint] = (),
         bounds: Any = (-np.inf, np.inf),
         variables: Sequence[str] | None = None,
@@ -118,17 +120,18 @@ class Problem(Summary):
         gradients: str = "auto",
         backend: str = "auto",
         motion_start: Any = "assembled",
+        maximize: Measure | None = None,
         **options: Any,
     ):
         if not isinstance(system, System):
             raise InputError(f"system is {system!r}; allowed: a System")
-        if not isinstance(minimize, Measure):
-            raise InputError(f"minimize is {minimize!r}; allowed: a measure, such as Integral(StrainEnergy('rod'))")
         subject_to = constraints_of(subject_to)
         if isinstance(start, str):
             start, motion_start = None, start
         start_of(system, motion_start)
         integrator = check(duration, method, steps, options, phases is not None, argument_names(Problem))
+        self.asked, self.sign = _asked(minimize, maximize)
+        minimize = self.asked if self.sign > 0.0 else -self.asked
         if phases is not None:
             plan(system, phases, duration)
         for measure in (minimize, *(constraint.measure for constraint in subject_to)):
@@ -170,7 +173,7 @@ class Problem(Summary):
     def _summary(self) -> list[tuple[str, Any]]:
         start = [f"{name} = {x:.6g}" for name, x in zip(self.names, self.start, strict=True)]
         return [
-            ("minimize", self.objective),
+            ("minimize" if self.sign > 0.0 else "maximize", self.asked),
             ("subject to", few(self.constraints)),
             ("variables", few(start)),
             (
@@ -381,6 +384,20 @@ class Problem(Summary):
         full[:, 1 : 1 + self.peaks, n] = -1.0
         full[:, 0, n] = unit
         return values, full
+
+
+def _asked(minimize: Any, maximize: Any) -> tuple[Measure, float]:
+    """What is asked for, and its sign: -1 where it is to be large."""
+    if minimize is not None and maximize is not None:
+        raise InputError(f"minimize is {minimize!r} and maximize is {maximize!r}; allowed: one of them")
+    if minimize is None and maximize is None:
+        raise InputError("'minimize' of Problem is missing; allowed: a measure, here or as 'maximize'")
+    name, measure = ("minimize", minimize) if maximize is None else ("maximize", maximize)
+    if not isinstance(measure, Measure):
+        raise InputError(f"{name} is {measure!r}; allowed: a measure, such as Integral(StrainEnergy('rod'))")
+    if maximize is not None and measure.rows > 1:
+        raise InputError(f"maximize is {measure!r}, of {measure.rows} rows; allowed: a measure of one number")
+    return measure, 1.0 if maximize is None else -1.0
 
 
 def _largest(measure: Measure, motion: Trajectory) -> float:

@@ -41,7 +41,7 @@ class Scenarios(Problem):
     objective    "worst": the largest over the scenarios (a min-max problem, with an extra variable); "mean"
     constraints  "each": hold in every scenario; "worst": one row, of the scenario that is nearest to its limit; "mean"
     weights      of the scenarios in means; None: equal. They are divided by their sum
-    options      bounds, variables, start, links, method, steps, phases and options of the method, as in Problem
+    options      maximize, bounds, variables, start, links, method, steps, phases and options of the method, as in Problem
 
     A limit "initial" is the value of the initial design in the same scenario. A WeightedSum is normalized by its
     value in the first scenario. A design that fails in one scenario is a failed evaluation that names the scenario.
@@ -66,7 +66,7 @@ class Scenarios(Problem):
         self,
         system: System,
         duration: float,
-        minimize: Measure,
+        minimize: Measure | None = None,
         subject_to: Constraint | Sequence[Constraint] = (),
         *,
         scenarios: Mapping[str, Mapping[str, Any]] | Sequence[Mapping[str, Any]],
@@ -85,11 +85,15 @@ class Scenarios(Problem):
             raise InputError(
                 f"minimize has {self.peaks} rows, and objective is 'mean'; allowed: a measure of one number"
             )
+        if objective == "worst" and self.sign < 0.0:
+            raise InputError(
+                "maximize is given with objective 'worst'; allowed: objective='mean', or minimize a positive measure"
+            )
         self.scenarios = self._settings(scenarios)
         self._of_objective, self._of_constraints = objective, constraints
         self.weights = _weights(weights, len(self.scenarios))
         if objective == "worst":
-            self.peaks = minimize.rows * len(self.scenarios)
+            self.peaks = self.objective.rows * len(self.scenarios)
 
     def _settings(self, given: Any) -> dict[str, dict[str, Tensor]]:
         """Name -> parameter -> value, all scenarios of the same parameters."""

@@ -40,7 +40,7 @@ class RobustProblem:
 
     problem     as `optimize` takes it; without equalities
     tolerance   half the width of the box around a design [n], or one number for all variables, in their unit
-    kind        "expected" or "worst"; "worst" adds the variable beta, the worst case divided by that of the start
+    kind        "expected" or "worst"; "worst" adds the variable beta, the worst case divided by the size of that of the start
 
     >>> energy = mbd.Integral(mbd.StrainEnergy("arm"))
     >>> problem = mbd.Problem(mbd.examples.arm(), 0.05, energy, steps=20, bounds=mbd.deg([-90, 90]))
@@ -77,15 +77,17 @@ class RobustProblem:
         if kind == "worst":
             self.unit = self._worst_of_start()
             self.names = [*self.names, BETA]
-            self.start, self.period = np.append(start, 1.0), np.append(self.period, 0.0)
-            self.lower, self.upper = np.append(self.lower, 0.0), np.append(self.upper, np.inf)
+            self.start, self.period = np.append(start, np.sign(self.unit)), np.append(self.period, 0.0)
+            least = 0.0 if self.unit > 0.0 else -np.inf
+            self.lower, self.upper = np.append(self.lower, least), np.append(self.upper, np.inf)
+            self.unit = abs(self.unit)
 
     def _worst_of_start(self) -> float:
         found = self.problem.evaluate(self.start + self.shifts, False)
         failed = next((e.status for e in found if not e.ok), None)
         worst = max(e.objective for e in found)
-        if failed is not None or not worst > 0.0:
-            raise InputError(f"start: its worst case is {failed or worst}; allowed: a positive number")
+        if failed is not None or not worst:
+            raise InputError(f"start: its worst case is {failed or worst}; allowed: a number but 0")
         return worst
 
     @property

@@ -11,9 +11,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from torchmbd.design import Constraint, Problem
+from torchmbd.design import Constraint, Problem, Tradeoff
 from torchmbd.design.response_spec import measure_of
 from torchmbd.design.scenarios import Scenarios
+from torchmbd.design.space import CONSTANT
 from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts, given, latin_hypercube, sobol
 from torchmbd.study.check import labels, vector
@@ -29,21 +30,24 @@ def study_of(
     data: StudyFile, system: System, file: Path, overrides: tuple[str, ...] = (), kind: type[S] = StudySettings
 ) -> S:
     """Make the study of a valid file, of the system that its model has built, as an object of `kind`."""
-    problem = _problem(data, system, file.absolute().parent)
+    problem, own = _problem(data, system, file.absolute().parent), labels(data.design, system, data.links)
     optimizer = data.optimizer or Optimizer()
     tolerance = _entries(data, system, "tolerance", len(problem.names))
     steps = dict(zip(problem.names, _entries(data, system, "step", len(problem.names)), strict=True))
     asked = question(file) if file.is_file() else QUESTION_MISSING
+    searched: Any = problem
+    if tolerance.any() and isinstance(problem, Problem):  # a Tradeoff has none, see StudyFile
+        searched = RobustProblem(problem, tolerance, data.robust or "expected")
     return kind(
-        RobustProblem(problem, tolerance) if tolerance.any() else problem,
-        _starts(data, problem),
+        searched,
+        _starts(data, system, problem),
         optimizer.name,
         file.stem,
         max_iterations=optimizer.max_iterations,
         increments={name: float(step) for name, step in steps.items() if step},
         sweep=_sweep(data),
         question="" if asked == QUESTION_MISSING else asked,
-        units={name: variable.unit for name, variable in data.design.items()},
+        units={name: data.design[name].unit for name in {label.rpartition("[")[0]: None for label in own}},
         experiment=data.tracking.experiment,
         uri=data.tracking.uri,
         origin=Origin(file, overrides, data),
@@ -51,11 +55,14 @@ def study_of(
     )
 
 
-def _problem(data: StudyFile, system: System, folder: Path) -> Problem:
+def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeoff:
     start, lower, upper = (_entries(data, system, key) for key in ("start", "lower", "upper"))
     simulate = data.simulate
     read = partial(measure_of, find=partial(find_response, folder=folder))
     kind, more = Problem, dict(simulate.options)
+    asked: Any = None if data.minimize is None else read(data.minimize)
+    if data.tradeoff is not None:
+        kind, asked = Tradeoff, {name: read(spec) for name, spec in data.tradeoff.items()}
     if data.scenarios is not None:
         kind, combine = Scenarios, data.combine or Combine()
         named = {s.name or f"scenario {k + 1}": s.set for k, s in enumerate(data.scenarios)}
@@ -63,11 +70,13 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem:
     return kind(
         system,
         duration=simulate.duration,
-        minimize=read(data.minimize),
+        minimize=asked,
+        **({} if data.maximize is None else {"maximize": read(data.maximize)}),
         subject_to=[Constraint(read(c.measure), c.si(c.limit), c.kind, c.si(c.scale)) for c in data.subject_to],
         bounds=(lower, upper),
         variables=list(data.design),
         start=start,
+        links=_links(data),
         method=simulate.method,
         steps=simulate.steps,
         phases=None if simulate.phases is None else find_phases(simulate.phases, folder),
@@ -78,24 +87,39 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem:
     )
 
 
+def _factor(data: StudyFile, entry: str) -> float:
+    """From the unit of the file to SI, of an entry."""
+    return UNITS[data.design[entry.rpartition("[")[0]].unit]
+
+
 def _factors(data: StudyFile, system: System) -> np.ndarray:
-    """From the units of the file to SI, of every entry."""
-    return np.array([UNITS[data.design[label.rpartition("[")[0]].unit] for label in labels(data.design, system)])
+    return np.array([_factor(data, label) for label in labels(data.design, system, data.links)])
+
+
+def _links(data: StudyFile) -> dict[str, dict[str, float]]:
+    """The links in SI: a factor is one of numbers of the file, a constant is in the unit of what follows."""
+    return {
+        entry: {
+            name: x * _factor(data, entry) / (1.0 if name == CONSTANT else _factor(data, name))
+            for name, x in leaders.items()
+        }
+        for entry, leaders in data.links.items()
+    }
 
 
 def _entries(data: StudyFile, system: System, key: str, count: int | None = None) -> np.ndarray:
     """What the file says of every design variable [SI]; zero for extra variables, up to `count`."""
-    found = vector(data.design, system, key) * _factors(data, system)
+    found = vector(data.design, system, key, data.links) * _factors(data, system)
     return found if count is None else np.append(found, np.zeros(count - found.size))
 
 
-def _starts(data: StudyFile, problem: Problem) -> Starts | None:
+def _starts(data: StudyFile, system: System, problem: Problem | Tradeoff) -> Starts | None:
     """The recipe of the start designs; all points share the extra variable of the initial design."""
     starts = data.starts
     if starts is None or starts.sampler == "none":
         return None
     if starts.sampler == "given":
-        factors = _factors(data, problem.system)
+        factors = _factors(data, system)
         points: list[Any] = [np.append(np.array(x) * factors, problem.start[len(x) :]) for x in starts.points or ()]
         return given([problem.start, *points] if starts.include_initial else points)
     sample = {"sobol": sobol, "latin_hypercube": latin_hypercube}[starts.sampler]

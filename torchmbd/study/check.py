@@ -6,7 +6,7 @@ Works on the sections that are valid, so that a wrong word in one section does n
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from torchmbd.design.response_spec import leaf, measure_of, terms
+from torchmbd.design.space import CONSTANT
 from torchmbd.errors import InputError, nearest
 from torchmbd.integrate.arguments import start_of
 from torchmbd.integrate.memory import require_room
@@ -33,9 +34,10 @@ from torchmbd.study.model import (
     option_faults,
     require_returns,
 )
-from torchmbd.study.schema import UNITS, Range, Simulation, Starts, Variable
+from torchmbd.study.schema import ASKED, UNITS, Combine, Range, Simulation, Starts, Variable
 
 Sections = Mapping[str, Any]
+_NUMBERS = ("start", "lower", "upper", "tolerance", "step")  # of a design variable
 
 
 def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fault]]:
@@ -55,7 +57,7 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
         return None, [*faults, Fault(("options",), f"= {shown(sections['options'])}: {error}")]
     faults += _phase_faults(sections, folder, system) + _response_faults(sections, folder, system)
     if "design" in sections:
-        faults += _design_faults(sections["design"], system)
+        faults += _link_faults(sections, system) + _design_faults(sections["design"], system, sections.get("links", {}))
         if not faults:
             faults += _start_faults(sections, system) + _memory_faults(sections, system)
     faults += _motion_start_faults(sections, system)
@@ -82,25 +84,30 @@ def values(given: float | Sequence[float], size: int) -> np.ndarray | None:
     return np.full(size, x[0]) if not isinstance(given, (list, tuple)) else x if len(x) == size else None
 
 
-def vector(design: Mapping[str, Variable], system: System, key: str) -> np.ndarray:
+def vector(design: Mapping[str, Variable], system: System, key: str, links: Collection[str] = ()) -> np.ndarray:
     """Return "start", "lower", "upper", "tolerance" or "step" of the whole design vector, in the units of the file."""
     own = dict(system.named_parameters())
     parts = []
     for name, variable in design.items():
-        given = getattr(variable, key)
+        given, free = getattr(variable, key), _free(name, own[name].numel(), links)
         if given is None and key in ("tolerance", "step"):
-            parts.append(np.zeros(own[name].numel()))
+            parts.append(np.zeros(len(free)))
         elif given is None:  # a start that the file leaves to the model
-            parts.append(own[name].detach().reshape(-1).numpy() / UNITS[variable.unit])
+            parts.append(own[name].detach().reshape(-1).numpy()[free] / UNITS[variable.unit])
         else:
-            parts.append(values(given, own[name].numel()))
+            parts.append(values(given, len(free)))
     return np.concatenate(parts)
 
 
-def labels(design: Mapping[str, Variable], system: System) -> list[str]:
-    """Return one label for each entry of the design vector: `rod.laminate.angles[0]`."""
+def labels(design: Mapping[str, Variable], system: System, links: Collection[str] = ()) -> list[str]:
+    """Return one label for each entry of the design vector, `rod.laminate.angles[0]`; those that follow others are none."""
     own = dict(system.named_parameters())
-    return [f"{name}[{i}]" for name in design for i in range(own[name].numel())]
+    return [f"{name}[{i}]" for name in design for i in _free(name, own[name].numel(), links)]
+
+
+def _free(name: str, size: int, links: Collection[str]) -> list[int]:
+    """The entries of a parameter that follow no others."""
+    return [i for i in range(size) if f"{name}[{i}]" not in links]
 
 
 def _phase_faults(sections: Sections, folder: FilePath, system: System) -> list[Fault]:
@@ -120,11 +127,15 @@ def _response_faults(sections: Sections, folder: FilePath, system: System) -> li
     duration = sections["simulate"].duration if "simulate" in sections else math.inf
     given: list[tuple[Mapping[str, Any], Path]] = []
     read = partial(measure_of, find=partial(find_response, folder=folder))
-    if "minimize" in sections:
-        given.append((sections["minimize"], ("minimize",)))
-        if read(sections["minimize"]).rows > 1 and sections.get("sweep"):
-            text = "has several rows; allowed in a sweep: one number, such as max: {strain_energy: rod}"
-            return [Fault(leaf(sections["minimize"], ("minimize",))[:2], text)]
+    for key in ASKED[:-1]:
+        if sections.get(key) is not None:
+            given.append((sections[key], (key,)))
+            if read(sections[key]).rows > 1 and sections.get("sweep"):
+                text = "has several rows; allowed in a sweep: one number, such as max: {strain_energy: rod}"
+                return [Fault(leaf(sections[key], (key,))[:2], text)]
+    if sections.get("maximize") is not None and (text := _not_to_be_large(sections, read(sections["maximize"]).rows)):
+        return [Fault(("maximize",), text)]
+    given += [(spec, ("tradeoff", name)) for name, spec in (sections.get("tradeoff") or {}).items()]
     given += [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
     faults = []
     for spec, path in given:
@@ -141,7 +152,37 @@ def _response_faults(sections: Sections, folder: FilePath, system: System) -> li
     return faults
 
 
-def _design_faults(design: Mapping[str, Variable], system: System) -> list[Fault]:
+def _not_to_be_large(sections: Sections, rows: int) -> str | None:
+    """Why a response cannot be maximized."""
+    if rows > 1:
+        return f"has {rows} rows; allowed: a response of one number"
+    combined: Combine | None = sections.get("combine")
+    if sections.get("scenarios") and (combined or Combine()).objective == "worst":
+        return "and combine.objective: worst are both given; allowed: combine.objective: mean"
+    return None
+
+
+def _link_faults(sections: Sections, system: System) -> list[Fault]:
+    """Links of what is no entry of a design variable, or follows what is none that is free."""
+    links: Mapping[str, Mapping[str, float]] = sections.get("links", {})
+    own = dict(system.named_parameters())
+    known = {name: x for name, x in sections["design"].items() if name in own}
+    entries, free = labels(known, system), [*labels(known, system, links), CONSTANT]
+    faults = []
+    for follower, leaders in links.items():
+        if follower not in entries:
+            faults.append(Fault(("links", follower), f"is no entry of a design variable{nearest(follower, entries)}"))
+        faults += [
+            Fault(("links", follower, leader), f"is no entry that follows none itself{nearest(leader, free)}")
+            for leader in leaders
+            if leader not in free
+        ]
+    return faults or (
+        [] if len(free) > 1 or not links else [Fault(("links",), "leave no entry free; allowed: one at least")]
+    )
+
+
+def _design_faults(design: Mapping[str, Variable], system: System, links: Collection[str] = ()) -> list[Fault]:
     own = dict(system.named_parameters())
     faults = []
     for name, variable in design.items():
@@ -149,12 +190,16 @@ def _design_faults(design: Mapping[str, Variable], system: System) -> list[Fault
         if name not in own:
             faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}"))
             continue
-        size = own[name].numel()
-        sized = {
-            key: values(given, size)
-            for key in ("start", "lower", "upper", "tolerance", "step")
-            if (given := getattr(variable, key)) is not None
-        }
+        size = len(_free(name, own[name].numel(), links))
+        said = [key for key in _NUMBERS if getattr(variable, key) is not None]
+        if not size:
+            follows = "is given, but every entry follows others by links; allowed: unit alone"
+            faults += [Fault((*path, key), follows) for key in said]
+            continue
+        faults += [
+            Fault((*path, key), "is missing; allowed: a number") for key in ("lower", "upper") if key not in said
+        ]
+        sized = {key: values(getattr(variable, key), size) for key in said}
         for key, x in sized.items():
             if x is None:
                 given = getattr(variable, key)
@@ -196,9 +241,9 @@ def _bound_faults(path: Path, sized: Mapping[str, np.ndarray | None]) -> list[Fa
 
 def _start_faults(sections: Sections, system: System) -> list[Fault]:
     """Check points and sweeps against the size and the bounds of the design vector."""
-    design = sections["design"]
-    names = labels(design, system)
-    lower, upper = (vector(design, system, key) for key in ("lower", "upper"))
+    design, links = sections["design"], sections.get("links", {})
+    names = labels(design, system, links)
+    lower, upper = (vector(design, system, key, links) for key in ("lower", "upper"))
     starts: Starts | None = sections.get("starts")
     faults = []
     for k, point in enumerate((starts.points if starts else None) or ()):

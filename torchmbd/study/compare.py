@@ -8,12 +8,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from torchmbd.errors import InputError
-from torchmbd.study.metric_names import CONVERGED, EVALUATIONS, STARTS, is_design, short
-from torchmbd.study.progress import give_way, in_lines, print_table
-from torchmbd.tracking.catalog import Entry, children, find, studies
+from torchmbd.study.metric_names import CONVERGED, EVALUATIONS, INCREASE, REDUCTION, STARTS, gain, is_design, short
+from torchmbd.study.progress import better, give_way, in_lines, print_table
+from torchmbd.tracking.catalog import GOAL, MAXIMIZE, Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
 
-_OUTCOME = ("best_objective", "reduction_percent", "violation", STARTS, CONVERGED, EVALUATIONS)
+_OUTCOME = ("best_objective", REDUCTION, INCREASE, "violation", STARTS, CONVERGED, EVALUATIONS)
 _QUIET = ("mlflow.", "version.", "torchmbd.", "message", "machine", "study_key", "run_key", "problem_key", "files")
 
 
@@ -29,10 +29,11 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     found = [child for child in children(store, entry) if "objective" in child.metrics][:count]
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
     table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
-    for heading in ("", "objective", "less by", *map(short, names), "status"):
+    sign = -1.0 if entry.tags.get(GOAL) == MAXIMIZE else 1.0
+    for heading in ("", "objective", better(sign), *map(short, names), "status"):
         table.add_column(escape(in_lines(heading)), justify="right", no_wrap=True)
     for child in found:
-        less = child.metrics.get("reduction_percent")
+        less = child.metrics.get(gain(sign))
         cells = [child.name, f"{child.metrics['objective']:.6g}", "-" if less is None else f"{less:.2f} %"]
         cells += [f"{child.metrics[name]:z.3f}" if name in child.metrics else "-" for name in names]
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))

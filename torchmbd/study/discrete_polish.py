@@ -36,14 +36,19 @@ def lay(
     if best is None:
         console.print(f"on the steps: {escape(found.message)}", soft_wrap=True)
         return found
-    rise = "" if above is None else f", {max(0.0, -percent(above.value, best.value)):.2g} % above the best of the table"
+    rise = (
+        ""
+        if above is None
+        else f", {max(0.0, -percent(above.value, best.value)):.2g} % worse than the best of the table"
+    )
     console.print(
-        f"on the steps: {study.columns.sentence(best.x)}, objective {best.value:.6g}{rise}; {escape(found.message)}",
+        f"on the steps: {study.columns.sentence(best.x)}, objective {study.sign * best.value:.6g}{rise}; "
+        f"{escape(found.message)}",
         soft_wrap=True,
         highlight=False,
     )
-    numbers = {"objective": best.value, "violation": best.violation, **journal.shown(best.x)}
-    numbers |= {} if above is None else {"relaxed_objective": above.value}
+    numbers = {"objective": study.sign * best.value, "violation": best.violation, **journal.shown(best.x)}
+    numbers |= {} if above is None else {"relaxed_objective": study.sign * above.value}
     journal.summary(numbers, {})
     journal.design(best.x)
     return found

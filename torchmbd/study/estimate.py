@@ -158,7 +158,7 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
     if not isinstance(problem, Problem):
         console.print(f"{valid}: {_count(len(study.columns.names), 'design variable')}", markup=False)
         return None
-    asked = ", ".join(study.problem.criteria) if study.front else words(problem.objective)
+    asked = ", ".join(study.problem.criteria) if study.front else words(problem.asked)
     others = len(study.problem.criteria) - 1 if study.front else 0
     console.print(
         f"{valid}: {asked}, {_count(len(study.columns.names), 'design variable')}, "

@@ -15,7 +15,18 @@ from pathlib import Path
 from torchmbd.errors import InputError
 from torchmbd.math.units import UNITS
 from torchmbd.study.config_index import QUESTION_MISSING, question
-from torchmbd.study.metric_names import ANALYSES, CONVERGED, EVALUATIONS, FAILED, ITERATIONS, STARTS, is_design, short
+from torchmbd.study.metric_names import (
+    ANALYSES,
+    CONVERGED,
+    EVALUATIONS,
+    FAILED,
+    INCREASE,
+    ITERATIONS,
+    REDUCTION,
+    STARTS,
+    is_design,
+    short,
+)
 from torchmbd.summary import few
 from torchmbd.tracking.catalog import Entry, children, fetch, files, find
 from torchmbd.tracking.mlflow_tracker import FILES
@@ -32,7 +43,8 @@ pre { background: #f6f6f6; padding: 0.8rem; overflow-x: auto; }
 """
 _OUTCOME = {
     "best_objective": "best objective",
-    "reduction_percent": "reduction [%]",
+    REDUCTION: "reduction [%]",
+    INCREASE: "increase [%]",
     "violation": "largest violation",
     STARTS: "starts",
     CONVERGED: "of them converged",
@@ -109,7 +121,7 @@ def _children(store: str, entry: Entry) -> str:
     if not found:
         return ""
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
-    columns = ["objective", "reduction_percent", "violation", *names, ITERATIONS, ANALYSES]
+    columns = ["objective", REDUCTION, INCREASE, "violation", *names, ITERATIONS, ANALYSES]
     columns = [name for name in columns if any(name in child.metrics for child in found)]
     head = "".join(f"<th>{escape(_heading(name))}</th>" for name in ("run", *columns, "status"))
     rows = []

@@ -17,11 +17,11 @@ import numpy as np
 import yaml
 
 from torchmbd.optimization.optimizer import Evaluation, Iterate, OptimizationResult
-from torchmbd.study.columns import EXTRA
-from torchmbd.study.metric_names import ANALYSES, DESIGN, EVALUATIONS, FAILED, ITERATIONS, constraint_names, legal
+from torchmbd.study.metric_names import ANALYSES, DESIGN, EVALUATIONS, FAILED, ITERATIONS, constraint_names, gain, legal
 from torchmbd.study.paths import problem_key
 from torchmbd.study.settings import StudySettings
 from torchmbd.tracking import MlflowTracker, Status
+from torchmbd.tracking.catalog import GOAL, MAXIMIZE
 from torchmbd.tracking.provenance import provenance
 from torchmbd.tracking.store import seen_from
 
@@ -45,6 +45,7 @@ class Journal:
         study, origin = self.study, self.study.origin
         resolved = study.resolved()
         tags = {"kind": kind, **provenance(Path() if origin is None else origin.file.parent)}
+        tags |= {GOAL: MAXIMIZE} if study.sign < 0.0 else {}
         tags["problem_key"] = problem_key(study.simulated)
         if study.question:
             tags["question"] = tags["mlflow.note.content"] = study.question  # the description of the run
@@ -54,14 +55,14 @@ class Journal:
             tags |= {"seed": str(origin.data.starts.seed)} if origin.data.starts is not None else {}
         self.tracker.begin(PARENT, study.name, params=flat(resolved), tags=tags)
         self._open = [PARENT]
-        self.tracker.view(PARENT, self._columns(kind), "metrics.objective")
+        self.tracker.view(PARENT, self._columns(kind), "metrics.objective", study.sign > 0.0)
         self.text("config.yaml", yaml.safe_dump(resolved, sort_keys=False))
         if origin is not None and origin.file.is_file():
             self.text("config_as_given.yaml", origin.file.read_text(encoding="utf-8"))
 
     def _columns(self, kind: str) -> list[str]:
         """Return what the table of the children shows."""
-        own = ["ratio"] if kind == "sweep" else ["reduction_percent", "violation", ITERATIONS, FAILED]
+        own = ["ratio"] if kind == "sweep" else [gain(self.study.sign), "violation", ITERATIONS, FAILED]
         names = ["objective", *own, *(DESIGN + name for name in self.study.columns.names)]
         return [*(f"metrics.{name}" for name in names), "tags.status"]
 
@@ -88,7 +89,7 @@ class Journal:
         self.iterates += 1
         run = child(iterate.start)
         numbers = {
-            "objective": iterate.objective,
+            "objective": self.study.sign * iterate.objective,
             "violation": iterate.violation,
             ANALYSES: iterate.analyses,
             **self.constraints(iterate.constraints),
@@ -101,7 +102,7 @@ class Journal:
             self.tracker.tags(run, {"last_failure": iterate.status})
         elif iterate.violation <= 1e-6 and iterate.objective < self._best:
             self._best = iterate.objective
-            self.tracker.metrics(PARENT, {"best_objective": self._best}, self.iterates)
+            self.tracker.metrics(PARENT, {"best_objective": self.study.sign * self._best}, self.iterates)
 
     def evaluated(self, X: np.ndarray, evaluations: Sequence[Evaluation]) -> None:
         """Count a batch of evaluations of designs [lanes, n]; a failed one is a metric, and a tag with its design."""
@@ -118,12 +119,12 @@ class Journal:
         """Close the child of a start with its final numbers."""
         run = child(result.start)
         last = {
-            "objective": result.value,
+            "objective": self.study.sign * result.value,
             "violation": result.violation,
             ANALYSES: result.analyses,
             ITERATIONS: result.iterations,
             FAILED: result.failures,
-            "reduction_percent": percent(self.first.get(result.start, math.nan), result.value),
+            gain(self.study.sign): percent(self.first.get(result.start, math.nan), result.value),
             **self.shown(result.x),
         }
         self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
@@ -145,8 +146,12 @@ class Journal:
     def design(self, x: np.ndarray) -> None:
         """File the best design [SI] by the names of the parameters, for torchmbd.study.stored_run."""
         values: dict[str, list[float]] = {}
-        for label, value in zip(self.study.columns.labels, x.tolist(), strict=True):
-            if label not in EXTRA:  # no parameter
+        space = getattr(self.study.simulated, "space", None)
+        if space is not None:  # with the entries that follow others
+            designs = space.designs(np.asarray(x)[None, : len(space.names)])
+            values = {name: found.reshape(-1).tolist() for name, found in designs.items()}
+        else:
+            for label, value in zip(self.study.columns.labels, x.tolist(), strict=True):
                 values.setdefault(label.rpartition("[")[0] or label, []).append(value)
         self.text("design.yaml", yaml.safe_dump(values, sort_keys=False))
 

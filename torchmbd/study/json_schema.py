@@ -16,7 +16,7 @@ from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.integrate.registry import INTEGRATORS
 from torchmbd.optimization import OPTIMIZERS
-from torchmbd.study.schema import KINDS, SAMPLERS, UNITS, Figures, StudyFile
+from torchmbd.study.schema import ASKED, KINDS, SAMPLERS, UNITS, Figures, StudyFile
 
 
 def json_schema() -> dict[str, Any]:
@@ -45,7 +45,10 @@ def json_schema() -> dict[str, Any]:
         "properties": _measure()["properties"] | own,
         "oneOf": [{"required": [kind]} for kind in KINDS],
     }
-    study["properties"]["minimize"] = {"$ref": "#/$defs/Measure"}
+    asked = {"$ref": "#/$defs/Measure"}
+    study["properties"] |= {"minimize": asked, "maximize": asked}
+    study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": asked}
+    study["oneOf"] = [{"required": [key]} for key in ASKED]
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "torchmbd experiment",

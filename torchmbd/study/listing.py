@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from torchmbd.study.config_index import configs
+from torchmbd.study.metric_names import INCREASE, REDUCTION
 from torchmbd.study.progress import in_lines, print_table
 from torchmbd.tracking.catalog import Entry, children, studies
 from torchmbd.tracking.links import compare_link, experiment_link, run_link, view_link
@@ -42,8 +43,8 @@ def print_studies(uri: str | None, console: Console) -> None:
         console.print(f"No studies yet in {escape(store)}.", soft_wrap=True)
         return
     table = Table(title=f"studies in {escape(store)}", box=box.SIMPLE_HEAD, pad_edge=False, padding=0)
-    for heading in ("experiment", "study", "kind", "began", "took", "status", "best objective", "reduction", "run"):
-        numbers = heading in ("took", "best objective", "reduction")
+    for heading in ("experiment", "study", "kind", "began", "took", "status", "best objective", "better by", "run"):
+        numbers = heading in ("took", "best objective", "better by")
         name = heading in ("experiment", "study")
         table.add_column(
             in_lines(heading),
@@ -102,6 +103,6 @@ def _cells(entry: Entry) -> list[str]:
         "-" if entry.seconds is None else f"{entry.seconds:.0f} s",
         entry.status.lower(),
         number("best_objective", "{:.6g}"),
-        number("reduction_percent", "{:.2f} %"),
+        number(INCREASE if INCREASE in entry.metrics else REDUCTION, "{:.2f} %"),
         entry.run_id[:8],
     ]

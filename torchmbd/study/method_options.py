@@ -18,6 +18,7 @@ from torchmbd.integrate.arguments import check_gradients
 from torchmbd.integrate.registry import INTEGRATORS
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.optimization.multistart import multistart
+from torchmbd.optimization.pareto import pareto_front
 from torchmbd.study.file_errors import Fault, shown
 from torchmbd.study.schema import Optimizer, Simulation
 
@@ -37,9 +38,9 @@ def method_faults(sections: Mapping[str, Any]) -> list[Fault]:
             faults.append(Fault(("simulate", "gradients"), str(error)))
     optimizer: Optimizer | None = sections.get("optimizer")
     if optimizer is not None:
-        types = {}
-        for function in (multistart, OPTIMIZERS[optimizer.name]):
-            types |= _types(function, lambda p: p.kind is p.KEYWORD_ONLY)
+        types, search = {}, pareto_front if sections.get("tradeoff") is not None else multistart
+        for function in (search, OPTIMIZERS[optimizer.name]):
+            types |= _types(function, lambda p: p.kind is p.KEYWORD_ONLY or p.name == "divisions")
         del types["max_iterations"]
         faults += _faults("optimizer", optimizer.name, optimizer.options, types, ("name", "max_iterations"))
     return faults

@@ -1,6 +1,6 @@
 """Names of the metrics of a study. MLflow's charts stand in groups by what is before the `/`; those without come first.
 
-    objective, violation, reduction_percent, best_objective    what was asked for
+    objective, violation, reduction_percent, best_objective    what was asked for; increase_percent where it is to be large
     constraint/max of strain energy of rod                     satisfied where it is not positive
     design/angle_1_deg                                         the design, in the units of the study
     search/iterations, search/analyses, ...                    what it took
@@ -14,9 +14,15 @@ from collections.abc import Sequence
 from typing import Any
 
 CONSTRAINT, DESIGN, SEARCH = "constraint/", "design/", "search/"
+REDUCTION, INCREASE = "reduction_percent", "increase_percent"
 ITERATIONS, ANALYSES = f"{SEARCH}iterations", f"{SEARCH}analyses"
 EVALUATIONS, FAILED = f"{SEARCH}evaluations", f"{SEARCH}failed_evaluations"
 STARTS, CONVERGED = f"{SEARCH}starts", f"{SEARCH}converged_starts"
+
+
+def gain(sign: float) -> str:
+    """The metric of how much better the objective has become."""
+    return REDUCTION if sign > 0.0 else INCREASE
 
 
 def is_design(metric: str) -> bool:

@@ -30,8 +30,8 @@ _HEADING = 12  # characters of a line of a heading
 class Progress:
     """Shows every iterate of every start; a context manager."""
 
-    def __init__(self, columns: Columns, starts: int, title: str, console: Console) -> None:
-        self.columns, self.title, self.console = columns, title, console
+    def __init__(self, columns: Columns, starts: int, title: str, console: Console, sign: float = 1.0) -> None:
+        self.columns, self.title, self.console, self.sign = columns, title, console, sign
         self.latest: list[Iterate | None] = [None] * starts
         self.first: list[float] = [float("nan")] * starts
         self.notes: list[str] = []
@@ -59,10 +59,11 @@ class Progress:
 
     def _line(self, iterate: Iterate) -> str:
         """An iterate in a line, with its design where it fits."""
-        objective, less, violation = outcome(self.first[iterate.start], iterate.objective, iterate.violation)
+        first, now = self.first[iterate.start], iterate.objective
+        objective, less, violation = outcome(first, now, iterate.violation, self.sign)
         line = (
             f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:<3d} iteration {iterate.iteration:<3d} "
-            f"objective {objective}  less by {less}"
+            f"objective {objective}  {better(self.sign)} {less}"
         )
         line += f"  violation {violation}" if iterate.violation else ""
         values = "".join(f"  {value:z8.3f}" for value in self.columns.shown(iterate.x).values())
@@ -76,14 +77,14 @@ class Progress:
 
     def _table(self) -> Table:
         title = f"{self.title}   {time.monotonic() - self._began:.0f} s"
-        own, headings = ["start", "iter", "objective", "less by", "viol."], self.columns.headings
+        own, headings = ["start", "iter", "objective", better(self.sign), "viol."], self.columns.headings
         table = table_of(title, [*own, *headings, "sims"])
         for start, iterate in enumerate(self.latest):
             if iterate is None:
                 table.add_row(str(start), "-")
                 continue
             values = [f"{value:z.2f}" for value in self.columns.shown(iterate.x).values()]
-            numbers = outcome(self.first[start], iterate.objective, iterate.violation)
+            numbers = outcome(self.first[start], iterate.objective, iterate.violation, self.sign)
             table.add_row(str(start), str(iterate.iteration), *numbers, *values, str(iterate.analyses))
         return narrowed(table, self.console, give_way(len(own), len(headings), [-1, 4, 3]))
 
@@ -158,7 +159,12 @@ def print_table(table: Table, console: Console, optional: Sequence[int] = ()) ->
     return part is table
 
 
-def outcome(first: float, objective: float, violation: float) -> list[str]:
-    """Return the cells objective, reduction from the start, violation."""
+def better(sign: float) -> str:
+    """The heading of how much better the objective is than at the start."""
+    return "less by" if sign > 0.0 else "more by"
+
+
+def outcome(first: float, objective: float, violation: float, sign: float = 1.0) -> list[str]:
+    """Return the cells objective (`sign` times what is minimized), its gain from the start, violation."""
     less = f"{100.0 * (first - objective) / abs(first):.2f} %" if first else "-"
-    return [f"{objective:.6g}", less, f"{violation:.0e}" if violation else "0"]
+    return [f"{sign * objective:.6g}", less, f"{violation:.0e}" if violation else "0"]

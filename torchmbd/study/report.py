@@ -16,7 +16,7 @@ from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
 from torchmbd.optimization import MultistartResult
 from torchmbd.study.journal import Journal
-from torchmbd.study.progress import FEASIBLE, give_way, outcome, print_table, table_of
+from torchmbd.study.progress import FEASIBLE, better, give_way, outcome, print_table, table_of
 from torchmbd.study.settings import StudySettings
 from torchmbd.viz import (
     animate,
@@ -37,13 +37,13 @@ def print_results(study: StudySettings, found: MultistartResult, failures: Seque
     if not found.results:
         console.print("No start came to a result.")
         return
-    columns = ["start", "objective", "less by", "viol.", *study.columns.headings, "iter", "sims", "status"]
+    columns = ["start", "objective", better(study.sign), "viol.", *study.columns.headings, "iter", "sims", "status"]
     table = table_of(f"{study.name}: {len(found.results)} starts, {found.converged} converged", columns)
     best = found.best
     for result in sorted(found.results, key=lambda r: (not r.violation <= FEASIBLE, r.value)):
         first = result.history[0].objective if result.history else float("nan")
         angles = [f"{value:z.2f}" for value in study.columns.shown(result.x).values()]
-        cells = [str(result.start), *outcome(first, result.value, result.violation), *angles]
+        cells = [str(result.start), *outcome(first, result.value, result.violation, study.sign), *angles]
         cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]
         table.add_row(*cells, style="bold" if best is not None and result.start == best.start else None)
     angles = give_way(4, len(study.columns.names), [-2, 3, -3, 2])
@@ -69,14 +69,14 @@ def study_pictures(
     if not searches:
         return
     best, problem = found.best, study.simulated
-    objective = heading(problem.objective) if isinstance(problem, Problem) else "objective"
+    objective = heading(problem.asked) if isinstance(problem, Problem) else "objective"
     chosen, title = None if best is None else f"start {best.start}", study.question or study.name
     draw(
         convergence,
         ["convergence.png"],
         journal,
         console,
-        objectives={name: [i.objective for i in history] for name, history in searches.items()},
+        objectives={name: [study.sign * i.objective for i in history] for name, history in searches.items()},
         violations={name: [i.violation for i in history] for name, history in searches.items()},
         best=chosen,
         ylabel=objective,
@@ -134,10 +134,12 @@ def _map(study: StudySettings, found: MultistartResult, visited: Visited, object
     factors = study.columns.factors
     moved = [result for result in found.results if result.history]
     ends = {f"start {start}": k for k, minimum in enumerate(found.minima) for start in minimum.starts}
-    seen = (visited[0] / factors, visited[1]) if visited[0].shape[1:] == factors.shape else None  # extra variables
+    seen = (
+        (visited[0] / factors, study.sign * visited[1]) if visited[0].shape[1:] == factors.shape else None
+    )  # extra variables
     return {
         "paths": {f"start {r.start}": np.array([i.x for i in r.history]) / factors for r in moved},
-        "objectives": {f"start {r.start}": [i.objective for i in r.history] for r in moved},
+        "objectives": {f"start {r.start}": [study.sign * i.objective for i in r.history] for r in moved},
         "headings": study.columns.headings,
         "ends": ends,
         "visited": seen,
@@ -151,7 +153,8 @@ def _ends(study: StudySettings, found: MultistartResult, objective: str) -> dict
     factors = study.columns.factors
     return {
         "designs": np.array([result.x for result in ended]).reshape(-1, len(factors)) / factors,
-        "objectives": [result.value for result in ended],
+        "objectives": [study.sign * result.value for result in ended],
+        "largest": study.sign < 0.0,
         "headings": study.columns.headings,
         "feasible": [result.violation <= FEASIBLE for result in ended],
         "bounds": (np.asarray(study.problem.lower) / factors, np.asarray(study.problem.upper) / factors),

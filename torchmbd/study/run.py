@@ -28,7 +28,7 @@ from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.front import run_front
 from torchmbd.study.journal import PARENT, Journal, percent
 from torchmbd.study.listing import print_links_of, study_links
-from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS
+from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS, gain
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
 from torchmbd.study.progress import Progress
 from torchmbd.study.report import print_results, study_pictures
@@ -151,7 +151,7 @@ def _search(
     words = {"expected": "mean", "worst": "worst case"}.get(getattr(study.problem, "kind", ""))
     if words:
         console.print(f"the objective is its {words} over the tolerances", style="dim")
-    with Progress(study.columns, len(points), title, console) as progress:
+    with Progress(study.columns, len(points), title, console, study.sign) as progress:
 
         def callback(iterate: Iterate) -> None:
             journal.iterate(iterate)
@@ -173,7 +173,7 @@ def _search(
         )
     best = found.best
     print_results(study, found, journal.failures, console)
-    _summarize(found, journal)
+    _summarize(found, study.sign, journal)
     if best is not None:
         journal.best(best)
     result, interrupted = found, found.interrupted
@@ -187,14 +187,15 @@ def _search(
     return result, "FINISHED" if best is not None else "FAILED"
 
 
-def _summarize(study: MultistartResult, journal: Journal) -> None:
+def _summarize(study: MultistartResult, sign: float, journal: Journal) -> None:
     numbers = {STARTS: len(study.results), CONVERGED: study.converged, ANALYSES: study.analyses}
     tags = {}
     best = study.best
     if best is not None:
         initial = journal.first.get(0, float("nan"))
-        numbers |= {"objective": best.value, "best_objective": best.value, "violation": best.violation}
-        numbers |= {"reduction_percent": percent(initial, best.value)} if initial else {}
+        value = sign * best.value
+        numbers |= {"objective": value, "best_objective": value, "violation": best.violation}
+        numbers |= {gain(sign): percent(initial, best.value)} if initial else {}
         numbers |= journal.shown(best.x)
         tags = {"best_start": str(best.start), "status": best.status, "message": best.message}
     journal.summary(numbers, tags)

@@ -2,7 +2,11 @@
 
     model      module:function or file.py:function that returns a System      options   its arguments
     design     parameter -> start, lower, upper, unit, tolerance, step       simulate  duration, method, steps, ...
+    links      {entry: {entry: factor, constant: offset}}: entries of `design` that follow others, see design/space.py
     minimize   {integral: {strain_energy: rod}}, see design/response_spec.py          subject_to  [{max: ..., at_most: initial}]
+    maximize   a response, instead of minimize
+    tradeoff   {energy: {integral: ...}, mass: {mass: rod}}, instead of minimize: a Pareto front of these criteria
+    robust     expected | worst: what is asked over the tolerances of `design`, see optimization/robust.py
     optimizer  name, max_iterations, the method's own options                starts    sampler, count, seed, ...
     scenarios  [{name: heavy, set: {tool.mass: 0.4}, weight: 1}, ...]: one design in all of them, see design/scenarios.py
     combine    {objective: worst | mean, constraints: each | worst | mean} over the scenarios
@@ -13,8 +17,8 @@ or, for pictures that are no optimization,
 
     figures    module:function or file.py:function that draws into a folder  options   its arguments      tracking
 
-Numbers of `design`, `starts.points` and `sweep` are in the unit of their variable, those of a constraint in its `unit`,
-which one of an angle must name; everything else is SI.
+Numbers of `design`, `links`, `starts.points` and `sweep` are in the unit of their variable, those of a constraint in its
+`unit`, which one of an angle must name; everything else is SI.
 Pydantic validates strictly (no text for a number, no true for 1) and collects every fault; names of the model's own
 parameters and bodies are checked in check.py. Checked in tests/study/test_load.py.
 """
@@ -47,6 +51,7 @@ from torchmbd.integrate.registry import DEFAULT, METHODS
 from torchmbd.math import units
 from torchmbd.multibody.system.start import STARTS
 from torchmbd.optimization import OPTIMIZERS
+from torchmbd.optimization.robust import KINDS as KINDS_OF_ROBUST
 from torchmbd.tracking.store import uri_fault
 
 UNITS = {name: multiple for name, (multiple, _) in units.UNITS.items()}  # unit -> SI
@@ -67,6 +72,13 @@ def _one_of(names: Collection[str] | Callable[[], Collection[str]]) -> AfterVali
         return name
 
     return AfterValidator(check)
+
+
+ASKED = ("minimize", "maximize", "tradeoff")  # one of them is the question
+
+
+def _fault(path: tuple[str | int, ...], text: str) -> PydanticCustomError:
+    return PydanticCustomError("kind", "{text}", {"text": text, "path": path})
 
 
 Numbers = float | Annotated[list[float], Len(min_length=1)]
@@ -91,7 +103,7 @@ class Section(BaseModel):
 
 
 class Variable(Section):
-    """A design variable; a single number serves every entry of the parameter.
+    """A design variable; a single number serves every entry of the parameter. Entries that follow others have no numbers.
 
     With a tolerance the criterion is its mean over variables that are off by up to it, and constraints hold there throughout
     (optimization/robust.py). With a step the study ends with the best design whose variables are multiples of it
@@ -99,8 +111,8 @@ class Variable(Section):
     """
 
     start: Numbers | None = None  # default: as the model is built
-    lower: Numbers
-    upper: Numbers
+    lower: Numbers | None = None  # needed, but where every entry follows others
+    upper: Numbers | None = None
     unit: Annotated[str, _one_of(UNITS)]  # without a default: 45 is a very different angle in radians
     tolerance: Numbers | None = None  # default: made exactly
     step: Numbers | None = None  # 0, and default: any value
@@ -297,8 +309,12 @@ class StudyFile(Section):
     model: Annotated[str, Field(pattern=FUNCTION)]
     options: dict[str, Any] = {}
     design: Annotated[dict[str, Variable], Len(min_length=1)]
+    links: dict[str, Annotated[dict[str, float], Len(min_length=1)]] = {}
     simulate: Simulation
-    minimize: Measure
+    minimize: Measure | None = None
+    maximize: Measure | None = None
+    tradeoff: Annotated[dict[str, Measure], Len(min_length=2)] | None = None
+    robust: Annotated[str, _one_of(KINDS_OF_ROBUST)] | None = None  # default: expected, where there are tolerances
     subject_to: list[Constraint] = []
     scenarios: Annotated[list[Scenario], Len(min_length=1)] | None = None
     combine: Combine | None = None
@@ -306,6 +322,26 @@ class StudyFile(Section):
     starts: Starts | None = None
     sweep: Annotated[dict[str, Range], Len(1, 1)] | None = None
     tracking: Tracking = Tracking()
+
+    @model_validator(mode="after")
+    def _one_question(self) -> Self:
+        given = [key for key in ASKED if getattr(self, key) is not None]
+        if not given:
+            text = "is missing; allowed: a response, such as {integral: {strain_energy: rod}}, or instead of it "
+            raise _fault(("minimize",), text + " or ".join(f"{key}:" for key in ASKED[1:]))
+        if len(given) > 1:
+            raise _fault((given[1],), f"and {given[0]} are both given; allowed: one of {', '.join(ASKED)}")
+        tolerant = any(variable.tolerance is not None for variable in self.design.values())
+        if self.robust is not None and not tolerant:
+            raise _fault(("robust",), f"= {self.robust!r}: no variable has a tolerance; allowed: with one in design")
+        if self.tradeoff is not None:
+            others = [key for key in ("scenarios", "sweep") if getattr(self, key) is not None]
+            others += [key for key in ("tolerance", "step") if any(getattr(v, key) for v in self.design.values())]
+            if others:
+                raise _fault(("tradeoff",), f"and {others[0]} are both given; allowed: one of them")
+            if any(constraint.kind == "equal" for constraint in self.subject_to):
+                raise _fault(("tradeoff",), "and a constraint with equal are both given; allowed: at_most, at_least")
+        return self
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:

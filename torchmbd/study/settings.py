@@ -164,6 +164,11 @@ class StudySettings(Summary):
         return self.problem.over(simulated) if isinstance(self.problem, Tradeoff) else simulated
 
     @property
+    def sign(self) -> float:
+        """What is asked for is this times the objective of optimizers: -1 where it is to be large."""
+        return float(getattr(self.simulated, "sign", 1.0))
+
+    @property
     def system(self) -> System | None:
         return getattr(self.simulated, "system", None)
 

@@ -16,7 +16,8 @@ from rich.markup import escape
 from torchmbd.design import Problem
 from torchmbd.design.words import words
 from torchmbd.optimization import Evaluation
-from torchmbd.study.journal import Journal, child
+from torchmbd.study.journal import Journal, child, percent
+from torchmbd.study.metric_names import gain
 from torchmbd.study.progress import give_way, print_table, table_of
 from torchmbd.study.report import draw, no_picture_costs_a_result
 from torchmbd.study.settings import StudySettings
@@ -55,8 +56,9 @@ def run_sweep(
     _show(study, journal, console, index, start, values, criteria, best)
     if best is None:
         return "FAILED"
-    numbers = {"objective": evaluations[best].objective, "best_objective": evaluations[best].objective}
-    numbers["reduction_percent"] = 100.0 * (1.0 - evaluations[best].objective / first.objective)
+    value = study.sign * evaluations[best].objective
+    numbers = {"objective": value, "best_objective": value}
+    numbers[gain(study.sign)] = percent(first.objective, evaluations[best].objective)
     journal.summary(numbers | journal.shown(X[best]), {"best_point": str(best)})
     journal.design(X[best])
     return "FINISHED"
@@ -66,7 +68,10 @@ def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation,
     journal.begin_start(k, x, kind="point")
     numbers = journal.shown(x)
     if evaluation.status == "ok":
-        numbers |= {"objective": evaluation.objective, "ratio": evaluation.objective / first.objective}
+        numbers |= {
+            "objective": journal.study.sign * evaluation.objective,
+            "ratio": evaluation.objective / first.objective,
+        }
         numbers |= journal.constraints(evaluation.constraints)
     else:
         journal.tracker.tags(child(k), {"last_failure": evaluation.status})
@@ -76,9 +81,9 @@ def _file_point(journal: Journal, k: int, x: np.ndarray, evaluation: Evaluation,
 
 def _criteria(problem: Problem, first: Evaluation, evaluations: list[Evaluation]) -> dict[str, list[float]]:
     """Return the objective, and the constrained responses, each divided by its value at the start design."""
-    measures = [problem.objective, *(constraint.measure for constraint in problem.constraints)]
+    measures = [problem.asked, *(constraint.measure for constraint in problem.constraints)]
     bodies = len({words(m).removeprefix(words(m, bodies=False)) for m in measures}) > 1  # they need their names
-    name = words(problem.objective, bodies)
+    name = words(problem.asked, bodies)
     result = {name: [e.objective / first.objective if e.status == "ok" else math.nan for e in evaluations]}
     row = 0
     for constraint in problem.constraints:

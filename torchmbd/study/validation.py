@@ -43,16 +43,30 @@ def validate(data: Any, kind: type[Section] | None = None) -> tuple[dict[str, An
     if not isinstance(data, dict):
         keys = ", ".join(f"{key}:" for key in _keys((), kind))
         return {}, [Fault((), f"is {shown(data)}; allowed: sections such as {keys}")]
+    faults = _missing_bounds(data) if kind is StudyFile else []
     try:
-        return dict(kind.model_validate(data)), []
+        valid = dict(kind.model_validate(data))
+        if not faults:
+            return valid, []
     except ValidationError as error:
-        faults = _faults(error, data, kind)
+        faults += _faults(error, data, kind)
     sections: dict[str, Any] = {}
     for name in kind.model_fields:
         if not any(fault.path[:1] == (name,) for fault in faults):
             alone = _alone(kind, name).model_validate({name: data[name]} if name in data else {})
             sections[name] = getattr(alone, name)
     return sections, faults
+
+
+def _missing_bounds(data: dict[Any, Any]) -> list[Fault]:
+    """Bounds that the model is not needed to miss: both are, but where every entry of a variable follows others."""
+    design, links = data.get("design"), data.get("links")
+    faults = []
+    for name, variable in design.items() if isinstance(design, dict) else ():
+        missing = [key for key in ("lower", "upper") if isinstance(variable, dict) and key not in variable]
+        if len(missing) == 1 or not links:
+            faults += [Fault(("design", name, key), f"is missing; allowed: {_WANTED[key]}") for key in missing]
+    return faults
 
 
 @cache
@@ -107,11 +121,12 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
     if kind == "too_short" and path == ("design",):
         return "is empty; must have at least one parameter of the model"
     if kind in ("too_short", "too_long") and isinstance(value, dict):
-        return f"has {len(value)} keys; must have exactly one"
+        least = details.get("ctx", {}).get("min_length", 1)
+        return f"has {len(value)} keys; must have {'exactly one' if path == ('sweep',) else f'{least} or more'}"
     if kind == "value":
         return f"= {shown(value)}: {details['msg']}"
     if kind in ("kind", "sampler"):
-        return f": {details['msg']}"
+        return details["msg"] if details.get("ctx", {}).get("path") else f": {details['msg']}"
     return f"= {shown(value)}: {re.sub(r'^[A-Z][a-z]+ should', 'must', details['msg'])}"
 
 

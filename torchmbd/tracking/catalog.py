@@ -12,6 +12,7 @@ from torchmbd.errors import InputError, nearest
 from torchmbd.tracking.store import open_store, own_files, sqlite_file
 
 KINDS = ("study", "sweep", "figures")
+GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is to be large
 _PAGE = 1000  # runs that are listed at most
 
 
@@ -77,9 +78,8 @@ def files(uri: str, entry: Entry, folder: str) -> list[str]:
 def children(uri: str, entry: Entry) -> list[Entry]:
     """Return a study's children, the best objective first."""
     parent = f"tags.mlflow.parentRunId = '{entry.run_id}'"
-    runs = open_store(uri).search_runs(
-        [entry.experiment_id], parent, max_results=_PAGE, order_by=["metrics.objective ASC"]
-    )
+    order = [f"metrics.objective {'DESC' if entry.tags.get(GOAL) == MAXIMIZE else 'ASC'}"]
+    runs = open_store(uri).search_runs([entry.experiment_id], parent, max_results=_PAGE, order_by=order)
     return [_entry(run, run.data.tags.get("kind", "start"), entry.experiment) for run in runs]
 
 

@@ -133,14 +133,14 @@ class MlflowTracker:
             self._draft(run).artifacts.append((Path(file).absolute(), folder))
             self._files.setdefault(run, set()).add(f"{folder}/{Path(file).name}".lstrip("/"))
 
-    def view(self, run: str, columns: Sequence[str], order_by: str) -> None:
+    def view(self, run: str, columns: Sequence[str], order_by: str, ascending: bool = True) -> None:
         """Store a view of the run's children that `links.view_link` opens.
 
         columns, order_by   `metrics.objective`, `params.start`, `tags.status`
         """
         state = {
             "orderByKey": _quoted(order_by),
-            "orderByAsc": True,
+            "orderByAsc": ascending,
             "startTime": "ALL",
             "lifecycleFilter": "Active",
             "selectedColumns": [_quoted(column) for column in columns],

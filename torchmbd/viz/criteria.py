@@ -117,8 +117,8 @@ def criteria_over_iterations(
         steps = [iterate.iteration for iterate in searches[name]]
         for axes, curve in zip(rows, _curves(problem, searches[name]), strict=True):
             axes.plot(steps, curve, marker="o", ms=2.5, **style)
-    factor, name = _shown(unit(problem.objective))
-    rows[0].set_ylabel(_label(words(problem.objective), name, _SHORT), fontsize=8)
+    factor, name = _shown(unit(problem.asked))
+    rows[0].set_ylabel(_label(words(problem.asked), name, _SHORT), fontsize=8)
     if all(value > 0.0 for line in rows[0].lines for value in np.asarray(line.get_ydata(), dtype=float)):
         rows[0].set_yscale("log")
     for axes, constraint, limit in zip(rows[1:], problem.constraints, _first_limits(problem), strict=True):
@@ -147,9 +147,12 @@ def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], 
     """
     _require(problem)
     require_motion(motion)
-    if not isinstance(problem.objective, Total) or len(problem.objective.terms) < 2:
+    if not isinstance(problem.asked, Total) or len(problem.asked.terms) < 2:
         return None
     measure = problem.reference.measures[0]
+    if problem.sign < 0.0:  # it is the negative of what is asked for
+        assert isinstance(measure, Total)
+        [(_, measure)] = measure.terms
     assert isinstance(measure, Total)
     scales = measure.normalize if isinstance(measure, WeightedSum) else None
     divisors = [1.0] * len(measure.terms) if scales is None else [float(s) for s in scales]
@@ -198,13 +201,13 @@ def _panels(problem: Problem) -> list[_Panel]:
     """One for every history, in the order of the question."""
     found: list[_Panel] = []
     limits = _first_limits(problem)
-    for asked, limit in [(problem.objective, None), *zip(problem.constraints, limits, strict=True)]:
+    for asked, limit in [(problem.asked, None), *zip(problem.constraints, limits, strict=True)]:
         outer = asked.measure if isinstance(asked, Constraint) else asked
         for history, measure in histories_of(outer):
             panel = next((known for known in found if known.history == history), None)
             if panel is None:
                 found.append(panel := _Panel(history))
-            panel.asked.append(_asked(asked, limit))
+            panel.asked.append(_asked(asked, limit, "minimize" if problem.sign > 0.0 else "maximize"))
             # A limit of the history itself: not of its integral, nor of what is computed of its measure.
             if isinstance(asked, Constraint) and measure is outer and _of_one_unit(measure, history):
                 panel.limits.append((float(limit or 0.0), asked.kind))
@@ -218,9 +221,9 @@ def _of_one_unit(measure: Measure, history: History) -> bool:
     return kinds and unit(measure) == unit(history)
 
 
-def _asked(asked: Measure | Constraint, limit: float | None) -> str:
+def _asked(asked: Measure | Constraint, limit: float | None, goal: str) -> str:
     if isinstance(asked, Measure):
-        return f"minimize {words(asked, bodies=False)}"
+        return f"{goal} {words(asked, bodies=False)}"
     factor, name = _shown(unit(asked.measure))
     return f"{words(asked.measure, bodies=False)} {_SIGNS[asked.kind]} {factor * (limit or 0.0):.4g} {name}".rstrip()
 
@@ -232,8 +235,8 @@ def _first_limits(problem: Problem) -> list[float]:
 
 def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
     """Objective, and every constrained response, over the iterates; of several rows the one nearest to its limit."""
-    factor, _ = _shown(unit(problem.objective))
-    curves = [factor * np.array([iterate.objective for iterate in history])]
+    factor, _ = _shown(unit(problem.asked))
+    curves = [problem.sign * factor * np.array([iterate.objective for iterate in history])]
     scaled = np.array([np.atleast_1d(iterate.constraints) for iterate in history])
     for constraint, own in zip(problem.constraints, problem.constraint_rows, strict=True):
         part = scaled[:, problem.peaks + own.start : problem.peaks + own.stop]

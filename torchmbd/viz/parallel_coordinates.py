@@ -26,6 +26,7 @@ def parallel_coordinates(
     bounds: tuple[Any, Any] | None = None,
     objective: str = "objective",
     title: str = "",
+    largest: bool = False,
 ) -> Figure:
     """A line for each design, the better the darker; the best is thick, designs that are not feasible are dashed.
 
@@ -36,6 +37,7 @@ def parallel_coordinates(
     bounds      (lower, upper) [n] of the axes; None or infinite: those of the designs
     objective   heading of the last axis
     title       of the figure
+    largest     whether the best has the largest objective, not the smallest
 
     >>> figure = mbd.viz.parallel_coordinates([[45.0, 0.0], [30.0, 60.0]], [2.0, 1.0], ["ply 1 [deg]", "ply 2 [deg]"])
     >>> [text.get_text() for text in figure.axes[0].get_xticklabels()]
@@ -59,14 +61,15 @@ def parallel_coordinates(
     figure, (axes,) = figure_of(4.0)
     figure.set_size_inches(max(6.0, 0.75 * all_.shape[1] + 1.5), 4.0)
     places = np.arange(all_.shape[1])
-    rank = np.argsort(np.argsort(-y))
+    worse = -y if largest else y
+    rank = np.argsort(np.argsort(-worse))
     order = np.argsort(rank + len(X) * good)  # the best is drawn last
     for k in order:
         shade = str(0.8 * (1.0 - (rank[k] + 1) / len(X)))
         axes.plot(
             places, share[k], color=shade if good[k] else OTHER, lw=0.9, ls="-" if good[k] else ":", marker="o", ms=2.5
         )
-    _best(axes, places, share, y, good)
+    _best(axes, places, share, worse, good)
     for k in places:
         axes.axvline(k, color="#444444", lw=0.8, zorder=0)
         for edge, text, va in ((-0.03, low[k], "top"), (1.03, high[k], "bottom")):
@@ -81,9 +84,9 @@ def parallel_coordinates(
     return titled(figure, title)
 
 
-def _best(axes: Any, places: np.ndarray, share: np.ndarray, y: np.ndarray, good: np.ndarray) -> None:
+def _best(axes: Any, places: np.ndarray, share: np.ndarray, worse: np.ndarray, good: np.ndarray) -> None:
     if good.any():
-        k = int(np.nanargmin(np.where(good, y, np.nan)))
+        k = int(np.nanargmin(np.where(good, worse, np.nan)))
         axes.plot(places, share[k], color=BEST, lw=2.2, marker="o", ms=4, label="best")
     axes.plot([], [], color="0.4", lw=0.9, label="other starts, the better the darker")
     if not good.all():
