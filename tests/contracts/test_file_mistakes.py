@@ -17,6 +17,8 @@ STUDY = Path(__file__).parents[1] / "study"
 TEXT = (STUDY / "study.yaml").read_text()
 MODEL, DESIGN = "model: rod_model.py:build", "start: [45, -45], lower: -90, upper: 90, unit: deg"
 ENERGY, LIMIT = "{integral: {strain_energy: rod}}", "{max: {strain_energy: rod}, at_most: initial}"
+TWO = "{at_times: {strain_energy: rod}, times: [0.001, 0.002]}"  # two rows
+PLY, THICK = "rod.laminate.angles", "rod.laminate.thickness"
 ANGLE = "{max: {angle: {body: rod, axis: z}}, "
 
 MISTAKES = [
@@ -125,6 +127,35 @@ MISTAKES = [
         "experimnt: test",
         ["tracking.experimnt unknown", "did you mean 'experiment'? (given: 'test')"],
     ),
+    # what is asked, links, tolerances, scenarios
+    ("minimize:", "maximise:", ["maximise unknown key", "did you mean 'maximize'?"]),
+    ("minimize: " + ENERGY + "\n", "", ["minimize is missing", "allowed: a response", "maximize: or tradeoff:"]),
+    (LIMIT, LIMIT + "\nmaximize: {mass: rod}", ["maximize and minimize are both given", "allowed: one of"]),
+    ("minimize: " + ENERGY, "maximize: " + TWO, ["maximize has 2 rows", "allowed: a response of one number"]),
+    ("minimize: " + ENERGY, "tradeoff: {a: {mass: rod}}", ["tradeoff has 1 keys", "must have 2 or more"]),
+    ("minimize: " + ENERGY, f"tradeoff: {{a: {{mass: rod}}, b: {TWO}}}", ["tradeoff.b has 2 rows", "allowed: "]),
+    ("minimize: " + ENERGY, "tradeoff: {a: {mass: rod}, b: {mas: rod}}", ["tradeoff.b.mas", "did you mean 'mass'"]),
+    ("tracking:", "robust: worst\ntracking:", ["robust = 'worst': no variable has a tolerance", "allowed: with one"]),
+    ("tracking:", "robust: worse\ntracking:", ["robust = 'worse'", "did you mean 'worst'"]),
+    ("tracking:", f"links: {{'{PLY}[2]': {{'{PLY}[0]': -1}}}}\ntracking:", [f"{PLY}[2] is no entry", "did you mean"]),
+    ("tracking:", f"links: {{'{PLY}[1]': {{'{PLY}[0]': a}}}}\ntracking:", ["= 'a'", "must be a valid number"]),
+    ("tracking:", f"links: {{'{PLY}[1]': {{constnt: 1}}}}\ntracking:", ["constnt", "did you mean 'constant'"]),
+    ("tracking:", "scenarios: [{set: {slider.mas: 1.0}}]\ntracking:", ["scenarios.0.set.slider.mas", "allowed: rod"]),
+    ("tracking:", f"scenarios: [{{set: {{{PLY}: 1.0}}}}]\ntracking:", ["is a design variable", "allowed: "]),
+    ("tracking:", f"scenarios: [{{set: {{{THICK}: [1.0]}}}}]\ntracking:", ["= [1.0]: has 1 values", "allowed: 2"]),
+    (
+        "tracking:",
+        f"scenarios: [{{set: {{{THICK}: 0.003}}, weight: 0}}]\ntracking:",
+        ["all 0", "allowed: one at least"],
+    ),
+    ("tracking:", "combine: {objective: mean}\ntracking:", ["combine is given without scenarios", "allowed: both"]),
+    # what the methods refuse
+    ("steps: 60", "steps: 60, spectral_radius: 1.5", ["simulate.spectral_radius", "is 1.5", "allowed: 0"]),
+    ("max_iterations: 2", "feasibility: -1", ["optimizer.feasibility", "= -1", "must lie in [0, 1]"]),
+    ("max_iterations: 2", "max_lanes: 0", ["optimizer.max_lanes", "= 0", "must lie in"]),
+    # the text itself
+    ("seed: 7", "seed: \x07", ["is not YAML: unacceptable character", "are not allowed"]),
+    (TEXT, "", ["is null", "allowed: sections such as model:"]),
 ]
 
 
@@ -145,6 +176,7 @@ def test_line_path_value_and_what_is_allowed_are_named(folder, old, new, words):
     text = str(error.value)
     for word in words:
         assert word in text
+    assert all(isinstance(fault.where, int) for fault in error.value.faults), text
     assert all("allowed" in str(fault) or "must" in str(fault) for fault in error.value.faults), text
 
 

@@ -80,7 +80,7 @@ def test_every_duplicate_is_named_with_both_lines():
         ("a: 1e999", 1, "out of the range"),
         ("a: " + "9" * 5000, 1, "digits"),
         ("a: " + "[" * 5000, 1, "deep"),
-        ("a: \x07", None, "not YAML"),
+        ("a: \x07", 1, "not YAML"),
     ],
 )
 def test_what_is_refused(text, line, word):

@@ -34,7 +34,7 @@ from torchmbd.study.model import (
     option_faults,
     require_returns,
 )
-from torchmbd.study.schema import ASKED, UNITS, Combine, Range, Simulation, Starts, Variable
+from torchmbd.study.schema import ASKED, UNITS, Combine, Range, Scenario, Simulation, Starts, Variable
 
 Sections = Mapping[str, Any]
 _NUMBERS = ("start", "lower", "upper", "tolerance", "step")  # of a design variable
@@ -60,7 +60,7 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
         faults += _link_faults(sections, system) + _design_faults(sections["design"], system, sections.get("links", {}))
         if not faults:
             faults += _start_faults(sections, system) + _memory_faults(sections, system)
-    faults += _motion_start_faults(sections, system)
+    faults += _motion_start_faults(sections, system) + _scenario_faults(sections, system)
     return system, faults
 
 
@@ -135,7 +135,10 @@ def _response_faults(sections: Sections, folder: FilePath, system: System) -> li
                 return [Fault(leaf(sections[key], (key,))[:2], text)]
     if sections.get("maximize") is not None and (text := _not_to_be_large(sections, read(sections["maximize"]).rows)):
         return [Fault(("maximize",), text)]
-    given += [(spec, ("tradeoff", name)) for name, spec in (sections.get("tradeoff") or {}).items()]
+    for name, spec in (sections.get("tradeoff") or {}).items():
+        given.append((spec, ("tradeoff", name)))
+        if (rows := read(spec).rows) > 1:
+            return [Fault(("tradeoff", name), f"has {rows} rows; allowed: responses of one number")]
     given += [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
     faults = []
     for spec, path in given:
@@ -274,6 +277,31 @@ def _motion_start_faults(sections: Sections, system: System) -> list[Fault]:
     except InputError as error:
         return [Fault(("simulate", "start"), f": {error}")]
     return []
+
+
+def _scenario_faults(sections: Sections, system: System) -> list[Fault]:
+    """Names, sizes and units of what scenarios set, and what is asked over them."""
+    scenarios: Sequence[Scenario] = sections.get("scenarios") or ()
+    own, design = dict(system.named_parameters()), sections.get("design", {})
+    faults = []
+    for path, name, given in (
+        (("scenarios", k, "set", n), n, x) for k, s in enumerate(scenarios) for n, x in s.set.items()
+    ):
+        if name not in own:
+            faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}"))
+        elif name in design:
+            faults.append(Fault(path, "is a design variable; allowed: parameters that are none"))
+        elif (x := values(given, own[name].numel())) is None:
+            size = f"{own[name].numel()}, or one number for all"
+            faults.append(Fault(path, f"= {given}: has {len(np.atleast_1d(given))} values; allowed: {size}"))
+        else:
+            try:
+                check_parameter("scenario sets", name, torch.from_numpy(x))
+            except InputError as error:
+                faults.append(Fault(path, f"= {given}: {error}"))
+    if scenarios and not any(scenario.weight for scenario in scenarios):
+        faults.append(Fault(("scenarios",), "have weights that are all 0; allowed: one at least that is positive"))
+    return faults
 
 
 def _memory_faults(sections: Sections, system: System) -> list[Fault]:

@@ -8,6 +8,7 @@ Raised where input enters only (loader, overrides, schema, names of the model). 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
@@ -65,6 +66,19 @@ def _place(path: Path, lines: Lines) -> int | str | None:
     while path and path not in lines:
         path = path[:-1]
     return lines.get(path)
+
+
+def mentioned(text: str, lines: Lines) -> Path:
+    """The part of a file that a message most likely speaks of: of its keys most stand in the message, the last one early.
+
+    For what only the whole of a file tells, such as a setting that the method refuses by its name.
+    """
+    words = {str(key) for path in lines for key in path if not isinstance(key, int)}
+    places = {
+        word: found.start() for word in words if (found := re.search(rf"(?<![\w.]){re.escape(word)}(?!\w)", text))
+    }
+    paths = [path for path in lines if path and str(path[-1]) in places]
+    return max(paths, key=lambda path: (sum(str(k) in places for k in path), -places[str(path[-1])]), default=())
 
 
 def shown(value: object, limit: int = 60) -> str:

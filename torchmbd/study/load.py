@@ -9,7 +9,7 @@ from pathlib import Path
 from torchmbd.errors import InputError
 from torchmbd.study.assemble import S, study_of
 from torchmbd.study.check import check, figure_faults
-from torchmbd.study.file_errors import Fault, StudyError, located
+from torchmbd.study.file_errors import Fault, StudyError, located, mentioned
 from torchmbd.study.overrides import override
 from torchmbd.study.schema import Figures, StudyFile
 from torchmbd.study.settings import StudySettings
@@ -51,12 +51,14 @@ def study_of_document(
     try:
         return study_of(StudyFile.model_validate(document.data), system, path, overrides, kind)
     except InputError as error:  # what only all of it together tells
-        raise StudyError(document.source, [Fault((), str(error))]) from error
+        fault = Fault(mentioned(str(error), document.lines), f": {error}")
+        raise StudyError(document.source, located([fault], document.lines)) from error
 
 
 def load_study(path: str | Path, overrides: Sequence[str] = (), kind: type[S] = StudySettings) -> S:
     """Load a file that optimizes or sweeps; InputError for one that draws figures."""
     study = load(path, overrides, kind)
     if isinstance(study, FiguresPlan):
-        raise StudyError(str(path), [Fault(("figures",), ": draws figures; allowed here: a study or a sweep")])
+        fault = Fault(("figures",), ": draws figures; allowed here: a study or a sweep")
+        raise StudyError(str(path), located([fault], read_yaml(path).lines))
     return study

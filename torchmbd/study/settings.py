@@ -21,7 +21,7 @@ from torchmbd.optimization import RobustProblem, Starts
 from torchmbd.optimization.api import checked_box, require_limits
 from torchmbd.optimization.discrete.grid import Grid
 from torchmbd.optimization.multistart.sampling import given, recipe
-from torchmbd.optimization.optimizer import find_method, require_count, require_problem
+from torchmbd.optimization.optimizer import find_method, require_count, require_problem, require_range
 from torchmbd.optimization.pareto import pareto_front
 from torchmbd.optimization.robust import BETA
 from torchmbd.study.check import swept_index
@@ -213,3 +213,8 @@ def _check_options(method: str, options: Mapping[str, Any], front: bool) -> None
     """InputError for options that nothing takes."""
     taken = of_searches(pareto_front if front else None)
     find_method(method, {key: value for key, value in options.items() if key not in taken})
+    for name, least, most in (("divisions", 1, 10_000), ("max_lanes", 1, 1_000_000), ("max_analyses", 1, 1_000_000)):
+        if options.get(name) is not None:
+            require_count(name, options[name], least, most)
+    if "feasibility" in options:
+        require_range("feasibility", options["feasibility"], 0.0, 1.0)

@@ -58,7 +58,8 @@ def read_yaml(path: str | FilePath) -> Document:
     try:
         text = content.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise StudyError(str(path), [Fault((), f"is not UTF-8 text (byte {error.start})")]) from None
+        line = content[: error.start].count(b"\n") + 1
+        raise StudyError(str(path), [Fault((), f"is not UTF-8 text (byte {error.start})", line)]) from None
     return parse_yaml(text, str(path))
 
 
@@ -70,11 +71,14 @@ def parse_yaml(text: str, source: str = "<text>") -> Document:
     except yaml.MarkedYAMLError as error:
         line = error.problem_mark.line + 1 if error.problem_mark else None
         builder.faults.append(Fault((), f"is not YAML: {error.problem or error.context}", line))
+    except yaml.reader.ReaderError as error:
+        line = text[: error.position].count("\n") + 1
+        builder.faults.append(Fault((), f"is not YAML: {str(error).splitlines()[0]}", line))
     except yaml.YAMLError as error:
-        builder.faults.append(Fault((), f"is not YAML: {str(error).splitlines()[0]}"))
+        builder.faults.append(Fault((), f"is not YAML: {str(error).splitlines()[0]}", 1))
     if builder.faults:
         raise StudyError(source, builder.faults)
-    return Document(source, builder.data, builder.lines)
+    return Document(source, builder.data, {(): 1} | builder.lines)
 
 
 def scalar(text: str) -> Any:
