@@ -19,6 +19,8 @@ from torchmbd.tracking.store import open_store
 
 # Tests run by operators of torch, the reference; tests of compilation switch it on themselves.
 os.environ["TORCHMBD_COMPILE"] = "0"
+# Code of small tests: to compile it with -O2 takes longer than to run it as it is.
+os.environ.setdefault("TORCHMBD_CXXFLAGS", "-O0")
 torch.set_num_threads(1)
 
 
@@ -31,6 +33,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """Before anything is built."""
     if config.getoption("--native"):
         os.environ["TORCHMBD_COMPILE"] = "1"
+        os.environ["TORCHMBD_CXXFLAGS"] = ""
 
 
 settings.register_profile("repeatable", deadline=None, derandomize=True)
@@ -51,30 +54,27 @@ def empty_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return file
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="session", autouse=True)
 def library(tmp_path_factory: pytest.TempPathFactory) -> str:
-    """A cache of compiled code of this run, for all processes of pytest-xdist: what one has built the others load."""
+    """The cache of compiled code of this run, for all processes of pytest-xdist: what one has built the others load."""
     base = tmp_path_factory.getbasetemp()
     folder = (base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base) / "libraries"
     folder.mkdir(mode=0o700, exist_ok=True)
+    os.environ["TORCHMBD_CACHE"] = str(folder)
     return str(folder)
 
 
-@pytest.fixture
-def native(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Native code may be built, into the cache of the run."""
-    if shutil.which("g++") is None:
-        pytest.skip("no C++ compiler")
-    monkeypatch.setenv("TORCHMBD_CACHE", library)
-
-
-@pytest.fixture
-def compiled(library: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Products are compiled code."""
-    monkeypatch.setenv("TORCHMBD_CACHE", library)
-    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
+@pytest.fixture(scope="session")
+def native() -> None:
+    """There is a C++ compiler: `backend="native"` serves."""
     if shutil.which(compiler()) is None:
         pytest.skip("no C++ compiler")
+
+
+@pytest.fixture
+def compiled(native: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Steps and products are compiled code wherever production uses it."""
+    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
     assert panels._native() is not None
 
 

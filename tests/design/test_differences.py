@@ -11,6 +11,8 @@ from torchmbd.design.differences import Differences, differences
 from torchmbd.errors import InputError
 from torchmbd.optimization import Evaluation
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 ENERGY = mbd.StrainEnergy("rod")
 AT = np.radians([[20.0, -50.0], [70.0, 15.0]])
 

@@ -19,6 +19,8 @@ from torchmbd.design.rainflow import rainflow
 from torchmbd.design.spline import Spline
 from torchmbd.fem.materials import SNCurve
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 STANDARD = [-2.0, 1.0, -3.0, 5.0, -1.0, 3.0, -4.0, 4.0, -2.0]  # ASTM E1049-85, figure 6
 
 

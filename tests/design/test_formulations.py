@@ -26,6 +26,8 @@ from torchmbd.design import (
 )
 from torchmbd.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 PLY: dict = CARBON
 ENERGY = mbd.StrainEnergy("rod")
 ANGLES, THICKNESS = "rod.laminate.angles", "rod.laminate.thickness"

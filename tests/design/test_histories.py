@@ -18,6 +18,8 @@ from torchmbd.design import (
     Velocity,
 )
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 STEPS, DURATION = 200, 0.02
 HINGE, JOINT = "revolute_ground_arm", "universal_arm_rod"
 

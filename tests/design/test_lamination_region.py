@@ -9,6 +9,8 @@ import torch
 import torchmbd as mbd
 from tests.sensitivity.number_cases import check, hung
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 MESH = mbd.mesh.rectangle(0.4, 0.1, cells=(4, 2))
 CARBON = mbd.examples.carbon()
 INSIDE = [[0.21, 0.13, -0.31, 0.05], [0.12, -0.23, -0.17, 0.1], [-0.3, 0.11, 0.14, 0.02], [0.03, 0.16, -0.4, 0.07]]

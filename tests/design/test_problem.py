@@ -12,6 +12,8 @@ from tests.mechanisms import pendulum
 from torchmbd.design import Constraint
 from torchmbd.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 ENERGY = mbd.StrainEnergy("rod")
 
 

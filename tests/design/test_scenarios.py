@@ -8,6 +8,8 @@ import torch
 
 import torchmbd as mbd
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 ENERGY = mbd.StrainEnergy("arm")
 TIP = abs(mbd.Displacement("arm", "z", node="right"))
 

@@ -12,6 +12,8 @@ from torch.testing import assert_close
 from torchmbd.design.spline import Spline
 from torchmbd.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 B = (1.3, 0.4, 0.2)
 
 

@@ -10,6 +10,8 @@ from tests.mechanisms import pendulum
 from torchmbd.errors import InputError
 from torchmbd.optimization import pareto_front
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 ENERGY = mbd.StrainEnergy("rod")
 TWIST = mbd.RelativeDisplacement("rod", "corner_right_bottom", "corner_right_top", "z")
 CRITERIA = {"energy": mbd.Integral(ENERGY), "twist": 1e3 * mbd.Integral(TWIST**2)}

@@ -14,6 +14,8 @@ from torchmbd.study.run import run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 CONFIGS = configs(Path(__file__).parents[2] / "configs")
 PLANS = {file: load(file) for file in CONFIGS}
 # Phases and windows need all their time: those files have tests of their own, test_sar_antenna_whole.py and so on.

@@ -8,6 +8,8 @@ import torchmbd as mbd
 from experiments import exudyn_peer, panel, slider_crank
 from experiments.exudyn_comparison import Comparison, compare
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 def agree(found: Comparison) -> None:
     for one, other in (found.peaks, found.integrals):

@@ -6,6 +6,8 @@ import pytest
 
 from experiments import figures4_7
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 def test_figures_are_drawn_and_tell_what_the_header_says(tmp_path, monkeypatch):
     monkeypatch.setattr(figures4_7, "DURATION", 0.02)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import pytest
+
 from experiments import figures8_11
+
+pytestmark = pytest.mark.usefixtures("compiled")
 
 
 def test_figures_are_drawn_and_tell_their_minima(tmp_path):

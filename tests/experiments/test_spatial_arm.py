@@ -19,6 +19,8 @@ from torchmbd.study.run import run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 FILE = Path(__file__).parents[2] / "configs" / "spatial_arm" / "least_vibration.yaml"
 
 SMALL = ["simulate.steps=60", "options.around=8", "scenarios=[{set: {tool.mass: 0.5}}, {set: {tool.mass: 1.1}}]"]

@@ -17,6 +17,8 @@ from torchmbd.study.run import run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 VARIABLES = ["motor.size", "motor.duration"]
 COARSE = {"steps": 30, "spectral_radius": 0.7, "refresh": 0, "iterations": (5, 4)}
 FILE = Path(__file__).parents[2] / "configs" / "two_link_arm" / "swing.yaml"

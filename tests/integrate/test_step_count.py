@@ -12,15 +12,9 @@ from tests.mechanisms import box, tensor
 from torchmbd.integrate.step_count import all_modes, announce, first_steps, wanted_steps
 from torchmbd.progress import motion_shown, without_bars
 
+pytestmark = pytest.mark.usefixtures("compiled")  # thousands of steps
 GROUND = mbd.Ground()
 ROD = mbd.GivenSection.isotropic(E=2.1e11, nu=0.3, density=7800.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9)
-
-
-@pytest.fixture(autouse=True)
-def compiled(library, monkeypatch):
-    """Thousands of steps: by native code."""
-    monkeypatch.setenv("TORCHMBD_CACHE", library)
-    monkeypatch.setenv("TORCHMBD_COMPILE", "1")
 
 
 def arm(angle=None, push=None, **options) -> mbd.System:

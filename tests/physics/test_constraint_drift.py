@@ -9,6 +9,8 @@ import torchmbd as mbd
 from torchmbd.integrate import Trajectory
 from torchmbd.multibody.system import equations
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 def violations(motion: Trajectory) -> tuple[float, float]:
     """Largest Phi [m] and Phi' [m/s] of the first lane at all output times."""

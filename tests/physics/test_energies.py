@@ -10,6 +10,8 @@ import torchmbd as mbd
 from tests.mechanisms import GRAVITY, SOFT, box, laminate, pendulum, plate, turned
 from tests.physics.nodal_sums import sums
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 def test_energies_are_those_of_the_nodes():
     motion = mbd.simulate(pendulum(), 0.05, steps=50).require_ok()

@@ -10,6 +10,8 @@ import torchmbd as mbd
 from tests.mechanisms import pendulum
 from tests.physics.nodal_sums import sums
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 TIGHT = {"dopri5": {"rtol": 1e-7, "atol": 1e-9}, "dopri8": {"rtol": 1e-8, "atol": 1e-10}}
 
 

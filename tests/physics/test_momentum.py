@@ -9,6 +9,8 @@ import torchmbd as mbd
 from tests.mechanisms import SOFT, box, laminate, plate, tensor, turned
 from tests.physics.nodal_sums import sums
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 def floating_plate() -> mbd.System:
     """Its frame sits at a corner: the first moment does not vanish, and damping must not brake the whole."""

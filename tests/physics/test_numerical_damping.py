@@ -12,6 +12,8 @@ import pytest
 
 import torchmbd as mbd
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 STEP, STEPS, WAY = 1e-3, 60, 0.01  # [s]; [m] in a step, at the speed of the start
 
 

@@ -15,6 +15,8 @@ from tests.mechanisms import SOFT, box, laminate, plate
 from tests.validation.test_flexible_benchmarks import BLADE, GROUND, SpinUp, exact_blade, from_hub
 from torchmbd.multibody.system import equations
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 needs_compiler = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
 ROD = "rod.laminate.angles"
 ANGLES = torch.tensor([[0.3, -0.8], [0.5, 1.0]], dtype=torch.float64)

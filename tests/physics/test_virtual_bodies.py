@@ -13,6 +13,8 @@ import torch
 import torchmbd as mbd
 from tests.mechanisms import box, plate, tensor, turned
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 TRIAD = turned(0.5, 0.7, -0.2)
 GRAVITY = (15.0, -90.0, 35.0)
 

@@ -15,6 +15,8 @@ import torchmbd as mbd
 from experiments.slider_crank import DURATION, build
 from torchmbd.integrate import Trajectory
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 # lay-up [deg]: max U [J], integral of U [J s]
 REFERENCE = {
     (45.0,): (0.581, 0.00735),

@@ -14,6 +14,8 @@ from tests.mechanisms import finished
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 NODES = torch.linspace(0.0, 0.6, 7, dtype=torch.float64)[:, None] * torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
 CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
 SETS = {"start": [0], "end": [6], "middle": [3]}

@@ -13,6 +13,8 @@ from torchmbd.errors import InputError
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
 from torchmbd.multibody.joints.joint import Attached, AttachmentTable
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 MESH = mbd.mesh.rectangle(length=0.3, width=0.1, cells=(4, 2))
 EDGE, CORNERS = MESH.node_sets["left_edge"], (0, 5, 14)
 SETS = {

@@ -18,6 +18,8 @@ from torchmbd.fem.elements import Assembly, Plates
 from torchmbd.fem.reduction import eigenpairs
 from torchmbd.math.rotation import rotation_matrix
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 STEEL, FOAM = mbd.Ply.isotropic(2.1e11, 0.3, 7800.0), mbd.Ply.isotropic(7e7, 0.3, 60.0)
 DENSITY, THICKNESS = (7800.0, 60.0, 1586.0, 1586.0), (1e-3, 10e-3, 1e-3, 0.7e-3)
 LENGTH, WIDTH, CORNER = 0.3, 0.1, "corner_left_bottom"

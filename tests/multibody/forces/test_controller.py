@@ -18,6 +18,8 @@ from tests.mechanisms import GRAVITY, SOFT, box, laminate, plate, tensor, turned
 from torchmbd.multibody.forces.signals import Actuator, Signal
 from torchmbd.multibody.system import equations
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 S = mbd.signals
 GROUND = mbd.Ground()
 

@@ -162,9 +162,12 @@ class FeedbackSweep:
         self.laws, names = laws, [key(link.control.name) for link in laws.links]
         self.names = [name if name in wanted else None for name in names]
         lanes = signals.shape[-1]
+        leaves: dict[int, Tensor] = {}  # one of each module, which holds it for all controllers that share it
         self.parameters = [
-            p if name is None else p.expand(-1, lanes).clone().requires_grad_()
-            for p, name in zip(laws.parameters(data), self.names, strict=True)
+            p
+            if name is None
+            else leaves.setdefault(id(link.control.module), p.expand(-1, lanes).clone().requires_grad_())
+            for p, name, link in zip(laws.parameters(data), self.names, laws.links, strict=True)
         ]
         self.outputs: list[list[Tensor]] = []
         with torch.enable_grad():

@@ -35,11 +35,11 @@ from torchmbd.integrate.native.feedback import CalledLaws, Feedback
 from torchmbd.integrate.native.mechanism import Mechanism
 from torchmbd.math.codegen import build_cache
 from torchmbd.math.codegen.compiler import (
-    OPTIONS,
     SUFFIX,
     compilation_wanted,
     compiler,
     load,
+    options,
     toolchain_digest,
     unavailable,
 )
@@ -240,7 +240,7 @@ def build(name: str, kind: str, text: str, system: str) -> Path:
         code, made = Path(work) / "code.cpp", Path(work) / "code.so"
         code.write_text(text)
         done = subprocess.run(
-            [compiler(), "-O2", *OPTIONS, f"-DLANES={simd_layout.LANES}", "-o", str(made), str(code)],
+            [compiler(), *options("-O2"), f"-DLANES={simd_layout.LANES}", "-o", str(made), str(code)],
             capture_output=True,
             text=True,
         )

@@ -5,7 +5,7 @@ the processor. So a stale one is never found. What may be loaded says build_cach
 said once.
 
 Cache: TORCHMBD_CACHE or ~/.cache/torchmbd, which the user alone may write. TORCHMBD_COMPILE=0 switches compilation off;
-CXX names the compiler.
+CXX names the compiler, TORCHMBD_CXXFLAGS has options that come last, as "-O0" or "-g".
 Checked in tests/math/codegen/test_compiler.py.
 """
 
@@ -15,6 +15,7 @@ import ctypes
 import hashlib
 import os
 import platform
+import shlex
 import shutil
 import subprocess
 import sys
@@ -39,6 +40,11 @@ def compiler() -> str:
     return os.environ.get("CXX", "g++")
 
 
+def options(optimization: str) -> list[str]:
+    """Options of the compiler: "-O2" and those of every library, then those of the user."""
+    return [optimization, *OPTIONS, *shlex.split(os.environ.get("TORCHMBD_CXXFLAGS", ""))]
+
+
 def compilation_wanted() -> bool:
     """Whether compilation is not switched off."""
     return os.environ.get("TORCHMBD_COMPILE") != "0"
@@ -53,18 +59,18 @@ def unavailable() -> str | None:
 
 def toolchain_digest(sources: Iterable[str]) -> str:
     """Source files of the package (or folders of them), versions, compiler and processor, as a digest."""
-    return _toolchain_digest(tuple(sources), compiler())
+    return _toolchain_digest(tuple(sources), compiler(), tuple(options("")))
 
 
 @cache
-def _toolchain_digest(sources: tuple[str, ...], compiler: str) -> str:
+def _toolchain_digest(sources: tuple[str, ...], compiler: str, options: tuple[str, ...]) -> str:
     digest = hashlib.sha256()
     for part in sources:
         path = PACKAGE / part
         for file in sorted(path.glob("*.py")) if path.is_dir() else [path]:
             digest.update(file.read_bytes())
     version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
-    digest.update(repr([OPTIONS, torch.__version__, sys.version_info[:2], version, _processor()]).encode())
+    digest.update(repr([options, torch.__version__, sys.version_info[:2], version, _processor()]).encode())
     return digest.hexdigest()
 
 
@@ -123,7 +129,7 @@ class Native:
         """It appears complete or not at all."""
         with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
             made = Path(work) / "code.so"
-            command = [compiler(), "-O3", *OPTIONS, "-o", str(made), str(PACKAGE / self.source)]
+            command = [compiler(), *options("-O3"), "-o", str(made), str(PACKAGE / self.source)]
             subprocess.run(command, check=True, capture_output=True)
             build_cache.keep(made, self.path())
 
