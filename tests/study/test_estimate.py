@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -58,20 +59,19 @@ def test_the_cost_of_a_valid_file(write):
     assert "retained modes: make joints and forces" in text  # what these leave out (multibody/system/truncation.py)
 
 
-def test_responses_count(write):
-    """A response that takes longer than the motion is in the time of a batch."""
+def test_responses_count(write, monkeypatch):
+    """By a clock that only the response moves: the estimate is what a batch takes, of the whole motion."""
+    clock = [0.0]
 
     def slow(motion):
-        time.sleep(0.02 * motion.t.numel())
+        clock[0] += 0.02 * motion.t.numel()
         return motion.body("rod").strain_energy
 
+    monkeypatch.setattr("torchmbd.study.estimate.time", SimpleNamespace(perf_counter=lambda: clock[0]))
     plan = load_study(write(simulate={"duration": 0.01, "steps": 60}, subject_to=[]))
     asked = mbd.Integral(mbd.history(slow), window=(0.005, 0.01))  # not in the part that is measured
     problem = mbd.Problem(plan.simulated.system, 0.01, asked, steps=60, bounds=(-1.5, 1.5))
-    expected, found = 0.02 * 61, []
-    for _ in range(5):  # on a busy machine one of several tries must do
-        found.append(estimate(plan, problem).batch_seconds)
-        if expected / 2 < found[-1] < 2 * expected:
-            break
-    else:
-        pytest.fail(f"estimates: {found} s; expected: {expected} s and more")
+    cost, began = estimate(plan, problem).batch_seconds, clock[0]
+    problem.evaluate(np.tile(problem.start, (2, 1)), True)
+    assert cost == pytest.approx(clock[0] - began, rel=1e-9)
+    assert cost > 0.02 * 60

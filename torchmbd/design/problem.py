@@ -19,13 +19,14 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from torchmbd.design.differentiate import ROWS, differentiate
+from torchmbd.design.question import Reference, asked_of, constraints_of, largest, scale_of
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.space import DesignSpace
 from torchmbd.errors import InputError, SimulationFailure, argument_names
@@ -37,7 +38,7 @@ from torchmbd.integrate.memory import lanes_at_once, require_room
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.integrate.registry import DEFAULT
 from torchmbd.integrate.step_count import FEWEST
-from torchmbd.math.owned import real, several
+from torchmbd.math.owned import real
 from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
 from torchmbd.optimization.optimizer import as_numbers
@@ -45,27 +46,6 @@ from torchmbd.results.motion_data import OK
 from torchmbd.summary import Summary, few
 
 BOUND = "bound"  # name of the extra variable beta
-
-
-class Reference(NamedTuple):
-    """The problem with everything that refers to the initial design filled in.
-
-    measures  objective, then one for each constraint
-    unit      what the extra variable is a multiple of
-    limits    c of every row of the constraints [m]
-    scale     what the violation of each row is divided by, with the sign of its kind [m]
-    """
-
-    measures: list[Measure]
-    unit: float
-    limits: np.ndarray
-    scale: np.ndarray
-
-
-def constraints_of(subject_to: Any) -> list[Constraint]:
-    """A constraint, or a list of them, as a list; InputError names what is none."""
-    given = [subject_to] if isinstance(subject_to, Constraint) else subject_to
-    return several("subject_to", given, Constraint, "constraints, such as Max(...) <= 'initial'")
 
 
 class Problem(Summary):
@@ -130,7 +110,7 @@ class Problem(Summary):
             start, motion_start = None, start
         start_of(system, motion_start)
         integrator = check(duration, method, steps, options, phases is not None, argument_names(Problem))
-        self.asked, self.sign = _asked(minimize, maximize)
+        self.asked, self.sign = asked_of(minimize, maximize)
         minimize = self.asked if self.sign > 0.0 else -self.asked
         if phases is not None:
             plan(system, phases, duration)
@@ -272,8 +252,8 @@ class Problem(Summary):
             motion = self.motion(self.start).require_ok()
             measures = [measure.at_start(motion) for measure in measures]
             for i, measure in enumerate(measures[1:]):
-                limits[i] = _largest(measure, motion) if initial[i] else limits[i]
-            unit = _largest(measures[0], motion) if self.peaks else 1.0
+                limits[i] = largest(measure, motion) if initial[i] else limits[i]
+            unit = largest(measures[0], motion) if self.peaks else 1.0
             if not unit > 0.0:
                 raise InputError(f"{self.objective!r} is {unit:g} at most at the initial design; allowed: positive")
         scale = [scale_of(c, limit) for c, limit in zip(self.constraints, limits, strict=True)]
@@ -384,27 +364,3 @@ class Problem(Summary):
         full[:, 1 : 1 + self.peaks, n] = -1.0
         full[:, 0, n] = unit
         return values, full
-
-
-def _asked(minimize: Any, maximize: Any) -> tuple[Measure, float]:
-    """What is asked for, and its sign: -1 where it is to be large."""
-    if minimize is not None and maximize is not None:
-        raise InputError(f"minimize is {minimize!r} and maximize is {maximize!r}; allowed: one of them")
-    if minimize is None and maximize is None:
-        raise InputError("'minimize' of Problem is missing; allowed: a measure, here or as 'maximize'")
-    name, measure = ("minimize", minimize) if maximize is None else ("maximize", maximize)
-    if not isinstance(measure, Measure):
-        raise InputError(f"{name} is {measure!r}; allowed: a measure, such as Integral(StrainEnergy('rod'))")
-    if maximize is not None and measure.rows > 1:
-        raise InputError(f"maximize is {measure!r}, of {measure.rows} rows; allowed: a measure of one number")
-    return measure, 1.0 if maximize is None else -1.0
-
-
-def _largest(measure: Measure, motion: Trajectory) -> float:
-    return float(measure.value(motion)[0].max())
-
-
-def scale_of(constraint: Constraint, limit: float) -> float:
-    """What the violation of a constraint is divided by, with the sign of its kind."""
-    size = constraint.scale or abs(limit) or 1.0
-    return -size if constraint.kind == "at_least" else size

@@ -20,7 +20,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.design.differentiate import differentiate
-from torchmbd.design.problem import Problem, Reference, scale_of
+from torchmbd.design.problem import Problem
+from torchmbd.design.question import Reference, scale_of
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.errors import InputError, SimulationFailure, unknown
 from torchmbd.fem.reduction import CutCluster

@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from torchmbd.design.problem import Problem, constraints_of
+from torchmbd.design.problem import Problem
+from torchmbd.design.question import constraints_of
 from torchmbd.design.response import Constraint, Measure, all_measures
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
