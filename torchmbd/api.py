@@ -49,6 +49,7 @@ from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.fibers import FiberCurvature, FiberDivergence
 from torchmbd.design.lamination import LaminationRules
 from torchmbd.design.lamination_region import LaminationRegion
+from torchmbd.design.openmdao_component import openmdao_component
 from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.rainflow import rainflow
@@ -273,6 +274,7 @@ __all__ = [
     "mesh",
     "modal_basis",
     "multistart",
+    "openmdao_component",
     "optimize",
     "optimize_discrete",
     "pareto_front",

@@ -1,0 +1,95 @@
+"""A motion as a component of OpenMDAO: values, partial derivatives in both directions, an optimization, bad input."""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import torchmbd as mbd
+
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "openmdao.md"
+ENERGY = mbd.Integral(mbd.StrainEnergy("arm"))
+RESPONSES = {
+    "energy": ENERGY,
+    "mass": mbd.Mass("arm"),
+    "places": mbd.AtTimes(mbd.Position("arm", axis="x"), times=[0.01, 0.02]),
+}
+
+
+def test_values_and_partials():
+    om = pytest.importorskip("openmdao.api")
+    arm = mbd.examples.arm()
+    for mode, way in (("fwd", "reverse"), ("rev", "forward")):
+        problem = om.Problem(reports=False)
+        problem.model.add_subsystem(
+            "arm", mbd.openmdao_component(arm, 0.02, RESPONSES, steps=20, gradients=way), promotes=["*"]
+        )
+        problem.setup(mode=mode)
+        problem.set_val("arm:laminate:angles", mbd.deg([35.0, -20.0]))
+        problem.run_model()
+        design = {"arm.laminate.angles": mbd.deg([[35.0, -20.0]])}
+        motion = mbd.simulate(arm, 0.02, designs=design, steps=20)
+        for name, measure in RESPONSES.items():
+            np.testing.assert_allclose(problem.get_val(name), measure(motion).reshape(-1).detach().numpy(), rtol=1e-12)
+        own = [_name(name) for name, x in arm.named_parameters() if x.requires_grad]
+        totals = problem.compute_totals(of=list(RESPONSES), wrt=own)
+        assert {shape.shape[0] for (output, _), shape in totals.items() if output == "places"} == {2}
+        checked = problem.check_totals(of=["energy", "mass"], wrt=own, out_stream=None, step=1e-5, form="central")
+        for key, found in checked.items():
+            size = max(np.abs(found["J_fd"]).max(), 1e-9)
+            assert np.abs(found["J_fwd" if "J_fwd" in found else "J_rev"] - found["J_fd"]).max() < 1e-5 * size, key
+
+
+def test_an_optimization_ends_where_ours_does():
+    om = pytest.importorskip("openmdao.api")
+    arm = mbd.examples.arm()
+    problem = om.Problem(reports=False)
+    component = mbd.openmdao_component(arm, 0.02, {"energy": ENERGY}, variables=["arm.laminate.angles"], steps=20)
+    problem.model.add_subsystem("arm", component, promotes=["*"])
+    problem.model.add_design_var("arm:laminate:angles", lower=-1.5, upper=1.5)
+    problem.model.add_objective("energy", scaler=1e4)
+    problem.driver = om.ScipyOptimizeDriver(optimizer="SLSQP", disp=False, tol=1e-10)
+    problem.setup()
+    problem.run_driver()
+    ours = mbd.Problem(arm, 0.02, ENERGY, variables=["arm.laminate.angles"], bounds=(-1.5, 1.5), steps=20)
+    wanted = mbd.optimize(ours, method="slsqp", ftol=1e-10, progress=False).value
+    assert float(problem.get_val("energy")[0]) == pytest.approx(wanted, rel=1e-4)
+
+
+def test_the_page_runs():
+    pytest.importorskip("openmdao.api")
+    [code] = re.findall(r"^```py\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    names: dict = {}
+    exec(compile(code, str(PAGE), "exec"), names)
+    angles = dict(names["arm"].named_parameters())["arm.laminate.angles"].detach()
+    assert not np.allclose(names["problem"].get_val("arm:laminate:angles"), angles)
+
+
+def test_bad_input(monkeypatch):
+    arm = mbd.examples.arm()
+    if "openmdao" in sys.modules or _installed():
+        with pytest.raises(mbd.InputError, match="responses"):
+            mbd.openmdao_component(arm, 0.02, {})
+        with pytest.raises(mbd.InputError, match="'energy'"):
+            mbd.openmdao_component(arm, 0.02, {"energy": mbd.StrainEnergy("arm")})  # pyright: ignore[reportArgumentType]
+        with pytest.raises(mbd.InputError, match="laminate"):
+            mbd.openmdao_component(arm, 0.02, {"energy": ENERGY}, variables=["arm.laminat.angles"])
+    monkeypatch.setitem(sys.modules, "openmdao.api", None)
+    with pytest.raises(mbd.InputError, match="openmdao"):
+        mbd.openmdao_component(arm, 0.02, {"energy": ENERGY})
+
+
+def _name(parameter: str) -> str:
+    return parameter.replace(".", ":")
+
+
+def _installed() -> bool:
+    try:
+        import openmdao.api  # noqa: F401  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        return False
+    return True
