@@ -62,7 +62,7 @@ def test_an_optimization_ends_where_ours_does():
 
 def test_the_page_runs():
     pytest.importorskip("openmdao.api")
-    [code] = re.findall(r"^```py\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
+    [code] = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
     names: dict = {}
     exec(compile(code, str(PAGE), "exec"), names)
     angles = dict(names["arm"].named_parameters())["arm.laminate.angles"].detach()
