@@ -27,6 +27,8 @@ from torchmbd.integrate.registry import INTEGRATORS, integrator_of
 from torchmbd.integrate.step import Weights
 from torchmbd.math.elementwise import reciprocal
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 DURATION = 0.02
 
 

@@ -18,6 +18,8 @@ from torch import Tensor
 import torchmbd as mbd
 from tests.mechanisms import tensor, turned
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 MASS, LENGTH, TILT, PRECESSION, GRAVITY = 0.5, 0.1, 0.7, 6.0, 9.81
 TRANSVERSE, AXIAL = 1.2e-3, 2e-3  # about the center of mass
 DURATION = 0.2

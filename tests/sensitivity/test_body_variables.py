@@ -17,6 +17,8 @@ import torchmbd as mbd
 from tests.mechanisms import GRAVITY, INERTIA, SOFT, box, finished, laminate, plate, tensor, turned
 from torchmbd.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 WAYS = ("reverse", "forward")
 STEPS = {"steps": 8, "iterations": (6, 4)}
 

@@ -14,6 +14,8 @@ from torch import Tensor
 import torchmbd as mbd
 from experiments.slider_crank import build
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 ANGLES = "rod.laminate.angles"
 DURATION, STEPS, MODES = 0.004, 40, 6
 TIGHT = {"steps": STEPS, "iterations": (4, 4), "refresh": 1}

@@ -9,6 +9,8 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import soft_slider_crank
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 ANGLES = "rod.laminate.angles"
 
 

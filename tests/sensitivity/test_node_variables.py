@@ -14,6 +14,8 @@ import torchmbd as mbd
 from tests.mechanisms import GRAVITY, box, tensor
 from tests.sensitivity.number_cases import GROUND, beam, check, check_native, hung, ply
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 V = mbd.variable
 BENT = tensor(0.0, 0.0, 0.0, 0.1, 0.0, 0.0, 0.2, 0.05, 0.0, 0.25, 0.1, 0.05, 0.3, 0.1, 0.1).reshape(5, 3)
 

@@ -19,6 +19,8 @@ from torchmbd.integrate import Trajectory
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.multibody.system import equations
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 TIGHT = {"iterations": (16, 6)}
 WAYS = ("forward", "reverse")
 ANGLES = tensor(0.35, -0.87)

@@ -20,6 +20,8 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import tensor, turned
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 GROUND = mbd.Ground()
 LEAN = turned(0.4, -0.7, 0.5)
 INERTIA = tensor(2e-3, 3e-3, 4e-3)

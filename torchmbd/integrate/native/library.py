@@ -240,7 +240,7 @@ def build(name: str, kind: str, text: str, system: str) -> Path:
         code, made = Path(work) / "code.cpp", Path(work) / "code.so"
         code.write_text(text)
         done = subprocess.run(
-            [compiler(), *options("-O2"), f"-DLANES={simd_layout.LANES}", "-o", str(made), str(code)],
+            [compiler(), *options(), f"-DLANES={simd_layout.LANES}", "-o", str(made), str(code)],
             capture_output=True,
             text=True,
         )

@@ -98,7 +98,9 @@ class RightHandSide:
         return augment(a, self.dynamics), augment(lam, self.dynamics)
 
     def _compiled(self, t: Tensor, y: Tensor) -> tuple[Tensor, Tensor] | None:
-        found = None if self.fast is None else self.fast(t, y)
+        # A state may carry the direction of time (of an event) where the data carry none: eager.
+        fast = self.fast if y.shape[1] - 1 <= self.dynamics.tangents else None
+        found = None if fast is None else fast(t, y)
         if found is None:  # its factors cannot be relied on: from now on eager
             self.fast = None
         return found

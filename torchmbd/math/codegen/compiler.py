@@ -5,7 +5,7 @@ the processor. So a stale one is never found. What may be loaded says build_cach
 said once.
 
 Cache: TORCHMBD_CACHE or ~/.cache/torchmbd, which the user alone may write. TORCHMBD_COMPILE=0 switches compilation off;
-CXX names the compiler, TORCHMBD_CXXFLAGS has options that come last, as "-O0" or "-g".
+CXX names the compiler, TORCHMBD_CXXFLAGS has more options for the code of mechanisms, as "-O0" or "-g".
 Checked in tests/math/codegen/test_compiler.py.
 """
 
@@ -40,9 +40,9 @@ def compiler() -> str:
     return os.environ.get("CXX", "g++")
 
 
-def options(optimization: str) -> list[str]:
-    """Options of the compiler: "-O2" and those of every library, then those of the user."""
-    return [optimization, *OPTIONS, *shlex.split(os.environ.get("TORCHMBD_CXXFLAGS", ""))]
+def options() -> list[str]:
+    """Options of the compiler for the code of mechanisms: the user's come last."""
+    return ["-O2", *OPTIONS, *shlex.split(os.environ.get("TORCHMBD_CXXFLAGS", ""))]
 
 
 def compilation_wanted() -> bool:
@@ -59,7 +59,7 @@ def unavailable() -> str | None:
 
 def toolchain_digest(sources: Iterable[str]) -> str:
     """Source files of the package (or folders of them), versions, compiler and processor, as a digest."""
-    return _toolchain_digest(tuple(sources), compiler(), tuple(options("")))
+    return _toolchain_digest(tuple(sources), compiler(), tuple(options()))
 
 
 @cache
@@ -129,7 +129,7 @@ class Native:
         """It appears complete or not at all."""
         with tempfile.TemporaryDirectory(prefix=build_cache.WORK, dir=require_cache_folder()) as work:
             made = Path(work) / "code.so"
-            command = [compiler(), *options("-O3"), "-o", str(made), str(PACKAGE / self.source)]
+            command = [compiler(), "-O3", *OPTIONS, "-o", str(made), str(PACKAGE / self.source)]
             subprocess.run(command, check=True, capture_output=True)
             build_cache.keep(made, self.path())
 
