@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from tests.study import rod_model
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -117,3 +118,60 @@ def test_an_optimum_of_the_mean():
 def test_what_is_refused(options, message):
     with pytest.raises(mbd.InputError, match=message):
         problem(**options)
+
+
+@pytest.mark.parametrize("asked", [("worst", "each"), ("mean", "worst")])
+def test_systems_of_different_topology(asked):
+    """Two systems, one of them with two payloads: gradients against differences; each scenario is its own motion."""
+    energy, plain, loaded = mbd.StrainEnergy("rod"), rod_model.build(), rod_model.build(payload=0.2)
+    assert len(plain.bodies) + 1 == len(loaded.bodies)
+    thick = "rod.laminate.thickness"
+    cases = {
+        "loaded": {"system": loaded},
+        "plain": {},
+        "loaded and thick": {"system": loaded, thick: [4e-3, 4e-3]},
+        "thick": {thick: [4e-3, 4e-3]},
+    }
+    problem = mbd.Scenarios(
+        plain,
+        0.002,
+        mbd.Integral(energy),
+        [mbd.Max(energy) <= "initial"],
+        scenarios=cases,
+        objective=asked[0],
+        constraints=asked[1],
+        variables=["rod.laminate.angles"],
+        bounds=mbd.deg([-90, 90]),
+        steps=8,
+        gradients="reverse",
+    )
+    assert [(g.places, list(g.settings)) for g in problem.groups] == [
+        ([0, 2], ["loaded", "loaded and thick"]),
+        ([1, 3], ["plain", "thick"]),
+    ]
+    with pytest.raises(mbd.InputError, match=r"2 systems; allowed: motions_by_system"):
+        problem.motions(problem.start)
+    found = [mbd.Integral(energy)(motion) for motion in problem.motions_by_system(problem.start)]
+    values = torch.stack(found, 1).reshape(-1).detach().numpy()  # in the order of the scenarios
+    x = problem.start.copy()
+    x[:2] += 0.1
+    [at_start], [e] = problem.evaluate(problem.start[None], False), problem.evaluate(x[None], True)
+    assert e.status == "ok"
+    if asked[0] == "mean":
+        assert at_start.objective == pytest.approx(values.mean(), rel=1e-12)
+    else:
+        np.testing.assert_allclose(at_start.constraints[:4], values / values.max() - 1.0, atol=1e-12)
+    steps, slopes = (1e-2, 5e-3), []
+    for h in steps:
+        moved = np.concatenate([x + h * np.eye(x.size)[:2], x - h * np.eye(x.size)[:2]])
+        rows = np.array([[o.objective, *o.constraints] for o in problem.evaluate(moved, False)])
+        slopes.append((rows[:2] - rows[2:]) / (2 * h))
+    difference = (4 * slopes[1] - slopes[0]) / 3
+    exact = np.vstack([e.objective_gradient, e.constraint_gradients])[:, :2].T
+    np.testing.assert_allclose(exact, difference, rtol=1e-6, atol=1e-6 * np.abs(difference).max())
+    with pytest.raises(
+        mbd.InputError, match=r"system of scenario 'three' has one of shape \[3\]: 'rod.laminate.angles'"
+    ):
+        mbd.Scenarios(plain, 0.002, mbd.Integral(energy), scenarios={"three": {"system": rod_model.build(3)}}, steps=8)
+    with pytest.raises(mbd.InputError, match="system of scenario 'a' is 3; allowed: a System"):
+        mbd.Scenarios(plain, 0.002, mbd.Integral(energy), scenarios={"a": {"system": 3}}, steps=8)

@@ -9,11 +9,11 @@ from torchmbd.fem.mesh import rectangle
 from torchmbd.integrate import Phase
 from torchmbd.math.angles import deg
 from torchmbd.multibody.bodies import FlexibleBody, Ground, RigidBody
-from torchmbd.multibody.joints import Drive, Prismatic, Revolute, Spherical, Universal
+from torchmbd.multibody.joints import Drive, Fixed, Prismatic, Revolute, Spherical, Universal
 from torchmbd.multibody.system import System
 
 
-def build(layers: int = 2, cells: int = 4) -> System:
+def build(layers: int = 2, cells: int = 4, payload: float = 0.0) -> System:
     ply = Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
     laminate = Laminate(ply, angles=deg([45.0, -45.0, 45.0][:layers]), thickness=7.5e-3 / layers)
     upright = torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float64)
@@ -29,7 +29,10 @@ def build(layers: int = 2, cells: int = 4) -> System:
         Universal(rod.at("right"), slider.at(), axes="yz"),
         Prismatic(ground.at(), slider.at(), axis="x"),
     ]
-    return System([crank, rod, slider], joints)
+    if not payload:
+        return System([crank, rod, slider], joints)
+    weight = RigidBody("weight", payload, (1e-4, 1e-4, 1e-4), position=(0.456, 0, 0.05))
+    return System([crank, rod, slider, weight], [*joints, Fixed(slider.at(0, 0, 0.05), weight.at())])
 
 
 def no_system() -> int:

@@ -164,7 +164,11 @@ def test_everything_that_is_wrong_is_named_at_once(write):
 @pytest.mark.parametrize(
     ("sections", "path", "message"),
     [
-        ({"options": {"layrs": 2}}, "options.layrs", "unknown option; allowed: layers, cells; did you mean 'layers'?"),
+        (
+            {"options": {"layrs": 2}},
+            "options.layrs",
+            "unknown option; allowed: layers, cells, payload; did you mean 'layers'?",
+        ),
         ({"options": {"cells": 0}}, "options", "cells"),
         ({"model": "rod_model.py:buld"}, "model", "has no function 'buld'; allowed: "),
         ({"model": "../rod_model.py:build"}, "model", "lies outside the folder of the experiment file"),

@@ -159,6 +159,43 @@ def test_records_have_the_sign_that_was_asked_for(write, empty_store, tmp_path):
     np.testing.assert_allclose(loaded.problem.evaluate(loaded.x[None], False)[0].objective, -loaded.value, rtol=1e-12)
 
 
+def test_scenarios_with_options_of_the_model(write):
+    cases = [{"name": "plain", "set": {"rod.laminate.thickness": 0.004}}, {"options": {"cells": 3, "payload": 0.2}}]
+    cases += [{"options": {"payload": 0.2, "cells": 3}, "set": {"rod.laminate.thickness": [0.003, 0.004]}, "weight": 2}]
+    file = write(simulate=SHORT, scenarios=cases, combine={"objective": "mean"}, **NONE)
+    loaded = build(cells=3, payload=0.2)
+    thick = "rod.laminate.thickness"
+    own = mbd.Scenarios(
+        build(),
+        0.002,
+        mbd.Integral(ENERGY),
+        scenarios={
+            "plain": {thick: 0.004},
+            "scenario 2": {"system": loaded},
+            "scenario 3": {"system": loaded, thick: [0.003, 0.004]},
+        },
+        weights=[1, 1, 2],
+        objective="mean",
+        variables=[ANGLES],
+        bounds=BOX[ANGLES],
+        steps=8,
+    )
+    asked = same(file, own)
+    assert [group.places for group in asked.groups] == [[0], [1, 2]]
+    for wrong, message in (
+        ([{"options": {"payloda": 1}}], r"scenarios.0.options.payloda unknown option; .*did you mean 'payload'"),
+        ([{"options": {"layers": "two"}}], r"scenarios.0.options = \{'layers': 'two'\}: TypeError in"),
+        (
+            [{"options": {"layers": 3}}],
+            r"line \d+: .*scenario .scenario 1. has one of shape \[3\]: 'rod.laminate.angles'",
+        ),
+        ([{"name": "none"}], r"scenarios.0: sets nothing; must have set, options or both"),
+    ):
+        with pytest.raises(StudyError, match=message) as error:
+            load_study(write(simulate=SHORT, scenarios=wrong, **NONE))
+        assert all(isinstance(fault.where, int) for fault in error.value.faults)
+
+
 LINK = {f"{ANGLES}[1]": {f"{ANGLES}[0]": -1.0}}
 
 

@@ -6,14 +6,19 @@
     problem = mbd.Scenarios(system, 0.1, mbd.Max(deflection), mbd.Max(failure) <= 1.0, scenarios=payloads)
 
 A scenario sets parameters of the system that are no design variables: lane l S + s of the batch is design l in scenario s,
-so that the topology is the same and each further scenario costs a lane. Checked in tests/design/test_scenarios.py.
+so that the topology is the same and each further scenario costs a lane. It may have a system of its own, with another
+topology: scenarios of one system are one batch, and the batches are simulated one after another.
+
+    {"alone": {}, "in pairs": {"system": build(arms=2), "tool.mass": 0.1}}
+
+Checked in tests/design/test_scenarios.py.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -26,19 +31,34 @@ from torchmbd.design.response import Constraint, Measure
 from torchmbd.errors import InputError, SimulationFailure, unknown
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Trajectory, simulate
+from torchmbd.integrate.arguments import start_of
 from torchmbd.math.owned import real
 from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
 from torchmbd.results.motion_data import OK
 
+SYSTEM = "system"  # key of a scenario
 OBJECTIVES, CONSTRAINTS = ("worst", "mean"), ("each", "worst", "mean")
+
+
+class Group(NamedTuple):
+    """Scenarios of one system, which are simulated together.
+
+    places    of the scenarios among all
+    settings  name of a scenario -> parameter -> value; all of the same parameters
+    """
+
+    system: System
+    places: list[int]
+    settings: dict[str, dict[str, Tensor]]
 
 
 class Scenarios(Problem):
     """A transient optimization problem of one design in several scenarios.
 
     system, duration, minimize, subject_to   as in Problem
-    scenarios    name -> {parameter: value}, or a list of such settings; parameters that are no design variables [SI]
+    scenarios    name -> {parameter: value}, or a list of such settings; parameters that are no design variables [SI]. The key
+                 "system" gives a scenario a system of its own, which has all design variables in the same shapes
     objective    "worst": the largest over the scenarios (a min-max problem, with an extra variable); "mean"
     constraints  "each": hold in every scenario; "worst": one row, of the scenario that is nearest to its limit; "mean"
     weights      of the scenarios in means; None: equal. They are divided by their sum
@@ -90,32 +110,64 @@ class Scenarios(Problem):
             raise InputError(
                 "maximize is given with objective 'worst'; allowed: objective='mean', or minimize a positive measure"
             )
-        self.scenarios = self._settings(scenarios)
+        self.groups = self._grouped(scenarios)
+        self.scenarios = {name: settings for group in self.groups for name, settings in group.settings.items()}
+        self.scenarios = {str(name): self.scenarios[str(name)] for name in _by_name(scenarios)}
         self._of_objective, self._of_constraints = objective, constraints
         self.weights = _weights(weights, len(self.scenarios))
         if objective == "worst":
             self.peaks = self.objective.rows * len(self.scenarios)
 
-    def _settings(self, given: Any) -> dict[str, dict[str, Tensor]]:
-        """Name -> parameter -> value, all scenarios of the same parameters."""
-        if isinstance(given, Sequence) and not isinstance(given, str):
-            given = {f"scenario {k + 1}": settings for k, settings in enumerate(given)}
-        if not isinstance(given, Mapping) or not given or not all(isinstance(x, Mapping) and x for x in given.values()):
+    def _grouped(self, given: Any) -> list[Group]:
+        """The scenarios by their systems."""
+        given = _by_name(given)
+        if not isinstance(given, Mapping) or not given or not all(isinstance(x, Mapping) for x in given.values()):
             raise InputError(f"scenarios is {given!r}; allowed: name -> {{parameter: value}}, one at least")
-        own = dict(self.system.named_parameters())
-        names = list(dict.fromkeys(name for settings in given.values() for name in settings))
+        if not any(given.values()):
+            raise InputError(f"scenarios is {given!r}, and sets nothing; allowed: a parameter, or a system, at least")
+        systems: list[System] = []
+        for key, settings in given.items():
+            system = settings.get(SYSTEM, self.system)
+            if not any(system is known for known in systems):
+                self._require_like(key, system)
+                systems.append(system)
+        return [self._group(system, given) for system in systems]
+
+    def _require_like(self, scenario: str, system: Any) -> None:
+        """A system of a scenario has the design variables, and what the responses need."""
+        if not isinstance(system, System):
+            raise InputError(f"system of scenario {scenario!r} is {system!r}; allowed: a System")
+        own = {name: x.shape for name, x in system.named_parameters()}
+        for name, shape in self.space.shapes.items():
+            if own.get(name) != shape:
+                has = "no such parameter" if name not in own else f"one of shape {list(own[name])}"
+                raise InputError(
+                    f"system of scenario {scenario!r} has {has}: {name!r}; allowed: all design variables, {name!r} of "
+                    f"shape {list(shape)}"
+                )
+        start_of(system, self.simulation.get("start", "assembled"))
+        for measure in (self.objective, *(constraint.measure for constraint in self.constraints)):
+            measure.check(system)
+
+    def _group(self, system: System, given: Mapping[str, Mapping[str, Any]]) -> Group:
+        """The scenarios of one system, all with values of the same parameters."""
+        mine = {key: x for key, x in given.items() if x.get(SYSTEM, self.system) is system}
+        own = dict(system.named_parameters())
+        names = list(dict.fromkeys(name for settings in mine.values() for name in settings if name != SYSTEM))
         for name in names:
             if name not in own:
                 raise unknown("parameter of a scenario", name, own)
             if name in self.space.variables:
                 raise InputError(f"scenarios set {name!r}, a design variable; allowed: parameters that are none")
-        return {
+        settings = {
             str(key): {name: _value(key, name, settings.get(name), own[name].detach()) for name in names}
-            for key, settings in given.items()
+            for key, settings in mine.items()
         }
+        return Group(system, [k for k, key in enumerate(given) if key in mine], settings)
 
     def settings(self) -> list[Any]:
-        return [*super().settings(), self.scenarios, self._of_objective, self._of_constraints, self.weights]
+        asked = [self._of_objective, self._of_constraints, self.weights]
+        return [*super().settings(), *[list(group) for group in self.groups], *asked]
 
     @property
     def simulations(self) -> int:
@@ -131,15 +183,26 @@ class Scenarios(Problem):
         return len(self.scenarios) if self._of_constraints == "each" else 1
 
     def motions(self, x: np.ndarray) -> Trajectory:
-        """Motions of one design [n], a lane for each scenario."""
-        return self._simulated(np.asarray(x, dtype=float)[None], False, list(self.scenarios.values()))
+        """Motions of one design [n], a lane for each scenario; InputError where they have several systems."""
+        if len(self.groups) > 1:
+            raise InputError(
+                f"scenarios have {len(self.groups)} systems; allowed: motions_by_system(x), a Trajectory for each system"
+            )
+        return self.motions_by_system(x)[0]
 
-    def _simulated(self, X: np.ndarray, gradients: bool, scenarios: Sequence[dict[str, Tensor]]) -> Trajectory:
+    def motions_by_system(self, x: np.ndarray) -> list[Trajectory]:
+        """Motions of one design [n], one for each system, a lane for each of its scenarios (`groups` names them)."""
+        X = np.asarray(x, dtype=float)[None]
+        return [self._simulated(X, False, group, list(group.settings.values())) for group in self.groups]
+
+    def _simulated(
+        self, X: np.ndarray, gradients: bool, group: Group, scenarios: Sequence[dict[str, Tensor]]
+    ) -> Trajectory:
         designs = self._designs(self._checked(X, len(self.space.names), len(self.names)), scenarios)
         way = self.gradients if gradients else "none"
         names = self.space.variables
         options: dict[str, Any] = {**self.simulation, "steps": self.steps}
-        return simulate(self.system, self.duration, designs=designs, gradients=way, variables=names, **options)
+        return simulate(group.system, self.duration, designs=designs, gradients=way, variables=names, **options)
 
     def _designs(self, X: np.ndarray, scenarios: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
         """Of designs [lanes, n], each in all scenarios."""
@@ -149,17 +212,38 @@ class Scenarios(Problem):
             designs[name] = values.repeat(len(X), *[1] * (values.dim() - 1))
         return designs
 
-    def _initial_designs(self) -> dict[str, Tensor]:
-        return self._designs(self.space.start[None], list(self.scenarios.values()))
+    @cached_property
+    def steps(self) -> int | None:
+        """Steps of every motion: those that are asked for, else the most that the initial design needs in a scenario."""
+        if self.simulation["steps"]:
+            return self.simulation["steps"]
+        counts = []
+        for group in self.groups:
+            designs = self._designs(self.space.start[None], list(group.settings.values()))
+            try:
+                motion = simulate(group.system, self.duration, designs=designs, gradients="none", **self.simulation)
+            except (CutCluster, InputError, SimulationFailure):
+                return None
+            if any(x != OK for x in motion.status) or motion.integration.steps is None:
+                return None
+            counts.append(motion.integration.steps)
+        return max(counts)
+
+    def _by_place(self, parts: Sequence[Any]) -> Any:
+        """Arrays [lanes, scenarios of a group, ...] as one of all scenarios, in their order."""
+        order = np.argsort([place for group in self.groups for place in group.places])
+        return np.concatenate(parts, 1)[:, order]
 
     @cached_property
     def reference(self) -> Reference:
-        motion = self.motions(self.start)
-        for name, status in zip(self.scenarios, motion.status, strict=True):
-            if status != OK:
-                raise SimulationFailure(f"the initial design in scenario {name!r}: {status}")
-        measures = [m.at_start(motion) for m in (self.objective, *(c.measure for c in self.constraints))]
-        unit = float(measures[0].value(motion).max()) if self.peaks else 1.0
+        motions = self.motions_by_system(self.start)
+        for group, motion in zip(self.groups, motions, strict=True):
+            for name, status in zip(group.settings, motion.status, strict=True):
+                if status != OK:
+                    raise SimulationFailure(f"the initial design in scenario {name!r}: {status}")
+        first = next(motion for group, motion in zip(self.groups, motions, strict=True) if 0 in group.places)
+        measures = [m.at_start(first) for m in (self.objective, *(c.measure for c in self.constraints))]
+        unit = max(float(measures[0].value(motion).max()) for motion in motions) if self.peaks else 1.0
         if not unit > 0.0:
             raise InputError(f"{self.objective!r} is {unit:g} at most at the initial design; allowed: positive")
         limits, scales = [], []
@@ -167,7 +251,8 @@ class Scenarios(Problem):
             count = len(self.scenarios)
             own = np.full(count, np.nan if c.limit == "initial" else c.limit, dtype=float)
             if c.limit == "initial":
-                own = measure.value(motion).detach().reshape(count, -1).max(1).values.numpy()
+                found = [measure.value(motion).detach().reshape(1, motion.lanes, -1).numpy() for motion in motions]
+                own = self._by_place([x.max(2) for x in found])[0]
             if self._of_constraints != "each":
                 own = np.array([self.weights @ own if self._of_constraints == "mean" else own.max()])
             limits.append(own.repeat(measure.rows))
@@ -182,22 +267,24 @@ class Scenarios(Problem):
             parts = [X[first : first + most] for first in range(0, len(X), most)]
             return [evaluation for part in parts for evaluation in self.evaluate(part, gradients)]
         try:
-            motion = self._simulated(X, gradients, list(self.scenarios.values()))
+            motions = [self._simulated(X, gradients, group, list(group.settings.values())) for group in self.groups]
         except (CutCluster, InputError, SimulationFailure) as error:
             if len(X) == 1:
                 return [Evaluation.failure(self._refused(X, gradients, error), self.rows)]
             return [evaluation for x in X for evaluation in self.evaluate(x[None], gradients)]
-        values, slopes = self._rows(motion, X)
+        values, slopes = self._rows(motions, X)
+        statuses = self._by_place([np.array(motion.status, dtype=object).reshape(len(X), -1) for motion in motions])
         return [
-            self._evaluation(motion.status[lane * self.simulations :][: self.simulations], v, s)
+            self._evaluation(statuses[lane], v, s)
             for lane, (v, s) in enumerate(zip(values, slopes if slopes is not None else [None] * len(X), strict=True))
         ]
 
     def _refused(self, X: np.ndarray, gradients: bool, error: Exception) -> str:
         """Which scenario the structure stage refuses, and why."""
-        for name, settings in self.scenarios.items():
+        each = [(group, name, settings) for group in self.groups for name, settings in group.settings.items()]
+        for group, name, settings in each:
             try:
-                self._simulated(X, gradients, [settings])
+                self._simulated(X, gradients, group, [settings])
             except (CutCluster, InputError, SimulationFailure) as own:
                 return f"failed: scenario {name!r}: {own}"
         return f"failed: {error}"
@@ -214,18 +301,24 @@ class Scenarios(Problem):
             return Evaluation.failure("failed: the gradient of a response is not finite", self.rows)
         return Evaluation(float(values[0]), values[1:], slope[0], slope[1:])
 
-    def _rows(self, motion: Trajectory, X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    def _rows(self, motions: Sequence[Trajectory], X: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """Objective and normalized constraints [lanes, 1 + m] with gradients [lanes, 1 + m, n], over the scenarios."""
-        reference, count = self.reference, len(self.scenarios)
+        reference = self.reference
 
         def rows(motion: Trajectory) -> list[Tensor]:
-            return [m.value(motion).reshape(len(X) * count, -1) for m in reference.measures]
+            return [m.value(motion).reshape(motion.lanes, -1) for m in reference.measures]
 
-        found = differentiate(rows, motion)
-        values = found.value.numpy().reshape(len(X), count, -1)
-        slopes = None
-        if found.gradient is not None:
-            slopes = (found.gradient.numpy() @ self.space.map).reshape(*values.shape, -1)
+        found = [differentiate(rows, motion) for motion in motions]
+        values = self._by_place(
+            [
+                one.value.numpy().reshape(len(X), motion.lanes // len(X), -1)
+                for one, motion in zip(found, motions, strict=True)
+            ]
+        )
+        slopes, gradients = None, [one.gradient for one in found if one.gradient is not None]
+        if gradients:
+            mapped = [x.numpy() @ self.space.map for x in gradients]
+            slopes = self._by_place([x.reshape(len(X), -1, *x.shape[1:]) for x in mapped])
         parts, first = [], 0
         ways = [("each" if self._of_objective == "worst" else "mean", 1.0)]
         ways += [(self._of_constraints, -1.0 if c.kind == "at_least" else 1.0) for c in self.constraints]
@@ -257,6 +350,13 @@ class Scenarios(Problem):
         worst = np.argmax(sign * values, 1)[:, None]
         chosen = np.take_along_axis(values, worst, 1)[:, 0]
         return chosen, None if slopes is None else np.take_along_axis(slopes, worst[..., None], 1)[:, 0]
+
+
+def _by_name(given: Any) -> Any:
+    """A list of scenarios by names."""
+    if isinstance(given, Sequence) and not isinstance(given, str):
+        return {f"scenario {k + 1}": settings for k, settings in enumerate(given)}
+    return given
 
 
 def _weights(given: Any, count: int) -> np.ndarray:

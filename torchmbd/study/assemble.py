@@ -13,13 +13,13 @@ import numpy as np
 
 from torchmbd.design import Constraint, Problem, Tradeoff
 from torchmbd.design.response_spec import measure_of
-from torchmbd.design.scenarios import Scenarios
+from torchmbd.design.scenarios import SYSTEM, Scenarios
 from torchmbd.design.space import CONSTANT
 from torchmbd.multibody.system import System
 from torchmbd.optimization import RobustProblem, Starts, given, latin_hypercube, sobol
 from torchmbd.study.check import labels, vector
 from torchmbd.study.config_index import QUESTION_MISSING, question
-from torchmbd.study.model import find_phases, find_response
+from torchmbd.study.model import find_phases, find_response, scenario_systems
 from torchmbd.study.schema import UNITS, Combine, Optimizer, StudyFile
 from torchmbd.study.settings import Origin, StudySettings
 
@@ -65,7 +65,10 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
         kind, asked = Tradeoff, {name: read(spec) for name, spec in data.tradeoff.items()}
     if data.scenarios is not None:
         kind, combine = Scenarios, data.combine or Combine()
-        named = {s.name or f"scenario {k + 1}": s.set for k, s in enumerate(data.scenarios)}
+        systems = scenario_systems(data.model, data.options, data.scenarios, folder)
+        named: dict[str, Any] = {s.name or f"scenario {k + 1}": dict(s.set) for k, s in enumerate(data.scenarios)}
+        for settings, own in zip(named.values(), systems, strict=True):
+            settings |= {} if own is None else {SYSTEM: own}
         more |= {"scenarios": named, "weights": [s.weight for s in data.scenarios], **combine.model_dump()}
     return kind(
         system,

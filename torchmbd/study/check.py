@@ -33,6 +33,7 @@ from torchmbd.study.model import (
     find_response,
     option_faults,
     require_returns,
+    scenario_systems,
 )
 from torchmbd.study.schema import ASKED, UNITS, Combine, Range, Scenario, Simulation, Starts, Variable
 
@@ -60,7 +61,7 @@ def check(sections: Sections, folder: FilePath) -> tuple[System | None, list[Fau
         faults += _link_faults(sections, system) + _design_faults(sections["design"], system, sections.get("links", {}))
         if not faults:
             faults += _start_faults(sections, system) + _memory_faults(sections, system)
-    faults += _motion_start_faults(sections, system) + _scenario_faults(sections, system)
+    faults += _motion_start_faults(sections, system) + _scenario_faults(sections, folder, system)
     return system, faults
 
 
@@ -279,14 +280,23 @@ def _motion_start_faults(sections: Sections, system: System) -> list[Fault]:
     return []
 
 
-def _scenario_faults(sections: Sections, system: System) -> list[Fault]:
+def _scenario_faults(sections: Sections, folder: FilePath, system: System) -> list[Fault]:
     """Names, sizes and units of what scenarios set, and what is asked over them."""
     scenarios: Sequence[Scenario] = sections.get("scenarios") or ()
-    own, design = dict(system.named_parameters()), sections.get("design", {})
-    faults = []
-    for path, name, given in (
-        (("scenarios", k, "set", n), n, x) for k, s in enumerate(scenarios) for n, x in s.set.items()
-    ):
+    design, faults = sections.get("design", {}), []
+    systems: list[System | None] = [None] * len(scenarios)
+    for k, scenario in enumerate(scenarios):
+        path: Path = ("scenarios", k, "options")
+        wrong = option_faults(find_model(sections["model"], folder), {**sections["options"], **scenario.options})
+        faults += [Fault((*path[:2], *fault.path), fault.text) for fault in wrong]
+        try:
+            if scenario.options and not wrong:
+                [systems[k]] = scenario_systems(sections["model"], sections["options"], [scenario], folder)
+        except InputError as error:
+            faults.append(Fault(path, f"= {shown(scenario.options)}: {error}"))
+    each = ((k, n, x) for k, s in enumerate(scenarios) for n, x in s.set.items())
+    for k, name, given in each:
+        path, own = ("scenarios", k, "set", name), dict((systems[k] or system).named_parameters())
         if name not in own:
             faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}"))
         elif name in design:

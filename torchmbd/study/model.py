@@ -16,7 +16,7 @@ import importlib.util
 import inspect
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -133,6 +133,18 @@ def build_model(builder: Builder, options: Mapping[str, Any]) -> System:
     if not isinstance(system, System):
         raise InputError(f"the model returned {type(system).__name__}; allowed: a torchmbd.System")
     return system
+
+
+def scenario_systems(
+    model: str, options: Mapping[str, Any], scenarios: Sequence[Any], folder: Path
+) -> list[System | None]:
+    """The system of every scenario that has options of its own, one for equal options; InputError as `build_model`."""
+    builder, built = find_model(model, folder), {}
+    for scenario in scenarios:
+        key = repr(sorted(scenario.options.items()))
+        if scenario.options and key not in built:
+            built[key] = build_model(builder, {**options, **scenario.options})
+    return [built.get(repr(sorted(s.options.items()))) if s.options else None for s in scenarios]
 
 
 def _from_name(name: str) -> ModuleType:

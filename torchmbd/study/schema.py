@@ -218,11 +218,21 @@ class Constraint(Section):
 
 
 class Scenario(Section):
-    """What a scenario sets: parameters of the model that are no design variables [SI], and its weight in means."""
+    """What a scenario sets: parameters of the model that are no design variables [SI], and its weight in means.
+
+    With `options` the model is built for it with these instead of those of the file; its topology may be another.
+    """
 
     name: str | None = None  # default: scenario 1, 2, ...
-    set: Annotated[dict[str, Numbers], Len(min_length=1)]
+    set: Annotated[dict[str, Numbers], Len(min_length=1)] = {}
+    options: Annotated[dict[str, Any], Len(min_length=1)] = {}
     weight: float = Field(default=1.0, ge=0)
+
+    @model_validator(mode="after")
+    def _sets_something(self) -> Self:
+        if not self.set and not self.options:
+            raise PydanticCustomError("kind", "sets nothing; must have set, options or both")
+        return self
 
 
 class Combine(Section):
