@@ -66,7 +66,7 @@ from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibriu
 from torchmbd.math.angles import deg
 from torchmbd.math.variable import variable
 from torchmbd.multibody import forces
-from torchmbd.multibody.bodies import FlexibleBody, Frame, Ground, Interface, RigidBody
+from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody, Frame, Ground, Interface, RigidBody
 from torchmbd.multibody.forces import (
     AxialSpringDamper,
     BeamElement,
@@ -197,6 +197,7 @@ __all__ = [
     "FiberField",
     "Final",
     "Fixed",
+    "FlexibleBeam",
     "FlexibleBody",
     "Force",
     "Frame",

@@ -27,7 +27,7 @@ GROUPS: dict[str, str] = {
     "Pressure forces variable",
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics examples",
-    "exact_beams": "ExactBeam BeamState",
+    "exact_beams": "ExactBeam BeamState FlexibleBeam",
     "simulation": "simulate equilibrium Equilibrium buckling Buckling Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "

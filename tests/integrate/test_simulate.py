@@ -203,11 +203,11 @@ def test_a_lane_that_fails_is_tried_again():
     def run(steps: int, **options) -> mbd.Trajectory:
         return mbd.simulate(system, 0.024, designs=designs, steps=steps, **options)
 
-    renewed, often = run(3, halvings=0), run(3, refresh=0, iterations=(6, 1), halvings=0)
+    renewed, often = run(3, halvings=0), run(3, refresh=0, iterations=(8, 2), halvings=0)
     assert not any(status.startswith("failed") for status in renewed.status)
     assert (renewed.stats["renewed"], renewed.stats["halved"]) == ([1], [])
     assert_close(renewed.q[1], often.q[1], rtol=1e-9, atol=1e-12)
-    coarse, cured, fine = run(2, halvings=0), run(2), run(4, refresh=0, iterations=(6, 1))
+    coarse, cured, fine = run(2, halvings=0), run(2), run(4, refresh=0, iterations=(8, 2))
     assert all(status.startswith("failed") for status in coarse.status)
     assert not any(status.startswith("failed") for status in cured.status)
     assert (cured.stats["renewed"], cured.stats["halved"]) == ([], [0, 1])

@@ -27,8 +27,9 @@ from torch import Tensor
 from torchmbd.design.response import History
 from torchmbd.errors import InputError, unknown
 from torchmbd.integrate import Trajectory
-from torchmbd.multibody.bodies import FlexibleBody
+from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody
 from torchmbd.multibody.system import System
+from torchmbd.results.beam_motion import BeamMotion
 from torchmbd.results.reaction import frame_point, joint_named, reaction_on
 
 GROUND = "ground"
@@ -37,7 +38,7 @@ Direction = str | Sequence[float]
 
 @dataclass(frozen=True)
 class StrainEnergy(History):
-    """Elastic energy U = 1/2 w' Kr w of a flexible body [lanes, times] [J]; eq. (17).
+    """Elastic energy U = 1/2 w' Kr w of a flexible body, or that of a flexible beam [lanes, times] [J]; eq. (17).
 
     body  its name
 
@@ -49,13 +50,15 @@ class StrainEnergy(History):
     body: str
 
     def check(self, system: System) -> None:
-        flexible(system, self.body)
+        elastic(system, self.body)
 
     def values(self, motion: Trajectory) -> Tensor:
         return motion.body(self.body).strain_energy
 
-    def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor]:
+    def rates(self, motion: Trajectory) -> tuple[Tensor, Tensor] | None:
         body = motion.body(self.body)
+        if isinstance(body, BeamMotion):
+            return None
         Kr, w, wd, wdd = body.stiffness[0], body.w, body.wd, body.wdd
         force = w @ Kr
         return (force * wd).sum(-1), ((wd @ Kr) * wd + force * wdd).sum(-1)
@@ -67,7 +70,7 @@ class Position(History):
 
     body       the body of the point
     axis       "x", "y", "z" or a direction of three numbers
-    node       mesh node of a flexible body, by name or index; default: the origin of the body frame
+    node       mesh node of a flexible body or beam, by name or index; default: the origin of the body frame, the first node
     point      position on a rigid body, in body axes [m]
     seen_from  the observer: a body or "ground"
     axes       the body whose axes the component refers to; default: the observer
@@ -97,8 +100,8 @@ class Position(History):
         direction(self.axis)
         body = system.body(self.body)
         if self.node is not None:
-            flexible(system, self.body).at(self.node)
-        if self.point is not None and isinstance(body, FlexibleBody):
+            elastic(system, self.body).at(self.node)
+        if self.point is not None and isinstance(body, FlexibleBody | FlexibleBeam):
             raise InputError(f"point is {self.point!r} on the flexible body {self.body!r}; allowed: node")
         for name in (self.observer, self.axes):
             if name not in (None, GROUND):
@@ -122,8 +125,9 @@ class Position(History):
 
     def _seen(self, motion: Trajectory) -> tuple[Tensor, Tensor, Tensor]:
         """Position, velocity and acceleration as the observer sees them, in his axes."""
-        point = motion.body(self.body).at(self.point if self.node is None else self.node)
-        if self.observer == self.body:
+        view = motion.body(self.body)
+        point = view.at(self.point if self.node is None else self.node)
+        if self.observer == self.body and not isinstance(view, BeamMotion):
             return point.rho, point.slow, point.fast
         jets = point.position, point.velocity, point.acceleration
         if self.observer == GROUND:
@@ -303,6 +307,12 @@ def flexible(system: System, name: str) -> FlexibleBody:
         )
         raise InputError(f"body {name!r} is rigid; allowed: {others}")
     return body
+
+
+def elastic(system: System, name: str) -> FlexibleBody | FlexibleBeam:
+    """The flexible body or flexible beam of that name; InputError for a rigid one."""
+    body = system.body(name)
+    return body if isinstance(body, FlexibleBeam) else flexible(system, name)
 
 
 def _cross(a: Tensor, b: Tensor) -> Tensor:

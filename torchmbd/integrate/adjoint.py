@@ -195,7 +195,7 @@ class Adjoint:
         steps = stored * (len(history.q) - 1)
         h = self.duration / steps
         times = h * torch.arange(steps + 1, dtype=torch.float64)
-        weights, corrections = self.integrator.weights(h), self.integrator.iterations[1]
+        weights, corrections = self.integrator.weights(h), self.integrator.counts(self.dynamics)[1]
         return Grid(lanes, history.lanes(own), leaves, left, start, weights, times, stored * every, corrections)
 
 

@@ -49,19 +49,22 @@ from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import Between, Record, segments
 from torchmbd.results.state import State
 
+_ITERATIONS, _OF_BEAMS = (3, 1), (4, 2)  # corrections of values and tangents
+
 
 @dataclass(frozen=True)
 class OneStep(Integrator):
     """Equal steps of a method of this family.
 
-    iterations  corrections of values, and the least number of corrections of tangents, in every step
+    iterations  corrections of values, and the least number of corrections of tangents, in every step; None: 3 and 1, or 4 and
+                2 with elements of beams, whose forces turn far in a step
     refresh     steps between two inverses of the iteration matrix; 0: a new one before every correction
     halvings    how many times the step of lanes that fail may be halved
     checkpoint  steps between two states that are kept: the motion has these times alone, and its memory falls so many times.
                 Reverse mode makes the steps between them again
     """
 
-    iterations: tuple[int, int] = (3, 1)
+    iterations: tuple[int, int] | None = None
     refresh: int = 1
     halvings: int = 1
     checkpoint: int = 1
@@ -71,7 +74,8 @@ class OneStep(Integrator):
     not_in_phases: ClassVar[tuple[str, ...]] = ("halvings", "checkpoint")
 
     def __post_init__(self) -> None:
-        counts = self.iterations if isinstance(self.iterations, (tuple, list)) else ()
+        given = self.iterations if self.iterations is not None else _ITERATIONS
+        counts = given if isinstance(given, (tuple, list)) else ()
         if len(counts) != 2 or not all(whole(k) and k >= 1 for k in counts):
             allowed = "two positive integers, for values and for tangents"
             raise InputError(f"iterations is {self.iterations!r}; allowed: {allowed}")
@@ -98,7 +102,11 @@ class OneStep(Integrator):
 
     def stepper(self, dynamics: Dynamics, h: float) -> EagerStepper:
         """As of Integrator."""
-        return steps.stepper_of(dynamics, self.weights(h), self.iterations, self.refresh)
+        return steps.stepper_of(dynamics, self.weights(h), self.counts(dynamics), self.refresh)
+
+    def counts(self, dynamics: Dynamics) -> tuple[int, int]:
+        """Corrections of values and tangents for a system."""
+        return self.iterations or (_ITERATIONS if dynamics.topology.beams is None else _OF_BEAMS)
 
     def sized(self, dynamics: Dynamics, x: State, h: Any, t1: Any) -> State:
         """As of Integrator."""
@@ -158,6 +166,6 @@ class OneStep(Integrator):
         The matrix of the step before does not suit one near a singular position: there its inverse grows without bound.
         """
         if self.refresh:
-            values, tangents = self.iterations
+            values, tangents = self.iterations or _OF_BEAMS
             return Again(replace(self, iterations=(2 * values, tangents), refresh=0), 1)
         return Again(replace(self, halvings=self.halvings - 1), 2) if self.halvings else None

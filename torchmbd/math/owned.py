@@ -86,6 +86,15 @@ def positive(name: str, given: Any, unit: str) -> float:
     return x
 
 
+def nonnegative(name: str, given: Any, unit: str) -> float:
+    """Read one finite number that is zero or positive."""
+    allowed = "zero, or a positive and finite number"
+    x = scalar(name, given, allowed, f" {unit}")
+    if x < 0.0:
+        raise InputError(f"{name} is {given!r} {unit}; allowed: {allowed}")
+    return x
+
+
 def indices(name: str, given: ArrayLike | Tensor) -> Tensor:
     """Read whole numbers of any shape as int64; InputError names the argument and the number."""
     x = _read(name, given, "whole numbers")

@@ -15,11 +15,12 @@ mode_shapes.py). A lane that failed says why in `status`; its numbers are nan fr
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 
 from torchmbd.errors import one_of
+from torchmbd.results.beam_motion import BeamMotion
 from torchmbd.results.body_motion import BodyMotion
 from torchmbd.results.energies import Energies, energies
 from torchmbd.results.motion_data import MotionData
@@ -45,9 +46,12 @@ class Trajectory(MotionData):
 
     _energies: dict[bool, Energies] = field(default_factory=dict, init=False, repr=False)
 
-    def body(self, name: str) -> BodyMotion:
-        """The motion of one body."""
-        return BodyMotion(self, one_of("body", name, self.dynamics.topology.names))
+    def body(self, name: str) -> Any:
+        """The motion of one body (BodyMotion), or of one flexible beam (BeamMotion)."""
+        beams = [beam.name for beam in self.system.beams]
+        if name in beams:
+            return BeamMotion(self, name)
+        return BodyMotion(self, one_of("body", name, [*self.dynamics.topology.names, *beams]))
 
     def reaction(self, joint: str) -> JointReaction:
         """Force and torque of a joint on its second body, in the frame of its first."""

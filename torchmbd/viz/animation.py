@@ -27,6 +27,7 @@ import torch
 
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh, cut_quads
+from torchmbd.multibody.bodies.flexible_beam import BeamNode
 
 _VIEWER = Path(__file__).with_name("viewer.html")
 _NONE = np.empty(0, dtype=int)  # elements of a kind that a body has not
@@ -82,13 +83,15 @@ def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
     t = _array(motion.t)
     stride = max(1, -(-(len(t) - 1) // (max_frames - 1)))
     frames = np.unique([*range(0, len(t), stride), len(t) - 1])
-    index = {body.name: k for k, body in enumerate(motion.system.bodies)}
+    drawn = [body for body in motion.system.bodies if not isinstance(body, BeamNode)] + motion.system.beams
+    index = {body.name: k for k, body in enumerate(drawn)}
+    index |= {node.name: index[beam.name] for beam in motion.system.beams for node in beam.node_bodies}
     joints = list(motion.system.joints)
     sides = [side for joint in joints for side in (joint.a, joint.b)]
     bodies, visited, largest = [], [], 0.0
-    for body in motion.system.bodies:
+    for body in drawn:
         state = motion.body(body.name)
-        mine = [side for side in sides if side.body.name == body.name]
+        mine = [side for side in sides if index.get(side.body.name) == index[body.name]]
         r, A = _array(state.r)[lane][frames], _array(state.A)[lane][frames]
         entry: dict[str, Any] = {"name": body.name, "r": _packed(r), "A": _packed(A)}
         if state.mesh is None:
@@ -97,9 +100,7 @@ def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
             entry |= {"points": points.tolist(), "center": center[0].tolist()}
             local = (points if len(points) > 1 else np.concatenate([points, center]))[None]
         else:
-            local, size = _flexible(
-                entry, state, lane, frames, {node for side in mine for node in side.interpolation.nodes}
-            )
+            local, size = _flexible(entry, state, lane, frames, {node for side in mine for node in _nodes(side)})
             largest = max(largest, size)
         visited.append(r[:, None] + np.einsum("tij,tnj->tni", A, np.broadcast_to(local, (len(r), *local.shape[1:]))))
         bodies.append(entry)
@@ -182,8 +183,15 @@ def _markers(joint: Any, index: dict[str, int]) -> list[dict[str, Any]]:
     return markers
 
 
+def _nodes(side: Any) -> tuple[int, ...]:
+    """Mesh nodes that carry a frame."""
+    return (side.body.index,) if isinstance(side.body, BeamNode) else side.interpolation.nodes
+
+
 def _node(side: Any) -> int | None:
     """The mesh node to draw a frame at."""
+    if isinstance(side.body, BeamNode):
+        return side.body.index
     if side.interpolation is None:
         return None
     return side.interpolation.nearest(side.body.mesh.nodes - side.body.origin, side.point)

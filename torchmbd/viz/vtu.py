@@ -26,7 +26,8 @@ import torch
 
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import BeamLine
-from torchmbd.multibody.bodies import FlexibleBody
+from torchmbd.multibody.bodies import FlexibleBeam, FlexibleBody
+from torchmbd.multibody.bodies.flexible_beam import BeamNode
 from torchmbd.results.ply_history import PlyHistory
 from torchmbd.viz.animation import require_motion
 
@@ -111,10 +112,11 @@ def save_motion(
     stride = max(1, -(-(len(motion.t) - 1) // (max_frames - 1)))
     frames = np.unique([*range(0, len(motion.t), stride), len(motion.t) - 1])
     entries = []
-    for part, body in enumerate(motion.system.bodies):
-        frame = (
-            _flexible(motion, body, lane, criterion) if isinstance(body, FlexibleBody) else _rigid(motion, body, lane)
-        )
+    for part, body in enumerate((*motion.system.bodies, *motion.system.beams)):
+        if isinstance(body, BeamNode):
+            continue  # drawn with its beam
+        bends = isinstance(body, FlexibleBody | FlexibleBeam)
+        frame = _flexible(motion, body, lane, criterion) if bends else _rigid(motion, body, lane)
         if frame is None:
             continue
         for number, index in enumerate(frames.tolist()):

@@ -59,13 +59,13 @@ def beam_data(
     tangent = made.axes[..., 0]  # [*lanes, m, 2, 3]
     arm = tangent * (half / 3.0)[..., None, :] * torch.tensor([[1.0], [-1.0]], dtype=torch.float64)
     share = (half * q)[..., None, :].expand(*tangent.shape[:-1], 6)
-    dead = loads + _gathered(share, where, n, 1)
-    arms = _gathered(arm[..., :, None] * share[..., None, :3], where, n, 2)
+    dead = loads + gathered(share, where, n, 1)
+    arms = gathered(arm[..., :, None] * share[..., None, :3], where, n, 2)
     push = (block(made.axes) @ (half * p)[..., None, :, None])[..., 0]
     push = push + torch.cat([torch.zeros_like(arm), torch.linalg.cross(arm, push[..., :3])], -1)
     first = _first_ends(line)
     axes = made.axes.flatten(-4, -3)[..., first, :, :]
-    follower = (block(axes) @ turning[..., None])[..., 0] + _gathered(push, where, n, 1)
+    follower = (block(axes) @ turning[..., None])[..., 0] + gathered(push, where, n, 1)
     gravity, spin, center = (vector(key, given[key]) for key in ("gravity", "spin", "center"))
     heavy = massive or bool(plain(gravity).any()) or bool(plain(spin).any())
     own = nodal_mass(line, sections, made) if heavy else _massless(n)
@@ -100,7 +100,7 @@ def _first_ends(line: BeamLine) -> Tensor:
     return torch.tensor([flat.index(k) for k in range(len(line.nodes))])
 
 
-def _gathered(ends: Tensor, where: Tensor, n: int, core: int) -> Tensor:
+def gathered(ends: Tensor, where: Tensor, n: int, core: int) -> Tensor:
     """Sums at the nodes of what belongs to the ends of elements [*lanes, m, 2, *core]."""
     return _sum(ends.flatten(-2 - core, -1 - core), where, n, core)
 

@@ -228,7 +228,7 @@ class PhaseAdjoint:
         dynamics = replace(dynamics, data={**dynamics.data, **leaves})
         state = {f"state {name}": x for name, x in zip(State._fields, start, strict=True)}
         times = self.multiphase.times[points.start : points.stop]
-        corrections = self.integrator.iterations[1]
+        corrections = self.integrator.counts(dynamics)[1]
         grid = Grid(lanes, history, leaves | state, dynamics, start, self.weights, times, 1, corrections)
         of_steps, error = self.adjoint_solver(grid)(cotangents)
         self.error[lanes] = self.error[lanes].maximum(error)

@@ -43,6 +43,7 @@ from torchmbd.io.nastran.body import read_bdf
 from torchmbd.math.sparse import SparseMatrix
 from torchmbd.multibody.bodies.beam_parts import beam_parts
 from torchmbd.multibody.bodies.fitted_rotations import FittedRotations
+from torchmbd.multibody.bodies.flexible_beam import FlexibleBeam
 from torchmbd.multibody.bodies.frame import Frame, bend, identifier, move, put, rotation, vector
 from torchmbd.multibody.bodies.interfaces import Interface, Interfaces
 from torchmbd.multibody.bodies.interpolation import InterpolationConstraint, node_indices, rigid_links
@@ -260,6 +261,8 @@ class FlexibleBody(MatrixMethods, nn.Module):
         parts = beam_parts(name, line, section, orientation, offset, twist, mass)
         options = (position, axes, reference, damping, reduction, interface, updated, (), (), stiffening)
         return cls(name, line, parts, modes, *options)
+
+    exact_beam = FlexibleBeam  # of finite displacements and rotations, without modes
 
     @classmethod
     def from_mesh(

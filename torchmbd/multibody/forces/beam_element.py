@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from torchmbd.errors import InputError
-from torchmbd.math.owned import parameter, reals, scalar
+from torchmbd.math.owned import nonnegative, parameter, reals
 from torchmbd.math.rigid_motion import LARGEST, logarithm
 from torchmbd.math.variable import Variables
 from torchmbd.multibody.bodies.frame import Frame
@@ -58,7 +58,7 @@ class BeamElement(ForceElement):
         check_stiffness(given, K)
         self.stiffness: Tensor = own["stiffness"] if len(own) else K
         self._own = own
-        self.damping = damping_time(self.name, damping)
+        self.damping = nonnegative(f"damping of {self.name!r}", damping, "s")
         self.rest = _screw(a, b)
         if float(self.rest[3:].norm()) > LARGEST:
             raise InputError(f"frames of {self.name!r} are turned by more than {LARGEST} rad; allowed: less")
@@ -84,13 +84,6 @@ class BeamElement(ForceElement):
         found = {"beam_stiffness": 0.5 * (K + K.mT)[..., None, :, :], "beam_rest": self.rest[None]}
         found |= {"beam_start": a.axes[None], "beam_end": b.axes[None]}
         return found | damping_data(self.damping, 1)
-
-
-def damping_time(name: str, damping: float) -> float:
-    """A time [s], zero or positive."""
-    if not scalar(f"damping of {name!r}", damping) >= 0.0:
-        raise InputError(f"damping of {name!r} is {damping!r} s; allowed: zero or positive")
-    return float(damping)
 
 
 def damping_data(time: float, count: int) -> dict[str, Tensor]:

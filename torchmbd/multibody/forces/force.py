@@ -10,7 +10,7 @@ Checked in tests/contracts/test_actions.py.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from torch import Tensor
 
@@ -31,7 +31,12 @@ class Applied(NamedTuple):
 
 
 class ForceElement:
-    """Base of all force elements: the frames that it acts on, and a name."""
+    """Base of all force elements: the frames that it acts on, and a name.
+
+    of_law   whether its design variables are numbers of laws, data under its name
+    """
+
+    of_law: ClassVar[bool] = True
 
     def __init__(self, frames: tuple[Any, ...], name: str | None = None):
         kind = type(self).__name__

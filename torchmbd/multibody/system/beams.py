@@ -103,9 +103,14 @@ def resistance(T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None) -> tup
     return both[:, : T.bodies], both[:, T.bodies :]
 
 
-def stiffness(T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None, by_place: Any, by_rate: Any) -> Any:
+def stiffness(
+    T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None, by_place: Any, by_rate: Any, turn: Any = None
+) -> Any:
     """by_place times the derivatives of `resistance` by small displacements in ground axes and rotations in body axes of
-    the bodies of both ends, and by_rate times those by their rates: [12, 12, n, ...]."""
+    the bodies of both ends, and by_rate times those by their rates: [12, 12, n, ...].
+
+    turn   rotations [3, vectors, ...] of the bodies of attached vectors in a step: derivatives are then by these
+    """
     e = elements(T, data, at, rates)
     eye = torch.eye(6, dtype=torch.float64)[:, :, None, None, None]
     unit = eye + 0.0 * data["beam_rest"]
@@ -113,10 +118,24 @@ def stiffness(T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None, by_plac
     C = _on_bodies(e, back)
     S = _on_bodies(e, wrench_slopes(e.screw, e.force))
     pull = matmul(C, data["beam_stiffness"])
-    left = by_place * (pull + S)
+    by_screw = by_place * (pull + S)
+    found = _by_increment(T, matmul(by_screw, C.transpose(0, 1)) + by_place * _turning(e), turn)
     if "beam_damping" in data:
-        left = left + (by_rate * data["beam_damping"]) * pull
-    return matmul(left, C.transpose(0, 1)) + by_place * _turning(e)
+        found = found + matmul((by_rate * data["beam_damping"]) * pull, C.transpose(0, 1))
+    return found
+
+
+def _by_increment(T: Any, K: Any, turn: Any) -> Any:
+    """K [12, 12, n, ...] by changes of the rotations of a step: a change d turns a body by (1 - ~th/2 + ~th~th/6) d."""
+    if turn is None:
+        return K
+    th, rows = T.beams.pick(turn, 1), K.transpose(0, 1)
+    parts = []
+    for k in range(2):
+        own, half = rows[6 * k + 3 : 6 * k + 6], th[k].unsqueeze(1)
+        once = cross(half, own)
+        parts += [rows[6 * k : 6 * k + 3], own + 0.5 * once + (1.0 / 6.0) * cross(half, once)]
+    return cat(parts).transpose(0, 1)
 
 
 def _on_bodies(e: Elements, ends: tuple[Any, Any]) -> Any:

@@ -9,6 +9,7 @@ Checked in tests/multibody/system/test_description.py.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import torch
@@ -91,18 +92,25 @@ def describe(system: Any) -> Description:
         mobility=6 * T.bodies - rigid,
         mass=sum(mass.values()),
         frequencies=tuple(vibrations(dynamics).frequencies.tolist()) if freedoms else (),
-        separate=_separate(system.bodies, system.joints),
+        separate=_separate(system.bodies, [*system.joints, *(f for f in system.forces if not f.of_law)]),
     )
 
 
 def check_connected(bodies: list[Any], joints: list[Any], forces: list[Any], free: list[str]) -> None:
-    """Refuse a body that nothing holds beside others that are joined; `free` names those that fly on purpose."""
+    """Refuse a body that nothing holds beside others that are joined; `free` names those that fly on purpose.
+
+    A flexible beam counts as one body, its own elements as none of the forces.
+    """
     unknown = [name for name in free if name not in [body.name for body in bodies]]
     if unknown:
         raise InputError(f"free names {unknown}; allowed: names of bodies, {[body.name for body in bodies]}")
     frames = [frame for joint in joints for frame in (joint.a, joint.b)] + [x for force in forces for x in force.frames]
     held = {id(frame.body) for frame in frames}
-    loose = [body.name for body in bodies if id(body) not in held and body.name not in free]
+
+    def holds(body: Any) -> bool:
+        return any(id(x) in held for x in getattr(body, "node_bodies", [body]))
+
+    loose = [body.name for body in bodies if not holds(body) and body.name not in free]
     if joints and loose:
         raise InputError(
             f"no joint and no force holds {', '.join(map(repr, loose))}; "
@@ -122,14 +130,15 @@ def _joint(joint: Any, row_joints: tuple[str, ...]) -> Entry:
 
 
 def _force(force: Any) -> Entry:
-    return Entry(force.name, type(force).__name__, {"on": " - ".join(map(repr, force.frames))})
+    shown = force.frames if len(force.frames) < 4 else (force.frames[0], force.frames[-1])
+    return Entry(force.name, type(force).__name__, {"on": " - ".join(map(repr, shown))})
 
 
-def _separate(bodies: list[Any], joints: list[Any]) -> tuple[tuple[str, ...], ...]:
-    """Groups of bodies without a path of joints to the ground."""
+def _separate(bodies: list[Any], ties: list[Any]) -> tuple[tuple[str, ...], ...]:
+    """Groups of bodies without a path of joints and elements of beams to the ground."""
     group = {body.name: {body.name} for body in bodies} | {"ground": {"ground"}}
-    for joint in joints:
-        one, other = group[joint.a.body.name], group[joint.b.body.name]
+    for one, other in (pair for tie in ties for pair in pairwise(frame.body.name for frame in tie.frames)):
+        one, other = group[one], group[other]
         if one is not other:
             one |= other
             for name in other:

@@ -289,8 +289,12 @@ def beam_rates(T: Topology, data: Data, at: Placement, v) -> tuple[Any, Any] | N
     """Velocities of the attached vectors and angular velocities of their bodies; None where no beam has dampers."""
     if "beam_damping" not in data:
         return None
-    om = _with_carriers(T, split_v(T, v)[1], 1).index_select(1, T.vector_body)
-    return vector_velocities(T, at, data, v), om
+    return vector_velocities(T, at, data, v), turns_of_vectors(T, split_v(T, v)[1])
+
+
+def turns_of_vectors(T: Topology, x) -> Any:
+    """Rotations, or their rates, of the bodies [3, bodies, ...] as those of attached vectors; zero on prescribed bodies."""
+    return _with_carriers(T, x, 1).index_select(1, T.vector_body)
 
 
 def _with_carriers(T: Topology, x, dim: int):

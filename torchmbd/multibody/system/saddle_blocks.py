@@ -29,6 +29,7 @@ from torchmbd.multibody.system.equations import (
     moments,
     split_v,
     total_on_vectors,
+    turns_of_vectors,
 )
 from torchmbd.multibody.system.index_maps import SegmentSum
 from torchmbd.multibody.system.topology import Topology
@@ -103,7 +104,8 @@ class SaddleBlocks:
             if pulls is not None:
                 self._add_geometric(blocks, data, at, stiffness, pulls)
         if T.beams is not None and v is not None:
-            blocks["beam"] = beams.stiffness(T, data, at, beam_rates(T, data, at, v), stiffness, damping)
+            turned = None if turn is None else turns_of_vectors(T, turn)
+            blocks["beam"] = beams.stiffness(T, data, at, beam_rates(T, data, at, v), stiffness, damping, turned)
         if T.rows:
             blocks |= self._row_blocks(data, at)
             blocks["row_turn"] = self._by_increment(blocks["row_torque"], turn)

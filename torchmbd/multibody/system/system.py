@@ -23,7 +23,9 @@ from torchmbd.math.module_call import call_module, exclusive
 from torchmbd.math.owned import positive, refuse_derivatives, several
 from torchmbd.math.variable import key
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
+from torchmbd.multibody.bodies.flexible_beam import BeamNode, FlexibleBeam
 from torchmbd.multibody.bodies.frame import MODAL, VELOCITIES, vector
+from torchmbd.multibody.forces.beam_chain import BeamChain
 from torchmbd.multibody.forces.controller import VARIABLES as OF_CONTROLLERS
 from torchmbd.multibody.forces.feedback import Port
 from torchmbd.multibody.forces.force import ForceElement
@@ -54,7 +56,7 @@ _VARIABLES = ("mass", "center", "inertia", *_OF_START)
 class System(nn.Module):
     """Bodies joined by joints.
 
-    bodies         rigid and flexible bodies; their names are unique
+    bodies         rigid and flexible bodies and flexible beams; their names are unique
     joints         between frames of these bodies and the ground
     forces         force elements between frames of these bodies and the ground
     gravity        acceleration of gravity in ground axes [m/s2]
@@ -88,15 +90,19 @@ class System(nn.Module):
         bodies, joints, forces, free = (
             several(name, given, kinds, allowed)
             for name, given, kinds, allowed in (
-                ("bodies", bodies, (RigidBody, FlexibleBody), "bodies, such as mbd.RigidBody(...)"),
+                ("bodies", bodies, (RigidBody, FlexibleBody, FlexibleBeam), "bodies, such as mbd.RigidBody(...)"),
                 ("joints", joints, Joint, "joints, such as mbd.Revolute(...)"),
                 ("forces", forces, ForceElement, "force elements, such as mbd.SpringDamper(...)"),
                 ("free", free, str, "names of bodies"),
             )
         )
-        names = [body.name for body in bodies]
         if not bodies:
             raise InputError("bodies is empty; allowed: at least one body")
+        self.beams = [body for body in bodies if isinstance(body, FlexibleBeam)]
+        check_connected(bodies, joints, forces, free)
+        bodies = [one for body in bodies for one in (body.node_bodies if isinstance(body, FlexibleBeam) else [body])]
+        forces = [*forces, *map(BeamChain, self.beams)]
+        names = [body.name for body in (*bodies, *self.beams)]
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"body name {name!r} is used {names.count(name)} times; allowed: unique names")
@@ -105,11 +111,11 @@ class System(nn.Module):
         self.stabilization = positive("stabilization", stabilization, "s")
         self.truncation = None if truncation is None else positive("truncation", truncation, "")
         self.forces = forces
-        check_connected(self.bodies, joints, forces, free)
         self._join(joints)
-        for body in self.bodies:
+        for body in (*self.bodies, *self.beams):
             if hasattr(self, body.name) or hasattr(StateEquation, body.name) or body.name in ("ground", "data"):
                 raise InputError(f"body name {body.name!r} is taken by torchmbd; allowed: any other identifier")
+        for body in self.bodies:
             self.add_module(body.name, body)
         self._add_laws()
         self.register_load_state_dict_post_hook(_joined_anew)
@@ -191,8 +197,8 @@ class System(nn.Module):
         return html(self)
 
     def body(self, name: str) -> Any:
-        """The body of that name; InputError names the nearest."""
-        named = {body.name: body for body in self.bodies}
+        """The body, or the flexible beam, of that name; InputError names the nearest."""
+        named = {body.name: body for body in (*self.bodies, *self.beams)}
         return named[one_of("body", name, named)]
 
     @exclusive
@@ -301,7 +307,11 @@ class System(nn.Module):
         T = self.topology
         flexible = [self.body(name) for name in T.names[: T.flexible]]
         rigid = [self.body(name) for name in T.names[T.flexible :]]
-        inertia = [*stages, *(body.invariants() for body in rigid)]
+        spans = {beam.name: beam.structure() for beam in self.beams}
+        inertia = [
+            *stages,
+            *(spans[b.beam.name].inertia(b.index) if isinstance(b, BeamNode) else b.invariants() for b in rigid),
+        ]
         data = {key: together([stage[key] for stage in inertia], rank) for key, rank in INERTIA.items()}
         if flexible:
             data |= modal_data(
@@ -313,7 +323,7 @@ class System(nn.Module):
         x = [attached.now() for attached in T.attached]
         data["x"] = together(x, 1) if x else torch.zeros(3, 0, 1, 1, dtype=torch.float64)
         for element in (*self.joints, *self.forces):
-            if element.variables is not None:
+            if element.variables is not None and getattr(element, "of_law", True):
                 data[key(element.name)] = element.variables.flat()
         if (
             any(body.bends for body in flexible)
@@ -323,7 +333,8 @@ class System(nn.Module):
             data |= given_start(T, [*flexible, *rigid])
             data |= self._start.data(T, [*flexible, *rigid], {name: data[name] for name in START})
         if T.beams is not None:
-            data |= beam_data([force.beam_data() for force in self.forces if force.beams(AttachmentTable())])
+            own = [force for force in self.forces if force.beams(AttachmentTable())]
+            data |= beam_data([spans[f.name].data if isinstance(f, BeamChain) else f.beam_data() for f in own])
         if self.gravity is not None:
             data["gravity"] = self.gravity[:, None, None, None]
         return data

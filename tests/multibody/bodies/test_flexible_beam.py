@@ -1,0 +1,148 @@
+"""Flexible beams in systems: mass, statics as on their own, gradients on both backends, results, refusals."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.fem.exact_beam.cases import coupled, given, matrix
+
+GROUND = mbd.Ground()
+MASS = matrix(2.0, 2.0, 2.0, 3e-3, 1e-3, 2e-3)
+SECTION = given(2e5, 1e5, 1e5, 20.0, 30.0, 40.0, mass=MASS)
+
+
+def total(beam: mbd.FlexibleBeam) -> tuple[Tensor, Tensor, Tensor]:
+    """Mass, first and second moments about the origin of the mesh axes."""
+    own, x = beam.structure(), beam.mesh.nodes
+    both = own.first[:, :, None] * x[:, None]
+    second = own.second + both + both.mT + own.mass[:, None, None] * x[:, :, None] * x[:, None]
+    return own.mass.sum(), (own.first + own.mass[:, None] * x).sum(0), second.sum(0)
+
+
+def test_rigid_inertia_is_exact():
+    """A straight beam of length 3 with its section turned and off the line, at 2 m/s2 along y."""
+    line = mbd.BeamLine(torch.tensor([[0.0, 0, 0], [1.0, 0, 0], [3.0, 0, 0]]))
+    m, first, second = total(mbd.FlexibleBeam("beam", line, SECTION, offset=(0.1, 0.0), twist=math.pi / 2))
+    assert_close(float(m), 6.0)
+    assert_close(first, torch.tensor([9.0, 0.6, 0.0], dtype=torch.float64))
+    inside = torch.zeros(3, 3, dtype=torch.float64)
+    inside[0, 0], inside[0, 1], inside[1, 0] = 18.0, 0.9, 0.9
+    inside[1, 1], inside[2, 2] = 0.06 + 3.0 * 1e-3, 3.0 * 2e-3  # a quarter turn exchanges y and z
+    assert_close(second, inside, atol=1e-12, rtol=0)
+
+
+def cantilever(beam: mbd.FlexibleBeam, *forces: mbd.forces.ForceElement) -> mbd.System:
+    return mbd.System([beam], [mbd.Fixed(GROUND.at(), beam.at("start"), name="wall")], list(forces))
+
+
+def test_equilibrium_is_that_of_the_beam_alone():
+    line = mbd.BeamLine.arc(2.0, 1.0, 6)
+    beam = mbd.FlexibleBeam("beam", line, mbd.GivenSection(coupled(), MASS), twist=[[0.0, 0.2]] * 6)
+    load = torch.tensor([0.3, -0.2, 0.4], dtype=torch.float64)
+    rest = mbd.equilibrium(cantilever(beam, mbd.Force(beam.at("end"), load.tolist())))
+    found, alone = rest.body("beam"), beam.equilibrium({"end": load})
+    assert float(found.displacements[0, 0, -1].norm()) > 0.1
+    assert_close(found.nodes[0, 0], alone.nodes, atol=1e-9, rtol=0)
+    assert_close(found.rotations[0, 0], alone.rotations, atol=1e-9, rtol=0)
+    assert_close(found.forces[0, 0], alone.forces, atol=1e-8, rtol=0)
+    assert_close(found.strain_energy, rest.energies.strain)
+    assert_close(rest.reaction("wall").force[0, 0].norm(), load.norm(), atol=1e-8, rtol=0)
+
+
+def test_frequencies_converge_with_the_square_of_the_length():
+    load = (0.0, 4.0, 2.0)
+    found = []
+    for n in (4, 8, 16):
+        beam = mbd.FlexibleBeam("beam", mbd.BeamLine.straight(2.0, n), SECTION)
+        found.append(mbd.equilibrium(cantilever(beam, mbd.Force(beam.at("end"), load))).frequencies[0, :3])
+        alone = beam.frequencies(3, {"end": load})[0]
+    assert bool((((found[0] - found[1]) / (found[1] - found[2])).abs() > 3.3).all())
+    assert_close(found[2], alone, rtol=1e-2, atol=0)
+
+
+CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=3.6e9, nu12=0.23, density=1586.0)
+DESIGNS = ("blade.section.0.angles", "blade.section.1.angles", "blade.twist")
+
+
+def spun() -> mbd.System:
+    """A blade of plies, tapered and twisted, that a motor turns fast."""
+    thick, thin = (
+        mbd.sections.box(0.03, height, CARBON, mbd.deg([20, -10]), thickness=0.25e-3, cells=(3, 2, 1))
+        for height in (0.01, 0.008)
+    )
+    twist = nn.Parameter(torch.linspace(0.0, 0.4, 3, dtype=torch.float64).repeat_interleave(2)[:-2].reshape(2, 2))
+    table = mbd.SectionTable([0.0, 1.0], [thick, thin])
+    blade = mbd.FlexibleBeam("blade", mbd.BeamLine.straight(1.0, 2), table, twist=twist)
+    hinge = mbd.Revolute(GROUND.at(), blade.at("start"), axis="z", name="hinge")
+    motor = mbd.Drive(GROUND.at(), blade.at("start"), axis="z", angle=mbd.SmoothStep(1.0, 0.1), name="motor")
+    return mbd.System([blade], [hinge, motor], gravity=(0, 0, -9.81))
+
+
+def tip(designs: dict[str, Tensor], backend: str, gradients: str) -> Tensor:
+    motion = mbd.simulate(spun(), 0.05, steps=50, designs=designs, backend=backend, gradients=gradients)
+    assert motion.status == ["ok"] * motion.lanes
+    blade = motion.body("blade")
+    return blade.nodes[:, -1, -1].sum(-1) + 1e-2 * blade.forces[:, -1, 0, 0].sum(-1)
+
+
+def test_gradients_by_plies_taper_and_twist():
+    own = dict(spun().named_parameters())
+    x = {name: own[name].detach()[None] for name in DESIGNS}
+    along = {name: torch.randn(y.shape, generator=torch.Generator().manual_seed(3)).double() for name, y in x.items()}
+    found = {}
+    for way in (("native", "forward"), ("native", "reverse"), ("eager", "reverse")):
+        leaves = {name: y.clone().requires_grad_() for name, y in x.items()}
+        by = torch.autograd.grad(tip(leaves, *way)[0], list(leaves.values()))
+        found[way] = torch.stack([(g * d).sum() for g, d in zip(by, along.values(), strict=True)])
+    h, wanted = 1e-3, []
+    for name in DESIGNS:
+        steps = torch.tensor([-2.0, -1.0, 1.0, 2.0], dtype=torch.float64) * h
+        moved = x[name] + steps.reshape(4, *[1] * (x[name].dim() - 1)) * along[name]
+        wide = {other: moved if other == name else y.expand(4, *y.shape[1:]) for other, y in x.items()}
+        y = tip(wide, "native", "none")
+        wanted.append((8.0 * (y[2] - y[1]) - (y[3] - y[0])) / (12.0 * h))
+    for by in found.values():
+        assert_close(by, torch.stack(wanted), rtol=1e-6, atol=1e-8)
+
+
+def test_results_responses_and_pictures(tmp_path):
+    beam = mbd.FlexibleBody.exact_beam("beam", mbd.BeamLine.straight(1.0, 3), SECTION, velocity=(1.0, 0, 0))
+    system = mbd.System([beam], forces=[mbd.Force(beam.at(1), (0.0, 5.0, 0.0))], free=["beam"])
+    motion = mbd.simulate(system, 0.1, steps=20, backend="eager")
+    found = motion.body("beam")
+    assert found.forces.shape == (1, 21, 3, 2, 6)
+    assert_close(mbd.Mass("beam")(motion), torch.tensor([2.0], dtype=torch.float64))
+    assert_close(mbd.Velocity("beam_2", "x")(motion)[0, 0], torch.tensor(1.0, dtype=torch.float64))
+    assert_close(mbd.StrainEnergy("beam")(motion), motion.energies.strain)
+    assert_close(mbd.Position("beam", "y", node="end")(motion), found.nodes[:, :, -1, 1])
+    assert_close(mbd.Displacement("beam", "y", node="end")(motion), found.displacements[:, :, -1, 1])
+    seen = mbd.Position("beam", "y", node="end", seen_from="beam")(motion)
+    assert_close(seen, found.displacements[:, :, -1, 1])
+    assert "freedoms    24" in str(system.describe())
+    assert mbd.viz.animate(motion, tmp_path / "beam.html").stat().st_size > 0
+    assert mbd.viz.save_motion(motion, tmp_path / "beam.pvd").exists()
+
+
+def test_refusals():
+    line = mbd.BeamLine.straight(1.0, 3)
+    bad = (matrix(1.0, 1, 1, 1, -1, 1), MASS)
+    with pytest.raises(mbd.InputError, match=r"section at position 0\.5"):
+        mbd.SectionTable([0.0, 0.5, 1.0], [(SECTION.stiffness(), MASS), bad, (SECTION.stiffness(), MASS)])
+    with pytest.raises(mbd.InputError, match="line of the flexible beam 'beam' varies"):
+        mbd.FlexibleBeam("beam", mbd.BeamLine(nn.Parameter(line.nodes.clone())), SECTION)
+    beam = mbd.FlexibleBeam("beam", line, SECTION)
+    with pytest.raises(mbd.InputError, match="node"):
+        beam.at("middle")
+    with pytest.raises(mbd.InputError, match="node of 'beam' is 4"):
+        beam.at(4)
+    other = mbd.RigidBody("other", 1.0, (1.0, 1.0, 1.0))
+    with pytest.raises(mbd.InputError, match="no joint and no force holds 'beam'"):
+        mbd.System([beam, other], [mbd.Fixed(GROUND.at(), other.at())])
+    with pytest.raises(mbd.InputError, match="damping of 'beam'"):
+        mbd.FlexibleBeam("beam", line, SECTION, damping=-1.0)

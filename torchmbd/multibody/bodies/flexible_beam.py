@@ -1,0 +1,151 @@
+"""A geometrically exact beam in a system: rigid bodies at its nodes, elements of finite rotations between them.
+
+Elements are those of the beam on its own (fem/exact_beam/forces.py), in system/beams.py; each node carries the halves of its
+elements as a rigid body (fem/exact_beam/half_elements.py). So joints, forces and drives act on nodes as on any rigid body.
+Rigid motions have their exact momentum and energy and no strain; displacements and frequencies converge with h^2.
+Checked in tests/multibody/bodies/test_flexible_beam.py, tests/validation/test_flexible_beam.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import BeamLine
+from torchmbd.fem.elements.beam_nodes import varying_nodes
+from torchmbd.fem.exact_beam import ExactBeam
+from torchmbd.fem.exact_beam.half_elements import rigid_halves
+from torchmbd.fem.exact_beam.sections import Elements
+from torchmbd.math.owned import nonnegative
+from torchmbd.multibody.bodies.frame import Frame, identifier, put, rotation, vector
+from torchmbd.multibody.bodies.rigid import RigidBody
+
+
+class BeamNode(RigidBody):
+    """Node number `index` of a beam, whose inertia comes from the beam."""
+
+    def __init__(self, beam: FlexibleBeam, index: int):
+        nn.Module.__init__(self)
+        self._beam, self.index = [beam], index  # no submodule: parameters are those of the beam
+        self.name = f"{beam.name}_{index}"
+        self.register_buffer("center", torch.zeros(3, dtype=torch.float64))
+
+    @property
+    def beam(self) -> FlexibleBeam:
+        """The beam."""
+        return self._beam[0]
+
+    def invariants(self) -> dict[str, Tensor]:
+        """Of `FlexibleBeam.structure`."""
+        return self.beam.structure().inertia(self.index)
+
+
+class Structure(NamedTuple):
+    """A beam in the present design.
+
+    mass, first, second   moments of the nodes;   data   of its elements [*lanes, m, ...]
+    """
+
+    mass: Float[Tensor, "*lanes n"]
+    first: Float[Tensor, "*lanes n 3"]
+    second: Float[Tensor, "*lanes n 3 3"]
+    data: dict[str, Tensor]
+    elements: Elements
+
+    def inertia(self, node: int) -> dict[str, Tensor]:
+        """Of a node, keys as of RigidBody."""
+        m = self.mass[..., node]
+        moments = {"S0": self.first[..., node, :], "P0": self.second[..., node, :, :]}
+        return {"mass": m, "mu": torch.zeros_like(m)} | moments
+
+
+class FlexibleBeam(ExactBeam):
+    """A beam of finite displacements and rotations, as a body of a System.
+
+    name, line, section, orientation, offset, twist   as of ExactBeam; the line must not vary with the design
+    position, axes    initial origin of the mesh axes in ground axes [m] and their rotation; the beam starts without strain
+    velocity          initial velocity of that origin in ground axes [m/s]; None: the smallest that the joints allow
+    angular_velocity  initial angular velocity of the beam as a rigid body, in mesh axes [rad/s]; None likewise
+    damping           time [s]: section forces grow by stiffness x damping x rate of strain
+
+    `at(node)` is a frame for joints and forces. Nodes are bodies of the system, called "NAME_0", "NAME_1", ...: they have
+    positions, velocities and all other histories. `motion.body(NAME)` has displacements and section forces of the beam.
+    No element may turn by more than 2.6 rad. Parameters are those of ExactBeam: "NAME.section.angles", "NAME.twist".
+
+    >>> rod = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9)
+    >>> rotor = mbd.FlexibleBeam("rotor", mbd.BeamLine.straight(1.0, elements=4), rod)
+    >>> hinge = mbd.Revolute(mbd.Ground().at(), rotor.at("start"), axis="z", name="hinge")
+    >>> motion = mbd.simulate(mbd.System([rotor], [hinge], [mbd.Torque(rotor.at("start"), (0, 0, 5.0))]), 0.1, steps=50)
+    >>> motion.body("rotor").forces.shape  # lanes, times, elements, ends, (N, V_y, V_z, T, M_y, M_z)
+    torch.Size([1, 51, 4, 2, 6])
+    """
+
+    def __init__(
+        self,
+        name: str,
+        line: BeamLine,
+        section: Any,
+        orientation: Sequence[float] | Tensor = (0.0, 1.0, 0.0),
+        offset: Sequence[float] | Tensor = (0.0, 0.0),
+        twist: float | Sequence | Tensor = 0.0,
+        position: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+        axes: Sequence | Tensor | None = None,
+        velocity: Sequence[float] | Tensor | None = None,
+        angular_velocity: Sequence[float] | Tensor | None = None,
+        damping: float = 0.0,
+    ) -> None:
+        super().__init__(identifier("flexible beam", name), line, section, orientation, offset, twist)
+        if varying_nodes(line):
+            raise InputError(
+                f"line of the flexible beam {name!r} varies with the design; allowed: a fixed line, or an ExactBeam on its own"
+            )
+        self.damping = nonnegative(f"damping of {name!r}", damping, "s")
+        x0, A = vector(f"position of {name!r}", position), rotation(f"axes of {name!r}", axes)
+        v, om = (
+            None if x is None else vector(f"{label} of {name!r}", x)
+            for label, x in (("velocity", velocity), ("angular_velocity", angular_velocity))
+        )
+        self.node_bodies = [BeamNode(self, k) for k in range(len(line.nodes))]
+        with torch.no_grad():
+            found = self.structure()
+        for node, x, m, S in zip(self.node_bodies, line.nodes, found.mass, found.first, strict=True):
+            given = None if v is None and om is None else torch.zeros(3, dtype=torch.float64)
+            if given is not None:
+                given = (given if v is None else v) + A @ torch.linalg.cross(given if om is None else om, x)
+            put(node, x0 + A @ x, A, given, om if om is not None or v is None else torch.zeros(3, dtype=torch.float64))
+            node.center = S / m
+
+    def at(self, node: str | int, axes: Sequence | Tensor | None = None) -> Frame:
+        """Frame at a node, by name or number; `axes`: columns of its triad in mesh axes (default: these).
+
+        node  of the line, such as "start", "end" of a chain, or 0, 1, ...
+        """
+        number = self.mesh.node(node) if isinstance(node, str) else node
+        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < len(self.node_bodies):
+            raise InputError(f"node of {self.name!r} is {node!r}; allowed: a name, or 0 to {len(self.node_bodies) - 1}")
+        return self.node_bodies[number].at(axes=axes)
+
+    def structure(self) -> Structure:
+        """Inertia of the nodes and data of the elements in the present design.
+
+        >>> rod = mbd.GivenSection.isotropic(E=210e9, nu=0.3, density=7850.0, area=1e-4, Iyy=1e-9, Izz=1e-9, J=2e-9)
+        >>> beam = mbd.FlexibleBeam("beam", mbd.BeamLine.straight(1.0, elements=4), rod)
+        >>> float(beam.structure().mass.sum())  # [kg]
+        0.785
+        """
+        made = self._elements()
+        nodal = rigid_halves(self.mesh, self.sections, made)
+        data = {
+            "beam_stiffness": made.stiffness,
+            "beam_rest": made.screws,
+            "beam_start": made.axes[..., 0, :, :],
+            "beam_end": made.axes[..., 1, :, :],
+        }
+        if self.damping:
+            data["beam_damping"] = torch.full((len(self.mesh.elements),), self.damping, dtype=torch.float64)
+        return Structure(*nodal, data, made)

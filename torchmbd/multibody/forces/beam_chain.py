@@ -1,0 +1,43 @@
+"""All elements of a flexible beam, as one force element between the bodies at its nodes.
+
+Checked in tests/multibody/bodies/test_flexible_beam.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+from torch import Tensor
+
+from torchmbd.math.variable import Variables
+from torchmbd.multibody.bodies.flexible_beam import FlexibleBeam
+from torchmbd.multibody.forces.force import ForceElement
+from torchmbd.multibody.joints.joint import AttachmentTable
+
+
+class BeamChain(ForceElement):
+    """Of one beam; made by the System."""
+
+    of_law: ClassVar[bool] = False
+
+    def __init__(self, beam: FlexibleBeam):
+        super().__init__(tuple(node.at() for node in beam.node_bodies), beam.name)
+        self.beam = beam
+
+    @property
+    def variables(self) -> Variables | None:
+        """Those of the beam."""
+        return Variables.of(self.beam)
+
+    def actions(self, attachments: AttachmentTable) -> list[Any]:
+        """None: these are elements of beams."""
+        return []
+
+    def beams(self, attachments: AttachmentTable) -> list[tuple[int, int]]:
+        """Nodes of the elements."""
+        points = [attachments.point(frame) for frame in self.frames]
+        return [(points[i], points[j]) for i, j in self.beam.mesh.elements.tolist()]
+
+    def beam_data(self) -> dict[str, Tensor]:
+        """Of `FlexibleBeam.structure`."""
+        return self.beam.structure().data
