@@ -6,9 +6,15 @@ from torch.testing import assert_close
 
 from tests.fem.elements.plate_cases import GENERAL, irregular, rotation, turned
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import Average, Freedoms, PlateMatrices, RigidLink
+from torchmbd.fem.elements import Average, Combination, Freedoms, PlateMatrices, RigidLink
 
 MESH = turned(irregular(0.4, 0.3, (3, 2)), rotation(4))
+PARTLY = (
+    RigidLink(0, 5, (0, 1, 2)),
+    RigidLink(1, 5, (2, 4)),
+    Average(7, (2, 3, 10, 11), (1.0, 2.0, 0.5, 1.0), (1, 5)),
+    Combination(1, 3, ((0, 4, 0.5), (6, 2, -3.0), (6, 2, 1.0))),  # node 0 turns freely, so it may lead
+)
 LINKS = (RigidLink(0, 5), RigidLink(1, 5), Average(7, (2, 3, 10, 11), (1.0, 2.0, 0.5, 1.0)))
 
 
@@ -35,7 +41,17 @@ def test_rigid_motion_passes_through_links_and_averages():
     assert len(freedoms.free) == 6 * (len(MESH.nodes) - 3)
 
 
-@pytest.mark.parametrize(("held", "links"), [((4,), ()), ((4, 9), LINKS), ((5,), LINKS)])
+def test_only_the_named_components_follow():
+    """Six freedoms of a node less those that follow; a rigid motion passes through links and averages."""
+    freedoms, motion = Freedoms(MESH.nodes, links=PARTLY[:3]), rigid_motion(MESH.nodes)
+    assert sorted(set(range(6 * len(MESH.nodes))) - set(freedoms.free.tolist())) == [0, 1, 2, 8, 10, 43, 47]
+    assert_close(freedoms.expand(motion[freedoms.free][:, None]).flatten(), motion, rtol=1e-6, atol=1e-7)
+    tied = dense(Freedoms(MESH.nodes, links=PARTLY))[9]  # phi_x of node 1
+    own = Freedoms(MESH.nodes, links=PARTLY).free.tolist()
+    assert {own[k]: float(tied[k]) for k in tied.nonzero()[:, 0].tolist()} == {4: 0.5, 38: -2.0}
+
+
+@pytest.mark.parametrize(("held", "links"), [((4,), ()), ((4, 9), LINKS), ((5,), LINKS), ((4,), PARTLY)])
 def test_reduced_values_are_those_of_the_product(held, links):
     """Also where the leader of a link is held: what follows it stands still."""
     freedoms = Freedoms(MESH.nodes, held, links)
@@ -56,6 +72,9 @@ def test_reduced_values_are_those_of_the_product(held, links):
     [
         ((), (RigidLink(0, 99),), ["99", "0 to 11"]),
         ((), (RigidLink(0, 5), RigidLink(0, 6)), ["node 0", "2 links"]),
+        ((), (RigidLink(0, 5, (0, 1)), Combination(0, 1, ((7, 2, 1.0),))), ["components [1] of node 0", "2 links"]),
+        ((), (RigidLink(0, 5, (0, 6)),), ["components", "(0, 6)", "0 to 5"]),
+        ((), (RigidLink(0, 5, (0, 1)), Combination(7, 1, ((0, 0, 1.0),))), ["component 0 of node 0", "no chains"]),
         ((0,), (RigidLink(0, 5),), ["node 0 is held"]),
         ((), (RigidLink(0, 5), RigidLink(5, 6)), ["node 5", "no chains"]),
         ((), (Average(0, (1, 2), (1.0, 1.0)),), ["average at node 0", "one line"]),

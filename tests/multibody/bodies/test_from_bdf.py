@@ -289,7 +289,7 @@ REPLACED = [
     (",.23,", ",9.,", ["MAT8 1", "nu12 = 9.0"]),
     ("GRID,1,,-0.15", "GRID,1,3,-0.15", ["GRID 1", "coordinate system 3 does not exist"]),
     ("ENDDATA", "CELAS2,950,1.+5,1,1\nENDDATA", ["CELAS2 950", "the ground"]),
-    ("ENDDATA", "RBE2,30,1,123,2\nENDDATA", ["RBE2 30", "CM is '123'"]),
+    ("ENDDATA", "RBE2,30,1,127,2\nENDDATA", ["RBE2 30", "CM is '127'"]),
     ("ENDDATA", "RBE2,30,1,123456,2\nRBE2,31,3,123456,2\nENDDATA", ["RBE2 31", "GRID 2 follows already by RBE2 30"]),
     ("ENDDATA", "GRID,1,,0.,0.,0.\nENDDATA", ["GRID 1", "stands twice"]),
     ("GRID,1,,-0.15,-0.05", "GRID,1,,-0.15,-0.0x", ["GRID 1", "X2 is '-0.0x'"]),

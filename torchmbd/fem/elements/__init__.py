@@ -6,7 +6,7 @@ from torchmbd.fem.elements.beam_line import BeamLine
 from torchmbd.fem.elements.beam_section import BeamSection, GivenSection
 from torchmbd.fem.elements.beams import Beams
 from torchmbd.fem.elements.fiber_field import FiberField
-from torchmbd.fem.elements.freedoms import Average, Freedoms, MeanMotion, RigidLink
+from torchmbd.fem.elements.freedoms import Average, Combination, Follower, Freedoms, MeanMotion, RigidLink
 from torchmbd.fem.elements.given_elements import GivenElements
 from torchmbd.fem.elements.lamination_parameters import LaminationParameters
 from torchmbd.fem.elements.part import MassPoints, Part
@@ -29,8 +29,10 @@ __all__ = [
     "BeamMatrices",
     "BeamSection",
     "Beams",
+    "Combination",
     "FiberField",
     "FiberPaths",
+    "Follower",
     "Freedoms",
     "GivenElements",
     "GivenSection",

@@ -24,7 +24,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchmbd.fem.elements.freedoms import Average, Freedoms, MeanMotion, RigidLink
+from torchmbd.fem.elements.freedoms import Follower, Freedoms, MeanMotion
 from torchmbd.fem.elements.geometric import StressedCells, assembled
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.math.sparse import Pattern, SparseMatrix
@@ -52,7 +52,7 @@ class Assembly:
         mesh: Meshed,
         parts: Mapping[str, Part],
         held: Sequence[int] = (),
-        links: Sequence[RigidLink | Average] = (),
+        links: Sequence[Follower] = (),
         means: Sequence[MeanMotion] = (),
     ) -> None:
         self.mesh, self.parts = mesh, dict(parts)

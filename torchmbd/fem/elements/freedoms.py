@@ -4,7 +4,9 @@
 
 held node     u = 0; single freedoms that have neither stiffness nor mass, too
 rigid link    u_s = u_m + phi_m x d,  phi_s = phi_m       node s follows node m, d from m to s        (RBE2)
+              or only some of the six components: a ball joint has the first three
 average       the rigid motion that fits weighted nodes best, in the sense of least squares           (RBE3)
+combination   u_i of one node is the weighted sum of single freedoms of others                        (MPC)
 mean motion   y = B u of several nodes, six free freedoms of their own; six of the nodes' follow: u_d = B_d^-1 (y - B_r u_r)
 
 So K_free = T' K T has values that are linear in those of K: `reduced` tells how, once per mesh.
@@ -15,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import scipy.linalg
 import torch
@@ -24,22 +27,64 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.math.sparse import Pattern
 
+#: Freedoms that follow, those that lead them, and factors.
+Entries: TypeAlias = tuple[Tensor, Tensor, Tensor]
+ALL = (0, 1, 2, 3, 4, 5)
+
 
 @dataclass(frozen=True)
 class RigidLink:
-    """Node `node` moves with node `leader` as parts of one rigid body."""
+    """Node `node` moves with node `leader` as parts of one rigid body, in `components` 0 to 5 (ux uy uz, phi_x phi_y phi_z)."""
 
     node: int
     leader: int
+    components: tuple[int, ...] = ALL
+
+    def entries(self, x: Float[Tensor, "n 3"]) -> Entries:
+        return _entries(self.node, self.components, [(self.leader, _rigid(x[self.node] - x[self.leader]))])
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        return (self.leader,)
 
 
 @dataclass(frozen=True)
 class Average:
-    """Node `node` carries the mean motion of other nodes, with weights; it has no stiffness of its own."""
+    """Node `node` carries the mean motion of other nodes, with weights, in `components`."""
 
     node: int
     nodes: tuple[int, ...]
     weights: tuple[float, ...]
+    components: tuple[int, ...] = ALL
+
+    def entries(self, x: Float[Tensor, "n 3"]) -> Entries:
+        return _entries(self.node, self.components, _mean(x, self))
+
+
+@dataclass(frozen=True)
+class Combination:
+    """Component `component` of `node` is the sum of factor * component of node over `terms` (node, component, factor)."""
+
+    node: int
+    component: int
+    terms: tuple[tuple[int, int, float], ...]
+
+    def entries(self, x: Float[Tensor, "n 3"]) -> Entries:
+        source = torch.tensor([6 * node + i for node, i, _ in self.terms], dtype=torch.long)
+        factor = torch.tensor([a for *_, a in self.terms], dtype=x.dtype)
+        return torch.full_like(source, 6 * self.node + self.component), source, factor
+
+    @property
+    def components(self) -> tuple[int, ...]:
+        return (self.component,)
+
+    @property
+    def nodes(self) -> tuple[int, ...]:
+        return tuple(node for node, *_ in self.terms)
+
+
+#: What makes freedoms of a node follow others.
+Follower: TypeAlias = RigidLink | Average | Combination
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,17 +108,19 @@ class Freedoms:
         self,
         x: Float[Tensor, "n 3"],
         held: Sequence[int] = (),
-        links: Sequence[RigidLink | Average] = (),
+        links: Sequence[Follower] = (),
         absent: Int[Tensor, " k"] | None = None,
         means: Sequence[MeanMotion] = (),
     ) -> None:
         self.nodes = len(x)
-        dependent = [link.node for link in links]
         _check(self.nodes, list(held), links)
         _check_means(list(held), links, means)
+        entries = [link.entries(x) for link in links]
+        _check_chains(links, entries)
         bound = torch.zeros(self.nodes + len(means), dtype=torch.bool)
-        bound[torch.tensor([*held, *dependent], dtype=torch.long)] = True
+        bound[torch.tensor(list(held), dtype=torch.long)] = True
         bound = bound.repeat_interleave(6)
+        bound[torch.tensor([6 * link.node + i for link in links for i in link.components], dtype=torch.long)] = True
         self.absent = torch.zeros(0, dtype=torch.long) if absent is None else absent
         bound[self.absent] = True
         following = [_following(x, mean, bound) for mean in means]
@@ -84,19 +131,12 @@ class Freedoms:
         column[self.free] = torch.arange(len(self.free))
         own = self.free[self.free < 6 * self.nodes]
         rows, cols, factor = [own], [torch.arange(len(own))], [torch.ones(len(own), dtype=x.dtype)]
-        for link in links:
-            blocks = (
-                [(link.leader, _rigid(x[link.node] - x[link.leader]))]
-                if isinstance(link, RigidLink)
-                else _mean(x, link)
-            )
-            for leader, block in blocks:
-                i, j = torch.nonzero(block, as_tuple=True)
-                target = column[6 * leader + j]
-                kept = target >= 0  # what follows a held node stands still
-                rows.append(6 * link.node + i[kept])
-                cols.append(target[kept])
-                factor.append(block[i, j][kept])
+        for led, source, own_factor in entries:
+            target = column[source]
+            kept = target >= 0  # what follows a held node stands still
+            rows.append(led[kept])
+            cols.append(target[kept])
+            factor.append(own_factor[kept])
         for j, (mean, (led, inverse)) in enumerate(zip(means, following, strict=True)):
             others = _freedoms(mean.nodes)
             kept = column[others] >= 0
@@ -141,6 +181,18 @@ class Freedoms:
             return flat[..., self.free, :]
         none = flat.new_zeros(*flat.shape[:-2], len(self.free), flat.shape[-1])
         return none.index_add(-2, self.cols, flat[..., self.rows, :] * self.factor[:, None])
+
+
+def _entries(node: int, components: tuple[int, ...], blocks: list[tuple[int, Tensor]]) -> Entries:
+    """Rows `components` of the blocks [6, 6] (leader, block), without zeros."""
+    chosen = torch.tensor(components, dtype=torch.long)
+    led, source, factor = [], [], []
+    for leader, block in blocks:
+        i, j = torch.nonzero(block[chosen], as_tuple=True)
+        led.append(6 * node + chosen[i])
+        source.append(6 * leader + j)
+        factor.append(block[chosen][i, j])
+    return torch.cat(led), torch.cat(source), torch.cat(factor)
 
 
 def _rigid(d: Tensor) -> Float[Tensor, "6 6"]:
@@ -201,11 +253,10 @@ def _following(x: Tensor, mean: MeanMotion, bound: Tensor) -> tuple[Tensor, Tens
     return freedoms[led], torch.linalg.inv(B[:, led])
 
 
-def _check_means(held: list[int], links: Sequence[RigidLink | Average], means: Sequence[MeanMotion]) -> None:
+def _check_means(held: list[int], links: Sequence[Follower], means: Sequence[MeanMotion]) -> None:
     taken = dict.fromkeys(held, "is held")
     for link in links:
-        leaders = (link.leader,) if isinstance(link, RigidLink) else link.nodes
-        taken |= dict.fromkeys((link.node, *leaders), "is linked to others")
+        taken |= dict.fromkeys((link.node, *link.nodes), "is linked to others")
     for mean in means:
         for k in mean.nodes:
             if k in taken:
@@ -215,18 +266,30 @@ def _check_means(held: list[int], links: Sequence[RigidLink | Average], means: S
             taken[k] = "is in another mean motion"
 
 
-def _check(n: int, held: list[int], links: Sequence[RigidLink | Average]) -> None:
-    dependent = [link.node for link in links]
-    leaders = [k for link in links for k in ((link.leader,) if isinstance(link, RigidLink) else link.nodes)]
-    for k in [*held, *dependent, *leaders]:
+def _check(n: int, held: list[int], links: Sequence[Follower]) -> None:
+    for k in (*held, *(k for link in links for k in (link.node, *link.nodes))):
         if not 0 <= k < n:
             raise InputError(f"a link or a held node is {k}; allowed: 0 to {n - 1}")
-    for k in dependent:
-        if dependent.count(k) > 1:
-            raise InputError(f"node {k} follows by {dependent.count(k)} links; allowed: one")
+    taken: set[int] = set()
+    for link in links:
+        k, own = link.node, link.components
+        if not own or not set(own) <= set(ALL) or len(set(own)) < len(own):
+            raise InputError(f"components of the link of node {k} are {own}; allowed: different ones of 0 to 5")
+        again = [i for i in own if 6 * k + i in taken]
+        if again:
+            raise InputError(f"components {again} of node {k} follow by 2 links; allowed: one")
+        taken |= {6 * k + i for i in own}
         if k in held:
             raise InputError(
                 f"node {k} is held and follows other nodes by a link; allowed: hold the node that leads it"
             )
-        if k in leaders:
-            raise InputError(f"node {k} follows other nodes and leads one; allowed: no chains of links")
+
+
+def _check_chains(links: Sequence[Follower], entries: Sequence[Entries]) -> None:
+    following = {6 * link.node + i for link in links for i in link.components}
+    for _, source, _ in entries:
+        for f in source.tolist():
+            if f in following:
+                raise InputError(
+                    f"component {f % 6} of node {f // 6} follows other nodes and leads one; allowed: no chains of links"
+                )

@@ -1,11 +1,10 @@
 """A Nastran model as the makings of a flexible body: mesh, parts, links and reference.
 
 Each PCOMP and PSHELL is a part of its own, "pcomp_7"; each PBAR another, its bars where
-their offsets put them (the same at both ends, across the bar). Rods, springs, bushings and solids: springs.py. RBE2, RBAR and
-RBE3 become links,
-and the grid of each a named node, "rbe2_30", where a frame may sit; CONM2 are point masses. Grids whose six freedoms are
-held (SPC, SPC1) become the reference of the body; other supports are left out, with a warning: joints do that in a
-mechanism.
+their offsets put them (the same at both ends, across the bar). Rods, springs, bushings and solids: springs.py. RBE2, RBAR,
+RBE3 and MPC become links (rigids.py), and the grid of each rigid element a named node, "rbe2_30", where a frame may sit;
+CONM2 are point masses. Grids whose six freedoms are held (SPC, SPC1) become the reference of the body; other supports are
+left out, with a warning: joints do that in a mechanism.
 Checked in tests/multibody/bodies/test_from_bdf.py.
 """
 
@@ -20,12 +19,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
-from torchmbd.fem.elements import Average, BeamMatrices, Beams, Part, Plates, PointMasses, RigidLink
+from torchmbd.fem.elements import BeamMatrices, Beams, Follower, Part, Plates, PointMasses
 from torchmbd.fem.mesh import Mesh
 from torchmbd.io.nastran.cards import read_cards
 from torchmbd.io.nastran.data import Bar, BulkData
 from torchmbd.io.nastran.materials import UNITS, Units, laminate_of, section_of, units_of
 from torchmbd.io.nastran.mesh import BulkMesh, bulk_mesh
+from torchmbd.io.nastran.rigids import followers
 from torchmbd.io.nastran.springs import linked_parts
 
 __all__ = ["UNITS", "BulkBody", "read_bdf"]
@@ -37,7 +37,7 @@ class BulkBody:
 
     mesh: Mesh
     parts: dict[str, Part]
-    links: list[RigidLink | Average]
+    links: list[Follower]
     reference: list[int] | None
 
 
@@ -63,7 +63,8 @@ def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped") -> BulkBo
     if data.masses:
         parts["conm2"] = _masses(data, made, scale)
     _warn_ignored(data, path)
-    return BulkBody(made.mesh, parts, _links(data, made.index), _held(data, made.index))
+    links = followers(data.rigids, data.constraints, made.index, data.displacement_axes, scale.length)
+    return BulkBody(made.mesh, parts, links, _held(data, made.index))
 
 
 def _masses(data: BulkData, made: BulkMesh, scale: Units) -> PointMasses:
@@ -136,29 +137,6 @@ def _across(line: _Line, orientation: Tensor, offset: Tensor, bars: list[Bar]) -
     return torch.stack([(e_y * offset).sum(1), (e_z * offset).sum(1)], dim=1)
 
 
-def _links(data: BulkData, index: dict[int, int]) -> list[RigidLink | Average]:
-    links: list[RigidLink | Average] = []
-    led: dict[int, str] = {}
-    for rigid in data.rigids:
-        followers = rigid.others if not rigid.weights else (rigid.grid,)
-        for grid in followers:
-            if grid in led:
-                raise InputError(
-                    f"{rigid.card}: GRID {grid} follows already by {led[grid]}; allowed: one rigid element"
-                )
-            led[grid] = str(rigid.card)
-        if rigid.weights:
-            links.append(Average(index[rigid.grid], tuple(index[grid] for grid in rigid.others), rigid.weights))
-        else:
-            links += [RigidLink(index[grid], index[rigid.grid]) for grid in rigid.others]
-    for rigid in data.rigids:
-        leaders = rigid.others if rigid.weights else (rigid.grid,)
-        for grid in leaders:
-            if grid in led:
-                raise InputError(f"{rigid.card}: GRID {grid} leads here and follows by {led[grid]}; allowed: no chains")
-    return links
-
-
 def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
     """Nodes whose six freedoms are held."""
     components: dict[int, set[str]] = {}
@@ -166,7 +144,7 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
         for grid in support.grids:
             components.setdefault(grid, set()).update(support.components)
     turning = {grid for element in (*data.shells, *data.bars) for grid in element.grids}
-    turning |= {grid for rigid in data.rigids for grid in (rigid.grid, *rigid.others)}
+    turning |= {grid for tied in (*data.rigids, *data.constraints) for grid in tied.grids}
     turning |= {grid for link in data.links for grid in link.grids}
     needed = {grid: set("123456" if grid in turning else "123") for grid in components}
     held = [index[grid] for grid, own in components.items() if own >= needed[grid] and grid in index]

@@ -1,6 +1,6 @@
 """A Nastran model as numbers: what the cards say, sorted by kind, with the card kept for messages.
 
-    BulkData.of(cards)      grids, shells, bars, properties, materials, masses, rigid elements, supports
+    BulkData.of(cards)      grids, shells, bars, properties, materials, masses, rigid elements, MPC, supports
 
 Refused by card and line: an element that cannot be read (leaving it out would change the structure), a duplicate, a
 property or material or grid that does not exist, a field that is missing. Loads and control cards are left out; `ignored`
@@ -15,9 +15,12 @@ import re
 from collections import Counter
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from torchmbd.errors import InputError, warn
 from torchmbd.io.nastran.cards import Card
-from torchmbd.io.nastran.elements import LINKS, OWN_PROPERTIES, SOLIDS, Link, Solid, bar_that_is_rigid, link, solid
+from torchmbd.io.nastran.elements import LINKS, OWN_PROPERTIES, SOLIDS, Link, Solid, link, solid
+from torchmbd.io.nastran.rigids import RIGIDS, Constraint, Rigid, constraint, rigid
 from torchmbd.io.nastran.systems import KINDS, Systems
 
 SHELLS = {"CTRIA3": 3, "CQUAD4": 4}
@@ -26,12 +29,12 @@ PROPERTIES = ("PSHELL", "PCOMP", "PCOMPG", "PBAR", "PBARL", "PBEAM", "PBEAML")
 MATERIALS = re.compile(r"^MAT([12389]|10)$")
 #: Structure that cannot be read: leaving it out would change the body. Every other unknown card is left out, and listed.
 _STRUCTURE = re.compile(
-    r"^(RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT\d?|MPC|GENEL|SPOINT|EPOINT|BAROR|BEAMOR|CONM1"
+    r"^(RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT\d?|GENEL|SPOINT|EPOINT|BAROR|BEAMOR|CONM1"
     r"|C(BEND|BEAM3|BUSH[12]D|ELAS[34]|FAST|GAP|HACAB|HEXCZ|IFHEX|MASS\d|PYRAM|PYRA|QUAD|QUAD8|QUADR|QUADX\d?|RAC[23]D"
     r"|SEAM|SHEAR|TRIA6|TRIAR|TRIAX6?|TRAX\d|TUBE|WELD))$"
 )
-READ = (*SHELLS, *BARS, *LINKS, *SOLIDS, "CONM2", "RBE2", "RBE3", "RBAR", "SPC", "SPC1", "MAT1", "MAT8", "MAT9")
-_QUIET = ("PARAM", "EIGRL", "EIGR", "PLOTEL", "SPCADD", "MDLPRM")
+READ = (*SHELLS, *BARS, *LINKS, *SOLIDS, "CONM2", *RIGIDS, "MPC", "SPC", "SPC1", "MAT1", "MAT8", "MAT9")
+_QUIET = ("PARAM", "EIGRL", "EIGR", "PLOTEL", "SPCADD", "MPCADD", "MDLPRM")
 
 
 @dataclass(frozen=True)
@@ -52,16 +55,6 @@ class Bar:
     card: Card
     property: int
     grids: tuple[int, int]
-
-
-@dataclass(frozen=True)
-class Rigid:
-    """An RBE2 (grid leads the others) or RBE3 (grid is the weighted mean of the others)."""
-
-    card: Card
-    grid: int
-    others: tuple[int, ...]
-    weights: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -101,6 +94,7 @@ class BulkData:
     materials: dict[int, Card] = field(default_factory=dict)
     masses: list[Mass] = field(default_factory=list)
     rigids: list[Rigid] = field(default_factory=list)
+    constraints: list[Constraint] = field(default_factory=list)
     supports: list[Support] = field(default_factory=list)
     systems: Systems = field(default_factory=Systems)
     weight_to_mass: float = 1.0
@@ -143,9 +137,10 @@ class BulkData:
                 if key in self.own_properties:
                     raise InputError(f"{part}: the number {key[1]} is taken by {self.own_properties[key]}")
                 self.own_properties[key] = part
-        elif name == "RBAR":
-            leader, follower = bar_that_is_rigid(card)
-            self.rigids.append(Rigid(card, leader, (follower,)))
+        elif name in RIGIDS:
+            self.rigids.append(rigid(card))
+        elif name == "MPC":
+            self.constraints.append(constraint(card))
         elif name in PROPERTIES or MATERIALS.match(name):
             table = self.properties if name in PROPERTIES else self.materials
             number = card.integer(1, "number")
@@ -154,8 +149,6 @@ class BulkData:
             table[number] = card
         elif name == "CONM2":
             self.masses.append(_mass(card))
-        elif name in ("RBE2", "RBE3"):
-            self.rigids.append(_rbe2(card) if name == "RBE2" else _rbe3(card))
         elif name in ("SPC1", "SPC"):
             self.supports.extend(_supports(card))
             if name == "SPC" and any(card.real(k, "D", 0.0) for k in (4, 7)):
@@ -176,8 +169,8 @@ class BulkData:
             self._exist(element.card, element.grids)
         for element in (*self.solids, *self.links):
             self._exist(element.card, element.grids)
-        for rigid in self.rigids:
-            self._exist(rigid.card, (rigid.grid, *rigid.others))
+        for tied in (*self.rigids, *self.constraints):
+            self._exist(tied.card, tied.grids)
         for mass in self.masses:
             self._exist(mass.card, (mass.grid,))
         for support in self.supports:
@@ -191,6 +184,11 @@ class BulkData:
         for grid in grids:
             if grid not in self.grids:
                 raise InputError(f"{card}: GRID {grid} does not exist")
+
+    def displacement_axes(self, grid: int) -> np.ndarray:
+        """Rows: axes of the system CD of a grid, where it is."""
+        card = self.grid_cards[grid]
+        return self.systems.axes(card.integer(6, "CD", 0), card, np.array(self.grids[grid]))
 
     def own(self, card: Card, name: str, number: int) -> Card:
         """The property of a rod, spring, bushing or solid."""
@@ -249,39 +247,6 @@ def _mass(card: Card) -> Mass:
         warn(f"{card}: inertias {principal}, products {products}; taken as {mean:g} about any axis")
     x, y, z = offsets
     return Mass(card, card.integer(2, "G"), card.real(4, "M"), sum(principal) / 3.0, (x, y, z), system)
-
-
-def _rbe2(card: Card) -> Rigid:
-    if set(card.text(3)) != set("123456"):
-        raise InputError(f"{card}: CM is {card.text(3)!r}; allowed: 123456, all freedoms follow")
-    words = [word for word in card.fields[3:] if word and not re.search(r"[.]", word)]
-    followers = Card(card.name, (*card.fields[:1], "", "", *words), card.where).integers(4)
-    if not followers:
-        raise InputError(f"{card}: no grid follows; allowed: at least one")
-    return Rigid(card, card.integer(2, "GN"), tuple(followers))
-
-
-def _rbe3(card: Card) -> Rigid:
-    grids: list[int] = []
-    weights: list[float] = []
-    weight, components = 1.0, False
-    for position, word in enumerate(card.fields[4:], start=5):
-        if word.upper() in ("UM", "ALPHA"):
-            break
-        if not word:
-            continue
-        if "." in word:
-            weight, components = card.real(position, "WT"), True
-        elif components:
-            if not {"1", "2", "3"} <= set(word):
-                raise InputError(f"{card}: C is {word!r}; allowed: 123, the displacements of the averaged grids")
-            components = False
-        else:
-            grids.append(card.integer(position, "G"))
-            weights.append(weight)
-    if not grids:
-        raise InputError(f"{card}: no grids to average; allowed: at least three that span a plane")
-    return Rigid(card, card.integer(3, "REFGRID"), tuple(grids), tuple(weights))
 
 
 def _supports(card: Card) -> list[Support]:

@@ -43,6 +43,7 @@ def bulk_mesh(data: BulkData, length: float = 1.0) -> BulkMesh:
     lines += [(index[a], index[b]) for own in data.solids for a, b in itertools.pairwise((*own.grids, own.grids[0]))]
     lines += [(index[link.grids[0]], index[link.grids[1]]) for link in data.links]
     lines += [(index[rigid.grid], index[other]) for rigid in data.rigids for other in rigid.others]
+    lines += [(index[own.grids[0]], index[other]) for own in data.constraints for other in own.grids[1:]]
     mesh = Mesh(
         nodes,
         _cells(corners, 3),
@@ -61,7 +62,7 @@ def bulk_mesh(data: BulkData, length: float = 1.0) -> BulkMesh:
 def _used(data: BulkData) -> list[int]:
     """Grids of elements, rigid elements and masses, in the order of their cards."""
     used = {grid for element in (*data.shells, *data.bars, *data.solids, *data.links) for grid in element.grids}
-    used |= {grid for rigid in data.rigids for grid in (rigid.grid, *rigid.others)}
+    used |= {grid for tied in (*data.rigids, *data.constraints) for grid in tied.grids}
     if not (data.shells or data.bars or data.solids or data.links):
         raise InputError(f"the file has no elements that can be read; allowed: {', '.join(READ)}")
     oriented = {bar.card.integer(5, "G0") for bar in data.bars if bar.card.text(5).isdigit()}

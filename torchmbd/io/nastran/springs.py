@@ -82,16 +82,10 @@ def _spring(data: BulkData, link: Link) -> np.ndarray:
         component = card.integer(place, f"C{end + 1}")
         if not 1 <= component <= 6:
             raise InputError(f"{card}: C{end + 1} is {component}; allowed: 1 to 6")
-        axes = _displacement_axes(data, grid)
+        axes = data.displacement_axes(grid)
         start = 6 * end + (0 if component <= 3 else 3)
         g[start : start + 3] = sign * axes[(component - 1) % 3]
     return k * np.outer(g, g)
-
-
-def _displacement_axes(data: BulkData, grid: int) -> np.ndarray:
-    """Rows: axes of the system CD of a grid, where it is."""
-    card = data.grid_cards[grid]
-    return data.systems.axes(card.integer(6, "CD", 0), card, np.array(data.grids[grid]))
 
 
 def _bushing(data: BulkData, link: Link) -> np.ndarray:
@@ -136,7 +130,7 @@ def _bushing_axes(data: BulkData, link: Link, a: np.ndarray, b: np.ndarray, k: l
         v = np.array([card.real(5 + i, f"X{i + 1}", 0.0) for i in range(3)])
         if not v.any() and any(k[i] for i in (1, 2, 4, 5)):
             raise InputError(f"{card}: it has no vector, and K2, K3, K5 or K6; allowed: X1 to X3, G0 or CID")
-        v = v @ _displacement_axes(data, link.grids[0]) if v.any() else np.eye(3)[np.argmin(np.abs(along))]
+        v = v @ data.displacement_axes(link.grids[0]) if v.any() else np.eye(3)[np.argmin(np.abs(along))]
     z = np.cross(along, v)
     if np.linalg.norm(z) <= 1e-9 * length * np.linalg.norm(v):
         raise InputError(f"{card}: its vector {v.tolist()} lies along its line; allowed: another one")

@@ -24,14 +24,13 @@ from torch import Tensor, nn
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import (
     Assembly,
-    Average,
     BeamLine,
     Beams,
     BeamSection,
+    Follower,
     Part,
     PlateMatrices,
     Plates,
-    RigidLink,
     merged,
 )
 from torchmbd.fem.elements.beam_nodes import present_nodes, varying_nodes
@@ -126,7 +125,7 @@ class FlexibleBody(MatrixMethods, nn.Module):
         reduction: str = "vibration",
         interface: Kept = (),
         updated: bool = True,
-        links: Sequence[RigidLink | Average] = (),
+        links: Sequence[Follower] = (),
         rigid: Sequence[str | Sequence[int]] = (),
         stiffening: bool = False,
     ):

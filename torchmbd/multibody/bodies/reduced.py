@@ -82,5 +82,12 @@ def _rows(name: str, free: Tensor, interface: Sequence[int], reference: Sequence
         if node in reference or list(interface).count(node) > 1:
             allowed = "nodes that are no reference, each once"
             raise InputError(f"interface of {name!r} has node {node}; allowed: {allowed}")
-    freedoms = [6 * node + i for node in interface for i in range(6)]
-    return tuple(torch.searchsorted(free, torch.tensor(freedoms, dtype=torch.long)).tolist())
+    freedoms = torch.tensor([6 * node + i for node in interface for i in range(6)], dtype=torch.long)
+    bound = freedoms[~torch.isin(freedoms, free)]
+    if len(bound):
+        node, i = divmod(int(bound[0]), 6)
+        raise InputError(
+            f"interface of {name!r} has node {node}, whose component {i} follows others by a link or has no stiffness; "
+            "allowed: nodes with six free components, such as the leader of a link"
+        )
+    return tuple(torch.searchsorted(free, freedoms).tolist())

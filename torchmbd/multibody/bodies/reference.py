@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import Average, BeamLine, Part, RigidLink
+from torchmbd.fem.elements import BeamLine, Follower, Part
 from torchmbd.fem.mesh import Mesh
 from torchmbd.multibody.bodies.interpolation import node_indices
 
@@ -16,7 +16,7 @@ def reference_nodes(
     mesh: Mesh | BeamLine,
     parts: Mapping[str, Part],
     reference: str | int | Sequence[int] | None,
-    links: Sequence[RigidLink | Average],
+    links: Sequence[Follower],
 ) -> list[int]:
     """Indices of the given nodes; None: the node nearest to the center of mass that is free to be held."""
     if reference is None:

@@ -1,0 +1,225 @@
+"""Cards that tie freedoms to others: RBE2, RBE3, RBAR and MPC.
+
+    RBE2   the components CM of grids follow another grid as one rigid body      RBAR   the same of two grids
+    RBE3   the components REFC of a grid are the weighted mean motion of others
+    MPC    A1 u1 + A2 u2 + ... = 0 of single components: the first one follows
+
+Components are along the axes of the systems CD of their grids.
+Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/io/nastran/test_rigids.py.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import Average, Combination, Follower, RigidLink
+from torchmbd.io.nastran.cards import Card
+from torchmbd.io.nastran.elements import bar_that_is_rigid
+
+RIGIDS = ("RBE2", "RBE3", "RBAR")
+ALL = "123456"
+#: Rows: axes of the system CD of a grid, in the basic system.
+Axes = Callable[[int], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Rigid:
+    """An RBE2 or RBAR (grid leads components of the others) or RBE3 (those of grid are the weighted mean of the others)."""
+
+    card: Card
+    grid: int
+    others: tuple[int, ...]
+    weights: tuple[float, ...] = ()
+    components: str = ALL
+
+    @property
+    def grids(self) -> tuple[int, ...]:
+        return (self.grid, *self.others)
+
+
+class Term(NamedTuple):
+    """Component 1 to 6 of a grid, with its factor in an MPC."""
+
+    grid: int
+    component: int
+    factor: float
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """An MPC; the first term follows."""
+
+    card: Card
+    terms: tuple[Term, ...]
+
+    @property
+    def grids(self) -> tuple[int, ...]:
+        return tuple(dict.fromkeys(term.grid for term in self.terms))
+
+
+def rigid(card: Card) -> Rigid:
+    """Read an RBE2, RBE3 or RBAR."""
+    if card.name == "RBAR":
+        leader, follower = bar_that_is_rigid(card)
+        return Rigid(card, leader, (follower,))
+    return _rbe2(card) if card.name == "RBE2" else _rbe3(card)
+
+
+def constraint(card: Card) -> Constraint:
+    """Read an MPC: two terms to a line of eight fields, the first field of the other lines is blank."""
+    terms: list[Term] = []
+    for line in range(0, max(len(card.fields), 1), 8):
+        for k, start in enumerate((line + 2, line + 5)):
+            number = line // 4 + k + 1
+            if not any(card.text(start + i) for i in range(3)):
+                continue
+            component = card.integer(start + 1, f"C{number}", 0)
+            if not 1 <= component <= 6:
+                raise InputError(f"{card}: C{number} is {card.text(start + 1)!r}; allowed: 1 to 6")
+            terms.append(Term(card.integer(start, f"G{number}"), component, card.real(start + 2, f"A{number}")))
+    if len(terms) < 2:
+        raise InputError(f"{card}: it has {len(terms)} terms; allowed: at least two, G1 C1 A1 G2 C2 A2")
+    first, others = terms[0], terms[1:]
+    if first.factor == 0.0:
+        raise InputError(f"{card}: A1 is {card.text(4)}; allowed: not 0, the first term follows the others")
+    if any(term[:2] == first[:2] for term in others):
+        raise InputError(
+            f"{card}: component {first.component} of GRID {first.grid} stands twice; allowed: it follows once"
+        )
+    return Constraint(card, tuple(terms))
+
+
+def _rbe2(card: Card) -> Rigid:
+    components = _components(card, 3, "CM")
+    words = [word for word in card.fields[3:] if word and not re.search(r"[.]", word)]
+    followers = Card(card.name, (*card.fields[:1], "", "", *words), card.where).integers(4)
+    if not followers:
+        raise InputError(f"{card}: no grid follows; allowed: at least one")
+    return Rigid(card, card.integer(2, "GN"), tuple(followers), (), components)
+
+
+def _rbe3(card: Card) -> Rigid:
+    grids: list[int] = []
+    weights: list[float] = []
+    weight, components = 1.0, False
+    for position, word in enumerate(card.fields[4:], start=5):
+        if word.upper() in ("UM", "ALPHA"):
+            break
+        if not word:
+            continue
+        if "." in word:
+            weight, components = card.real(position, "WT"), True
+        elif components:
+            if not {"1", "2", "3"} <= set(word):
+                raise InputError(f"{card}: C is {word!r}; allowed: 123, the displacements of the averaged grids")
+            components = False
+        else:
+            grids.append(card.integer(position, "G"))
+            weights.append(weight)
+    if not grids:
+        raise InputError(f"{card}: no grids to average; allowed: at least three that span a plane")
+    return Rigid(card, card.integer(3, "REFGRID"), tuple(grids), tuple(weights), _components(card, 4, "REFC"))
+
+
+def _components(card: Card, position: int, name: str) -> str:
+    """A field of components, such as 123: digits 1 to 6, each once."""
+    text = card.text(position)
+    if not text or not set(text) <= set(ALL) or len(set(text)) < len(text):
+        raise InputError(f"{card}: {name} is {text!r}; allowed: components 1 to 6, each once, such as 123")
+    return "".join(sorted(text))
+
+
+def followers(
+    rigids: list[Rigid], constraints: list[Constraint], index: dict[int, int], axes: Axes, length: float
+) -> list[Follower]:
+    """Links of a body; `length`: meters per unit of the file. InputError names the cards that contradict each other."""
+    found: list[tuple[Card, Follower]] = []
+    for own in rigids:
+        if own.weights:
+            chosen = _basic(own.card, own.grid, own.components, axes)
+            others = tuple(index[grid] for grid in own.others)
+            found.append((own.card, Average(index[own.grid], others, own.weights, chosen)))
+            continue
+        for grid in own.others:
+            chosen = _basic(own.card, grid, own.components, axes)
+            found.append((own.card, RigidLink(index[grid], index[own.grid], chosen)))
+    found += [(own.card, _combination(own, index, axes, length)) for own in constraints]
+    _check(found, {node: grid for grid, node in index.items()})
+    return [link for _, link in found]
+
+
+def _combination(own: Constraint, index: dict[int, int], axes: Axes, length: float) -> Combination:
+    """u1 = -(A2 u2 + ...) / A1 in meters, along the basic axes."""
+    first = own.terms[0]
+    (led,) = _basic(own.card, first.grid, str(first.component), axes)
+    unit = _direction(first.component, axes(first.grid))[led]  # 1 or -1
+    size = unit * first.factor * _per_meter(first.component, length)
+    terms: dict[tuple[int, int], float] = {}
+    for grid, component, factor in own.terms[1:]:
+        for i, e in enumerate(_direction(component, axes(grid))):
+            if e != 0.0 and factor != 0.0:
+                key = index[grid], i
+                terms[key] = terms.get(key, 0.0) - e * factor * _per_meter(component, length) / size
+    return Combination(index[first.grid], led, tuple((*key, factor) for key, factor in terms.items()))
+
+
+def _per_meter(component: int, length: float) -> float:
+    return 1.0 / length if component <= 3 else 1.0
+
+
+def _direction(component: int, axes: np.ndarray) -> np.ndarray:
+    """Component of a system along the six freedoms of the basic one."""
+    e = np.zeros(6)
+    e[3 * ((component - 1) // 3) :][:3] = axes[(component - 1) % 3]
+    e[np.abs(e) < 1e-12] = 0.0
+    return e
+
+
+def _basic(card: Card, grid: int, components: str, axes: Axes) -> tuple[int, ...]:
+    """Freedoms 0 to 5 along the basic axes that components of a grid stand for."""
+    own, chosen = axes(grid), []
+    for triad in ("123", "456"):
+        wanted = [int(word) for word in triad if word in components]
+        directions = [_direction(component, own) for component in wanted]
+        if len(wanted) < 3 and any(np.count_nonzero(e) != 1 for e in directions):
+            raise InputError(
+                f"{card}: components {components} of GRID {grid} are in a system CD that is turned; allowed: 123 or 456 "
+                "together, or axes along the basic ones"
+            )
+        if len(wanted) == 3:
+            chosen += [wanted[0] - 1 + k for k in range(3)]
+        else:
+            chosen += [int(e.nonzero()[0][0]) for e in directions]
+    return tuple(sorted(chosen))
+
+
+def _check(found: list[tuple[Card, Follower]], grids: dict[int, int]) -> None:
+    led: dict[tuple[int, int], Card] = {}
+    for card, link in found:
+        for i in link.components:
+            if (link.node, i) in led:
+                raise InputError(
+                    f"{card}: GRID {grids[link.node]} follows already by {led[link.node, i]}, in component {i + 1}; "
+                    "allowed: one card for each freedom"
+                )
+            led[link.node, i] = card
+    for card, link in found:
+        if isinstance(link, Combination):
+            sources = {(node, i) for node, i, _ in link.terms}
+        elif isinstance(link, Average):
+            sources = {(node, i) for node in link.nodes for i in range(3)}
+        else:
+            turned = (3, 4, 5) if min(link.components) < 3 else ()
+            sources = {(link.leader, i) for i in (*link.components, *turned)}
+        for node, i in sorted(sources):
+            if (node, i) in led:
+                raise InputError(
+                    f"{card}: GRID {grids[node]} leads here and follows by {led[node, i]}, in component {i + 1}; "
+                    "allowed: no chains"
+                )
