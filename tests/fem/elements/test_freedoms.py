@@ -20,7 +20,7 @@ LINKS = (RigidLink(0, 5), RigidLink(1, 5), Average(7, (2, 3, 10, 11), (1.0, 2.0,
 
 def dense(freedoms: Freedoms) -> torch.Tensor:
     T = torch.zeros(6 * freedoms.nodes, len(freedoms.free), dtype=torch.float64)
-    T[freedoms.rows, freedoms.cols] = freedoms.factor
+    T.index_put_((freedoms.rows, freedoms.cols), freedoms.factor, accumulate=True)
     return T
 
 
