@@ -74,9 +74,9 @@ def test_reduced_values_are_those_of_the_product(held, links):
         ((), (RigidLink(0, 5), RigidLink(0, 6)), ["node 0", "2 links"]),
         ((), (RigidLink(0, 5, (0, 1)), Combination(0, 1, ((7, 2, 1.0),))), ["components [1] of node 0", "2 links"]),
         ((), (RigidLink(0, 5, (0, 6)),), ["components", "(0, 6)", "0 to 5"]),
-        ((), (RigidLink(0, 5, (0, 1)), Combination(7, 1, ((0, 0, 1.0),))), ["component 0 of node 0", "no chains"]),
+        ((), (Combination(0, 0, ((7, 1, 1.0),)), Combination(7, 1, ((0, 0, 1.0),))), ["node", "circle"]),
         ((0,), (RigidLink(0, 5),), ["node 0 is held"]),
-        ((), (RigidLink(0, 5), RigidLink(5, 6)), ["node 5", "no chains"]),
+        ((), (RigidLink(0, 5), RigidLink(5, 0)), ["follows by links", "circle", "chains that end"]),
         ((), (Average(0, (1, 2), (1.0, 1.0)),), ["average at node 0", "one line"]),
     ],
 )
@@ -84,3 +84,25 @@ def test_what_cannot_be_is_refused(held, links, words):
     with pytest.raises(InputError) as error:
         Freedoms(MESH.nodes, held, links)
     assert all(word in str(error.value) for word in words), str(error.value)
+
+
+def test_chains_of_links():
+    """Node 0 follows 1 in displacements, 1 follows 5; u_x of node 8 is half of u_z of node 0, u_y of node 9 stands still."""
+    links = (
+        RigidLink(0, 1, (0, 1, 2)),
+        RigidLink(1, 5),
+        Combination(8, 0, ((0, 2, 0.5),)),
+        Combination(9, 1, ()),
+        Average(10, (0, 1, 8), (1.0, 2.0, 1.0)),
+    )
+    freedoms = Freedoms(MESH.nodes, links=links)
+    assert len(freedoms.free) == 6 * len(MESH.nodes) - 3 - 6 - 1 - 1 - 6
+    motion = rigid_motion(MESH.nodes)
+    found = freedoms.expand(motion[freedoms.free][:, None])[..., 0]
+    expected = motion.reshape(-1, 6)
+    assert_close(found[[0, 1]], expected[[0, 1]], rtol=1e-6, atol=1e-7)
+    assert float(found[8, 0]) == pytest.approx(0.5 * float(found[0, 2]), rel=1e-12)
+    assert float(found[9, 1]) == 0.0
+    mean = dense(Freedoms(MESH.nodes, links=links[-1:]))[60:66]  # of what it averages, wherever that comes from
+    kept = torch.tensor([f for f in range(6 * len(MESH.nodes)) if not 60 <= f < 66])
+    assert_close(mean @ found.flatten()[kept], found[10], rtol=1e-9, atol=1e-12)

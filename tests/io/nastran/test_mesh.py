@@ -41,10 +41,21 @@ def test_nodes_zones_directions_and_names():
 
 
 def test_messages_name_cards():
-    with pytest.raises(InputError, match=r"CTRIA3 2 \(line 9\) and CTRIA3 7 \(line 12\) are duplicates"):
+    with pytest.warns(UserWarning, match=r"CTRIA3 2 \(line 9\) and CTRIA3 7 \(line 12\) are duplicates.*as they are"):
         made(f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\nCTRIA3,7,1,20,50,30,3")
     more = "\n".join(f"GRID,{k},,{k}.,{k % 3}.,{k % 2}." for k in (70, 71, 73))
     with pytest.raises(InputError, match=r"2 disconnected parts \(GRID 70 \(line 12\) is not connected"):
         made(f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\n{more}\nCTRIA3,7,1,70,71,73,0.")
     with pytest.raises(InputError, match="no elements that can be read"):
         made("MAT1,1,1.,,.3,1.")
+
+
+def test_grids_at_one_place_and_loose_masses():
+    """Grids of a seam stay apart and are joined by what the file says; a mass at a grid of no element is left out, by name."""
+    text = f"{GRIDS}\n{ELEMENTS}\n{SYSTEM}\nGRID,60,,0.,2.,0.\nGRID,70,,0.,2.,2.\nGRID,80,,0.,3.,1.\nCTRIA3,7,1,60,80,70,0.\n"
+    with pytest.warns(UserWarning, match=r"CONM2 9 .*no element holds its grid; 2 CONM2 of 5"):
+        found = made(f"{text}RBE2,8,20,123456,60\nGRID,90,,5.,5.,5.\nCONM2,9,90,,2.\nCONM2,11,90,,3.")
+    assert len(found.mesh.nodes) == 8
+    assert 90 not in found.index
+    with pytest.raises(InputError, match="2 disconnected parts"):
+        made(text)

@@ -6,9 +6,10 @@ from torchmbd.fem.elements.beam_line import BeamLine
 from torchmbd.fem.elements.beam_section import BeamSection, GivenSection
 from torchmbd.fem.elements.beams import Beams
 from torchmbd.fem.elements.fiber_field import FiberField
-from torchmbd.fem.elements.freedoms import Average, Combination, Follower, Freedoms, MeanMotion, RigidLink
+from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion
 from torchmbd.fem.elements.given_elements import GivenElements
 from torchmbd.fem.elements.lamination_parameters import LaminationParameters
+from torchmbd.fem.elements.links import Average, Combination, Follower, RigidLink
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.fem.elements.plate import PlateMatrices
 from torchmbd.fem.elements.plates import MASSES, Plates, PointMasses, merged

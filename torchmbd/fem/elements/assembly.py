@@ -24,8 +24,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchmbd.fem.elements.freedoms import Follower, Freedoms, MeanMotion
+from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion
 from torchmbd.fem.elements.geometric import StressedCells, assembled
+from torchmbd.fem.elements.links import Follower
 from torchmbd.fem.elements.part import MassPoints, Part
 from torchmbd.math.sparse import Pattern, SparseMatrix
 

@@ -59,6 +59,8 @@ class Mesh:
     lines                     node pairs: beams, rigid links [k, 2]
     node_sets                 name -> node indices; a set of one node is a named node
     node_labels, cell_labels  names of nodes and cells in messages, such as the cards of a file
+    as_given                  whether nodes may share one place, cells have the same corners, and neighbours be wound in
+                              opposite senses, as in models that say what joins them: warnings instead of errors
 
     >>> corners = torch.tensor([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=torch.float64)
     >>> mesh = mbd.Mesh(corners, quads=torch.tensor([[0, 1, 2, 3]]), node_sets={"tip": [2]})
@@ -73,6 +75,7 @@ class Mesh:
     node_labels: Sequence[str] = ()
     cell_labels: Sequence[str] = ()
     quads: Int[Tensor, "k 4"] = field(default_factory=lambda: _none(4))
+    as_given: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.node_sets, Mapping):

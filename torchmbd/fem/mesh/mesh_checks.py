@@ -2,6 +2,7 @@
 
 Nodes that are not finite or share one place; cells with unknown, repeated or collinear corners, concave or strongly warped;
 duplicates; nodes of no element; neighbours wound in opposite senses; disconnected parts; node sets outside of the mesh.
+A mesh "as given" may have nodes at one place, duplicates and opposite senses: the latter two are warned of.
 Checked in tests/fem/mesh/test_mesh.py.
 """
 
@@ -19,7 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 
 #: A cell is collapsed when a corner's height over the longest side is less than this part of that side.
 FLATNESS = 1e-6
@@ -48,6 +49,8 @@ class Cells(Protocol):
     def cells(self) -> dict[str, Tensor]: ...
     @property
     def cell_count(self) -> int: ...
+    @property
+    def as_given(self) -> bool: ...
     def first(self, kind: str) -> int: ...
     def cell_name(self, k: int) -> str: ...
     def node_name(self, k: int) -> str: ...
@@ -83,6 +86,8 @@ def _check_nodes(mesh: Cells) -> None:
     if len(bad):
         k = int(bad[0])
         raise InputError(f"Mesh: {mesh.node_name(k)} is at {nodes[k].tolist()}; allowed: finite coordinates")
+    if mesh.as_given:
+        return
     size = float((nodes.amax(0) - nodes.amin(0)).norm())
     twins = KDTree(nodes.numpy()).query_pairs(SEPARATION * size, output_type="ndarray")
     plates = {k for corners in mesh.cells.values() for k in corners.flatten().tolist()}
@@ -93,6 +98,13 @@ def _check_nodes(mesh: Cells) -> None:
             raise InputError(
                 f"Mesh: {mesh.node_name(other)} and {mesh.node_name(k)} share one place {nodes[k].tolist()}; merge them"
             )
+
+
+def _refuse(mesh: Cells, text: str, count: int) -> None:
+    """Raise, or warn of what a model may mean so."""
+    if not mesh.as_given:
+        raise InputError(text)
+    warn(f"{text} ({count} in all); taken as they are")
 
 
 def _check_shapes(mesh: Cells) -> None:
@@ -116,21 +128,22 @@ def _check_cells(mesh: Cells, corners: Tensor, start: int) -> None:
     if len(twin):
         k = int(twin[0])
         one, two = mesh.cell_name(start + int(first[inverse.ravel()[k]])), mesh.cell_name(start + k)
-        raise InputError(f"Mesh: {one} and {two} are duplicates, nodes {corners[k].tolist()}")
+        _refuse(mesh, f"Mesh: {one} and {two} are duplicates, nodes {corners[k].tolist()}", len(twin))
     p = mesh.nodes[corners]
     ahead, back, area = p.roll(-1, dims=1) - p, p.roll(1, dims=1) - p, directed_area(p)
     height = torch.linalg.cross(ahead, back)  # of every corner: twice its triangle's directed area
     along = (height * (area / area.norm(dim=1, keepdim=True))[:, None]).sum(2)
     open = (along > FLATNESS * ahead.norm(dim=2).amax(dim=1, keepdim=True) ** 2).all(1)
     flat = (along > math.cos(WARP) * height.norm(dim=2)).all(1)
-    for fine, word in (
-        (open, _collapsed(corners.shape[1])),
-        (flat, "is warped by more than 40 degrees; cut it in two"),
-    ):
-        wrong = (~fine).nonzero().flatten()
-        if len(wrong):
-            k = int(wrong[0])
-            raise InputError(f"Mesh: {mesh.cell_name(start + k)}, nodes {corners[k].tolist()}, {word}")
+    wrong = (~open).nonzero().flatten().tolist()
+    if wrong:
+        name, nodes = mesh.cell_name(start + wrong[0]), corners[wrong[0]].tolist()
+        raise InputError(f"Mesh: {name}, nodes {nodes}, {_collapsed(corners.shape[1])}")
+    wrong = (~flat).nonzero().flatten().tolist()
+    if wrong:
+        name, nodes = mesh.cell_name(start + wrong[0]), corners[wrong[0]].tolist()
+        text = f"Mesh: {name}, nodes {nodes}, is warped by more than 40 degrees; cut it in two"
+        _refuse(mesh, text, len(wrong))
 
 
 def _collapsed(corners: int) -> str:
@@ -179,9 +192,11 @@ def _check_winding(mesh: Cells) -> None:
     if len(wrong):
         nodes = [row for corners in mesh.cells.values() for row in corners.tolist()]
         a, b = owner[inverse.ravel() == wrong[0]].tolist()
-        raise InputError(
+        _refuse(
+            mesh,
             f"Mesh: {mesh.cell_name(a)}, nodes {nodes[a]}, and {mesh.cell_name(b)}, nodes "
-            f"{nodes[b]}, are wound in opposite senses: one of them is inverted"
+            f"{nodes[b]}, are wound in opposite senses: one of them is inverted",
+            len(wrong),
         )
 
 

@@ -1,7 +1,7 @@
 """A Nastran model as the makings of a flexible body: mesh, parts, links and reference.
 
 Each PCOMP and PSHELL is a part of its own, "pcomp_7"; each PBAR another, its bars where
-their offsets put them (the same at both ends, across the bar). Rods, springs, bushings and solids: springs.py. RBE2, RBAR,
+their offsets put them (bars.py). Rods, springs, bushings and solids: springs.py. RBE2, RBAR,
 RBE3 and MPC become links (rigids.py), and the grid of each rigid element a named node, "rbe2_30", where a frame may sit;
 CONM2 are point masses. Grids whose six freedoms are held (SPC, SPC1) become the reference of the body; other supports are
 left out, with a warning: joints do that in a mechanism.
@@ -15,17 +15,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
 from torch import Tensor
 
-from torchmbd.errors import InputError, warn
+from torchmbd.errors import warn
 from torchmbd.fem.elements import BeamMatrices, Beams, Follower, Part, Plates, PointMasses
 from torchmbd.fem.mesh import Mesh
 from torchmbd.io.nastran.cards import read_cards
-from torchmbd.io.nastran.data import Bar, BulkData
-from torchmbd.io.nastran.materials import UNITS, Units, laminate_of, section_of, units_of
+from torchmbd.io.nastran.data import BulkData
+from torchmbd.io.nastran.materials import UNITS, Units, laminate_of, units_of
 from torchmbd.io.nastran.mesh import BulkMesh, bulk_mesh
 from torchmbd.io.nastran.rigids import followers
+from torchmbd.io.nastran.sections import section_of
 from torchmbd.io.nastran.springs import linked_parts
 
 __all__ = ["UNITS", "BulkBody", "read_bdf"]
@@ -58,13 +58,13 @@ def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped") -> BulkBo
         card = data.properties[number]
         laminate = laminate_of(data, card, scale)
         parts[f"{card.name.lower()}_{number}"] = Plates(made.mesh, laminate, made.direction, cells, mass)
-    parts |= _beams(data, made.mesh, made.index, scale)
+    parts |= _beams(data, made, scale)
     parts |= linked_parts(data, made.mesh, made.index, scale)
     if data.masses:
         parts["conm2"] = _masses(data, made, scale)
     _warn_ignored(data, path)
     links = followers(data.rigids, data.constraints, made.index, data.displacement_axes, scale.length)
-    return BulkBody(made.mesh, parts, links, _held(data, made.index))
+    return BulkBody(made.mesh, parts, [*links, *made.bars.links], _held(data, made.index))
 
 
 def _masses(data: BulkData, made: BulkMesh, scale: Units) -> PointMasses:
@@ -78,63 +78,20 @@ def _masses(data: BulkData, made: BulkMesh, scale: Units) -> PointMasses:
     return PointMasses(made.mesh, nodes, masses, inertias, arms if np.any(arms) else None)
 
 
-def _beams(data: BulkData, mesh: Mesh, index: dict[int, int], scale: Units) -> dict[str, Part]:
+def _beams(data: BulkData, made: BulkMesh, scale: Units) -> dict[str, Part]:
     """One part for each property: beams with their orientations."""
     parts: dict[str, Part] = {}
-    for number in dict.fromkeys(bar.property for bar in data.bars):
-        own = [bar for bar in data.bars if bar.property == number]
-        pairs = torch.tensor([[index[grid] for grid in bar.grids] for bar in own], dtype=torch.long)
-        orientation = torch.tensor([_orientation(data, bar) for bar in own], dtype=torch.float64)
+    pairs = torch.tensor(made.bars.nodes, dtype=torch.long)
+    vectors, offsets = (torch.from_numpy(np.array(own)) for own in (made.bars.orientation, made.bars.offset))
+    numbers = torch.tensor([bar.property for bar in data.bars], dtype=torch.long)
+    for number in dict.fromkeys(numbers.tolist()):
+        own = numbers == number
         card = data.properties[number]
-        section = section_of(data, card, scale)
-        line = _Line(mesh.nodes, pairs)
-        offset = torch.tensor([_offset(bar) for bar in own], dtype=torch.float64) * scale.length
-        parts[f"{card.name.lower()}_{number}"] = Beams(
-            line, section, orientation, _across(line, orientation, offset, own)
-        )
+        line, offset = _Line(made.mesh.nodes, pairs[own]), offsets[own] * scale.length
+        _, e_y, e_z = BeamMatrices(line, vectors[own]).axes.unbind(1)
+        across = torch.stack([(e_y * offset).sum(1), (e_z * offset).sum(1)], dim=1)
+        parts[f"{card.name.lower()}_{number}"] = Beams(line, section_of(data, card, scale), vectors[own], across)
     return parts
-
-
-def _orientation(data: BulkData, bar: Bar) -> list[float]:
-    """The vector of plane 1, from the end A of the bar: to the grid G0, or X1 X2 X3."""
-    card = bar.card
-    for position in (9, 10):
-        if card.text(position):
-            raise InputError(f"{card}: pins ({card.text(position)!r}); allowed: none")
-    if any(_offset(bar)) and any(data.grid_cards[grid].integer(6, "CD", 0) for grid in bar.grids):
-        raise InputError(f"{card}: its offsets are in systems CD of its grids; allowed: the basic system")
-    if card.text(5).isdigit():
-        grid = card.integer(5, "G0")
-        if grid not in data.grids:
-            raise InputError(f"{card}: GRID {grid} does not exist")
-        return [x - a - w for x, a, w in zip(data.grids[grid], data.grids[bar.grids[0]], _offset(bar), strict=True)]
-    if data.grid_cards[bar.grids[0]].integer(6, "CD", 0):
-        raise InputError(
-            f"{card}: its vector is in the system CD of GRID {bar.grids[0]}; allowed: the basic system, or G0"
-        )
-    return [card.real(k, f"X{k - 4}", 0.0) for k in (5, 6, 7)]
-
-
-def _offset(bar: Bar) -> list[float]:
-    """From the grids to the ends of the bar: the same at both."""
-    start, end = ([bar.card.real(k + i, f"W{i + 1}{end}", 0.0) for i in range(3)] for k, end in ((11, "A"), (14, "B")))
-    if start != end or bar.card.text(8).upper() not in ("", "GGG"):
-        raise InputError(
-            f"{bar.card}: offsets {start} and {end}, OFFT {bar.card.text(8)!r}; allowed: the same at both ends, OFFT GGG"
-        )
-    return start
-
-
-def _across(line: _Line, orientation: Tensor, offset: Tensor, bars: list[Bar]) -> Float[Tensor, "m 2"]:
-    """Offsets along y and z of the bars; they lie across."""
-    if not offset.any():
-        return offset[:, 1:]
-    e_x, e_y, e_z = BeamMatrices(line, orientation).axes.unbind(1)
-    along = (e_x * offset).sum(1).abs() > 1e-6 * offset.norm(dim=1)
-    if along.any():
-        bar = bars[int(along.nonzero()[0])]
-        raise InputError(f"{bar.card}: offset {_offset(bar)} lies along the bar; allowed: across it")
-    return torch.stack([(e_y * offset).sum(1), (e_z * offset).sum(1)], dim=1)
 
 
 def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:

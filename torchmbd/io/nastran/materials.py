@@ -1,12 +1,11 @@
-"""Plies, laminates and beam sections from the property and material cards of a Nastran model, in SI units.
+"""Plies and laminates from the property and material cards of a Nastran model, in SI units.
 
     MAT1, MAT8    -> Ply; strengths where all are given (MAT8: Xt, Xc, Yt, Yc, S; F12 as Tsai-Wu's interaction)
     PCOMP         -> Laminate, its angles design parameters; LAM = SYM is a symmetric one; transverse shear stiffness of
                      equal energy, which is right for sandwiches, too
     PSHELL        -> Laminate of one ply; its angle is no design parameter
-    PBAR, PBARL (ROD, TUBE, BAR), PBEAM (the same at both ends)  -> GivenSection
 
-Mass without stiffness (NSM) is spread over the thickness, or over the section. G1Z, G2Z of MAT8 that are blank mean
+Mass without stiffness (NSM) is spread over the thickness. Sections of bars: sections.py. G1Z, G2Z of MAT8 that are blank mean
 infinite stiffness in Nastran; here they are taken as G12, with a warning.
 Checked in tests/multibody/bodies/test_from_bdf.py.
 """
@@ -18,14 +17,11 @@ import math
 from dataclasses import dataclass
 
 from torchmbd.errors import InputError, unknown, warn
-from torchmbd.fem.elements import BeamSection, GivenSection
 from torchmbd.fem.materials import Laminate, Ply, Strength
 from torchmbd.io.nastran.cards import Card
 from torchmbd.io.nastran.data import BulkData
 from torchmbd.math.angles import deg
 from torchmbd.math.units import FOOT, GRAVITY, INCH, POUND
-
-RIGID_IN_SHEAR = 1e6  # in place of infinity: K1 or K2 zero, or blank on a PBAR
 
 
 @dataclass(frozen=True)
@@ -183,75 +179,3 @@ def _stack(data: BulkData, card: Card, units: Units) -> Laminate:
 def _with_extra_mass(ply: Ply, card: Card, position: int, thickness: float, data: BulkData, units: Units) -> Ply:
     extra = card.real(position, "NSM", 0.0) * units.per_area * data.weight_to_mass
     return dataclasses.replace(ply, density=ply.density + extra / thickness) if extra else ply
-
-
-def section_of(data: BulkData, card: Card, units: Units) -> BeamSection:
-    """Make the beam section of a PBAR, PBARL or PBEAM: plane 1 is x-y, so I1 bends about z."""
-    material = data.material(card, card.integer(2, "MID"))
-    ply = ply_of(material, units, data.weight_to_mass)
-    if material.name != "MAT1":
-        raise InputError(f"{card}: {material} is the material of a beam; allowed: MAT1")
-    if card.name == "PBARL":
-        numbers, extra = _shape(card)
-    elif card.name in ("PBAR", "PBEAM"):
-        numbers, extra = _given(card)
-    else:
-        raise InputError(f"{card}: this section cannot be read; allowed: PBAR, PBARL, PBEAM")
-    A, I1, I2, J, K1, K2 = numbers
-    L = units.length
-    density = ply.density + extra * units.mass / L * data.weight_to_mass / (A * L**2)
-    return GivenSection.isotropic(ply.E1, ply.nu12, density, A * L**2, I2 * L**4, I1 * L**4, J * L**4, K1, K2)
-
-
-def _given(card: Card) -> tuple[list[float], float]:
-    """A, I1, I2, J, K1, K2 and mass per length without stiffness of a PBAR or PBEAM."""
-    beam = card.name == "PBEAM"
-    product = 6 if beam else 19
-    if card.real(product, "I12", 0.0) != 0.0:
-        raise InputError(f"{card}: I12 is {card.text(product)}; allowed: 0, principal axes")
-    places = ((3, "A"), (4, "I1"), (5, "I2"), (7, "J")) if beam else ((3, "A"), (4, "I1"), (5, "I2"), (6, "J"))
-    numbers = [card.real(k, name) for k, name in places]
-    last = _after_stations(card) if beam else 17
-    shear = [card.real(last + k, f"K{k + 1}", 1.0 if beam else 0.0) or RIGID_IN_SHEAR for k in (0, 1)]
-    return numbers + shear, card.real(8 if beam else 7, "NSM", 0.0)
-
-
-def _after_stations(card: Card) -> int:
-    """The field of K1 of a PBEAM: after end B, if that is given."""
-    stations = ("YES", "YESA", "NO")
-    last = 33 if card.text(17).upper() in stations else 17
-    for k, word in enumerate(card.fields[18:], start=19):
-        if k < last:
-            right = not word or k > 24 or card.real(k, "end B") == card.real(k - 16, "end A", 0.0)
-        else:
-            right = word.upper() not in stations and (k < last + 2 or card.real(k, f"field {k}", 0.0) == 0.0)
-        if not right:
-            allowed = "one station with the numbers of end A, then K1, K2, then zeros"
-            raise InputError(f"{card}: field {k} is {word}; allowed: {allowed}")
-    return last
-
-
-def _shape(card: Card) -> tuple[list[float], float]:
-    """A, I1, I2, J, K1, K2 and mass per length without stiffness of a PBARL."""
-    kind = card.text(4).upper()
-    count = {"ROD": 1, "TUBE": 2, "BAR": 2}.get(kind)
-    if count is None:
-        raise InputError(f"{card}: TYPE is {kind!r}; allowed: ROD, TUBE, BAR")
-    d = [card.real(9 + k, f"DIM{k + 1}") for k in range(count)]
-    extra = card.real(9 + count, "NSM", 0.0)
-    if kind == "BAR":
-        width, height = d  # along z and along y (plane 1)
-        a, b = max(d) / 2, min(d) / 2
-        series = sum(math.tanh(n * math.pi * a / (2 * b)) / n**5 for n in range(1, 40, 2))
-        J = a * b**3 * (16 / 3 - 1024 / math.pi**5 * b / a * series)
-        return [width * height, width * height**3 / 12, height * width**3 / 12, J, 5 / 6, 5 / 6], extra
-    outer, inner = d[0], d[1] if kind == "TUBE" else 0.0
-    inertia = math.pi / 4 * (outer**4 - inner**4)
-    return [
-        math.pi * (outer**2 - inner**2),
-        inertia,
-        inertia,
-        2 * inertia,
-        0.9 if kind == "ROD" else 0.5,
-        0.9 if kind == "ROD" else 0.5,
-    ], extra

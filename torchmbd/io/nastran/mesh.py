@@ -5,7 +5,7 @@ node sets   "grid_12", "spc_1" (of set 1; "spc_0": what GRIDs hold themselves), 
 direction   x axis of the laminate: the first side of the element turned by THETA, or the x axis of a system (MCID;
             of a cylindrical one the radius at the element's middle)
 
-Grids that no element refers to are left out, and listed.
+Grids at one place stay apart: what the file does not join is not joined. Grids of no element are left out, and listed.
 Checked in tests/io/nastran/test_mesh.py.
 """
 
@@ -15,12 +15,14 @@ import itertools
 import math
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 from torchmbd.fem.mesh.mesh import Mesh
+from torchmbd.io.nastran.bars import BarLines, bar_lines
 from torchmbd.io.nastran.data import READ, BulkData, Shell
 
 
@@ -31,15 +33,18 @@ class BulkMesh(NamedTuple):
     zones: dict[int, Int[Tensor, " part"]]
     direction: Float[Tensor, "m 3"]
     index: dict[int, int]
+    bars: BarLines
 
 
 def bulk_mesh(data: BulkData, length: float = 1.0) -> BulkMesh:
     """Make the mesh of a model; `length`: meters per unit of the file."""
     index = {grid: k for k, grid in enumerate(_used(data))}
     nodes = torch.tensor([data.grids[grid] for grid in index], dtype=torch.float64).reshape(-1, 3) * length
+    bars = bar_lines(data, index)
+    nodes = torch.cat([nodes, torch.from_numpy(np.array(bars.places)).reshape(-1, 3) * length])
     shells = sorted(data.shells, key=lambda shell: len(shell.grids))  # triangles first, else in the order of the file
     corners = [[index[grid] for grid in shell.grids] for shell in shells]
-    lines = [(index[bar.grids[0]], index[bar.grids[1]]) for bar in data.bars]
+    lines = [*bars.nodes, *bars.followed]
     lines += [(index[a], index[b]) for own in data.solids for a, b in itertools.pairwise((*own.grids, own.grids[0]))]
     lines += [(index[link.grids[0]], index[link.grids[1]]) for link in data.links]
     lines += [(index[rigid.grid], index[other]) for rigid in data.rigids for other in rigid.others]
@@ -49,14 +54,15 @@ def bulk_mesh(data: BulkData, length: float = 1.0) -> BulkMesh:
         _cells(corners, 3),
         _names(data, index),
         torch.tensor(lines, dtype=torch.long).reshape(-1, 2),
-        [str(data.grid_cards[grid]) for grid in index],
+        [*(str(data.grid_cards[grid]) for grid in index), *bars.names],
         [str(shell.card) for shell in shells],
         _cells(corners, 4),
+        as_given=True,
     )
     directions = torch.tensor([_direction(data, shell) for shell in shells], dtype=torch.float64).reshape(-1, 3)
     property = torch.tensor([shell.property for shell in shells], dtype=torch.long)
     zones = {int(k): torch.nonzero(property == k)[:, 0] for k in torch.unique(property)}
-    return BulkMesh(mesh, zones, directions, index)
+    return BulkMesh(mesh, zones, directions, index, bars)
 
 
 def _used(data: BulkData) -> list[int]:
@@ -69,9 +75,11 @@ def _used(data: BulkData) -> list[int]:
     stray = len(data.grids.keys() - used - oriented)
     if stray:
         data.ignored["GRID of no element"] += stray
-    loose = [mass.card for mass in data.masses if mass.grid not in used]
+    loose = [mass for mass in data.masses if mass.grid not in used]
     if loose:
-        raise InputError(f"{loose[0]}: no element holds its grid; allowed: a grid of an element")
+        total = sum(mass.mass for mass in loose)
+        warn(f"{loose[0].card}: no element holds its grid; {len(loose)} CONM2 of {total:g} in all are left out")
+        data.masses[:] = [mass for mass in data.masses if mass.grid in used]
     return [grid for grid in data.grids if grid in used]
 
 

@@ -4,12 +4,13 @@
     RBE3   the components REFC of a grid are the weighted mean motion of others
     MPC    A1 u1 + A2 u2 + ... = 0 of single components: the first one follows
 
-Components are along the axes of the systems CD of their grids.
+What leads may follow by another card; a circle is refused. Components are along the axes of the systems CD of their grids.
 Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/io/nastran/test_rigids.py.
 """
 
 from __future__ import annotations
 
+import graphlib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -209,17 +210,22 @@ def _check(found: list[tuple[Card, Follower]], grids: dict[int, int]) -> None:
                     "allowed: one card for each freedom"
                 )
             led[link.node, i] = card
-    for card, link in found:
-        if isinstance(link, Combination):
-            sources = {(node, i) for node, i, _ in link.terms}
-        elif isinstance(link, Average):
-            sources = {(node, i) for node in link.nodes for i in range(3)}
-        else:
-            turned = (3, 4, 5) if min(link.components) < 3 else ()
-            sources = {(link.leader, i) for i in (*link.components, *turned)}
-        for node, i in sorted(sources):
-            if (node, i) in led:
-                raise InputError(
-                    f"{card}: GRID {grids[node]} leads here and follows by {led[node, i]}, in component {i + 1}; "
-                    "allowed: no chains"
-                )
+    order = graphlib.TopologicalSorter[tuple[int, int]]()
+    for _, link in found:
+        for i in link.components:
+            order.add((link.node, i), *(source for source in _sources(link) if source in led))
+    try:
+        order.prepare()
+    except graphlib.CycleError as error:
+        cards = dict.fromkeys(str(led[freedom]) for freedom in error.args[1])
+        raise InputError(f"{', '.join(cards)}: they follow each other in a circle; allowed: chains that end") from None
+
+
+def _sources(link: Follower) -> set[tuple[int, int]]:
+    """Freedoms that lead."""
+    if isinstance(link, Combination):
+        return {(node, i) for node, i, _ in link.terms}
+    if isinstance(link, Average):
+        return {(node, i) for node in link.nodes for i in range(3)}
+    turned = (3, 4, 5) if min(link.components) < 3 else ()
+    return {(link.leader, i) for i in (*link.components, *turned)}
