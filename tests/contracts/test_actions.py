@@ -7,6 +7,7 @@ the same coordinate; momentum of elements between two bodies; the iteration matr
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import pytest
@@ -94,6 +95,7 @@ def controller(a: mbd.Frame, b: mbd.Frame) -> mbd.Controller:
 
 ELEMENTS: dict[str, Callable] = {
     "axialspringdamper": partial(mbd.AxialSpringDamper, axis="y", law=law),
+    "beamelement": lambda a, b: mbd.BeamElement(a, b, torch.diag(tensor(3.0, 5.0, 7.0, 0.3, 0.2, 0.5)), damping=0.1),
     "bushing": partial(
         mbd.Bushing, stiffness=(3.0, 5.0, 7.0), damping=0.4, turning_stiffness=(0.3, 0.2, 0.5), turning_damping=0.1
     ),
@@ -104,9 +106,9 @@ ELEMENTS: dict[str, Callable] = {
     "torque": lambda a, b: mbd.Torque(b, lambda t: torch.stack([t.cos(), t, 1.0 - t])),
     "controller": lambda a, b: controller(a, b),
 }
-between = pytest.mark.parametrize(
-    "name", [n for n in ELEMENTS if n not in ("controller", "force", "pressure", "torque")]
-)
+BETWEEN = [n for n in ELEMENTS if n not in ("controller", "force", "pressure", "torque")]
+between = pytest.mark.parametrize("name", BETWEEN)
+along = pytest.mark.parametrize("name", [n for n in BETWEEN if n != "beamelement"])  # that one has no coordinate
 each = pytest.mark.parametrize("name", list(ELEMENTS))
 
 
@@ -116,8 +118,9 @@ def test_every_element_is_here():
 
 def system_of(name: str) -> mbd.System:
     arm = box("arm", axes=turned(0.4, -0.7, 0.3), position=(0.1, 0.0, 0.2))
-    rod = plate("rod", axes=turned(-0.5, 0.2, 0.9), position=(0.3, -0.2, 0.4))
-    element = ELEMENTS[name](arm.at(0.1, 0.2, -0.1, axes=turned(0.3, 0.1, -0.6)), rod.at("right"))
+    make, place = (box, (0.2, 0.1, 0.0)) if name == "beamelement" else (plate, ("right",))  # rigid bodies only
+    rod = make("rod", axes=turned(-0.5, 0.2, 0.9), position=(0.3, -0.2, 0.4))
+    element = ELEMENTS[name](arm.at(0.1, 0.2, -0.1, axes=turned(0.3, 0.1, -0.6)), rod.at(*place))
     return mbd.System([arm, rod], forces=[element])
 
 
@@ -131,7 +134,7 @@ def applied(system: mbd.System, q: Tensor, v: Tensor, t: float = 0.3) -> tuple[T
     return torch.cat([x.flatten(0, 1) for x in g])[:, 0, 0], found
 
 
-@between
+@along
 def test_power_is_force_times_rate(name):
     """s' by differences of s along the motion: neither `direction` nor the velocities of vectors enter."""
     system = system_of(name)
@@ -149,9 +152,11 @@ def test_what_acts_between_two_bodies_keeps_the_momentum(name):
     system = system_of(name)
     T = system.topology
     q, v, _ = random_state(system, 6)
-    g, _ = applied(system, q, v)
     data = system("data")
     at = equations.placement(T, data, q, T.prescribed(tensor(0.3)[0]))
+    bare, none = replace(T, actions=[], beams=None), q.new_zeros(0, 1, 1)
+    without, with_it = (equations.dynamic_residual(x, data, at, v, 0.0 * v, none)[:, 0, 0] for x in (bare, T))
+    g = without - with_it
     force, torque = (g[k * T.bodies : (k + 3) * T.bodies].reshape(3, T.bodies) for k in (0, 3))
     r = q[: 3 * T.bodies].reshape(3, T.bodies)
     turned_torque = torch.einsum("ijn,jn->in", at.A[:, :, : T.bodies, 0, 0], torque[:, :2])

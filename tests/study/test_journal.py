@@ -40,7 +40,7 @@ def heard(tmp_path):
     columns = SimpleNamespace(
         shown=lambda x: {"angle_1_deg": float(x[0])}, sentence=lambda x: f"{x[0]:g}", names=["a"], labels=()
     )
-    journal = Journal(cast(Any, SimpleNamespace(columns=columns)), cast(Any, Heard()), tmp_path)
+    journal = Journal(cast(Any, SimpleNamespace(columns=columns, sign=1.0)), cast(Any, Heard()), tmp_path)
     journal._open = [PARENT, child(0)]
     return journal, cast(Any, journal.tracker)
 
@@ -102,5 +102,5 @@ def test_the_best_of_a_study_is_feasible(heard, results, best):
     study = MultistartResult(results, [])
     assert (None if study.best is None else study.best.value) == best
     journal.first[0] = 8.0
-    _summarize(study, journal)
+    _summarize(study, 1.0, journal)
     assert [value for _, value in tracker.points[PARENT, "best_objective"]] == ([] if best is None else [best])

@@ -142,7 +142,7 @@ def replace(file: Path, old: str, new: str) -> None:
 class Silent:
     """A tracker that hears nothing."""
 
-    trouble = None
+    trouble, uri = None, ""
 
     def __getattr__(self, name):
         return lambda *arguments, **options: None

@@ -54,7 +54,7 @@ def run(file: Path, tracker=None) -> str:
 class Silent:
     """A tracker that hears nothing."""
 
-    trouble = None
+    trouble, uri = None, ""
 
     def __getattr__(self, name):
         return lambda *arguments, **options: None

@@ -42,7 +42,7 @@ def test_a_model_of_the_users_names_its_own_parts(folder):
     (file,) = begin(folder / "mine.yaml", "rod_model.py:build")
     plan = load_study(file)
     assert plan.origin.data.minimize == {"integral": {"strain_energy": "rod"}}
-    assert plan.origin.data.options == {"layers": 2, "cells": 4}
+    assert plan.origin.data.options == {"layers": 2, "cells": 4, "payload": 0.0}
     assert plan.origin.data.design["rod.laminate.angles"].start == [45.0, -45.0]
 
 

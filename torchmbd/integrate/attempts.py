@@ -19,7 +19,8 @@ from torchmbd.integrate.integrator import Integrated, Integrator
 from torchmbd.integrate.memory import require_room
 from torchmbd.integrate.step_count import RIGID, all_modes, first_steps, wanted_steps
 from torchmbd.integrate.stepper import ITERATION_ERROR, TURN
-from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system import Dynamics, System, equations
+from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK
 
@@ -31,6 +32,7 @@ _UNRESOLVED = "unresolved: "
 # most, and the stiffest design with 600 steps, 0.1 and 0.7 % off, has 1.04. Above 3 nothing is known of the vibrations.
 STEP_ERROR = 3.0
 _LEAST_SHARE = 1000  # of the steps that resolve every mode: a motion of which not even so few fit is refused at once
+_OPEN = 1e-4  # [m] or [-]: violation of a joint at the end of a motion whose joints could not stay closed
 _LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
 
 
@@ -49,6 +51,7 @@ def run(
     found, again = found or integrator.integrate(dynamics, duration, steps), integrator.again()
     history, stats = found.history, found.statistics
     status = _status(found, duration)
+    _look_at_joints(dynamics, history, duration, stats, status)
     warn_unresolved(status)
     poor = [False] * len(status)
     if precise and again is not None and again.steps == 1:
@@ -81,6 +84,31 @@ def run(
     first = sorted({*failed_first, *(failed[i] for i in counts.get("failed_first", []))})
     stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved], "failed_first": first}
     return replace(history, **parts, finer=_finer(better, often, cured)), stats, status
+
+
+def _look_at_joints(
+    dynamics: Dynamics, history: History, duration: float, stats: dict[str, Any], status: list[str]
+) -> None:
+    """Note lanes that end with open joints: beyond a position that they cannot pass, an iteration may settle so.
+
+    Lanes are looked at whose iteration leaves more than IMPRECISE.
+    """
+    if "iteration_error" not in stats or not dynamics.topology.rows:
+        return
+    for lane in torch.nonzero(stats["iteration_error"] > IMPRECISE)[:, 0].tolist():
+        if lane in dynamics.faults or has_failed(status[lane]):
+            continue
+        one = dynamics.values().some([lane])
+        T, end, x = one.topology, history.q[-1:, :, :1, [lane]], history.expansion
+        t = end.new_tensor([duration])
+        q = end if x is None else Expansion.of(x.condensation, x.data, t).rows(0, end)
+        at = equations.placement(T, one.data, q[0], T.prescribed(t[0], one.data))
+        phi = equations.constraints(T, at).abs()
+        if float(phi.max()) > _OPEN:
+            row = T.row_names[int(phi.flatten().argmax())]
+            status[lane] = (
+                f"failed: the joints could not stay closed ({row} is {float(phi.max()):.1e} m or rad off at the end)"
+            )
 
 
 def _without_start(faults: dict[int, str], status: list[str], stats: dict[str, Any], history: History) -> None:

@@ -224,8 +224,8 @@ class Scenario(Section):
     """
 
     name: str | None = None  # default: scenario 1, 2, ...
-    set: Annotated[dict[str, Numbers], Len(min_length=1)] = {}
-    options: Annotated[dict[str, Any], Len(min_length=1)] = {}
+    set: dict[str, Numbers] = {}
+    options: dict[str, Any] = {}
     weight: float = Field(default=1.0, ge=0)
 
     @model_validator(mode="after")
