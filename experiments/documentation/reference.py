@@ -24,7 +24,7 @@ GROUPS: dict[str, str] = {
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
     "ConstantSpeed Sine SmoothStep",
     "force_elements": "SpringDamper AxialSpringDamper RotationalSpringDamper Bushing BeamElement Force Torque "
-    "Pressure forces variable",
+    "Pressure AxialStop RotationalStop PlaneContact forces variable",
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics examples",
     "exact_beams": "ExactBeam BeamState FlexibleBeam",

@@ -96,9 +96,21 @@ def controller(a: mbd.Frame, b: mbd.Frame) -> mbd.Controller:
 ELEMENTS: dict[str, Callable] = {
     "axialspringdamper": partial(mbd.AxialSpringDamper, axis="y", law=law),
     "beamelement": lambda a, b: mbd.BeamElement(a, b, torch.diag(tensor(3.0, 5.0, 7.0, 0.3, 0.2, 0.5)), damping=0.1),
+    "axialstop": partial(mbd.AxialStop, axis="y", lower=10.0, upper=20.0, stiffness=3.0, damping=0.2, exponent=1.5),
     "bushing": partial(
         mbd.Bushing, stiffness=(3.0, 5.0, 7.0), damping=0.4, turning_stiffness=(0.3, 0.2, 0.5), turning_damping=0.1
     ),
+    "planecontact": lambda a, b: mbd.PlaneContact(
+        a.body.at(0.1, 4.0, -0.1, axes=a.axes),
+        b,
+        "y",
+        stiffness=3.0,
+        exponent=1.2,
+        damping=0.02,
+        friction=0.4,
+        speed=2.0,
+    ),
+    "rotationalstop": partial(mbd.RotationalStop, axis="y", upper=-1.5, stiffness=3.0, damping=0.02, exponent=1.5),
     "rotationalspringdamper": partial(mbd.RotationalSpringDamper, axis="y", law=law),
     "springdamper": partial(mbd.SpringDamper, law=law),
     "pressure": lambda a, b: mbd.Pressure(b.body, 5.0),
@@ -130,7 +142,8 @@ def applied(system: mbd.System, q: Tensor, v: Tensor, t: float = 0.3) -> tuple[T
     at = equations.placement(T, data, q, T.prescribed(tensor(t)[0]))
     g = equations.generalized_forces(T, data, at, equations.applied_on_vectors(T, data, at, v))
     states = equations.action_states(T, data, at, v)
-    found = [(s, r, a.strength(s, r, at.t, {})) for a, (s, r, _) in zip(T.actions, states, strict=True)]
+    strengths = equations.strengths(T, data, states, at.t)
+    found = [(s, r, f) for f, (s, r, _) in zip(strengths, states, strict=True)]
     return torch.cat([x.flatten(0, 1) for x in g])[:, 0, 0], found
 
 

@@ -9,6 +9,7 @@ Laws of springs stand here too: Friction, Gap, Table, Pieces, Scaled.
 
 from torchmbd.multibody.forces.beam_element import BeamElement
 from torchmbd.multibody.forces.bushing import Bushing
+from torchmbd.multibody.forces.contact import AxialStop, PlaneContact, RotationalStop
 from torchmbd.multibody.forces.control_history import ControlHistory
 from torchmbd.multibody.forces.controller import Controller
 from torchmbd.multibody.forces.force import ForceElement
@@ -21,12 +22,15 @@ FORCES: dict[str, type[ForceElement]] = {
     kind.__name__.lower(): kind
     for kind in (
         AxialSpringDamper,
+        AxialStop,
         BeamElement,
         Bushing,
         Controller,
         Force,
+        PlaneContact,
         Pressure,
         RotationalSpringDamper,
+        RotationalStop,
         SpringDamper,
         Torque,
     )
@@ -35,6 +39,7 @@ FORCES: dict[str, type[ForceElement]] = {
 __all__ = [
     "FORCES",
     "AxialSpringDamper",
+    "AxialStop",
     "BeamElement",
     "Bushing",
     "ControlHistory",
@@ -45,8 +50,10 @@ __all__ = [
     "Gap",
     "OfTime",
     "Pieces",
+    "PlaneContact",
     "Pressure",
     "RotationalSpringDamper",
+    "RotationalStop",
     "Scaled",
     "Spring",
     "SpringDamper",

@@ -12,11 +12,12 @@ so what it does to the bodies is derived as for a constraint, momentum is kept, 
     Turn      angle of x_b from x_a towards y_a           axis x_a, axis y_a, axis    N m
     Push      none: a force along u                       point, axis u               N
     Twist     none: a torque about u                      axis u, triad of the body   N m
+    Spin      none, rate: spin of b from a about u        axis u, triads of a and b   N m
 
 The contract of a kind:
 
     direction(vectors)   what f = 1 does to each argument [3, n, ...]; the gradient of s where there is one
-    measure(vectors)     s [n, ...]; kinds without one see s = s' = 0
+    measure(vectors)     s [n, ...]; kinds without one see s = s' = 0, and Spin s = 0: its rate is that of no coordinate
 
 Nothing else is written for a force: design tangents come from pairs, the iteration matrix from the slopes of the law.
 `Turn` measures within half a turn around the `center` of its law (0 by default).
@@ -159,6 +160,23 @@ class Twist(Action):
         return [linear(torch.zeros_like, u), *(0.5 * cross(u, e) for e in triad)]
 
 
+class Spin(Action):
+    """Spin of body b from body a about an axis u, and a torque on b about it, the opposite one on a; triads e of both.
+
+    As of Twist, on flexible bodies to second order in their elastic rotations.
+    """
+
+    arguments = ("axis",) * 7
+
+    def direction(self, vectors) -> list:
+        u, *triads = vectors
+        on_a, on_b = ([0.5 * cross(u, e) for e in triad] for triad in (triads[:3], triads[3:]))
+        return [linear(torch.zeros_like, u), *(-f for f in on_a), *on_b]
+
+    def measure(self, vectors):
+        return linear(torch.zeros_like, vectors[0][0])
+
+
 def _of(law: Law, data: Data) -> Law:
     """The law of a design."""
     return law.at(data) if isinstance(law, ParametricLaw) else law
@@ -203,4 +221,4 @@ def _angle(s: Any, c: Any, center: float) -> Any:
     return Pair.of(angle(s.value, c.value), (c.value * s.tangent - s.value * c.tangent) / square)
 
 
-KINDS: tuple[type[Action], ...] = (Length, Along, Turn, Push, Twist)
+KINDS: tuple[type[Action], ...] = (Length, Along, Turn, Push, Twist, Spin)
