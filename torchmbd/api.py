@@ -44,6 +44,7 @@ from torchmbd.design import (
     history,
     measure,
 )
+from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.differences import Differences
 from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.fibers import FiberCurvature, FiberDivergence
@@ -54,6 +55,7 @@ from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.ply_stress import PlyStress
 from torchmbd.design.rainflow import rainflow
 from torchmbd.design.scenarios import Scenarios
+from torchmbd.design.sharpen import sharpen
 from torchmbd.design.stack_recovery import recover_stacks
 from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailure, name_arguments
 from torchmbd.fem import mesh, sections
@@ -166,6 +168,7 @@ def problem_of(file: str | Path, *assignments: str) -> Problem:
 __all__ = [
     "RMS",
     "Acceleration",
+    "Aggregate",
     "Angle",
     "ArgumentError",
     "AtPeaks",
@@ -289,6 +292,7 @@ __all__ = [
     "rainflow",
     "recover_stacks",
     "sections",
+    "sharpen",
     "signals",
     "simulate",
     "sobol",

@@ -32,11 +32,12 @@ GROUPS: dict[str, str] = {
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "
     "PlyFailure PlyStress History history",
-    "measures": "Integral Mean RMS Max Min SmoothMax Final AtTime AtTimes AtPeaks Frequency Frequencies Mass BucklingFactor "
-    "WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence LaminationRegion Measure measure",
+    "measures": "Integral Mean RMS Max Min SmoothMax Aggregate Final AtTime AtTimes AtPeaks Frequency Frequencies Mass "
+    "BucklingFactor WeightedSum Damage EquivalentLoad FatigueDamage rainflow FiberCurvature FiberDivergence LaminationRegion "
+    "Measure measure",
     "problems": "Problem Constraint DesignSpace Tradeoff Scenarios Differences Study load problem_of openmdao_component",
-    "optimization": "optimize multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes sobol "
-    "latin_hypercube",
+    "optimization": "optimize sharpen multistart optimize_discrete pareto_front OptimizationResult RobustProblem Processes "
+    "sobol latin_hypercube",
     "modes": "modal_basis craig_bampton eigenpairs eigenpair_branches spectral_function",
     "errors": "MbdError InputError ArgumentError SimulationFailure",
 }

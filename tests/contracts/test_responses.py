@@ -13,6 +13,7 @@ from torch.testing import assert_close
 import torchmbd as mbd
 from tests.mechanisms import SOFT, pendulum
 from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES, History, Measure, WeightedSum, history, measure
+from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.angle import Angle
 from torchmbd.design.buckling_factor import BucklingFactor
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
@@ -132,6 +133,8 @@ MEASURES: dict[str, list[Measure]] = {
 }
 OTHERS = [
     Max(reach),
+    Aggregate([AtTimes(ENERGY, count=5), Max(ENERGY)], sharpness=20.0, scale=1e-4),
+    Aggregate(AtPeaks(ENERGY, count=2), "p_norm", 6.0),
     Damage(PlyStress("rod", "11", layer=1), curve=CURVE),
     angle_weighted_mass,
     0.3 * Max(ENERGY) - Integral(ENERGY) * 2.0 + -Min(LAG),

@@ -8,14 +8,17 @@ import torchmbd as mbd
 from torchmbd.design import (
     AtPeaks,
     AtTime,
+    AtTimes,
     Frequencies,
     Frequency,
     Mass,
+    Max,
     RelativeDisplacement,
     SmoothMax,
     Velocity,
     WeightedSum,
 )
+from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.response_spec import (
     HISTORIES,
     MEASURES,
@@ -54,6 +57,11 @@ def words(spec, bodies: bool = True) -> str:
         ({"integral": {"strain_energy": "rod"}}, mbd.Integral(ENERGY)),
         ({"max": {"strain_energy": {"body": "rod"}}, "window": [0.01, 0.03]}, mbd.Max(ENERGY, window=(0.01, 0.03))),
         ({"at_peaks": {"strain_energy": "rod"}, "count": 5}, AtPeaks(ENERGY, count=5)),
+        (
+            {"aggregate": [{"max": {"strain_energy": "rod"}}, {"mass": "rod"}], "kind": "p_norm", "sharpness": 9.0},
+            Aggregate([Max(ENERGY), Mass("rod")], "p_norm", 9.0),
+        ),
+        ({"aggregate": {"at_times": {"strain_energy": "rod"}, "count": 7}}, Aggregate(AtTimes(ENERGY, None, 7))),
         ({"smooth_max": {"strain_energy": "rod"}, "sharpness": 9.0, "scale": 2.0}, SmoothMax(ENERGY, None, 9.0, 2.0)),
         ({"time": 0.02, "at_time": TWIST_SPEC}, AtTime(TWIST, 0.02)),
         ({"integral": {"squared": TWIST_SPEC}}, mbd.Integral(TWIST**2)),
@@ -104,7 +112,7 @@ def test_responses_in_words():
 
 
 def test_every_registered_name_can_be_said():
-    assert set(MEASURES) == {*COMBINATORS, *OF_DESIGN, "weighted_sum", *OPERATIONS, "function"}
+    assert set(MEASURES) == {*COMBINATORS, *OF_DESIGN, "weighted_sum", "aggregate", *OPERATIONS, "function"}
     assert set(HISTORIES) == {*RESPONSES, *OPERATIONS, "function"}
 
 

@@ -223,6 +223,7 @@ REFUSED: dict[str, Callable[[Any], Any]] = {
     "time of AtTime": lambda v: mbd.AtTime(mbd.StrainEnergy("p"), time=v),
     "times of AtTimes": lambda v: mbd.AtTimes(mbd.StrainEnergy("p"), times=[0.0, v]),
     "window of Integral": lambda v: mbd.Integral(mbd.StrainEnergy("p"), window=(0.0, v)),
+    "sharpness of Aggregate": lambda v: mbd.Aggregate(mbd.Max(mbd.StrainEnergy("p")), sharpness=v),
     "sharpness": lambda v: mbd.SmoothMax(mbd.StrainEnergy("p"), sharpness=v),
     "limit of Constraint": lambda v: mbd.Max(mbd.StrainEnergy("p")) <= v,
     "terms of Total": lambda v: v * mbd.Max(mbd.StrainEnergy("p")),

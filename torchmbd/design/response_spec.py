@@ -6,6 +6,7 @@
     {frequency: {body: rod, number: 2}}, {mass: rod}                       measures of the design
     {buckling_factor: {body: rod, loads: {right: [-1e3, 0, 0]}, supports: {left: all}}}
     {frequencies: {body: rod, cluster: [2, 3], power: -4}}
+    {aggregate: [{max: ...}, {at_times: ...}], kind: ks, sharpness: 50}     the largest of their rows, smooth
     {weighted_sum: [{weight: 0.6, integral: ...}, {weight: 0.4, rms: ...}], normalize: initial}
 
 Operations on histories, and on measures of one number; a number may stand for any but the first:
@@ -27,17 +28,18 @@ from functools import partial, reduce
 from operator import add, mul, sub, truediv
 from typing import Any
 
+from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.functions import FunctionHistory, FunctionMeasure
 from torchmbd.design.response import History, Measure
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.errors import InputError, nearest
 
-SUM, FUNCTION, SCALED = "weighted_sum", "function", "scaled"
+SUM, FUNCTION, SCALED, AGGREGATE = "weighted_sum", "function", "scaled", "aggregate"
 SEVERAL: dict[str, Callable[[Any, Any], Any]] = {"sum": add, "difference": sub, "product": mul, "quotient": truediv}
 SINGLE: dict[str, Callable[[Any], Any]] = {"absolute": abs, "squared": lambda y: y**2}
 OPERATIONS = (*SEVERAL, *SINGLE, SCALED)
-MEASURES = (*COMBINATORS, *OF_DESIGN, SUM, *OPERATIONS, FUNCTION)
+MEASURES = (*COMBINATORS, *OF_DESIGN, SUM, AGGREGATE, *OPERATIONS, FUNCTION)
 HISTORIES = (*RESPONSES, *OPERATIONS, FUNCTION)
 Path = tuple[str | int, ...]
 Find = Callable[[str], Any]  # what a function is that is named as `package.module:name`
@@ -61,6 +63,10 @@ def measure_of(spec: Any, path: Path = (), find: Find | None = None) -> Measure:
         return _function(inner, options, path, find, Measure)
     if name == SUM:
         return _made(WeightedSum, (_terms(inner, (*path, name), find),), options, path)
+    if name == AGGREGATE:
+        given = inner if isinstance(inner, list) else [inner]
+        parts = [measure_of(x, (*path, name, k), find) for k, x in enumerate(given)]
+        return _made(Aggregate, (parts,), options, path)
     if name in OF_DESIGN:
         if options:
             key = next(iter(options))
@@ -96,7 +102,7 @@ def leaf(spec: Any, path: Path = ()) -> Path:
 def terms(spec: Any, path: Path = ()) -> list[tuple[dict[str, Any], Path]]:
     """The parts of a valid measure with their paths: the terms of sums and other operations, or the measure itself."""
     [name] = [key for key in spec if key in MEASURES]
-    if name not in (SUM, *OPERATIONS):
+    if name not in (SUM, AGGREGATE, *OPERATIONS):
         return [(spec, path)]
     inner = spec[name]
     if not isinstance(inner, list):

@@ -13,6 +13,7 @@ from typing import Any
 
 import torch
 
+from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.functions import FunctionHistory, FunctionMeasure
 from torchmbd.design.histories import Reaction
 from torchmbd.design.measures import Integral
@@ -55,6 +56,9 @@ def words(response: Response, bodies: bool = True) -> str:
         return _of_operation(response.operation, response.parts, bodies)
     if isinstance(response, WeightedSum):
         return "weighted sum"
+    if isinstance(response, Aggregate):
+        inner = list(dict.fromkeys(words(measure, bodies) for measure in response.operands))
+        return f"aggregate of {' and '.join(inner)}" if len(inner) < 3 else "aggregate"
     if isinstance(response, Total):
         [*factors], measures = zip(*response.terms, strict=True)
         if len(measures) == 1:
@@ -80,6 +84,9 @@ def unit(response: Response) -> str | None:
         return _unit_of_operation(response.operation, response.parts)
     if isinstance(response, WeightedSum) and response.normalize is not None:
         return ""
+    if isinstance(response, Aggregate):
+        own = {unit(measure) for measure in response.operands}
+        return own.pop() if len(own) == 1 else None
     if isinstance(response, Total):
         own = {unit(measure) for _, measure in response.terms}
         return own.pop() if len(own) == 1 and {abs(w) for w, _ in response.terms} == {1.0} else None

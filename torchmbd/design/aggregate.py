@@ -1,0 +1,87 @@
+"""Many limits as one smooth number, whose gradient costs one way back, and the sharpness that it needs.
+
+    ks       c/rho ln sum exp(rho y_k / c)     above the largest row by at most c ln(rows) / rho
+    p_norm   (sum max(y_k, 0)^p)^(1/p)         above the largest row by at most the factor rows^(1/p)
+
+Both are above: who keeps the aggregate below a limit keeps all rows below it, with a margin that costs some of the optimum.
+`sharpen` (sharpen.py) takes the margin away.
+
+Source: Kreisselmeier and Steinhauser, IFAC Symp. Computer Aided Design of Control Systems (1979) 113-117.
+Checked in tests/design/test_aggregate.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from torchmbd.design.response import Measure
+from torchmbd.errors import InputError, unknown
+from torchmbd.integrate import Trajectory
+from torchmbd.math.owned import scalar, several
+
+KINDS = ("ks", "p_norm")
+
+
+@dataclass(frozen=True)
+class Aggregate(Measure):
+    """One smooth number [lanes] for all rows of measures, in their unit, not below the largest row.
+
+    measures   a measure, as AtTimes with many rows, or several in one unit
+    kind       "ks" (Kreisselmeier-Steinhauser), or "p_norm", for rows of which the largest is positive
+    sharpness  rho or p, positive: the larger, the nearer to the largest row, and the less smooth [-]
+    scale      c of "ks", positive: the size of the rows, in their unit; "p_norm" needs none
+
+    `largest(motion)` is the largest row itself.
+    Source: Kreisselmeier and Steinhauser (1979).
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> limits = [mbd.Max(mbd.Displacement("arm", axis, node="right")) for axis in ("y", "z")]
+    >>> together = mbd.Aggregate(limits, scale=1e-3)
+    >>> bool(together(motion) >= together.largest(motion))
+    True
+    """
+
+    measures: Measure | Sequence[Measure]
+    kind: str = "ks"
+    sharpness: float = 50.0
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        if isinstance(self.measures, Measure):
+            object.__setattr__(self, "measures", [self.measures])
+        if not several("measures", self.measures, Measure, "a measure, or a list of them"):
+            raise InputError("measures is []; allowed: a measure, or at least one in a list")
+        if not isinstance(self.kind, str) or self.kind not in KINDS:
+            raise unknown("kind", self.kind, KINDS)
+        for name, x in (("sharpness", self.sharpness), ("scale", self.scale)):
+            if scalar(name, x, "a positive number") <= 0.0:
+                raise InputError(f"{name} is {x!r}; allowed: a positive number")
+        if self.kind == "p_norm" and self.scale != 1.0:
+            raise InputError(f"scale is {self.scale!r} with kind 'p_norm', which needs none; allowed: 1.0")
+
+    @property
+    def operands(self) -> Sequence[Measure]:
+        assert not isinstance(self.measures, Measure)  # a list since __post_init__
+        return self.measures
+
+    def mapped(self, change: Callable[[Measure], Measure]) -> Measure:
+        return replace(self, measures=[change(measure) for measure in self.operands])
+
+    def _rows(self, motion: Trajectory) -> Tensor:
+        """All rows [lanes, rows]."""
+        return torch.cat([m.value(motion).reshape(motion.lanes, -1) for m in self.operands], 1)
+
+    def value(self, motion: Trajectory) -> Tensor:
+        rows, rho = self._rows(motion), float(self.sharpness)
+        if self.kind == "ks":
+            return torch.logsumexp(rho / self.scale * rows, 1) * (self.scale / rho)
+        # By logarithms: no power overflows.
+        return torch.exp(torch.logsumexp(rho * rows.clamp_min(torch.finfo(rows.dtype).tiny).log(), 1) / rho)
+
+    def largest(self, motion: Trajectory) -> Tensor:
+        """The largest row [lanes]."""
+        return motion.sound(self._rows(motion).amax(1))
