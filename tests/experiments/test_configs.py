@@ -11,21 +11,22 @@ from rich.console import Console
 from torchmbd.study.config_index import QUESTION_MISSING, configs
 from torchmbd.study.load import FiguresPlan, load, load_study
 from torchmbd.study.run import run_study
+from torchmbd.study.yaml_file import read_yaml
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
 CONFIGS = configs(Path(__file__).parents[2] / "configs")
-PLANS = {file: load(file) for file in CONFIGS}
+DATA = {file: read_yaml(file).data for file in CONFIGS}
 # Phases and windows need all their time: those files have tests of their own, test_sar_antenna_whole.py and so on.
 STUDIES = [
     file
-    for file, plan in PLANS.items()
-    if not isinstance(plan, FiguresPlan)
-    and plan.origin.data.simulate.phases is None
-    and file.parent.name != "spatial_arm"
+    for file, data in DATA.items()
+    if "figures" not in data and "phases" not in data["simulate"] and file.parent.name != "spatial_arm"
 ]
+# Of the studies of one, two and three layers by four measures: every count of layers and every measure; the others are slow.
+COVERING = {"l1_energy_peak", "l2_energy_bound", "l3_energy_integral", "l1_energy_torsion", "l2_energy_tolerance"}
 SMALL = ["simulate.duration=0.004", "simulate.steps=40", "options.modes=4"]
 # The panels of the antenna have their joints on nodes of 16 x 8 cells.
 COARSE = {"slider_crank": ["options.cells=[4, 2]"], "sar_antenna": ["simulate.steps=4", "options.cells=[16, 8]"]}
@@ -61,7 +62,13 @@ def test_every_config_opens_with_its_question_and_is_valid(file):
     assert type(data).model_validate(data.resolved()).resolved() == data.resolved()
 
 
-@pytest.mark.parametrize("file", STUDIES, ids=lambda file: file.stem)
+def studies() -> list:
+    tables = [file for file in STUDIES if file.stem[:3] in ("l1_", "l2_", "l3_") and "_energy_" in file.stem]
+    slow = {file for file in tables if file.stem not in COVERING}
+    return [pytest.param(x, id=x.stem, marks=[pytest.mark.slow] if x in slow else []) for x in STUDIES]
+
+
+@pytest.mark.parametrize("file", studies())
 def test_every_study_runs(file, uri):
     overrides = [*SMALL, *COARSE[file.parent.name]]
     if load_study(file).sweep is None:
