@@ -31,7 +31,8 @@ def _marked(page: Path):
 @pytest.mark.parametrize(
     "page", [_marked(p) for p in PAGES if {"pycon", "python", "yaml"} & {b.language for b in blocks(p)}]
 )
-def test_page(page, tmp_path, monkeypatch):
+def test_page(page, tmp_path, monkeypatch, compiled):
+    """By native code, as users run it."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("TORCHMBD_STORE", str(tmp_path / ".torchmbd"))

@@ -36,18 +36,33 @@ def number(system: mbd.System, designs: dict[str, Tensor], duration: float = 0.0
     return total + energies.kinetic.sum(1) + energies.stored.sum(1)
 
 
-def differences(f, system: mbd.System, name: str, step: float = 1e-3) -> Tensor:
-    """Richardson differences of f(designs) [lanes] by every entry of a parameter, all in one batch."""
-    x, slopes = system.get_parameter(name).detach(), []
-    for e in torch.eye(x.numel(), dtype=x.dtype).reshape(-1, *x.shape):
-        h = step * float(x.abs().max())
-        both = torch.stack([x + k * h * e for k in (1.0, -1.0, 2.0, -2.0, 4.0, -4.0)])
-        with torch.no_grad():
-            y = f({name: both})
+SHIFTS = (1.0, -1.0, 2.0, -2.0, 4.0, -4.0)
+
+
+def differences(f, system: mbd.System, names: list[str], steps: dict[str, float] | None = None) -> dict[str, Tensor]:
+    """Richardson differences of f(designs) [lanes] by every entry of some parameters, all in one batch.
+
+    steps  of parameters, as a share of their largest entry; others: 1e-3
+    """
+    own = {name: system.get_parameter(name).detach() for name in names}
+    entries = [
+        (name, k, (steps or {}).get(name, 1e-3) * float(x.abs().max()))
+        for name, x in own.items()
+        for k in range(x.numel())
+    ]
+    lanes = len(SHIFTS) * len(entries)
+    designs = {name: x.reshape(1, -1).repeat(lanes, 1) for name, x in own.items()}
+    for i, (name, k, h) in enumerate(entries):
+        designs[name].unflatten(0, (-1, len(SHIFTS)))[i, :, k] += h * tensor(*SHIFTS)
+    with torch.no_grad():
+        values = f({name: x.reshape(lanes, *own[name].shape) for name, x in designs.items()})
+    slopes = []
+    for y, (_, _, h) in zip(values.unflatten(0, (-1, len(SHIFTS))), entries, strict=True):
         one, two, four = ((y[k] - y[k + 1]) / (2.0 * s * h) for k, s in ((0, 1.0), (2, 2.0), (4, 4.0)))
         first, second = (4.0 * one - two) / 3.0, (4.0 * two - four) / 3.0
         slopes.append((16.0 * first - second) / 15.0)
-    return torch.stack(slopes).reshape(x.shape)
+    parts = torch.stack(slopes).split([x.numel() for x in own.values()])
+    return {name: part.reshape(x.shape) for part, (name, x) in zip(parts, own.items(), strict=True)}
 
 
 def check(system: mbd.System, names: list[str], f=number, steps: dict[str, float] | None = None, **options) -> None:
@@ -58,13 +73,13 @@ def check(system: mbd.System, names: list[str], f=number, steps: dict[str, float
         x = {name: y.clone().requires_grad_() for name, y in start.items()}
         f(system, x, gradients=way, **options).sum().backward()
         found[way] = {name: y.grad for name, y in x.items()}
+    wanted = differences(lambda b: f(system, b, **options), system, names, steps)
     for name in names:
         one, other = found["reverse"][name], found["forward"][name]
         size = float(one.abs().max())
         assert size > 0.0, name
         assert_close(other, one, rtol=0, atol=1e-8 * size, msg=lambda m, n=name: f"{n}: {m}")
-        wanted = differences(lambda b: f(system, b, **options), system, name, (steps or {}).get(name, 1e-3))
-        assert_close(one, wanted, rtol=0, atol=1e-6 * size, msg=lambda m, n=name: f"{n}: {m}")
+        assert_close(one, wanted[name], rtol=0, atol=1e-6 * size, msg=lambda m, n=name: f"{n}: {m}")
     system.zero_grad()
     f(system, {}, **options).sum().backward()
     for name in names:

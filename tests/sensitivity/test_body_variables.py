@@ -15,6 +15,7 @@ from torch.testing import assert_close
 
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, INERTIA, SOFT, box, finished, laminate, plate, tensor, turned
+from tests.sensitivity.number_cases import differences
 from torchmbd.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("compiled")
@@ -70,16 +71,6 @@ def number(system: mbd.System, designs: dict[str, Tensor], **options) -> Tensor:
     return total + 1e-3 * reaction.square().sum((1, 2)) + energies.stored.sum(1) + energies.kinetic.sum(1)
 
 
-def differences(system: mbd.System, name: str, x: Tensor) -> Tensor:
-    step, slopes = 1e-3 * float(x.abs().max()), []
-    for e in torch.eye(x.numel(), dtype=x.dtype).reshape(-1, *x.shape):
-        both = torch.stack([x + k * step * e for k in (1.0, -1.0, 2.0, -2.0)])
-        with torch.no_grad():
-            y = number(system, {name: both})
-        slopes.append((4.0 * (y[0] - y[1]) / 2.0 - (y[2] - y[3]) / 4.0) / (3.0 * step))
-    return torch.stack(slopes).reshape(x.shape)
-
-
 @pytest.fixture(scope="module")
 def system() -> mbd.System:
     return mechanism()
@@ -92,7 +83,7 @@ def start(system) -> dict[str, Tensor]:
 
 @pytest.fixture(scope="module")
 def slopes(system, start) -> dict[str, Tensor]:
-    return {name: differences(system, name, x) for name, x in start.items()}
+    return differences(lambda designs: number(system, designs), system, list(start))
 
 
 def test_their_names(system):
