@@ -5,7 +5,7 @@ import torch
 
 from torchmbd.math import rigid_motion
 from torchmbd.math.pair import Pair
-from torchmbd.math.screw import screw, wrench_slopes, wrenches
+from torchmbd.math.screw import rate_slopes, screw, screw_rate, wrench_slopes, wrenches
 
 _MOTIONS = 7
 
@@ -48,3 +48,12 @@ def test_tangents(motions):
     found = screw(Pair.of(_first(u, 1), _first(spin, 1)), Pair.of(_first(R, 2), _first(dR, 2))).tangent[:, 0].T
     wanted = torch.func.jvp(rigid_motion.logarithm, (u, R), (spin, dR))[1]
     torch.testing.assert_close(found, wanted, rtol=1e-10, atol=1e-10)
+
+
+def test_slopes_of_rates(motions):
+    u, R, f = motions
+    l, other = rigid_motion.logarithm(u, R), f.roll(1, 0)
+    ends = _first(f, 1), _first(other, 1)
+    unit = Pair.of(_first(l, 1), torch.eye(6, dtype=torch.float64)[..., None].expand(6, 6, _MOTIONS))
+    wanted = screw_rate(unit, *ends).tangent
+    torch.testing.assert_close(rate_slopes(_first(l, 1), *ends)[:, :, 0], wanted, rtol=1e-12, atol=1e-12)

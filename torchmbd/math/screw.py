@@ -68,6 +68,24 @@ def screw_rate(l: Any, first: Any, second: Any) -> Any:
     return apart + 0.5 * _forth(l, second + first) + c2 * square + c4 * _forth(l, _forth(l, square))
 
 
+def rate_slopes(l: Any, first: Any, second: Any) -> Any:
+    """Derivative of `screw_rate` by l, velocities held [6, 6, ...]: values only."""
+    s = dot(l[3:], l[3:])
+    (c2, c4), (d2, d4) = _coefficients(l), (_polynomial(SLOPES[:, k].tolist(), s) for k in (1, 2))
+    wide = l.unsqueeze(1)
+    x, slope = second - first, None
+    powers, slopes = [], []
+    for _ in range(4):  # ad^k (second - first)
+        own = _forth_by_screw(x)
+        slope = own if slope is None else own + _forth(wide, slope)
+        x = _forth(l, x)
+        powers.append(x)
+        slopes.append(slope)
+    by_square = cat([l[:3] * 0.0, 2.0 * l[3:]])
+    outer = (d2 * powers[1] + d4 * powers[3]).unsqueeze(1) * by_square.unsqueeze(0)
+    return 0.5 * _forth_by_screw(second + first) + c2 * slopes[1] + c4 * slopes[3] + outer
+
+
 def wrench_slopes(l: Any, f: Any) -> tuple[Any, Any]:
     """Derivatives of both `wrenches` by l, f held [6, 6, ...]: values only."""
     s = dot(l[3:], l[3:])
@@ -108,6 +126,12 @@ def _back_by_screw(x: Any) -> Any:
     """ad' x as a matrix [6, 6, ...] times the screw."""
     force, moment = _hat(x[:3]), _hat(x[3:])
     return cat([cat([force * 0.0, force], 1), cat([force, moment], 1)])
+
+
+def _forth_by_screw(x: Any) -> Any:
+    """ad x as a matrix [6, 6, ...] times the screw."""
+    straight, turn = -_hat(x[:3]), -_hat(x[3:])
+    return cat([cat([turn, straight], 1), cat([turn * 0.0, turn], 1)])
 
 
 def _hat(x: Any) -> Any:

@@ -78,8 +78,12 @@ def test_matrix_is_the_derivative_of_the_residual(damping):
     mass = dynamics.saddle.matrix(data, at, v=still, lam=none)[0]
     found = dynamics.saddle.matrix(data, at, 1.0, 0.0, still, still, none)[0] - mass
     assert_close(found, wanted, rtol=1e-9, atol=1e-9 * float(wanted.abs().max()))
-    wanted = equations.dynamic_residual(T, data, at, unit, still, none).tangent[..., 0]
-    found = dynamics.saddle.matrix(data, at, 0.0, 1.0, still, still, none)[0] - mass
+    wanted = equations.dynamic_residual(T, data, moved, v, still, none).tangent[..., 0]
+    found = dynamics.saddle.matrix(data, at, 1.0, 0.0, v, still, none)[0] - mass
+    assert_close(found, wanted, rtol=1e-9, atol=1e-9 * float(wanted.abs().max()))
+    rate = Pair.of(v, torch.eye(T.n_v, dtype=torch.float64)[..., None])
+    wanted = equations.dynamic_residual(T, data, at, rate, still, none).tangent[..., 0]
+    found = dynamics.saddle.matrix(data, at, 0.0, 1.0, v, still, none)[0] - mass
     assert_close(found, wanted, rtol=1e-9, atol=1e-9 * max(1.0, float(wanted.abs().max())))
 
 

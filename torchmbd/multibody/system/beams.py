@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchmbd.math.pair import cat, cross, dot, matmul, matvec, matvec_t
 from torchmbd.math.rotation import skew
-from torchmbd.math.screw import screw, screw_rate, wrench_slopes, wrenches
+from torchmbd.math.screw import rate_slopes, screw, screw_rate, wrench_slopes, wrenches
 from torchmbd.multibody.system.index_maps import SegmentSum
 
 SHAPES = {"beam_stiffness": (6, 6), "beam_rest": (6,), "beam_start": (3, 3), "beam_end": (3, 3), "beam_damping": ()}
@@ -65,7 +65,8 @@ def beam_data(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
 
 
 class Elements(NamedTuple):
-    """The elements at a position: axes of the frames in space and in their bodies, arms, screws, forces f."""
+    """The elements at a position: axes of the frames in space and in their bodies, arms, screws, forces f; and with dampers
+    the rates of the screws, the velocities [6, n, ...] of both frames in their own axes and of the points in body axes."""
 
     axes: tuple[Any, Any]
     turn: tuple[Any, Any]
@@ -74,6 +75,8 @@ class Elements(NamedTuple):
     screw: Any
     force: Any
     rate: Any = None
+    ends: Any = None
+    carried: Any = None
 
 
 def elements(T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None = None) -> Elements:
@@ -82,13 +85,14 @@ def elements(T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None = None) -
     turn = data["beam_start"], data["beam_end"]
     axes = matmul(A[0], turn[0]), matmul(A[1], turn[1])
     l = screw(matvec_t(axes[0], place[1] - place[0]), matmul(axes[0].transpose(0, 1), axes[1]))
-    strain, rate = l - data["beam_rest"], None
+    strain, rate, ends, carried = l - data["beam_rest"], None, None, None
     if rates is not None and "beam_damping" in data:
         velocity, spin = (T.beams.pick(x, 1) for x in rates)
         ends = [cat([matvec_t(axes[k], velocity[k]), matvec_t(turn[k], spin[k])]) for k in range(2)]
+        carried = [matvec_t(A[k], velocity[k]) - cross(spin[k], arm[k]) for k in range(2)]  # the bodies' origins
         rate = screw_rate(l, ends[0], ends[1])
         strain = strain + data["beam_damping"] * rate
-    return Elements(axes, turn, arm, A, l, matvec(data["beam_stiffness"], strain), rate)
+    return Elements(axes, turn, arm, A, l, matvec(data["beam_stiffness"], strain), rate, ends, carried)
 
 
 def resistance(T: Any, data: Any, at: Any, rates: tuple[Any, Any] | None) -> tuple[Any, Any]:
@@ -119,10 +123,23 @@ def stiffness(
     S = _on_bodies(e, wrench_slopes(e.screw, e.force))
     pull = matmul(C, data["beam_stiffness"])
     by_screw = by_place * (pull + S)
-    found = _by_increment(T, matmul(by_screw, C.transpose(0, 1)) + by_place * _turning(e), turn)
-    if "beam_damping" in data:
-        found = found + matmul((by_rate * data["beam_damping"]) * pull, C.transpose(0, 1))
-    return found
+    found = matmul(by_screw, C.transpose(0, 1)) + by_place * _turning(e)
+    if "beam_damping" not in data:
+        return _by_increment(T, found, turn)
+    damped = data["beam_damping"] * pull
+    found = found + by_place * matmul(damped, _rate_by_place(e, back, C))
+    return _by_increment(T, found, turn) + by_rate * matmul(damped, C.transpose(0, 1))
+
+
+def _rate_by_place(e: Elements, back: tuple[Any, Any], C: Any) -> Any:
+    """Derivatives of the screws' rates by the bodies' places, their rates held [6, 12, n, ...]."""
+    by_screw = matmul(rate_slopes(e.screw, *e.ends), C.transpose(0, 1))
+    parts = []
+    for k in range(2):
+        own = matmul(e.turn[k].transpose(0, 1), skew(e.carried[k]))  # velocities in axes that turn
+        by_turn = matmul(back[k][:3].transpose(0, 1), own)
+        parts += [by_turn * 0.0, by_turn]
+    return by_screw + cat(parts, 1)
 
 
 def _by_increment(T: Any, K: Any, turn: Any) -> Any:
