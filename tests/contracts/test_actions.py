@@ -95,7 +95,9 @@ def controller(a: mbd.Frame, b: mbd.Frame) -> mbd.Controller:
 
 ELEMENTS: dict[str, Callable] = {
     "axialspringdamper": partial(mbd.AxialSpringDamper, axis="y", law=law),
-    "beamelement": lambda a, b: mbd.BeamElement(a, b, torch.diag(tensor(3.0, 5.0, 7.0, 0.3, 0.2, 0.5)), damping=0.1),
+    "beamelement": lambda a, b: mbd.BeamElement(
+        a, b, torch.nn.Parameter(torch.diag(tensor(3.0, 5.0, 7.0, 0.3, 0.2, 0.5))), damping=0.1
+    ),
     "axialstop": partial(mbd.AxialStop, axis="y", lower=10.0, upper=20.0, stiffness=3.0, damping=0.2, exponent=1.5),
     "bushing": partial(
         mbd.Bushing, stiffness=(3.0, 5.0, 7.0), damping=0.4, turning_stiffness=(0.3, 0.2, 0.5), turning_damping=0.1

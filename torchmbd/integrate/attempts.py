@@ -33,7 +33,9 @@ _UNRESOLVED = "unresolved: "
 STEP_ERROR = 3.0
 _LEAST_SHARE = 1000  # of the steps that resolve every mode: a motion of which not even so few fit is refused at once
 _OPEN = 1e-4  # [m] or [-]: violation of a joint at the end of a motion whose joints could not stay closed
-_LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps")
+# Of accelerations: vibrations with less than five steps to a period.
+ALTERNATION = 0.3
+_LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps", "alternation")
 
 
 def run(
@@ -251,6 +253,12 @@ def _complaint(found: dict[str, float]) -> str:
         message = (
             f"the steps do not resolve the vibrations of a flexible body (estimated error {100 * found['step_error']:.0f} % of "
             f"the largest): its energies mean little; {found['suggested_steps']:.0f} steps would resolve them"
+        )
+        return f"{_UNRESOLVED}{message}"
+    if found.get("alternation", 0.0) > ALTERNATION:
+        message = (
+            f"{100 * found['alternation']:.0f} % of the accelerations change their sign from step to step: the steps do not "
+            "resolve vibrations of a beam, which may grow; more steps, a smaller spectral_radius or damping of the beam help"
         )
         return f"{_UNRESOLVED}{message}"
     return OK

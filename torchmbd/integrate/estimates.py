@@ -52,6 +52,13 @@ class StepErrors:
         }
 
 
+def alternations(dynamics: Dynamics, history: History) -> Tensor:
+    """Of the accelerations of points, what changes its sign from step to step, and all of it [2, times - 2, lanes] [m/s2]."""
+    a = split_v(dynamics.topology, history.vd[:, :, 0].transpose(0, 1))[0].flatten(0, 1)
+    change = 0.25 * (a[:, 2:] - 2.0 * a[:, 1:-1] + a[:, :-2])
+    return torch.stack([x.square().sum(0).sqrt() for x in (change, a[:, 1:-1])])
+
+
 def turns(dynamics: Dynamics, history: History, h: float) -> Tensor:
     """Largest rotation of a body in a step from each time [times, lanes] [rad]."""
     omega = split_v(dynamics.topology, history.v[:, :, 0].transpose(0, 1))[1]

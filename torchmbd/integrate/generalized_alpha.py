@@ -10,31 +10,40 @@ Checked in tests/contracts/test_integrators.py, tests/convergence/test_time_orde
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from torchmbd.errors import InputError
 from torchmbd.integrate.one_step import OneStep
 from torchmbd.integrate.step import Weights
+from torchmbd.multibody.system.topology import Topology
+
+_RADIUS, _OF_BEAMS = 0.9, 0.6
 
 
 @dataclass(frozen=True)
 class GeneralizedAlpha(OneStep):
     """Generalized-alpha.
 
-    spectral_radius   at infinite frequency: 0 (strong damping) to 1 (none)
+    spectral_radius   at infinite frequency: 0 (strong damping) to 1 (none); None: 0.9, or 0.6 with elements of beams. Their
+                      axial vibrations, which steps do not resolve, would otherwise grow where beams turn by 0.1 rad in a step
     """
 
     name: str = "generalized_alpha"
-    spectral_radius: float = 0.9
+    spectral_radius: float | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         rho = self.spectral_radius
-        if not isinstance(rho, (int, float)) or isinstance(rho, bool) or not 0.0 <= rho <= 1.0:
+        if rho is not None and (not isinstance(rho, (int, float)) or isinstance(rho, bool) or not 0.0 <= rho <= 1.0):
             raise InputError(f"spectral_radius is {rho!r}; allowed: 0 (strong damping) to 1 (none)")
+
+    def suited(self, topology: Topology) -> GeneralizedAlpha:
+        """As of Integrator."""
+        own = self.spectral_radius is None and topology.beams is not None
+        return replace(self, spectral_radius=_OF_BEAMS) if own else self
 
     def weights(self, h: Any) -> Weights:
         """As of OneStep."""
-        rho = self.spectral_radius
+        rho = _RADIUS if self.spectral_radius is None else self.spectral_radius
         return Weights.newmark(h, (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0))

@@ -5,6 +5,7 @@
     stepper               regular steps of all lanes, from output to output
     sized                 a step of one lane whose size and end may depend on the design
     again               what lanes that failed are tried again with
+    suited              the same with defaults for a system
 
 An integrator is a frozen dataclass: its fields but `name` are its options, with types and defaults; `__post_init__` refuses
 values out of range. It keeps nothing of a simulation. Those whose steps have an exact pullback (`adjoint`) serve reverse
@@ -23,7 +24,7 @@ from torch import Tensor
 
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.multibody.system.dynamics import Dynamics
-from torchmbd.multibody.system.topology import Prescribed
+from torchmbd.multibody.system.topology import Prescribed, Topology
 from torchmbd.results.history import History
 from torchmbd.results.state import State
 
@@ -90,6 +91,10 @@ class Integrator(ABC):
         hints = get_type_hints(cls)
         names = [f.name for f in fields(cls) if f.name != "name"]
         return {name: hints[name] for name in names if not (phases and name in cls.not_in_phases)}
+
+    def suited(self, topology: Topology) -> Integrator:
+        """The integrator with the defaults that depend on the system."""
+        return self
 
     @abstractmethod
     def integrate(self, dynamics: Dynamics, duration: float, steps: int) -> Integrated:

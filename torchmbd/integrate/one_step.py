@@ -32,7 +32,7 @@ from typing import Any, ClassVar
 import torch
 
 from torchmbd.errors import InputError
-from torchmbd.integrate.estimates import StepErrors, turns
+from torchmbd.integrate.estimates import StepErrors, alternations, turns
 from torchmbd.integrate.integrator import Again, Integrated, Integrator
 from torchmbd.integrate.native import steps
 from torchmbd.integrate.phases import loop
@@ -117,7 +117,8 @@ class OneStep(Integrator):
 
         Statistics: for each lane the estimated relative error of the iteration in the accelerations ("iteration_error") and
         in their design tangents ("tangent_error"), the estimated error of a step ("step_error"), the number of steps that
-        would make it 1 % ("suggested_steps"), and the largest rotation of a body in one step [rad] ("turn").
+        would make it 1 % ("suggested_steps"), and the largest rotation of a body in one step [rad] ("turn"). With elements of
+        beams also the share of accelerations that alternates from step to step in the second half ("alternation").
         """
         h, every = duration / steps, self.checkpoint
         whole, left, x = prepare(dynamics).detached()
@@ -129,7 +130,7 @@ class OneStep(Integrator):
         record.put(0, x)
         iterations = IterationErrors(value(x.q)[:, 0], duration, h)
         errors = StepErrors(left, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), h)
-        turned, resumed = [], []
+        turned, resumed, alternating = [], [], []
         announce(steps, left.lanes)
         for some in segments(steps, every):
             ends = h * torch.arange(some.start + 1, some.stop + 1, dtype=torch.float64)
@@ -144,9 +145,14 @@ class OneStep(Integrator):
             iterations.see(part, stepper.take_sizes())
             errors.see(part)
             turned.append(turns(left, part, h)[min(some.start, 1) :])
+            alternating += [] if left.topology.beams is None else [alternations(left, part)]
         turn = torch.cat(turned)
         statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": turn.amax(0)}
         statistics |= errors.statistics(steps) | iterations.statistics() | stepper.tangent_errors()
+        if alternating:
+            both = torch.cat(alternating, 1)
+            change, size = both[:, both.shape[1] // 2 :].sum(1)  # what a jump leaves has been damped since
+            statistics["alternation"] = change / size.clamp_min(torch.finfo(size.dtype).tiny)
         until = statistics["until"].minimum(first(turn > TURN).clamp_min(1))
         statistics["until"] = (until + every - 1) // every  # of the states that are kept
         between = Between(every, resumed, self) if every > 1 else None

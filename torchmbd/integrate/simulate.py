@@ -118,6 +118,7 @@ def simulate(
     integrator = check(duration, method, steps, options, phases is not None, argument_names(simulate))
     begins = start_of(system, start)
     system = system if start == "assembled" else system.starting(begins)
+    integrator = integrator.suited(system.topology)
     steps = None if steps is None else int(steps)
     given = check_designs(system, designs)
     seconds = seconds_of(duration)

@@ -131,6 +131,25 @@ def test_results_responses_and_pictures(tmp_path):
     assert mbd.viz.save_motion(motion, tmp_path / "beam.pvd").exists()
 
 
+def spinning(**options) -> mbd.results.Trajectory:
+    """A free rod of one stiff element that turns by 0.1 rad in each of 60 steps."""
+    section = given(1e6, 1e6, 1e6, 1.0, 1.0, 1.0, mass=matrix(1.0, 1.0, 1.0, 2e-3, 1e-3, 1e-3))
+    state = {"velocity": (0.0, -0.5, 0.0), "angular_velocity": (0.0, 0.0, 1.0)}
+    rod = mbd.FlexibleBeam("rod", mbd.BeamLine.straight(1.0, 1), section, (0, 1, 0), position=(-0.5, 0, 0), **state)
+    return mbd.simulate(mbd.System([rod], free=["rod"]), 6.0, steps=60, backend="eager", **options)
+
+
+def test_vibrations_that_steps_do_not_resolve():
+    motion = spinning()
+    assert motion.status == ["ok"]
+    stored = motion.energies.stored[0]
+    assert float((stored - stored[0]).abs().max()) < 0.01 * float(stored[0])
+    with pytest.warns(UserWarning, match="change their sign from step to step"):
+        wild = spinning(spectral_radius=0.9)
+    assert float(wild.energies.stored.max()) > 1.5 * float(stored[0])
+    assert wild.status[0].startswith("unresolved")
+
+
 def test_refusals():
     line = mbd.BeamLine.straight(1.0, 3)
     bad = (matrix(1.0, 1, 1, 1, -1, 1), MASS)

@@ -88,7 +88,8 @@ def test_matrix_is_the_derivative_of_the_residual(damping):
 
 
 def test_energy_is_kept():
-    coarse, fine = (mbd.simulate(chain(), 0.5, steps=n, backend="eager").energies for n in (150, 300))
+    options: dict = {"backend": "eager", "spectral_radius": 0.9}  # that of 0.6 takes more energy
+    coarse, fine = (mbd.simulate(chain(), 0.5, steps=n, **options).energies for n in (150, 300))
     drift = [float((e.stored - e.stored[:, :1]).abs().max()) for e in (coarse, fine)]
     assert float(fine.strain.max()) > 0.01 * float(fine.stored[0, 0])
     assert drift[1] < 1e-3 * float(fine.stored[0, 0])
