@@ -45,3 +45,11 @@ def test_criteria_of_two_bodies_are_named_by_them():
     assert found == {"integral of strain energy of inner": [0.5], "integral of strain energy of outer": [1.5]}
     problem.constraints = []
     assert list(_criteria(cast(Any, problem), first, [other])) == ["integral of strain energy"]
+
+
+def test_a_design_is_told_with_names_and_units():
+    found = Columns.of(
+        ["rod.laminate.angles[0]", "rod.line.length", "bound"], {"rod.laminate.angles": "deg", "rod.line.length": "cm"}
+    )
+    x = found.si(np.array([-0.001, 71.65951, 0.5]))
+    assert found.named(x) == "angle 1 0 deg, length 71.6595 cm"

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import io
+import shutil
 
 from rich.console import Console
 
 from torchmbd.study.compare import differences, print_best, print_comparison
 from torchmbd.tracking.catalog import children, find
+from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
 
 def shown(function, *arguments):
@@ -38,3 +40,21 @@ def test_the_best_come_first(finished):
 
 def test_an_empty_store_says_so(tmp_path):
     assert "No studies yet" in shown(print_best, None, f"sqlite:///{tmp_path}/none.db", 5)
+
+
+def test_designs_that_violate_a_constraint_come_last(empty_store, folder):
+    uri = f"sqlite:///{shutil.copy(empty_store, folder)}"
+    tracker = MlflowTracker("order", uri)
+    tracker.begin("study", "order", params={}, tags={"kind": "study"})
+    for name, objective, violation in (("a", 1.0, 0.2), ("b", 3.0, 0.0), ("c", 2.0, 0.0), ("d", 0.5, 0.4)):
+        tracker.begin(name, name, parent="study", params={}, tags={"kind": "start"})
+        tracker.metrics(name, {"objective": objective, "violation": violation}, 0)
+        tracker.end(name, "FINISHED")
+    tracker.end("study", "FINISHED")
+    tracker.close()
+    run = tracker.record.runs["study"]
+    assert [child.name for child in children(uri, find(uri, run))] == ["c", "b", "a", "d"]
+    text = shown(print_best, run, uri, 5)
+    rows = [line.split() for line in text.splitlines() if line.split()[:1] and line.split()[0] in "abcd"]
+    assert [(row[0], row[3]) for row in rows] == [("c", "0"), ("b", "0"), ("a", "2e-01"), ("d", "4e-01")]
+    assert "the same mbd.Study" in text  # a study without a model file

@@ -39,3 +39,25 @@ def test_groups():
     assert is_design("design/angle_1_deg")
     assert not is_design("constraint/mass")
     assert short("design/angle_1_deg") == "angle_1_deg"
+
+
+def test_constraints_of_scenarios_name_the_scenario():
+    cases = {"thin": {"arm.laminate.thickness": 1e-3}, "thick": {"arm.laminate.thickness": 2e-3}}
+
+    def asked(minimize, *limits, **options):
+        given = {"variables": ["arm.laminate.angles"], "scenarios": cases, "steps": 20}
+        return mbd.Scenarios(mbd.examples.arm(), 0.05, minimize, limits, **given | options)
+
+    worst = asked(mbd.Max(ENERGY), mbd.Mass() <= 1.0, mbd.AtPeaks(ENERGY, count=2) <= 2.0)
+    assert [short(name) for name in constraint_names(worst, 8)] == [
+        "max of strain energy of arm in thin",
+        "max of strain energy of arm in thick",
+        "mass in thin",
+        "mass in thick",
+        "at peaks of strain energy of arm in thin 1",
+        "at peaks of strain energy of arm in thin 2",
+        "at peaks of strain energy of arm in thick 1",
+        "at peaks of strain energy of arm in thick 2",
+    ]
+    mean = asked(mbd.Max(ENERGY), mbd.Mass() <= 1.0, objective="mean", constraints="worst")
+    assert [short(name) for name in constraint_names(mean, 1)] == ["mass"]

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from torchmbd.optimization.optimizer import Iterate
 from torchmbd.study.columns import Columns
-from torchmbd.study.progress import Progress, give_way, in_lines, print_table, table_of
+from torchmbd.study.progress import Progress, give_way, in_lines, outcome, print_table, table_of
 
 ANGLES = 8
 NAMES = tuple(f"angle_{k + 1}_deg" for k in range(ANGLES))
@@ -91,3 +91,10 @@ def test_the_live_table_fits():
     lines = output.getvalue().splitlines()
     assert max(map(len, lines)) <= 80
     assert "objective" in output.getvalue()
+
+
+def test_what_was_not_evaluated_has_no_numbers():
+    nan = float("nan")
+    assert outcome(nan, nan, nan) == ["-", "-", "-"]
+    assert outcome(nan, 2.0, 0.1) == ["2", "-", "1e-01"]
+    assert outcome(4.0, 2.0, 0.0) == ["2", "50.00 %", "0"]

@@ -187,3 +187,16 @@ def test_an_exception_leaves_failed_runs(run):
     assert broken.parent.info.status == "FAILED"
     assert {child.info.status for child in broken.children} == {"FAILED"}
     assert math.isfinite(broken.parent.info.end_time)
+
+
+def test_a_study_without_a_feasible_design_says_which_constraint_is_in_the_way(write, folder, empty_store):
+    limits = [{"mass": "rod", "at_most": 1e-6}, {"max": {"strain_energy": "rod"}, "at_most": "initial"}]
+    file = write(subject_to=limits, optimizer={"name": "slsqp", "max_iterations": 1}, starts=None)
+    output = io.StringIO()
+    tracker = MlflowTracker("none", f"sqlite:///{shutil.copy(empty_store, folder)}")
+    plan = load(file, ["simulate.duration=0.002", "simulate.steps=8"])
+    assert run_study(plan, Console(file=output, width=200), tracker) == 1
+    assert (
+        "no start ended with all constraints satisfied. The nearest is start 0: 'mass of rod' is beyond"
+        in output.getvalue()
+    )

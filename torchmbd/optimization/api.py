@@ -89,6 +89,7 @@ def optimize(
             eager_gradients=eager_gradients,
             max_analyses=max_analyses,
             report=report,
+            close=getattr(problem, "with_least_bound", None),
         )
         return run_start(search, function, method, max_iterations, options, problem)
 
@@ -200,5 +201,5 @@ def best_of(search: Search, ending: Ending) -> tuple[np.ndarray, str, str]:
     """Return the method's design unless it failed, or is infeasible while a better one was seen on the way."""
     best = search.best
     if best is None or ending.status == "converged":
-        return ending.y, ending.status, ending.message
+        return search.closed(ending.y), ending.status, ending.message
     return best, ending.status, ending.message

@@ -21,6 +21,7 @@ from torchmbd.optimization.optimizer import Evaluation, Iterate
 
 Ask = Callable[[np.ndarray, bool], list[Evaluation]]  # designs [k, n] in one batch
 Report = Callable[[Iterate], None]
+Close = Callable[[np.ndarray, Evaluation], tuple[np.ndarray, Evaluation]]  # Problem.with_least_bound
 
 # Below this share of the bound range a start value says nothing about the size of its variable (an angle that starts
 # at 0.1 degrees).
@@ -60,6 +61,7 @@ class Search:
         max_analyses: int | None = None,
         index: int = 0,
         report: Report | None = None,
+        close: Close | None = None,
     ) -> None:
         self.scale = np.ones(start.size) if scale is None else scale
         self.scaled = scale is not None
@@ -74,7 +76,7 @@ class Search:
         self.equality = np.zeros(0, dtype=bool)
         self.history: list[Iterate] = []
         self.analyses = self.gradient_evaluations = self.failures = 0
-        self._ask, self._report = ask, report
+        self._ask, self._report, self._close = ask, report, close
         self.equalities = np.zeros(0, dtype=int) if equalities is None else np.asarray(equalities, dtype=int)
         self._memory = Memory[Evaluation]()  # physical units
         self._ranks: dict[bytes, tuple[tuple[bool, float], np.ndarray]] = {}  # with y, of what succeeded
@@ -103,7 +105,7 @@ class Search:
             size = abs(first.objective)
             self.objective_scale = size if self.scaled and size > 0.0 else 1.0
             self._remember(self.start, first)
-        if not self.history or not np.array_equal(self.history[-1].x, x):
+        if not self.history or not np.array_equal(self.history[-1].x, self.physical(self.closed(self.start))):
             self.record(self.start)
         return self._scaled(first)
 
@@ -125,7 +127,7 @@ class Search:
 
     def record(self, y: np.ndarray) -> None:
         """Add `y`, evaluated before, to the history as the next accepted iterate, and report it."""
-        x = self.physical(y)
+        x = self.physical(self.closed(y))
         seen = self._evaluated(x)
         violation = self.violation(seen) if seen.ok else float("nan")
         iterate = Iterate(
@@ -153,10 +155,28 @@ class Search:
     def _remember(self, y: np.ndarray, evaluation: Evaluation) -> None:
         if not evaluation.ok:
             return
+        y = self.closed(y)
+        x = self.physical(y)
+        evaluation = self._evaluated(x)
         violation = self.violation(evaluation)
         infeasible = violation > self.feasibility
         rank = (infeasible, violation if infeasible else evaluation.objective)
-        self._ranks[self.physical(y).tobytes()] = (rank, np.array(y, dtype=float))
+        self._ranks[x.tobytes()] = (rank, np.array(y, dtype=float))
+
+    def closed(self, y: np.ndarray) -> np.ndarray:
+        """Return y with the least extra variable, where y is known: what is reported of a design is its own largest row."""
+        x = self.physical(y)
+        if self._close is None or x.tobytes() not in self._memory.known:
+            return y
+        found, evaluation = self._close(x, self._evaluated(x))
+        if found is x:
+            return y
+        closed = found / self.scale
+        key = self.physical(closed).tobytes()
+        known = self._memory.known.get(key)
+        if known is None or (evaluation.differentiated and not known[1].differentiated):
+            self._memory.known[key] = self.physical(closed), evaluation
+        return closed
 
     def _equality_mask(self, constraints: int) -> np.ndarray:
         mask = np.zeros(constraints, dtype=bool)

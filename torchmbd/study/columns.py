@@ -64,6 +64,17 @@ class Columns:
         text = ", ".join(f"{float(f'{shown[name]:.4g}') + 0.0:g}" for name in own)
         return f"{text} {self.units[0]}" if len({units[n] for n in own}) == 1 and self.units[0] != "none" else text
 
+    def named(self, x: np.ndarray) -> str:
+        """Return a design vector [SI] in one line with names and units: `angle 1 45 deg, thickness 0.6 mm`."""
+        return ", ".join(
+            self._named(k, value) for k, value in enumerate(self.shown(x).values()) if self.labels[k] not in EXTRA
+        )
+
+    def _named(self, k: int, value: float) -> str:
+        word, _, unit = self.heading(k).partition(" [")
+        text = f"{round(value, 2) + 0.0:g}" if self.units[k] == "deg" else f"{value:.6g}"
+        return f"{word} {text} {unit.removesuffix(']')}".rstrip()
+
     @property
     def headings(self) -> list[str]:
         return [self.heading(k) for k in range(len(self.names))]

@@ -30,20 +30,27 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
     table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
     sign = -1.0 if entry.tags.get(GOAL) == MAXIMIZE else 1.0
-    for heading in ("", "objective", better(sign), *map(short, names), "status"):
+    for heading in ("", "objective", better(sign), "viol.", *map(short, names), "status"):
         table.add_column(escape(in_lines(heading)), justify="right", no_wrap=True)
     for child in found:
         less = child.metrics.get(gain(sign))
         cells = [child.name, f"{child.metrics['objective']:.6g}", "-" if less is None else f"{less:.2f} %"]
+        violation = child.metrics.get("violation")
+        cells.append("-" if violation is None else f"{violation:.0e}" if violation else "0")
         cells += [f"{child.metrics[name]:z.3f}" if name in child.metrics else "-" for name in names]
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
-    if not print_table(table, console, give_way(3, len(names), [-1, 2])):
+    if not print_table(table, console, give_way(4, len(names), [-1, 2])):
         for child in found:
             values = ", ".join(f"{short(name)} {child.metrics[name]:.6g}" for name in names if name in child.metrics)
             console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
     model = entry.params.get("model", "").rpartition(":")[0]
+    again = (
+        f'torchmbd.load("{entry.run_id[:8]}", model="{model}")'
+        if model
+        else "the same mbd.Study; its run() reads what is there"
+    )
     console.print(
-        f'in Python: torchmbd.load("{entry.run_id[:8]}", model="{model}")',
+        f"in Python: {again}",
         highlight=False,
         markup=False,
         soft_wrap=True,

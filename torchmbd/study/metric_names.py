@@ -38,14 +38,20 @@ def short(metric: str) -> str:
 def constraint_names(problem: Any, count: int) -> list[str]:
     """A name for each of the rows of the constraints; by their numbers where the problem does not tell what they are."""
     from torchmbd.design import Problem  # with torch, which commands that read names spare
+    from torchmbd.design.scenarios import Scenarios
     from torchmbd.design.words import words
 
     said: list[str] = []
     if isinstance(problem, Problem):
+        cases = [f" in {name}" for name in problem.scenarios] if isinstance(problem, Scenarios) else []
+        text = legal(words(problem.objective))
         said = [f"peak {k + 1}" for k in range(problem.peaks)]
-        for constraint in problem.constraints:
-            text, rows = legal(words(constraint.measure)), constraint.measure.rows
-            said += [text] if rows == 1 else [f"{text} {k + 1}" for k in range(rows)]
+        if cases and problem.peaks == len(cases):
+            said = [f"{text}{case}" for case in cases]
+        for constraint, rows in zip(problem.constraints, problem.constraint_rows, strict=True):
+            text, each = legal(words(constraint.measure)), constraint.measure.rows
+            there = cases if cases and rows.stop - rows.start == each * len(cases) else [""]
+            said += [text + legal(case) + (f" {k + 1}" if each > 1 else "") for case in there for k in range(each)]
     if len(said) != count:  # over tolerances: those of many designs
         said = [str(k + 1) for k in range(count)]
     return [CONSTRAINT + name for name in _unique(said)]

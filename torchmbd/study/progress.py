@@ -166,5 +166,7 @@ def better(sign: float) -> str:
 
 def outcome(first: float, objective: float, violation: float, sign: float = 1.0) -> list[str]:
     """Return the cells objective (`sign` times what is minimized), its gain from the start, violation."""
-    less = f"{100.0 * (first - objective) / abs(first):.2f} %" if first else "-"
+    if math.isnan(objective):  # not evaluated
+        return ["-", "-", "-"]
+    less = f"{100.0 * (first - objective) / abs(first):.2f} %" if first and not math.isnan(first) else "-"
     return [f"{sign * objective:.6g}", less, f"{violation:.0e}" if violation else "0"]

@@ -48,7 +48,7 @@ def print_results(study: StudySettings, found: MultistartResult, failures: Seque
         table.add_row(*cells, style="bold" if best is not None and result.start == best.start else None)
     angles = give_way(4, len(study.columns.names), [-2, 3, -3, 2])
     if not print_table(table, console, angles) and best is not None:
-        console.print(f"best design: {study.columns.sentence(best.x)}", soft_wrap=True, highlight=False)
+        console.print(f"best design: {study.columns.named(best.x)}", soft_wrap=True, highlight=False)
     if failures:
         last = f"the last: {escape(failures[-1])}"
         console.print(

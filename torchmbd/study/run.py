@@ -8,12 +8,14 @@ ended, however it ended (unfinished.py). Checked in tests/study/test_run.py, tes
 
 from __future__ import annotations
 
+import math
 import tempfile
 import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
@@ -28,7 +30,7 @@ from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.front import run_front
 from torchmbd.study.journal import PARENT, Journal, percent
 from torchmbd.study.listing import print_links_of, study_links
-from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS, gain
+from torchmbd.study.metric_names import ANALYSES, CONVERGED, STARTS, constraint_names, gain, short
 from torchmbd.study.paths import evaluations_file, problem_key, study_key
 from torchmbd.study.progress import Progress
 from torchmbd.study.report import print_results, study_pictures
@@ -176,6 +178,10 @@ def _search(
     _summarize(found, study.sign, journal)
     if best is not None:
         journal.best(best)
+    elif not found.interrupted:
+        reason = _why_none(found, study)
+        journal.summary({}, {"message": reason})
+        console.print(f"No design to report: {reason}", soft_wrap=True, highlight=False, markup=False)
     result, interrupted = found, found.interrupted
     if best is not None and any(study.increments) and not interrupted:
         result = lay(study, target, points, options, found, journal, console)
@@ -185,6 +191,22 @@ def _search(
     if interrupted:
         return result, "KILLED"
     return result, "FINISHED" if best is not None else "FAILED"
+
+
+def _why_none(found: MultistartResult, study: StudySettings) -> str:
+    """Say why no start ended with a feasible design: what the nearest one violates, or why none was evaluated."""
+    ended = [result for result in found.results if math.isfinite(result.violation)]
+    if not ended:
+        return found.results[0].message if found.results else "no start was evaluated"
+    near = min(ended, key=lambda result: result.violation)
+    rows = np.array(near.constraints, dtype=float).reshape(-1)
+    equal = getattr(study.problem, "equalities", np.zeros(0, dtype=int))
+    rows[equal] = np.abs(rows[equal])
+    name = short(constraint_names(study.problem, len(rows))[int(np.argmax(rows))])
+    return (
+        f"no start ended with all constraints satisfied. The nearest is start {near.start}: {name!r} is beyond its limit by "
+        f"{near.violation:.3g} (a share of the limit). Allowed: more iterations, other starts, another limit"
+    )
 
 
 def _summarize(study: MultistartResult, sign: float, journal: Journal) -> None:

@@ -13,6 +13,7 @@ from torchmbd.tracking.store import open_store, own_files, sqlite_file
 
 KINDS = ("study", "sweep", "figures")
 GOAL, MAXIMIZE = "goal", "maximize"  # tag of a study whose objective is to be large
+FEASIBLE = 1e-6  # largest violation of a constraint in a feasible design
 _PAGE = 1000  # runs that are listed at most
 
 
@@ -76,11 +77,14 @@ def files(uri: str, entry: Entry, folder: str) -> list[str]:
 
 
 def children(uri: str, entry: Entry) -> list[Entry]:
-    """Return a study's children, the best objective first."""
+    """Return a study's children: the best feasible one first, then the others, the smallest violation first."""
     parent = f"tags.mlflow.parentRunId = '{entry.run_id}'"
     order = [f"metrics.objective {'DESC' if entry.tags.get(GOAL) == MAXIMIZE else 'ASC'}"]
     runs = open_store(uri).search_runs([entry.experiment_id], parent, max_results=_PAGE, order_by=order)
-    return [_entry(run, run.data.tags.get("kind", "start"), entry.experiment) for run in runs]
+    found = [_entry(run, run.data.tags.get("kind", "start"), entry.experiment) for run in runs]
+    return sorted(
+        found, key=lambda child: violation if (violation := child.metrics.get("violation", 0.0)) > FEASIBLE else 0.0
+    )
 
 
 def history(uri: str, entry: Entry, metric: str) -> list[float]:

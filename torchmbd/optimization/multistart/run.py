@@ -160,6 +160,7 @@ def multistart(
             max_analyses=max_analyses,
             index=index,
             report=report,
+            close=getattr(problem, "with_least_bound", None),
         )
         return run_start(search, function, method, max_iterations, options, problem)
 

@@ -1,0 +1,35 @@
+"""The extra variable of a min-max problem, last in x: minimize unit * x[-1], the first rows are f_i / unit - x[-1] <= 0.
+
+A method moves it like any other variable, so between its steps it may be above the largest row, or below it. What is
+reported of a design is the largest row itself.
+Checked in tests/optimization/test_extra_variable.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from torchmbd.optimization.optimizer import Evaluation
+
+SAME = 1e-12  # a smaller change of the extra variable is rounding
+
+
+def with_least(
+    x: np.ndarray, evaluation: Evaluation, rows: int, unit: float, lower: float, upper: float
+) -> tuple[np.ndarray, Evaluation]:
+    """Return the design [n] with the least extra variable in its bounds that its rows allow, and its evaluation.
+
+    Without rows, of a failure, or where the extra variable is the least one, they are what was given.
+    """
+    if not rows or not evaluation.ok:
+        return x, evaluation
+    least = min(max(x[-1] + float(evaluation.constraints[:rows].max()), lower), upper)
+    moved = float(x[-1]) - least
+    if abs(moved) <= SAME * max(1.0, abs(least)):
+        return x, evaluation
+    constraints = evaluation.constraints.copy()
+    constraints[:rows] += moved
+    value = evaluation.objective - moved * unit
+    return np.append(x[:-1], least), replace(evaluation, objective=value, constraints=constraints)
