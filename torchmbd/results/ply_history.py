@@ -98,7 +98,7 @@ class PlyHistory:
         return rule(stress, strength[lane, place])
 
     def modes(self, criterion: str = "hashin", lane: int = 0) -> list[str]:
-        """Mode of failure that is nearest at each time: of "hashin", "puck" or "max_stress", at the critical point."""
+        """Mode of failure that is nearest at each time, at the critical point; criteria: those with modes, as "puck"."""
         if criterion not in MODES:
             raise unknown("criterion of modes", criterion, MODES)
         place = self.critical(criterion)[lane]

@@ -29,6 +29,7 @@ def tensor(*x):
         ("puck", (100e6, -200e6, 20e6, 0, 0), "matrix C"),
         ("puck", (0, 0, 0, 60e6, 0), "transverse shear"),
         ("max_stress", (0, 0, -60e6, 0, 0), "shear 12"),
+        ("interlaminar", (100e6, 0, 0, 60e6, 0), "shear between layers"),
     ],
 )
 def test_names(criterion, stress, mode):

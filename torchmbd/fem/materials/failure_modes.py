@@ -16,12 +16,16 @@ puck     fiber tension        s1 / Xt
          R = S12 / (2 q) (sqrt(1 + 2 q Yc / S12) - 1),   T = S12 sqrt(1 + 2 q R / S12)
          p = 0.35, q = 0.30: inclinations for carbon fibers in epoxy. Of plane stress; Puck's criterion in space searches the
          plane of fracture, here transverse shear is a mode of its own. All grow in proportion to the load.
+interlaminar   shear         sqrt((t13 / S13)^2 + (t23 / S23)^2)
+         Brewer and Lagace without the normal stress, of which plates know nothing: layers come apart by shear. It is the same
+         on both sides of an interface, where the stresses of equilibrium are continuous, if its plies share S13 and S23.
 
 The index is the largest of the modes; each is one under a single stress component that fails. Modes that a sign rules out are
 zero. Differentiable in the stress but where two modes are equal, and at the stress zero, where the gradient given is zero.
 Source: Z. Hashin, Failure criteria for unidirectional fiber composites, J. Appl. Mech. 47 (1980) 329-334; A. Puck, J. Kopp,
 M. Knops, Guidelines for the determination of the parameters in Puck's action plane strength criterion, Compos. Sci. Technol. 62
-(2002) 371-378. Checked in tests/fem/materials/test_strength.py and test_failure_modes.py.
+(2002) 371-378; J. C. Brewer and P. A. Lagace, Quadratic stress criterion for initiation of delamination, J. Compos. Mater. 22
+(1988) 1141-1155. Checked in tests/fem/materials/test_strength.py and test_failure_modes.py.
 """
 
 from __future__ import annotations
@@ -70,8 +74,8 @@ def _hashin(stress: Tensor, strength: Tensor) -> Tensor:
 
 
 def _puck(stress: Tensor, strength: Tensor) -> Tensor:
-    Xt, Xc, Yt, Yc, S12, S13, S23, _ = strength.unbind(-1)
-    s1, s2, t12, t13, t23 = stress.unbind(-1)
+    Xt, Xc, Yt, Yc, S12, *_ = strength.unbind(-1)
+    s1, s2, t12, *_ = stress.unbind(-1)
     p, q = INCLINATION_TENSION, INCLINATION_COMPRESSION
     R = S12 / (2 * q) * ((1 + 2 * q * Yc / S12).sqrt() - 1)
     T = S12 * (1 + 2 * q * R / S12).sqrt()
@@ -87,9 +91,14 @@ def _puck(stress: Tensor, strength: Tensor) -> Tensor:
         torch.where(opened, A, zero),
         torch.where(opened | steep, zero, B),
         torch.where(steep, C, zero),
-        _root((t13 / S13) ** 2 + (t23 / S23) ** 2),
+        *_interlaminar(stress, strength).unbind(-1),
     )
     return torch.stack(torch.broadcast_tensors(*parts), dim=-1)
+
+
+def _interlaminar(stress: Tensor, strength: Tensor) -> Tensor:
+    S13, S23 = strength[..., 5], strength[..., 6]
+    return _root((stress[..., 3] / S13) ** 2 + (stress[..., 4] / S23) ** 2)[..., None]
 
 
 def _root(x: Tensor) -> Tensor:
@@ -105,4 +114,5 @@ MODES: dict[str, FailureModes] = {
     ),
     "hashin": FailureModes((*FIBER, "matrix tension", "matrix compression"), _hashin),
     "puck": FailureModes((*FIBER, "matrix A", "matrix B", "matrix C", "transverse shear"), _puck),
+    "interlaminar": FailureModes(("shear between layers",), _interlaminar),
 }
