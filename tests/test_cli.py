@@ -18,6 +18,8 @@ from torchmbd import cli
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 HERE = Path(__file__).parent / "study"
 
 
@@ -99,17 +101,15 @@ def test_a_study_that_is_interrupted_keeps_what_was_computed(folder, empty_store
     assert f"{first.value:.6g}" in shown
 
 
-def test_a_store_that_cannot_be_written_costs_no_result(folder):
+def test_a_store_that_cannot_be_written_costs_no_result(folder, capsys):
     """The study ends with its table and says that it was not recorded."""
     (folder / "file").write_text("")
     short = ["simulate.duration=0.002", "simulate.steps=8", "optimizer.max_iterations=1"]
-    study = start("run", "study.yaml", f"tracking.uri=sqlite:///{folder}/file/runs.db", *short)
-    output, error = study.communicate(timeout=600)
-    assert study.returncode == 1
-    assert "Traceback" not in error
-    assert "2 starts" in output
-    assert "Tracking failed: the store" in output
-    assert "torchmbd sync" in output
+    assert cli.main(["run", "study.yaml", f"tracking.uri=sqlite:///{folder}/file/runs.db", *short]) == 1
+    shown = capsys.readouterr()
+    assert "Traceback" not in shown.err
+    for words in ("2 starts", "Tracking failed: the store", "torchmbd sync"):
+        assert words in shown.out
 
 
 def test_several_values_of_a_key_are_several_studies(folder, capsys, empty_store):

@@ -75,6 +75,7 @@ BUCKLING = mbd.BucklingFactor(
 )
 
 
+@pytest.mark.slow  # an optimization, and a search of stacks
 def test_the_best_stack_of_a_panel_comes_near_the_bound():
     """Largest buckling factor over lamination parameters, and of a stack of 16 plies in steps of 15 degrees: within 2 %."""
     laminate = mbd.LaminationParameters(CARBON, 2e-3, [0.0] * 4, bending=[0.0] * 4)

@@ -17,6 +17,8 @@ from experiments.sar_antenna_data import ANGLES
 from experiments.sar_antenna_whole import whole
 from torchmbd.viz.figures import figure_of
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 def draw(folder: Path, times: int) -> list[Row]:
     (folder / "called").open("a").write("x")

@@ -18,6 +18,8 @@ from experiments.sar_antenna_data import ANGLES, CRANK, DAMPING, HALF, IM6, INTE
 from experiments.sar_antenna_tables import OBJECTIVE, gradient, reaches_zero
 from experiments.sar_antenna_whole import unlocked
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 COARSE = (16, 8)
 
 

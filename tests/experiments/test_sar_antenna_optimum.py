@@ -12,6 +12,8 @@ from experiments.sar_antenna import build
 from experiments.sar_antenna_geometry import figures
 from experiments.sar_antenna_optimum import LAYERS, START, problem
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 @pytest.fixture(autouse=True)
 def short(monkeypatch):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -77,9 +78,10 @@ def test_it_starts_at_rest_and_ends_where_its_drives_lead():
     torch.testing.assert_close(last, wanted, rtol=0, atol=0.02)  # it sags and vibrates
 
 
-def test_its_file_runs(tmp_path):
+def test_its_file_runs(tmp_path, empty_store):
     """One iteration; constraints are tracked by their names."""
     plan = load_study(FILE, [*SMALL, "starts.count=1", "optimizer.max_iterations=1"])
+    shutil.copy(empty_store, tmp_path / "runs.db")
     tracker = MlflowTracker("spatial_arm", f"sqlite:///{tmp_path / 'runs.db'}")
     assert run_study(plan, Console(file=io.StringIO()), tracker) == 0
     store = open_store(tracker.uri)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shutil
 from pathlib import Path
 
 import pytest
@@ -63,10 +64,11 @@ def test_gradients_by_the_drive(system):
         assert float(exact[0, k]) == pytest.approx(float(plus - minus) / (2 * step), rel=1e-6)
 
 
-def test_its_file_runs_for_two_iterations(tmp_path):
+def test_its_file_runs_for_two_iterations(tmp_path, empty_store):
     """Design variables of the drive beside ply angles; phases by name."""
     small = ["options.cells=[4, 2]", "options.modes=2", "simulate.duration=0.5", "simulate.steps=25", "starts.count=1"]
     plan = load_study(FILE, [*small, "simulate.iterations=[6, 2]", "optimizer.max_iterations=2"])
+    shutil.copy(empty_store, tmp_path / "runs.db")
     tracker = MlflowTracker("swing", f"sqlite:///{tmp_path / 'runs.db'}")
     assert run_study(plan, Console(file=io.StringIO()), tracker) == 0
     runs = open_store(tracker.uri).search_runs([tracker.record.experiment_id])

@@ -26,7 +26,7 @@ def system() -> mbd.System:
 
 
 def simulated(system: mbd.System, x: Tensor, way: str) -> mbd.Trajectory:
-    return mbd.simulate(system, 0.003, steps=6, designs={STIFFNESS: x}, gradients=way, iterations=(4, 2))
+    return mbd.simulate(system, 0.0015, steps=3, designs={STIFFNESS: x}, gradients=way, iterations=(4, 2))
 
 
 def numbers(motion: mbd.Trajectory) -> Tensor:

@@ -7,6 +7,8 @@ import pytest
 import torchmbd as mbd
 from tests.mechanisms import GRAVITY, laminate, plate
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 @pytest.mark.parametrize("method", ["dopri5", "dopri8"])
 def test_a_stiff_body_begins_to_move(method):

@@ -16,6 +16,8 @@ from tests.mechanisms import pendulum, spoilt
 from tests.sensitivity.test_law_variables import arm
 from torchmbd.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 ANGLES = "rod.laminate.angles"
 OPTIONS = {"steps": 8, "iterations": (6, 4)}
 WAYS = ("reverse", "forward")

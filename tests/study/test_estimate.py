@@ -14,6 +14,8 @@ import torchmbd as mbd
 from torchmbd.study.estimate import estimate, print_estimate
 from torchmbd.study.load import load_study
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 def test_simulations_are_counted(write):
     plan = load_study(

@@ -15,6 +15,8 @@ from torchmbd.study.run import run_study
 from torchmbd.tracking.catalog import find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 PEAKS = {"at_peaks": {"strain_energy": "rod"}, "count": 3}
 SHORT = ["simulate.duration=0.002", "simulate.steps=20"]
 

@@ -7,6 +7,8 @@ import pytest
 
 import torchmbd as mbd
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 def test_the_problem_of_a_file_is_that_of_its_study(write):
     problem = mbd.problem_of(write(), "simulate.steps=60", "design.rod.laminate.angles.start=[30, -60]")

@@ -14,6 +14,8 @@ from numpy.testing import assert_allclose
 import torchmbd as mbd
 from torchmbd.tracking.catalog import find
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 def test_system_and_motion_are_rebuilt(finished):
     study = mbd.load(finished.runs[0][:10], finished.uri, finished.folder / "rod_model.py")

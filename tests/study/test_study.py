@@ -23,6 +23,8 @@ from torchmbd.study.html_report import write_report
 from torchmbd.study.paths import evaluations_file, problem_key
 from torchmbd.tracking.catalog import children, find
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 ENERGY = mbd.StrainEnergy("rod")
 QUIET = Console(quiet=True)
 

@@ -17,6 +17,8 @@ from torchmbd.study.run import run_study
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 from torchmbd.tracking.store import open_store
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 ANGLES = {"start": [45, -45], "lower": -90, "upper": 90, "unit": "deg"}
 SHORT = {"duration": 0.002, "steps": 8}
 

@@ -16,6 +16,8 @@ import torchmbd as mbd
 from torchmbd import cli
 from torchmbd.tracking.store import open_store
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 @pytest.fixture
 def file(write, folder, empty_store, monkeypatch):

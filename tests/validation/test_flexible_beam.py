@@ -8,11 +8,14 @@ from __future__ import annotations
 
 import math
 
+import pytest
 import torch
 from torch import Tensor
 
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import given, matrix
+
+pytestmark = pytest.mark.usefixtures("compiled")
 
 SPEED, RISE = 6.0, 15.0  # [rad/s], [s]
 

@@ -72,7 +72,7 @@ def test_a_lane_that_fails_leaves_the_others_alone(both: Both, monkeypatch: pyte
     """A nan in the data of one lane."""
     system = build(3, cells=(6, 2), modes=3)
     spoilt(system, monkeypatch)
-    eager, fast = both(system, 0.003, steps=60, gradients="forward", designs={NAME: ANGLES})
+    eager, fast = both(system, 0.00075, steps=15, gradients="forward", designs={NAME: ANGLES})
     assert [x == "ok" for x in fast.status] == [x == "ok" for x in eager.status] == [True, False, True]
     torch.testing.assert_close(fast.q[[0, 2]], eager.q[[0, 2]], rtol=0, atol=1e-10)
 
@@ -144,9 +144,9 @@ def test_drives_with_design_variables_are_compiled(both: Both, refresh: int) -> 
     system = arm("step")
     designs = {"motor.size": torch.tensor([0.5, 0.3, -0.2], dtype=torch.float64)}
     variables = ["motor.size", "motor.duration", "rod.laminate.angles"]
-    options = {"steps": 40, "designs": designs, "gradients": "forward", "variables": variables, "refresh": refresh}
-    same(*both(system, 0.1, **options))
-    same(*both(system, 0.1, steps=40, designs=designs, refresh=refresh))
+    options = {"steps": 20, "designs": designs, "gradients": "forward", "variables": variables, "refresh": refresh}
+    same(*both(system, 0.05, **options))
+    same(*both(system, 0.05, steps=20, designs=designs, refresh=refresh))
 
 
 def test_forces_with_design_variables_are_compiled(both: Both) -> None:

@@ -160,7 +160,7 @@ def test_tangents_before_a_lane_arrives_are_not_looked_at():
         return (tip - TIP).norm(dim=-1) - 0.045
 
     options = {
-        "steps": 200,
+        "steps": 80,
         "phases": [mbd.Phase(until=mbd.Event(way)), mbd.Phase()],
         "gradients": "forward",
         "variables": ["motor.size"],
