@@ -24,6 +24,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchmbd.errors import warn
 from torchmbd.fem.elements.freedoms import Freedoms, MeanMotion
 from torchmbd.fem.elements.geometric import StressedCells, assembled
 from torchmbd.fem.elements.links import Follower
@@ -72,7 +73,7 @@ class Assembly:
             self._prepare_mass()
 
     def _absent(self, points: Sequence[MassPoints]) -> Int[Tensor, " k"]:
-        """Free freedoms without stiffness and mass: rotations of nodes of solids."""
+        """Free freedoms without stiffness: rotations of nodes of solids; those with mass are warned of, they stand still."""
         used = torch.zeros(len(self.freedoms.free), dtype=torch.bool)
         for part in self.parts.values():
             used[self.freedoms.reduced(part.pattern)[0].rows] = True
@@ -86,7 +87,15 @@ class Assembly:
                 full[(6 * p.ends[has].flatten()[:, None] + torch.arange(first, first + 3)).flatten()] = True
         heavy = torch.zeros_like(used)
         heavy[self.freedoms.cols[full[self.freedoms.rows]]] = True
-        return self.freedoms.free[~(used | heavy)]
+        still = self.freedoms.free[heavy & ~used]
+        if len(still):
+            node, i = divmod(int(still[0]), 6)
+            named = getattr(self.mesh, "node_name", lambda k: f"node {k}")(node)
+            what = f"{'along' if i < 3 else 'about'} {'xyz'[i % 3]}"
+            warn(
+                f"{named} has mass, no stiffness {what} ({len(still)} freedoms are so): it stands still in the body's frame"
+            )
+        return self.freedoms.free[~used]
 
     def _prepare_stiffness(self) -> None:
         """Where the values of every part go in the common pattern of the free freedoms: (source, position, factor)."""
