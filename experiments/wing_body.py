@@ -48,8 +48,8 @@ PRINTED_INERTIA = (3.351835e9, 1.296721e10, 1.507034e10)
 #: the stacks as NSM (its own mass of a PCOMP is another): name of a mode, frequency [Hz], in the order of ours.
 MYSTRAN = (
     ("wing, first bending", 5.1997),
-    ("fin (by drilling)", 2.9343),
-    ("tail panels", 11.7612),
+    ("aft body (drilling)", 2.9343),
+    ("upper panels", 11.7612),
     ("wing", 15.8595),
     ("", 21.8815),
     ("", 22.9953),
@@ -132,7 +132,8 @@ def frequencies(wing: Wing, number: int = 10) -> list[float]:
     assert isinstance(M, SparseMatrix)
     k, m = (A.pattern.to_scipy(A.values) for A in (K, M))
     shift = -((2 * math.pi * 0.1) ** 2)
-    found = scipy.sparse.linalg.eigsh(k, number + 6, m, shift, return_eigenvectors=False, v0=np.ones(k.shape[0]))
+    start = np.ones(K.size)
+    found = scipy.sparse.linalg.eigsh(k, number + 6, m, shift, return_eigenvectors=False, v0=start)
     hertz = np.sqrt(np.clip(np.sort(found), 0.0, None)) / (2 * math.pi)
     return hertz[hertz > 0.01].tolist()[:number]
 
@@ -154,7 +155,7 @@ class Manoeuvre:
         return self.assembly.freedoms.expand(moved)[self.tip, 2, 0]
 
 
-def difference(load: Manoeuvre, angles: nn.Parameter, k: int, step: float = 0.02) -> float:
+def difference(load: Manoeuvre, angles: Tensor, k: int, step: float = 0.02) -> float:
     """Richardson's derivative of the deflection by one angle [m/rad]."""
     value = {}
     with torch.no_grad():
