@@ -45,7 +45,8 @@ def test_continuations_after_short_free_lines_start_in_field_nine():
 
 def test_ranges_and_several_continuations():
     (card,) = cards("SPC1    3       123     1       THRU    5       9       11      12\n        20      21")
-    assert card.integers(3) == [1, 2, 3, 4, 5, 9, 11, 12, 20, 21]
+    assert card.integers(3, range(1, 100)) == [1, 2, 3, 4, 5, 9, 11, 12, 20, 21]
+    assert card.integers(3, {2, 5}) == [1, 2, 5, 9, 11, 12, 20, 21]  # of a range those that exist
 
 
 def test_a_file_with_comments_case_control_tabs_and_includes(tmp_path):
@@ -75,7 +76,7 @@ def test_a_file_with_comments_case_control_tabs_and_includes(tmp_path):
 def test_what_is_broken_is_named_with_its_line(text, words):
     def read():
         (card,) = cards(text)
-        return card.real(3, "X1"), card.integers(3)
+        return card.real(3, "X1"), card.integers(3, ())
 
     with pytest.raises(InputError) as error:
         read()
@@ -91,4 +92,11 @@ def test_files_that_do_not_exist_and_circles(tmp_path):
         read_cards(file)
     file.write_text("INCLUDE 'b.bdf'\n")
     with pytest.raises(InputError, match=r"a\.bdf, line 1: INCLUDE of .*b\.bdf"):
+        read_cards(file)
+
+
+def test_superelements_are_named(tmp_path):
+    file = tmp_path / "model.bdf"
+    file.write_text("BEGIN BULK\nGRID,1\nBEGIN SUPER=1\nGRID,1\n")
+    with pytest.raises(InputError, match=r"line 3: 'BEGIN SUPER=1' begins a superelement"):
         read_cards(file)

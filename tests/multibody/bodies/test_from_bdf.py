@@ -166,6 +166,14 @@ def test_first_ply_failure_of_a_model_of_two_stacks(body):
     assert float(everywhere.detach().max()) > 0
 
 
+def test_a_stack_of_numbered_plies(body):
+    """A PCOMPG has a line for each ply, with its number."""
+    own = "PCOMP,7,,,,TSAI\n,1,0.001,20.,YES,1,0.002,-50.,YES\n,1,0.0015,75.,YES"
+    text = model().replace(own, "PCOMPG,7,,,,TSAI\n,11,1,.001,20.,YES\n,12,1,.002,-50.\n,13,1,.0015,75.")
+    assert "PCOMPG" in text
+    assert_close(values(body(text)), by_hand(), rtol=1e-9, atol=0)
+
+
 def test_a_symmetric_stack_repeats_its_blank_fields(body):
     text = model().replace("PCOMP,7,,,,TSAI", "PCOMP,7,,,,TSAI,,,SYM").replace(",1,0.0015,75.,YES", ",,,75.,YES")
     made = body(text)

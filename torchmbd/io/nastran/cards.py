@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,7 +24,6 @@ from torchmbd.errors import InputError
 _EXPONENT = re.compile(r"([0-9.])([+-][0-9]+)$")
 _REAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)(E[+-]?[0-9]+)?")
 _INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
-LONGEST = 1_000_000  # numbers of a list such as 1 THRU 5
 LINES = 20_000_000  # of a file with all that it includes
 WIDEST = 10_000  # characters of a line
 INCLUDES = 1_000  # files
@@ -66,8 +65,8 @@ class Card:
             raise InputError(f"{self}: {name} is {text!r}; allowed: an integer")
         return int(text)
 
-    def integers(self, start: int) -> list[int]:
-        """Read the list of integers from `start` on; `1 THRU 5` is a range."""
+    def integers(self, start: int, known: Collection[int]) -> list[int]:
+        """Read the list of integers from `start` on; `1 THRU 5` is a range, of which those that are known count."""
         result: list[int] = []
         words = [word for word in self.fields[start - 1 :] if word]
         k = 0
@@ -76,9 +75,9 @@ class Card:
                 if not result or k + 1 >= len(words):
                     raise InputError(f"{self}: THRU stands without its two ends")
                 end = _integer(self, words[k + 1])
-                if len(result) + end - result[-1] > LONGEST:
-                    raise InputError(f"{self}: {result[-1]} THRU {end}; allowed: at most {LONGEST} numbers")
-                result.extend(range(result[-1] + 1, end + 1))
+                inside = range(result[-1] + 1, end + 1)
+                smaller, other = (inside, known) if len(inside) < len(known) else (known, inside)
+                result.extend(sorted(x for x in smaller if x in other))
                 k += 2
             else:
                 result.append(_integer(self, words[k]))
@@ -164,6 +163,10 @@ def _bulk(lines: list[tuple[str, str]]) -> list[tuple[str, str]]:
     """The lines after BEGIN BULK, if it exists, up to ENDDATA."""
     start = next((k + 1 for k, (_, x) in enumerate(lines) if x.upper().split()[:2] == ["BEGIN", "BULK"]), 0)
     end = next((k for k, (_, x) in enumerate(lines) if x.strip().upper().startswith("ENDDATA")), len(lines))
+    again = [(where, x) for where, x in lines[start:end] if x.upper().split()[:1] == ["BEGIN"]]
+    if again:
+        where, line = again[0]
+        raise InputError(f"{where}: {line.strip()!r} begins a superelement; allowed: one section, BEGIN BULK")
     return lines[start:end]
 
 

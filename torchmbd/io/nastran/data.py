@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -138,7 +139,7 @@ class BulkData:
                     raise InputError(f"{part}: the number {key[1]} is taken by {self.own_properties[key]}")
                 self.own_properties[key] = part
         elif name in RIGIDS:
-            self.rigids.append(rigid(card))
+            self.rigids.append(rigid(card, self.grids))
         elif name == "MPC":
             self.constraints.append(constraint(card))
         elif name in PROPERTIES or MATERIALS.match(name):
@@ -150,7 +151,7 @@ class BulkData:
         elif name == "CONM2":
             self.masses.append(_mass(card))
         elif name in ("SPC1", "SPC"):
-            self.supports.extend(_supports(card))
+            self.supports.extend(_supports(card, self.grids))
             if name == "SPC" and any(card.real(k, "D", 0.0) for k in (4, 7)):
                 self.ignored["enforced displacement of SPC"] += 1
         elif name == "PARAM" and card.text(1).upper() == "WTMASS":
@@ -249,10 +250,10 @@ def _mass(card: Card) -> Mass:
     return Mass(card, card.integer(2, "G"), card.real(4, "M"), sum(principal) / 3.0, (x, y, z), system)
 
 
-def _supports(card: Card) -> list[Support]:
+def _supports(card: Card, grids: Collection[int]) -> list[Support]:
     number = card.integer(1, "SID")
     if card.name == "SPC1":
-        return [Support(card, number, card.text(2), tuple(card.integers(3)))]
+        return [Support(card, number, card.text(2), tuple(card.integers(3, grids)))]
     found = []
     for start in (2, 5):
         if card.text(start):

@@ -1,7 +1,7 @@
 """Plies and laminates from the property and material cards of a Nastran model, in SI units.
 
     MAT1, MAT8    -> Ply; strengths where all are given (MAT8: Xt, Xc, Yt, Yc, S; F12 as Tsai-Wu's interaction)
-    PCOMP         -> Laminate, its angles design parameters; LAM = SYM is a symmetric one; transverse shear stiffness of
+    PCOMP(G)      -> Laminate, its angles design parameters; LAM = SYM is a symmetric one; transverse shear stiffness of
                      equal energy, which is right for sandwiches, too
     PSHELL        -> Laminate of one ply; its angle is no design parameter
 
@@ -129,11 +129,11 @@ def laminate_of(data: BulkData, card: Card, units: Units) -> Laminate:
     try:
         if card.name == "PSHELL":
             return _shell(data, card, units)
-        if card.name == "PCOMP":
+        if card.name in ("PCOMP", "PCOMPG"):
             return _stack(data, card, units)
     except InputError as error:
         raise error if " (" in str(error).partition(":")[0] else InputError(f"{card}: {error}") from None
-    raise InputError(f"{card}: it stands for a shell; allowed: PSHELL, PCOMP")
+    raise InputError(f"{card}: it stands for a shell; allowed: PSHELL, PCOMP, PCOMPG")
 
 
 def _shell(data: BulkData, card: Card, units: Units) -> Laminate:
@@ -157,7 +157,8 @@ def _stack(data: BulkData, card: Card, units: Units) -> Laminate:
     if kind not in ("", "SYM"):
         raise InputError(f"{card}: LAM is {kind!r}; allowed: blank, SYM")
     materials, thicknesses, angles = [], [], []
-    for start in range(9, len(card.fields) + 1, 4):
+    first, step = (10, 8) if card.name == "PCOMPG" else (9, 4)  # a PCOMPG has a line for each ply, its number before
+    for start in range(first, len(card.fields) + 1, step):
         if not any(card.text(start + k) for k in range(3)):
             continue
         materials.append(card.integer(start, "MID", materials[-1] if materials else None))

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import graphlib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -64,12 +64,12 @@ class Constraint:
         return tuple(dict.fromkeys(term.grid for term in self.terms))
 
 
-def rigid(card: Card) -> Rigid:
+def rigid(card: Card, grids: Collection[int]) -> Rigid:
     """Read an RBE2, RBE3 or RBAR."""
     if card.name == "RBAR":
         leader, follower = bar_that_is_rigid(card)
         return Rigid(card, leader, (follower,))
-    return _rbe2(card) if card.name == "RBE2" else _rbe3(card)
+    return _rbe2(card, grids) if card.name == "RBE2" else _rbe3(card)
 
 
 def constraint(card: Card) -> Constraint:
@@ -96,10 +96,10 @@ def constraint(card: Card) -> Constraint:
     return Constraint(card, tuple(terms))
 
 
-def _rbe2(card: Card) -> Rigid:
+def _rbe2(card: Card, grids: Collection[int]) -> Rigid:
     components = _components(card, 3, "CM")
     words = [word for word in card.fields[3:] if word and not re.search(r"[.]", word)]
-    followers = Card(card.name, (*card.fields[:1], "", "", *words), card.where).integers(4)
+    followers = Card(card.name, (*card.fields[:1], "", "", *words), card.where).integers(4, grids)
     if not followers:
         raise InputError(f"{card}: no grid follows; allowed: at least one")
     return Rigid(card, card.integer(2, "GN"), tuple(followers), (), components)
