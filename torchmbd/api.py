@@ -1,5 +1,6 @@
 """Every public name, in one place: what `mbd.` offers. `import torchmbd` alone loads none of it, see there.
 
+Over 300 lines: a line for each name.
 Checked in tests/test_api.py.
 """
 

@@ -12,6 +12,7 @@ with y_0 the largest row of the initial design. Max(...) as objective is the sam
 Arrays in, arrays out: optimizers know nothing of mechanics (torchmbd/optimization/optimizer.py tells what they ask for).
 A batch of designs is one simulation. A design that cannot be simulated is a failed evaluation with its reason; the others
 of the batch are not touched. What is said to be "initial" comes from one simulation of the initial design.
+Over 300 lines: one class, whose arguments are explained and checked here.
 """
 
 from __future__ import annotations

@@ -16,6 +16,7 @@ multipliers, the reduced stiffness, the mode shapes. A response of your own:
 
 Histories and measures add, subtract, multiply, divide, are raised to powers (`(a - b) ** 2`) and made positive (`abs(a)`), with
 each other and with numbers.
+Over 300 lines: histories, measures and constraints make each other by operators.
 Checked in tests/contracts/test_responses.py.
 """
 

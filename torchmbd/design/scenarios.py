@@ -11,6 +11,7 @@ topology: scenarios of one system are one batch, and the batches are simulated o
 
     {"alone": {}, "in pairs": {"system": build(arms=2), "tool.mass": 0.1}}
 
+Over 300 lines: a batch of several systems answers all that a Problem answers.
 Checked in tests/design/test_scenarios.py.
 """
 

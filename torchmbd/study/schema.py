@@ -21,6 +21,7 @@ Numbers of `design`, `links`, `starts.points` and `sweep` are in the unit of the
 `unit`, which one of an angle must name; everything else is SI.
 Pydantic validates strictly (no text for a number, no true for 1) and collects every fault; names of the model's own
 parameters and bodies are checked in check.py. Checked in tests/study/test_load.py.
+Over 300 lines: a short class for each section of the file.
 """
 
 from __future__ import annotations

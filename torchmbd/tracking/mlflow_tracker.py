@@ -24,23 +24,16 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import threading
 import time
 import uuid
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
 
-from torchmbd.tracking.links import VIEW_TAG
-from torchmbd.tracking.store import experiment_id, first_line, open_store, own_files, store_uri
+from torchmbd.tracking.store import first_line, store_uri
+from torchmbd.tracking.study_store import Draft, Point, StudyStore
 from torchmbd.tracking.tracker import Record, Status, TrackingError
-
-if TYPE_CHECKING:
-    from mlflow import MlflowClient
 
 FILES = "files"  # tag of a run that is over: the names of its files, one a line
 PATIENCE = "TORCHMBD_PATIENCE"  # environment variable: seconds to wait for a store that is away when the study is over
@@ -50,33 +43,6 @@ _RETRY, _LAST_RETRY = (
     0.5,
 )  # seconds until a store that is away is tried again, while the study computes and after it
 _MAX_VALUE = 6000  # characters of a parameter; MLflow's own limit
-_METRICS, _WORDS = 800, 100  # in one log_batch: MLflow allows 1000 of all kinds, 100 parameters, 100 tags
-_MAX_RUNS = 50_000  # of one study
-_REFUSALS = ("INVALID_PARAMETER_VALUE", "RESOURCE_DOES_NOT_EXIST", "BAD_REQUEST")  # else the store is away
-
-
-class Point(NamedTuple):
-    """A metric at one step."""
-
-    key: str
-    value: float
-    when: int  # ms since 1970
-    step: int
-
-
-@dataclass
-class Draft:
-    """What was logged of one run and is not in the store yet."""
-
-    name: str | None = None  # of a run that begins
-    began: int = 0  # ms since 1970
-    parent: str | None = None  # key of the run above it
-    params: dict[str, str] = field(default_factory=dict)
-    tags: dict[str, str] = field(default_factory=dict)
-    metrics: list[Point] = field(default_factory=list)
-    artifacts: list[tuple[Path, str]] = field(default_factory=list)  # files and their folders in the run
-    view: str | None = None
-    ended: tuple[Status, int] | None = None  # ms since 1970
 
 
 class MlflowTracker:
@@ -94,7 +60,7 @@ class MlflowTracker:
         self._open: dict[str, bool] = {}  # every run that has begun: whether it is open
         self._files: dict[str, set[str]] = {}  # names of the files of every run
         self._last = 0  # ms since 1970 of the last metric
-        self._store = _Store(experiment, self.uri, self.study)
+        self._store = StudyStore(experiment, self.uri, self.study)
         self._closing, self._deadline = threading.Event(), float("inf")
         self._thread = threading.Thread(target=self._deliver, name="mlflow", daemon=True)
 
@@ -223,100 +189,6 @@ class MlflowTracker:
                 time.sleep(_LAST_RETRY)
             else:
                 self._closing.wait(pause)
-
-
-class _Store:
-    """One study in the store, by MlflowClient; all of it in the thread of the tracker."""
-
-    def __init__(self, experiment: str, uri: str, study: str) -> None:
-        self.experiment, self.uri, self.study = experiment, uri, study
-        self.experiment_id = ""
-        self.ids: dict[str, str] = {}  # of the runs, by their keys
-        self.refused: list[str] = []
-        self._client: MlflowClient | None = None
-        self._earlier: dict[str, str] | None = (
-            None  # ids of the runs of an earlier life, by their keys; None: not known
-        )
-        self._known: dict[tuple[str, str], set[tuple[int, float]]] = {}  # of a run and metric: steps and values there
-
-    def write(self, run: str, draft: Draft) -> None:
-        """Bring a draft into the store; raises while that does not answer."""
-        from mlflow.entities import Metric, Param, RunTag
-
-        client = self.opened()
-        if run not in self.ids:
-            self.ids[run] = self._begun(client, run, draft)
-        id = self.ids[run]
-        metrics = [Metric(*point) for point in draft.metrics if not self._is_known(client, run, point)]
-        params = [Param(*item) for item in draft.params.items()]
-        tags = [RunTag(*item) for item in draft.tags.items()]
-        while metrics or params or tags:
-            self._tried(run, partial(client.log_batch, id, metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]))
-            del metrics[:_METRICS], params[:_WORDS], tags[:_WORDS]
-        for file, folder in draft.artifacts:
-            self._tried(run, partial(self._filed, client, id, file, folder))
-        if draft.view is not None:
-            view = json.loads(draft.view) | {"searchFilter": f'tags.mlflow.parentRunId = "{id}"'}
-            client.set_experiment_tag(self.experiment_id, VIEW_TAG + id, json.dumps(view))
-        if draft.ended is not None:
-            client.set_terminated(id, *draft.ended)
-
-    def opened(self) -> MlflowClient:
-        """Return the client; TrackingError if the store cannot be opened."""
-        if self._client is None:
-            client = open_store(self.uri)
-            self.experiment_id = experiment_id(client, self.experiment, self.uri)
-            self._client = client
-        return self._client
-
-    def _begun(self, client: MlflowClient, run: str, draft: Draft) -> str:
-        """Return the id of a run: of an earlier life, or a new one."""
-        if self._earlier is None:
-            mine = f"tags.study_key = '{self.study}'"
-            found = client.search_runs([self.experiment_id], mine, max_results=_MAX_RUNS)
-            self._earlier = {earlier.data.tags["run_key"]: earlier.info.run_id for earlier in found}
-        if run in self._earlier:
-            client.update_run(self._earlier[run], status="RUNNING")
-            return self._earlier[run]
-        tags = draft.tags | {"study_key": self.study, "run_key": run}
-        if draft.parent is not None:
-            tags["mlflow.parentRunId"] = self.ids[draft.parent]
-        try:
-            return client.create_run(self.experiment_id, draft.began, tags, draft.name).info.run_id
-        except Exception:
-            self._earlier = None  # it may be there although its answer was lost: looked for before it is made again
-            raise
-
-    def _filed(self, client: MlflowClient, id: str, file: Path, folder: str) -> None:
-        """Give a run a file; beside a SQLite store it is copied, which needs no server."""
-        own = own_files(self.uri, id)
-        if own is None:
-            client.log_artifact(id, str(file), folder or None)
-            return
-        (own / folder).mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(file, own / folder / file.name)
-
-    def _is_known(self, client: MlflowClient, run: str, point: Point) -> bool:
-        """Whether an earlier life has written a metric at its step."""
-        if run not in (self._earlier or {}):
-            return False
-        if (run, point.key) not in self._known:
-            history = client.get_metric_history(self.ids[run], point.key)
-            self._known[run, point.key] = {(there.step, there.value) for there in history}
-        return (point.step, point.value) in self._known[run, point.key]
-
-    def _tried(self, run: str, action: Callable[[], object]) -> None:
-        """Do it; what the store refuses, though it answers, is noted."""
-        from mlflow.exceptions import MlflowException
-
-        try:
-            action()
-        except FileNotFoundError as error:
-            self.refused.append(f"{run}: {error.filename}: {error.strerror}")
-        except MlflowException as error:
-            if error.error_code not in _REFUSALS:
-                raise
-            self.refused.append(f"{run}: {first_line(error)}")
 
 
 def _now() -> int:

@@ -1,6 +1,7 @@
 """Pictures of a question: its objective and constraints over time and over iterations, with their limits; the parts of a sum.
 
 Names and units come from the responses (design/words.py); angles are drawn in degrees. Checked in tests/viz/test_criteria.py.
+Over 300 lines: three pictures with the same panels, limits and names.
 """
 
 from __future__ import annotations

@@ -21,20 +21,26 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError
 from torchmbd.fem.materials import Ply
 from torchmbd.fem.sections.blocks import Patch, between, graded, grid, line, shaped
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.section import Section
+from torchmbd.fem.sections.section_checks import (
+    WALLS,
+    Angles,
+    angles_of_walls,
+    check_cells,
+    check_lengths,
+    check_names,
+    checked_thicknesses,
+    count_of_layers,
+)
 from torchmbd.math.gradients import constants
-from torchmbd.math.owned import positive
-from torchmbd.math.plausible_units import DIMENSION, THICKNESS, doubt
 from torchmbd.math.variable import number
 
 Plies = Ply | Orthotropic | Sequence[Ply | Orthotropic]
-Angles = Sequence[float] | Tensor
 Varying = float | Sequence[float] | Tensor  # numbers, or a Parameter (`constants`)
-WALLS = ("top", "right", "bottom", "left")
 
 
 @constants
@@ -52,10 +58,10 @@ def strip(
     >>> round(section.mass()[0, 0].item(), 4)  # 1586 kg/m3 x 40 mm x 2 mm [kg/m]
     0.1269
     """
-    _positive(width=width)
-    _check_cells(cells, 2, order)
-    layers = _layers(angles)
-    _thicknesses(thickness, layers)
+    check_lengths(width=width)
+    check_cells(cells, 2, order)
+    layers = count_of_layers(angles)
+    checked_thicknesses(thickness, layers)
 
     def build(width: Any, thickness: Any) -> list[Patch]:
         y = graded(-width / 2, width / 2, cells[0], order)
@@ -80,9 +86,9 @@ def rectangle(
     >>> round(section.stiffness()[4, 4].item() / (210e9 * 0.02 * 0.01**3 / 12), 3)  # E I about y
     1.0
     """
-    _positive(width=width, height=height)
-    _check_cells(cells, 2, order)
-    layers = _layers(angles)
+    check_lengths(width=width, height=height)
+    check_cells(cells, 2, order)
+    layers = count_of_layers(angles)
     each = max(1, round(cells[1] / layers))
 
     def build(width: Any, height: Any) -> list[Patch]:
@@ -115,11 +121,11 @@ def box(
     >>> section.angles.shape  # top, right, bottom, left
     torch.Size([4])
     """
-    _positive(width=width, height=height)
-    _check_cells(cells, 3, order)
-    walls = _walls(angles)
-    layers = _layers(walls["top"])
-    total = _thicknesses(thickness, layers).sum()
+    check_lengths(width=width, height=height)
+    check_cells(cells, 3, order)
+    walls = angles_of_walls(angles)
+    layers = count_of_layers(walls["top"])
+    total = checked_thicknesses(thickness, layers).sum()
     if not 2 * total < min(number(width), number(height)):
         sizes = f"{number(width):g} m x {number(height):g} m"
         raise InputError(f"box: walls of {total:g} m in {sizes}; allowed: less than half of both")
@@ -159,10 +165,10 @@ def tube(
     >>> sorted(name for name, _ in section.named_parameters())
     ['angles', 'thickness']
     """
-    _positive(radius=radius)
-    _check_cells(cells, 2, order)
-    layers = _layers(angles)
-    total = _thicknesses(thickness, layers).sum()
+    check_lengths(radius=radius)
+    check_cells(cells, 2, order)
+    layers = count_of_layers(angles)
+    total = checked_thicknesses(thickness, layers).sum()
     if not total < number(radius):
         raise InputError(f"tube: thickness {total:g} m of radius {number(radius):g} m; allowed: less than the radius")
     around = line(math.pi / 2, -1.5 * math.pi, cells[0], order)  # clockwise from the top
@@ -196,8 +202,8 @@ def circle(
     >>> round(section.stiffness()[0, 0].item() / (210e9 * np.pi * 0.01**2), 3)  # E A
     1.0
     """
-    _positive(radius=radius)
-    _check_cells(cells, 2, order)
+    check_lengths(radius=radius)
+    check_cells(cells, 2, order)
 
     def build(radius: Any) -> list[Patch]:
         half = 0.5 * radius
@@ -235,12 +241,12 @@ def i_section(
     >>> mbd.sections.i_section(0.04, 0.06, mbd.examples.carbon(), angles, thickness=2e-3, cells=(2, 6, 1)).angles.shape
     torch.Size([3])
     """
-    _positive(width=width, height=height)
-    _check_cells(cells, 3, order)
+    check_lengths(width=width, height=height)
+    check_cells(cells, 3, order)
     names = ("top", "web", "bottom")
-    _check_names(angles, names)
-    layers = _layers(angles["top"])
-    total = _thicknesses(thickness, layers).sum()
+    check_names(angles, names)
+    layers = count_of_layers(angles["top"])
+    total = checked_thicknesses(thickness, layers).sum()
     if not (2 * total < number(height) and total < number(width)):
         sizes = f"{number(width):g} m x {number(height):g} m"
         raise InputError(f"i_section: walls of {total:g} m do not fit into {sizes}")
@@ -276,56 +282,3 @@ def _edge(wall: str, y: float, z: float, along: np.ndarray) -> np.ndarray:
     corners = {"top": ((-y, z), (y, z)), "right": ((y, z), (y, -z)), "bottom": ((y, -z), (-y, -z))}
     start, end = corners.get(wall, ((-y, -z), (-y, z)))
     return np.array(start) + along[:, None] * (np.array(end) - np.array(start))
-
-
-def _walls(angles: Angles | Mapping[str, Angles]) -> Mapping[str, Angles]:
-    if not isinstance(angles, Mapping):
-        return dict.fromkeys(WALLS, angles)
-    _check_names(angles, WALLS)
-    return angles
-
-
-def _layers(angles: Any) -> int:
-    """How many plies there are; InputError for what is no list of angles."""
-    if isinstance(angles, str) or not hasattr(angles, "__len__") or getattr(angles, "ndim", 1) != 1:
-        raise InputError(f"angles is {angles!r}; allowed: one angle per ply, such as mbd.deg([45, -45]) [rad]")
-    return len(angles)
-
-
-def _check_names(angles: Mapping[str, Angles], names: Sequence[str]) -> None:
-    if not isinstance(angles, Mapping):
-        raise InputError(f"angles is {angles!r}; allowed: a mapping with {', '.join(names)}")
-    for name in angles:
-        if name not in names:
-            raise unknown("wall", name, names)
-    counts = {name: _layers(angles[name]) if name in angles else 0 for name in names}
-    if len(set(counts.values())) > 1 or 0 in counts.values():
-        raise InputError(f"angles give {counts} plies; allowed: as many plies in {', '.join(names)}")
-
-
-def _thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np.ndarray:
-    t = np.asarray(thickness.detach() if isinstance(thickness, Tensor) else thickness, dtype=float)
-    t = np.repeat(t, layers) if t.ndim == 0 else t
-    if t.shape != (layers,) or layers == 0:
-        raise InputError(f"{t.size} thicknesses for {layers} plies; allowed: one number, or one per ply [m]")
-    if not (np.isfinite(t) & (t > 0)).all():
-        raise InputError(f"thickness = {thickness!r}; allowed: finite numbers > 0 [m]")
-    doubt("thickness", float(t.max()), "m", THICKNESS)
-    return t
-
-
-def _positive(**lengths: float | Tensor) -> None:
-    for name, value in lengths.items():
-        doubt(name, positive(name, number(value), "m"), "m", DIMENSION)
-
-
-def _check_cells(cells: Sequence[int], count: int, order: int) -> None:
-    good = (
-        isinstance(cells, Sequence)
-        and len(cells) == count
-        and all(isinstance(c, int) and not isinstance(c, bool) and c >= 1 for c in cells)
-    )
-    if not good:
-        raise InputError(f"cells = {cells!r}; allowed: {count} integers >= 1")
-    if order not in (1, 2):
-        raise InputError(f"order = {order!r}; allowed: 1 (linear elements) or 2 (quadratic)")

@@ -6,6 +6,7 @@
 
 Tangents are those of one design variable, pullbacks those of one response, so that the code does not depend on how many
 there are; all data may depend on the design.
+Over 300 lines: step, adjoint and rates share the layout of what the drivers pass.
 Checked in tests/integrate/native/test_steps.py.
 """
 

@@ -3,6 +3,7 @@
 A motion is recorded on one grid of times for all lanes. Lanes pass from phase to phase at their own times t*, between the
 grid's. A `PhaseExit` is where each of them stands, with *total* derivatives by the design; a `Switch` is its presentation.
 On the grid, derivatives are taken at fixed times.
+Over 300 lines: locating, leaving and entering phases change one record, that of a run.
 Checked in tests/integrate/phases/test_phase.py.
 """
 

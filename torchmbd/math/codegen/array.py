@@ -6,6 +6,7 @@
 
 Operators of torch are in operators.py. One that is not known there, or a shape that does not fit for every size, is an
 `Untraceable`: nothing is guessed.
+Over 300 lines: the kinds of traced tensors are defined by each other.
 Checked in tests/math/codegen/test_array.py: against torch.
 """
 

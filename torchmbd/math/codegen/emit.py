@@ -4,6 +4,7 @@
 
 `in` holds pointers to inputs and outputs, sizes `n`, tables, scratch memory `w` and the places `o` of buffers in it.
 A sum over an inner axis is kept in a local variable; what does not depend on a loop variable is made before the loop.
+Over 300 lines: the C++ of all operations and of the loops around them is read together.
 Checked in tests/math/codegen/.
 """
 

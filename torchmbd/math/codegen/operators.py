@@ -1,4 +1,7 @@
-"""Operators of torch on arrays with loops (array.py)."""
+"""Operators of torch on arrays with loops (array.py).
+
+Over 300 lines: a short function for each operator.
+"""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@
 Multiplications by zero and one, index tables, gathers, reshapes and concatenations leave nothing behind: a body without
 an eccentric mass, a constant direction or a tangent that is absent costs nothing. What remains is emitted as C++ (codegen/).
 Only operators of fixed shape without branches can be written out; an operator that is not known is an `Untraceable`.
+Over 300 lines: a short method for each operator of torch.
 Checked in tests/math/codegen/test_scalars.py.
 """
 

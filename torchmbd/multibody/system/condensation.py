@@ -8,6 +8,7 @@
 Exact: what is left is the same motion with fewer unknowns; the slider-crank has 22 of 44. Whether a subspace or the
 turn of a drive satisfies the joints everywhere and not only at the start is tried at poses far away.
 The whole motion, and the multipliers of the rows that went, follow on demand (expansion.py, reactions.py).
+Over 300 lines: both kinds are found by the same trial poses.
 Checked in tests/multibody/system/test_condensation.py: against the same system with nothing condensed.
 """
 
@@ -23,9 +24,10 @@ from torch import Tensor
 from torchmbd.math.rotation import rotation_matrix, skew
 from torchmbd.multibody.joints.primitive import Primitive, values_at
 from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.arrangement import assemble
 from torchmbd.multibody.system.prescribed_body import PrescribedBody
 from torchmbd.multibody.system.saddle import Saddle
-from torchmbd.multibody.system.topology import Topology, assemble
+from torchmbd.multibody.system.topology import Topology
 
 _HELD = 1e-9  # [m] or [-]: violation of a row that counts as none, and share of a singular value that counts as zero
 _FAR = (0.4, -1.1, 2.3)  # [rad] or [m]: where subspaces and turns are tried

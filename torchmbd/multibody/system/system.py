@@ -4,6 +4,7 @@ The design variables are the parameters of the module by their names, for exampl
 share a laminate share its angles. A batch of designs is the same module with leading lane axes on its parameters:
 
     dynamics = system.dynamics({"rod.laminate.angles": angles}, tangents=True)     angles [lanes, layers]
+Over 300 lines: the class that users build, with all that it offers.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from torchmbd.multibody.forces.force import ForceElement
 from torchmbd.multibody.forces.laws import VARIABLES
 from torchmbd.multibody.joints.drive import VARIABLES as OF_DRIVES
 from torchmbd.multibody.joints.joint import AttachmentTable, Joint
-from torchmbd.multibody.system import topology
+from torchmbd.multibody.system import arrangement
 from torchmbd.multibody.system.beams import beam_data
 from torchmbd.multibody.system.description import Description, check_connected, describe
 from torchmbd.multibody.system.design_tangents import tangents_of
@@ -148,7 +149,7 @@ class System(nn.Module):
 
     def _join(self, joints: Sequence[Joint]) -> None:
         self.joints = list(joints)
-        self.topology = topology.build(self.bodies, self.joints, self.forces)
+        self.topology = arrangement.build(self.bodies, self.joints, self.forces)
         ordered = [self.body(name) for name in self.topology.names]
         self._saddle = Saddle(self.topology)
         self._initial = self._start.conditions(self.topology, ordered)

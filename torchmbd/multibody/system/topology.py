@@ -15,24 +15,19 @@ independent ones; v and a then hold the independent ones, which only `split_v` a
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchmbd.errors import InputError
 from torchmbd.math.pair import value
-from torchmbd.multibody.bodies import Ground
-from torchmbd.multibody.forces.action import KINDS as ACTIONS
 from torchmbd.multibody.forces.action import Action
 from torchmbd.multibody.forces.feedback import Links
-from torchmbd.multibody.forces.force import Applied, ForceElement
-from torchmbd.multibody.joints.joint import Attached, AttachmentTable, Equation, Joint
-from torchmbd.multibody.joints.primitive import KINDS, Primitive
+from torchmbd.multibody.joints.joint import Attached
+from torchmbd.multibody.joints.primitive import Primitive
 from torchmbd.multibody.system.beams import Beams
 from torchmbd.multibody.system.index_maps import SegmentSum, SparseMap
 from torchmbd.multibody.system.prescribed_body import PrescribedBody
@@ -194,153 +189,3 @@ def _arguments(g: Any, kinds: Sequence[Primitive | Action]) -> list[list[Any]]:
         result.append([g[:, start + k * n : start + (k + 1) * n] for k in range(len(kind.members))])
         start += n * len(kind.members)
     return result
-
-
-def build(bodies: Sequence[Any], joints: Sequence[Joint], forces: Sequence[ForceElement] = ()) -> Topology:
-    """Order the bodies, scribe all joints and forces and make the index tensors."""
-    order = sorted(bodies, key=lambda body: not hasattr(body, "mesh"))
-    number = {id(body): i for i, body in enumerate(order)}
-    flexible = sum(hasattr(body, "mesh") for body in order)
-    ground = len(order)
-    attachments = AttachmentTable()
-    equations = [(joint, equation) for joint in joints for equation in _checked(joint, attachments, number)]
-    applied = [action for force in forces for action in _acting(force, attachments, number)]
-    ends = [pair for force in forces for pair in force.beams(attachments)]
-    bends = [number.get(id(x.body), ground) < flexible for x in attachments.vectors]
-    arrangement = sorted(range(len(bends)), key=lambda i: not bends[i])
-    position = {old: new for new, old in enumerate(arrangement)}
-    attached = tuple(attachments.vectors[i] for i in arrangement)
-    body_of = [number.get(id(x.body), ground) for x in attached]
-    own = tuple(body.modes for body in order[:flexible])
-    primitives, rows, row_joints = _group(equations, position)
-    actions = _group_actions(applied, position)
-    beams = [position[pair[k]] for k in range(2) for pair in ends]
-    names = [body.name for body in order]
-    return assemble(names, own, attached, body_of, primitives, rows, row_joints, actions, beams=beams)
-
-
-def assemble(
-    names: Sequence[str],
-    own_modes: tuple[int, ...],
-    attached: tuple[Attached, ...],
-    body_of: list[int],
-    primitives: tuple[Primitive, ...],
-    row_names: tuple[str, ...],
-    row_joints: tuple[str, ...],
-    actions: tuple[Action, ...] = (),
-    prescribed_bodies: tuple[PrescribedBody, ...] = (),
-    rates: Tensor | None = None,
-    beams: Sequence[int] = (),
-) -> Topology:
-    """Make the index tensors. body_of: body of each attached vector, prescribed bodies after the bodies; flexible bodies
-    first; beams: attached points of the starts of beam elements, then of their ends."""
-    n, flexible, ground = len(names), len(own_modes), len(names) + len(prescribed_bodies)
-    argument_vectors, action_vectors = (
-        [int(i) for kind in kinds for member in kind.members for i in member] for kinds in (primitives, actions)
-    )
-    bent = [body for body in body_of if body < flexible]
-    force_of = [body if x.is_point and body < n else -1 for x, body in zip(attached, body_of, strict=True)]
-    torque_of = [n + body if body < n else -1 for body in body_of]
-    return Topology(
-        names=tuple(names),
-        flexible=flexible,
-        modes=max(own_modes, default=0),
-        own_modes=own_modes,
-        attached=attached,
-        attached_flexible=len(bent),
-        vector_body=torch.tensor(body_of, dtype=torch.long),
-        vector_origin=torch.tensor(
-            [b if x.is_point else ground for x, b in zip(attached, body_of, strict=True)], dtype=torch.long
-        ),
-        vector_flexible=torch.tensor(bent, dtype=torch.long),
-        primitives=primitives,
-        argument_vectors=torch.tensor(argument_vectors, dtype=torch.long),
-        row_names=row_names,
-        row_joints=row_joints,
-        vector_sum=SegmentSum(argument_vectors, len(attached)),
-        body_sum=SegmentSum(force_of + torque_of, 2 * n),
-        modal_sum=SegmentSum(bent, flexible),
-        actions=actions,
-        action_vectors=torch.tensor(action_vectors, dtype=torch.long) if actions else None,
-        action_sum=SegmentSum(action_vectors, len(attached)) if actions else None,
-        beams=Beams.of(beams, body_of, n) if beams else None,
-        prescribed_bodies=prescribed_bodies,
-        rates=rates,
-        spread=None if rates is None else SparseMap(rates),
-        gather=None if rates is None else SparseMap(rates.T),
-    )
-
-
-def _checked(joint: Joint, attachments: AttachmentTable, number: dict[int, int]) -> list[Equation]:
-    for frame in (joint.a, joint.b):
-        if id(frame.body) not in number and not isinstance(frame.body, Ground):
-            raise InputError(
-                f"joint {joint.name!r} is attached to body {frame.body.name!r}, which is not among the bodies of the system"
-            )
-    return _known(joint, list(joint.equations(attachments)), KINDS)
-
-
-def _acting(force: ForceElement, attachments: AttachmentTable, number: dict[int, int]) -> list[Applied]:
-    for frame in (*force.frames, *force.measured):
-        if id(frame.body) not in number and not isinstance(frame.body, Ground):
-            raise InputError(
-                f"force {force.name!r} acts on body {frame.body.name!r}, which is not among the bodies of the system"
-            )
-    return _known(force, list(force.actions(attachments)), ACTIONS)
-
-
-Named = TypeVar("Named", Equation, Applied)
-
-
-def _known(owner: Joint | ForceElement, given: list[Named], kinds: tuple[type, ...]) -> list[Named]:
-    """The equations or actions of an element; InputError for a kind that is not in its tuple and would be left out."""
-    for x in given:
-        if x.kind not in kinds:
-            names = ", ".join(kind.__name__ for kind in kinds)
-            found = getattr(x.kind, "__name__", repr(x.kind))
-            raise InputError(f"{owner.name!r} has the kind {found!r}, which is in no tuple KINDS; allowed: {names}")
-    return given
-
-
-def _group_actions(applied: list[Applied], position: dict[int, int]) -> tuple[Action, ...]:
-    """Collect the actions kind by kind."""
-    result = []
-    for kind in ACTIONS:
-        mine = [action for action in applied if action.kind is kind]
-        if mine:
-            members = tuple(
-                torch.tensor([position[action.vectors[k]] for action in mine]) for k in range(len(kind.arguments))
-            )
-            result.append(kind(members, tuple(action.law for action in mine)))
-    return tuple(result)
-
-
-def _group(
-    equations: list[tuple[Joint, Equation]], position: dict[int, int]
-) -> tuple[tuple[Primitive, ...], tuple[str, ...], tuple[str, ...]]:
-    """Collect the equations kind by kind, names of rows and their joints; rows of a kind run component first."""
-    primitives, names, owners = [], [], []
-    for kind in KINDS:
-        mine = [(joint, equation) for joint, equation in equations if equation.kind is kind]
-        if not mine:
-            continue
-        members = tuple(
-            torch.tensor([position[equation.vectors[k]] for _, equation in mine]) for k in range(len(kind.arguments))
-        )
-        primitives.append(kind(members, tuple(equation.data for _, equation in mine)))
-        for component in range(kind.rows):
-            suffix = f" {'xyz'[component]}" if kind.rows == 3 else ""
-            names += [f"{joint.name}: {kind.__name__.lower()}{suffix}" for joint, _ in mine]
-            owners += [joint.name for joint, _ in mine]
-    return tuple(primitives), _numbered(names), tuple(owners)
-
-
-def _numbered(names: list[str]) -> tuple[str, ...]:
-    """Names of rows; those that occur several times carry their number."""
-    count = Counter(names)
-    seen: Counter[str] = Counter()
-    result = []
-    for name in names:
-        seen[name] += 1
-        result.append(f"{name} {seen[name]}" if count[name] > 1 else name)
-    return tuple(result)

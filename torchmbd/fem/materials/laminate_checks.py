@@ -1,0 +1,65 @@
+"""What a laminate is made of, checked: angles, plies, thicknesses and the correction of shear.
+
+Checked in tests/fem/materials/test_laminate.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torch import Tensor, nn
+
+from torchmbd.errors import InputError
+from torchmbd.fem.materials.ply import Ply
+from torchmbd.math.owned import parameter, real
+from torchmbd.math.plausible_units import THICKNESS, check_angles, doubt
+
+
+def checked_angles(angles: Sequence[float] | Tensor) -> nn.Parameter:
+    theta = parameter("angles of a Laminate", angles)
+    if theta.ndim != 1 or theta.numel() == 0:
+        raise InputError(f"Laminate: angles has shape {tuple(theta.shape)}; allowed: one angle per layer, [layers] rad")
+    check_angles("angles", theta.tolist(), "Laminate: ")
+    return theta
+
+
+def checked_plies(ply: Ply | Sequence[Ply], layers: int) -> list[Ply]:
+    if not isinstance(ply, (Ply, Sequence)) or isinstance(ply, str):
+        raise InputError(f"Laminate: ply = {ply!r}; allowed: a Ply, or one Ply per layer")
+    plies = [ply] * layers if isinstance(ply, Ply) else list(ply)
+    for k, p in enumerate(plies):
+        if not isinstance(p, Ply):
+            raise InputError(f"Laminate: ply[{k}] = {p!r}; allowed: a Ply, or one Ply per layer")
+    if len(plies) != layers:
+        raise InputError(f"Laminate: {len(plies)} plies for {layers} angles; allowed: one Ply, or one per angle")
+    return plies
+
+
+def checked_thickness(thickness: float | Sequence[float] | Tensor, layers: int) -> nn.Parameter:
+    t = parameter("thickness of a Laminate", thickness)
+    if t is thickness and t.ndim == 0:
+        raise InputError(
+            "Laminate: thickness is one variable; allowed: torch.nn.Parameter of one number per angle [layers] [m], which "
+            "`links` of a problem may keep equal"
+        )
+    if t is not thickness:  # numbers
+        t = nn.Parameter(t.detach().repeat(layers) if t.ndim == 0 else t.detach(), requires_grad=False)
+    if t.shape != (layers,):
+        raise InputError(
+            f"Laminate: {t.numel()} thicknesses for {layers} angles; allowed: one number, or one per angle [m]"
+        )
+    for k, value in enumerate(t.tolist()):
+        if not 0.0 < value < float("inf"):
+            raise InputError(f"Laminate: thickness[{k}] = {value!r} m; allowed: a finite number > 0")
+    doubt("Laminate: thickness", float(t.detach().max()), "m", THICKNESS)
+    return t
+
+
+def checked_correction(value: float | str) -> float | str:
+    if value == "energy":
+        return "energy"
+    if isinstance(value, str) or not real(value) or not 0.0 < value <= 1.0:
+        raise InputError(
+            f"Laminate: shear_correction = {value!r}; allowed: 0 < shear_correction <= 1, or the word 'energy'"
+        )
+    return float(value)

@@ -1,0 +1,73 @@
+"""What the dimensions, plies and meshes of sections may be (generators.py).
+
+Checked in tests/fem/sections/test_section_generators.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.math.owned import positive
+from torchmbd.math.plausible_units import DIMENSION, THICKNESS, doubt
+from torchmbd.math.variable import number
+
+Angles = Sequence[float] | Tensor
+WALLS = ("top", "right", "bottom", "left")
+
+
+def angles_of_walls(angles: Angles | Mapping[str, Angles]) -> Mapping[str, Angles]:
+    if not isinstance(angles, Mapping):
+        return dict.fromkeys(WALLS, angles)
+    check_names(angles, WALLS)
+    return angles
+
+
+def count_of_layers(angles: Any) -> int:
+    """How many plies there are; InputError for what is no list of angles."""
+    if isinstance(angles, str) or not hasattr(angles, "__len__") or getattr(angles, "ndim", 1) != 1:
+        raise InputError(f"angles is {angles!r}; allowed: one angle per ply, such as mbd.deg([45, -45]) [rad]")
+    return len(angles)
+
+
+def check_names(angles: Mapping[str, Angles], names: Sequence[str]) -> None:
+    if not isinstance(angles, Mapping):
+        raise InputError(f"angles is {angles!r}; allowed: a mapping with {', '.join(names)}")
+    for name in angles:
+        if name not in names:
+            raise unknown("wall", name, names)
+    counts = {name: count_of_layers(angles[name]) if name in angles else 0 for name in names}
+    if len(set(counts.values())) > 1 or 0 in counts.values():
+        raise InputError(f"angles give {counts} plies; allowed: as many plies in {', '.join(names)}")
+
+
+def checked_thicknesses(thickness: float | Sequence[float] | Tensor, layers: int) -> np.ndarray:
+    t = np.asarray(thickness.detach() if isinstance(thickness, Tensor) else thickness, dtype=float)
+    t = np.repeat(t, layers) if t.ndim == 0 else t
+    if t.shape != (layers,) or layers == 0:
+        raise InputError(f"{t.size} thicknesses for {layers} plies; allowed: one number, or one per ply [m]")
+    if not (np.isfinite(t) & (t > 0)).all():
+        raise InputError(f"thickness = {thickness!r}; allowed: finite numbers > 0 [m]")
+    doubt("thickness", float(t.max()), "m", THICKNESS)
+    return t
+
+
+def check_lengths(**lengths: float | Tensor) -> None:
+    for name, value in lengths.items():
+        doubt(name, positive(name, number(value), "m"), "m", DIMENSION)
+
+
+def check_cells(cells: Sequence[int], count: int, order: int) -> None:
+    good = (
+        isinstance(cells, Sequence)
+        and len(cells) == count
+        and all(isinstance(c, int) and not isinstance(c, bool) and c >= 1 for c in cells)
+    )
+    if not good:
+        raise InputError(f"cells = {cells!r}; allowed: {count} integers >= 1")
+    if order not in (1, 2):
+        raise InputError(f"order = {order!r}; allowed: 1 (linear elements) or 2 (quadratic)")
