@@ -37,7 +37,9 @@ def everything(motion: mbd.Trajectory) -> Tensor:
     return torch.stack([total, motion.q[:, -1].square().sum(1)], 1)
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(  # "kink" is the mechanism of "forces" with a law of its own
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "forces" else []) for name in CASES]
+)
 def test_the_gradient_is_that_of_forward_tangents(name):
     make, duration, steps = CASES[name]
     system = make()

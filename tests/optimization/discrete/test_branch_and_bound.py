@@ -131,7 +131,7 @@ def test_without_boxes_the_descent_over_neighbors_remains():
     assert result.status == "max_boxes"
 
 
-@pytest.mark.parametrize("limit", [1, 2, 5, 10, 20, 1000])
+@pytest.mark.parametrize("limit", [1, 10, 1000, *(pytest.param(x, marks=pytest.mark.slow) for x in (2, 5, 20))])
 def test_a_search_cut_off_by_its_limit_of_boxes_says_so(limit):
     """And never "converged" while a box is left that may hold something better; with room enough the result is exact."""
     problem = angles()
