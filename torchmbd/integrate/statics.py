@@ -192,8 +192,9 @@ def equilibrium(
     follow      the search of each lane starts at the equilibrium of the lane before: a path of loads or other values,
                 designs={"push.z": torch.linspace(0.0, -100.0, 11)}
 
-    Raises InputError with the forces that remain if there is none. A free or unstable equilibrium is returned: its frequencies
-    are zero or nan, and freedoms without stiffness stay where they are.
+    Raises InputError with the forces that remain if there is none; with flexible beams, whose loads grow in steps, with the
+    part of the loads at which the mechanism buckles or reaches a limit point. Otherwise a free or unstable
+    equilibrium is returned: its frequencies are zero or nan, and freedoms without stiffness stay where they are.
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     >>> round(rest.frequencies.item(), 4), rest.stable  # sqrt(9.81 / 2) / (2 pi) [Hz]

@@ -6,7 +6,9 @@
 
 With positive eigenvalues every step goes downhill in energy, so a conservative mechanism ends at a stable equilibrium
 and not at the nearest extremum (but one that starts exactly at an unstable one stays there, and says so). Steps are
-limited in size. Derivatives by the design are those of one more step with the exact matrix, the implicit function theorem:
+limited in size. With beams the loads grow in steps (load_steps.py) where the start bears small ones.
+
+Derivatives by the design are those of one more step with the exact matrix, the implicit function theorem:
 
     dq/db = -(J^+ Phi_b + N (N' K N)^-1 N' (f_b + Phi_q,b' lam - K J^+ Phi_b))
 
@@ -26,6 +28,7 @@ from torchmbd.math.jet import Jet
 from torchmbd.math.pair import cat, linear, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import AtRest, Vibrations
+from torchmbd.multibody.system.load_steps import LoadSteps
 
 _STEPS, _LARGEST = 200, 0.3  # Newton steps; largest increment of a coordinate [m], [rad]
 _FORCE, _CLOSED = 1e-10, 1e-11  # forces that remain, of the largest on the way; violation of a joint
@@ -105,6 +108,14 @@ def vibrations(dynamics: Any) -> Vibrations:
 def _balanced(dynamics: Any, start: Tensor, t: Tensor) -> Balance:
     """Of one lane."""
     T, q = dynamics.topology, start
+    steps = LoadSteps(dynamics, start, t) if T.beams is not None else None
+    if steps is not None and steps.stable:
+        path = steps.run()
+        if path.missing:
+            return _none(
+                T, start, f"no static equilibrium: {path.missing}; allowed: smaller loads, or a start near another"
+            )
+        q = path.q
     rest, largest = AtRest.of(dynamics, q, t), 0.0
     for _ in range(_STEPS):
         largest = max(largest, float(rest.forces.abs().max()))
@@ -120,6 +131,10 @@ def _balanced(dynamics: Any, start: Tensor, t: Tensor) -> Balance:
         f"no static equilibrium in {_STEPS} steps: {float(left.max()):.3g} N or N m remain on {_force(T, worst)}; "
         "allowed: a mechanism whose forces can balance, and initial positions near that"
     )
+    return _none(T, start, missing)
+
+
+def _none(T: Any, start: Tensor, missing: str) -> Balance:
     nothing = start.new_zeros(T.n_v, T.n_v + T.rows)
     return Balance(start, start.new_zeros(T.rows), nothing, missing, "")
 

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.math.pair import Pair, value
+from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.rank import RELATIVE
 from torchmbd.multibody.system.topology import Topology
@@ -45,8 +45,11 @@ class AtRest:
     N: Tensor
 
     @classmethod
-    def of(cls, dynamics: Any, q: Tensor, t: Tensor) -> AtRest:
-        """Linearize `dynamics` of one design at q."""
+    def of(cls, dynamics: Any, q: Tensor, t: Tensor, less: tuple[Tensor, Tensor] | None = None) -> AtRest:
+        """Linearize `dynamics` of one design at q.
+
+        less   forces and torques, both in ground axes [n_v], and violations [rows] that are taken away
+        """
         T = dynamics.topology
         data = {name: value(x).detach() for name, x in dynamics.data.items()}
         given = T.prescribed(t, data).values()
@@ -55,13 +58,17 @@ class AtRest:
         at = equations.placement(T, data, q[:, None, None], given)
         moved = equations.placement(T, data, equations.advance(T, q[:, None, None], unit), given)
         forces = equations.dynamic_residual(T, data, at, still, still, none)[:, 0, 0]
+        away = None if less is None else _in_body_axes(T, moved, less[0])
+        forces = forces if away is None else forces - away.value[:, 0, 0]
         phi, Phi_q = q.new_zeros(0), q.new_zeros(0, T.n_v)
         if T.rows:
             violation = equations.constraints(T, moved)
             phi, Phi_q = violation.value[:, 0, 0], violation.tangent[..., 0]
+            phi = phi if less is None else phi - less[1]
         own = own_rows(T)
         lam = -torch.linalg.pinv(Phi_q[:, own].T, rtol=RELATIVE) @ forces[own]
         K = equations.dynamic_residual(T, data, moved, still, still, lam[:, None, None]).tangent[..., 0]
+        K = K if away is None else K - away.tangent[..., 0]
         C = _tangent(equations.dynamic_residual(T, data, at, unit, still, lam[:, None, None]), T)
         M = dynamics.saddle.matrix(data, at)[0, : T.n_v, : T.n_v]
         return cls(forces, phi, K, C, M, Phi_q, lam, own, null_space(Phi_q[:, own]))
@@ -105,6 +112,13 @@ class Vibrations:
         shapes = torch.zeros(len(rest.forces), n, dtype=K.dtype)
         shapes[rest.own] = rest.N @ (inverse.T @ Y)
         return cls(squares.sqrt() / (2.0 * math.pi), torch.linalg.eigvals(A), shapes)
+
+
+def _in_body_axes(T: Topology, at: Any, forces: Tensor) -> Any:
+    """Forces [n_v] whose torques are in ground axes, with these in body axes, at a placement."""
+    n = T.bodies
+    torques = matvec_t(at.A[:, :, :n], forces[3 * n : 6 * n].reshape(3, n, 1, 1)).flatten(0, 1)
+    return cat([forces[: 3 * n, None, None], torques, forces[6 * n :, None, None]])
 
 
 def own_rows(T: Topology) -> Tensor:

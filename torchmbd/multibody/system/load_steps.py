@@ -1,0 +1,160 @@
+"""Static equilibrium of a mechanism with beams by continuation: what is out of balance at the start is taken away in steps.
+
+    f(q) + Phi_q' lam = (1 - factor) f(start),    Phi(q) = (1 - factor) Phi(start)
+
+f(start) keeps its direction in ground axes. Where the start is without stress it is the loads, and `factor` the part of them
+that acts. A step is halved where Newton's method fails, where it ends elsewhere than the rates at both ends say, and
+where the equilibrium there is unstable, as those of a beam alone (fem/exact_beam/continuation.py).
+Checked in tests/multibody/system/test_load_steps.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchmbd.fem.exact_beam.continuation import ITERATIONS, MEAN, SETTLED, SHORTEST, START, STEEP, TURN
+from torchmbd.math.pair import matvec, matvec_t
+from torchmbd.math.rotation import rotation_matrix
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.linearized import AtRest
+
+_ROUNDING = 1e-12  # of the largest eigenvalue: a freedom without stiffness
+_SYMMETRIC = 1e-7  # of the diagonal
+_UNSTABLE, _FAILED = "unstable", "failed"
+
+
+@dataclass(frozen=True)
+class LoadPath:
+    """Where the steps ended: the state at the last factor, and why there is none beyond, else ""."""
+
+    q: Tensor
+    factor: float
+    missing: str
+
+
+@dataclass(frozen=True)
+class _Point:
+    factor: float
+    q: Tensor
+    rest: AtRest
+
+
+class LoadSteps:
+    """Of one design `dynamics` near start [n_q] at time t. `stable`: whether the start bears small loads."""
+
+    def __init__(self, dynamics: Any, start: Tensor, t: Tensor):
+        self.dynamics, self.t = dynamics, t
+        whole = AtRest.of(dynamics, start, t)
+        self.forces, self.phi = whole.forces.clone(), whole.phi
+        n = 3 * dynamics.topology.bodies
+        self.rotations = turning = slice(n, 2 * n)
+        self.forces[turning] = matvec(_axes(start, turning), whole.forces[turning].reshape(3, -1)).flatten()
+        place = start[:n].reshape(3, -1)
+        size = float((place.amax(1) - place.amin(1)).norm()) or 1.0
+        self.scale = torch.ones_like(whole.forces)
+        self.scale[:n] = size
+        self.first = _Point(0.0, start, self._rest(start, 0.0))
+        self.stable = _stiff(self.first.rest) and not _unstable(self.first.rest)
+
+    def run(self) -> LoadPath:
+        """To all loads, or as far as a stable equilibrium follows."""
+        point, moved, largest = self.first, torch.zeros_like(self.forces), 1.0
+        while point.factor < 1.0:
+            rate = self._rate(point.q, point.rest)
+            turn = float(rate[self.rotations].abs().max())
+            step, why, found, total = min(1.0 - point.factor, largest, TURN / max(turn, 1e-300)), _FAILED, None, moved
+            while step >= SHORTEST:
+                found, why, total = self._step(point, step, rate)
+                if found is not None:
+                    break
+                step = 0.5 * step
+            if found is None:
+                return LoadPath(point.q, point.factor, self._missing(point, why, rate, moved))
+            point, moved, largest = found, moved + total, 2.0 * step
+        return LoadPath(point.q, 1.0, "")
+
+    def _missing(self, point: _Point, why: str, rate: Tensor, moved: Tensor) -> str:
+        steep = self._size(rate) * point.factor > STEEP * self._size(moved)
+        where = f"at {point.factor:.4g} of the loads"
+        if why == _UNSTABLE:
+            return f"the mechanism buckles {where}"
+        return f"a limit point is reached {where}" if steep else f"no equilibrium is found beyond the one {where}"
+
+    def _step(self, old: _Point, step: float, rate: Tensor) -> tuple[_Point | None, str, Tensor]:
+        """The equilibrium that follows, or None and why; and the increment."""
+        at = 1.0 if old.factor + step > 1.0 - SHORTEST else old.factor + step
+        q, predicted, total = old.q, 0.0, torch.zeros_like(self.forces)
+        rest = self._rest(q, at)
+        for _ in range(ITERATIONS):
+            move = _solved(rest, rest.forces, rest.phi)
+            length = self._size(move)
+            predicted = predicted or length
+            if not length <= 10.0 * predicted:
+                break
+            q = equations.advance(self.dynamics.topology, q[:, None, None], move[:, None, None])[:, 0, 0]
+            rest, total = self._rest(q, at), total + move
+            if not bool(torch.isfinite(rest.K).all()):
+                break
+            if float((move / self.scale).abs().max()) > SETTLED:
+                continue
+            new = _Point(at, q, rest)
+            before, after = ((at - old.factor) * x for x in (rate, self._rate(q, rest)))
+            size, apart = self._size(total), self._size(total - 0.5 * (before + after))
+            if self._size(total - before) > START * size or apart > MEAN * size:
+                break
+            return (None, _UNSTABLE, total) if _unstable(rest) else (new, "", total)
+        return None, _FAILED, total
+
+    def _rest(self, q: Tensor, factor: float) -> AtRest:
+        return AtRest.of(self.dynamics, q, self.t, ((1.0 - factor) * self.forces, (1.0 - factor) * self.phi))
+
+    def _rate(self, q: Tensor, rest: AtRest) -> Tensor:
+        """Increment by the factor."""
+        own, turning = self.forces.clone(), self.rotations
+        own[turning] = matvec_t(_axes(q, turning), own[turning].reshape(3, -1)).flatten()
+        return _solved(rest, own, self.phi)
+
+    def _size(self, increment: Tensor) -> float:
+        return float((increment / self.scale).norm())
+
+
+def _axes(q: Tensor, rotations: slice) -> Tensor:
+    """Axes of the bodies [3, 3, bodies] at q."""
+    first = rotations.start
+    return rotation_matrix(q[first : 7 * first // 3].reshape(4, -1))
+
+
+def _solved(rest: AtRest, forces: Tensor, phi: Tensor) -> Tensor:
+    """Increment [n_v] that takes forces away and closes joints."""
+    own = rest.own
+    close = -torch.linalg.pinv(rest.Phi_q[:, own], rtol=1e-9) @ phi
+    slide = torch.linalg.solve(rest.reduced(rest.K), rest.N.T @ (forces[own] + rest.K[own][:, own] @ close))
+    result = torch.zeros_like(forces)
+    result[own] = close - rest.N @ slide
+    return result
+
+
+def _scaled(rest: AtRest) -> Tensor:
+    K = rest.reduced(rest.K)
+    d = K.diagonal().abs().clamp_min(1e-300).sqrt()
+    return K / d / d[:, None]
+
+
+def _stiff(rest: AtRest) -> bool:
+    """Whether no freedom is without stiffness."""
+    if not rest.N.shape[1]:
+        return False
+    size = torch.linalg.svdvals(_scaled(rest))
+    return float(size[-1]) > _ROUNDING * float(size[0])
+
+
+def _unstable(rest: AtRest) -> bool:
+    """Whether an eigenvalue of the stiffness is negative; where loads have no potential, an odd number of them."""
+    K = _scaled(rest)
+    if float((K - K.T).abs().max()) > _SYMMETRIC:
+        return float(torch.linalg.slogdet(K)[0]) < 0.0
+    return float(torch.linalg.eigvalsh(0.5 * (K + K.T))[0]) < 0.0
