@@ -175,3 +175,14 @@ def test_systems_of_different_topology(asked):
         mbd.Scenarios(plain, 0.002, mbd.Integral(energy), scenarios={"three": {"system": rod_model.build(3)}}, steps=8)
     with pytest.raises(mbd.InputError, match="system of scenario 'a' is 3; allowed: a System"):
         mbd.Scenarios(plain, 0.002, mbd.Integral(energy), scenarios={"a": {"system": 3}}, steps=8)
+
+
+def test_its_motion_is_that_of_a_scenario_and_not_of_the_model_as_it_is_built():
+    cases = {"light": {"tool.mass": 0.05}, "heavy": {"tool.mass": 0.5}}
+    asked = problem(cases, objective="mean", minimize=mbd.Max(abs(TIP)))
+    assert asked.largest(X) == "heavy"
+    of = {name: float(mbd.Max(abs(TIP))(asked.simulate(X[None], scenario=name))[0]) for name in cases}
+    assert asked.evaluate(X[None], False)[0].objective == pytest.approx(np.mean(list(of.values())), rel=1e-9)
+    assert float(mbd.Max(abs(TIP))(asked.motion(X))[0]) == pytest.approx(of["heavy"], rel=1e-12)
+    with pytest.raises(mbd.InputError, match=r"scenario 'hevy' .*did you mean 'heavy'"):
+        asked.simulate(X[None], scenario="hevy")

@@ -147,7 +147,7 @@ def test_everything_that_is_wrong_is_named_at_once(write):
         "line 8: minimize.integrl unknown name; allowed: ",
         "did you mean 'integral'?",
         "line 10: subject_to.0.max.strain_energi unknown name; allowed: ",
-        "line 10: subject_to.0.at_most = 'first': must be 'initial'; or must be a valid number",
+        "line 10: subject_to.0.at_most = 'first': must be 'initial'; or a valid number",
         "line 11: subject_to.1: has no limit; must have exactly one of at_most, at_least, equal",
         "line 12: optimizer.name = 'mmdf': allowed: ",
         "did you mean 'mmfd'?",

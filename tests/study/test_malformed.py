@@ -147,3 +147,11 @@ def test_a_slip_of_the_keyboard_is_refused_or_harmless(folder, place, slip):
     file.write_text(TEXT[:place] + slip + TEXT[place + 1 :])
     with contextlib.suppress(StudyError):
         load(file)
+
+
+def test_all_that_a_key_may_be_is_said(write):
+    """Of a key that takes a word or a mapping: the words, the other kind, and what is meant."""
+    with pytest.raises(StudyError) as error:
+        load(write(simulate={"duration": 0.01, "steps": 4, "start": "equilibrum"}))
+    said = "allowed: assembled, equilibrium; or a mapping (key: value); did you mean 'equilibrium'?"
+    assert str(error.value).endswith(f"simulate.start = 'equilibrum': {said}")

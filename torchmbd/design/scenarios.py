@@ -29,11 +29,11 @@ from torchmbd.design.differentiate import differentiate
 from torchmbd.design.problem import Problem
 from torchmbd.design.question import Reference, scale_of
 from torchmbd.design.response import Constraint, Measure
+from torchmbd.design.scenario_settings import by_name, value_of, weights_of
 from torchmbd.errors import InputError, SimulationFailure, unknown
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.integrate.arguments import start_of
-from torchmbd.math.owned import real
 from torchmbd.multibody.system import System
 from torchmbd.optimization import Evaluation
 from torchmbd.results.motion_data import OK
@@ -113,15 +113,15 @@ class Scenarios(Problem):
             )
         self.groups = self._grouped(scenarios)
         self.scenarios = {name: settings for group in self.groups for name, settings in group.settings.items()}
-        self.scenarios = {str(name): self.scenarios[str(name)] for name in _by_name(scenarios)}
+        self.scenarios = {str(name): self.scenarios[str(name)] for name in by_name(scenarios)}
         self._of_objective, self._of_constraints = objective, constraints
-        self.weights = _weights(weights, len(self.scenarios))
+        self.weights = weights_of(weights, len(self.scenarios))
         if objective == "worst":
             self.peaks = self.objective.rows * len(self.scenarios)
 
     def _grouped(self, given: Any) -> list[Group]:
         """The scenarios by their systems."""
-        given = _by_name(given)
+        given = by_name(given)
         if not isinstance(given, Mapping) or not given or not all(isinstance(x, Mapping) for x in given.values()):
             raise InputError(f"scenarios is {given!r}; allowed: name -> {{parameter: value}}, one at least")
         if not any(given.values()):
@@ -161,7 +161,7 @@ class Scenarios(Problem):
             if name in self.space.variables:
                 raise InputError(f"scenarios set {name!r}, a design variable; allowed: parameters that are none")
         settings = {
-            str(key): {name: _value(key, name, settings.get(name), own[name].detach()) for name in names}
+            str(key): {name: value_of(key, name, settings.get(name), own[name].detach()) for name in names}
             for key, settings in mine.items()
         }
         return Group(system, [k for k, key in enumerate(given) if key in mine], settings)
@@ -182,6 +182,24 @@ class Scenarios(Problem):
     @property
     def _repeats(self) -> int:
         return len(self.scenarios) if self._of_constraints == "each" else 1
+
+    def largest(self, x: np.ndarray) -> str:
+        """Name of the scenario in which the objective of a design [n] is largest; a motion that fails counts least."""
+        found: dict[str, float] = {}
+        for group, motion in zip(self.groups, self.motions_by_system(x), strict=True):
+            values = self.reference.measures[0].value(motion).detach().reshape(motion.lanes, -1).amax(1).tolist()
+            for name, value, status in zip(group.settings, values, motion.status, strict=True):
+                found[name] = value if status == OK else -np.inf
+        return max(found, key=lambda name: found[name])
+
+    def simulate(self, X: np.ndarray, gradients: bool = False, scenario: str | None = None) -> Trajectory:
+        """Motions of designs [lanes, n] in one scenario; None: in the one where the objective of the last is largest."""
+        X = self._checked(X, len(self.space.names), len(self.names))
+        name = self.largest(X[-1]) if scenario is None else scenario
+        if name not in self.scenarios:
+            raise unknown("scenario", name, self.scenarios)
+        group = next(group for group in self.groups if name in group.settings)
+        return self._simulated(X, gradients, group, [group.settings[name]])
 
     def motions(self, x: np.ndarray) -> Trajectory:
         """Motions of one design [n], a lane for each scenario; InputError where they have several systems."""
@@ -351,40 +369,3 @@ class Scenarios(Problem):
         worst = np.argmax(sign * values, 1)[:, None]
         chosen = np.take_along_axis(values, worst, 1)[:, 0]
         return chosen, None if slopes is None else np.take_along_axis(slopes, worst[..., None], 1)[:, 0]
-
-
-def _by_name(given: Any) -> Any:
-    """A list of scenarios by names."""
-    if isinstance(given, Sequence) and not isinstance(given, str):
-        return {f"scenario {k + 1}": settings for k, settings in enumerate(given)}
-    return given
-
-
-def _weights(given: Any, count: int) -> np.ndarray:
-    if given is None:
-        return np.full(count, 1.0 / count)
-    if (
-        not isinstance(given, (Sequence, np.ndarray))
-        or len(given) != count
-        or not all(map(real, given))
-        or min(given) < 0
-    ):
-        raise InputError(f"weights is {given!r}; allowed: {count} numbers that are not negative, one for each scenario")
-    if not sum(given) > 0.0:
-        raise InputError(f"weights is {given!r}; allowed: one that is positive at least")
-    return np.asarray(given, dtype=float) / float(sum(given))
-
-
-def _value(scenario: str, name: str, given: Any, own: Tensor) -> Tensor:
-    """The value of a parameter in a scenario; its own where the scenario says nothing."""
-    if given is None:
-        return own
-    try:
-        value = torch.as_tensor(given, dtype=own.dtype)
-    except (TypeError, ValueError, RuntimeError):
-        value = torch.full_like(own, torch.nan)
-    if value.shape not in (own.shape, torch.Size([])) or not torch.isfinite(value).all():
-        raise InputError(
-            f"{name} in scenario {scenario!r} is {given!r}; allowed: finite numbers of shape {list(own.shape)}, or one for all"
-        )
-    return value.detach().expand(own.shape)

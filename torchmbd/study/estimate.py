@@ -33,10 +33,12 @@ from torchmbd.design.words import words
 from torchmbd.errors import MbdError
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.optimization.multistart.workers import LANES
+from torchmbd.study.columns import EXTRA
 from torchmbd.study.evaluations import Evaluations
 from torchmbd.study.load import FiguresPlan
 from torchmbd.study.paths import evaluations_file, problem_key
 from torchmbd.study.settings import StudySettings
+from torchmbd.study.start_values import print_start_values
 from torchmbd.viz.criteria import histories_of
 
 _PER_ITERATION = 1.5  # analyses
@@ -44,6 +46,7 @@ _SHARES = (0.02, 0.06)  # of the motion that are measured
 _FEWEST = 4  # steps
 _COPIES = 3.0
 _TRIES = 2
+_PATIENCE = 60.0  # s: where a batch takes longer, the start design is not simulated
 _WAYS = {"forward": ("reverse",), "reverse": ("forward",)}
 _SOUGHT = {"expected": ", mean over the tolerances", "worst": ", worst case over the tolerances"}  # of RobustProblem
 
@@ -161,7 +164,7 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
     asked = ", ".join(study.problem.criteria) if study.front else words(problem.asked)
     others = len(study.problem.criteria) - 1 if study.front else 0
     console.print(
-        f"{valid}: {asked}, {_count(len(study.columns.names), 'design variable')}, "
+        f"{valid}: {asked}, {_count(sum(x not in EXTRA for x in study.columns.labels), 'design variable')}, "
         f"{_count(len(problem.constraints) - others, 'constraint')}"
         + _SOUGHT.get(getattr(study.problem, "kind", ""), ""),
         markup=False,
@@ -171,7 +174,8 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
     ways = [f"{cost.gradients} mode, chosen by counting, {_time(cost.batch_seconds)} a batch"]
     ways += [f"{other} mode {_time(seconds)}" for other, seconds in cost.others.items()]
     store = Evaluations(evaluations_file(), problem_key(problem)) if evaluations_file().exists() else None
-    known = f"; {store.count()} evaluations of this problem are in the store already" if store else ""
+    count = store.count() if store else 0
+    known = f"; {count} evaluations of this problem are in the store already" if count else ""
     console.print(
         f"at most about {cost.simulations} simulations in batches of {cost.lanes}, {_time(cost.batch_seconds)} each: "
         f"{_time(cost.seconds)} in one process, {cost.memory / 2**30:.1f} GiB{known}"
@@ -181,6 +185,8 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
         soft_wrap=True,
     )
     _print_truncation(problem, console)
+    if cost.batch_seconds < _PATIENCE:
+        print_start_values(problem, console)
     if cost.gradients != "none":
         console.print(f"gradients: {'; '.join(ways)}", markup=False, soft_wrap=True)
     return cost

@@ -12,6 +12,7 @@ from rich.markup import escape
 
 from torchmbd.design import Problem
 from torchmbd.design.ply_failure import PlyFailure
+from torchmbd.design.scenarios import Scenarios
 from torchmbd.design.words import heading
 from torchmbd.errors import MbdError
 from torchmbd.optimization import MultistartResult
@@ -165,11 +166,16 @@ def _ends(study: StudySettings, found: MultistartResult, objective: str) -> dict
 def _motion_pictures(
     study: StudySettings, designs: np.ndarray, problem: Problem, journal: Journal, console: Console
 ) -> None:
-    motion = problem.simulate(designs).require_ok()
+    title = study.question or study.name
+    if isinstance(problem, Scenarios):
+        scenario = problem.largest(designs[-1])
+        motion = problem.simulate(designs, scenario=scenario).require_ok()
+        title += f" (scenario {scenario})"  # the best design is worst there
+    else:
+        motion = problem.simulate(designs).require_ok()
     labels = ["start design", "best design"]
     if designs.shape[1] <= _SHOWN:
         labels = [f"{label} ({study.columns.sentence(x)})" for label, x in zip(labels, designs, strict=True)]
-    title = study.question or study.name
     given = {"motion": motion, "labels": labels, "title": title}
     draw(criteria_over_time, _both("criteria_over_time"), journal, console, problem=problem, **given)
     draw(weighted_parts, _both("weighted_parts"), journal, console, problem=problem, **given)

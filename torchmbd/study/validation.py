@@ -79,14 +79,16 @@ def _alone(kind: type[Section], name: str) -> type[Section]:
 
 def _faults(error: ValidationError, data: Any, kind: type[Section]) -> list[Fault]:
     texts: dict[Path, list[str]] = {}
+    values: dict[Path, object] = {}
     located = [(_path(details, data), details) for details in error.errors(include_url=False)]
     for path, details in located:
         if isinstance(details["input"], list) and any(other[:-1] == path for other, _ in located):
             continue  # not the list is wrong but an entry of it
         text = _text(details, path, kind)
+        values[path] = details["input"]
         if text not in texts.setdefault(path, []):
             texts[path].append(text)
-    return [Fault(path, _either(found)) for path, found in texts.items()]
+    return [Fault(path, _either(found, values[path])) for path, found in texts.items()]
 
 
 def _path(details: ErrorDetails, data: Any) -> Path:
@@ -130,10 +132,12 @@ def _text(details: ErrorDetails, path: Path, kind_of_file: type[Section]) -> str
     return f"= {shown(value)}: {re.sub(r'^[A-Z][a-z]+ should', 'must', details['msg'])}"
 
 
-def _either(texts: list[str]) -> str:
-    """Join what the branches of a union say about the same value."""
+def _either(texts: list[str], value: object) -> str:
+    """Join what the branches of a union say about the same value; what is meant comes last."""
     first, *others = texts
-    return first + "".join(f"; or {other.rpartition(': ')[2]}" for other in others)
+    first, meant, hint = first.partition("; did you mean ")
+    said = [other.removeprefix(f"= {shown(value)}: ").removeprefix("must be ") for other in others]
+    return first + "".join(f"; or {other}" for other in said) + meant + hint
 
 
 def _keys(path: Path, section: Any) -> list[str]:
