@@ -206,6 +206,18 @@ def test_includes_stay_in_their_folder(tmp_path):
         read_cards(main)
 
 
+def test_a_tube_is_a_rod_of_its_area(stiffness):
+    """A CTUBE of OD 20 mm and T 2 mm against a CROD with its numbers."""
+    A, J = math.pi * (0.01**2 - 0.008**2), math.pi / 2 * (0.01**4 - 0.008**4)
+    material = "MAT1,1,7.+10,,.3,2700."
+    tube, mass = stiffness(*GRIDS[:2], material, "CTUBE,7,9,1,2", "PTUBE,9,1,.02,.002")
+    rod, same = stiffness(*GRIDS[:2], material, "CROD,7,9,1,2", f"PROD,9,1,{A!r},{J!r}")
+    assert tube == pytest.approx(rod, rel=1e-12)
+    assert mass == pytest.approx(same)
+    with pytest.raises(InputError, match=r"PTUBE 9 .*T 0?.02"):
+        stiffness(*GRIDS[:2], material, "CTUBE,7,9,1,2", "PTUBE,9,1,.02,.02")
+
+
 def test_hostile_files_are_refused(tmp_path):
     """Trees of includes and lines without end: an InputError, not memory."""
     for k in range(40):

@@ -166,6 +166,25 @@ def test_first_ply_failure_of_a_model_of_two_stacks(body):
     assert float(everywhere.detach().max()) > 0
 
 
+def test_materials_without_density(body):
+    """`density` is that of materials without RHO, in SI units whatever the file has; others keep theirs."""
+    text = model(millimeters=True)
+    assert ",1.586e-09" in text
+    with pytest.raises(InputError, match=r"MAT8 1 .*RHO is ''.*density"):
+        body(text.replace(",1.586e-09", ","), units="mm")
+    assert_close(
+        values(body(text.replace(",1.586e-09", ","), units="mm", density=1586.0)), by_hand(), rtol=1e-9, atol=0
+    )
+    assert_close(values(body(text, units="mm", density=1.0)), by_hand(), rtol=1e-9, atol=0)
+    with pytest.raises(InputError, match="density is -1"):
+        body(text, units="mm", density=-1)
+
+
+def test_shells_with_drilling(body):
+    """CQUADR is the same element: every shell has drilling freedoms here."""
+    assert_close(values(body(model().replace("CQUAD4", "CQUADR"))), by_hand(), rtol=1e-9, atol=0)
+
+
 def test_a_stack_of_numbered_plies(body):
     """A PCOMPG has a line for each ply, with its number."""
     own = "PCOMP,7,,,,TSAI\n,1,0.001,20.,YES,1,0.002,-50.,YES\n,1,0.0015,75.,YES"

@@ -10,6 +10,7 @@ Checked in tests/multibody/bodies/test_from_bdf.py.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,12 +18,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchmbd.errors import warn
+from torchmbd.errors import InputError, warn
 from torchmbd.fem.elements import BeamMatrices, Beams, Follower, Part, Plates, PointMasses
 from torchmbd.fem.mesh import Mesh
 from torchmbd.io.nastran.cards import read_cards
 from torchmbd.io.nastran.data import BulkData
-from torchmbd.io.nastran.materials import UNITS, Units, laminate_of, units_of
+from torchmbd.io.nastran.materials import UNITS, Units, laminate_of, units_of, with_density
 from torchmbd.io.nastran.mesh import BulkMesh, bulk_mesh
 from torchmbd.io.nastran.rigids import followers
 from torchmbd.io.nastran.sections import section_of
@@ -48,10 +49,17 @@ class _Line:
     middles: Tensor | None = None
 
 
-def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped") -> BulkBody:
-    """Read a model. Raises InputError that names card and line; warns of cards that are left out."""
+def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped", density: float | None = None) -> BulkBody:
+    """Read a model; `density`: of materials without RHO [kg/m3].
+
+    Raises InputError that names card and line; warns of cards that are left out.
+    """
     scale = units_of(units)
     data = BulkData.of(read_cards(path))
+    if density is not None:
+        if not isinstance(density, (int, float)) or isinstance(density, bool) or not 0.0 < density < math.inf:
+            raise InputError(f"density is {density!r}; allowed: a number > 0 [kg/m3], of materials without RHO")
+        data.materials = with_density(data.materials, float(density), scale, data.weight_to_mass)
     made = bulk_mesh(data, scale.length)
     parts: dict[str, Part] = {}
     for number, cells in made.zones.items():

@@ -24,15 +24,15 @@ from torchmbd.io.nastran.elements import LINKS, OWN_PROPERTIES, SOLIDS, Link, So
 from torchmbd.io.nastran.rigids import RIGIDS, Constraint, Rigid, constraint, rigid
 from torchmbd.io.nastran.systems import KINDS, Systems
 
-SHELLS = {"CTRIA3": 3, "CQUAD4": 4}
+SHELLS = {"CTRIA3": 3, "CQUAD4": 4, "CTRIAR": 3, "CQUADR": 4}  # all have drilling freedoms here
 BARS = ("CBAR", "CBEAM")
 PROPERTIES = ("PSHELL", "PCOMP", "PCOMPG", "PBAR", "PBARL", "PBEAM", "PBEAML")
 MATERIALS = re.compile(r"^MAT([12389]|10)$")
 #: Structure that cannot be read: leaving it out would change the body. Every other unknown card is left out, and listed.
 _STRUCTURE = re.compile(
     r"^(RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT\d?|GENEL|SPOINT|EPOINT|BAROR|BEAMOR|CONM1"
-    r"|C(BEND|BEAM3|BUSH[12]D|ELAS[34]|FAST|GAP|HACAB|HEXCZ|IFHEX|MASS\d|PYRAM|PYRA|QUAD|QUAD8|QUADR|QUADX\d?|RAC[23]D"
-    r"|SEAM|SHEAR|TRIA6|TRIAR|TRIAX6?|TRAX\d|TUBE|WELD))$"
+    r"|C(BEND|BEAM3|BUSH[12]D|ELAS[34]|FAST|GAP|HACAB|HEXCZ|IFHEX|MASS\d|PYRAM|PYRA|QUAD|QUAD8|QUADX\d?|RAC[23]D"
+    r"|SEAM|SHEAR|TRIA6|TRIAX6?|TRAX\d|WELD))$"
 )
 READ = (*SHELLS, *BARS, *LINKS, *SOLIDS, "CONM2", *RIGIDS, "MPC", "SPC", "SPC1", "MAT1", "MAT8", "MAT9")
 _QUIET = ("PARAM", "EIGRL", "EIGR", "PLOTEL", "SPCADD", "MPCADD", "MDLPRM")
@@ -40,7 +40,7 @@ _QUIET = ("PARAM", "EIGRL", "EIGR", "PLOTEL", "SPCADD", "MPCADD", "MDLPRM")
 
 @dataclass(frozen=True)
 class Shell:
-    """A CTRIA3 or CQUAD4: its grids, and the angle from its first side [deg] or the system of the material's x axis."""
+    """A triangle or quadrilateral: grids, and the angle from its first side [deg] or the system of the material's x axis."""
 
     card: Card
     property: int

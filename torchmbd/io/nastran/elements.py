@@ -1,6 +1,6 @@
 """Cards of rods, springs, bushings, solids and bars that are rigid, as numbers.
 
-    CROD, CONROD, CELAS1, CELAS2, CBUSH   two grids       CTETRA, CPENTA, CHEXA   4, 6, 8 grids, without nodes on sides
+    CROD, CTUBE, CONROD, CELAS1, CELAS2, CBUSH   two grids       CTETRA, CPENTA, CHEXA   4, 6, 8 grids, without nodes on sides
 
 Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/io/nastran/test_elements.py.
 """
@@ -17,11 +17,12 @@ SOLIDS = {"CTETRA": 4, "CPENTA": 6, "CHEXA": 8}
 LINKS = {
     "CROD": (3, 4, "PROD"),
     "CONROD": (2, 3, ""),
+    "CTUBE": (3, 4, "PTUBE"),
     "CELAS1": (3, 5, "PELAS"),
     "CELAS2": (3, 5, ""),
     "CBUSH": (3, 4, "PBUSH"),
 }
-OWN_PROPERTIES = ("PROD", "PELAS", "PBUSH", "PSOLID")
+OWN_PROPERTIES = ("PROD", "PTUBE", "PELAS", "PBUSH", "PSOLID")
 
 
 @dataclass(frozen=True)

@@ -70,10 +70,24 @@ def ply_of(card: Card, units: Units, weight_to_mass: float = 1.0) -> Ply:
         raise error if str(error).startswith(card.name) else InputError(f"{card}: {error}") from None
 
 
+def with_density(cards: dict[int, Card], density: float, units: Units, weight_to_mass: float) -> dict[int, Card]:
+    """Materials, those without RHO with a density [kg/m3] in units of the file."""
+    text = repr(density / units.density / weight_to_mass).upper()
+    found = {}
+    for number, card in cards.items():
+        place = {"MAT1": 5, "MAT8": 8, "MAT9": 23}.get(card.name, 0)
+        fields = [*card.fields, *[""] * (place - len(card.fields))]
+        if place and not fields[place - 1]:
+            fields[place - 1] = text
+        found[number] = Card(card.name, tuple(fields), card.where)
+    return found
+
+
 def density_of(card: Card, position: int, units: Units, weight_to_mass: float) -> float:
     density = card.real(position, "RHO", 0.0)
     if density <= 0.0:
-        raise InputError(f"{card}: RHO is {card.text(position)!r}; allowed: a density > 0, a body needs mass")
+        allowed = "a density > 0, a body needs mass (from_bdf takes one, `density`, for all that lack it)"
+        raise InputError(f"{card}: RHO is {card.text(position)!r}; allowed: {allowed}")
     return density * units.density * weight_to_mass
 
 

@@ -1,6 +1,6 @@
 """Rods, springs, bushings and solids of a Nastran model as parts of constant stiffness.
 
-    CROD, CONROD    E A / l along, G J / l about the line of its grids; half of the mass at each
+    CROD, CTUBE, CONROD    E A / l along, G J / l about the line of its grids; half of the mass at each
     CELAS1, CELAS2  K (u_1 - u_2) between two components, in the systems CD of the grids
     CBUSH           K1 to K6 at the place S between its grids (0.5), in the system CID, or x along its line and X1 to X3 or G0
     solids          fem/elements/solids.py, of MAT1 or MAT9 in the system CORDM of the property
@@ -10,6 +10,8 @@ Checked in tests/io/nastran/test_elements.py.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import torch
@@ -51,15 +53,16 @@ def _links(data: BulkData, mesh: Mesh, index: dict[int, int], units: Units, own:
 
 def _matrix(data: BulkData, link: Link) -> tuple[np.ndarray, float]:
     """Stiffness [12, 12] and mass in units of the file."""
-    if link.card.name in ("CROD", "CONROD"):
+    if link.card.name in ("CROD", "CTUBE", "CONROD"):
         return _rod(data, link)
     return (_bushing(data, link) if link.card.name == "CBUSH" else _spring(data, link)), 0.0
 
 
 def _rod(data: BulkData, link: Link) -> tuple[np.ndarray, float]:
-    card, first = (link.card, 4) if link.property is None else (data.own(link.card, "PROD", link.property), 2)
+    kind = LINKS[link.card.name][2]
+    card, first = (link.card, 4) if link.property is None else (data.own(link.card, kind, link.property), 2)
     material = data.material(card, card.integer(first, "MID"))
-    A, J, extra = card.real(first + 1, "A"), card.real(first + 2, "J", 0.0), card.real(first + 4, "NSM", 0.0)
+    A, J, extra = _tube(card) if kind == "PTUBE" else _round(card, first)
     a, b = (np.array(data.grids[grid]) for grid in link.grids)
     length = float(np.linalg.norm(b - a))
     if not length > 0.0 or not A > 0.0 or J < 0.0:
@@ -72,6 +75,23 @@ def _rod(data: BulkData, link: Link) -> tuple[np.ndarray, float]:
         g[start : start + 3], g[6 + start : 9 + start] = -e, e
         K += k * np.outer(g, g)
     return K, (material.real(5, "RHO", 0.0) * A + extra) * length
+
+
+def _round(card: Card, first: int) -> tuple[float, float, float]:
+    """A, J and mass per length without stiffness of a PROD or CONROD; its material stands at `first`."""
+    return card.real(first + 1, "A"), card.real(first + 2, "J", 0.0), card.real(first + 4, "NSM", 0.0)
+
+
+def _tube(card: Card) -> tuple[float, float, float]:
+    """The same of a PTUBE: outer diameter, thickness (blank: solid), the diameter at end B like that at end A."""
+    outer = card.real(3, "OD")
+    inner = outer - 2.0 * card.real(4, "T", outer / 2.0)
+    if not 0.0 <= inner < outer or card.real(6, "OD2", outer) != outer:
+        raise InputError(
+            f"{card}: OD {outer:g}, T {card.text(4)}, OD2 {card.text(6)!r}; allowed: 0 < T <= OD / 2, OD2 = OD"
+        )
+    A, J = math.pi / 4.0 * (outer**2 - inner**2), math.pi / 32.0 * (outer**4 - inner**4)
+    return A, J, card.real(5, "NSM", 0.0)
 
 
 def _spring(data: BulkData, link: Link) -> np.ndarray:
