@@ -291,25 +291,18 @@ class FlexibleBody(MatrixMethods, nn.Module):
 
     @classmethod
     def from_bdf(
-        cls,
-        name: str,
-        path: str | Path,
-        modes: int = 8,
-        units: str = "m",
-        mass: str = "lumped",
-        density: float | None = None,
-        **options: Any,
+        cls, name: str, path: str | Path, modes: int = 8, units: str = "m", mass: str = "lumped", **options: Any
     ) -> FlexibleBody:
         """A Nastran model; the angles of its PCOMP cards are the design parameters (io/nastran/body.py).
 
         units     of the file: "m" (m, kg, s, N, Pa), "mm" (mm, t, s, N, MPa), "cm" (cm, N s2/cm, s, N, N/cm2), "in" (in,
                   lbf s2/in, s, lbf, psi), "ft" (ft, slug, s, lbf, lbf/ft2); a PARAM WTMASS of the file counts
-        density   of materials without RHO [kg/m3], as in decks for statics; None: they are refused
-        options   position, axes, reference, damping, reduction, interface, updated, stiffening: as in `plate`; without a
+        options   density: of materials without RHO [kg/m3], as in decks for statics (None: they are refused); position,
+                  axes, reference, damping, reduction, interface, updated, stiffening: as in `plate`; without a
                   reference the grids are taken whose six freedoms the file holds (SPC, SPC1)
         Raises InputError that names card and line; warns if units are implausible, and of cards that are left out.
         """
-        found = read_bdf(path, units, mass, density)
+        found = read_bdf(path, units, mass, options.pop("density", None))
         options = {"reference": found.reference} | options
         body = cls(name, found.mesh, found.parts, modes, links=found.links, **options)
         warn_units(name, found.mesh, body.plates.values(), body.structure)
