@@ -40,6 +40,17 @@ def test_bend_at_five_times_the_load():
         assert_close(rest.body("bend").nodes[0, k], wanted, atol=1e-8, rtol=0)
 
 
+def test_princeton_beam():
+    """13.345 N at 30 degrees from the stiff direction; ANSYS, as in tests/validation/test_exact_beam.py."""
+    h, w, E, nu, load, angle = 12.3777e-3, 3.2024e-3, 71.7e9, 0.31, 13.345, math.radians(30.0)
+    G, A, Iyy, Izz = E / 2.0 / (1.0 + nu), h * w, h * w**3 / 12.0, w * h**3 / 12.0
+    section = given(E * A, G * A, G * A, 0.198 * G * (Iyy + Izz), E * Iyy, E * Izz)
+    beam = mbd.FlexibleBeam("strip", mbd.BeamLine.straight(0.508, 20), section)
+    force = mbd.Force(beam.at("end"), (0.0, -load * math.cos(angle), load * math.sin(angle)))
+    tip = mbd.equilibrium(cantilever(beam, force)).body("strip").nodes[0, 0, -1]
+    assert math.dist((-float(tip[1]), float(tip[2])), (0.0166587, 0.117736)) < 0.01 * math.hypot(0.0166587, 0.117736)
+
+
 ROD = given(2.1e7, 8e6, 8e6, 160.0, 210.0, 210.0)
 
 
