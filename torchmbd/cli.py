@@ -180,14 +180,16 @@ def list_(folder: Path | None = None, *, uri: Uri = None) -> int:
     Parameters
     ----------
     folder
-        Where the experiment files are; default: configs.
+        Where the experiment files are; default: configs, else this folder.
     """
     from torchmbd.study.listing import print_configs, print_studies
 
     if folder is not None and not folder.is_dir():
-        raise InputError(f"folder = {str(folder)!r}: is no folder; allowed: one that exists, default configs")
+        raise InputError(
+            f"folder = {str(folder)!r}: is no folder; allowed: one that exists, default configs, else this folder"
+        )
     console = Console()
-    print_configs(folder or Path("configs"), console)
+    print_configs(folder or (path if (path := Path("configs")).is_dir() else Path()), console)
     print_studies(uri, console)
     return 0
 

@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 QUESTION_MISSING = "(opens with no question)"
+RUNS = "mlartifacts"  # the folder of files that runs have filed, copies of experiment files among them
 CLUSTERS = "cluster"  # the folder of cluster files (cluster.py), which ask nothing
 
 
 def configs(folder: str | Path = "configs") -> dict[Path, str]:
     """Return the experiment files below a folder and the first comment of each."""
     files = sorted(file for pattern in ("*.yaml", "*.yml") for file in Path(folder).rglob(pattern))
-    return {file: question(file) for file in files if file.parent.name != CLUSTERS}
+    own = (file for file in files if not any(x == RUNS or x[0] == "." for x in file.relative_to(folder).parts))
+    return {file: question(file) for file in own if file.parent.name != CLUSTERS}
 
 
 def question(file: Path) -> str:
