@@ -10,6 +10,7 @@ import pytest
 import torchmbd as mbd
 from experiments.steered_rod import RADIUS, steered, straight
 
+pytestmark = pytest.mark.usefixtures("compiled")
 CELLS, STRAIGHT = (12, 6), [0.0, math.pi / 2, 0.0]  # the best straight fibers of the recorded run
 
 
@@ -33,10 +34,11 @@ def test_gradient_against_differences():
 
 
 def test_steered_fibers_beat_the_best_straight_ones(reference):
-    result = mbd.optimize(steered(STRAIGHT, (4, 3), CELLS), method="slsqp", max_iterations=25, progress=False)
+    result = mbd.optimize(steered(STRAIGHT, (4, 3), CELLS), method="slsqp", max_iterations=15, progress=False)
     assert result.value < 0.93 * reference
 
 
+@pytest.mark.slow
 def test_the_radius_of_the_paths_is_kept(reference):
     problem = steered(STRAIGHT, (4, 3), CELLS, RADIUS)
     result = mbd.optimize(problem, method="slsqp", max_iterations=40, progress=False)

@@ -7,14 +7,15 @@ Checked in tests/integrate/test_simulate.py.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 
 from torchmbd.errors import InputError, warn
+from torchmbd.integrate.contacts import MOST, Doubt
 from torchmbd.integrate.integrator import Integrated, Integrator
 from torchmbd.integrate.memory import require_room
 from torchmbd.integrate.step_count import RIGID, all_modes, first_steps, wanted_steps
@@ -33,6 +34,7 @@ _UNRESOLVED = "unresolved: "
 STEP_ERROR = 3.0
 _LEAST_SHARE = 1000  # of the steps that resolve every mode: a motion of which not even so few fit is refused at once
 _OPEN = 1e-4  # [m] or [-]: violation of a joint at the end of a motion whose joints could not stay closed
+_MOST_NUMBERS = 2e8  # of a motion whose steps are made smaller for its contacts
 # Of accelerations: vibrations with less than five steps to a period.
 ALTERNATION = 0.3
 _LOOKED_AT = ("iteration_error", "turn", "step_error", "suggested_steps", "alternation")
@@ -45,47 +47,97 @@ def run(
     steps: int,
     precise: bool,
     found: Integrated | None = None,
+    finer: int = 1,
 ) -> tuple[History, dict[str, Any], list[str]]:
     """Integrate; lanes that fail, or whose gradients are imprecise, are tried again as the integrator says.
 
-    precise: whether there are gradients;  found: what was integrated already
+    Lanes with contacts that the steps do not show get more of these first (contacts.py).
+
+    precise: whether there are gradients;  found: what was integrated already;  finer: steps that stand for one already
     """
     found, again = found or integrator.integrate(dynamics, duration, steps), integrator.again()
-    history, stats = found.history, found.statistics
-    status = _status(found, duration)
-    _look_at_joints(dynamics, history, duration, stats, status)
-    warn_unresolved(status)
-    poor = [False] * len(status)
+    made = _Made(found.history, found.statistics, _status(found, duration))
+    _look_at_joints(dynamics, made.history, duration, made.stats, made.status)
+    poor = [False] * len(made.status)
     if precise and again is not None and again.steps == 1:
-        poor = (stats["iteration_error"] > IMPRECISE).tolist()
-    _without_start(dynamics.faults, status, stats, history)
+        poor = (made.stats["iteration_error"] > IMPRECISE).tolist()
+    _without_start(dynamics.faults, made.status, made.stats, made.history)
+    doubtful = {lane: doubt for lane, doubt in found.doubts.items() if lane not in dynamics.faults}
+    often = _steps_of_contacts(integrator, dynamics, steps, finer, doubtful)
+    if often > 1:
+        lanes = list(doubtful)
+        retried = run(integrator, dynamics.some(lanes), duration, often * steps, precise, finer=often * finer)
+        for lane in made.take(lanes, often, retried):
+            del doubtful[lane]
+            poor[lane] = False
+    doubted(made.status, doubtful)
+    warn_unresolved([x for lane, x in enumerate(made.status) if lane not in made.taken])
     failed = [
-        lane for lane, reason in enumerate(status) if lane not in dynamics.faults and (has_failed(reason) or poor[lane])
+        lane
+        for lane, reason in enumerate(made.status)
+        if lane not in dynamics.faults and lane not in doubtful and (has_failed(reason) or poor[lane])
     ]
-    if not failed or again is None:
-        return history, stats, status
-    often = again.steps
-    better, counts, retried = run(again.integrator, dynamics.some(failed), duration, often * steps, precise)
-    cured = [(i, lane) for i, lane in enumerate(failed) if not has_failed(retried[i])]
-    if not cured:
-        return history, stats, status
-    source, lanes = (list(x) for x in zip(*cured, strict=True))
+    if failed and again is not None:
+        retried = run(again.integrator, dynamics.some(failed), duration, again.steps * steps, precise, finer=finer)
+        made.take(failed, again.steps, retried)
+    return replace(made.history, finer=made.finer), made.stats, made.status
 
-    def patch(x: Tensor, y: Tensor) -> Tensor:
-        old, new = (torch.tensor(i) for i in (lanes, source))
-        return x.index_copy(-1, old, y[::often].index_select(-1, new))
 
-    parts = {name: patch(getattr(history, name), getattr(better, name)) for name in ("q", "v", "vd", "lam")}
-    for name in (*_LOOKED_AT, "tangent_error"):
-        if name in stats:
-            stats[name][lanes] = counts[name][source]
-    failed_first = [lane for lane in lanes if has_failed(status[lane])]  # others were imprecise
-    for i, lane in cured:
-        status[lane] = retried[i]
-    halved = lanes if often == 2 else [failed[i] for i in counts.get("halved", [])]
-    first = sorted({*failed_first, *(failed[i] for i in counts.get("failed_first", []))})
-    stats |= {"halved": halved, "renewed": [lane for lane in lanes if lane not in halved], "failed_first": first}
-    return replace(history, **parts, finer=_finer(better, often, cured)), stats, status
+def _steps_of_contacts(
+    integrator: Integrator, dynamics: Dynamics, steps: int, finer: int, doubtful: Mapping[int, Doubt]
+) -> int:
+    """Steps that should stand for one of a motion with contacts that its steps do not show; 1: no more."""
+    if not doubtful or not getattr(integrator, "halvings", 0):
+        return 1
+    often = min(max(doubt.steps for doubt in doubtful.values()), MOST // finer)
+    T = dynamics.topology
+    each = (T.n_q + 2 * T.n_v + T.rows) * (1 + dynamics.tangents) * len(doubtful)
+    while often > 1 and often * steps * each > _MOST_NUMBERS:
+        often //= 2
+    return max(often, 1)
+
+
+@dataclass
+class _Made:
+    """A motion of all lanes, some of which, `taken`, are replaced by better ones."""
+
+    history: History
+    stats: dict[str, Any]
+    status: list[str]
+    taken: list[int] = field(default_factory=list)
+    finer: dict[int, tuple[History, int, int]] = field(default_factory=dict)
+
+    def take(self, lanes: Sequence[int], often: int, retried: tuple[History, dict[str, Any], list[str]]) -> list[int]:
+        """Take over lanes of a motion with so many steps for one, where these have not failed; which these are."""
+        better, counts, status = retried
+        cured = [(i, lane) for i, lane in enumerate(lanes) if not has_failed(status[i])]
+        if not cured:
+            return []
+        source, own = (list(x) for x in zip(*cured, strict=True))
+
+        def patch(x: Tensor, y: Tensor) -> Tensor:
+            old, new = (torch.tensor(i) for i in (own, source))
+            return x.index_copy(-1, old, y[::often].index_select(-1, new))
+
+        parts = {name: patch(getattr(self.history, name), getattr(better, name)) for name in ("q", "v", "vd", "lam")}
+        self.history = replace(self.history, **parts)
+        for name in (*_LOOKED_AT, "tangent_error"):
+            if name in self.stats:
+                self.stats[name][own] = counts[name][source]
+        failed_first = [lane for lane in own if has_failed(self.status[lane])]  # others were imprecise
+        for i, lane in cured:
+            self.status[lane] = status[i]
+        halved = own if often > 1 else [lanes[i] for i in counts.get("halved", []) if lanes[i] in own]
+        first = {*failed_first, *(lanes[i] for i in counts.get("failed_first", []))}
+        self._note("halved", halved)
+        self._note("renewed", [lane for lane in own if lane not in halved])
+        self._note("failed_first", first)
+        self.finer |= _finer(better, often, cured)
+        self.taken += own
+        return own
+
+    def _note(self, name: str, lanes: Iterable[int]) -> None:
+        self.stats[name] = sorted({*self.stats.get(name, []), *lanes})
 
 
 def _look_at_joints(
@@ -142,7 +194,8 @@ def resolved_run(
 
     def attempt(steps: int) -> tuple[Integrated, dict[str, Any], list[str]]:
         found = integrator.integrate(values, duration, steps)
-        return found, found.statistics, _status(found, duration)
+        wanted = contact_steps(found.doubts, steps, values.lanes)
+        return found, found.statistics | wanted, _status(found, duration)
 
     values = dynamics.values() if dynamics.tangents else dynamics
     steps, found = chosen(integrator, values, duration, attempt, room)
@@ -189,6 +242,17 @@ def memory_check(
             require_room(system, dynamics.lanes, integrator.kept(steps), tangents)
 
     return room
+
+
+def doubted(status: list[str], doubts: Mapping[int, Doubt]) -> None:
+    """Put contacts that the steps do not show into the status of their lanes."""
+    for lane, doubt in doubts.items():
+        status[lane] = f"{'failed: ' if doubt.fails else _UNRESOLVED}{doubt.text}"
+
+
+def contact_steps(doubts: Mapping[int, Doubt], steps: int, lanes: int) -> dict[str, Tensor]:
+    """What `wanted_steps` takes: how many steps contacts want [lanes]."""
+    return {"steps_for_contacts": torch.tensor([steps * doubts[i].steps if i in doubts else 0 for i in range(lanes)])}
 
 
 def _status(found: Integrated, duration: float) -> list[str]:

@@ -22,6 +22,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol, get_type_hints
 
 from torch import Tensor
 
+from torchmbd.integrate.contacts import Doubt
 from torchmbd.integrate.phases.run import MultiphaseRun
 from torchmbd.multibody.system.dynamics import Dynamics
 from torchmbd.multibody.system.topology import Prescribed, Topology
@@ -31,11 +32,15 @@ from torchmbd.results.state import State
 
 @dataclass
 class Integrated:
-    """What an integrator makes: states, statistics, and lanes that it gave up, with the reason; their numbers are nan."""
+    """What an integrator makes: states, statistics, and lanes that it gave up, with the reason; their numbers are nan.
+
+    doubts   of lanes with contacts that the steps do not show
+    """
 
     history: History
     statistics: dict[str, Any]
     failed: Mapping[int, str] = field(default_factory=dict)
+    doubts: Mapping[int, Doubt] = field(default_factory=dict)
 
 
 class Again(NamedTuple):

@@ -32,6 +32,7 @@ from typing import Any, ClassVar
 import torch
 
 from torchmbd.errors import InputError
+from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.estimates import StepErrors, alternations, turns
 from torchmbd.integrate.integrator import Again, Integrated, Integrator
 from torchmbd.integrate.native import steps
@@ -130,6 +131,7 @@ class OneStep(Integrator):
         record.put(0, x)
         iterations = IterationErrors(value(x.q)[:, 0], duration, h)
         errors = StepErrors(left, abs(self.weights(1.0).step_from_new - 1.0 / 6.0), h)
+        watch = ContactWatch(whole)
         turned, resumed, alternating = [], [], []
         announce(steps, left.lanes)
         for some in segments(steps, every):
@@ -146,6 +148,11 @@ class OneStep(Integrator):
             errors.see(part)
             turned.append(turns(left, part, h)[min(some.start, 1) :])
             alternating += [] if left.topology.beams is None else [alternations(left, part)]
+            if not watch.idle:
+                seen = h * torch.arange(some.start, some.stop + 1, dtype=torch.float64)
+                own = None if same else Expansion.of(left.initial.condensation, whole.data, seen)
+                own = replace(part, expansion=own)
+                watch.see(seen, *(own.rows(order, pair=slice(1)) for order in range(2)))
         turn = torch.cat(turned)
         statistics: dict[str, Any] = {"steps": steps, "step_size": h, "turn": turn.amax(0)}
         statistics |= errors.statistics(steps) | iterations.statistics() | stepper.tangent_errors()
@@ -156,7 +163,7 @@ class OneStep(Integrator):
         until = statistics["until"].minimum(first(turn > TURN).clamp_min(1))
         statistics["until"] = (until + every - 1) // every  # of the states that are kept
         between = Between(every, resumed, self) if every > 1 else None
-        return Integrated(replace(record.history(expansion), between=between), statistics)
+        return Integrated(replace(record.history(expansion), between=between), statistics, doubts=watch.doubts(h))
 
     def integrate_phases(self, multiphase: MultiphaseRun) -> dict[str, Any]:
         """As of Integrator; statistics as of `integrate`, without errors of steps."""

@@ -60,6 +60,8 @@ def wanted_steps(steps: int, stats: dict[str, Any], status: Sequence[str], fault
     for lane, reason in enumerate(status):
         if lane in faults:
             continue
+        if "steps_for_contacts" in stats:
+            wanted = max(wanted, int(stats["steps_for_contacts"][lane]))
         turn, error = (float(stats[name][lane]) for name in ("turn", "step_error"))
         if turn > TURN:
             wanted = max(wanted, math.ceil(_MORE * steps * turn / TURN) if math.isfinite(turn) else _UNKNOWN * steps)

@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 import torch
 
 from torchmbd.errors import InputError, unknown
+from torchmbd.integrate.contacts import ContactWatch
 from torchmbd.integrate.flow_stepper import FlowStepper, moved
 from torchmbd.integrate.integrator import Integrated, Integrator
 from torchmbd.integrate.native.rates import RightHandSide, augment
@@ -68,7 +69,12 @@ class Torchdiffeq(Integrator):
                 x = initial(dynamics).map(lambda y: y * torch.nan)
                 return Integrated(History.of([x] * (steps + 1)), {}, {0: str(error)})
             return _joined_lanes([self.integrate(dynamics.some([i]), duration, steps) for i in range(dynamics.lanes)])
-        return Integrated(history, {"evaluations": dynamics.statistics["evaluations"] - before})
+        watch, h = ContactWatch(dynamics), duration / steps
+        if not watch.idle:
+            times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
+            watch.see(times, *(history.rows(order, pair=slice(1)) for order in range(2)))
+        evaluations = dynamics.statistics["evaluations"] - before
+        return Integrated(history, {"evaluations": evaluations}, doubts=watch.doubts(h, equal=False))
 
     def _together(self, dynamics: Dynamics, duration: float, steps: int) -> History:
         """All lanes with the same steps; raises FloatingPointError where one of them cannot be integrated."""
@@ -139,4 +145,5 @@ def _joined_lanes(parts: list[Integrated]) -> Integrated:
     q, v, vd, lam = (torch.cat([getattr(h, name) for h in histories], -1) for name in ("q", "v", "vd", "lam"))
     evaluations = sum(part.statistics.get("evaluations", 0) for part in parts)
     failed = {i: part.failed[0] for i, part in enumerate(parts) if part.failed}
-    return Integrated(History(q, v, vd, lam), {"evaluations": evaluations}, failed)
+    doubts = {i: part.doubts[0] for i, part in enumerate(parts) if part.doubts}
+    return Integrated(History(q, v, vd, lam), {"evaluations": evaluations}, failed, doubts)

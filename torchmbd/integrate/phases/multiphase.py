@@ -13,7 +13,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchmbd.integrate.attempts import chosen, has_failed, status_of
+from torchmbd.integrate.attempts import chosen, contact_steps, doubted, has_failed, status_of, warn_unresolved
+from torchmbd.integrate.contacts import ContactWatch, Doubt
 from torchmbd.integrate.estimates import StepErrors
 from torchmbd.integrate.integrator import Integrator
 from torchmbd.integrate.phases.events import Views
@@ -41,11 +42,9 @@ def integrate(
         multiphase = MultiphaseRun(dynamics, phase_models, views, duration, steps)
         stats = integrator.integrate_phases(multiphase)
         found = status_of(multiphase.history, duration, stats)
-        return (
-            multiphase,
-            stats,
-            [own if own != OK else other for own, other in zip(multiphase.status, found, strict=True)],
-        )
+        found = [own if own != OK else other for own, other in zip(multiphase.status, found, strict=True)]
+        doubted(found, _doubts(multiphase, duration, steps, integrator.adjoint))
+        return multiphase, stats, found
 
     multiphase, stats, status = attempt(integrator)
     again = integrator.again()
@@ -54,7 +53,17 @@ def integrate(
         if better.count(OK) > status.count(OK):
             failed = [lane for lane, reason in enumerate(status) if has_failed(reason)]
             return other, counts | {"renewed": list(range(len(status))), "failed_first": failed}, better
+    warn_unresolved(status)
     return multiphase, stats, status
+
+
+def _doubts(multiphase: MultiphaseRun, duration: float, steps: int, equal: bool) -> dict[int, Doubt]:
+    """Contacts that the steps do not show; `equal`: as of ContactWatch."""
+    watch, h = ContactWatch(multiphase.whole), multiphase.history
+    if not watch.idle:
+        times = torch.linspace(0.0, duration, steps + 1, dtype=torch.float64)
+        watch.see(times, *(h.rows(order, pair=slice(1)) for order in range(2)))
+    return watch.doubts(duration / steps, equal)
 
 
 def steps_of_phases(
@@ -79,7 +88,8 @@ def steps_of_phases(
         found = status_of(multiphase.history, duration, stats)
         # A phase that never ends does so with more steps as well.
         found = [OK if own != OK else other for own, other in zip(multiphase.status, found, strict=True)]
-        return None, stats | errors.statistics(steps), found
+        wanted = contact_steps(_doubts(multiphase, duration, steps, True), steps, values.lanes)
+        return None, stats | errors.statistics(steps) | wanted, found
 
     return chosen(integrator, values, duration, attempt, room)[0]
 

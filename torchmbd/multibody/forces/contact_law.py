@@ -82,12 +82,13 @@ class ContactNumbers(nn.Module):
 class ContactControl(Control):
     """A law of contact as if it were a controller; all lanes at once.
 
-    what   the bodies that touch, for messages
+    what    the bodies that touch, for messages
+    count   number of its gaps
     """
 
-    def __init__(self, name: str, module: ContactNumbers, inputs: int, outputs: int, what: str):
+    def __init__(self, name: str, module: ContactNumbers, inputs: int, outputs: int, what: str, count: int = 1):
         super().__init__(name, module, inputs, outputs)
-        self.what = what
+        self.what, self.count = what, count
 
     @property
     def label(self) -> str:
@@ -133,7 +134,7 @@ class StopControl(ContactControl):
     """Of one coordinate between limits: (s, s') -> f. sides: which limits there are, "lower", "upper"."""
 
     def __init__(self, name: str, module: ContactNumbers, sides: Sequence[str], what: str):
-        super().__init__(name, module, 2, 1, what)
+        super().__init__(name, module, 2, 1, what, len(sides))
         self.sides = tuple(sides)
 
     def strengths(self, p: Mapping[str, Any], x: Tensor) -> Tensor:

@@ -1,0 +1,153 @@
+"""Contacts that fixed steps pass over or cut short: found, named, and made with smaller steps; derivatives go through."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from torchmbd.integrate.contacts import STEPS, lowest
+
+pytestmark = pytest.mark.usefixtures("compiled")
+GROUND = mbd.Ground()
+G, K, MASS = 9.81, 1e5, 1.0
+
+
+def thrown(above: float = 1e-5, **given: object) -> mbd.System:
+    """A ball thrown up; free of the ceiling at 1 m it would rise so far above it."""
+    speed = math.sqrt(2.0 * G * (1.0 + above))
+    ball = mbd.RigidBody("ball", MASS, (0.01,) * 3, velocity=(0.0, 0.0, speed))
+    down = torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64))
+    ceiling = mbd.PlaneContact(GROUND.at(0.0, 0.0, 1.0, axes=down), ball.at(), stiffness=K, name="ceiling", **given)
+    return mbd.System([ball], forces=[ceiling], gravity=(0.0, 0.0, -G), free=["ball"])
+
+
+def dropped(height: float = 0.1, **given: object) -> mbd.System:
+    ball = mbd.RigidBody("ball", MASS, (0.01,) * 3, position=(0.0, 0.0, height))
+    floor = mbd.PlaneContact(GROUND.at(), ball.at(), name="floor", **({"stiffness": K} | given))
+    return mbd.System([ball], forces=[floor], gravity=(0.0, 0.0, -G), free=["ball"])
+
+
+def test_the_least_of_cubics():
+    gap, rate = torch.randn(2, 400, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    h = 0.7
+    u = torch.linspace(0.0, 1.0, 20001, dtype=torch.float64)[:, None]
+    a, b, m, n = gap[:-1], gap[1:], h * rate[:-1], h * rate[1:]
+    x = a + u * (m + u * (3.0 * (b - a) - 2.0 * m - n + u * (2.0 * (a - b) + m + n)))
+    assert_close(lowest(gap, rate, h), x.amin(0), rtol=0, atol=1e-7)
+    flat = torch.tensor([1.0, 1.0, 0.5], dtype=torch.float64)  # a parabola and a line: no cube, no square
+    assert_close(
+        lowest(flat[:2], torch.tensor([-4.0, 4.0]).double(), 1.0), torch.tensor([0.0]).double(), rtol=0, atol=1e-14
+    )
+    assert_close(lowest(flat[1:], torch.tensor([-0.5, -0.5]).double(), 1.0), torch.tensor([0.5]).double())
+
+
+@pytest.mark.parametrize("backend", ["eager", "native"])
+def test_a_contact_shorter_than_a_step_is_found(backend):
+    """It lasts 3 ms; steps take 11 ms, and both ends of each are apart."""
+    options = {"steps": 80, "gradients": "none", "backend": backend}
+    missed = mbd.simulate(thrown(), 0.9, halvings=0, **options)
+    assert missed.status[0].startswith("failed: contact 'ceiling' of 'ground' and 'ball' between t = 0.45")
+    found = mbd.simulate(thrown(), 0.9, **options).require_ok()
+    assert found.stats["halved"] == [0]
+    fine = mbd.simulate(thrown(), 0.9, steps=80 * 256, gradients="none", backend="native").require_ok()
+    free = mbd.simulate(thrown(), 0.9, steps=80, gradients="none", backend="native", halvings=0).q[0, 40, 2]
+    assert float(free) > 0.99
+    assert_close(found.q[:, -1], fine.q[:, -1], rtol=0, atol=2e-5)
+    z = [float(x.q[0, -1, 2]) for x in (missed, found)] if torch.isfinite(missed.q).all() else [0.0, 1.0]
+    assert abs(z[0] - z[1]) > 1e-4
+
+
+def test_a_contact_of_few_steps_gets_more():
+    exact = 0.1
+    period = 2.0 * math.sqrt(2.0 * exact / G) + _contact_time()
+    with pytest.warns(UserWarning, match="contact 'floor' of 'ground' and 'ball' from t = 0.1"):
+        short = mbd.simulate(dropped(), period, steps=100, gradients="none", halvings=0)
+    assert short.status[0].startswith("unresolved: contact 'floor'")
+    assert f"allowed: {STEPS} steps" in short.status[0]
+    found = mbd.simulate(dropped(), period, steps=100, gradients="none").require_ok()
+    assert found.q.shape[1] == 101
+    assert float(found.q[0, -1, 2]) == pytest.approx(exact, rel=1e-3)
+    assert abs(float(short.q[0, -1, 2]) - exact) > 1e-3
+
+
+def _contact_time(k: float = K, height: float = 0.1) -> float:
+    w, v = math.sqrt(k / MASS), math.sqrt(2.0 * G * height)
+    return 2.0 / w * (math.pi - math.atan(v * w / G))
+
+
+def test_a_contact_that_no_steps_show_keeps_its_status():
+    with pytest.warns(UserWarning, match="contact 'floor'"):
+        motion = mbd.simulate(dropped(stiffness=1e13), 0.2, steps=20, gradients="none")
+    assert "contact 'floor'" in motion.status[0]
+
+
+def test_steps_are_chosen_for_contacts():
+    motion = mbd.simulate(dropped(stiffness=1e7), 0.28, gradients="none").require_ok()
+    assert motion.stats["steps"] > 4000
+    assert not motion.stats.get("halved")
+
+
+def test_lanes_get_what_they_need():
+    system = dropped(stiffness=mbd.variable(K))
+    designs = {"floor.stiffness": torch.tensor([1e2, 1e5], dtype=torch.float64)}
+    motion = mbd.simulate(system, 0.28, steps=300, designs=designs, gradients="none").require_ok()
+    assert motion.stats["halved"] == [1]
+    alone = mbd.simulate(dropped(stiffness=1e2), 0.28, steps=300, gradients="none")
+    assert_close(motion.q[0], alone.q[0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("gradients", ["reverse", "forward"])
+def test_derivatives_go_through_smaller_steps(gradients):
+    system = dropped(stiffness=mbd.variable(2e4), damping=0.1)
+
+    def final(k: Tensor) -> Tensor:
+        motion = mbd.simulate(
+            system, 0.25, steps=60, designs={"floor.stiffness": k}, gradients=gradients, iterations=(5, 4)
+        ).require_ok()
+        assert motion.stats["halved"] == list(range(len(k)))
+        return motion.q[:, -1, 2]
+
+    k = torch.tensor([2e4], dtype=torch.float64, requires_grad=True)
+    [slope] = torch.autograd.grad(final(k).sum(), k)
+    with torch.no_grad():
+        near = final(torch.tensor([2e4 + 0.02, 2e4 - 0.02], dtype=torch.float64, requires_grad=True))
+    assert float(slope) == pytest.approx(float(near[0] - near[1]) / 0.04, rel=1e-6)
+
+
+def test_outputs_of_other_methods_and_phases():
+    with pytest.warns(UserWarning, match="is not seen in its outputs"):
+        motion = mbd.simulate(thrown(), 0.9, "rk4", steps=80, gradients="none")
+    assert motion.status[0].startswith("unresolved: contact 'ceiling'")
+    phases = [mbd.Phase(until=0.1), mbd.Phase()]
+    motion = mbd.simulate(thrown(), 0.9, steps=80, phases=phases, gradients="none")
+    assert motion.status[0].startswith("failed: contact 'ceiling'")
+
+
+def test_states_that_are_not_kept_are_looked_at():
+    motion = mbd.simulate(thrown(), 0.9, steps=80, gradients="none", checkpoint=10, halvings=0)
+    assert motion.status[0].startswith("failed: contact 'ceiling'")
+
+
+def test_a_plane_on_a_driven_body():
+    """The table is prescribed, and no unknown of the steps; the ball rests on it."""
+    table = mbd.RigidBody("table", 1.0, (0.01,) * 3)
+    slide = mbd.Prismatic(GROUND.at(), table.at(), axis="z")
+    lift = mbd.Drive(GROUND, table, axis="z", position=lambda t: 0.05 * torch.sin(3.0 * t))
+    ball = mbd.RigidBody("ball", MASS, (0.01,) * 3, position=(0.1, 0.0, -MASS * G / K), velocity=(0.0, 0.0, 0.15))
+    top = mbd.PlaneContact(table.at(), ball.at(), stiffness=K, damping=2.0, name="top")
+    system = mbd.System([table, ball], [slide, lift], [top], gravity=(0.0, 0.0, -G), free=["ball"])
+    motion = mbd.simulate(system, 0.5, steps=1000, gradients="none").require_ok()
+    gap = motion.body("ball").r[0, :, 2] - motion.body("table").r[0, :, 2]
+    assert float((gap + MASS * G / K).abs().max()) < 2e-5
+
+
+def test_nothing_is_found_where_bodies_rest():
+    for height in (0.0, -MASS * G / K):
+        motion = mbd.simulate(dropped(height, damping=1.0), 0.1, steps=1000, gradients="none")
+        assert motion.status == ["ok"]
+        assert not motion.stats.get("halved")
