@@ -10,7 +10,8 @@ from torch import Tensor
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from torchmbd.integrate.contacts import STEPS, lowest
+from torchmbd.integrate.attempts import doubted
+from torchmbd.integrate.contacts import STEPS, Doubt, lowest
 
 pytestmark = pytest.mark.usefixtures("compiled")
 GROUND = mbd.Ground()
@@ -153,3 +154,10 @@ def test_nothing_is_found_where_bodies_rest():
         motion = mbd.simulate(dropped(height, damping=1.0), 0.1, steps=1000, gradients="none")
         assert motion.status == ["ok"]
         assert not motion.stats.get("halved")
+
+
+def test_a_contact_does_not_hide_a_failure():
+    status = ["failed: the motion is not finite from t = 0.1 s on", "ok"]
+    doubt = Doubt("contact 'floor' of 'ground' and 'ball' from t = 0.05 s on lasts 3 steps", 8, False)
+    doubted(status, {0: doubt, 1: doubt})
+    assert status == ["failed: the motion is not finite from t = 0.1 s on", f"unresolved: {doubt.text}"]

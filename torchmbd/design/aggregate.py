@@ -1,4 +1,4 @@
-"""Many limits as one smooth number, whose gradient costs one way back, and the sharpness that it needs.
+"""Many limits as one smooth number, whose gradient costs one reverse pass, and the sharpness that it needs.
 
     ks       c/rho ln sum exp(rho y_k / c)     above the largest row by at most c ln(rows) / rho
     p_norm   (sum max(y_k, 0)^p)^(1/p)         above the largest row by at most the factor rows^(1/p)

@@ -62,7 +62,7 @@ def run(
     if precise and again is not None and again.steps == 1:
         poor = (made.stats["iteration_error"] > IMPRECISE).tolist()
     _without_start(dynamics.faults, made.status, made.stats, made.history)
-    doubtful = {lane: doubt for lane, doubt in found.doubts.items() if lane not in dynamics.faults}
+    doubtful = {lane: doubt for lane, doubt in found.doubts.items() if not has_failed(made.status[lane])}
     often = _steps_of_contacts(integrator, dynamics, steps, finer, doubtful)
     if often > 1:
         lanes = list(doubtful)
@@ -245,8 +245,10 @@ def memory_check(
 
 
 def doubted(status: list[str], doubts: Mapping[int, Doubt]) -> None:
-    """Put contacts that the steps do not show into the status of their lanes."""
+    """Put contacts that the steps do not show into the status of their lanes; of lanes that failed, why they did stays."""
     for lane, doubt in doubts.items():
+        if has_failed(status[lane]):
+            continue
         status[lane] = f"{'failed: ' if doubt.fails else _UNRESOLVED}{doubt.text}"
 
 

@@ -11,6 +11,7 @@ Checked in tests/math/test_screw.py: against rigid_motion.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from torchmbd.math.elementwise import reciprocal, sqrt
@@ -70,39 +71,30 @@ def screw_rate(l: Any, first: Any, second: Any) -> Any:
 
 def rate_slopes(l: Any, first: Any, second: Any) -> Any:
     """Derivative of `screw_rate` by l, velocities held [6, 6, ...]: values only."""
-    s = dot(l[3:], l[3:])
-    (c2, c4), (d2, d4) = _coefficients(l), (_polynomial(SLOPES[:, k].tolist(), s) for k in (1, 2))
-    wide = l.unsqueeze(1)
-    x, slope = second - first, None
-    powers, slopes = [], []
-    for _ in range(4):  # ad^k (second - first)
-        own = _forth_by_screw(x)
-        slope = own if slope is None else own + _forth(wide, slope)
-        x = _forth(l, x)
-        powers.append(x)
-        slopes.append(slope)
-    by_square = cat([l[:3] * 0.0, 2.0 * l[3:]])
-    outer = (d2 * powers[1] + d4 * powers[3]).unsqueeze(1) * by_square.unsqueeze(0)
-    return 0.5 * _forth_by_screw(second + first) + c2 * slopes[1] + c4 * slopes[3] + outer
+    return 0.5 * _forth_by_screw(second + first) + _even_slopes(l, second - first, _forth, _forth_by_screw)
 
 
 def wrench_slopes(l: Any, f: Any) -> tuple[Any, Any]:
     """Derivatives of both `wrenches` by l, f held [6, 6, ...]: values only."""
+    half, even = 0.5 * _back_by_screw(f), _even_slopes(l, f, _back, _back_by_screw)
+    return half - even, half + even
+
+
+def _even_slopes(l: Any, x: Any, bracket: Callable[[Any, Any], Any], by_screw: Callable[[Any], Any]) -> Any:
+    """Derivative of c2 A^2 x + c4 A^4 x by l, x held [6, 6, ...]; A y = bracket(l, y), `by_screw(y)` its derivative by l."""
     s = dot(l[3:], l[3:])
     (c2, c4), (d2, d4) = _coefficients(l), (_polynomial(SLOPES[:, k].tolist(), s) for k in (1, 2))
-    wide = l.unsqueeze(1)
-    x, slope = f, None
+    wide, slope = l.unsqueeze(1), None
     powers, slopes = [], []
-    for _ in range(4):  # ad'^k f
-        own = _back_by_screw(x)
-        slope = own if slope is None else own + _back(wide, slope)
-        x = _back(l, x)
+    for _ in range(4):
+        own = by_screw(x)
+        slope = own if slope is None else own + bracket(wide, slope)
+        x = bracket(l, x)
         powers.append(x)
         slopes.append(slope)
     by_square = cat([l[:3] * 0.0, 2.0 * l[3:]])
     outer = (d2 * powers[1] + d4 * powers[3]).unsqueeze(1) * by_square.unsqueeze(0)
-    even = c2 * slopes[1] + c4 * slopes[3] + outer
-    return 0.5 * slopes[0] - even, 0.5 * slopes[0] + even
+    return c2 * slopes[1] + c4 * slopes[3] + outer
 
 
 def _coefficients(l: Any) -> tuple[Any, Any]:
