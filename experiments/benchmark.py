@@ -17,6 +17,7 @@ Parts (default: all):
     chain           cost per link of a flexible chain
     chains          chains of 5 to 50 links
     loops           twelve flexible bodies in closed loops, with springs and a controller
+    beams           a slider-crank with a geometrically exact beam of 20 elements
     build           from an empty cache to native steps
     gradients       error of the gradients
     start           a fresh process to its first step
@@ -51,6 +52,7 @@ from experiments import benchmark_costs as costs
 from experiments.benchmark_adjoint import adjoint
 from experiments.benchmark_angles import many_angles
 from experiments.benchmark_batches import batches
+from experiments.benchmark_beams import beams
 from experiments.benchmark_integrators import work_precision
 from experiments.benchmark_load_cases import load_cases
 from experiments.benchmark_multistart import multistart
@@ -73,6 +75,7 @@ PARTS: dict[str, Callable[[Settings], Result]] = {
     "chain": costs.chain,
     "chains": benchmark_chains.chains,
     "loops": benchmark_chains.closed,
+    "beams": beams,
     "build": benchmark_chains.build,
     "gradients": costs.gradient_error,
     "start": costs.start,
@@ -114,6 +117,10 @@ FIGURES = (
     "chain_20",
     "chain_50",
     "closed_loops",
+    "beam_values_x1",
+    "beam_values_x32",
+    "beam_gradient_x32",
+    "beam_cable_x1",
     "build_s",
     "cached_s",
     "gradient_error",

@@ -25,6 +25,7 @@ from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics
 from torchmbd.results.history import History
 
+Observed = Callable[[Dynamics, History], Tensor]  # histories and their design tangents [1 + n_b, lanes, times]
 LINK, WIDTH = 0.3, 0.03  # of a link of the pendulum chain [m]
 
 
@@ -131,40 +132,43 @@ def responses_of(duration: float, U: Tensor) -> Tensor:
     return measures(torch.linspace(0.0, duration, U.shape[-1], dtype=U.dtype, device=U.device), U)
 
 
-def motion(dynamics: Dynamics, duration: float, steps: int, **options: Any) -> tuple[Tensor, Tensor]:
-    """The motion stage of a batch: from frozen dynamics to `responses`."""
+def motion(
+    dynamics: Dynamics, duration: float, steps: int, observed: Observed = energy, **options: Any
+) -> tuple[Tensor, Tensor]:
+    """The motion stage of a batch: from frozen dynamics to `responses` of what is observed."""
     with torch.no_grad():
-        integrator = integrator_of(DEFAULT, options)
+        integrator = integrator_of(DEFAULT, options).suited(dynamics.topology)
         history = integrator.integrate(library.resolved(dynamics, "auto"), duration, steps).history
-        U = energy(dynamics, history)
+        U = observed(dynamics, history)
         return responses(duration, U) if len(U) > 1 else (responses(duration, U)[0], U.new_zeros(0))
 
 
 def differentiable_motion(
-    dynamics: Dynamics, duration: float, steps: int, names: Collection[str] = ()
+    dynamics: Dynamics, duration: float, steps: int, names: Collection[str] = (), observed: Observed = energy
 ) -> tuple[Tensor, dict[str, Tensor]]:
     """`responses` [2, lanes] as a function of data, those of `names` and those that move with the design, by the adjoint."""
     moving = [name for name, x in dynamics.data.items() if isinstance(x, Pair) or name in names]
     data = {name: value(x).detach().requires_grad_(name in moving) for name, x in dynamics.data.items()}
     model = replace(dynamics, data={})
+    integrator = GeneralizedAlpha().suited(dynamics.topology)
     made = ReverseIntegration(
-        None, model, tuple(data), duration, False, steps, GeneralizedAlpha(), precise=True, wanted=tuple(moving)
+        None, model, tuple(data), duration, False, steps, integrator, precise=True, wanted=tuple(moving)
     )
     outputs: Any = Motion.apply(made, *data.values())
     q, v, vd, lam = outputs[:4]
     history = History(q, v, vd, lam, made.expansion(data))
-    found = responses_of(duration, energy(replace(dynamics, data=data), history)[0])
+    found = responses_of(duration, observed(replace(dynamics, data=data), history)[0])
     return found, {name: data[name] for name in moving}
 
 
 def motion_backwards(
-    dynamics: Dynamics, duration: float, steps: int, names: Collection[str] = ()
+    dynamics: Dynamics, duration: float, steps: int, names: Collection[str] = (), observed: Observed = energy
 ) -> tuple[Tensor, Tensor]:
     """As `motion`, with the gradients of both responses by the adjoint of the steps.
 
     names   of data; the gradients are then by these alone, [2, n, lanes]
     """
-    found, leaves = differentiable_motion(dynamics, duration, steps, names)
+    found, leaves = differentiable_motion(dynamics, duration, steps, names, observed)
     rows = found.sum(-1)
     slopes = torch.vmap(lambda weights: torch.autograd.grad(rows, list(leaves.values()), weights, retain_graph=True))(
         torch.eye(2).double()

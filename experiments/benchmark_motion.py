@@ -44,14 +44,19 @@ class Accuracy:
     converged: Tensor
 
 
-def accuracy(run: Callable[[int], Tensor], ladder: tuple[int, ...] = LADDER, converged: int = CONVERGED) -> Accuracy:
+def accuracy(
+    run: Callable[[int], Tensor],
+    ladder: tuple[int, ...] = LADDER,
+    converged: int = CONVERGED,
+    tolerance: float = ACCURACY,
+) -> Accuracy:
     """Climb the ladder with `run`: steps -> peak and integral [2, designs]; the last rung where none is enough."""
     exact = run(converged)
     found = Accuracy(0, float("nan"), float("nan"), exact)
     for steps in ladder:
         error = (run(steps) / exact - 1.0).abs().amax(1)
         found = Accuracy(steps, float(error[0]), float(error[1]), exact)
-        if float(error.max()) <= ACCURACY:
+        if float(error.max()) <= tolerance:
             break
     return found
 
