@@ -69,7 +69,7 @@ def test_the_failure_index_is_the_largest_of_all_points(criterion, motions):
     assert_close(plies.failure(criterion), everywhere.amax(-1), rtol=1e-12, atol=1e-15)
     place = plies.critical(criterion)
     assert plies.points[place].shape == (2, 41, 3)
-    assert float(everywhere.amax()) > 0.01
+    assert float(everywhere.amax()) > 1e-3
 
 
 @pytest.mark.parametrize("criterion", CRITERIA)
@@ -133,13 +133,13 @@ def test_the_door_names_what_is_missing(motions):
         PlyHistory(motions[0], "rod").failure("x")
 
 
-@pytest.mark.parametrize("layers", [2, 4])
-def test_shear_between_layers_of_a_cantilever(layers):
+@pytest.mark.parametrize(("layers", "thickness"), [(2, 8e-3), (4, 8e-3), (4, 1e-3)])
+def test_shear_between_layers_of_a_cantilever(layers, thickness):
     """tau = 3 V / (2 w t) in the middle, three quarters of it at a quarter of the thickness, nothing at the faces."""
     strength = mbd.Strength(1.5e9, 1.2e9, 50e6, 250e6, 70e6, S13=60e6, S23=60e6)
     ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, strength=strength)
     mesh = mbd.mesh.rectangle(length=0.2, width=0.05, cells=(16, 8))
-    laminate = mbd.Laminate([ply] * layers, [0.0] * layers, [8e-3 / layers] * layers)
+    laminate = mbd.Laminate([ply] * layers, [0.0] * layers, [thickness / layers] * layers)
     ends = {"root": mbd.Interface("left_edge", rigid=True), "tip": mbd.Interface("right_edge", rigid=True)}
     options: dict = {"reduction": "craig-bampton", "reference": "center", "modes": 0, "interface": ends}
     arm = mbd.FlexibleBody.plate("arm", mesh, laminate, **options)
@@ -149,14 +149,14 @@ def test_shear_between_layers_of_a_cantilever(layers):
     index, (cell, layer, face) = plies.indices("interlaminar")[0, 0], plies.points.T
     middle = mesh.nodes[mesh.quads].mean(1)[:, 0].abs() < 0.05
     inside = middle[cell]
-    expected = 1.5 * 10.0 / (0.05 * 8e-3) / 60e6
+    expected = 1.5 * 10.0 / (0.05 * thickness) / 60e6
     height = (layer + face) / layers
     for z, share in ((0.0, 0.0), (0.25, 0.75), (0.5, 1.0), (1.0, 0.0)):
         here = index[inside & (height == z)]
         if len(here):
             assert float(here.mean()) == pytest.approx(share * expected, rel=0.02, abs=1e-9)
     index_of = mbd.PlyFailure("arm", "interlaminar")
-    index_of.check(rest.system)  # cells of 1.1 times the thickness: no warning
+    index_of.check(rest.system)
     assert plies.modes("interlaminar") == ["shear between layers"]
     assert float(index_of(rest)) == pytest.approx(float(index.max()), rel=1e-12)
 
@@ -170,10 +170,10 @@ def test_interlaminar_needs_a_strength_of_shear():
     assert float(mbd.Max(mbd.PlyFailure("arm", "puck"))(motion)) > 0.0
 
 
-def test_long_cells_are_warned_of():
+def test_long_triangles_are_warned_of():
     strength = mbd.Strength(1.5e9, 1.2e9, 50e6, 250e6, 70e6, S13=60e6)
     ply = mbd.Ply(128e9, 10.1e9, 5.36e9, 5.36e9, 3.6e9, 0.23, 1586.0, strength=strength)
-    mesh = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(20, 2))
+    mesh = mbd.mesh.rectangle(length=0.5, width=0.05, cells=(20, 2), kind="triangle")
     body = mbd.FlexibleBody.plate("arm", mesh, mbd.Laminate([ply], [0.0], 2e-3), modes=2)
-    with pytest.warns(UserWarning, match="cells of body 'arm' are 12 times as long as it is thick"):
+    with pytest.warns(UserWarning, match="triangles of body 'arm' are 9 times as long as it is thick"):
         mbd.PlyFailure("arm", "interlaminar").check(mbd.System([body]))

@@ -29,8 +29,9 @@ from torch import Tensor
 from torchmbd.errors import InputError
 from torchmbd.fem.elements.cell_stiffness import CellStiffness, shapes_of
 from torchmbd.fem.elements.facet import Facets, facets
+from torchmbd.fem.elements.shear_recovery import shear_strains
 from torchmbd.fem.elements.shell_elements import ELEMENTS
-from torchmbd.fem.elements.strains import Strains
+from torchmbd.fem.elements.strains import ShearRecovery, Strains
 from torchmbd.fem.materials import ENTRIES, IsotropicMean, Laminate, LaminateStiffness
 from torchmbd.fem.mesh import Mesh, directed_area
 from torchmbd.math.linear_map import mapped
@@ -178,12 +179,23 @@ class PlateMatrices:
         self._picked = [*self._picked[-3:], (chosen, self._whole._replace(sums=self._whole.sums.chosen(chosen)))]
         return self._picked[-1][1]
 
-    def section_strains(self, displacements: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m 8 k"]:
-        """Return eps, kappa, gamma at the middle of each cell for k fields of nodal displacements, such as modes."""
+    def section_strains(
+        self, displacements: Float[Tensor, "*lanes n 6 k"], law: LaminateStiffness
+    ) -> Float[Tensor, "*lanes m 8 k"]:
+        """Return eps, kappa, gamma at the middle of each cell for k fields of nodal displacements, such as modes.
+
+        law   of one laminate [*lanes, ...], or of several [*lanes, laminates, ...]
+        """
         found = []
-        for own in self.kinds.values():
+        zones = self.zones.split([len(own.shape) for own in self.kinds.values()])
+        for own, zone in zip(self.kinds.values(), zones, strict=True):
             at = displacements[..., own.corners, :, :].flatten(-3, -2)
-            found.append(torch.einsum("msf,...mfk->...msk", own.strains.center[own.shape], at))
+            strains = own.strains.center[own.shape] @ at
+            if own.strains.shear is not None:
+                shear = ShearRecovery(*(x[own.shape] for x in own.strains.shear))
+                cells = LaminateStiffness(*(X[..., zone, :, :] if self.several else X.unsqueeze(-3) for X in law))
+                strains = torch.cat([strains[..., :6, :], shear_strains(shear, cells, at)], dim=-2)
+            found.append(strains)
         return torch.cat(found, dim=-3)
 
     def lumped_mass(

@@ -30,10 +30,10 @@ from torch import Tensor
 
 from torchmbd.fem.elements.facet import Facets
 from torchmbd.fem.elements.inner_forces import varying
-from torchmbd.fem.elements.quad_bending import plate_strains
+from torchmbd.fem.elements.quad_bending import curvature_slopes, plate_strains
 from torchmbd.fem.elements.quad_membrane import membrane
 from torchmbd.fem.elements.quad_shape import Bilinear, gauss, middle
-from torchmbd.fem.elements.strains import Strains, in_mesh_axes, turned
+from torchmbd.fem.elements.strains import ShearRecovery, Strains, in_mesh_axes, of_plate, turned
 from torchmbd.fem.materials import IsotropicMean
 
 
@@ -54,7 +54,10 @@ def quad_strains(plane: Facets, mean: IsotropicMean) -> Strains:
     share = points.weight / points.weight.sum(1, keepdim=True)
     center = torch.einsum("mp,mpsf->msf", share, at[:, :4])
     bent = torch.einsum("mep,mpsf->mesf", varying(points.weight), at[:, :4, 3:6])
-    return Strains(at, weight, center, flat.forces._replace(work=turned(plane.axes, work), curvature=bent))
+    forces = flat.forces._replace(work=turned(plane.axes, work), curvature=bent)
+    slopes, bending = curvature_slopes(plane.corners, points, mean, plane.cell)
+    slopes = bending[:, None, None, None] * turned(plane.axes, of_plate(slopes))
+    return Strains(at, weight, center, forces, ShearRecovery(slopes, (1.0 - bending)[:, None, None] * center[:, 6:]))
 
 
 def _warp2(plane: Facets) -> Float[Tensor, " m"]:

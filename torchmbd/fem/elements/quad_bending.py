@@ -82,10 +82,32 @@ def plate_strains(
     phi = (mean.shear_length**2 / size2).mean(1)[:, None, None, None]
     medians = middle(corners).jacobian[:, 0]
     twisted = higher + _twist(medians)[:, None] @ higher / (1.0 + phi) ** 3
-    bowed = quadratic_curvatures(points, _directions(medians, tangent))
+    root = _quadratic_weight(medians).sqrt()
+    bowed = quadratic_curvatures(points, root[..., None] * _directions(medians, tangent))
     bowed = (bowed - (share * bowed).sum(1, keepdim=True)) @ delta[:, None]
     run = _run(medians, alone, mean.layer_length)
     return constant + twisted + bowed, shear_strains(corners, points, side_shear, run)
+
+
+def curvature_slopes(
+    corners: Float[Tensor, "m 4 2"], points: Bilinear, mean: IsotropicMean, cell: Float[Tensor, "m 4"]
+) -> tuple[Float[Tensor, "m 2 3 12"], Float[Tensor, " m"]]:
+    """Derivatives of the curvatures by x and y, as they work in the energy, and the share of bending in the gaps.
+
+    Solutions have quadratic parts that are smaller by their weight in the energy, so here they count that often.
+    """
+    gap, tangent, length = gaps(corners)
+    size2 = crossed_size2(length, cell)
+    delta, _ = shared(gap, mean.shear_length, size2)
+    medians = middle(corners).jacobian[:, 0]
+    along = _quadratic_weight(medians)[..., None] * _directions(medians, tangent)
+    curvature = linear_curvatures(points)
+    curvature = curvature + _twist(medians)[:, None] @ curvature + quadratic_curvatures(points, along) @ delta[:, None]
+    share = (points.weight / points.weight.sum(1, keepdim=True))[..., None]
+    x = points.place - (share * points.place).sum(1, keepdim=True)
+    nearest = torch.linalg.solve((share * x).mT @ x, (share * x).mT)  # linear field
+    phi = (mean.shear_length**2 / size2).mean(1)
+    return torch.einsum("mdp,mpsf->mdsf", nearest, curvature), 1.0 / (1.0 + phi)
 
 
 def _run(medians: Float[Tensor, "m 2 2"], alone: Bool[Tensor, "m 4"], layer: float) -> Run:
@@ -98,13 +120,16 @@ def _run(medians: Float[Tensor, "m 2 2"], alone: Bool[Tensor, "m 4"], layer: flo
 
 
 def _directions(medians: Float[Tensor, "m 2 2"], tangent: Float[Tensor, "m 4 2"]) -> Float[Tensor, "m 4 2"]:
-    """d_k of the four sides, times the root of their weight in the energy."""
+    """d_k of the four sides."""
     normal = torch.stack([-medians[..., 1], medians[..., 0]], dim=-1)
     across = normal.flip(1).repeat(1, 2, 1)  # to the median that crosses the side's own
-    length = medians.norm(dim=-1)
-    ratio = torch.linalg.det(medians)[:, None] / length.flip(1).square()  # h / |b|
-    weight = (1.0 + (SQUARE - 1.0) * ratio**6).clamp_max(LONG).repeat(1, 2)
-    return (weight.sqrt() / (across * tangent).sum(-1))[..., None] * across
+    return across / (across * tangent).sum(-1, keepdim=True)
+
+
+def _quadratic_weight(medians: Float[Tensor, "m 2 2"]) -> Float[Tensor, "m 4"]:
+    """How often the quadratic parts of the four sides count in the energy."""
+    ratio = torch.linalg.det(medians)[:, None] / medians.norm(dim=-1).flip(1).square()  # h / |b|
+    return (1.0 + (SQUARE - 1.0) * ratio**6).clamp_max(LONG).repeat(1, 2)
 
 
 def _twist(medians: Float[Tensor, "m 2 2"]) -> Float[Tensor, "m 3 3"]:

@@ -25,13 +25,28 @@ from torchmbd.fem.elements.inner_forces import InnerForces
 FREEDOMS = ("u1", "u2", "u3", "phi1", "phi2", "phi3")
 
 
+class ShearRecovery(NamedTuple):
+    """What shear forces of a cell are recovered from (shear_recovery.py): derivatives of curvatures by x and y, shear strains.
+
+    slopes   times the share of bending
+    strain   times the share of shear
+    """
+
+    slopes: Float[Tensor, "m 2 3 freedoms"]
+    strain: Float[Tensor, "m 2 freedoms"]
+
+
 class Strains(NamedTuple):
-    """Strains at the points of every cell, the area that each point stands for [m2], the strains to judge plies by, forces."""
+    """Strains at the points of every cell, the area that each point stands for [m2], the strains to judge plies by, forces.
+
+    shear   what shear forces are recovered from; None: from the strains of `center`
+    """
 
     at: Float[Tensor, "m points 8 freedoms"]
     weight: Float[Tensor, "m points"]
     center: Float[Tensor, "m 8 freedoms"]
     forces: InnerForces | None = None
+    shear: ShearRecovery | None = None
 
 
 def in_mesh_axes(
@@ -48,11 +63,15 @@ def in_mesh_axes(
     m, points, _, corners, given = membrane.shape
     local = membrane.new_zeros(m, points, 8, corners, 6)
     local[:, :, :3, :, [0, 1, 5] if given == 3 else list(range(6))] = membrane
-    bending = torch.cat([curvature, shear], dim=2).unflatten(-1, (corners, 3))
-    local[:, :, 3:, :, 2] = bending[..., 0]
-    local[:, :, 3:, :, 4] = bending[..., 1]
-    local[:, :, 3:, :, 3] = -bending[..., 2]
+    local[:, :, 3:] = of_plate(torch.cat([curvature, shear], dim=2))
     return turned(axes, local)
+
+
+def of_plate(rows: Float[Tensor, "*rows 3c"]) -> Float[Tensor, "*rows c 6"]:
+    """Rows on (w, beta_x, beta_y) of the corners as rows on all their freedoms in the cell's axes."""
+    w, x, y = rows.unflatten(-1, (-1, 3)).unbind(-1)
+    zero = torch.zeros_like(w)
+    return torch.stack([zero, zero, w, -y, x, zero], dim=-1)
 
 
 def turned(axes: Float[Tensor, "m 3 3"], local: Float[Tensor, "m *rows c 6"]) -> Float[Tensor, "m *rows 6c"]:
