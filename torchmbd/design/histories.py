@@ -39,7 +39,7 @@ Direction = str | Sequence[float]
 
 @dataclass(frozen=True)
 class StrainEnergy(History):
-    """Elastic energy U = 1/2 w' Kr w of a flexible body, or that of a flexible beam [lanes, times] [J]; eq. (17).
+    """Elastic energy of a flexible body, of a linear one U = 1/2 w' Kr w, or of a flexible beam [lanes, times] [J]; eq. (17).
 
     body  its name
 
@@ -61,8 +61,10 @@ class StrainEnergy(History):
         if isinstance(body, BeamMotion):
             return None
         Kr, w, wd, wdd = body.stiffness[0], body.w, body.wd, body.wdd
-        force = w @ Kr
-        return (force * wd).sum(-1), ((wd @ Kr) * wd + force * wdd).sum(-1)
+        force, stiff, bent = w @ Kr, wd @ Kr, body.bent_stiffness
+        if bent is not None:
+            force, stiff = force + 0.5 * (bent @ w[..., None])[..., 0], stiff + (bent @ wd[..., None])[..., 0]
+        return (force * wd).sum(-1), (stiff * wd + force * wdd).sum(-1)
 
 
 @dataclass(frozen=True)

@@ -115,15 +115,26 @@ class BodyMotion(Summary):
         return K, dK.expand(lanes, *dK.shape[1:])
 
     @property
+    def bent_stiffness(self) -> Tensor | None:
+        """K2 w, what bending adds to the stiffness [lanes, times, m, m]; None: nothing."""
+        K2 = self.motion.dynamics.data.get("K2")
+        if K2 is None:
+            return None
+        m = self._T.own_modes[self._flexible()]
+        own = value(K2)[:m, :m, :m, self._index, 0].movedim(-1, 0)
+        return torch.einsum("labc,ltc->ltab", own.expand(self.motion.lanes, m, m, m), self.w)
+
+    @property
     def mass(self) -> Tensor:
         """Mass of the body [lanes] [kg]."""
         return value(self.motion.dynamics.data["mass"])[self._index, 0].expand(self.motion.lanes)
 
     @property
     def strain_energy(self) -> Tensor:
-        """U = 1/2 w' Kr w [lanes, times] [J]; eq. (17)."""
-        w = self.w
-        return 0.5 * ((w @ self.stiffness[0]) * w).sum(-1)
+        """U = 1/2 w' Kr w [lanes, times] [J], eq. (17), and 1/6 K2 www of a body with a quadratic stiffness."""
+        w, bent = self.w, self.bent_stiffness
+        energy = 0.5 * ((w @ self.stiffness[0]) * w).sum(-1)
+        return energy if bent is None else energy + (w * (bent @ w[..., None])[..., 0]).sum(-1) / 6.0
 
     @property
     def psi(self) -> Tensor:

@@ -113,6 +113,9 @@ def _lane(motion: MotionData, lane: int) -> list[Tensor]:
     if T.flexible:
         strain = 0.5 * (w * matvec(data["Kr"], w)).sum((0, 1))
         plain["Kr"] = torch.zeros_like(data["Kr"])
+        if "K2" in plain:
+            strain = strain + (w * matvec(equations.bent_stiffness(plain, w), w)).sum((0, 1)) / 6.0
+            del plain["K2"]
         if "D" in data:
             dissipation = (wd * matvec(data["D"], wd)).sum((0, 1))
     if T.beams is not None:

@@ -60,6 +60,24 @@ def test_other_coordinates_are_the_same_body(plate, made):
     assert_close(swing(body), swing(plate), rtol=0.0, atol=1e-10)
 
 
+def test_quadratic_stiffness_is_kept_and_turns_with_the_coordinates(plate, made, tmp_path):
+    """In normalized coordinates as in others, and in the file."""
+    rows = [torch.tensor(x, dtype=torch.float64) for x in ((1.0, 0.5, -0.3), (0.2, 1.0, 0.4))]
+    cubic = sum(3e7 * torch.einsum("i,j,k->ijk", x, x, x) for x in rows)
+    nodes, own = plate.mesh.nodes - plate.origin, numbers(made)
+    A = torch.diag(torch.tensor([2.0, 1.0, 0.5], dtype=torch.float64))
+    scaled = own | {key: own[key] @ A for key in ("S1", "C0", "R1")} | {k: A @ own[k] @ A for k in ("C1", "R2")}
+    plain = mbd.FlexibleBody.from_reduced("arm", nodes, made["psi"], made["Kr"], own, K2=cubic)
+    other = mbd.FlexibleBody.from_reduced(
+        "arm", nodes, made["psi"] @ A, A @ made["Kr"] @ A, scaled, K2=torch.einsum("abc,ai,bj,ck->ijk", cubic, A, A, A)
+    )
+    read = mbd.FlexibleBody.from_reduced("arm", plain.save_reduced(tmp_path / "arm.npz"))
+    linear, bent = swing(plate), swing(plain)
+    assert float((bent - linear).abs().max()) > 1e-6
+    assert_close(swing(other), bent, rtol=0.0, atol=1e-10)
+    assert torch.equal(swing(read), bent)
+
+
 def test_inertia_may_stand_for_its_matrix(plate, made):
     own = numbers(made)
     P0 = own.pop("P0")
@@ -75,6 +93,8 @@ WRONG = {
     "negative": (lambda x: {"invariants": x | {"mass": -1.0}}, "mass of 'arm' is not positive"),
     "Kr": (lambda x: {"Kr": -torch.eye(3)}, "Kr of 'arm' is not positive definite"),
     "Kr's shape": (lambda x: {"Kr": torch.eye(2)}, r"Kr of 'arm' has shape \(2, 2\)"),
+    "K2's shape": (lambda x: {"K2": torch.zeros(3, 3)}, r"K2 of 'arm' has shape \(3, 3\)"),
+    "K2": (lambda x: {"K2": torch.arange(27.0).reshape(3, 3, 3)}, "K2 of 'arm' changes with the order of its axes"),
     "modes": (lambda x: {"modes": torch.zeros(3, 6, 2)}, r"modes of 'arm' have shape \(3, 6, 2\)"),
 }
 

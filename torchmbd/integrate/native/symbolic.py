@@ -173,6 +173,7 @@ SHAPES: dict[str, tuple[AnySize, ...]] = {
     "C1": (3, 3, M, M, F),
     "H": (3, M, M, F),
     "Kr": (M, M, F),
+    "K2": (M, M, M, F),
     "D": (M, M, F),
     "F1": (3, M, M, F),
     "F2": (3, 3, M, M, F),

@@ -75,6 +75,7 @@ class MatrixMethods:
         invariants: Mapping[str, Any] | None = None,
         Mr: Any = None,
         node_sets: Mapping[str, Sequence[int]] | None = None,
+        K2: Any = None,
         **options: Any,
     ) -> Self:
         """A body that was reduced elsewhere, of constant numbers (multibody/bodies/reduced_structure.py).
@@ -83,11 +84,12 @@ class MatrixMethods:
         modes        at the nodes [n, 6, m], or [n, 3, m] without rotations
         Kr, Mr       reduced stiffness and mass [m, m]; Mr None: the trace of C1 + R2
         invariants   inertia invariants by their names
+        K2           quadratic stiffness, symmetric [m, m, m]: elastic forces Kr w + 1/2 w' K2 w; None: linear
         options      position, axes, damping, as in `plate`
         """
         if isinstance(nodes, (str, Path)) and invariants is None:
             return cls._of(name, read_reduced(name, nodes), **options)
-        made = ReducedStructure(name, nodes, modes, Kr, {} if invariants is None else invariants, Mr, node_sets)
+        made = ReducedStructure(name, nodes, modes, Kr, {} if invariants is None else invariants, Mr, node_sets, K2)
         return cls._of(name, made, **options)
 
     @classmethod

@@ -2,9 +2,10 @@
 
 Invariants by their names in fem/reduction/invariants.py: mass, S0 [3], P0 [3, 3], S1 [3, m], C0 [3, 3, m], C1 [3, 3, m, m];
 mu, R1, R2 where there are rotary inertias; "J", the inertia about the origin, may stand for P0. The modal mass is the trace
-of C1 + R2 over the axes, or Mr. Where it is not the identity, the eigenmodes of (Kr, Mr) become the coordinates.
+of C1 + R2 over the axes, or Mr. Where it is not the identity, the eigenmodes of (Kr, Mr) become the coordinates. Elastic
+forces are Kr w + 1/2 w' K2 w, with the energy 1/2 Kr ww + 1/6 K2 www.
 
-File (.npz): nodes, psi, Kr, the invariants, cells and node sets; a round trip changes no digit.
+File (.npz): nodes, psi, Kr, K2 where there is one, the invariants, cells and node sets; a round trip changes no digit.
 Checked in tests/multibody/bodies/test_from_reduced.py.
 """
 
@@ -57,6 +58,7 @@ class ReducedStructure:
         invariants: Mapping[str, Any],
         Mr: Any = None,
         node_sets: Mapping[str, Sequence[int]] | None = None,
+        K2: Any = None,
     ) -> None:
         self.name = name
         x = nodes.nodes if isinstance(nodes, Mesh) else reals(f"nodes of {name!r}", nodes).detach()
@@ -66,6 +68,8 @@ class ReducedStructure:
         self.size = psi.shape[-1]
         found = self._invariants(invariants)
         stiffness = self._square("Kr", Kr)
+        if K2 is not None:
+            found["K2"] = self._cube(K2)
         if Mr is not None:
             rest = self._square("Mr", Mr) - torch.einsum("iiab->ab", found["C1"] + found["R2"])
             found["R2"] = found["R2"] + torch.eye(3, dtype=torch.float64)[:, :, None, None] * (rest / 3.0)
@@ -85,6 +89,17 @@ class ReducedStructure:
         if float((A - A.T).abs().max()) > NORMAL * float(A.abs().max()):
             raise InputError(f"{key} of {self.name!r} is not symmetric: {A.tolist()}; allowed: symmetric to 1e-9")
         return 0.5 * (A + A.T)
+
+    def _cube(self, given: Any) -> Float[Tensor, "m m m"]:
+        K2 = reals(f"K2 of {self.name!r}", given).detach()
+        if K2.shape != (self.size,) * 3 or not bool(torch.isfinite(K2).all()):
+            shape = tuple(K2.shape)
+            raise InputError(f"K2 of {self.name!r} has shape {shape}; allowed: {(self.size,) * 3}, finite")
+        if max(float((K2 - K2.transpose(0, k)).abs().max()) for k in (1, 2)) > NORMAL * float(K2.abs().max()):
+            raise InputError(
+                f"K2 of {self.name!r} changes with the order of its axes; allowed: derivatives of an energy"
+            )
+        return K2
 
     def _invariants(self, given: Mapping[str, Any]) -> dict[str, Tensor]:
         if not isinstance(given, Mapping):
@@ -124,6 +139,8 @@ class ReducedStructure:
             psi = psi @ A
             found |= {key: found[key] @ A for key in ("S1", "C0", "R1")}
             found |= {key: A.T @ found[key] @ A for key in ("C1", "R2")}
+            if "K2" in found:
+                found["K2"] = torch.einsum("abc,ai,bj,ck->ijk", found["K2"], A, A, A)
         return found | {"Kr": Kr, "psi": psi}
 
     def _check(self) -> None:
@@ -161,7 +178,7 @@ def save_reduced(path: str | Path, mesh: Any, origin: Tensor, made: Mapping[str,
         raise InputError("the body has stiffening, which no file of reduced bodies holds; allowed: stiffening=False")
     if made["Kr"].dim() > 2:
         raise InputError(f"the body has {made['Kr'].shape[0]} designs at once; allowed: one")
-    arrays = {key: made[key].detach().numpy() for key in (*SHAPES, "Kr", "psi")}
+    arrays = {key: made[key].detach().numpy() for key in (*SHAPES, "Kr", "psi", "K2") if key in made}
     arrays["nodes"] = (mesh.nodes - origin).detach().numpy()
     lines = getattr(mesh, "elements", None)
     cells = {"lines": lines} if lines is not None else {key: getattr(mesh, key) for key in _MESH}
@@ -183,7 +200,7 @@ def read_reduced(name: str, path: str | Path) -> ReducedStructure:
         cells: dict[str, Any] = {key: torch.from_numpy(data[key]).long() for key in _MESH if key in data}
         mesh = NodeCloud(torch.from_numpy(data["nodes"]), node_sets=sets, **cells)
         own = {key: data[key] for key in SHAPES}
-        return ReducedStructure(name, mesh, data["psi"], data["Kr"], own)
+        return ReducedStructure(name, mesh, data["psi"], data["Kr"], own, K2=data.get("K2"))
     except (KeyError, ValueError, TypeError, AttributeError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise (
             error

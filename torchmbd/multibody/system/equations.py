@@ -6,7 +6,7 @@ velocity (f: of bodies with stiffening, else zero):
     Z = ~om' + ~om ~om                         acceleration of a body-fixed vector b is A Z b
     force    m r'' + A (Z S + s w'' + 2 ~om s w' + w' F1 w')                                           ground axes
     torque   axial(Z P + G w'' + 2 ~om G w' + w' F2 w') + S x A'r'' + mu om' + R1 w'' + om x R1 w'      body axes
-    modes    s' A'r'' + R1' om' + Z : G + w'' + om . H w' + Kr w + D w'
+    modes    s' A'r'' + R1' om' + Z : G + w'' + om . H w' + Kr w + 1/2 w' K2 w + D w'
 
     s = S1 + F1 w                              sum m (t + f w)
     S = S0 + S1 w + 1/2 w' F1 w                sum m b
@@ -14,6 +14,7 @@ velocity (f: of bodies with stiffening, else zero):
     P = P0 + (C0 w)' + G w                     sum m b b', its part with F2 halved and symmetric
     H                                          sum m t x t + mu r x r (antisymmetric in the modes)
     F1, F2                                     sum m f, sum m f x'   (multibody/bodies/stiffening.py)
+    K2                                         of bodies with quadratic stiffness, symmetric: energy 1/6 K2 www
 
 The terms with F1 and F2 in the modes are stiffness by the accelerations of the frame; those in force and torque make the mass
 matrix symmetric: all come from one kinetic energy, exact to the second order in w and w', so energy is conserved. Of higher
@@ -186,6 +187,8 @@ def inertia_forces(T: Topology, data: Data, at: Placement, v, a):
         V, V0 = frame_share(data, w), data["V0"]
         rate = matvec(V, wdd) + contract(contract(data["V1"], wd, 2), wd, 1)
         modal = modal + matvec_t(V, rate) - matvec_t(V0, matvec(V0, wdd))
+    if "K2" in data:
+        modal = modal + 0.5 * matvec(bent_stiffness(data, w), w)
     if "D" in data:
         modal = modal + matvec(data["D"], wd)
     return data["mass"] * rdd + matvec(A, h), axial(Y) + torque, modal
@@ -210,6 +213,11 @@ def moments(T: Topology, data: Data, w):
 def frame_share(data: Data, w):
     """V [6, modes, flexible]: the motion of the frame that carries as much momentum as the modes do."""
     return data["V0"] + contract(data["V1"], w, 2)
+
+
+def bent_stiffness(data: Data, w):
+    """K2 w [modes, modes, flexible]: what bending adds to the stiffness of bodies with a quadratic one."""
+    return contract(data["K2"], w, 2)
 
 
 def _stack2(a, b):

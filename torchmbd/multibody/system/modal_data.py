@@ -45,6 +45,9 @@ def modal_data(stages: list[dict[str, Tensor]], damping: list[Tensor | None], mo
         "H": together(H, 3),
         "Kr": together([pad(s["Kr"], modes, (-2, -1)) for s in stages], 2),
     }
+    if any("K2" in s for s in stages):
+        own = [s["K2"] if "K2" in s else s["Kr"].new_zeros(1, 1, 1) for s in stages]
+        data["K2"] = together([pad(K2, modes, (-3, -2, -1)) for K2 in own], 3)
     if any(D is not None for D in damping):
         parts = [torch.zeros_like(s["Kr"]) if D is None else D for D, s in zip(damping, stages, strict=True)]
         data["D"] = together([pad(D, modes, (-2, -1)) for D in parts], 2)

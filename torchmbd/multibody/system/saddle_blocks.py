@@ -25,6 +25,7 @@ from torchmbd.multibody.system.equations import (
     Data,
     Placement,
     beam_rates,
+    bent_stiffness,
     frame_share,
     moments,
     split_v,
@@ -159,6 +160,8 @@ class SaddleBlocks:
             blocks["pull"] = (A_f[:, :, None] * SR[:3][None]).sum(1)
             blocks["twist"] = axial(G) + SR[3:]
             modal = T.modal_identity(data["Kr"]) + stiffness * data["Kr"]
+            if "K2" in data:
+                modal = modal + stiffness * bent_stiffness(data, at.w)
             if "F1" in data:
                 V, V0 = frame_share(data, at.w), data["V0"]
                 modal = modal + (V[:, :, None] * V[:, None]).sum(0) - (V0[:, :, None] * V0[:, None]).sum(0)
