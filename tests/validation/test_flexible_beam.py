@@ -14,6 +14,7 @@ from torch import Tensor
 
 import torchmbd as mbd
 from tests.fem.exact_beam.cases import given, matrix
+from tests.validation.beam_motions import PEAKS, flying_loads, flying_rod, momenta, right_angle
 
 pytestmark = pytest.mark.usefixtures("compiled")
 
@@ -64,3 +65,28 @@ def test_flying_spaghetti():
     after = motion.t > 2.7
     stored = motion.energies.stored[0, after]
     assert float((stored - stored[0]).abs().max()) < 5e-3 * float(stored[0])
+
+
+def test_right_angle_cantilever():
+    """Displacements out of the plane as large as the legs: three peaks of the published curves."""
+    motion = mbd.simulate(right_angle(10), 20.0, steps=400, gradients="none")
+    assert motion.status == ["ok"]
+    across = motion.body("frame").nodes[0, :, :, 2]
+    for where, (start, end), wanted in PEAKS:
+        own = across[(motion.t >= start) & (motion.t <= end), 10 if where == "elbow" else -1]
+        assert float(own[own.abs().argmax()]) == pytest.approx(wanted, rel=1e-2)
+
+
+def test_flying_spaghetti_in_space():
+    """Momentum and angular momentum are those of the loads, the energy stays when they have gone."""
+    motion = mbd.simulate(flying_rod(10), 7.0, steps=700, gradients="none")
+    assert motion.status == ["ok"]
+    linear, angular = momenta(motion, "rod")
+    assert linear[-1].tolist() == pytest.approx([50.0, 0.0, 0.0], abs=1e-4)  # 20 N at most, for 5 s
+    loads, tip = flying_loads(motion.t).T, motion.body("rod").nodes[0, :, -1]
+    rate = loads[:, 3:] + torch.linalg.cross(tip, loads[:, :3])
+    wanted = angular[0] + torch.cumulative_trapezoid(rate, motion.t, dim=0)
+    assert float((angular[1:] - wanted).abs().max()) < 1e-4 * float(angular.abs().max())
+    stored = motion.energies.stored[0, motion.t > 5.0]
+    assert float((stored - stored[0]).abs().max()) < 1e-4 * float(stored[0])
+    assert float(motion.energies.strain.max()) > 180.0
