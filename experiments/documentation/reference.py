@@ -13,6 +13,7 @@ from typing import Any
 
 import torchmbd as mbd
 from torchmbd.study.json_schema import json_schema
+from torchmbd.study.key_meanings import KEYS
 from torchmbd.study.scaffold import begin
 
 ROOT = Path(__file__).parents[2]
@@ -78,7 +79,7 @@ def commands() -> str:
     """Every command with its arguments, as the command line tells them."""
     from torchmbd.cli import app
 
-    text = app.generate_docs(output_format="markdown")
+    text = app.generate_docs(output_format="markdown", usage_name="torchmbd")  # not the program that runs now
     return text[text.index("## torchmbd run") :]
 
 
@@ -89,13 +90,14 @@ def first_file() -> str:
         return f"```yaml\n{file.read_text(encoding='utf-8')}```\n"
 
 
-_SECTIONS = ("Variable", "Simulation", "Scenario", "Combine", "Optimizer", "Starts", "Range")
+_TOP = {"(top of the file)": "StudyFile", "(top of a file of pictures)": "Figures"}
+_SECTIONS = ("Variable", "Simulation", "Constraint", "Scenario", "Setting", "Combine", "Optimizer", "Starts", "Range")
 
 
 def file_keys() -> str:
     """A table of keys for each section of an experiment file, from its schema."""
     schema = json_schema()
-    sections = {"(top of the file)": schema["else"], "(top of a file of pictures)": schema["then"]}
+    sections = dict(zip(_TOP, (schema["else"], schema["then"]), strict=True))
     sections |= {name: schema["$defs"][name] for name in _SECTIONS}
     sections["Tracking"] = schema["$defs"]["Tracking"]
     tables = [_keys(name, section) for name, section in sections.items()]
@@ -109,12 +111,14 @@ def file_keys() -> str:
 
 def _keys(name: str, section: Mapping[str, Any]) -> str:
     required = section.get("required", ())
-    rows = [
-        f"| `{key}` | {_kind(entry)} | {'required' if key in required else _default(entry)} |"
-        for key, entry in section["properties"].items()
-    ]
+    rows = []
+    for key, meaning in KEYS[_TOP.get(name, name)].items():
+        entry = section["properties"][key]
+        default = "required" if key in required else _default(entry)
+        rows.append(f"| `{key}` | {_cell(meaning)} | {_kind(entry)} | {default} |")
     said = _cell((section.get("description") or "").partition("\n")[0])
-    return "\n".join([f"### {name}\n", f"{said}\n", "| key | takes | default |", "|---|---|---|", *rows, ""])
+    head = ["| key | meaning | takes | default |", "|---|---|---|---|"]
+    return "\n".join([f"### {name}\n", f"{said}\n", *head, *rows, ""])
 
 
 def _default(entry: Mapping[str, Any]) -> str:

@@ -141,6 +141,8 @@ MISTAKES = [
     ("tracking:", f"links: {{'{PLY}[1]': {{'{PLY}[0]': a}}}}\ntracking:", ["= 'a'", "must be a valid number"]),
     ("tracking:", f"links: {{'{PLY}[1]': {{constnt: 1}}}}\ntracking:", ["constnt", "did you mean 'constant'"]),
     ("tracking:", "scenarios: [{set: {slider.mas: 1.0}}]\ntracking:", ["scenarios.0.set.slider.mas", "allowed: rod"]),
+    ("tracking:", "scenarios: [{set: {slider.mas: 1.0}}]\ntracking:", ["mbd.variable", "options: "]),
+    ("tracking:", f"scenarios: [{{set: {{{THICK}: {{value: 1, unit: deg}}}}}}]\ntracking:", ["unit: deg", "mm, um"]),
     ("tracking:", f"scenarios: [{{set: {{{PLY}: 1.0}}}}]\ntracking:", ["is a design variable", "allowed: "]),
     ("tracking:", f"scenarios: [{{set: {{{THICK}: [1.0]}}}}]\ntracking:", ["= [1.0]: has 1 values", "allowed: 2"]),
     (

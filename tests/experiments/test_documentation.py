@@ -32,13 +32,15 @@ def test_commands_and_keys_are_those_of_the_program():
     commands = reference.commands()
     for word in ("## torchmbd run", "--scheduler", "## torchmbd sync"):
         assert word in commands
+    assert "\ntorchmbd run [OPTIONS] FILE" in commands  # whatever program makes the page
     keys = reference.file_keys()
     for word in (
         "| `model` |",
         "| `spectral_radius` |",
         "`trust-constr`",
         "| `ply_failure` |",
-        "| `duration` | number > 0 | required |",
+        "| `duration` | Simulated time &#91;s]. | number > 0 | required |",
+        "| `at_most` |",
     ):
         assert word in keys
     assert "[" not in keys.replace("`[]`", "")  # mkdocs takes a unit in brackets for a link

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import io
+import re
 import shutil
 
+import pytest
 from rich.console import Console
 
 from torchmbd.study.compare import differences, print_best, print_comparison
+from torchmbd.study.journal import flat
+from torchmbd.study.listing import print_links_of
 from torchmbd.tracking.catalog import children, find
 from torchmbd.tracking.mlflow_tracker import MlflowTracker
 
@@ -58,3 +62,24 @@ def test_designs_that_violate_a_constraint_come_last(empty_store, folder):
     rows = [line.split() for line in text.splitlines() if line.split()[:1] and line.split()[0] in "abcd"]
     assert [(row[0], row[3]) for row in rows] == [("c", "0"), ("b", "0"), ("a", "2e-01"), ("d", "4e-01")]
     assert "the same mbd.Study" in text  # a study without a model file
+
+
+def test_lists_of_constraints_are_compared_entry_by_entry():
+    limit = {"max": {"strain_energy": "rod"}, "at_most": 2.0}
+    params = flat({"subject_to": [limit], "starts": {"points": [[1.0, 2.0]]}})
+    assert params["subject_to.0.max.strain_energy"] == "rod"
+    assert params["subject_to.0.at_most"] == 2.0
+    assert params["starts.points"] == [[1.0, 2.0]]
+
+
+@pytest.mark.parametrize("width", [60, 80, 400])
+def test_links_fit_the_terminal_and_stay_whole(width):
+    links = {"table": "http://127.0.0.1:5000/#/" + "x" * 130, "on disk": "mlartifacts/" + "0" * 32}
+    terminal, file = io.StringIO(), io.StringIO()
+    print_links_of(links, Console(file=terminal, width=width, force_terminal=True))
+    print_links_of(links, Console(file=file, width=width))
+    shown = re.sub(r"\x1b\[[0-9;]*m|\x1b]8;[^\x1b]*\x1b\\", "", terminal.getvalue())
+    assert max(map(len, shown.splitlines())) <= width
+    assert f";{links['table']}\x1b" in terminal.getvalue()  # what a click opens
+    for link in links.values():
+        assert f" {link}\n" in file.getvalue()

@@ -43,3 +43,10 @@ def test_valid_files_are_valid(validator, file):
 )
 def test_invalid_files_are_marked(validator, change):
     assert not validator.is_valid(VALID | change)
+
+
+def test_every_key_has_a_meaning():
+    schema = json_schema()
+    for section in (schema["then"], schema["else"], *schema["$defs"].values()):
+        for key, entry in section["properties"].items():
+            assert entry.get("description"), key

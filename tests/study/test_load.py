@@ -70,12 +70,13 @@ def test_scenarios_of_a_file_are_those_of_python(write):
     simulate = {"duration": 0.002, "steps": 8}
     cases = [
         {"name": "thin", "set": {"rod.laminate.thickness": 1e-3}},
-        {"set": {"rod.laminate.thickness": 2e-3}, "weight": 3},
+        {"set": {"rod.laminate.thickness": {"value": 2, "unit": "mm"}}, "weight": 3},
     ]
     loaded = load(write(simulate=simulate, scenarios=cases, combine={"objective": "mean"})).simulated
     assert isinstance(loaded, mbd.Scenarios)
     assert list(loaded.scenarios) == ["thin", "scenario 2"]
     assert loaded.weights.tolist() == [0.25, 0.75]
+    assert loaded.scenarios["scenario 2"]["rod.laminate.thickness"].tolist() == [2e-3, 2e-3]
     assert loaded.evaluate(loaded.start[None], False)[0].status == "ok"
     for wrong, words in (
         ({"combine": {"objective": "mean"}}, "without scenarios"),

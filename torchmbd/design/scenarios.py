@@ -30,7 +30,7 @@ from torchmbd.design.problem import Problem
 from torchmbd.design.question import Reference, scale_of
 from torchmbd.design.response import Constraint, Measure
 from torchmbd.design.scenario_settings import by_name, value_of, weights_of
-from torchmbd.errors import InputError, SimulationFailure, unknown
+from torchmbd.errors import InputError, SimulationFailure, nearest, unknown
 from torchmbd.fem.reduction import CutCluster
 from torchmbd.integrate import Trajectory, simulate
 from torchmbd.integrate.arguments import start_of
@@ -157,7 +157,8 @@ class Scenarios(Problem):
         names = list(dict.fromkeys(name for settings in mine.values() for name in settings if name != SYSTEM))
         for name in names:
             if name not in own:
-                raise unknown("parameter of a scenario", name, own)
+                hint = "a plain number of a constructor becomes a parameter by mbd.variable(...)"
+                raise InputError(f"parameter of a scenario {name!r} does not exist{nearest(name, own)}; {hint}")
             if name in self.space.variables:
                 raise InputError(f"scenarios set {name!r}, a design variable; allowed: parameters that are none")
         settings = {

@@ -1,6 +1,7 @@
 """Numbers that are most likely in other units than meters, kilograms, seconds and radians.
 
-An angle beyond a whole turn is refused: degrees are meant, and the same fibre direction has a smaller angle. A length, a
+An angle beyond a whole turn is refused: degrees are meant, and the same fibre direction has a smaller angle. So is a bound
+in degrees that is pi / 4, pi / 2, pi or 2 pi to three digits: radians are meant. A length, a
 modulus or a density that hardly any structure has is doubted by a warning, for some structure may have it.
 
     length, width, extent of a mesh            10 um to 200 m
@@ -43,6 +44,7 @@ _USUAL = {
     **dict.fromkeys(("E", "E1", "E2", "G12", "G13", "G23"), ("Pa", MODULUS)),
     "density": ("kg/m3", DENSITY),
 }
+_TURNS = {"pi / 4": math.pi / 4.0, "pi / 2": math.pi / 2.0, "pi": math.pi, "2 pi": 2.0 * math.pi}
 WHOLE_TURN = 2.0 * math.pi * (1.0 + 1e-12)  # 360 degrees, rounded
 
 
@@ -52,6 +54,18 @@ def check_angles(name: str, values: Iterable[float], outer: str = "") -> None:
         if not abs(value) <= WHOLE_TURN:
             hint = " (degrees? use mbd.deg)" if abs(value) > WHOLE_TURN else ""
             raise InputError(f"{outer}{name}[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
+
+
+def turn_in_radians(degrees: Iterable[float]) -> str | None:
+    """Say which of some numbers of degrees is a part of a turn in radians, to three digits or more; None if none is.
+
+    These are pi / 4, pi / 2, pi and 2 pi: hardly anyone bounds an angle by 1.57 degrees; 1.5 or 2 pass.
+    """
+    for value in degrees:
+        for name, part in _TURNS.items():
+            if f"{abs(value):.3g}" in (f"{part:.3g}", f"{int(part * 100) / 100:.3g}"):
+                return f"{value:g} is {name} in radians"
+    return None
 
 
 def check_parameter(what: str, name: str, values: Tensor) -> None:

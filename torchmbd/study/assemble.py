@@ -66,7 +66,7 @@ def _problem(data: StudyFile, system: System, folder: Path) -> Problem | Tradeof
     if data.scenarios is not None:
         kind, combine = Scenarios, data.combine or Combine()
         systems = scenario_systems(data.model, data.options, data.scenarios, folder)
-        named: dict[str, Any] = {s.name or f"scenario {k + 1}": dict(s.set) for k, s in enumerate(data.scenarios)}
+        named: dict[str, Any] = {s.name or f"scenario {k + 1}": dict(s.settings) for k, s in enumerate(data.scenarios)}
         for settings, own in zip(named.values(), systems, strict=True):
             settings |= {} if own is None else {SYSTEM: own}
         more |= {"scenarios": named, "weights": [s.weight for s in data.scenarios], **combine.model_dump()}

@@ -22,7 +22,7 @@ from torchmbd.integrate.arguments import start_of
 from torchmbd.integrate.memory import require_room
 from torchmbd.integrate.phases.phase import plan
 from torchmbd.math import units
-from torchmbd.math.plausible_units import check_angles, check_parameter
+from torchmbd.math.plausible_units import check_angles, check_parameter, turn_in_radians
 from torchmbd.multibody.system import System
 from torchmbd.study.file_errors import Fault, Path, shown
 from torchmbd.study.method_options import method_faults
@@ -36,7 +36,8 @@ from torchmbd.study.model import (
     require_returns,
     scenario_systems,
 )
-from torchmbd.study.schema import ASKED, UNITS, Combine, Range, Scenario, Simulation, Starts, Variable
+from torchmbd.study.scenario_keys import Combine, Scenario, Setting
+from torchmbd.study.schema import ASKED, UNITS, Range, Simulation, Starts, Variable
 
 Sections = Mapping[str, Any]
 _NUMBERS = ("start", "lower", "upper", "tolerance", "step")  # of a design variable
@@ -226,6 +227,11 @@ def _unit_faults(path: Path, name: str, unit: str, sized: Mapping[str, np.ndarra
         try:
             if unit == "rad":
                 check_angles(name, x.tolist())
+            if unit == "deg" and key in ("lower", "upper") and (text := turn_in_radians(x.tolist())):
+                faults.append(
+                    Fault((*path, key), f"= {x.tolist()} with unit: deg: {text}; allowed: degrees, or unit: rad")
+                )
+                continue
             check_parameter(key, name, torch.from_numpy(UNITS[unit] * x))
         except InputError as error:
             hint = ", or unit: deg" if unit in ("rad", units.NONE) else ""
@@ -295,16 +301,22 @@ def _scenario_faults(sections: Sections, folder: FilePath, system: System) -> li
                 [systems[k]] = scenario_systems(sections["model"], sections["options"], [scenario], folder)
         except InputError as error:
             faults.append(Fault(path, f"= {shown(scenario.options)}: {error}"))
-    each = ((k, n, x) for k, s in enumerate(scenarios) for n, x in s.set.items())
-    for k, name, given in each:
+    each = ((k, n, x, s.set[n]) for k, s in enumerate(scenarios) for n, x in s.settings.items())
+    for k, name, given, said in each:
         path, own = ("scenarios", k, "set", name), dict((systems[k] or system).named_parameters())
         if name not in own:
-            faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}"))
+            hint = (
+                ". A plain number of the model becomes a parameter by mbd.variable(...); options: {...} of a scenario "
+            )
+            hint += "are other arguments of the model's function"
+            faults.append(Fault(path, f"is no parameter of the model{nearest(name, own)}{hint}"))
         elif name in design:
             faults.append(Fault(path, "is a design variable; allowed: parameters that are none"))
         elif (x := values(given, own[name].numel())) is None:
             size = f"{own[name].numel()}, or one number for all"
             faults.append(Fault(path, f"= {given}: has {len(np.atleast_1d(given))} values; allowed: {size}"))
+        elif text := _unit_of_setting(name, said):
+            faults.append(Fault(path, text))
         else:
             try:
                 check_parameter("scenario sets", name, torch.from_numpy(x))
@@ -313,6 +325,16 @@ def _scenario_faults(sections: Sections, folder: FilePath, system: System) -> li
     if scenarios and not any(scenario.weight for scenario in scenarios):
         faults.append(Fault(("scenarios",), "have weights that are all 0; allowed: one at least that is positive"))
     return faults
+
+
+def _unit_of_setting(name: str, said: Any) -> str | None:
+    """What is wrong with the unit of what a scenario sets: that of an angle must be named."""
+    if isinstance(said, Setting):
+        text = units.misfit(name, said.unit)
+        return text and f"= {said.value} with unit: {said.unit}: {text}"
+    if units.QUANTITIES.get(name.rpartition(".")[2]) == "rad":
+        return f"= {said}: is an angle without a unit; allowed: {{value: {said}, unit: deg}}, or unit: rad"
+    return None
 
 
 def _memory_faults(sections: Sections, system: System) -> list[Fault]:

@@ -124,7 +124,7 @@ class Journal:
             ANALYSES: result.analyses,
             ITERATIONS: result.iterations,
             FAILED: result.failures,
-            gain(self.study.sign): percent(self.first.get(result.start, math.nan), result.value),
+            gain(self.study.sign): percent(self.first.get(0, math.nan), result.value),
             **self.shown(result.x),
         }
         self.tracker.metrics(run, _finite(last), max(result.iterations, len(result.history) - 1, 0))
@@ -189,11 +189,13 @@ def percent(first: float, last: float) -> float:
 
 
 def flat(data: Mapping[str, Any], prefix: str = "") -> dict[str, object]:
-    """Flatten nested mappings to dotted keys, as the overrides spell them."""
+    """Flatten nested mappings, and lists of them, to dotted keys: `optimizer.name`, `subject_to.0.at_most`."""
     result: dict[str, object] = {}
     for key, value in data.items():
         if isinstance(value, Mapping):
             result |= flat(value, f"{prefix}{key}.")
+        elif isinstance(value, (list, tuple)) and any(isinstance(entry, Mapping) for entry in value):
+            result |= flat({str(k): entry for k, entry in enumerate(value)}, f"{prefix}{key}.")
         else:
             result[legal(f"{prefix}{key}")] = value
     return result

@@ -16,6 +16,7 @@ from torchmbd.design.response_spec import FUNCTION, SCALED, SEVERAL, SINGLE, SUM
 from torchmbd.design.responses import COMBINATORS, OF_DESIGN, RESPONSES
 from torchmbd.integrate.registry import INTEGRATORS
 from torchmbd.optimization import OPTIMIZERS
+from torchmbd.study.key_meanings import KEYS
 from torchmbd.study.schema import ASKED, KINDS, SAMPLERS, UNITS, Figures, StudyFile
 
 
@@ -42,6 +43,7 @@ def json_schema() -> dict[str, Any]:
     }
     parts["Constraint"] = {
         "type": "object",
+        "description": "A response of `Measure` with one limit.",
         "properties": _measure()["properties"] | own,
         "oneOf": [{"required": [kind]} for kind in KINDS],
     }
@@ -49,6 +51,10 @@ def json_schema() -> dict[str, Any]:
     study["properties"] |= {"minimize": asked, "maximize": asked}
     study["properties"]["tradeoff"] = {"type": "object", "minProperties": 2, "additionalProperties": asked}
     study["oneOf"] = [{"required": [key]} for key in ASKED]
+    for name, meanings in KEYS.items():
+        section: Any = {**parts, "StudyFile": study, "Figures": figures}[name]["properties"]
+        for key, meaning in meanings.items():
+            section[key] = section[key] | {"description": meaning}
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "torchmbd experiment",

@@ -8,7 +8,9 @@ from pathlib import Path
 from rich import box
 from rich.console import Console
 from rich.markup import escape
+from rich.style import Style
 from rich.table import Table
+from rich.text import Text
 
 from torchmbd.study.config_index import configs
 from torchmbd.study.metric_names import INCREASE, REDUCTION
@@ -65,7 +67,7 @@ def print_links(store: str, base: str, console: Console) -> None:
         return
     for experiment_id, name in {entry.experiment_id: entry.experiment for entry in found}.items():
         console.print(f"all runs of {escape(name)}", style="bold")
-        console.print("  " + experiment_link(base, experiment_id), soft_wrap=True, highlight=False, markup=False)
+        print_links_of({"runs": experiment_link(base, experiment_id)}, console)
     for entry in found[:_RECENT]:
         console.print(f"{escape(entry.name)}, {entry.began:%d %b %H:%M}, {entry.status.lower()}", style="bold")
         links = study_links(base, entry.experiment_id, entry.run_id, entry.kind, entry.status)
@@ -73,6 +75,8 @@ def print_links(store: str, base: str, console: Console) -> None:
         if 1 < len(runs) <= _COMPARED:
             links["compare"] = compare_link(base, entry.experiment_id, runs)
         print_links_of(links, console)
+    if console.is_terminal:
+        console.print("Links that do not open at a click: torchmbd ui | cat prints them whole.")
 
 
 def study_links(base: str, experiment_id: str, run_id: str, kind: str, status: str) -> dict[str, str]:
@@ -86,9 +90,19 @@ def study_links(base: str, experiment_id: str, run_id: str, kind: str, status: s
 
 
 def print_links_of(links: Mapping[str, str], console: Console) -> None:
-    """Print links with what they show, unbroken."""
+    """Print links with what they show, in a line each.
+
+    A terminal that is narrower shows the beginning of a link, which opens the whole of it; a file or a pipe has it whole.
+    """
     for label, link in links.items():
-        console.print(f"  {label:<8} {link}", soft_wrap=True, highlight=False, markup=False)
+        line = Text(f"  {label:<8} ")
+        room = console.width - len(line)
+        cut = console.is_terminal and len(link) > room
+        line.append(
+            f"{link[: room - 3]}..." if cut else link,
+            Style(link=link) if console.is_terminal and link.startswith("http") else None,
+        )
+        console.print(line, soft_wrap=True, highlight=False)
 
 
 def _cells(entry: Entry) -> list[str]:

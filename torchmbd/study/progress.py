@@ -33,7 +33,7 @@ class Progress:
     def __init__(self, columns: Columns, starts: int, title: str, console: Console, sign: float = 1.0) -> None:
         self.columns, self.title, self.console, self.sign = columns, title, console, sign
         self.latest: list[Iterate | None] = [None] * starts
-        self.first: list[float] = [float("nan")] * starts
+        self.first = math.nan  # objective of the first design: what every start is compared with
         self.notes: list[str] = []
         self._best: Iterate | None = None
         self._began = time.monotonic()
@@ -49,8 +49,8 @@ class Progress:
 
     def iterate(self, iterate: Iterate) -> None:
         """Show an iterate."""
-        if iterate.iteration == 0:
-            self.first[iterate.start] = iterate.objective
+        if iterate.iteration == 0 and iterate.start == 0:
+            self.first = iterate.objective
         self.latest[iterate.start] = iterate
         if self._best is None or _rank(iterate) < _rank(self._best):
             self._best = iterate
@@ -59,8 +59,7 @@ class Progress:
 
     def _line(self, iterate: Iterate) -> str:
         """An iterate in a line, with its design where it fits."""
-        first, now = self.first[iterate.start], iterate.objective
-        objective, less, violation = outcome(first, now, iterate.violation, self.sign)
+        objective, less, violation = outcome(self.first, iterate.objective, iterate.violation, self.sign)
         line = (
             f"{time.monotonic() - self._began:7.1f} s  start {iterate.start:<3d} iteration {iterate.iteration:<3d} "
             f"objective {objective}  {better(self.sign)} {less}"
@@ -84,7 +83,7 @@ class Progress:
                 table.add_row(str(start), "-")
                 continue
             values = [f"{value:z.2f}" for value in self.columns.shown(iterate.x).values()]
-            numbers = outcome(self.first[start], iterate.objective, iterate.violation, self.sign)
+            numbers = outcome(self.first, iterate.objective, iterate.violation, self.sign)
             table.add_row(str(start), str(iterate.iteration), *numbers, *values, str(iterate.analyses))
         return narrowed(table, self.console, give_way(len(own), len(headings), [-1, 4, 3]))
 
@@ -160,12 +159,12 @@ def print_table(table: Table, console: Console, optional: Sequence[int] = ()) ->
 
 
 def better(sign: float) -> str:
-    """The heading of how much better the objective is than at the start."""
+    """The heading of how much better the objective is than at start 0, the first design of the study."""
     return "less by" if sign > 0.0 else "more by"
 
 
 def outcome(first: float, objective: float, violation: float, sign: float = 1.0) -> list[str]:
-    """Return the cells objective (`sign` times what is minimized), its gain from the start, violation."""
+    """Return the cells objective (`sign` times what is minimized), its gain over the first design, violation."""
     if math.isnan(objective):  # not evaluated
         return ["-", "-", "-"]
     less = f"{100.0 * (first - objective) / abs(first):.2f} %" if first and not math.isnan(first) else "-"

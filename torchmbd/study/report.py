@@ -41,8 +41,9 @@ def print_results(study: StudySettings, found: MultistartResult, failures: Seque
     columns = ["start", "objective", better(study.sign), "viol.", *study.columns.headings, "iter", "sims", "status"]
     table = table_of(f"{study.name}: {len(found.results)} starts, {found.converged} converged", columns)
     best = found.best
+    moved = [result for result in found.results if result.start == 0 and result.history]
+    first = moved[0].history[0].objective if moved else float("nan")
     for result in sorted(found.results, key=lambda r: (not r.violation <= FEASIBLE, r.value)):
-        first = result.history[0].objective if result.history else float("nan")
         angles = [f"{value:z.2f}" for value in study.columns.shown(result.x).values()]
         cells = [str(result.start), *outcome(first, result.value, result.violation, study.sign), *angles]
         cells += [str(result.iterations), str(result.analyses), result.status.replace("_", " ")]

@@ -9,6 +9,7 @@ ended, however it ended (unfinished.py). Checked in tests/study/test_run.py, tes
 from __future__ import annotations
 
 import math
+import os
 import tempfile
 import time
 from contextlib import ExitStack
@@ -84,6 +85,7 @@ def run_study(
             tracker = MlflowTracker(study.experiment, uri, unfinished.id)
         if fresh:  # a study that is running has been refused by then
             store.forget()
+        _say_what_is_known(study.name, store.count(), unfinished, console)
         source, lanes = source or problem, LANES
         if pool is not None:
             with console.status(f"waiting for workers of {escape(scheduler or 'this machine')}"):
@@ -136,6 +138,16 @@ def _finished(name: str, study: Unfinished, entry: Entry, console: Console) -> i
         f"its designs: torchmbd best {short}; to run it anew: {study.command} --fresh", soft_wrap=True, highlight=False
     )
     return EXIT["FINISHED"]
+
+
+def _say_what_is_known(name: str, count: int, study: Unfinished | None, console: Console) -> None:
+    """Say before the first evaluation what is on disk: of this study, which goes on, or of another of the same problem."""
+    if count == 0:
+        return
+    text = "another study has evaluated this problem"
+    if study is not None and study.continues:
+        text = f"finished on {study.ended}" if study.run_id else "goes on"
+    console.print(f"{escape(name)}: {text}; {count} evaluations on disk are not computed again", soft_wrap=True)
 
 
 def _search(
@@ -273,5 +285,5 @@ def print_run_links(record: Record, kind: str, status: Status, console: Console)
     links = study_links(base, record.experiment_id, run, kind, status)
     if own := own_files(record.uri, run):
         console.print("To look at it: torchmbd ui, then", highlight=False)
-        links["on disk"] = str(own)
+        links["on disk"] = os.path.relpath(own) if own.is_relative_to(Path.cwd()) else str(own)
     print_links_of(links, console)

@@ -27,13 +27,11 @@ Over 300 lines: a short class for each section of the file.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection
 from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Len
 from pydantic import (
     AfterValidator,
-    BaseModel,
     ConfigDict,
     Field,
     NonNegativeInt,
@@ -44,35 +42,23 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from torchmbd.design.response_spec import SpecError, measure_of
-from torchmbd.design.scenarios import CONSTRAINTS, OBJECTIVES
 from torchmbd.design.words import unit
-from torchmbd.errors import nearest
 from torchmbd.integrate.arguments import BACKENDS, GRADIENTS
 from torchmbd.integrate.registry import DEFAULT, METHODS
 from torchmbd.math import units
+from torchmbd.math.plausible_units import turn_in_radians
 from torchmbd.multibody.system.start import STARTS
 from torchmbd.optimization import OPTIMIZERS
 from torchmbd.optimization.robust import KINDS as KINDS_OF_ROBUST
+from torchmbd.study.scenario_keys import Combine, Scenario
+from torchmbd.study.section import UNITS, Numbers, Section, one_of
 from torchmbd.tracking.store import uri_fault
 
-UNITS = {name: multiple for name, (multiple, _) in units.UNITS.items()}  # unit -> SI
 KINDS = ("at_most", "at_least", "equal")  # of constraints
 FUNCTION = r"^[^:]+(\.py)?:[A-Za-z_][A-Za-z0-9_]*$"
 _SHORTEST, _LONGEST = 1e-12, 1e9  # steps [s]
 NAME = re.compile(r"[^\x00-\x1f]{1,200}")  # of experiments and studies
 SAMPLERS = ("sobol", "latin_hypercube", "given", "none")
-
-
-def _one_of(names: Collection[str] | Callable[[], Collection[str]]) -> AfterValidator:
-    """Accept a name of a registry only."""
-
-    def check(name: str) -> str:
-        allowed = names() if callable(names) else names
-        if name not in allowed:
-            raise PydanticCustomError("name", "{text}", {"text": nearest(name, allowed)[2:]})
-        return name
-
-    return AfterValidator(check)
 
 
 ASKED = ("minimize", "maximize", "tradeoff")  # one of them is the question
@@ -82,7 +68,6 @@ def _fault(path: tuple[str | int, ...], text: str) -> PydanticCustomError:
     return PydanticCustomError("kind", "{text}", {"text": text, "path": path})
 
 
-Numbers = float | Annotated[list[float], Len(min_length=1)]
 Limit = Literal["initial"] | float
 
 
@@ -97,12 +82,6 @@ def _readable(spec: dict[str, Any]) -> dict[str, Any]:
 Measure = Annotated[dict[str, Any], AfterValidator(_readable)]
 
 
-class Section(BaseModel):
-    """Part of a file: nothing unknown, nothing converted, nothing changed later."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
 class Variable(Section):
     """A design variable; a single number serves every entry of the parameter. Entries that follow others have no numbers.
 
@@ -114,7 +93,7 @@ class Variable(Section):
     start: Numbers | None = None  # default: as the model is built
     lower: Numbers | None = None  # needed, but where every entry follows others
     upper: Numbers | None = None
-    unit: Annotated[str, _one_of(UNITS)]  # without a default: 45 is a very different angle in radians
+    unit: Annotated[str, one_of(UNITS)]  # without a default: 45 is a very different angle in radians
     tolerance: Numbers | None = None  # default: made exactly
     step: Numbers | None = None  # 0, and default: any value
 
@@ -131,12 +110,12 @@ class Simulation(Section):
 
     model_config = ConfigDict(extra="allow")
     duration: float = Field(gt=0)
-    method: Annotated[str, _one_of(METHODS)] = DEFAULT
+    method: Annotated[str, one_of(METHODS)] = DEFAULT
     steps: PositiveInt | None = None
     phases: str | None = None  # module:function that returns the phases, list[mbd.Phase]
-    backend: Annotated[str, _one_of(BACKENDS)] = "auto"  # of the steps
-    start: Annotated[str, _one_of(STARTS)] | dict[str, list[float]] = STARTS[0]  # of every motion
-    gradients: Annotated[str, _one_of(GRADIENTS[:-1])] = "auto"  # by the adjoint (reverse) or tangents (forward)
+    backend: Annotated[str, one_of(BACKENDS)] = "auto"  # of the steps
+    start: Annotated[str, one_of(STARTS)] | dict[str, list[float]] = STARTS[0]  # of every motion
+    gradients: Annotated[str, one_of(GRADIENTS[:-1])] = "auto"  # by the adjoint (reverse) or tangents (forward)
 
     @model_validator(mode="after")
     def _steps_that_numbers_hold(self) -> Self:
@@ -162,7 +141,7 @@ class Constraint(Section):
     at_least: Limit | None = None
     equal: Limit | None = None
     scale: float | None = Field(default=None, gt=0)  # what a violation is divided by; default: the limit
-    unit: Annotated[str, _one_of(UNITS)] | None = None  # of limit and scale; default: SI
+    unit: Annotated[str, one_of(UNITS)] | None = None  # of limit and scale; default: SI
 
     @model_validator(mode="before")
     @classmethod
@@ -193,6 +172,9 @@ class Constraint(Section):
             allowed = ", ".join(units.units_of(si)) or f"none: limits are in {si}"
             text = f"has unit: {self.unit}, and a response in {si or 'plain numbers'}; allowed: {allowed}"
             raise PydanticCustomError("kind", "{text}", {"text": text})
+        if self.unit == "deg" and (said := turn_in_radians(numbers[:1])):
+            text = f"has unit: deg, and {said}; allowed: degrees, or unit: rad"
+            raise PydanticCustomError("kind", "{text}", {"text": text})
         return self
 
     @property
@@ -218,36 +200,11 @@ class Constraint(Section):
         return x * self.factor if isinstance(x, float) else x
 
 
-class Scenario(Section):
-    """What a scenario sets: parameters of the model that are no design variables [SI], and its weight in means.
-
-    With `options` the model is built for it with these instead of those of the file; its topology may be another.
-    """
-
-    name: str | None = None  # default: scenario 1, 2, ...
-    set: dict[str, Numbers] = {}
-    options: dict[str, Any] = {}
-    weight: float = Field(default=1.0, ge=0)
-
-    @model_validator(mode="after")
-    def _sets_something(self) -> Self:
-        if not self.set and not self.options:
-            raise PydanticCustomError("kind", "sets nothing; must have set, options or both")
-        return self
-
-
-class Combine(Section):
-    """What is asked over the scenarios."""
-
-    objective: Annotated[str, _one_of(OBJECTIVES)] = OBJECTIVES[0]
-    constraints: Annotated[str, _one_of(CONSTRAINTS)] = CONSTRAINTS[0]
-
-
 class Optimizer(Section):
     """Arguments of torchmbd.multistart; more keys are options of the method."""
 
     model_config = ConfigDict(extra="allow")
-    name: Annotated[str, _one_of(OPTIMIZERS)] = "mmfd"
+    name: Annotated[str, one_of(OPTIMIZERS)] = "mmfd"
     max_iterations: PositiveInt = 60
 
     @property
@@ -258,7 +215,7 @@ class Optimizer(Section):
 class Starts(Section):
     """Where the optimizer starts: the design of the file (start 0) and more points between the bounds."""
 
-    sampler: Annotated[str, _one_of(SAMPLERS)] = "none"
+    sampler: Annotated[str, one_of(SAMPLERS)] = "none"
     count: Annotated[PositiveInt, Field(le=2**20)] | None = None  # of all starts, the initial design among them
     seed: NonNegativeInt = 0
     include_initial: bool = True
@@ -306,7 +263,7 @@ class Figures(Section):
     """An experiment file that draws figures."""
 
     figures: Annotated[str, Field(pattern=FUNCTION)]
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default={})
     tracking: Tracking = Tracking()
 
     def resolved(self) -> dict[str, Any]:
@@ -318,15 +275,15 @@ class StudyFile(Section):
     """An experiment file that optimizes, or sweeps a variable."""
 
     model: Annotated[str, Field(pattern=FUNCTION)]
-    options: dict[str, Any] = {}
+    options: dict[str, Any] = Field(default={})
     design: Annotated[dict[str, Variable], Len(min_length=1)]
-    links: dict[str, Annotated[dict[str, float], Len(min_length=1)]] = {}
+    links: dict[str, Annotated[dict[str, float], Len(min_length=1)]] = Field(default={})
     simulate: Simulation
     minimize: Measure | None = None
     maximize: Measure | None = None
     tradeoff: Annotated[dict[str, Measure], Len(min_length=2)] | None = None
-    robust: Annotated[str, _one_of(KINDS_OF_ROBUST)] | None = None  # default: expected, where there are tolerances
-    subject_to: list[Constraint] = []
+    robust: Annotated[str, one_of(KINDS_OF_ROBUST)] | None = None  # default: expected, where there are tolerances
+    subject_to: list[Constraint] = Field(default=[])
     scenarios: Annotated[list[Scenario], Len(min_length=1)] | None = None
     combine: Combine | None = None
     optimizer: Optimizer | None = None

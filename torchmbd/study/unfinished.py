@@ -44,6 +44,7 @@ class Unfinished:
     sent: bool = False
     run_id: str = ""  # in which it has finished; "": it has not
     ended: str = ""  # when
+    continues: bool = False  # an earlier process has begun it
 
     @property
     def path(self) -> Path | None:
@@ -87,7 +88,8 @@ class Unfinished:
 
     def _write(self) -> None:
         draft = self.folder / f"{_FILE}.new"
-        draft.write_text(json.dumps({k: v for k, v in asdict(self).items() if k != "folder"}), encoding="utf-8")
+        kept = {k: v for k, v in asdict(self).items() if k not in ("folder", "continues")}
+        draft.write_text(json.dumps(kept), encoding="utf-8")
         draft.replace(self.folder / _FILE)
 
 
@@ -108,6 +110,7 @@ def claimed(
         earlier = None if fresh else _read(folder)
         seen = None if file is None else os.path.relpath(file, folder.parent)
         study = earlier or Unfinished(folder, name, seen, list(overrides), relative_store(uri), uuid.uuid4().hex)
+        study.continues = earlier is not None
         if not study.run_id:
             study.sent = False
             study._write()

@@ -1,0 +1,59 @@
+"""The scenarios of an experiment file as data: what each sets, and what is asked over them; see schema.py.
+
+    scenarios  [{name: heavy, set: {tool.mass: 0.4, arm.laminate.thickness: {value: 1.2, unit: mm}}, weight: 1}, ...]
+    combine    {objective: worst | mean, constraints: each | worst | mean}
+
+Checked in tests/study/test_same_in_python.py.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Self
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from torchmbd.design.scenarios import CONSTRAINTS, OBJECTIVES
+from torchmbd.study.section import UNITS, Numbers, Section, one_of
+
+
+class Setting(Section):
+    """A value of a parameter in a scenario, with its unit; without a unit, as a number or a list, it is in SI units."""
+
+    value: Numbers
+    unit: Annotated[str, one_of(UNITS)]
+
+    @property
+    def si(self) -> Numbers:
+        one = UNITS[self.unit]
+        return [one * x for x in self.value] if isinstance(self.value, list) else one * self.value
+
+
+class Scenario(Section):
+    """What a scenario sets: parameters of the model that are no design variables, and its weight in means.
+
+    With `options` the model is built for it with these instead of those of the file; its topology may be another.
+    """
+
+    name: str | None = None  # default: scenario 1, 2, ...
+    set: dict[str, Numbers | Setting] = Field(default={})
+    options: dict[str, Any] = Field(default={})
+    weight: float = Field(default=1.0, ge=0)
+
+    @model_validator(mode="after")
+    def _sets_something(self) -> Self:
+        if not self.set and not self.options:
+            raise PydanticCustomError("kind", "sets nothing; must have set, options or both")
+        return self
+
+    @property
+    def settings(self) -> dict[str, Numbers]:
+        """What it sets [SI]."""
+        return {name: x.si if isinstance(x, Setting) else x for name, x in self.set.items()}
+
+
+class Combine(Section):
+    """What is asked over the scenarios."""
+
+    objective: Annotated[str, one_of(OBJECTIVES)] = OBJECTIVES[0]
+    constraints: Annotated[str, one_of(CONSTRAINTS)] = CONSTRAINTS[0]

@@ -1,0 +1,34 @@
+"""What every section of an experiment file is: strict data with the names of registries; see schema.py."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Annotated
+
+from annotated_types import Len
+from pydantic import AfterValidator, BaseModel, ConfigDict
+from pydantic_core import PydanticCustomError
+
+from torchmbd.errors import nearest
+from torchmbd.math import units
+
+UNITS = {name: multiple for name, (multiple, _) in units.UNITS.items()}  # unit -> SI
+Numbers = float | Annotated[list[float], Len(min_length=1)]
+
+
+def one_of(names: Collection[str] | Callable[[], Collection[str]]) -> AfterValidator:
+    """Accept a name of a registry only."""
+
+    def check(name: str) -> str:
+        allowed = names() if callable(names) else names
+        if name not in allowed:
+            raise PydanticCustomError("name", "{text}", {"text": nearest(name, allowed)[2:]})
+        return name
+
+    return AfterValidator(check)
+
+
+class Section(BaseModel):
+    """Part of a file: nothing unknown, nothing converted, nothing changed later."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
