@@ -36,6 +36,17 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["TORCHMBD_CXXFLAGS"] = ""
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """`@pytest.mark.thorough("a", "b")` marks the cases "a", "a-...", "...-b" of a test; without names all of them."""
+    for item in items:
+        own = item.own_markers
+        for mark in [m for m in own if m.name == "thorough" and m.args]:
+            case = f"-{item.name.partition('[')[2][:-1]}-"
+            if not any(f"-{name}-" in case for name in mark.args):
+                own.remove(mark)
+
+
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
 

@@ -80,6 +80,7 @@ def test_bad_input_ends_with_2_and_no_traceback(folder, empty_store, capsys, arg
     assert not (folder / "mlflow.db").exists()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_a_study_that_is_interrupted_keeps_what_was_computed(folder, empty_store, number):
     shutil.copy(empty_store, folder / "mlflow.db")
@@ -112,6 +113,7 @@ def test_a_store_that_cannot_be_written_costs_no_result(folder, capsys):
         assert words in shown.out
 
 
+@pytest.mark.thorough
 def test_several_values_of_a_key_are_several_studies(folder, capsys, empty_store):
     shutil.copy(empty_store, folder / "mlflow.db")
     arguments = ["run", "study.yaml", "options.cells=3,4", "simulate.duration=0.002", "simulate.steps=8"]

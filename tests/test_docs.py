@@ -15,6 +15,7 @@ from tests.page_blocks import blocks, commands, run
 from torchmbd import cli
 
 ROOT = Path(__file__).parents[1]
+LONG = {"docs/how-to/lamination_parameters.md", "docs/how-to/exact_beams.md"}  # seconds of processor time
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 LANGUAGES = {"pycon", "python", "yaml", "sh", "text", "html"}
 
@@ -25,7 +26,8 @@ def _named(page: Path) -> str:
 
 def _marked(page: Path):
     slow = page.read_text(encoding="utf-8").startswith("---\nslow: true\n")
-    return pytest.param(page, id=_named(page), marks=[pytest.mark.slow] if slow else [])
+    long = [pytest.mark.thorough] if _named(page) in LONG else []
+    return pytest.param(page, id=_named(page), marks=[pytest.mark.slow] if slow else long)
 
 
 @pytest.mark.parametrize(

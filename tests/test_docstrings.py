@@ -28,12 +28,14 @@ def _members(module: ModuleType) -> list[str]:
 
 
 def _objects() -> Iterator[tuple[str, Any]]:
-    """Public names, and the members of public modules."""
-    for name in mbd.__all__:
-        found = getattr(mbd, name)
+    """Public names, and those members of public modules that are no public names of their own."""
+    public = {name: getattr(mbd, name) for name in mbd.__all__}
+    known = {id(found) for found in public.values()}
+    for name, found in public.items():
         yield name, found
         if isinstance(found, ModuleType):
-            yield from ((f"{name}.{member}", getattr(found, member)) for member in _members(found))
+            members = {member: getattr(found, member) for member in _members(found)}
+            yield from ((f"{name}.{member}", x) for member, x in members.items() if id(x) not in known)
 
 
 def _methods(found: Any) -> list[Any]:

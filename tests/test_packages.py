@@ -7,6 +7,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -35,6 +36,7 @@ def imported(file: Path) -> Iterator[str]:
             yield from (word.value for word in node.args if isinstance(word, ast.Constant))
 
 
+@cache
 def packages() -> set[str]:
     modules = {name.partition(".")[0] for file in (ROOT / "torchmbd").rglob("*.py") for name in imported(file)}
     foreign = modules - set(sys.stdlib_module_names) - {"torchmbd"} - ELSEWHERE

@@ -108,6 +108,7 @@ STEPS = {
 LEVEL = {"euler": 2e-2, "midpoint": 2e-3, "heun2": 2e-3, "heun3": 2e-4, "rk4": 1e-7, "explicit_adams": 2e-6}
 
 
+@pytest.mark.thorough("midpoint", "heun2", "heun3")
 @pytest.mark.parametrize("method", ORDERS)
 def test_explicit_methods_have_their_orders_on_the_index_1_form(method):
     """Stabilization, the pull of |p| to one and the solve for accelerations must not cost an order."""

@@ -46,6 +46,7 @@ def problem(kind: str, sharpness: float, **options) -> mbd.Problem:
     return mbd.Problem(mbd.examples.arm(), 0.1, minimize, [limit <= 0.9 * 1.29e-3], mbd.deg([-90, 90]), steps=40)
 
 
+@pytest.mark.thorough
 def test_sharpening_ends_near_the_rows_and_keeps_them():
     """Minimize the largest deflection: aggregates sharpen until they are within the tolerance of the row itself."""
     worst = mbd.Aggregate(mbd.AtTimes(LAG, count=21), "p_norm", 4.0)

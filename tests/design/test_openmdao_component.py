@@ -44,6 +44,7 @@ def test_values_and_partials():
             assert np.abs(found["J_fwd" if "J_fwd" in found else "J_rev"] - found["J_fd"]).max() < 1e-5 * size, key
 
 
+@pytest.mark.thorough
 def test_an_optimization_ends_where_ours_does():
     om = pytest.importorskip("openmdao.api")
     arm = mbd.examples.arm()

@@ -44,6 +44,7 @@ CASES = {
 }
 
 
+@pytest.mark.thorough("closed loops")
 @pytest.mark.parametrize("name", CASES)
 def test_both_codes_simulate_the_same_mechanism(name):
     case = CASES[name]()

@@ -12,6 +12,7 @@ from experiments.tutorial import codesign
 SHORT = {"duration": codesign.DURATION, "steps": 40}
 
 
+@pytest.mark.thorough
 def test_gradient_by_weights_and_angles_is_that_of_differences():
     """Along one direction of all parameters at once, and along the angles alone."""
     system = codesign.build(width=8)

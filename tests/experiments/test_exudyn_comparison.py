@@ -17,6 +17,7 @@ def agree(found: Comparison) -> None:
     assert found.place < 1e-3
 
 
+@pytest.mark.thorough
 def test_a_panel_on_three_joints():
     pytest.importorskip("exudyn")
     found = compare(panel.build(cells=(8, 6), modes=4), "panel", "panel", panel.FREE, 0.15, 400)

@@ -9,6 +9,7 @@ from experiments import figures4_7
 pytestmark = pytest.mark.usefixtures("compiled")
 
 
+@pytest.mark.thorough
 def test_figures_are_drawn_and_tell_what_the_header_says(tmp_path, monkeypatch):
     monkeypatch.setattr(figures4_7, "DURATION", 0.02)
     numbers = figures4_7.figures(tmp_path, cells=(4, 2), steps=64)

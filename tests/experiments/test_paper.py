@@ -118,6 +118,7 @@ def test_figures_go_to_the_tracker(part, tmp_path, monkeypatch):
     assert {file.name for file in folder.iterdir()} == {"paper.html", "figure9.png", "figure10.png"}
 
 
+@pytest.mark.thorough
 def test_rows_of_both_phases(tmp_path, monkeypatch):
     """Of the first moment of them: the figures, three designs, distances in degrees and millimeters."""
 

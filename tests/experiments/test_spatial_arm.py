@@ -46,6 +46,7 @@ def test_file_and_python_ask_the_same(small):
     assert len(text.splitlines()) <= 60
 
 
+@pytest.mark.thorough
 def test_gradients_against_differences():
     """Of objective and mass, by ply angles, wall thicknesses and the length of a link.
 
@@ -78,6 +79,7 @@ def test_it_starts_at_rest_and_ends_where_its_drives_lead():
     torch.testing.assert_close(last, wanted, rtol=0, atol=0.02)  # it sags and vibrates
 
 
+@pytest.mark.thorough
 def test_its_file_runs(tmp_path, empty_store):
     """One iteration; constraints are tracked by their names."""
     plan = load_study(FILE, [*SMALL, "starts.count=1", "optimizer.max_iterations=1"])

@@ -33,6 +33,7 @@ def test_gradient_against_differences():
     assert exact.objective_gradient @ direction == pytest.approx(rough, rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_steered_fibers_beat_the_best_straight_ones(reference):
     result = mbd.optimize(steered(STRAIGHT, (4, 3), CELLS), method="slsqp", max_iterations=15, progress=False)
     assert result.value < 0.93 * reference

@@ -64,6 +64,7 @@ def test_gradients_by_the_drive(system):
         assert float(exact[0, k]) == pytest.approx(float(plus - minus) / (2 * step), rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_its_file_runs_for_two_iterations(tmp_path, empty_store):
     """Design variables of the drive beside ply angles; phases by name."""
     small = ["options.cells=[4, 2]", "options.modes=2", "simulate.duration=0.5", "simulate.steps=25", "starts.count=1"]

@@ -81,6 +81,7 @@ def test_it_is_the_derivative_of_the_discrete_motion(name):
     assert_close(reverse[smooth], wanted[smooth], rtol=2e-6, atol=1e-10 * float(wanted.abs().max()))
 
 
+@pytest.mark.thorough
 def test_with_designs_in_lanes():
     """One duration for all lanes, each with its own steps; gradients by designs are there as well."""
     system = pendulum()

@@ -340,6 +340,7 @@ def test_a_batch_of_vmap_whose_lanes_fail_has_gradients_of_its_shape(system, ang
         assert not bool(found.any())
 
 
+@pytest.mark.thorough
 def test_vmap_over_phases(system, angles):
     """What lanes have in common with vmap is the same; energies, whose times are those of each lane, are refused."""
     many = torch.stack([angles, angles + 0.2])

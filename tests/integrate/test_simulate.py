@@ -290,6 +290,7 @@ def test_after_its_failure_a_lane_has_no_numbers(phases):
         assert torch.isfinite(motion.q).all(2).sum(1).tolist() == [2, 1]
 
 
+@pytest.mark.thorough
 def test_a_body_at_rest_on_long_arms_stays_there():
     """Nothing moves but the rounding of the joint's equations, which the arms enlarge."""
     rod = plate("rod", 3, made_of=laminate(ply=SOFT), position=(0.3, -0.4, 0.2), axes=turned(0.4, -1.1, 0.6))

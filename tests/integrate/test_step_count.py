@@ -39,6 +39,7 @@ def error(system: mbd.System, duration: float, finer: int = 8) -> tuple[int, flo
     return steps, float((a - b).abs().max() / b.abs().max())
 
 
+@pytest.mark.thorough
 def test_modes_that_nothing_excites_cost_nothing():
     system = arm(mbd.SmoothStep(1.0, 0.8))
     steps, off = error(system, 1.0)
@@ -95,6 +96,7 @@ def test_steps_that_an_estimate_asks_for(found, status, wanted):
     assert wanted_steps(200, found, [status], {0: "it starts nowhere"}) == 200
 
 
+@pytest.mark.thorough
 def test_phases_choose_alike():
     """The release shakes the bar."""
     system = arm(mbd.SmoothStep(0.1, 0.08))

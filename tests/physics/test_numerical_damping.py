@@ -45,6 +45,7 @@ METHODS = {
 }  # fmt: skip
 
 
+@pytest.mark.thorough("generalized_alpha 0.0-300.0")
 @pytest.mark.parametrize("omega", [300.0, 5e3, 1e5])
 @pytest.mark.parametrize("name", METHODS)
 def test_the_motion_is_that_of_the_published_recursion(name, omega):

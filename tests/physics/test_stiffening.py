@@ -67,6 +67,7 @@ def energies(system: mbd.System, angles: Tensor, **options: Any) -> Tensor:
     return mbd.Integral(mbd.StrainEnergy("rod"))(motion)
 
 
+@pytest.mark.thorough
 @pytest.mark.filterwarnings("ignore:body 'rod' turns")
 def test_gradients_by_ply_angles():
     """Forward and reverse against differences."""
@@ -98,6 +99,7 @@ def test_native_steps_are_eager_steps(native: None):
     assert float((fast.dq_db - eager.dq_db).abs().max()) < 1e-9 * float(eager.dq_db.abs().max())
 
 
+@pytest.mark.thorough("start")
 @needs_compiler
 @pytest.mark.filterwarnings("error::UserWarning")
 @pytest.mark.parametrize("reference", ["start", "center"])

@@ -108,6 +108,7 @@ def distance(motion: mbd.Trajectory, side: float, length: float) -> torch.Tensor
     return (tips[1] - tips[0] - tensor(length, 0.0, 0.0)).norm(dim=1)
 
 
+@pytest.mark.thorough
 def test_a_step_that_ends_in_a_singular_position():
     """A parallelogram folds flat exactly at a step, where its matrix has no inverse, and goes on as a parallelogram."""
     start, speed = 0.3, 2.0 * np.pi
@@ -125,6 +126,7 @@ def test_a_step_that_ends_in_a_singular_position():
     assert errors[1] < errors[0] / 6.0
 
 
+@pytest.mark.thorough
 def test_a_start_in_a_singular_position():
     """A flat parallelogram with a soft coupler: the row that depends on others there is needed as soon as it moves."""
     soft = mbd.Laminate(mbd.Ply(strength=None, **SOFT), mbd.deg([40.0, -10.0]), thickness=1.25e-3, symmetric=True)

@@ -37,6 +37,7 @@ def everything(motion: mbd.Trajectory) -> Tensor:
     return torch.stack([total, motion.q[:, -1].square().sum(1)], 1)
 
 
+@pytest.mark.thorough("laws of forces", "spatial")
 @pytest.mark.parametrize(  # "kink" is the mechanism of "forces" with a law of its own
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "forces" else []) for name in CASES]
 )
@@ -75,6 +76,7 @@ def test_compiled_and_eager_agree(name, native):
     assert float(((fast - eager).abs().amax((0, 1)) / eager.abs().amax((0, 1))).max()) < 1e-8
 
 
+@pytest.mark.thorough("eager")
 @pytest.mark.parametrize("backend", ["eager", "native"])
 def test_segments_change_nothing(backend, native, monkeypatch):
     """The algorithmic acceleration at the start of a segment, the cotangents at its end, and laws of the design."""

@@ -95,6 +95,7 @@ def test_their_names(system):
     }
 
 
+@pytest.mark.thorough("forward")
 @pytest.mark.parametrize("way", WAYS)
 def test_gradients(system, start, slopes, way):
     x = {name: y.clone().requires_grad_() for name, y in start.items()}
@@ -134,6 +135,7 @@ def test_compiled_steps_have_the_same_gradients(system, start, native):
         assert_close(found[1][name], x, rtol=0, atol=1e-7 * float(x.abs().max()), msg=name)
 
 
+@pytest.mark.thorough
 def test_phases_and_methods_of_torchdiffeq(system, start):
     """By forward mode; phases that change nothing, against the same without phases."""
     name = "ball.velocity"

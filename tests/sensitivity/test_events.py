@@ -181,6 +181,7 @@ def test_integral_of_a_history_that_jumps_against_differences(motion):
             agree(found.gradient[0], differences(found.value, 2), 1e-6)
 
 
+@pytest.mark.thorough
 def test_both_routes_agree_on_what_comes_after_a_switch(swing):
     """generalized_alpha is of second order in motion and sensitivities, through all switches."""
     asked = {"gradients": "forward", "phases": [PHASES[0], mbd.Phase(lock=["universal_arm_rod"])]}

@@ -72,6 +72,7 @@ def test_a_batch_in_forward_mode_is_each_design_in_reverse_mode():
         assert_close(U.gradient[lane, -1], gradient, rtol=1e-7, atol=1e-8 * float(gradient.abs().max()))
 
 
+@pytest.mark.thorough
 def test_adaptive_methods_run_in_reverse_mode_too():
     system = pendulum()
     dynamics = system()

@@ -50,6 +50,7 @@ def both(request) -> tuple[Trajectory, Trajectory]:
     )
 
 
+@pytest.mark.thorough("L1-integral", "L2-integral")
 @pytest.mark.parametrize("name", MEASURES)
 def test_generalized_alpha_against_differences_of_its_discrete_map(name, both):
     motion, neighbors = both
@@ -70,6 +71,7 @@ def test_default_iterations_leave_little(both):
     assert float(loose.stats["tangent_error"].max()) < 1e-2
 
 
+@pytest.mark.thorough("integral")
 @pytest.mark.parametrize("name", MEASURES)
 def test_torchdiffeq_against_differences_of_a_tight_run(name, soft):
     motion, neighbors = soft

@@ -71,6 +71,7 @@ def differences(system: mbd.System, variables: list[str], run, size: float = 1e-
     return ((plus - minus) / (2.0 * size)).movedim(0, -1)
 
 
+@pytest.mark.thorough("own", "step", "speed")
 @pytest.mark.parametrize("law", LAWS)
 def test_drives_by_the_structural_integrator(law):
     system = arm(law)
@@ -87,6 +88,7 @@ def test_drives_by_the_structural_integrator(law):
         assert float(found[..., k].abs().max()) > 1e-3
 
 
+@pytest.mark.thorough
 def test_drives_by_torchdiffeq():
     """The index-1 equations with their own slopes of the law; forward by pairs, in reverse mode, and differences."""
     system = arm("step")
@@ -147,6 +149,7 @@ def test_reactions_beside_a_body_that_is_guided():
     assert_close(exact, found, rtol=1e-6, atol=0.0)
 
 
+@pytest.mark.thorough
 def test_phases_with_a_drive_that_varies():
     """The drive lets go at a position of the hub: the time of the switch follows the law's variables."""
     system = arm("step")
@@ -195,6 +198,7 @@ def sprung() -> mbd.System:
 FORCES = ["cord.stiffness", "cord.damping", "cord.rest", "coil.stiffness", "muscle.factor"]
 
 
+@pytest.mark.thorough("rk4")
 @pytest.mark.parametrize(("method", "options"), [("generalized_alpha", TIGHT), ("rk4", {})])
 def test_forces(method, options):
     system = sprung()
@@ -211,6 +215,7 @@ def test_forces(method, options):
     assert float(((motion.dq_db[0] - found).abs().amax((0, 1)) / sizes).max()) < 1e-6
 
 
+@pytest.mark.thorough
 def test_forces_are_those_of_a_system_of_its_own():
     """The first of two lanes is the system as it stands; the other one that was built with its numbers."""
     system, own = sprung(), sprung()
@@ -254,6 +259,7 @@ LOADS = ["push.x", "wave.factor", "turn.y", "mount.stiffness", "mount.damping_y"
 LOADS += ["wind.pressure", "gust.factor", "cord.stiffness"]
 
 
+@pytest.mark.thorough("rk4")
 @pytest.mark.parametrize(("method", "options"), [("generalized_alpha", TIGHT), ("rk4", {})])
 def test_loads_and_bushings(method, options):
     system = loaded()

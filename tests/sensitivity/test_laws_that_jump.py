@@ -84,6 +84,7 @@ def tip(motion: mbd.Trajectory) -> Tensor:
     return motion.body("rod").at("right").position[..., 2] + 0.0155
 
 
+@pytest.mark.thorough
 def test_gradients_through_both_against_differences():
     exact = [mbd.Phase(until=mbd.Event(tip, "falling")), mbd.Phase(laws={"motor": Spring(2.0, 0.01, 0.3)})]
     smooth = Pieces((0.05,), (1.0, -1.5), (-3.0, 2.0), width=0.02, damping=0.01)

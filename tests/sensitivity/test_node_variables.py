@@ -59,6 +59,7 @@ def test_gradients(case):
     check(arm(LINES[case]()), [*names, "rod.section.thickness"], iterations=(14, 10))
 
 
+@pytest.mark.thorough
 def test_both_backends(native):
     check_native(arm(LINES["module"]()), ["rod.line.length", "rod.line.height"])
 

@@ -87,6 +87,7 @@ def simulated(name: str, designs: Tensor, gradients: str, **options) -> Trajecto
     return mbd.simulate(make(), duration, gradients=gradients, **given)
 
 
+@pytest.mark.thorough("drive and forces", "on the grid", "hht_alpha")
 @pytest.mark.parametrize(
     ("name", "method"), [*((name, "generalized_alpha") for name in CASES), ("restitution", "hht_alpha")]
 )
@@ -136,6 +137,7 @@ def test_a_bouncing_mass_has_the_gradients_of_its_closed_form(impact):
     )
 
 
+@pytest.mark.thorough
 def test_a_lane_that_never_gets_there_adds_nothing():
     """The level lies between what the designs reach; what the other lane has is what it has alone."""
     designs = torch.stack([ANGLES, tensor(1.4, 0.2)])
@@ -170,6 +172,7 @@ def test_forces_of_a_phase_act_where_those_of_the_whole_do():
             assert [x.tolist() for x in kind.members] == [x.tolist() for x in own.members]
 
 
+@pytest.mark.thorough
 def test_native_and_eager_agree(native):
     designs = torch.stack([ANGLES, ANGLES + tensor(0.5, 0.3)])
     name = "restitution"
@@ -206,9 +209,8 @@ def test_the_cost_does_not_know_how_many_variables_there_are(monkeypatch):
 
     system = pendulum([20.0] * 4 + [-50.0] * 4, damping=1e-4)
     names = [name for name, _ in system.named_parameters()]
-    mbd.simulate(system, 0.002, steps=1)  # the first motion of a system looks at what its modes leave out
     monkeypatch.setattr(equations, "placement", counted)
-    for variables in ([NAME], names):
+    for variables in ([NAME], [NAME], names):  # the first looks at what modes leave out, and writes what is compiled
         counts.append([])
         options = {"steps": 30, "phases": falling(0.4), "gradients": "reverse", "variables": variables}
         motion = mbd.simulate(system, 0.06, **options).require_ok()
@@ -216,6 +218,6 @@ def test_the_cost_does_not_know_how_many_variables_there_are(monkeypatch):
         found = torch.autograd.grad(response, list(motion.variables.values()), allow_unused=True)
         assert found[list(motion.variables).index(NAME)] is not None
     assert sum(x.numel() for x in motion.variables.values()) == 16
-    assert counts[0] == counts[1]
-    assert len(counts[0]) > 100
-    assert max(counts[0]) <= 2  # the size of a last step, during its search, is the only tangent
+    assert counts[1] == counts[2]
+    assert len(counts[1]) > 90
+    assert max(counts[1]) <= 2  # the size of a last step, during its search, is the only tangent

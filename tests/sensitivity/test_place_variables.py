@@ -55,6 +55,7 @@ def test_gradients_of_initial_modal_coordinates():
     check(bent(), ["rod.modal", "rod.modal_velocity"])
 
 
+@pytest.mark.thorough
 def test_both_backends(native):
     check_native(mechanism(), list(POINTS), reacting)
     check_native(bent(), ["rod.modal", "rod.modal_velocity"])

@@ -46,11 +46,13 @@ def static(system: mbd.System, designs: dict[str, Tensor], times=(0.0, 0.1), **o
     return sum((y * (1.0 + y)).flatten(1).sum(1) for y in parts) + found.body("rod").strain_energy.sum(1)
 
 
+@pytest.mark.thorough("True-names1")
 @pytest.mark.parametrize(("driven", "names"), [(False, ("tip_a.y", "spring.stiffness")), (True, NAMES)])
 def test_gradients_of_motions_from_rest(driven, names):
     check(hanging(driven), list(names), resting)
 
 
+@pytest.mark.thorough
 def test_both_backends(native):
     check_native(hanging(), list(NAMES), resting)
 
@@ -70,6 +72,7 @@ def test_gradients_of_equilibria():
         assert_close(y.grad, wanted[name], rtol=0, atol=1e-6 * size, msg=lambda m, n=name: f"{n}: {m}")
 
 
+@pytest.mark.thorough
 def test_phases_from_rest():
     """A locked hinge holds what hangs at it; forward and reverse agree, and with differences."""
     phases = [mbd.Phase(until=0.008, lock=["hinge"]), mbd.Phase()]

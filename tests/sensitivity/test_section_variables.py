@@ -43,6 +43,7 @@ def dimensions(section: Section) -> list[str]:
     return [name for name, _ in section.named_parameters() if name != "angles"]
 
 
+@pytest.mark.thorough("rectangle", "tube", "circle")
 @pytest.mark.parametrize("case", SECTIONS)
 def test_a_section_of_other_dimensions_is_that_section(case):
     """Forward and reverse by every dimension against differences; numbers are those of a section that is made anew."""

@@ -43,6 +43,7 @@ def at_meeting(family: Family) -> torch.Tensor:
     return torch.zeros(family.variables, dtype=torch.float64)
 
 
+@pytest.mark.thorough(*[family.name for family in MEETING if not family.with_mass])
 @pytest.mark.parametrize("family", MEETING, ids=label)
 def test_a_function_of_the_span_has_its_exact_derivative_in_forward_and_reverse_mode(family):
     b = at_meeting(family)

@@ -25,6 +25,7 @@ def given(step, **more):
     return {"design": {"rod.laminate.angles": {**ANGLES, "step": step}}, "simulate": SHORT, **more}
 
 
+@pytest.mark.thorough
 def test_the_best_design_on_the_steps(write, folder, empty_store):
     """Beside all designs that there are: 6 x 6."""
     store = shutil.copy(empty_store, folder / "mlflow.db")

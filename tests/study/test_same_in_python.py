@@ -131,6 +131,7 @@ def test_the_worst_case_of_what_is_to_be_large(write):
     assert max(around) < max(e.objective for e in large.evaluate(own.start[:2] + own.shifts, False))
 
 
+@pytest.mark.thorough
 def test_records_have_the_sign_that_was_asked_for(write, empty_store, tmp_path):
     given = {"starts": {"sampler": "sobol", "count": 2, "seed": 7}, "optimizer": {"name": "mmfd", "max_iterations": 2}}
     first = {"frequency": {"body": "rod", "number": 1}}
@@ -159,6 +160,7 @@ def test_records_have_the_sign_that_was_asked_for(write, empty_store, tmp_path):
     np.testing.assert_allclose(loaded.problem.evaluate(loaded.x[None], False)[0].objective, -loaded.value, rtol=1e-12)
 
 
+@pytest.mark.thorough
 def test_scenarios_with_options_of_the_model(write):
     cases = [{"name": "plain", "set": {"rod.laminate.thickness": 0.004}}, {"options": {"cells": 3, "payload": 0.2}}]
     cases += [{"options": {"payload": 0.2, "cells": 3}, "set": {"rod.laminate.thickness": [0.003, 0.004]}, "weight": 2}]

@@ -101,6 +101,7 @@ mbd.Study(problem(), starts, name="small", max_iterations=2, question="Which ang
 """
 
 
+@pytest.mark.thorough
 def test_a_killed_study_goes_on_in_its_runs(own, small):
     root = Path(__file__).parents[2]
     environment = {**os.environ, "PYTHONPATH": str(root)}

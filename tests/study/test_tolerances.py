@@ -85,6 +85,7 @@ def test_what_the_problem_refuses_is_refused_before_anything_is_kept(write):
         load_study(file)
 
 
+@pytest.mark.thorough
 def test_the_cost_counts_every_design_that_is_looked_at(write):
     plain, off = (load_study(write(**given(x, starts=None))) for x in (None, 2.0))
     costs = [estimate(plan, plan.simulated).simulations for plan in (plain, off)]

@@ -122,6 +122,7 @@ main(["run", sys.argv[1]])
 """
 
 
+@pytest.mark.thorough
 def test_a_killed_study_is_sent_as_far_as_it_went(file, folder, capsys):
     """Then the same command goes on with it, in the same runs."""
     environment = {**os.environ, "PYTHONPATH": str(Path(cli.__file__).parents[1])}

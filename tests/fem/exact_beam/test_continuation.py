@@ -63,6 +63,7 @@ def test_lateral_buckling():
     assert state.factor.item() == pytest.approx(0.5, rel=3e-3)
 
 
+@pytest.mark.thorough
 def test_a_limit_point_is_found_and_named():
     """No jump to the inverted arch, however large the load; its limit is that of the path of the apex pressed inward."""
     load = 2e4

@@ -55,6 +55,7 @@ SYSTEMS = {
 }
 
 
+@pytest.mark.thorough("network-1]", "branch in Python-10")
 @pytest.mark.parametrize("lanes", [1, 10])
 @pytest.mark.parametrize("name", SYSTEMS)
 def test_eager_and_native_agree(native: None, name: str, lanes: int) -> None:
@@ -77,6 +78,7 @@ def test_eager_and_native_agree(native: None, name: str, lanes: int) -> None:
         assert_close(x, expected, rtol=0, atol=1e-10 * float(expected.abs().max()))
 
 
+@pytest.mark.thorough
 def test_right_hand_sides_of_torchdiffeq(native: None) -> None:
     system = arm(network(9, 2))
     name = "controller.2.bias"

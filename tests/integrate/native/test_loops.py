@@ -65,6 +65,7 @@ def test_the_adjoint_of_chains(links: int) -> None:
         torch.testing.assert_close(found[name], x, rtol=0, atol=1e-8 * float(x.abs().max()), msg=name)
 
 
+@pytest.mark.thorough
 def test_forces_and_closed_loops() -> None:
     system = driven_chain()
     eager, fast = (mbd.simulate(system, 0.01, steps=20, backend=backend) for backend in ("eager", "native"))

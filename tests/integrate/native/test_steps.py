@@ -138,6 +138,7 @@ def test_rigid_systems_are_compiled(both: Both, method: str) -> None:
     same(*both(rigid_pendulum(), 0.002, method, 10))
 
 
+@pytest.mark.thorough("1")
 @pytest.mark.parametrize("refresh", [1, 0])
 def test_drives_with_design_variables_are_compiled(both: Both, refresh: int) -> None:
     """What they prescribe differs from lane to lane and step to step, with its tangents."""

@@ -108,6 +108,7 @@ def pushed(angle: float) -> mbd.System:
     )
 
 
+@pytest.mark.thorough("dopri5")
 @pytest.mark.parametrize("method", ["generalized_alpha", "dopri5"])
 def test_laws_go_on_through_phases(method):
     """Phases without locks are the motion without phases; the drive's law is a function of absolute time."""
@@ -150,6 +151,7 @@ def test_lanes_switch_at_their_own_times_and_do_not_interact():
         assert_close(alone.switches[0].t[0], times[lane], rtol=0, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_tangents_before_a_lane_arrives_are_not_looked_at():
     """A lane waits for its switch with a state that its drive, far behind, does not suit: that says nothing of it."""
     system = arm("step")
@@ -189,6 +191,7 @@ def test_a_phase_that_never_ends_is_the_status_of_its_lane():
     assert torch.isfinite(motion.q[deeper]).all()
 
 
+@pytest.mark.thorough("eager")
 @pytest.mark.parametrize(("restitution", "backend"), [(0.0, "eager"), (0.6, "native")])
 def test_a_jointed_body_rebounds_from_a_wall(restitution, backend, native):
     """A pendulum that hits a wall turns back with its own restitution; the joint takes an impulse as well."""
@@ -311,6 +314,7 @@ def test_a_motion_that_is_not_finite_is_the_status_of_its_lane():
     assert "not finite" in motion.status[0]
 
 
+@pytest.mark.thorough
 def test_lanes_that_do_not_reach_a_lock_leave_the_others_alone():
     """The lock has no marks in a lane that never gets there, be it the first or all of them."""
     system = pendulum(damping=1e-4)

@@ -151,6 +151,7 @@ def test_a_pendulum_of_a_stiff_beam_is_the_rigid_one():
     assert float((tips[0][-1] - tips[0][0]).norm()) > 0.2 * length
 
 
+@pytest.mark.thorough
 def test_gradient_of_the_energy_of_a_swinging_beam():
     """Through section, beam, modes and motion, against differences."""
 

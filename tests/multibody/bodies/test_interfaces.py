@@ -98,6 +98,7 @@ def test_fixed_interface_modes_hold_the_mean_motion():
     assert float(off[3].max()) < 1e-3
 
 
+@pytest.mark.thorough
 def test_gradients_are_those_of_differences():
     thickness = tensor(1e-3, 1.5e-3)
 

@@ -90,6 +90,7 @@ CASES = {
 }
 
 
+@pytest.mark.thorough("rail-rk4", "hinge-rk4")
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 @pytest.mark.parametrize("case", CASES)
 def test_the_motion_of_equivalent_springs(case, method):
@@ -256,6 +257,7 @@ def test_the_iteration_matrix_knows_the_controller():
     assert float(motion.stats["iteration_error"]) < 1e-9
 
 
+@pytest.mark.thorough
 def test_training_of_a_network_and_of_ply_angles():
     """Adam on weights and angles together brings the tip nearer to where it is to be."""
     system = arm(network(9, 2, 6), damping=1e-3)
@@ -274,6 +276,7 @@ def test_training_of_a_network_and_of_ply_angles():
     assert all(bool((system.get_parameter(name) != x).any()) for name, x in before.items())
 
 
+@pytest.mark.thorough("linear")
 @pytest.mark.parametrize("kind", ["linear", "hold"])
 def test_control_histories(kind):
     values = torch.randn(4, 2, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
@@ -304,6 +307,7 @@ def test_control_histories(kind):
     assert float(expected.abs().max()) > 1e-6
 
 
+@pytest.mark.thorough
 def test_phases():
     """Until an event, whose time depends on the weights, and then with the hinge locked."""
     body, joint = hinged()

@@ -96,6 +96,7 @@ def test_energy_is_kept():
     assert drift[1] < drift[0] / 2.5
 
 
+@pytest.mark.thorough
 def test_dampers_take_energy():
     coarse, fine = (mbd.simulate(chain(0.02), 0.25, steps=n, backend="eager").energies for n in (125, 250))
     assert float(fine.dissipated[0, -1]) > 0.03 * float(fine.stored[0, 0])

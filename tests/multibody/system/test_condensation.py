@@ -12,6 +12,7 @@ from torchmbd.integrate.prepared import initial
 from torchmbd.multibody.system import Dynamics, equations
 from torchmbd.multibody.system.condensation import condense
 
+pytestmark = pytest.mark.usefixtures("compiled")
 GROUND = mbd.Ground()
 NAME = "rod.laminate.angles"
 TIGHT = {"iterations": (5, 2)}
@@ -81,6 +82,7 @@ def compared(system: mbd.System, duration: float, steps: int, monkeypatch: pytes
     return found, [(x, y) for x, y in pairs if x is not None]
 
 
+@pytest.mark.thorough("wavy")
 @pytest.mark.parametrize(
     "angle", [lambda t: 0.3 + 5.0 * t + 2.0 * torch.sin(9.0 * t), lambda t: -4.0 * t], ids=["wavy", "backwards"]
 )
@@ -95,6 +97,7 @@ def test_a_driven_body_is_a_carrier(angle, monkeypatch):
         assert_close(x[:, 200:], expected[:, 200:], rtol=0, atol=2e-5 * float(expected.abs().max()))
 
 
+@pytest.mark.thorough
 def test_guided_bodies_keep_their_freedom_only(monkeypatch):
     system = guided()
     c = left(system)
@@ -106,6 +109,7 @@ def test_guided_bodies_keep_their_freedom_only(monkeypatch):
     assert float(found.v.abs().max()) > 0.5
 
 
+@pytest.mark.thorough
 def test_the_slider_crank_with_all_its_sensitivities(monkeypatch):
     system = build(2, cells=(6, 2), modes=3)
     c = left(system)

@@ -169,6 +169,7 @@ def test_redundant_equations_close():
     assert len(system().dynamics.redundant) == 3
 
 
+@pytest.mark.thorough
 def test_redundant_equations_move_as_the_planar_mechanism():
     """The same four-bar with two hinges of which only the in-plane equations are kept: no redundant row."""
     spatial, planar = four_bar(), four_bar(planar=True)

@@ -48,6 +48,7 @@ def jacobian(motion: mbd.Trajectory, i: int) -> Tensor:
     return d.saddle.jacobian(d.data, placement(d.topology, d.data, q, d.topology.prescribed(motion.t[i], d.data)))[0]
 
 
+@pytest.mark.thorough("angle1")
 @pytest.mark.parametrize("angle", [None, mbd.Sine(0.4, 5.0)])
 def test_they_do_not_depend_on_the_iteration(angle):
     """Two to twenty corrections a step, and what is left of lam in combinations of rows that act on no body."""
@@ -73,6 +74,7 @@ def test_both_routes_have_the_same():
     assert_close(fast, reference, rtol=0, atol=1e-3 * float(reference.abs().max()))
 
 
+@pytest.mark.thorough("rk4")
 @pytest.mark.parametrize("method", ["generalized_alpha", "rk4"])
 def test_gradients_are_those_of_the_reactions(method):
     system = doors(mbd.Sine(mbd.variable(0.4), 5.0))

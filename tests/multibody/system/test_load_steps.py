@@ -60,6 +60,7 @@ def column(push: float, aside: float) -> mbd.System:
     return cantilever(beam, mbd.Force(beam.at("end"), (-push, 0.0, aside)))
 
 
+@pytest.mark.thorough
 def test_column():
     with pytest.raises(mbd.InputError, match=r"the mechanism buckles at 0\.5198 of the loads"):
         mbd.equilibrium(column(1000.0, 0.0))
@@ -71,6 +72,7 @@ def test_column():
     assert float(half.frequencies[0, 0]) < 0.2 * float(mbd.equilibrium(column(0.0, 0.0)).frequencies[0, 0])
 
 
+@pytest.mark.thorough
 def test_snap_through():
     """Half of a flat arch whose middle is guided: the beam alone ends at the same part of the load."""
     line = mbd.BeamLine(torch.tensor([[0.2 * i, 0.04 * i, 0.0] for i in range(6)], dtype=torch.float64))

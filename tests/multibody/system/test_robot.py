@@ -178,6 +178,7 @@ def hinge(extra: str = "", kind: str = "revolute", axis: str = "0 1 0") -> str:
     return joint("hinge", kind, "world", "rod", "0 0 0", axis=axis, extra=extra)
 
 
+@pytest.mark.thorough
 def test_limits_are_stops_and_friction_takes_energy(file):
     """A pendulum falls on its stop: as deep as its energy tells. Without gravity friction slows it down by F / J t."""
     stop = file(*PENDULUM, hinge('<limit lower="-1" upper="0.4"/><dynamics damping="0.1"/>'))
@@ -194,6 +195,7 @@ def test_limits_are_stops_and_friction_takes_energy(file):
     assert float(motion.body("rod").omega[0, -1, 2]) == pytest.approx(3.0 - 0.7 / J * 0.5, rel=1e-6)
 
 
+@pytest.mark.thorough
 def test_slides_and_free_bases(file):
     """A prismatic joint along a direction, damped; a base that is not fixed falls."""
     path = file(*PENDULUM, hinge('<dynamics damping="2"/><limit lower="0" upper="0"/>', "prismatic", "0 0.6 0.8"))

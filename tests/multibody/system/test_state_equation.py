@@ -41,6 +41,7 @@ def test_its_parameters_are_those_of_the_system():
     assert all(x is system.get_parameter(name) for name, x in f.named_parameters())
 
 
+@pytest.mark.thorough
 def test_the_adjoint_of_torchdiffeq_is_its_plain_gradient_and_that_of_simulate():
     """By angles, the stiffness of a spring and the initial state."""
     system, found = hung(), []
