@@ -7,7 +7,7 @@ import torch
 from torch.testing import assert_close
 
 from torchmbd.fem.elements import solid_matrices
-from torchmbd.fem.elements.solids import _BRICK
+from torchmbd.fem.elements.solids import _BRICK, _SIDES
 
 E, NU = 70e9, 0.3
 
@@ -24,11 +24,59 @@ WEDGE = torch.tensor([[0, 0, -1], [1, 0, -1], [0, 1, -1], [0, 0, 1], [1, 0, 1], 
 TETRA = torch.tensor([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=torch.float64)
 
 
-@pytest.mark.parametrize("place", [TETRA, WEDGE, _BRICK], ids=["tetra", "wedge", "brick"])
+def with_sides(corners: torch.Tensor, nodes: int) -> torch.Tensor:
+    """Corners, and nodes in the middles of the sides, moved a little: curved sides."""
+    middle = torch.stack([(corners[i] + corners[j]) / 2 for i, j in _SIDES[nodes]])
+    g = torch.Generator().manual_seed(2)
+    return torch.cat([corners, middle + 0.02 * torch.rand(middle.shape, generator=g, dtype=torch.float64)])
+
+
+SOLIDS = {"tetra": TETRA, "wedge": WEDGE, "brick": _BRICK}
+SOLIDS |= {"tetra10": with_sides(TETRA, 10), "wedge15": with_sides(WEDGE, 15), "brick20": with_sides(_BRICK, 20)}
+
+
+@pytest.mark.parametrize(
+    ("corners", "nodes"), [(TETRA, 10), (WEDGE, 15), (_BRICK, 20)], ids=["tetra", "wedge", "brick"]
+)
+def test_quadratic_fields_are_exact(corners, nodes):
+    """With straight sides: the energy of a quadratic field, whose strains are linear, over a distorted element."""
+    g = torch.Generator().manual_seed(3)
+    A = torch.eye(3, dtype=torch.float64) + 0.2 * torch.rand(3, 3, generator=g, dtype=torch.float64)
+    x = torch.cat([corners, torch.stack([(corners[i] + corners[j]) / 2 for i, j in _SIDES[nodes]])]) @ A.T
+    K, shares, _ = solid_matrices(x[None], elasticity())
+    assert float(shares.min()) > 0.0
+    u = torch.stack([0.3 * x[:, 0] * x[:, 1] + 0.1 * x[:, 2] ** 2, 0.2 * x[:, 1] * x[:, 2], -0.4 * x[:, 0] ** 2], 1)
+    y, weight = rule(corners)
+    a, b, c = (y @ A.T).unbind(1)
+    e = torch.stack([0.3 * b, 0.2 * c, 0.0 * a, 0.3 * a, 0.2 * b, 0.2 * c - 0.8 * a], 1)
+    wanted = (weight * ((e @ elasticity()) * e).sum(1)).sum() * torch.linalg.det(A)
+    assert_close(u.flatten() @ K[0] @ u.flatten(), wanted, rtol=1e-10, atol=0.0)
+
+
+def rule(corners: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Points and weights that integrate polynomials of degree two over a reference element."""
+    if len(corners) == 8:
+        r = torch.tensor([-1.0, 1.0], dtype=torch.float64) / 3.0**0.5
+        y = torch.cartesian_prod(r, r, r)
+        weight = torch.ones(8, dtype=torch.float64)
+    elif len(corners) == 6:
+        flat = torch.tensor([[0.5, 0.0], [0.5, 0.5], [0.0, 0.5]], dtype=torch.float64)
+        r = torch.tensor([-1.0, 1.0], dtype=torch.float64) / 3.0**0.5
+        y = torch.cat([torch.cat([flat, t.expand(3, 1)], 1) for t in r])
+        weight = torch.full((6,), 1.0 / 6.0, dtype=torch.float64)
+    else:
+        middle = torch.stack([(corners[i] + corners[j]) / 2 for i in range(4) for j in range(i)])
+        y = torch.cat([corners, middle])
+        weight = torch.tensor([-1 / 120] * 4 + [1 / 30] * 6, dtype=torch.float64)
+    return y, weight
+
+
+@pytest.mark.parametrize("place", SOLIDS.values(), ids=SOLIDS)
 def test_linear_fields_are_exact(place):
     """Forces of a linear field do the work of its constant stress, on a distorted element; rigid motions have none."""
     g = torch.Generator().manual_seed(1)
-    x = place + 0.15 * torch.rand(place.shape, generator=g, dtype=torch.float64)
+    size = 0.15 if len(place) <= 8 else 0.02
+    x = place + size * torch.rand(place.shape, generator=g, dtype=torch.float64)
     K, volumes, _ = solid_matrices(x[None], elasticity())
     H = torch.rand(3, 3, generator=g, dtype=torch.float64)
     u = (x @ H.T).flatten()

@@ -77,9 +77,7 @@ def test_masses_and_properties():
         data(f"{GRIDS}\nPARAM,POST,0\nMAT1,1,7.+10,,.3,2700.\nMAT8,1,1.,1.,.3,1.")
 
 
-def test_thickness_at_corners_and_offsets_are_refused():
-    with pytest.raises(InputError, match=r"CTRIA3 1 .*: ZOFFS is 0.1"):
-        data(f"{GRIDS}\nCTRIA3,1,1,1,2,3,0.,.1")
+def test_thickness_at_corners_is_refused():
     with pytest.raises(InputError, match=r"CQUAD4 1 .*: thickness at a corner is .2"):
         data(f"{GRIDS}\nCQUAD4,1,1,1,2,3,4\n,,,.2")
     assert math.isclose(data(f"{GRIDS}\nPSHELL,1,1,.1\nCTRIA3,1,1,1,2,3,30.").shells[0].theta, 30.0)
@@ -102,7 +100,7 @@ def test_x_of_a_cylindrical_system_is_the_radius_at_the_place():
         found.systems.axes(2, found.grid_cards[1], np.array([1.0, 1.0, 3.0]))
 
 
-@pytest.mark.parametrize("card", ["CSHEAR,1,2,3,4,5,6", "BAROR,,5,,,0.,1.,0.", "BEAMOR,,5", "RJOINT,5,1,2,123"])
+@pytest.mark.parametrize("card", ["CPYRAM,1,2,3,4,5,6,7", "BAROR,,5,,,0.,1.,0.", "BEAMOR,,5", "RJOINT,5,1,2,123"])
 def test_cards_that_change_others_are_refused(card):
     with pytest.raises(InputError, match="cannot be read, and without it the structure is another"):
         data(f"GRID,1,,0.,0.,0.\n{card}")

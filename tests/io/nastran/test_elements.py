@@ -147,7 +147,7 @@ def test_an_anisotropic_solid_is_the_isotropic_one(stiffness):
         (["CBUSH,7,5,1,3", "PBUSH,5,K,1."], "at one place"),
         (["CBUSH,7,5,1,2", "PBUSH,5,K,1.,2."], "no vector"),
         (["CTETRA,7,5,1,2,3,1"], "4 different"),
-        (["CTETRA,7,5,1,2,3,4,1,2"], "linear solid"),
+        (["CTETRA,7,5,1,2,3,4,1,2"], "4 corners alone, or with all 6 nodes"),
         (["RBAR,7,1,2,123,456"], "123456 at one end"),
         (["CROD,7,5,1,2", "PROD,5,1,1.-4", "MAT8,1,1.,1.,.3,1."], "allowed: MAT1"),
     ],

@@ -26,7 +26,7 @@ def test_nodes_zones_directions_and_names():
     found = made(text, length=0.1)
     mesh = found.mesh
     assert_close(mesh.nodes[found.index[30]], torch.tensor([0.0, 0.2, 0.2], dtype=torch.float64))
-    assert {number: len(own) for number, own in found.zones.items()} == {1: 1, 2: 1}
+    assert {key: len(own) for key, own in found.zones.items()} == {(1, 0.0): 1, (2, 0.0): 1}
     assert (len(mesh.triangles), len(mesh.quads)) == (1, 1)
     assert mesh.cell_name(1) == "CQUAD4 1 (line 8)"
     assert mesh.node_set("spc_5") == (found.index[10], found.index[40])
@@ -34,9 +34,9 @@ def test_nodes_zones_directions_and_names():
     assert mesh.lines.tolist() == [[found.index[50], found.index[20]]]
     # The quadrilateral lies in the y-z plane, normal +x: 30 degrees from its first side (y) towards z.
     expected = torch.tensor([0.0, math.cos(math.pi / 6), math.sin(math.pi / 6)], dtype=torch.float64)
-    for k in found.zones[2]:
+    for k in found.zones[2, 0.0]:
         assert_close(found.direction[k] / found.direction[k].norm(), expected)
-    assert_close(found.direction[found.zones[1][0]], torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
+    assert_close(found.direction[found.zones[1, 0.0][0]], torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64))
     assert_close(mesh.normals[:, 0], torch.ones(2, dtype=torch.float64))
 
 

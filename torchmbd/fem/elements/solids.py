@@ -1,11 +1,13 @@
-"""Linear solids: tetrahedra of four nodes, wedges of six, bricks of eight.
+"""Solids: tetrahedra of 4 or 10 nodes, wedges of 6 or 15, bricks of 8 or 20; those of more have nodes on their sides.
 
     K_e = int B' D B dV      D [6, 6] over strains xx, yy, zz, xy, yz, zx (engineering shear); three displacements at each node
 
 Bricks have three incompatible modes 1 - r_i^2, whose derivatives are taken with the Jacobian of the middle, condensed: a brick
 bends without locking in shear, and the patch test holds. Tetrahedra and wedges of this kind are stiff in bending.
-Mass: int N_k dV rho at node k. Source: E. L. Wilson, R. L. Taylor et al., Incompatible displacement models, 1973; R. L.
-Taylor, P. J. Beresford, E. L. Wilson, IJNME 10 (1976) 1211-1219.
+Those with nodes on sides are serendipity elements: quadratic, isoparametric. Mass at node k: int N_k dV rho of linear solids;
+of the others in the ratio of int N_k^2 dV (E. Hinton, T. Rock, O. C. Zienkiewicz, 1976), as int N_k is negative at corners.
+Source: E. L. Wilson, R. L. Taylor et al., Incompatible displacement models, 1973; R. L. Taylor, P. J. Beresford, E. L.
+Wilson, IJNME 10 (1976) 1211-1219.
 Checked in tests/fem/elements/test_solids.py.
 """
 
@@ -23,6 +25,11 @@ _BRICK = torch.tensor(
     dtype=torch.float64,
 )
 CORNERS = (4, 6, 8)
+_SIDES = {
+    10: ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
+    15: ((0, 1), (1, 2), (2, 0), (0, 3), (1, 4), (2, 5), (3, 4), (4, 5), (5, 3)),
+    20: (*((0, 1), (1, 2), (2, 3), (3, 0), (0, 4), (1, 5)), *((2, 6), (3, 7), (4, 5), (5, 6), (6, 7), (7, 4))),
+}
 
 
 def _numbers(x: list) -> Tensor:
@@ -51,6 +58,50 @@ def _shapes(corners: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     return torch.stack(values), torch.stack(slopes), _numbers([1.0 / 6.0] * 6), torch.stack(points)
 
 
+def _powers(nodes: int) -> list[tuple[int, int, int]]:
+    """Powers of the three coordinates in the monomials that a quadratic solid has."""
+    if nodes == 20:  # all of degree two at most, where factors that stand linearly do not count
+        found = [(i, j, k) for i in range(3) for j in range(3) for k in range(3)]
+        return [own for own in found if sum(n for n in own if n > 1) <= 2]
+    flat = [(i, j) for i in range(3) for j in range(3) if i + j <= 2]
+    if nodes == 15:
+        return [*((i, j, k) for i, j in flat for k in (0, 1)), *((i, j, 2) for i, j in flat if i + j <= 1)]
+    return [(i, j, k) for i, j in flat for k in range(3 - i - j)]
+
+
+def _monomials(powers: Tensor, at: Tensor, by: int | None = None) -> Tensor:
+    """Monomials at points [g, 3], or their derivatives by one coordinate [g, k]."""
+    factors = at[:, None] ** powers
+    if by is not None:
+        factors[..., by] = powers[:, by] * at[:, None, by] ** (powers[:, by] - 1).clamp_min(0)
+    return factors.prod(-1)
+
+
+def _quadratic(nodes: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """As `_shapes`, of a solid with nodes on its sides."""
+    line = [(-math.sqrt(0.6), 5 / 9), (0.0, 8 / 9), (math.sqrt(0.6), 5 / 9)]
+    if nodes == 10:
+        corners = _numbers([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+        a, b = (5.0 + 3.0 * math.sqrt(5.0)) / 20.0, (5.0 - math.sqrt(5.0)) / 20.0
+        points, weights = b + (a - b) * corners, _numbers([1.0 / 24.0] * 4)
+    elif nodes == 15:
+        corners = _numbers([[x, y, t] for t in (-1.0, 1.0) for x, y in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))])
+        flat = [(1 / 6, 1 / 6), (2 / 3, 1 / 6), (1 / 6, 2 / 3)]
+        points, weights = (
+            _numbers([[x, y, t] for x, y in flat for t, _ in line]),
+            _numbers([w / 6 for _, w in line] * 3),
+        )
+    else:
+        corners = _BRICK
+        points = _numbers([[x, y, z] for x, _ in line for y, _ in line for z, _ in line])
+        weights = _numbers([u * v * w for _, u in line for _, v in line for _, w in line])
+    places = torch.cat([corners, torch.stack([(corners[i] + corners[j]) / 2.0 for i, j in _SIDES[nodes]])])
+    powers = torch.tensor(_powers(nodes))
+    shapes = torch.linalg.inv(_monomials(powers, places))  # coefficients [monomial, k]
+    slopes = torch.stack([_monomials(powers, points, r) @ shapes for r in range(3)], -1)
+    return _monomials(powers, points) @ shapes, slopes, weights, points
+
+
 def _strains(slopes: Float[Tensor, "... k 3"]) -> Float[Tensor, "... 6 k3"]:
     """B of derivatives along x, y, z."""
     B = slopes.new_zeros(*slopes.shape[:-2], 6, slopes.shape[-2], 3)
@@ -64,7 +115,8 @@ def solid_matrices(
     x: Float[Tensor, "m k 3"], D: Float[Tensor, "6 6"]
 ) -> tuple[Float[Tensor, "m k3 k3"], Float[Tensor, "m k"], Float[Tensor, "m g"]]:
     """Stiffness [N/m], volumes that belong to the nodes [m3], and volumes at Gauss points, all positive in a right element."""
-    N, slopes, weights, points = _shapes(x.shape[1])
+    nodes = x.shape[1]
+    N, slopes, weights, points = _shapes(nodes) if nodes in CORNERS else _quadratic(nodes)
     J = torch.einsum("gkr,mki->mgri", slopes, x)
     volume = torch.linalg.det(J) * weights
     singular = volume.abs() < 1e-300
@@ -73,7 +125,8 @@ def solid_matrices(
     K = torch.einsum("mg,mgsa,st,mgtb->mab", volume, B, D, B)
     if x.shape[1] == 8:
         K = K - _incompatible(x, D, B, volume, slopes, points)
-    return 0.5 * (K + K.mT), torch.einsum("mg,gk->mk", volume, N), volume
+    share = torch.einsum("mg,gk->mk", volume, N if nodes in CORNERS else N**2)
+    return 0.5 * (K + K.mT), share * (volume.sum(1) / share.sum(1))[:, None], volume
 
 
 def _incompatible(x: Tensor, D: Tensor, B: Tensor, volume: Tensor, slopes: Tensor, points: Tensor) -> Tensor:

@@ -1,6 +1,6 @@
 """Classical lamination with first-order shear: from plies to the plate stiffness A, B, D, As.
 
-Plies are listed from the bottom face z = -h/2 to the top face z = +h/2.
+Plies are listed from the bottom face z = offset - h/2 to the top face z = offset + h/2; z = 0 is the surface of the nodes.
 
     N = A eps + B kappa        membrane forces     [N/m]
     M = B eps + D kappa        moments             [N]
@@ -35,6 +35,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from torchmbd.errors import InputError
 from torchmbd.fem.materials.laminate_checks import (
     checked_angles,
     checked_correction,
@@ -43,6 +44,7 @@ from torchmbd.fem.materials.laminate_checks import (
 )
 from torchmbd.fem.materials.ply import Ply
 from torchmbd.fem.materials.transverse_shear import ShearShape, energy_shear_stiffness, shear_shape
+from torchmbd.math.owned import real
 from torchmbd.math.variable import Several, is_variable, stacked
 
 _UPPER3 = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -90,6 +92,7 @@ class Laminate(nn.Module):
     angles            [layers] rad, from bottom to top
     thickness         of every layer, or one per given layer [m]; numbers become a parameter that requires no gradient
     symmetric         the given layers are the lower half, mirrored about the mid-plane
+    offset            height of the middle of the stack above the surface of the nodes [m]; constant, whatever the thickness
     shear_correction  "energy": the transverse shear stiffness of equal energy, a full matrix that follows the stack
                       (5/6 of G h if it is homogeneous); or a number that multiplies the sum of the plies' G t
 
@@ -116,8 +119,12 @@ class Laminate(nn.Module):
         thickness: float | Sequence[float] | Tensor,
         symmetric: bool = False,
         shear_correction: float | str = "energy",
+        offset: float = 0.0,
     ) -> None:
         super().__init__()
+        if not real(offset):
+            raise InputError(f"Laminate: offset = {offset!r}; allowed: a finite number [m]")
+        self.offset = float(offset)
         self.angles = checked_angles(angles)
         layers = self.angles.numel()
         plies = checked_plies(ply, layers)
@@ -137,7 +144,7 @@ class Laminate(nn.Module):
         """What laminates have in common that differ in their angles only; one whose plies vary has it with none."""
         if self._plies.vary:
             return (id(self),)
-        return self.plies, self.symmetric, self.shear_correction, tuple(self.thickness.tolist())
+        return self.plies, self.symmetric, self.shear_correction, self.offset, tuple(self.thickness.tolist())
 
     @property
     def typical(self) -> Laminate:
@@ -212,7 +219,7 @@ class Laminate(nn.Module):
     def faces(self) -> Float[Tensor, "*lanes all_layers 2"]:
         """Heights of the bottom and the top of every layer [m]."""
         t = self.layer_thickness
-        top = t.cumsum(-1) - 0.5 * t.sum(-1, keepdim=True)
+        top = t.cumsum(-1) - 0.5 * t.sum(-1, keepdim=True) + self.offset
         return torch.stack([top - t, top], dim=-1)
 
     @property
@@ -232,9 +239,9 @@ class Laminate(nn.Module):
 
     @property
     def centered(self) -> bool:
-        """Whether the first moment is zero whatever the thicknesses: a symmetric stack, or one density."""
+        """Whether the first moment is zero whatever the thicknesses: a symmetric stack, or one density, without offset."""
         given = {id(p.density) if is_variable(p.density) else p.density for p in self._plies.given}
-        return self.symmetric or len(given) == 1
+        return self.offset == 0.0 and (self.symmetric or len(given) == 1)
 
     @property
     def rotary_inertia_per_area(self) -> Float[Tensor, "*lanes"]:

@@ -1,6 +1,7 @@
 """A Nastran model as the makings of a flexible body: mesh, parts, links and reference.
 
-Each PCOMP and PSHELL is a part of its own, "pcomp_7"; each PBAR another, its bars where
+Each PCOMP and PSHELL is a part of its own, "pcomp_7", and where elements have several ZOFFS one more for each further one,
+"pcomp_7_offset_1", with parameters of its own; each PBAR another, its bars where
 their offsets put them (bars.py). Rods, springs, bushings and solids: springs.py. RBE2, RBAR,
 RBE3 and MPC become links (rigids.py), and the grid of each rigid element a named node, "rbe2_30", where a frame may sit;
 CONM2 are point masses. Grids whose six freedoms are held (SPC, SPC1) become the reference of the body; other supports are
@@ -23,10 +24,12 @@ from torchmbd.fem.elements import BeamMatrices, Beams, Follower, Part, Plates, P
 from torchmbd.fem.mesh import Mesh
 from torchmbd.io.nastran.cards import read_cards
 from torchmbd.io.nastran.data import BulkData
-from torchmbd.io.nastran.materials import UNITS, Units, laminate_of, units_of, with_density
+from torchmbd.io.nastran.materials import UNITS, Units, units_of, with_density
 from torchmbd.io.nastran.mesh import BulkMesh, bulk_mesh
+from torchmbd.io.nastran.panels import shear_panels
 from torchmbd.io.nastran.rigids import followers
 from torchmbd.io.nastran.sections import section_of
+from torchmbd.io.nastran.shells import laminate_of
 from torchmbd.io.nastran.springs import linked_parts
 
 __all__ = ["UNITS", "BulkBody", "read_bdf"]
@@ -62,11 +65,15 @@ def read_bdf(path: str | Path, units: str = "m", mass: str = "lumped", density: 
         data.materials = with_density(data.materials, float(density), scale, data.weight_to_mass)
     made = bulk_mesh(data, scale.length)
     parts: dict[str, Part] = {}
-    for number, cells in made.zones.items():
+    for (number, offset), cells in made.zones.items():
         card = data.properties[number]
-        laminate = laminate_of(data, card, scale)
-        parts[f"{card.name.lower()}_{number}"] = Plates(made.mesh, laminate, made.direction, cells, mass)
+        laminate = laminate_of(data, card, scale, offset * scale.length)
+        name = f"{card.name.lower()}_{number}"
+        name = name if name not in parts else f"{name}_offset_{sum(key.startswith(name) for key in parts)}"
+        parts[name] = Plates(made.mesh, laminate, made.direction, cells, mass)
     parts |= _beams(data, made, scale)
+    if data.panels:
+        parts["cshear"] = shear_panels(data, made.mesh, made.index, scale)
     parts |= linked_parts(data, made.mesh, made.index, scale)
     if data.masses:
         parts["conm2"] = _masses(data, made, scale)
@@ -107,6 +114,8 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
     components: dict[int, set[str]] = {}
     for support in data.supports:
         for grid in support.grids:
+            if grid in data.scalars:
+                continue
             components.setdefault(grid, set()).update(support.components)
     turning = {grid for element in (*data.shells, *data.bars) for grid in element.grids}
     turning |= {grid for tied in (*data.rigids, *data.constraints) for grid in tied.grids}
@@ -123,6 +132,11 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
 
 
 def _warn_ignored(data: BulkData, path: str | Path) -> None:
+    if data.grounded:
+        warn(
+            f"{data.grounded[0]}: one of its ends is the ground; {len(data.grounded)} such are left out: a body carries no "
+            "supports, springs to mbd.Ground() belong to the system"
+        )
     if data.ignored:
         cards = ", ".join(f"{name} ({count})" for name, count in sorted(data.ignored.items()))
         warn(f"{Path(path).name}: cards that are no structure are left out: {cards}")

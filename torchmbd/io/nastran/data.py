@@ -5,6 +5,8 @@
 Refused by card and line: an element that cannot be read (leaving it out would change the structure), a duplicate, a
 property or material or grid that does not exist, a field that is missing. Loads and control cards are left out; `ignored`
 counts them.
+Elements of scalar points (SPOINT) alone, and springs to the ground, are no part of a body: they are left out, and listed.
+Over 300 lines: every kind of card is sorted in one place.
 Source: MSC Nastran Quick Reference Guide, section 8.
 Checked in tests/io/nastran/test_data.py.
 """
@@ -20,7 +22,20 @@ import numpy as np
 
 from torchmbd.errors import InputError, warn
 from torchmbd.io.nastran.cards import Card
-from torchmbd.io.nastran.elements import LINKS, OWN_PROPERTIES, SOLIDS, Link, Solid, link, solid
+from torchmbd.io.nastran.elements import (
+    LINKS,
+    OF_SCALARS,
+    OWN_PROPERTIES,
+    SCALAR_MASSES,
+    SOLIDS,
+    Link,
+    ScalarPoints,
+    Solid,
+    ends,
+    link,
+    panel,
+    solid,
+)
 from torchmbd.io.nastran.rigids import RIGIDS, Constraint, Rigid, constraint, rigid
 from torchmbd.io.nastran.systems import KINDS, Systems
 
@@ -30,11 +45,26 @@ PROPERTIES = ("PSHELL", "PCOMP", "PCOMPG", "PBAR", "PBARL", "PBEAM", "PBEAML")
 MATERIALS = re.compile(r"^MAT([12389]|10)$")
 #: Structure that cannot be read: leaving it out would change the body. Every other unknown card is left out, and listed.
 _STRUCTURE = re.compile(
-    r"^(RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT\d?|GENEL|SPOINT|EPOINT|BAROR|BEAMOR|CONM1"
-    r"|C(BEND|BEAM3|BUSH[12]D|ELAS[34]|FAST|GAP|HACAB|HEXCZ|IFHEX|MASS\d|PYRAM|PYRA|QUAD|QUAD8|QUADX\d?|RAC[23]D"
-    r"|SEAM|SHEAR|TRIA6|TRIAX6?|TRAX\d|WELD))$"
+    r"^(RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT\d?|GENEL|BAROR|BEAMOR|CONM1"
+    r"|C(BEND|BEAM3|BUSH[12]D|FAST|GAP|HACAB|HEXCZ|IFHEX|PYRAM|PYRA|QUAD|QUAD8|QUADX\d?|RAC[23]D"
+    r"|SEAM|TRIA6|TRIAX6?|TRAX\d|WELD))$"
 )
-READ = (*SHELLS, *BARS, *LINKS, *SOLIDS, "CONM2", *RIGIDS, "MPC", "SPC", "SPC1", "MAT1", "MAT8", "MAT9")
+READ = (
+    *SHELLS,
+    *BARS,
+    *LINKS,
+    *SOLIDS,
+    "CSHEAR",
+    "CONM2",
+    *RIGIDS,
+    "MPC",
+    "SPC",
+    "SPC1",
+    "MAT1",
+    "MAT2",
+    "MAT8",
+    "MAT9",
+)
 _QUIET = ("PARAM", "EIGRL", "EIGR", "PLOTEL", "SPCADD", "MPCADD", "MDLPRM")
 
 
@@ -47,6 +77,7 @@ class Shell:
     grids: tuple[int, ...]
     theta: float | None
     system: int | None
+    offset: float = 0.0  # of the middle from the plane of the grids, along the normal
 
 
 @dataclass(frozen=True)
@@ -89,7 +120,10 @@ class BulkData:
     shells: list[Shell] = field(default_factory=list)
     bars: list[Bar] = field(default_factory=list)
     solids: list[Solid] = field(default_factory=list)
+    panels: list[Solid] = field(default_factory=list)
     links: list[Link] = field(default_factory=list)
+    grounded: list[Card] = field(default_factory=list)
+    scalars: ScalarPoints = field(default_factory=lambda: ScalarPoints([]))
     own_properties: dict[tuple[str, int], Card] = field(default_factory=dict)
     properties: dict[int, Card] = field(default_factory=dict)
     materials: dict[int, Card] = field(default_factory=dict)
@@ -107,6 +141,7 @@ class BulkData:
         data = cls()
         common = next((card for card in cards if card.name == "GRDSET"), None)
         placed = [_completed(card, common) for card in cards if card.name == "GRID"]
+        data.scalars = ScalarPoints([card for card in cards if card.name in ("SPOINT", "EPOINT")])
         data.systems = Systems([card for card in cards if card.name in KINDS], placed)
         for card in placed:
             number = card.integer(1, "ID")
@@ -130,8 +165,10 @@ class BulkData:
             self.bars.append(Bar(card, card.integer(2, "PID", card.integer(1, "EID")), grids))
         elif name in SOLIDS:
             self.solids.append(solid(card))
-        elif name in LINKS:
-            self.links.append(link(card))
+        elif name == "CSHEAR":
+            self.panels.append(panel(card))
+        elif name in LINKS or name in SCALAR_MASSES:
+            self._link(card)
         elif name in OWN_PROPERTIES:
             for part in _halves(card):
                 key = (name, part.integer(1, "PID"))
@@ -161,21 +198,38 @@ class BulkData:
                 f"{card}: this card cannot be read, and without it the structure is another; allowed: {', '.join(READ)}"
             )
         elif name not in _QUIET:
-            self.ignored[name] += 1
+            self.ignored[f"{name} of scalar points" if name in OF_SCALARS else name] += 1
+
+    def _link(self, card: Card) -> None:
+        """Of an element between two points those of grids count; one at scalar points alone is left out."""
+        points = ends(card)
+        of_grids = [number for number in points if number and number not in self.scalars]
+        if not of_grids and any(points):
+            self.ignored[f"{card.name} of scalar points"] += 1
+        elif len(of_grids) == 1 and all(points):
+            allowed = "two grids, or scalar points alone"
+            raise InputError(f"{card}: it joins grid {of_grids[0]} with a scalar point; allowed: {allowed}")
+        elif card.name in SCALAR_MASSES:
+            raise InputError(f"{card}: a mass of single components at grids {of_grids}; allowed: CONM2")
+        elif card.name not in ("CROD", "CONROD", "CTUBE") and len(of_grids) == 1:
+            self._exist(card, tuple(of_grids))
+            self.grounded.append(card)
+        else:
+            self.links.append(link(card))
 
     def _check(self) -> None:
         for element in (*self.shells, *self.bars):
             if element.property not in self.properties:
                 raise InputError(f"{element.card}: property {element.property} does not exist; a card is missing")
             self._exist(element.card, element.grids)
-        for element in (*self.solids, *self.links):
+        for element in (*self.solids, *self.panels, *self.links):
             self._exist(element.card, element.grids)
         for tied in (*self.rigids, *self.constraints):
             self._exist(tied.card, tied.grids)
         for mass in self.masses:
             self._exist(mass.card, (mass.grid,))
         for support in self.supports:
-            self._exist(support.card, support.grids)
+            self._exist(support.card, tuple(grid for grid in support.grids if grid not in self.scalars))
         numbers = Counter((e.card.name[0], e.card.integer(1, "EID")) for e in (*self.shells, *self.bars))
         for element in (*self.shells, *self.bars):
             if numbers[element.card.name[0], element.card.integer(1, "EID")] > 1:
@@ -183,6 +237,8 @@ class BulkData:
 
     def _exist(self, card: Card, grids: tuple[int, ...]) -> None:
         for grid in grids:
+            if grid in self.scalars:
+                raise InputError(f"{card}: {grid} is a scalar point; allowed: grids")
             if grid not in self.grids:
                 raise InputError(f"{card}: GRID {grid} does not exist")
 
@@ -225,15 +281,13 @@ def _halves(card: Card) -> list[Card]:
 def _shell(card: Card, corners: int) -> Shell:
     grids = tuple(card.integer(2 + k, f"G{k}") for k in range(1, corners + 1))
     direction, offset = card.text(3 + corners), card.real(4 + corners, "ZOFFS", 0.0)
-    if offset != 0.0:
-        raise InputError(f"{card}: ZOFFS is {offset:g}; allowed: 0, the laminate lies about the plane of the grids")
     for k in range(11, 11 + corners):
         if card.text(k):
             raise InputError(f"{card}: thickness at a corner is {card.text(k)}; allowed: the thickness of the property")
     is_system = re.fullmatch(r"\d+", direction) is not None
     theta = None if is_system else card.real(3 + corners, "THETA", 0.0)
     property = card.integer(2, "PID", card.integer(1, "EID"))
-    return Shell(card, property, grids, theta, int(direction) if is_system else None)
+    return Shell(card, property, grids, theta, int(direction) if is_system else None, offset)
 
 
 def _mass(card: Card) -> Mass:

@@ -1,6 +1,6 @@
 """Cards of rods, springs, bushings, solids and bars that are rigid, as numbers.
 
-    CROD, CTUBE, CONROD, CELAS1, CELAS2, CBUSH   two grids       CTETRA, CPENTA, CHEXA   4, 6, 8 grids, without nodes on sides
+    CROD, CTUBE, CONROD, CELAS1, CELAS2, CBUSH   two grids       CTETRA, CPENTA, CHEXA   4, 6, 8 or 10, 15, 20 grids
 
 Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/io/nastran/test_elements.py.
 """
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from torchmbd.errors import InputError
 from torchmbd.io.nastran.cards import Card
 
-SOLIDS = {"CTETRA": 4, "CPENTA": 6, "CHEXA": 8}
+SOLIDS = {"CTETRA": (4, 10), "CPENTA": (6, 15), "CHEXA": (8, 20)}  # corners, and these with nodes on all sides
 #: name -> (position of the first grid, of the second grid, property card or "")
 LINKS = {
     "CROD": (3, 4, "PROD"),
@@ -22,12 +22,31 @@ LINKS = {
     "CELAS2": (3, 5, ""),
     "CBUSH": (3, 4, "PBUSH"),
 }
-OWN_PROPERTIES = ("PROD", "PTUBE", "PELAS", "PBUSH", "PSOLID")
+SCALAR_MASSES = {"CMASS1": (3, 5, ""), "CMASS2": (3, 5, "")}
+OF_SCALARS = ("CELAS3", "CELAS4", "CMASS3", "CMASS4")  # join scalar points and the ground alone
+OWN_PROPERTIES = ("PROD", "PTUBE", "PELAS", "PBUSH", "PSOLID", "PSHEAR")
+
+
+class ScalarPoints:
+    """Numbers of SPOINT and EPOINT: freedoms at no place, which no element of a body joins."""
+
+    def __init__(self, cards: list[Card]) -> None:
+        self._ranges: list[range] = []
+        for card in cards:
+            words, k = [word for word in card.fields if word], 0
+            while k < len(words):
+                last = k + 2 if k + 2 < len(words) and words[k + 1].upper() == "THRU" else k
+                start, end = (Card(card.name, (words[i],), card.where).integer(1, "ID") for i in (k, last))
+                self._ranges.append(range(start, end + 1))
+                k = last + 1
+
+    def __contains__(self, number: object) -> bool:
+        return any(number in own for own in self._ranges)
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A CTETRA, CPENTA or CHEXA of corners only."""
+    """A CTETRA, CPENTA or CHEXA of corners, or with the nodes on its sides; or a CSHEAR."""
 
     card: Card
     property: int
@@ -44,22 +63,35 @@ class Link:
 
 
 def solid(card: Card) -> Solid:
-    """Read a solid. InputError where it has nodes on its sides."""
-    corners = SOLIDS[card.name]
-    if any(card.fields[2 + corners :]):
-        raise InputError(f"{card}: it has nodes on its sides; allowed: {corners} corners, a linear solid")
-    grids = tuple(card.integer(3 + k, f"G{k + 1}") for k in range(corners))
-    if len(set(grids)) < corners:
-        raise InputError(f"{card}: grids {list(grids)}; allowed: {corners} different ones")
+    """Read a solid. InputError where some of the nodes on its sides are missing."""
+    corners, nodes = SOLIDS[card.name]
+    count = sum(1 for word in card.fields[2 : nodes + 2] if word not in ("", "0"))
+    if count not in (corners, nodes):
+        allowed = f"{corners} corners alone, or with all {nodes - corners} nodes on its sides"
+        raise InputError(f"{card}: it has {count} grids; allowed: {allowed}")
+    grids = tuple(card.integer(3 + k, f"G{k + 1}") for k in range(count))
+    if len(set(grids)) < count:
+        raise InputError(f"{card}: grids {list(grids)}; allowed: {count} different ones")
     return Solid(card, card.integer(2, "PID", card.integer(1, "EID")), grids)
 
 
+def panel(card: Card) -> Solid:
+    """Read a CSHEAR."""
+    grids = tuple(card.integer(3 + k, f"G{k + 1}") for k in range(4))
+    if len(set(grids)) < 4:
+        raise InputError(f"{card}: grids {list(grids)}; allowed: 4 different ones")
+    return Solid(card, card.integer(2, "PID", card.integer(1, "EID")), grids)
+
+
+def ends(card: Card) -> tuple[int, int]:
+    """Numbers of the points that a rod, spring, bushing or scalar mass joins; 0: the ground."""
+    first, second, _ = (LINKS | SCALAR_MASSES)[card.name]
+    return card.integer(first, "G1", 0), card.integer(second, "G2", 0)
+
+
 def link(card: Card) -> Link:
-    """Read a rod, spring or bushing. InputError where it is held by the ground."""
-    first, second, kind = LINKS[card.name]
-    grids = card.integer(first, "G1", 0), card.integer(second, "G2", 0)
-    if not all(grids):
-        raise InputError(f"{card}: one of its ends is the ground; allowed: two grids, a body carries no supports")
+    """Read a rod, spring or bushing between two grids."""
+    kind, grids = LINKS[card.name][2], ends(card)
     return Link(card, card.integer(2, "PID", card.integer(1, "EID")) if kind else None, grids)
 
 

@@ -1,26 +1,20 @@
-"""Plies and laminates from the property and material cards of a Nastran model, in SI units.
+"""Plies from the material cards of a Nastran model, in SI units.
 
     MAT1, MAT8    -> Ply; strengths where all are given (MAT8: Xt, Xc, Yt, Yc, S; F12 as Tsai-Wu's interaction)
-    PCOMP(G)      -> Laminate, its angles design parameters; LAM = SYM is a symmetric one; transverse shear stiffness of
-                     equal energy, which is right for sandwiches, too
-    PSHELL        -> Laminate of one ply; its angle is no design parameter
 
-Mass without stiffness (NSM) is spread over the thickness. Sections of bars: sections.py. G1Z, G2Z of MAT8 that are blank mean
-infinite stiffness in Nastran; here they are taken as G12, with a warning.
+Shells: shells.py, sections of bars: sections.py. G1Z, G2Z of MAT8 that are blank mean infinite stiffness in Nastran; here they
+are taken as G12, with a warning.
 Checked in tests/multibody/bodies/test_from_bdf.py.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 
 from torchmbd.errors import InputError, unknown, warn
-from torchmbd.fem.materials import Laminate, Ply, Strength
+from torchmbd.fem.materials import Ply, Strength
 from torchmbd.io.nastran.cards import Card
-from torchmbd.io.nastran.data import BulkData
-from torchmbd.math.angles import deg
 from torchmbd.math.units import FOOT, GRAVITY, INCH, POUND
 
 
@@ -75,7 +69,7 @@ def with_density(cards: dict[int, Card], density: float, units: Units, weight_to
     text = repr(density / units.density / weight_to_mass).upper()
     found = {}
     for number, card in cards.items():
-        place = {"MAT1": 5, "MAT8": 8, "MAT9": 23}.get(card.name, 0)
+        place = {"MAT1": 5, "MAT2": 8, "MAT8": 8, "MAT9": 23}.get(card.name, 0)
         fields = [*card.fields, *[""] * (place - len(card.fields))]
         if place and not fields[place - 1]:
             fields[place - 1] = text
@@ -136,61 +130,3 @@ def _ply(card: Card, units: Units, weight_to_mass: float) -> Ply:
             strength = Strength(Xt, Xc, Yt, Yc, S, interaction=F12 * math.sqrt(Xt * Xc * Yt * Yc))
     density = density_of(card, 8, units, weight_to_mass)
     return Ply(E1, E2, G12, across[0], across[1], card.real(4, "NU12"), density, strength)
-
-
-def laminate_of(data: BulkData, card: Card, units: Units) -> Laminate:
-    """Make the laminate of a PSHELL or PCOMP."""
-    try:
-        if card.name == "PSHELL":
-            return _shell(data, card, units)
-        if card.name in ("PCOMP", "PCOMPG"):
-            return _stack(data, card, units)
-    except InputError as error:
-        raise error if " (" in str(error).partition(":")[0] else InputError(f"{card}: {error}") from None
-    raise InputError(f"{card}: it stands for a shell; allowed: PSHELL, PCOMP, PCOMPG")
-
-
-def _shell(data: BulkData, card: Card, units: Units) -> Laminate:
-    middle, bending, shear = card.integer(2, "MID1"), card.integer(4, "MID2", 0), card.integer(6, "MID3", 0)
-    if bending != middle or shear not in (0, middle) or card.text(11):
-        raise InputError(
-            f"{card}: MID1 to MID4 are {[card.text(k) for k in (2, 4, 6, 11)]}; allowed: one material in all"
-        )
-    if card.real(5, "12I/T**3", 1.0) != 1.0:
-        raise InputError(f"{card}: 12I/T**3 is {card.text(5)}; allowed: 1, a solid plate")
-    thickness = card.real(3, "T") * units.length
-    ply = ply_of(data.material(card, middle), units, data.weight_to_mass)
-    ply = _with_extra_mass(ply, card, 8, thickness, data, units)
-    laminate = Laminate(ply, [0.0], thickness, shear_correction=card.real(7, "TS/T", 5.0 / 6.0))
-    laminate.angles.requires_grad_(False)
-    return laminate
-
-
-def _stack(data: BulkData, card: Card, units: Units) -> Laminate:
-    kind = card.text(8).upper()
-    if kind not in ("", "SYM"):
-        raise InputError(f"{card}: LAM is {kind!r}; allowed: blank, SYM")
-    materials, thicknesses, angles = [], [], []
-    first, step = (10, 8) if card.name == "PCOMPG" else (9, 4)  # a PCOMPG has a line for each ply, its number before
-    for start in range(first, len(card.fields) + 1, step):
-        if not any(card.text(start + k) for k in range(3)):
-            continue
-        materials.append(card.integer(start, "MID", materials[-1] if materials else None))
-        thicknesses.append(card.real(start + 1, "T", thicknesses[-1] if thicknesses else None))
-        angles.append(card.real(start + 2, "THETA", 0.0))
-    if not materials:
-        raise InputError(f"{card}: it has no plies")
-    total = sum(thicknesses) * (2.0 if kind == "SYM" else 1.0)
-    if abs(card.real(2, "Z0", -total / 2.0) + total / 2.0) > 1e-4 * total:
-        raise InputError(
-            f"{card}: Z0 is {card.text(2)}; allowed: blank or {-total / 2.0:g}, the laminate about its middle"
-        )
-    plies = [ply_of(data.material(card, number), units, data.weight_to_mass) for number in materials]
-    plies = [_with_extra_mass(ply, card, 3, total * units.length, data, units) for ply in plies]
-    thicknesses = [t * units.length for t in thicknesses]
-    return Laminate(plies, deg(angles), thicknesses, symmetric=kind == "SYM", shear_correction="energy")
-
-
-def _with_extra_mass(ply: Ply, card: Card, position: int, thickness: float, data: BulkData, units: Units) -> Ply:
-    extra = card.real(position, "NSM", 0.0) * units.per_area * data.weight_to_mass
-    return dataclasses.replace(ply, density=ply.density + extra / thickness) if extra else ply

@@ -27,10 +27,10 @@ from torchmbd.io.nastran.data import READ, BulkData, Shell
 
 
 class BulkMesh(NamedTuple):
-    """A mesh with what its elements are made of; `index` is the node of each GRID number."""
+    """A mesh with what its elements are made of: cells by property and ZOFFS; `index` is the node of each GRID number."""
 
     mesh: Mesh
-    zones: dict[int, Int[Tensor, " part"]]
+    zones: dict[tuple[int, float], Int[Tensor, " part"]]
     direction: Float[Tensor, "m 3"]
     index: dict[int, int]
     bars: BarLines
@@ -45,7 +45,8 @@ def bulk_mesh(data: BulkData, length: float = 1.0) -> BulkMesh:
     shells = sorted(data.shells, key=lambda shell: len(shell.grids))  # triangles first, else in the order of the file
     corners = [[index[grid] for grid in shell.grids] for shell in shells]
     lines = [*bars.nodes, *bars.followed]
-    lines += [(index[a], index[b]) for own in data.solids for a, b in itertools.pairwise((*own.grids, own.grids[0]))]
+    rings = [(*own.grids, own.grids[0]) for own in (*data.solids, *data.panels)]
+    lines += [(index[a], index[b]) for ring in rings for a, b in itertools.pairwise(ring)]
     lines += [(index[link.grids[0]], index[link.grids[1]]) for link in data.links]
     lines += [(index[rigid.grid], index[other]) for rigid in data.rigids for other in rigid.others]
     lines += [(index[own.grids[0]], index[other]) for own in data.constraints for other in own.grids[1:]]
@@ -60,16 +61,22 @@ def bulk_mesh(data: BulkData, length: float = 1.0) -> BulkMesh:
         as_given=True,
     )
     directions = torch.tensor([_direction(data, shell) for shell in shells], dtype=torch.float64).reshape(-1, 3)
-    property = torch.tensor([shell.property for shell in shells], dtype=torch.long)
-    zones = {int(k): torch.nonzero(property == k)[:, 0] for k in torch.unique(property)}
+    members: dict[tuple[int, float], list[int]] = {}
+    for k, shell in enumerate(shells):
+        members.setdefault((shell.property, shell.offset), []).append(k)
+    zones = {key: torch.tensor(members[key], dtype=torch.long) for key in sorted(members)}
     return BulkMesh(mesh, zones, directions, index, bars)
 
 
 def _used(data: BulkData) -> list[int]:
     """Grids of elements, rigid elements and masses, in the order of their cards."""
-    used = {grid for element in (*data.shells, *data.bars, *data.solids, *data.links) for grid in element.grids}
+    used = {
+        grid
+        for element in (*data.shells, *data.bars, *data.solids, *data.panels, *data.links)
+        for grid in element.grids
+    }
     used |= {grid for tied in (*data.rigids, *data.constraints) for grid in tied.grids}
-    if not (data.shells or data.bars or data.solids or data.links):
+    if not (data.shells or data.bars or data.solids or data.panels or data.links):
         raise InputError(f"the file has no elements that can be read; allowed: {', '.join(READ)}")
     oriented = {bar.card.integer(5, "G0") for bar in data.bars if bar.card.text(5).isdigit()}
     stray = len(data.grids.keys() - used - oriented)
