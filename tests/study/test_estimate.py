@@ -23,7 +23,8 @@ def test_simulations_are_counted(write):
     )
     cost = estimate(plan, plan.simulated)
     assert (cost.simulations, cost.lanes) == (70 * 3, 64)
-    assert cost.seconds == pytest.approx(3 * 2 * cost.batch_seconds)
+    assert cost.seconds == pytest.approx(3 * 2 * cost.batch_seconds + cost.once)
+    assert cost.once > cost.batch_seconds
     sweep = {"rod.laminate.angles[0]": {"from": 0, "to": 1, "count": 9}}
     plan = load_study(write(sweep=sweep, starts=None, optimizer=None, simulate={"duration": 1e-3, "steps": 4}))
     assert estimate(plan, plan.simulated).simulations == 10  # with the start design
@@ -53,6 +54,7 @@ def test_the_cost_of_a_valid_file(write):
     text = output.getvalue()
     assert "is valid: integral of strain energy of rod, 2 design variables, 1 constraint" in text
     assert "at most about 6 simulations in batches of 2" in text
+    assert "of them once (loading, pictures, MLflow)" in text
     assert (
         "gradients: reverse mode, chosen by counting," in text or "gradients: forward mode, chosen by counting," in text
     )

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+import torchmbd as mbd
 from torchmbd.errors import InputError
 from torchmbd.fem.materials import Laminate, Ply
 from torchmbd.fem.mesh import rectangle
@@ -137,3 +138,21 @@ def test_a_body_on_one_joint_reaches_from_there_to_its_center():
     assert scene["bodies"][0]["center"] == [0.0, -0.2, 0.0]
     np.testing.assert_allclose(scene["size"], [0.0, 1.2, 0.0], atol=1e-12)
     np.testing.assert_allclose(positions(scene["bodies"][0], 3, 1.0)[0], [[0, 0, 0], [0, -1.2, 0]], atol=1e-6)
+
+
+def test_histories_of_a_question_stand_below_the_motion(motion, tmp_path):
+    """Those of objective and constraints by name, in the unit of figures, with limits; else strain energies."""
+    angle = mbd.Max(mbd.Angle("rod", axis="z"))
+    problem = mbd.Problem(
+        motion.system, 0.01, mbd.RMS(mbd.Velocity("slider", "x")), subject_to=[angle <= mbd.deg(30.0)], steps=100
+    )
+    speed, turn = read(animate(motion, tmp_path / "m.html", lane=1, problem=problem))["strips"]
+    assert speed["label"] == "x velocity of slider (minimize rms of x velocity)"
+    assert (speed["unit"], speed["limits"]) == ("m/s", [])
+    assert (turn["unit"], turn["limits"]) == ("deg", [pytest.approx(30.0)])
+    drawn = unpack(turn["curves"][0]["y"], -1)
+    np.testing.assert_allclose(drawn, np.degrees(angle.history(motion)[1].detach()), rtol=1e-6, atol=1e-5)
+    (energy,) = read(animate(motion, tmp_path / "m.html"))["strips"]
+    assert [curve["name"] for curve in energy["curves"]] == ["rod"]
+    with pytest.raises(InputError, match=r"problem is 3; allowed: mbd\.Problem"):
+        animate(motion, tmp_path / "m.html", problem=3)

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 import torchmbd as mbd
 from torchmbd.errors import InputError
 from torchmbd.optimization.optimizer import Iterate
-from torchmbd.viz.criteria import histories_of
+from torchmbd.viz.panels import histories_of
 
 ENERGY, ANGLE, FAILURE = mbd.StrainEnergy("arm"), mbd.Angle("arm", "z"), mbd.PlyFailure("arm")
 SUM = mbd.WeightedSum([(0.7, mbd.Integral(ENERGY)), (0.3, mbd.RMS(ANGLE))])

@@ -84,10 +84,12 @@ def history_of(spec: Any, path: Path = (), find: Find | None = None) -> History:
         return _function(spec[name], options, path, find, History)
     if options:
         key = next(iter(options))
-        raise SpecError(
-            (*path, key),
-            f"unknown key: arguments of {name!r} stand inside it; allowed: {name}: {{{key}: {options[key]!r}, ...}}",
-        )
+        outer = path[-1] if path else ""
+        if key not in _arguments(RESPONSES[name]) and outer in COMBINATORS and key in _arguments(COMBINATORS[outer]):
+            place = f"an argument of {outer!r} stands beside it; allowed: {outer}: {{...}}, {key}: {options[key]!r}"
+        else:
+            place = f"arguments of {name!r} stand inside it; allowed: {name}: {{{key}: {options[key]!r}, ...}}"
+        raise SpecError((*path, key), f"unknown key: {place}")
     return _of_words(RESPONSES[name], spec[name], (*path, name))
 
 

@@ -2,6 +2,7 @@
 
     seconds = batches (structure + steps * step)          two lengths tell the structure stage and a step apart; with the
                                                           responses of the question and their gradients
+                                                          + what is done once: code that is loaded or compiled, pictures, MLflow
     memory  = base + lanes * (bytes of a motion) * 3      the motion, its work arrays, the responses on the way
 
 Gradients in forward and in reverse mode are both measured, where the method has both: the study takes what the problem has
@@ -9,7 +10,8 @@ chosen by counting.
 
 Simulations: of a sweep its points; of an optimization at most 1.5 per iteration of every start, as the shipped studies
 do (README), and no start ends early. Methods that choose their steps: a time unit in place of a step.
-Measured eagerly, on this machine, with whatever else it does. Checked in tests/study/test_estimate.py.
+Pictures: one is drawn, and counted for each of their axes. Measured on this machine, with whatever else it does.
+Checked in tests/study/test_estimate.py.
 """
 
 from __future__ import annotations
@@ -17,10 +19,12 @@ from __future__ import annotations
 import contextlib
 import math
 import resource
+import tempfile
 import time
 import warnings
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -29,6 +33,7 @@ from torch import Tensor
 
 from torchmbd.design import Problem
 from torchmbd.design.differentiate import differentiate
+from torchmbd.design.ply_failure import PlyFailure
 from torchmbd.design.words import words
 from torchmbd.errors import MbdError
 from torchmbd.integrate import Trajectory, simulate
@@ -39,13 +44,16 @@ from torchmbd.study.load import FiguresPlan
 from torchmbd.study.paths import evaluations_file, problem_key
 from torchmbd.study.settings import StudySettings
 from torchmbd.study.start_values import print_start_values
-from torchmbd.viz.criteria import histories_of
+from torchmbd.viz.figures import convergence, save
+from torchmbd.viz.panels import histories_of, panels_of
 
 _PER_ITERATION = 1.5  # analyses
 _SHARES = (0.02, 0.06)  # of the motion that are measured
+_SINGLE, _KINDS, _AXES_OF_MAP = 3, 2, 4  # pictures of one kind of file, kinds of the others, axes of a map of failure
 _FEWEST = 4  # steps
 _COPIES = 3.0
 _TRIES = 2
+_TRACKING = 4.0  # s: MLflow is loaded, its store opened, runs and files are written
 _PATIENCE = 60.0  # s: where a batch takes longer, the start design is not simulated
 _WAYS = {"forward": ("reverse",), "reverse": ("forward",)}
 _SOUGHT = {"expected": ", mean over the tolerances", "worst": ", worst case over the tolerances"}  # of RobustProblem
@@ -55,6 +63,7 @@ _SOUGHT = {"expected": ", mean over the tolerances", "worst": ", worst case over
 class Estimate:
     """Cost of a study on this machine: simulations at most, seconds of one batch and of all, peak memory [bytes].
 
+    once       seconds of all that are spent once: first evaluation, pictures, tracking
     gradients  how they are computed: "forward", "reverse", "none" of a sweep
     others     the other way -> seconds of one batch
     """
@@ -63,6 +72,7 @@ class Estimate:
     lanes: int
     batch_seconds: float
     seconds: float
+    once: float
     memory: float
     gradients: str
     others: dict[str, float]
@@ -74,21 +84,38 @@ def estimate(study: StudySettings, problem: Problem) -> Estimate:
     X = starts[:LANES, : len(problem.names)]
     way = problem.gradients if study.sweep is None else "none"
     each = math.ceil(_PER_ITERATION * study.max_iterations) if study.sweep is None else 1
-    batch, size = _batch(problem, X, way)
+    first, batch, size = _batch(problem, X, way)
     others = {}
     for other in _WAYS.get(way, ()):
         with contextlib.suppress(MbdError):  # a method or a system without it
-            others[other] = _batch(problem, X, other)[0]
+            others[other] = _batch(problem, X, other)[1]
     batches = each * math.ceil(len(starts) / LANES)
     base = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return Estimate(each * len(starts), len(X), batch, batches * batch, base + _COPIES * size, way, others)
+    once = first + _TRACKING + (batch + _pictures(problem) if study.sweep is None else 0.0)  # two motions of pictures
+    return Estimate(each * len(starts), len(X), batch, batches * batch + once, once, base + _COPIES * size, way, others)
 
 
-def _batch(problem: Problem, X: np.ndarray, way: str) -> tuple[float, float]:
-    """Seconds and bytes of a batch of designs [lanes, n], with gradients in one way."""
+def _pictures(problem: Problem) -> float:
+    """Seconds of the pictures of a study, from one of them."""
+    seconds = []
+    with tempfile.TemporaryDirectory(prefix="torchmbd-") as folder:
+        for k in range(2):  # the first one loads matplotlib
+            began = time.perf_counter()
+            save(convergence({"start": [2.0, 1.0]}, {"start": [0.0, 0.0]}), Path(folder) / f"{k}.png")
+            seconds.append(time.perf_counter() - began)
+    panels = panels_of(problem)
+    maps = sum(isinstance(panel.history, PlyFailure) for panel in panels)
+    each = len(panels) + 1 + len(problem.constraints) + _AXES_OF_MAP * maps
+    return seconds[0] + seconds[1] * (_SINGLE + _KINDS * each)
+
+
+def _batch(problem: Problem, X: np.ndarray, way: str) -> tuple[float, float, float]:
+    """Seconds that are spent once, and seconds and bytes of a batch of designs [lanes, n], with gradients in one way."""
     times, size = [], 0.0
     shares = _shares(problem.steps)
-    _short(problem, X[:1], way, shares[0])  # what is done once per process does not count
+    began = time.perf_counter()
+    _short(problem, X[:1], way, shares[0])  # what is done once per process does not count for a batch
+    once = time.perf_counter() - began
     for share in shares:
         tries = []
         for _ in range(_TRIES):  # the fastest: a machine that does something else is slower for a while
@@ -98,7 +125,7 @@ def _batch(problem: Problem, X: np.ndarray, way: str) -> tuple[float, float]:
         times.append((share, min(tries)))
     (a, fast), (b, slow) = times[0], times[-1]
     rate = max((slow - fast) / (b - a), 0.0) if b > a else fast / a
-    return max(fast - rate * a, 0.0) + rate, size
+    return once, max(fast - rate * a, 0.0) + rate, size
 
 
 def _starts(study: StudySettings) -> np.ndarray:
@@ -178,7 +205,8 @@ def print_estimate(study: StudySettings | FiguresPlan, console: Console) -> Esti
     known = f"; {count} evaluations of this problem are in the store already" if count else ""
     console.print(
         f"at most about {cost.simulations} simulations in batches of {cost.lanes}, {_time(cost.batch_seconds)} each: "
-        f"{_time(cost.seconds)} in one process, {cost.memory / 2**30:.1f} GiB{known}"
+        f"{_time(cost.seconds)} in one process, {_time(cost.once)} of them once (loading, pictures, MLflow), "
+        f"{cost.memory / 2**30:.1f} GiB{known}"
         + "; designs on the steps are looked at after that"
         * any(study.increments),
         markup=False,

@@ -30,7 +30,7 @@ from torchmbd.viz import (
     save,
     weighted_parts,
 )
-from torchmbd.viz.criteria import histories_of
+from torchmbd.viz.panels import histories_of
 
 
 def print_results(study: StudySettings, found: MultistartResult, failures: Sequence[str], console: Console) -> None:
@@ -188,5 +188,6 @@ def _motion_pictures(
         name = f"failure_{body}_{criterion}"
         draw(failure_map, _both(name), journal, console, body=body, criterion=criterion, **given)
     for lane, (name, label) in enumerate(zip(("motion_start", "motion_best"), labels, strict=True)):
-        path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=f"{study.name}: {label}")
+        title = f"{study.name}: {label}"
+        path = animate(motion, journal.folder / f"{name}.html", lane=lane, title=title, problem=problem)
         journal.file(path)

@@ -1,4 +1,4 @@
-"""One self-contained HTML file of a moving mechanism: play, time, deformation scale, mouse rotation, strain energy.
+"""One self-contained HTML file of a moving mechanism: play, time, deformation scale, mouse rotation, histories.
 
 The file needs no network and no library (viewer.html, a canvas). It holds, for each flexible body, not the nodes of
 every frame but the few shapes they are made of,
@@ -12,6 +12,8 @@ taken off what is exaggerated, so the parts stay joined at any scale, and at sca
     beams     lines, colored the same way
     rigid     a link through the joint frames of the body; a box at the center of mass where there is only one
     joints    white disks; a triangle where a joint stands on the ground
+
+Below stand the histories that a problem asks for, each with its name, unit and limits; without one the strain energies.
 """
 
 from __future__ import annotations
@@ -25,9 +27,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from torchmbd.design.problem import Problem
+from torchmbd.design.words import unit
 from torchmbd.errors import InputError
 from torchmbd.fem.mesh import Mesh, cut_quads
 from torchmbd.multibody.bodies.flexible_beam import BeamNode
+from torchmbd.viz.panels import full_name, panels_of, shown
 
 _VIEWER = Path(__file__).with_name("viewer.html")
 _NONE = np.empty(0, dtype=int)  # elements of a kind that a body has not
@@ -41,6 +46,7 @@ def animate(
     title: str | None = None,
     scale: float | None = None,
     max_frames: int = 1000,
+    problem: Problem | None = None,
 ) -> Path:
     """Write the motion of one lane as an HTML file and return its path.
 
@@ -48,6 +54,7 @@ def animate(
     lane        which design of the batch
     scale       exaggeration of the deformation at the opening; None: the largest is drawn as 5 % of the picture
     max_frames  of more time points every n-th is kept
+    problem     whose objective and constraints are drawn over time; None: strain energies
 
     >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
     >>> mbd.viz.animate(motion, "arm.html", title="An arm swings").name
@@ -63,7 +70,10 @@ def animate(
         raise InputError(f"max_frames = {max_frames}: allowed: 2 or more")
     if motion.status[lane].startswith("failed"):
         raise InputError(f"lane {lane} has no motion to show: {motion.status[lane]}")
+    if problem is not None and not isinstance(problem, Problem):
+        raise InputError(f"problem is {problem!r}; allowed: mbd.Problem(...)")
     scene = scene_of(motion, lane, max_frames)
+    scene["strips"] = _strips(problem, motion, lane, _frames(motion, max_frames)) or _energies(scene)
     scene["title"] = title or " - ".join(body["name"] for body in scene["bodies"])
     if scale is not None:
         scene["scale"] = float(scale)
@@ -80,9 +90,7 @@ def require_motion(motion: Any) -> None:
 
 def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
     """Return what the viewer reads: see viewer.html, and film.py, which reads it as well."""
-    t = _array(motion.t)
-    stride = max(1, -(-(len(t) - 1) // (max_frames - 1)))
-    frames = np.unique([*range(0, len(t), stride), len(t) - 1])
+    t, frames = _array(motion.t), _frames(motion, max_frames)
     drawn = [body for body in motion.system.bodies if not isinstance(body, BeamNode)] + motion.system.beams
     index = {body.name: k for k, body in enumerate(drawn)}
     index |= {node.name: index[beam.name] for beam in motion.system.beams for node in beam.node_bodies}
@@ -119,6 +127,30 @@ def scene_of(motion: Any, lane: int, max_frames: int) -> dict[str, Any]:
         "largest": largest,
         "scale": _round(0.05 * extent / largest) if largest else 1.0,
     }
+
+
+def _frames(motion: Any, most: int) -> np.ndarray:
+    """The time points that are drawn, the first and the last among them."""
+    last = len(motion.t) - 1
+    return np.unique([*range(0, last + 1, max(1, -(-last // (most - 1)))), last])
+
+
+def _strips(problem: Problem | None, motion: Any, lane: int, frames: np.ndarray) -> list[dict[str, Any]]:
+    """A strip for each history that a problem asks for; none where it asks for a mass or a frequency alone."""
+    strips = []
+    for panel in [] if problem is None else panels_of(problem):
+        factor, name = shown(unit(panel.history))
+        y = factor * _array(panel.history(motion))[lane][frames]
+        limits = [factor * limit for limit, _ in panel.limits]
+        label = f"{full_name(panel.history)} ({'; '.join(panel.asked)})"
+        strips.append({"label": label, "unit": name, "limits": limits, "curves": [{"name": "", "y": _packed(y)}]})
+    return strips
+
+
+def _energies(scene: dict[str, Any]) -> list[dict[str, Any]]:
+    """One strip with the strain energies of all flexible bodies."""
+    curves = [{"name": body["name"], "y": body["energy"]} for body in scene["bodies"] if "energy" in body]
+    return [{"label": "strain energy", "unit": "J", "limits": [], "curves": curves}] if curves else []
 
 
 def _flexible(

@@ -1,26 +1,23 @@
 """Pictures of a question: its objective and constraints over time and over iterations, with their limits; the parts of a sum.
 
 Names and units come from the responses (design/words.py); angles are drawn in degrees. Checked in tests/viz/test_criteria.py.
-Over 300 lines: three pictures with the same panels, limits and names.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from torchmbd.design.measures import AtTime, Integral, OfHistory
 from torchmbd.design.problem import Problem
-from torchmbd.design.response import Constraint, History, Measure, Total
+from torchmbd.design.response import Total
 from torchmbd.design.weighted import WeightedSum
 from torchmbd.design.words import unit, words
 from torchmbd.errors import InputError
 from torchmbd.viz.animation import require_motion
 from torchmbd.viz.figures import BAD, BEST, CYCLE, OTHER, figure_of, over_time, titled, wrapped
+from torchmbd.viz.panels import SIGNS, first_limits, full_name, panels_of, shown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -29,19 +26,8 @@ if TYPE_CHECKING:
     from torchmbd.integrate import Trajectory
     from torchmbd.optimization.optimizer import Iterate
 
-_SIGNS = {"at_most": "at most", "at_least": "at least", "equal": "equal to"}
 _SHORT = 24  # characters beside a low row
 _FAR = 3.0  # a limit that is this many ranges of the curves away from them is written, not drawn
-
-
-@dataclass
-class _Panel:
-    """A history with what the problem asks of it."""
-
-    history: History
-    asked: list[str] = field(default_factory=list)
-    limits: list[tuple[float, str]] = field(default_factory=list)  # number [SI], kind
-    windows: list[tuple[float, float]] = field(default_factory=list)
 
 
 def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[str], title: str = "") -> Figure | None:
@@ -65,13 +51,13 @@ def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[st
     require_motion(motion)
     if len(labels) != motion.lanes:
         raise InputError(f"labels are {list(labels)!r}; allowed: {motion.lanes}, one for each design of the motion")
-    panels = _panels(problem)
+    panels = panels_of(problem)
     if not panels:
         return None
     figure, rows = figure_of(1.0 + 2.1 * len(panels), rows=len(panels))
     t = motion.t.numpy()
     for axes, panel in zip(rows, panels, strict=True):
-        factor, name = _shown(unit(panel.history))
+        factor, name = shown(unit(panel.history))
         values = factor * np.asarray(panel.history(motion).detach())
         for y, label, color in zip(values, labels, _colors(len(labels)), strict=True):
             over_time(axes, t, y, label, color)
@@ -79,7 +65,7 @@ def criteria_over_time(problem: Problem, motion: Trajectory, labels: Sequence[st
         for window in panel.windows:
             axes.axvspan(*window, color="#f0f0f0", zorder=0)
         axes.set_title("; ".join(panel.asked), loc="left", fontsize=8)
-        axes.set_ylabel(_label(_full(panel.history), name), fontsize=8)
+        axes.set_ylabel(_label(full_name(panel.history), name), fontsize=8)
         axes.ticklabel_format(axis="y", scilimits=(-2, 4))
     rows[-1].set_xlabel("time [s]")
     rows[-1].set_xlim(float(t[0]), float(t[-1]))
@@ -118,12 +104,12 @@ def criteria_over_iterations(
         steps = [iterate.iteration for iterate in searches[name]]
         for axes, curve in zip(rows, _curves(problem, searches[name]), strict=True):
             axes.plot(steps, curve, marker="o", ms=2.5, **style)
-    factor, name = _shown(unit(problem.asked))
+    factor, name = shown(unit(problem.asked))
     rows[0].set_ylabel(_label(words(problem.asked), name, _SHORT), fontsize=8)
     if all(value > 0.0 for line in rows[0].lines for value in np.asarray(line.get_ydata(), dtype=float)):
         rows[0].set_yscale("log")
-    for axes, constraint, limit in zip(rows[1:], problem.constraints, _first_limits(problem), strict=True):
-        factor, name = _shown(unit(constraint.measure))
+    for axes, constraint, limit in zip(rows[1:], problem.constraints, first_limits(problem), strict=True):
+        factor, name = shown(unit(constraint.measure))
         drawn = np.concatenate([np.asarray(line.get_ydata(), dtype=float) for line in axes.lines])
         _limits(axes, drawn, [(factor * limit, constraint.kind)], name)
         axes.set_ylabel(_label(words(constraint.measure), name, _SHORT), fontsize=8)
@@ -180,70 +166,21 @@ def weighted_parts(problem: Problem, motion: Trajectory, labels: Sequence[str], 
     return titled(figure, title)
 
 
-def histories_of(measure: Measure) -> Iterator[tuple[History, Measure]]:
-    """Every history that a measure is made of, and the measure that takes it."""
-    values: list[Any] = [getattr(measure, f.name) for f in fields(measure)] if is_dataclass(measure) else []
-    while values:
-        value = values.pop(0)
-        if isinstance(value, History):
-            yield value, measure
-        elif isinstance(value, Measure):
-            yield from histories_of(value)
-        elif isinstance(value, (list, tuple)):
-            values = [*value, *values]
-
-
 def _require(problem: Any) -> None:
     if not isinstance(problem, Problem):
         raise InputError(f"problem is {problem!r}; allowed: mbd.Problem(...)")
 
 
-def _panels(problem: Problem) -> list[_Panel]:
-    """One for every history, in the order of the question."""
-    found: list[_Panel] = []
-    limits = _first_limits(problem)
-    for asked, limit in [(problem.asked, None), *zip(problem.constraints, limits, strict=True)]:
-        outer = asked.measure if isinstance(asked, Constraint) else asked
-        for history, measure in histories_of(outer):
-            panel = next((known for known in found if known.history == history), None)
-            if panel is None:
-                found.append(panel := _Panel(history))
-            panel.asked.append(_asked(asked, limit, "minimize" if problem.sign > 0.0 else "maximize"))
-            # A limit of the history itself: not of its integral, nor of what is computed of its measure.
-            if isinstance(asked, Constraint) and measure is outer and _of_one_unit(measure, history):
-                panel.limits.append((float(limit or 0.0), asked.kind))
-            if (window := getattr(measure, "window", None)) is not None:
-                panel.windows.append(window)
-    return found
-
-
-def _of_one_unit(measure: Measure, history: History) -> bool:
-    kinds = isinstance(measure, (OfHistory, AtTime)) and not isinstance(measure, Integral)
-    return kinds and unit(measure) == unit(history)
-
-
-def _asked(asked: Measure | Constraint, limit: float | None, goal: str) -> str:
-    if isinstance(asked, Measure):
-        return f"{goal} {words(asked, bodies=False)}"
-    factor, name = _shown(unit(asked.measure))
-    return f"{words(asked.measure, bodies=False)} {_SIGNS[asked.kind]} {factor * (limit or 0.0):.4g} {name}".rstrip()
-
-
-def _first_limits(problem: Problem) -> list[float]:
-    """The limit of every constraint [SI]: all rows of one have the same."""
-    return [float(problem.limits[rows.start]) for rows in problem.constraint_rows]
-
-
 def _curves(problem: Problem, history: Sequence[Iterate]) -> list[np.ndarray]:
     """Objective, and every constrained response, over the iterates; of several rows the one nearest to its limit."""
-    factor, _ = _shown(unit(problem.asked))
+    factor, _ = shown(unit(problem.asked))
     curves = [problem.sign * factor * np.array([iterate.objective for iterate in history])]
     scaled = np.array([np.atleast_1d(iterate.constraints) for iterate in history])
     for constraint, own in zip(problem.constraints, problem.constraint_rows, strict=True):
         part = scaled[:, problem.peaks + own.start : problem.peaks + own.stop]
         nearest = np.argmax(np.abs(part) if constraint.kind == "equal" else part, axis=1)
         values = part * problem.reference.scale[own] + problem.limits[own]
-        factor, _ = _shown(unit(constraint.measure))
+        factor, _ = shown(unit(constraint.measure))
         curves.append(factor * np.take_along_axis(values, nearest[:, None], 1)[:, 0])
     return curves
 
@@ -254,7 +191,7 @@ def _limits(axes: Axes, values: np.ndarray, limits: Sequence[tuple[float, str]],
     low, high = (float(good.min()), float(good.max())) if good.size else (0.0, 1.0)
     reach = _FAR * max(high - low, 0.05 * max(abs(low), abs(high)))
     for limit, kind in limits:
-        label = f"{_SIGNS[kind]} {limit:.4g} {name}".rstrip()
+        label = f"{SIGNS[kind]} {limit:.4g} {name}".rstrip()
         if low - reach <= limit <= high + reach:
             axes.axhline(limit, color=BAD, lw=1.0, ls="--", label="limit")
         else:
@@ -269,18 +206,6 @@ def _limits(axes: Axes, values: np.ndarray, limits: Sequence[tuple[float, str]],
                 fontsize=7,
                 color=BAD,
             )
-
-
-def _shown(si: str | None) -> tuple[float, str]:
-    """The factor and the name of the unit in which numbers of an SI unit are drawn."""
-    return (180.0 / math.pi, "deg") if si == "rad" else (1.0, si or "")
-
-
-def _full(history: History) -> str:
-    """A history in words, with the point and the direction that it is of."""
-    node, axis = (getattr(history, name, None) for name in ("node", "axis"))
-    own = [node, None if isinstance(axis, str) else axis]
-    return ", ".join([words(history), *(str(x) for x in own if x is not None)])
 
 
 def _label(said: str, name: str, width: int = 30) -> str:
