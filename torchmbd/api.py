@@ -46,6 +46,7 @@ from torchmbd.design import (
     measure,
 )
 from torchmbd.design.aggregate import Aggregate
+from torchmbd.design.blended_stacks import recover_blended_stacks
 from torchmbd.design.differences import Differences
 from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.fibers import FiberCurvature, FiberDivergence
@@ -291,6 +292,7 @@ __all__ = [
     "pareto_front",
     "problem_of",
     "rainflow",
+    "recover_blended_stacks",
     "recover_stacks",
     "sections",
     "sharpen",

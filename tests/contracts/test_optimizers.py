@@ -361,7 +361,7 @@ def test_equalities_are_met_or_refused(method):
         "line", [4.0, 4.0], lambda x: x[0] ** 2 + 2 * x[1] ** 2 + 1, lambda x: [x[0] + x[1] - 3], lower=-9, upper=9
     )
     problem.equalities = [0]
-    if method in ("slsqp", "trust-constr", "ipopt"):
+    if method in ("slsqp", "trust-constr", "ipopt", "lbfgs"):
         result = solve(problem, method, max_iterations=200)
         assert result.status == "converged"
         assert np.allclose(result.x, [2, 1], atol=1e-3)

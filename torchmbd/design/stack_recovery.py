@@ -12,9 +12,9 @@ laminated composite plates, J. Sound Vib. 263 (2003) 1005-1016. Checked in tests
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -27,6 +27,7 @@ from torchmbd.fem.materials.lamination_region import directions
 from torchmbd.math.owned import real, reals, whole
 
 STARTS = 100
+Score = tuple[int, float]  # rules broken, distance
 
 
 class RecoveredStack(NamedTuple):
@@ -64,56 +65,80 @@ def recover_stacks(
     >>> len(found.angles), found.distance < 0.2
     (8, True)
     """
-    _check(laminate, plies, rules, number, weights)
-    allowed = reals("angles", angles).flatten()
-    if not len(allowed) or not allowed.isfinite().all():
-        raise InputError(f"angles is {angles!r}; allowed: at least one finite angle [rad]")
-    a, b, d = (x.detach().numpy() for x in laminate.sets())
-    search = _Search(plies, laminate.coupling is None, allowed, np.stack([a, b, d]), np.array(weights), rules)
+    check_wanted("laminate", laminate, plies)
+    check_search(rules, weights)
+    if not whole(number) or number < 1:
+        raise InputError(f"number is {number!r}; allowed: a whole number >= 1")
+    allowed = checked_angles(angles)
+    mirror = mirrored(plies, laminate.coupling is None)
+    search = StackSearch(shares(plies, mirror), wanted(laminate), set_weights(weights), allowed, [mirror], rules)
     random = np.random.default_rng(seed)
-    found: dict[tuple[int, ...], tuple[int, float]] = {}
+    found: dict[tuple[int, ...], Score] = {}
     for _ in range(STARTS):
         for stack, score in search.run(random.integers(len(allowed), size=search.free)):
             found[stack] = score
     best = sorted(found, key=lambda stack: found[stack])[:number]
-    return [_recovered(laminate, search, stack, found[stack][1]) for stack in best]
+    return [recovered(laminate, allowed[np.array(stack)[mirror]].tolist(), found[stack][1], rules) for stack in best]
 
 
-class _Search:
-    """Free plies of a stack (the lower half of a symmetric one, with its middle ply), each the number of an allowed angle."""
+def mirrored(plies: int, symmetric: bool) -> np.ndarray:
+    """Which free ply each ply of a stack is: of a symmetric one the lower half is free, with its middle ply."""
+    return np.minimum(np.arange(plies), np.arange(plies)[::-1]) if symmetric else np.arange(plies)
+
+
+def shares(plies: int, mirror: np.ndarray) -> np.ndarray:
+    """What each free ply adds to xi_A, xi_B, xi_D [3, free]."""
+    edges = np.linspace(-1.0, 1.0, plies + 1)
+    share = np.stack([np.diff(edges**power) / 2 for power in (1, 2, 3)])
+    return share @ np.eye(int(mirror.max()) + 1)[mirror]
+
+
+def wanted(laminate: LaminationParameters) -> np.ndarray:
+    """xi_A, xi_B, xi_D [3, 4]."""
+    return np.stack([x.detach().numpy() for x in laminate.sets()])
+
+
+def set_weights(weights: Sequence[float]) -> np.ndarray:
+    """Of the differences of every parameter: their sum is 1 [3, 1]."""
+    return np.array(weights, dtype=float)[:, None] / (4.0 * sum(weights))
+
+
+class StackSearch:
+    """Free plies, each the number of an allowed angle; sets of parameters are linear in cos 2 theta and so on of these plies.
+
+    share    of the free plies in each set [sets, free]
+    wanted   parameters [sets, 4];   weights   of their squared differences [sets, 1]
+    stacks   which free plies the stacks are made of that have to keep the rules, from bottom to top
+    """
 
     def __init__(
         self,
-        plies: int,
-        symmetric: bool,
-        allowed: torch.Tensor,
+        share: np.ndarray,
         wanted: np.ndarray,
         weights: np.ndarray,
+        allowed: torch.Tensor,
+        stacks: Sequence[np.ndarray],
         rules: LaminationRules | None,
     ) -> None:
-        self.mirror = np.minimum(np.arange(plies), np.arange(plies)[::-1]) if symmetric else np.arange(plies)
-        self.free = int(self.mirror.max()) + 1
-        edges = np.linspace(-1.0, 1.0, plies + 1)
-        share = np.stack([np.diff(edges**power) / 2 for power in (1, 2, 3)])  # of xi_A, xi_B, xi_D
-        self.share = share @ np.eye(self.free)[self.mirror]
-        self.allowed, self.V = allowed, directions(allowed).numpy()
-        self.wanted, self.weights, self.rules = wanted, weights[:, None] / (4.0 * weights.sum()), rules
-        self.degrees = np.rad2deg(allowed.numpy())
-
-    def angles(self, stack: Iterable[int]) -> list[float]:
-        """Of all plies, from bottom to top [rad]."""
-        return self.allowed[np.array(list(stack))[self.mirror]].tolist()
+        self.share, self.wanted, self.weights, self.stacks, self.rules = share, wanted, weights, stacks, rules
+        self.free, self.V, self.degrees = share.shape[1], directions(allowed).numpy(), np.rad2deg(allowed.numpy())
 
     def _distance(self, difference: np.ndarray) -> np.ndarray:
-        """Of differences [..., 3, 4]."""
+        """Of differences [..., sets, 4]."""
         return np.sqrt((self.weights * difference**2).sum((-2, -1)))
 
-    def _score(self, stack: np.ndarray, distance: float) -> tuple[int, float]:
-        if self.rules is None:
+    def _score(self, stack: np.ndarray, distance: float) -> Score:
+        rules = self.rules
+        if rules is None:
             return 0, float(distance)
-        return len(self.rules.broken(self.degrees[stack[self.mirror]].tolist())), float(distance)
+        return sum(len(rules.broken(self.degrees[stack[one]].tolist())) for one in self.stacks), float(distance)
 
-    def run(self, stack: np.ndarray) -> list[tuple[tuple[int, ...], tuple[int, float]]]:
+    def score(self, stack: np.ndarray) -> Score:
+        """How many rules a stack breaks, and how far its parameters are."""
+        difference = np.einsum("xk,kv->xv", self.share, self.V[stack]) - self.wanted
+        return self._score(stack, float(self._distance(difference)))
+
+    def run(self, stack: np.ndarray) -> list[tuple[tuple[int, ...], Score]]:
         """All stacks on the way from one start to where no change of one or two plies helps."""
         difference = np.einsum("xk,kv->xv", self.share, self.V[stack]) - self.wanted
         score = self._score(stack, float(self._distance(difference)))
@@ -127,10 +152,10 @@ class _Search:
             way.append((tuple(map(int, stack)), score))
 
     def _better(
-        self, stack: np.ndarray, difference: np.ndarray, score: tuple[int, float], changed: int
-    ) -> tuple[np.ndarray, tuple[int, float]] | None:
+        self, stack: np.ndarray, difference: np.ndarray, score: Score, changed: int
+    ) -> tuple[np.ndarray, Score] | None:
         """The nearest better stack with so many plies changed."""
-        change = self.share[:, :, None, None] * (self.V[None, :] - self.V[stack][:, None])  # [3, free, angles, 4]
+        change = self.share[:, :, None, None] * (self.V[None, :] - self.V[stack][:, None])  # [sets, free, angles, 4]
         change = change.transpose(1, 2, 0, 3)
         places = list(combinations(range(self.free), changed))
         if not places:
@@ -152,24 +177,36 @@ class _Search:
         return None
 
 
-def _recovered(
-    laminate: LaminationParameters, search: _Search, stack: tuple[int, ...], distance: float
+def recovered(
+    laminate: LaminationParameters, angles: list[float], distance: float, rules: LaminationRules | None
 ) -> RecoveredStack:
-    angles = search.angles(stack)
+    """The stack of these plies [rad]."""
     h = float(laminate.thickness.detach()) / len(angles)
     found = Laminate(laminate.ply, angles, h, shear_correction=laminate.shear_correction)
-    broken = [] if search.rules is None else search.rules.broken([math.degrees(x) for x in angles])
+    broken = [] if rules is None else rules.broken([math.degrees(x) for x in angles])
     return RecoveredStack(angles, distance, broken, found)
 
 
-def _check(laminate: object, plies: int, rules: object, number: int, weights: Sequence[float]) -> None:
+def checked_angles(angles: Sequence[float]) -> torch.Tensor:
+    """Those allowed [rad]."""
+    allowed = reals("angles", angles).flatten()
+    if not len(allowed) or not allowed.isfinite().all():
+        raise InputError(f"angles is {angles!r}; allowed: at least one finite angle [rad]")
+    return allowed
+
+
+def check_wanted(name: str, laminate: object, plies: Any) -> None:
+    """InputError for what is no laminate of parameters, or no number of plies."""
     if not isinstance(laminate, LaminationParameters):
-        raise InputError(f"laminate is {laminate!r}; allowed: LaminationParameters(...)")
+        raise InputError(f"{name} is {laminate!r}; allowed: LaminationParameters(...)")
     if laminate.field is not None:
-        raise InputError("laminate has a field; allowed: LaminationParameters of one control, without a field")
-    for name, given in (("plies", plies), ("number", number)):
-        if not whole(given) or given < 1:
-            raise InputError(f"{name} is {given!r}; allowed: a whole number >= 1")
+        raise InputError(f"{name} has a field; allowed: LaminationParameters of one control, without a field")
+    if not whole(plies) or plies < 1:
+        raise InputError(f"plies is {plies!r}; allowed: a whole number >= 1")
+
+
+def check_search(rules: object, weights: Sequence[float]) -> None:
+    """InputError for rules or weights of another kind."""
     if not (rules is None or isinstance(rules, LaminationRules)):
         raise InputError(f"rules is {rules!r}; allowed: a LaminationRules, or None")
     if len(weights) != 3 or not all(real(w) and 0.0 <= w < math.inf for w in weights) or not sum(weights) > 0.0:

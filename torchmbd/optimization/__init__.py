@@ -5,6 +5,7 @@ from torchmbd.optimization.criteria import Criteria, ManyCriteria
 from torchmbd.optimization.discrete.branch_and_bound import Candidate, Certificate, DiscreteResult, optimize_discrete
 from torchmbd.optimization.methods import evolution as evolution
 from torchmbd.optimization.methods import ipopt as ipopt
+from torchmbd.optimization.methods import lbfgs as lbfgs
 from torchmbd.optimization.methods import mmfd as mmfd
 from torchmbd.optimization.methods import moving_asymptotes as moving_asymptotes
 from torchmbd.optimization.methods import slsqp as slsqp

@@ -51,7 +51,7 @@ def optimize(
     """Minimize from one start.
 
     problem          such as a Problem; any object as described in optimizer.py
-    method           "mmfd", "slsqp", "trust-constr", "mma", "ccsaq", "ipopt" or "differential_evolution"
+    method           "mmfd", "slsqp", "lbfgs", "trust-constr", "mma", "ccsaq", "ipopt" or "differential_evolution"
     start            initial design [n]; None: problem.start
     max_iterations   accepted designs at most
     scaling          divide variables by |start|, and the objective by |objective(start)|
