@@ -127,7 +127,11 @@ def test_every_registered_name_can_be_said():
         ({"max": {"strain_energy": 3}}, ("max", "strain_energy"), ["= 3: must be a name", "body"]),
         ({"max": {"strain_energy": "rod"}, "windw": [0, 1]}, ("windw",), ["unknown key", "did you mean 'window'"]),
         ({"max": {"strain_energy": "rod"}, "window": [1, 0]}, (), ["window is [1, 0]", "t0 < t1"]),
-        ({"max": {"strain_energy": "rod", "window": [0, 1]}}, ("max", "window"), ["an argument of 'max' stands beside it"]),
+        (
+            {"max": {"strain_energy": "rod", "window": [0, 1]}},
+            ("max", "window"),
+            ["an argument of 'max' stands beside it"],
+        ),
         ({"max": {"velocity": "rod"}}, ("max", "velocity"), ["needs 'axis'"]),
         ({"max": {"velocity": {"body": "rod", "axs": "x"}}}, ("max", "velocity", "axs"), ["did you mean 'axis'"]),
         ({"at_time": {"strain_energy": "rod"}}, (), ["needs 'time'"]),
