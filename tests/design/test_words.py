@@ -40,3 +40,15 @@ def test_titles(response, said):
 def test_without_bodies():
     assert words(mbd.Max(X), bodies=False) == "max of x position"
     assert unit(mbd.Max(X * Y)) == "m²"
+
+
+def test_a_function_may_have_a_unit():
+    @mbd.history(unit="N")
+    def pin_force(motion):
+        return motion.reaction("pin").force.norm(dim=-1)
+
+    assert heading(mbd.Max(pin_force)) == "max of pin force [N]"
+    assert unit(mbd.Integral(pin_force)) == "N s"
+    assert unit(mbd.measure(lambda motion: motion.t)) is None
+    with pytest.raises(mbd.InputError, match="unit is 3; allowed"):
+        mbd.measure(unit=3)(lambda motion: motion.t)

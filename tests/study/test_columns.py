@@ -53,3 +53,10 @@ def test_a_design_is_told_with_names_and_units():
     )
     x = found.si(np.array([-0.001, 71.65951, 0.5]))
     assert found.named(x) == "angle 1 0 deg, length 71.6595 cm"
+
+
+def test_a_design_of_several_units_names_its_numbers():
+    found = Columns.of(["jib.section.radius", "jib.angles[0]"], {"jib.section.radius": "mm", "jib.angles": "deg"})
+    assert found.names == ("radius_mm", "angle_1_deg")
+    assert found.sentence(np.array([0.012, np.pi / 6])) == "radius 12 mm, angle 1 30 deg"
+    assert found.sentence(np.array([0.012])) == "12 mm"

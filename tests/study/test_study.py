@@ -114,7 +114,7 @@ def test_a_killed_study_goes_on_in_its_runs(own, small):
     output = io.StringIO()
     small.run(console=Console(file=output, width=120))
     assert small.status == "FINISHED"
-    assert "goes on; 2 evaluations on disk are not computed again" in output.getvalue().splitlines()[0]
+    assert "goes on; 2 evaluations of this problem are on disk" in output.getvalue().splitlines()[0]
     assert "2 of " in output.getvalue().replace("evaluations known", "")
     assert json.loads((left / "study.json").read_text())["run_id"] == small.outcome.run_id  # it makes no second run
 

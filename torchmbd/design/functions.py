@@ -12,7 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, overload
 
 from torch import Tensor
 
@@ -26,6 +27,7 @@ class FunctionHistory(History):
     """A function of the motion as a history; made by `history`."""
 
     function: Callable[[Any], Tensor]
+    unit: str | None = None
 
     def values(self, motion: Trajectory) -> Tensor:
         return shaped(self.function, motion, (motion.lanes, len(motion.t)))
@@ -36,6 +38,7 @@ class FunctionMeasure(Measure):
     """A function of the motion as a measure; made by `measure`."""
 
     function: Callable[[Any], Tensor]
+    unit: str | None = None
 
     def value(self, motion: Trajectory) -> Tensor:
         return shaped(self.function, motion, (motion.lanes,))
@@ -45,6 +48,12 @@ def _callable(function: Callable[[Any], Tensor]) -> Callable[[Any], Tensor]:
     if not callable(function):
         raise InputError(f"function is {function!r}; allowed: a function of a motion")
     return function
+
+
+def _unit(unit: str | None) -> str | None:
+    if unit is not None and not isinstance(unit, str):
+        raise InputError(f"unit is {unit!r}; allowed: the name of an SI unit, such as 'N'")
+    return unit
 
 
 def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[int, ...]) -> Tensor:
@@ -57,11 +66,16 @@ def shaped(function: Callable[[Any], Tensor], motion: Trajectory, shape: tuple[i
     return result
 
 
-def history(function: Callable[[Any], Tensor]) -> History:
+@overload
+def history(function: Callable[[Any], Tensor], unit: str | None = None) -> History: ...
+@overload
+def history(function: None = None, unit: str | None = None) -> Callable[[Callable[[Any], Tensor]], History]: ...
+def history(function: Any = None, unit: str | None = None) -> Any:
     """Make a history from a function of the motion.
 
     function  motion -> [lanes, times] in any unit, of torch operations; these give its gradient. What leaves torch
               (detach, numpy, float) has no gradient
+    unit      SI unit of its numbers, "N", in figures and tables (of an angle "rad"): @mbd.history(unit="N")
 
     The same function is called for one design and for a batch. torchmbd/results/trajectory.py lists the attributes of a
     motion. A call raises InputError if the function returns another shape.
@@ -73,13 +87,20 @@ def history(function: Callable[[Any], Tensor]) -> History:
     >>> round(mbd.Max(reach)(motion).item(), 3)
     0.5
     """
-    return FunctionHistory(_callable(function))
+    if function is None:
+        return partial(history, unit=unit)
+    return FunctionHistory(_callable(function), _unit(unit))
 
 
-def measure(function: Callable[[Any], Tensor]) -> Measure:
+@overload
+def measure(function: Callable[[Any], Tensor], unit: str | None = None) -> Measure: ...
+@overload
+def measure(function: None = None, unit: str | None = None) -> Callable[[Callable[[Any], Tensor]], Measure]: ...
+def measure(function: Any = None, unit: str | None = None) -> Any:
     """Make a measure from a function of the motion.
 
     function  motion -> [lanes], any unit, of torch operations, as for `history`
+    unit      likewise: @mbd.measure(unit="J")
 
     A call raises InputError where the function returns another shape.
 
@@ -91,4 +112,6 @@ def measure(function: Callable[[Any], Tensor]) -> Measure:
     >>> value.shape, gradient.shape
     (torch.Size([1]), torch.Size([1, 2]))
     """
-    return FunctionMeasure(_callable(function))
+    if function is None:
+        return partial(measure, unit=unit)
+    return FunctionMeasure(_callable(function), _unit(unit))

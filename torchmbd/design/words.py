@@ -80,6 +80,8 @@ def words(response: Response, bodies: bool = True) -> str:
 
 def unit(response: Response) -> str | None:
     """The unit of a response: `J s`; empty for a plain number; None where it is not known, as of a function."""
+    if isinstance(response, (FunctionHistory, FunctionMeasure)):
+        return response.unit
     if isinstance(response, (Combined, CombinedMeasure)):
         return _unit_of_operation(response.operation, response.parts)
     if isinstance(response, WeightedSum) and response.normalize is not None:

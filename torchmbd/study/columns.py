@@ -56,13 +56,19 @@ class Columns:
         return np.asarray(values, dtype=float) * self.factors
 
     def sentence(self, x: np.ndarray) -> str:
-        """Return a design vector [SI] in one line: `45, -45, 45 deg`; angles to a hundredth. Extra variables are left out."""
-        units = dict(zip(self.names, self.units, strict=True))
-        own = [name for name, label in zip(self.names, self.labels, strict=True) if label not in EXTRA]
+        """Return a design vector [SI] in one line: `45, -45, 45 deg`, of several units `height 17.7 cm, angle 1 45 deg`.
+
+        Angles to a hundredth, other numbers to four digits. Extra variables are left out.
+        """
+        own = [k for k in range(len(x)) if self.labels[k] not in EXTRA]
         values = (np.asarray(x, dtype=float) / self.factors[: len(x)]).tolist()
-        shown = {name: round(v, 2) if units[name] == "deg" else v for name, v in zip(self.names, values, strict=False)}
-        text = ", ".join(f"{float(f'{shown[name]:.4g}') + 0.0:g}" for name in own)
-        return f"{text} {self.units[0]}" if len({units[n] for n in own}) == 1 and self.units[0] != "none" else text
+        shown = [round(values[k], 2) if self.units[k] == "deg" else values[k] for k in own]
+        numbers = [f"{float(f'{value:.4g}') + 0.0:g}" for value in shown]
+        if len({self.units[k] for k in own}) > 1:
+            words = [self.heading(k).partition(" [")[0] for k in own]
+            units = ["" if self.units[k] == "none" else f" {self.units[k]}" for k in own]
+            return ", ".join(f"{word} {x}{unit}" for word, x, unit in zip(words, numbers, units, strict=True))
+        return ", ".join(numbers) + ("" if self.units[0] == "none" else f" {self.units[0]}")
 
     def named(self, x: np.ndarray) -> str:
         """Return a design vector [SI] in one line with names and units: `angle 1 45 deg, thickness 0.6 mm`."""
@@ -90,4 +96,4 @@ EXTRA = ("bound", "beta")  # variables that are no parameters: of a min-max prob
 
 
 def _singular(word: str) -> str:
-    return word[:-1] if word.endswith("s") and not word.endswith("ss") else word
+    return word[:-1] if word.endswith("s") and not word.endswith(("ss", "us", "is")) else word

@@ -144,10 +144,10 @@ def _say_what_is_known(name: str, count: int, study: Unfinished | None, console:
     """Say before the first evaluation what is on disk: of this study, which goes on, or of another of the same problem."""
     if count == 0:
         return
-    text = "another study has evaluated this problem"
+    text = f"{count} evaluations of this problem are on disk"
     if study is not None and study.continues:
-        text = f"finished on {study.ended}" if study.run_id else "goes on"
-    console.print(f"{escape(name)}: {text}; {count} evaluations on disk are not computed again", soft_wrap=True)
+        text = f"{f'finished on {study.ended}' if study.run_id else 'goes on'}; {text}"
+    console.print(f"{escape(name)}: {text}", soft_wrap=True)
 
 
 def _search(

@@ -135,4 +135,4 @@ class Study(StudySettings):
             return [*rows, ("status", "has not run in this process")]
         rows.append(("status", self.status))
         best = self.best
-        return rows if best is None else [*rows, ("best", f"{best.value:.8g} at {self.columns.sentence(best.x)}")]
+        return rows if best is None else [*rows, ("best", f"{best.value:.8g} at {self.columns.named(best.x)}")]
