@@ -1,7 +1,8 @@
 """Robots in the Unified Robot Description Format: links with inertia, joints with origin, axis, limits, damping, friction.
 
-Not read: visual and collision geometry, limits of effort and velocity, transmissions, plugins. Refused by file and element: a
-joint that mimics another, a link or joint that comes twice or lacks, loops, numbers that are none, a document type (entities).
+Not read: visual and collision geometry, limits of effort and velocity, transmissions, plugins. A <limit> without lower and
+upper is none. Refused by file and element: a link or joint that comes twice or lacks, loops, numbers that are none, a document
+type (entities).
 Source: wiki.ros.org/urdf/XML. Checked in tests/io/test_urdf.py.
 """
 
@@ -45,7 +46,11 @@ class UrdfLink:
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint; its frame is that of the child link where its coordinate is zero. limits: None where there are none."""
+    """A joint; its frame is that of the child link where its coordinate is zero.
+
+    limits   [rad, m], None where there are none
+    mimics   whether its coordinate follows that of another joint
+    """
 
     name: str
     kind: str
@@ -56,6 +61,7 @@ class UrdfJoint:
     limits: tuple[float, float] | None
     damping: float
     friction: float
+    mimics: bool = False
 
 
 @dataclass(frozen=True)
@@ -109,6 +115,8 @@ def _tree(file: str, name: str, links: dict[str, UrdfLink], joints: list[UrdfJoi
             raise InputError(f"{file}: link {joint.child!r} is the child of two joints; allowed: a tree")
         parents[joint.child] = joint.parent
     roots = [link for link in links if link not in parents]
+    if not links:
+        raise InputError(f"{file}: no <link>; allowed: a robot of links (expand a xacro file first)")
     if len(roots) != 1:
         raise InputError(f"{file}: links {roots} have no parent; allowed: one root, all others joined to it")
     ordered, reached = [], [roots[0]]
@@ -184,8 +192,6 @@ def _joint(file: str, element: ET.Element) -> UrdfJoint:
     where, kind = f"{file}, joint {name!r}", element.get("type", "")
     if kind not in KINDS:
         raise unknown(f"{where}: type", kind, KINDS)
-    if element.find("mimic") is not None:
-        raise InputError(f"{where}: it mimics another joint; allowed: joints of their own")
     ends = []
     for end in ("parent", "child"):
         own = element.find(end)
@@ -198,7 +204,7 @@ def _joint(file: str, element: ET.Element) -> UrdfJoint:
     if kind != "fixed" and not length > 1e-9:
         raise InputError(f"{where}: axis is {axis.tolist()}; allowed: a direction")
     limit, dynamics, limits = element.find("limit"), element.find("dynamics"), None
-    if kind in ("revolute", "prismatic") and limit is not None:
+    if kind in ("revolute", "prismatic") and limit is not None and {"lower", "upper"} & set(limit.keys()):
         limits = _one(where, limit, "lower", 0.0), _one(where, limit, "upper", 0.0)
         if limits[0] > limits[1]:
             raise InputError(f"{where}: lower is {limits[0]:g}, upper {limits[1]:g}; allowed: lower below upper")
@@ -206,4 +212,5 @@ def _joint(file: str, element: ET.Element) -> UrdfJoint:
     if min(losses) < 0.0:
         raise InputError(f"{where}: damping, friction are {losses}; allowed: zero or positive")
     origin = _pose(where, element.find("origin"))
-    return UrdfJoint(name, kind, ends[0], ends[1], origin, axis / (length or 1.0), limits, losses[0], losses[1])
+    mimics, axis = kind != "fixed" and element.find("mimic") is not None, axis / (length or 1.0)
+    return UrdfJoint(name, kind, ends[0], ends[1], origin, axis, limits, losses[0], losses[1], mimics)

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import torchmbd as mbd
+from experiments.newton_euler import Tree
 from tests.mechanisms import finished, laminate
 from torchmbd.errors import InputError
 from torchmbd.io.urdf import Pose, read_urdf
@@ -85,63 +86,17 @@ def turned(axis, angle):
     return np.eye(3) + math.sin(angle) * K + (1 - math.cos(angle)) * K @ K
 
 
-def recursion(robot, q, rate, acceleration, gravity=9.81):
-    """Torques of Newton-Euler recursions, and angular accelerations of links in their own axes; all in link frames."""
-    order = [j for j in robot.joints if j.kind != "fixed"]
-    merged = {}
-    for j in order:
-        parts, stack = [], [(j.child, Pose(np.zeros(3), np.eye(3)))]
-        while stack:
-            name, pose = stack.pop()
-            parts.append((robot.links[name], pose))
-            stack += [(k.child, pose @ k.origin) for k in robot.joints if k.kind == "fixed" and k.parent == name]
-        merged[j.child] = parts
-    w, dw, dv = np.zeros(3), np.zeros(3), np.array([0.0, 0.0, gravity])
-    out = []
-    for k, j in enumerate(order):
-        R = j.origin.axes @ turned(j.axis, q[k])  # axes of the link in its parent
-        p = j.origin.place
-        dv = R.T @ (dv + np.cross(dw, p) + np.cross(w, np.cross(w, p)))
-        w0 = R.T @ w
-        dw = R.T @ dw + j.axis * acceleration[k] + np.cross(w0, j.axis * rate[k])
-        w = w0 + j.axis * rate[k]
-        force, moment = np.zeros(3), np.zeros(3)
-        for own, pose in merged[j.child]:
-            c = pose.place + pose.axes @ own.center
-            J = pose.axes @ own.inertia @ pose.axes.T
-            f = own.mass * (dv + np.cross(dw, c) + np.cross(w, np.cross(w, c)))
-            force, moment = force + f, moment + J @ dw + np.cross(w, J @ w) + np.cross(c, f)
-        out.append((R, p, force, moment, j.axis, dw))
-    torque, f, n = np.zeros(len(order)), np.zeros(3), np.zeros(3)
-    for k in reversed(range(len(order))):
-        R, p, force, moment, axis, _ = out[k]
-        f, n = force + f, moment + n
-        torque[k] = axis @ n
-        f, n = R @ f, R @ n + np.cross(p, R @ f)
-    return torque, [o[-1] for o in out]
-
-
-def free_acceleration(robot, q, rate, damping):
-    zero = np.zeros(3)
-    bias, _ = recursion(robot, q, rate, zero)
-    M = np.stack([recursion(robot, q, zero, e, 0.0)[0] for e in np.eye(3)], axis=1)
-    qdd = np.linalg.solve(M, -bias - damping * rate)
-    return qdd, recursion(robot, q, rate, qdd)[1]
-
-
 def test_an_arm_of_three_joints_follows_the_recursion(file):
     """Angular accelerations of all links at 1e-10, at the start and along a motion; links fixed to others are parts of them."""
     path = file(*ARM)
-    with pytest.warns(UserWarning, match=r"limits of joint 'j1' are 6.283 rad apart"):
+    with pytest.warns(UserWarning, match=r"limits of joints \['j1'\] are about a turn apart"):
         system = mbd.System.from_urdf(path, positions=Q, velocities=RATE)
     assert [body.name for body in system.bodies] == ["link1", "link2", "link3"]
     assert system.describe().freedoms == 3
     motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
-    robot, damping = read_urdf(path), np.array([0.0, 0.0, 0.3])
-    q, rate = (np.array([x[name] for name in MOVING]) for x in (Q, RATE))
-    _, want = free_acceleration(robot, q, rate, damping)
-    for name, own in zip(("link1", "link2", "link3"), want, strict=True):
-        found = motion.body(name).omega_rate[0, 0].numpy()
+    _, wanted = Tree(path).accelerations(Q, RATE)
+    for name in ("link1", "link2", "link3"):
+        found, own = motion.body(name).omega_rate[0, 0].numpy(), wanted[name][1]
         np.testing.assert_allclose(found, own, rtol=1e-10, atol=1e-10 * abs(own).max())
 
 
@@ -150,11 +105,12 @@ def test_the_motion_converges_to_that_of_the_recursion(file):
     path = file(*ARM)
     system = mbd.System.from_urdf(path, positions=Q, velocities=RATE, stop_stiffness=None)
     motion = finished(mbd.simulate(system, 0.1, steps=400, gradients="none"))
-    robot, damping, h = read_urdf(path), np.array([0.0, 0.0, 0.3]), 2e-3
+    robot, tree, h = read_urdf(path), Tree(path), 2e-3
     y = np.array([[x[name] for name in MOVING] for x in (Q, RATE)])
 
     def f(y):
-        return np.stack([y[1], free_acceleration(robot, y[0], y[1], damping)[0]])
+        q, rate = (dict(zip(MOVING, x, strict=True)) for x in y)
+        return np.stack([y[1], tree.accelerations(q, rate)[0]])
 
     for _ in range(50):
         a = f(y)
@@ -193,6 +149,72 @@ def test_limits_are_stops_and_friction_takes_energy(file):
     system = mbd.System.from_urdf(rough, gravity=None, velocities={"hinge": 3.0})
     motion = finished(mbd.simulate(system, 0.5, steps=500, gradients="none"))
     assert float(motion.body("rod").omega[0, -1, 2]) == pytest.approx(3.0 - 0.7 / J * 0.5, rel=1e-6)
+
+
+def test_stops_are_watched_and_may_lose_energy(file):
+    """Steps that a stop is too short for are halved; with damping the speed after it is that of Hunt and Crossley's law."""
+    stop = file(*PENDULUM, hinge('<limit lower="-0.1" upper="0.1"/>', axis="0 0 1"))
+    given = {"gravity": None, "velocities": {"hinge": 0.5}, "stop_stiffness": 1e5}
+    system = mbd.System.from_urdf(stop, **given)
+    assert [type(force) for force in system.forces] == [mbd.RotationalStop]
+    motion = finished(mbd.simulate(system, 0.3, steps=30, gradients="none"))
+    assert motion.stats["halved"] == [0]
+    assert float(motion.body("rod").omega[0, -1, 2]) == pytest.approx(-0.5, rel=1e-3)
+    c, v = 0.6, 0.5
+    soft = mbd.System.from_urdf(stop, **given | {"stop_stiffness": 3e3, "stop_damping": c})
+    w = -float(finished(mbd.simulate(soft, 0.3, steps=1000, gradients="none")).body("rod").omega[0, -1, 2])
+    assert c * v - math.log1p(c * v) == pytest.approx(-c * w - math.log1p(-c * w), rel=1e-4)
+
+
+def test_starts_beyond_limits_are_refused(file):
+    path = file(*PENDULUM, hinge('<limit lower="0.2" upper="0.4"/>'))
+    with pytest.raises(InputError, match=r"'hinge' at 0, from 0.2 to 0.4; allowed: positions between them"):
+        mbd.System.from_urdf(path)
+    assert mbd.System.from_urdf(path, positions={"hinge": 0.3}).forces
+    assert not mbd.System.from_urdf(path, stop_stiffness=None).forces
+    effort = file(*PENDULUM, hinge('<limit effort="3" velocity="1"/>'))
+    assert not mbd.System.from_urdf(effort).forces  # a <limit> without lower and upper
+
+
+def test_locked_joints_are_fixed_at_their_positions(file):
+    """As if the position stood in the file; a joint that mimics another must be."""
+    lines = [line.replace('"continuous"', '"revolute"') for line in ARM]
+    lines[8] = lines[8].replace("<axis", '<mimic joint="j2"/><axis')
+    with pytest.raises(
+        InputError, match=r"joints \['j3'\] mimic others; allowed: joints of their own, or locked=\['j3'\]"
+    ):
+        mbd.System.from_urdf(file(*lines))
+    path, rate = file(*lines), {"j1": 1.5, "j2": -2.0}
+    system = mbd.System.from_urdf(path, positions=Q, velocities=rate, locked=["j3"])
+    assert [body.name for body in system.bodies] == ["link1", "link2"]
+    motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
+    _, wanted = Tree(path, ["j3"]).accelerations(Q, rate)
+    np.testing.assert_allclose(motion.body("link2").omega_rate[0, 0], wanted["link2"][1], rtol=1e-10)
+
+
+def test_drives_move_joints_from_their_positions(file):
+    system = mbd.System.from_urdf(
+        file(*PENDULUM, hinge()), positions={"hinge": 0.3}, drives={"hinge": mbd.SmoothStep(0.5, 0.2)}, gravity=None
+    )
+    motion = finished(mbd.simulate(system, 0.3, steps=30, gradients="none"))
+    assert float(motion.body("rod").A[0, -1, 2, 0]) == pytest.approx(-math.sin(0.8), abs=1e-9)
+    assert "hinge_drive" in [joint.name for joint in system.joints]
+    slide = file(*PENDULUM, hinge(kind="prismatic"))
+    system = mbd.System.from_urdf(slide, drives={"hinge": mbd.SmoothStep(0.5, 0.2)})
+    motion = finished(mbd.simulate(system, 0.3, steps=30, gradients="none"))
+    assert float(motion.body("rod").r[0, -1, 1]) == pytest.approx(0.5, abs=1e-9)
+
+
+def test_inertia_that_no_mass_has_is_taken_with_a_warning(file):
+    path = file(PENDULUM[0], link("rod", 1.0, "0.5 0 0", 1e-3, 0.1, 0.3), hinge())
+    with pytest.warns(UserWarning, match=r"links \['rod'\]: the largest principal inertia"):
+        system = mbd.System.from_urdf(path, velocities={"hinge": 1.0})
+    motion = finished(mbd.simulate(system, 1e-3, steps=10, gradients="none"))
+    np.testing.assert_allclose(
+        motion.body("rod").omega_rate[0, 0], Tree(path).accelerations({}, {"hinge": 1.0})[1]["rod"][1], rtol=1e-12
+    )
+    with pytest.raises(InputError, match="inertia of link 'rod' has the principal values"):
+        mbd.System.from_urdf(file(PENDULUM[0], link("rod", 1.0, "0 0 0", -1e-3, 0.1, 0.1), hinge()))
 
 
 @pytest.mark.thorough
@@ -240,6 +262,10 @@ def test_a_link_is_replaced_by_a_plate(file):
         ({"flexible": {"link2": 3}}, "allowed: a FlexibleBody"),
         ({"fixed_base": 1}, "fixed_base is 1"),
         ({"stop_stiffness": -1.0}, "stop_stiffness"),
+        ({"stop_damping": -1.0}, "damping of 'j2_stop' is -1"),
+        ({"locked": "j1"}, "locked is 'j1'"),
+        ({"locked": ["f1"]}, "locked: 'f1'"),
+        ({"locked": ["j1"], "velocities": {"j1": 1.0}}, "velocities: 'j1'"),
         ({"friction_speed": 0.0, "positions": {}}, "friction_speed"),
     ],
 )

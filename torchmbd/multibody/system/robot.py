@@ -2,21 +2,24 @@
 
     revolute, continuous -> Revolute      prismatic -> Prismatic      planar -> Planar      floating -> a free body
     fixed -> the child is a part of its parent (its inertia is added), or a Fixed joint beside a flexible body
-    limits -> stops (Gap), damping -> -c s', friction -> -f tanh(s' / friction_speed)
+    limits -> RotationalStop, AxialStop      damping -> -c s'      friction -> -f tanh(s' / friction_speed)
 
 A flexible body takes the place of a link: its mesh is in the frame of the link. A joint sits on the node set that has the
 name of the joint, else on the node next to the place that the file says, by a rigid arm.
+Over 300 lines: one builder, from the places of links to their bodies and to what is between them.
 Checked in tests/multibody/system/test_robot.py.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from torchmbd.errors import InputError, unknown, warn
 from torchmbd.io.urdf import Pose, Robot, UrdfJoint, read_urdf
@@ -24,14 +27,16 @@ from torchmbd.math.owned import positive, scalar
 from torchmbd.multibody.bodies import FlexibleBody, RigidBody
 from torchmbd.multibody.bodies.frame import put
 from torchmbd.multibody.bodies.rigid import Ground
+from torchmbd.multibody.forces.contact import MOST_TURN, AxialStop, RotationalStop
 from torchmbd.multibody.forces.force import ForceElement
-from torchmbd.multibody.forces.laws import Friction, Gap, Spring
+from torchmbd.multibody.forces.laws import Friction, Spring
 from torchmbd.multibody.forces.spring_damper import AxialSpringDamper, RotationalSpringDamper
-from torchmbd.multibody.joints import Fixed, Planar, Prismatic, Revolute
+from torchmbd.multibody.joints import Drive, Fixed, Planar, Prismatic, Revolute
 from torchmbd.multibody.joints.joint import Joint
 
-ROUND = 2.0 * math.pi - 0.2  # limits further apart than this are no stops: an angle is known up to a turn
+MOVING = ("revolute", "continuous", "prismatic")  # joints of one coordinate
 FAR = 0.2  # of the size of a flexible body: how long the arm to its nearest node may be
+FLAT = 1e-12  # [m2] of inertia over mass: below it a negative principal value is rounding
 _STAND = Pose(np.zeros(3), np.eye(3))
 
 
@@ -49,36 +54,60 @@ def robot(
     fixed_base: bool = True,
     positions: Mapping[str, float] | None = None,
     velocities: Mapping[str, float] | None = None,
+    drives: Mapping[str, Any] | None = None,
+    locked: Iterable[str] = (),
     stop_stiffness: float | None = 1e4,
+    stop_damping: float = 0.0,
     friction_speed: float = 0.01,
     gravity: Sequence[float] | None = (0.0, 0.0, -9.81),
 ) -> dict[str, Any]:
     """What a System takes: bodies, joints, forces, free, gravity.
 
     positions, velocities  initial coordinates of joints by name [rad, m], [rad/s, m/s]; others are zero
-    stop_stiffness         of the stops at joint limits [N m/rad, N/m]; None: joints without stops
+    drives                 joint name -> law of its coordinate from there on, a function of time as of mbd.Drive: "NAME_drive"
+    locked                 names of joints that are fixed at these positions; those that mimic others must be
+    stop_stiffness         of the stops at joint limits [N m/rad, N/m]; None: no stops, a start may be beyond limits
+    stop_damping           of the stops [s/rad, s/m], as of RotationalStop
     friction_speed         below it friction falls off [rad/s, m/s]
     gravity                [m/s2]
     """
     if not isinstance(fixed_base, bool):
         raise InputError(f"fixed_base is {fixed_base!r}; allowed: True or False")
-    for key, given in (("flexible", flexible), ("positions", positions), ("velocities", velocities)):
+    named = {"flexible": flexible, "positions": positions, "velocities": velocities, "drives": drives}
+    for key, given in named.items():
         if given is not None and not isinstance(given, Mapping):
             raise InputError(f"{key} is {given!r}; allowed: names -> values")
-    made = _Builder(read_urdf(path), flexible, fixed_base, positions or {}, velocities or {})
-    return made.parts(stop_stiffness, friction_speed) | {"gravity": gravity}
+    if isinstance(locked, str) or not all(isinstance(name, str) for name in locked):
+        raise InputError(f"locked is {locked!r}; allowed: names of joints")
+    made = _Builder(read_urdf(path), flexible, fixed_base, positions or {}, velocities or {}, drives or {}, set(locked))
+    if stop_stiffness is not None:
+        positive("stop_stiffness", stop_stiffness, "N m/rad or N/m")
+        made.check_limits()
+    return made.parts(stop_stiffness, stop_damping, friction_speed) | {"gravity": gravity}
 
 
 class _Builder:
     """Bodies of links and what is between them."""
 
-    def __init__(self, robot: Robot, flexible: Any, fixed_base: bool, positions: Any, velocities: Any) -> None:
-        self.robot, self.flexible = robot, dict(flexible)
-        moving = [joint.name for joint in robot.joints if joint.kind in ("revolute", "continuous", "prismatic")]
+    def __init__(
+        self,
+        robot: Robot,
+        flexible: Any,
+        fixed_base: bool,
+        positions: Any,
+        velocities: Any,
+        drives: Mapping[str, Any],
+        locked: set[str],
+    ) -> None:
+        self.flexible, self.drives = dict(flexible), drives
+        moving = [joint.name for joint in robot.joints if joint.kind in MOVING]
+        unlocked = [name for name in moving if name not in locked]
         for key, given, allowed in (
             ("flexible", self.flexible, [link for link in robot.links if link != robot.root or not fixed_base]),
             ("positions", positions, moving),
-            ("velocities", velocities, moving),
+            ("velocities", velocities, unlocked),
+            ("drives", drives, unlocked),
+            ("locked", sorted(locked), moving),
         ):
             for name in given:
                 if name not in allowed:
@@ -89,9 +118,41 @@ class _Builder:
         self.q = {name: scalar(f"positions[{name!r}]", x) for name, x in positions.items()}
         self.rate = {name: scalar(f"velocities[{name!r}]", x) for name, x in velocities.items()}
         self.fixed_base = fixed_base
+        self.robot = replace(robot, joints=[self._locked(j) if j.name in locked else j for j in robot.joints])
+        if mimics := [joint.name for joint in self.robot.joints if joint.mimics]:
+            raise InputError(
+                f"joints {mimics} mimic others; allowed: joints of their own, or locked={mimics}, at positions of their own"
+            )
+        self._drop_marks()
         self.placed = self._place()
         self.owner, self.inside = self._owners()
         self.bodies = self._bodies()
+
+    def _locked(self, joint: UrdfJoint) -> UrdfJoint:
+        origin = joint.origin @ _displaced(joint, self.q.get(joint.name, 0.0))
+        return replace(joint, kind="fixed", origin=origin, limits=None, mimics=False)
+
+    def _drop_marks(self) -> None:
+        """Leave out links without mass that are fixed at the end of others, such as flanges."""
+        kept: list[UrdfJoint] = []
+        for joint in reversed(self.robot.joints):
+            bare = joint.kind == "fixed" and not self.robot.links[joint.child].mass and joint.child not in self.flexible
+            if not bare or any(other.parent == joint.child for other in kept):
+                kept.append(joint)
+        self.robot = replace(self.robot, joints=kept[::-1])
+
+    def check_limits(self) -> None:
+        """InputError where joints start beyond their limits: stops would throw them back."""
+        beyond = {}
+        for joint in self.robot.joints:
+            q = self.q.get(joint.name, 0.0)
+            if joint.limits is not None and not joint.limits[0] <= q <= joint.limits[1]:
+                beyond[joint.name] = f"{joint.name!r} at {q:g}, from {joint.limits[0]:g} to {joint.limits[1]:g}"
+        if beyond:
+            raise InputError(
+                f"positions: joints start beyond their limits: {'; '.join(beyond.values())}; allowed: positions between them, "
+                "or stop_stiffness=None"
+            )
 
     def _place(self) -> dict[str, _Placed]:
         placed = {self.robot.root: _Placed(_STAND, np.zeros(3), np.zeros(3))}
@@ -100,8 +161,7 @@ class _Builder:
             own = base.pose @ joint.origin
             axis = own.axes @ joint.axis
             slides = joint.kind == "prismatic"
-            turned = Pose(joint.axis * q, np.eye(3)) if slides else Pose(np.zeros(3), _rotation(joint.axis, q))
-            pose = own @ turned
+            pose = own @ _displaced(joint, q)
             spin = base.spin if slides else base.spin + axis * rate
             velocity = (
                 base.velocity + np.cross(base.spin, pose.place - base.pose.place) + (axis * rate if slides else 0.0)
@@ -123,6 +183,7 @@ class _Builder:
     def _bodies(self) -> dict[str, Any]:
         """Bodies by their links; the ground in the place of a root that is fixed."""
         bodies: dict[str, Any] = {}
+        self.impossible: list[str] = []
         for link in dict.fromkeys(self.owner.values()):
             at = self.placed[link]
             if link == self.robot.root and self.fixed_base:
@@ -137,6 +198,11 @@ class _Builder:
                 bodies[link] = body
             else:
                 bodies[link] = self._rigid(link, at)
+        if self.impossible:
+            warn(
+                f"links {self.impossible}: the largest principal inertia exceeds the sum of the others, which no mass "
+                "has; taken as it is"
+            )
         return bodies
 
     def _rigid(self, link: str, at: _Placed) -> RigidBody:
@@ -154,12 +220,14 @@ class _Builder:
         for name in members:
             d = centers[name] - center
             J += inertias[name] + self.robot.links[name].mass * (d @ d * np.eye(3) - np.outer(d, d))
+        J, possible = _physical(link, 0.5 * (J + J.T), mass)
         speed = [at.velocity.tolist(), (at.pose.axes.T @ at.spin).tolist()] if self.rate else [None, None]
+        given = J if possible else np.trace(J) / 3.0 * np.eye(3)
         try:
-            return RigidBody(
+            body = RigidBody(
                 _identifier(link),
                 mass,
-                J.tolist(),
+                given.tolist(),
                 center.tolist(),
                 at.pose.place.tolist(),
                 at.pose.axes.tolist(),
@@ -167,12 +235,17 @@ class _Builder:
             )
         except InputError as error:
             raise InputError(f"link {link!r}: {error}") from None
+        if not possible:
+            body.inertia.copy_(torch.from_numpy(J))
+            self.impossible.append(link)
+        return body
 
-    def parts(self, stop_stiffness: float | None, friction_speed: float) -> dict[str, Any]:
+    def parts(self, stop_stiffness: float | None, stop_damping: float, friction_speed: float) -> dict[str, Any]:
         joints: list[Joint] = []
         forces: list[ForceElement] = []
         root = self.bodies[self.robot.root]
         free = [] if self.fixed_base else [root.name]
+        unlimited = []
         for joint in self.robot.joints:
             if self.owner[joint.child] != joint.child:
                 continue
@@ -190,7 +263,21 @@ class _Builder:
                 joints.append(Fixed(a, b, name=name))
             else:
                 free.append(self.bodies[joint.child].name)
-            forces += _forces(joint, a, b, stop_stiffness, friction_speed)
+            if joint.name in self.drives:
+                law: Any = {"position" if joint.kind == "prismatic" else "angle": self.drives[joint.name]}
+                joints.append(Drive(a, b, axis="z", **law, name=f"{name}_drive"))
+            forces += _losses(joint, a, b, friction_speed)
+            if joint.limits is None or stop_stiffness is None:
+                continue
+            if joint.kind == "revolute" and joint.limits[1] - joint.limits[0] > MOST_TURN:
+                unlimited.append(joint.name)
+                continue
+            stop = AxialStop if joint.kind == "prismatic" else RotationalStop
+            lower, upper = joint.limits
+            given = {"lower": lower, "upper": upper, "stiffness": stop_stiffness, "damping": stop_damping}
+            forces.append(stop(a, b, "z", **given, name=f"{name}_stop"))
+        if unlimited:
+            warn(f"limits of joints {unlimited} are about a turn apart, or more: they are left out")
         bodies = [body for body in self.bodies.values() if not isinstance(body, Ground)]
         return {"bodies": bodies, "joints": joints, "forces": forces, "free": free}
 
@@ -217,31 +304,41 @@ class _Builder:
         return body.at(joint.name if named else members[0], axes=pose.axes.tolist(), offset=arm.tolist())
 
 
-def _forces(joint: UrdfJoint, a: Any, b: Any, stop_stiffness: float | None, speed: float) -> list[ForceElement]:
-    """Damping, friction and stops of a joint."""
-    if joint.kind not in ("revolute", "continuous", "prismatic"):
+def _losses(joint: UrdfJoint, a: Any, b: Any, speed: float) -> list[ForceElement]:
+    """Damping and friction of a joint."""
+    if joint.kind not in MOVING:
         return []
-    name, turns = _identifier(joint.name), joint.kind != "prismatic"
-    kind = RotationalSpringDamper if turns else AxialSpringDamper
-    lower, upper = joint.limits or (0.0, 0.0)
-    center = 0.5 * (lower + upper) if turns else 0.0
+    name = _identifier(joint.name)
+    kind = AxialSpringDamper if joint.kind == "prismatic" else RotationalSpringDamper
     laws: dict[str, Any] = {}
     if joint.damping:
         laws["damping"] = Spring(damping=joint.damping)
     if joint.friction:
         laws["friction"] = Friction(joint.friction, positive("friction_speed", speed, "rad/s or m/s"))
-    if joint.limits and turns and upper - lower > ROUND:
-        warn(f"limits of joint {joint.name!r} are {upper - lower:.4g} rad apart, about a turn: they are left out")
-    elif joint.limits and stop_stiffness is not None:
-        stiffness = positive("stop_stiffness", stop_stiffness, "N m/rad or N/m")
-        laws["lower"] = Gap(stiffness, lower, 1.0, center=center)
-        laws["upper"] = Gap(stiffness, upper, -1.0, center=center)
     return [kind(a, b, axis="z", law=law, name=f"{name}_{key}") for key, law in laws.items()]
+
+
+def _physical(link: str, J: np.ndarray, mass: float) -> tuple[np.ndarray, bool]:
+    """An inertia without negative rounding, and whether a mass can have it; InputError where it is negative."""
+    values, axes = np.linalg.eigh(J)
+    if values[0] < -FLAT * mass - 1e-9 * values[2]:
+        raise InputError(f"inertia of link {link!r} has the principal values {values.tolist()}; allowed: none negative")
+    if values[0] < 0.0:
+        values = values.clip(0.0)
+        J = (axes * values) @ axes.T
+    return J, bool(values[0] + values[1] >= values[2] * (1.0 - 1e-12))
 
 
 def _identifier(name: str) -> str:
     made = "".join(c if c.isalnum() or c == "_" else "_" for c in name)
     return made if made.isidentifier() else f"_{made}"
+
+
+def _displaced(joint: UrdfJoint, q: float) -> Pose:
+    """What the coordinate of a joint adds to its origin."""
+    if joint.kind == "prismatic":
+        return Pose(joint.axis * q, np.eye(3))
+    return Pose(np.zeros(3), _rotation(joint.axis, q))
 
 
 def _rotation(axis: np.ndarray, angle: float) -> np.ndarray:

@@ -126,7 +126,8 @@ class System(nn.Module):
         """A robot of a URDF file: links as rigid bodies, or as flexible ones whose mesh is in the frame of the link.
 
         flexible, fixed_base   link name -> body in its place; True: the root link is the ground, False: a free body
-        options                positions, velocities, stop_stiffness, friction_speed, gravity (multibody/system/robot.py)
+        options                positions, velocities, drives, locked, gravity, stop_stiffness, stop_damping, friction_speed
+                               (multibody/system/robot.py)
         """
         return cls(**robot(path, flexible or {}, fixed_base, **options))
 
