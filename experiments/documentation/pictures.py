@@ -103,6 +103,7 @@ PICTURES: dict[str, Callable[[Path], Path]] = {
     "chain": _of_gallery("chain", frames=81),
     "spacecraft": _of_gallery("spacecraft", view="iso"),
     "delta_robot": _of_gallery("delta_robot", frames=41, scale=50.0, view="iso"),
+    "falling_arm": _of_gallery("falling_arm", frames=101, along={"fore": [(0, 0, 0), (0.5, 0, 0)]}),
     "flapping_blade": _of_gallery("flapping_blade", scale=3.0, view="xz"),
 }
 

@@ -14,7 +14,7 @@ from experiments.documentation.pictures import PICTURES
 
 ROOT = Path(__file__).parents[2]
 MODULES = sorted(file.stem for file in Path(str(gallery.__file__)).parent.glob("[a-z]*.py"))
-RIGID = {"four_bar": 0, "chain": 5, "spacecraft": 0, "delta_robot": 0, "flapping_blade": 0}
+RIGID = {"four_bar": 0, "chain": 5, "spacecraft": 0, "delta_robot": 0, "flapping_blade": 0, "falling_arm": 2}
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -22,13 +22,16 @@ G = 9.81
 SLOW = 5e-2  # [s] time constant of the stabilization: an explicit method can take large steps
 
 
-def rod(name: str, start: Tensor, end: Tensor, **given) -> tuple[mbd.RigidBody, mbd.Frame, mbd.Frame]:
-    """A slender rod of 1 m and 1 kg with frames at its ends, along its own y axis."""
+def rod(
+    name: str, start: Tensor, end: Tensor, side: float = 0.0, **given
+) -> tuple[mbd.RigidBody, mbd.Frame, mbd.Frame]:
+    """A rod of 1 m and 1 kg with frames at its ends, along its own y axis; side of its square section [m]."""
     y = end - start
     helper = tensor(0.0, 0.0, 1.0) if abs(float(y[2])) < 0.5 else tensor(1.0, 0.0, 0.0)
     x = torch.linalg.cross(y, helper)
     axes = torch.stack([x, y, torch.linalg.cross(x, y)], 1)  # of an upright rod: those of the ground
-    inertia = (1.0 / 12.0, 0.0, 1.0 / 12.0)
+    across = (1.0 + side**2) / 12.0
+    inertia = (across, side**2 / 6.0, across)
     body = mbd.RigidBody(name, 1.0, inertia, position=(start + end) / 2, axes=axes, **given)
     return body, body.at(0.0, -0.5, 0.0, axes=axes.T), body.at(0.0, 0.5, 0.0, axes=axes.T)
 
@@ -78,13 +81,13 @@ def n_four_bar_at(t: np.ndarray, windows: int = 2) -> np.ndarray:
     return 2.0 * ellipj(most * t - ellipk(m), m)[3] + math.pi
 
 
-def bricard() -> mbd.System:
+def bricard(side: float = 0.0) -> mbd.System:
     """A04: five rods of 1 m on edges of a cube, the sixth is the ground; each hinge is across its two rods."""
     corners = [tensor(*x) for x in ((0, 0, 0), (1, 0, 0), (1, -1, 0), (1, -1, 1), (0, -1, 1), (0, 0, 1))]
     ground, bodies = mbd.Ground(), []
     joints, last = [], ground.at()
     for k, (start, end, axis) in enumerate(zip(corners, corners[1:], "yzxyz", strict=False)):
-        body, first, tip = rod(f"rod_{k}", start, end)
+        body, first, tip = rod(f"rod_{k}", start, end, side)
         bodies.append(body)
         joints.append(mbd.Revolute(last, first, axis, name=f"hinge_{k}"))
         last = tip
