@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, str] = {
     "materials": "Ply Laminate SteeredLaminate FiberField LaminationParameters Strength SNCurve LaminationRules "
     "recover_stacks recover_blended_stacks deg",
-    "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable",
+    "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable WindIOBlade",
     "bodies": "Ground RigidBody FlexibleBody Frame Interface",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "
     "ConstantSpeed Sine SmoothStep",

@@ -1,0 +1,174 @@
+"""Sections of windIO blades: a round tube in closed form, a profile with caps and webs, and what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+import yaml
+
+import torchmbd as mbd
+from torchmbd.errors import InputError
+
+FLAT = [0.0, 1.0]
+
+
+def along(*values: float) -> dict:
+    return {"grid": np.linspace(0.0, 1.0, len(values)).tolist(), "values": list(values)}
+
+
+def circle(n: int = 101) -> dict:
+    t = np.linspace(0.0, 2.0 * np.pi, n)
+    return {"x": (0.5 + 0.5 * np.cos(t)).tolist(), "y": (0.5 * np.sin(t)).tolist()}
+
+
+def wing(thickness: float = 0.3, gap: float = 0.01, n: int = 80) -> dict:
+    """A symmetric four-digit profile with a blunt trailing edge."""
+    x = 0.5 + 0.5 * np.cos(np.linspace(0.0, np.pi, n))
+    y = 5 * thickness * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4) + gap * x / 2
+    return {"x": [*x.tolist(), *x[::-1][1:].tolist()], "y": [*y.tolist(), *(-y[::-1][1:]).tolist()]}
+
+
+def layer(name: str, material: str, thickness: float, angle: float = 0.0, **more) -> dict:
+    own = {"name": name, "material": material, "thickness": along(thickness, thickness)}
+    return own | {"fiber_orientation": along(angle, angle)} | more
+
+
+def skin(name: str, material: str, thickness: float, angle: float = 0.0) -> dict:
+    return layer(name, material, thickness, angle, start_nd_arc=along(0.0, 0.0), end_nd_arc=along(1.0, 1.0))
+
+
+MATERIALS = [
+    {"name": "steel", "orth": 0, "E": 2e11, "nu": 0.3, "rho": 7850.0},
+    {"name": "foam", "orth": 0, "E": 1.3e8, "nu": 0.32, "rho": 130.0},
+    {
+        "name": "carbon",
+        "orth": 1,
+        "E": [1.1e11, 8e9, 8e9],
+        "G": [6e9, 6e9, 6e9],
+        "nu": [0.27, 0.27, 0.27],
+        "rho": 1220.0,
+    },
+]
+FULL = [
+    skin("outer", "carbon", 2e-3, 0.3),
+    layer("cap", "carbon", 0.02, start_nd_arc=along(0.25, 0.25), width=along(0.4, 0.4), end_nd_arc=along(0.35, 0.35)),
+    layer("cap_below", "carbon", 0.02, start_nd_arc=along(0.65, 0.65), end_nd_arc=along(0.75, 0.75)),
+    layer("edge", "carbon", 4e-3, start_nd_arc={"fixed": "TE"}, width=along(0.3, 0.3)),
+    layer("filler", "foam", 0.01, start_nd_arc={"fixed": "edge"}, end_nd_arc={"fixed": "cap"}),
+    skin("inner", "carbon", 2e-3),
+    layer("web_skin", "carbon", 2e-3, 0.7, web="web"),
+    layer("web_core", "foam", 0.02, web="web"),
+]
+WEBS = [{"name": "web", "start_nd_arc": along(0.3, 0.3), "end_nd_arc": along(0.7, 0.7)}]
+
+
+@pytest.fixture
+def blade(tmp_path):
+    """A blade of one airfoil, its chord, layers and webs."""
+
+    def made(airfoil: dict, layers: list, webs: list, chord: float = 2.0, **changed) -> mbd.WindIOBlade:
+        shape = {
+            "airfoil_position": {"grid": FLAT, "labels": ["root", "tip"]},
+            "chord": along(chord, chord),
+            "twist": along(0.2, 0.0),
+            "pitch_axis": along(0.5, 0.5),
+            "reference_axis": {axis: along(0.0, 50.0 if axis == "z" else 0.0) for axis in "xyz"},
+        }
+        names = {"root": 0.31, "tip": 0.3}
+        data = {
+            "components": {
+                "blade": {
+                    "outer_shape_bem": shape,
+                    "internal_structure_2d_fem": {"layers": layers, "webs": webs},
+                }
+            },
+            "airfoils": [{"name": k, "coordinates": airfoil, "relative_thickness": t} for k, t in names.items()],
+            "materials": MATERIALS,
+        } | changed
+        path = tmp_path / "blade.yaml"
+        path.write_text(yaml.safe_dump(data))
+        return mbd.WindIOBlade(path)
+
+    return made
+
+
+def test_a_round_tube(blade):
+    """Stretch, bending, torsion and mass of a thick tube; two layers of one material are one."""
+    layers = [skin("outer", "steel", 0.02), skin("inner", "steel", 0.03)]
+    section = blade(circle(), layers, []).section(0.4, cells=80)
+    K, M = section.stiffness(), section.mass()
+    r, R = 0.95, 1.0
+    area, second = math.pi * (R**2 - r**2), math.pi / 4.0 * (R**4 - r**4)
+    wanted = {0: 2e11 * area, 3: 2e11 / 2.6 * 2.0 * second, 4: 2e11 * second, 5: 2e11 * second}
+    for k, x in wanted.items():
+        assert float(K[k, k]) == pytest.approx(x, rel=4e-3), k
+    assert float(M[0, 0]) == pytest.approx(7850.0 * area, rel=3e-3)
+    assert float(K[0, 4].abs() + K[0, 5].abs()) < 1e-3 * float(K[0, 0])
+
+
+def test_a_profile_with_caps_and_a_web(blade):
+    """Area of every layer, and the derivative of the torsional stiffness by the fibers' orientations."""
+    section = blade(wing(), FULL, WEBS).section(0.5)
+    geometry = section.geometry
+    area = [float(geometry.weight[geometry.layer == k].sum()) for k in range(len(FULL))]
+    points = blade(wing(), FULL, WEBS).contour(0.5) * 2.0
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    assert area[1] == pytest.approx(area[2], rel=1e-2)
+    assert area[1] == pytest.approx(0.02 * 0.1 * length, rel=4e-2)  # inside of the curved contour it is shorter
+    assert area[0] == pytest.approx(2e-3 * length, rel=2e-2)
+    assert 0.93 < area[3] / (4e-3 * 0.3) < 1.0  # walls are cut where the trailing edge is thinner than both
+    height = float(np.interp(0.3, np.linspace(0, 1, 3), [0.0, 0.3, 0.6])) * 2.0  # 30 % of the chord or less
+    assert 0.5 * height * 2e-3 < area[6] < height * 4e-3
+    J = section.stiffness()[3, 3]
+    (slope,) = torch.autograd.grad(J, section.angles)
+    with torch.no_grad():
+        section.angles[0] += 1e-5
+        up = section.stiffness()[3, 3]
+        section.angles[0] -= 2e-5
+        down = section.stiffness()[3, 3]
+    assert float(slope[0]) == pytest.approx(float(up - down) / 2e-5, rel=1e-5)
+    assert float(slope[0]) > 0.0
+
+
+def test_caps_carry_along_the_span(blade):
+    """E A is that of the layers, each by its area and its modulus along the span."""
+    section = blade(wing(), [own | {"fiber_orientation": along(0.0, 0.0)} for own in FULL], WEBS).section(0.5)
+    geometry, E = section.geometry, [1.1e11 if own["material"] == "carbon" else 1.3e8 for own in FULL]
+    area = [float(geometry.weight[geometry.layer == k].sum()) for k in range(len(FULL))]
+    assert float(section.stiffness()[0, 0]) == pytest.approx(sum(a * b for a, b in zip(E, area, strict=True)), rel=2e-3)
+    station = blade(wing(), FULL, WEBS).station(0.5)
+    assert station == {"chord": 2.0, "twist": 0.1, "pitch_axis": 0.5, "x": 0.0, "y": 0.0, "z": 25.0}
+
+
+@pytest.mark.parametrize(
+    ("layers", "webs", "words"),
+    [
+        (FULL[1:5], [], "no layer at"),
+        ([skin("outer", "glass", 2e-3)], [], "no windIO blade|material 'glass'|'glass'"),
+        ([skin("outer", "steel", 2e-3) | {"thickness": {"grid": FLAT, "values": ["a", 1]}}], [], "thickness of outer"),
+        ([layer("outer", "steel", 2e-3, start_nd_arc=along(0.0))], [], "outer"),
+        ([*FULL[:6], *FULL[6:]], [*WEBS, WEBS[0] | {"name": "other"}], None),
+    ],
+)
+def test_what_is_refused(blade, layers, webs, words):
+    made = blade(wing(), layers, webs)
+    if words is None:
+        assert made.section(0.5).mesh.layers > 0
+        return
+    with pytest.raises(InputError, match=words):
+        made.section(0.5)
+
+
+def test_files_that_are_no_blade(tmp_path, blade):
+    for text in ("", "[1, 2", "a: {b: c}", "components: {blade: 3}", "&a [*a]", "\x00"):
+        path = tmp_path / "x.yaml"
+        path.write_text(text)
+        with pytest.raises(InputError, match=r"x\.yaml is no windIO blade"):
+            mbd.WindIOBlade(path)
+    with pytest.raises(InputError, match="allowed: a windIO file"):
+        mbd.WindIOBlade(tmp_path / "none.yaml")
+    with pytest.raises(InputError, match="position = 2"):
+        blade(circle(), [skin("outer", "steel", 0.02)], []).section(2.0)

@@ -1,0 +1,184 @@
+"""A blade as windIO describes it: airfoils, chord and twist along the span, webs, layers and the orientation of their fibers.
+
+Numbers are given along the span, linear between; positions s along a contour run from the trailing edge over the suction side
+and the leading edge to the trailing edge, as parts of its length. Contours are linear in the relative thickness between the
+airfoils beside, and this is monotone cubic along the span.
+Source: windIO 1.x (IEA Wind Task 37). Checked in tests/io/test_windio.py, experiments/iea_blade.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+
+from torchmbd.errors import InputError
+from torchmbd.fem.sections.orthotropic import Orthotropic
+from torchmbd.fem.sections.section import Section
+from torchmbd.io.windio.profile import Layer, Profile, Web, profile_section
+
+LARGEST = 20_000_000  # bytes of a file
+THIN = 2e-5  # m: layers below are left out
+_POINTS = 200  # of a contour
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Given:
+    """Numbers along the span."""
+
+    grid: Array
+    values: Array
+
+    def __call__(self, at: float, outside: float | None = None) -> float:
+        return float(np.interp(at, self.grid, self.values, left=outside, right=outside))
+
+
+class WindIOBlade:
+    """The blade of a windIO file (.yaml); `section(position)` makes a section, `station(position)` says where it lies.
+
+    >>> blade = mbd.WindIOBlade("IEA-15-240-RWT.yaml")  # doctest: +SKIP
+    >>> blade.section(0.5).stiffness()[0, 0]  # E A in the middle  # doctest: +SKIP
+    """
+
+    def __init__(self, file: str | Path) -> None:
+        path = Path(file)
+        if not path.is_file() or path.stat().st_size > LARGEST:
+            raise InputError(f"file is {str(file)!r}; allowed: a windIO file of at most {LARGEST} bytes")
+        try:
+            data = yaml.load(path.read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+            blade = data["components"]["blade"]
+            self._inner, shape = blade["internal_structure_2d_fem"], blade["outer_shape_bem"]
+            self._shape = {name: _given(name, shape[name]) for name in ("chord", "twist", "pitch_axis")}
+            axis = shape["reference_axis"]
+            self._axis = [_given(f"reference_axis {name}", axis[name]) for name in "xyz"]
+            self._materials = {own["name"]: own for own in data["materials"]}
+            self._airfoils(shape["airfoil_position"], {own["name"]: own for own in data["airfoils"]})
+            self._layers = {own["name"]: own for own in self._inner["layers"]}
+            self._webs = {own["name"]: own for own in self._inner.get("webs", [])}
+        except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError, RecursionError) as error:
+            raise InputError(
+                f"{path.name} is no windIO blade: {error!r}; allowed: components, airfoils, materials"
+            ) from None
+
+    def _airfoils(self, given: Mapping[str, Any], airfoils: Mapping[str, Any]) -> None:
+        found: dict[float, Array] = {}
+        for name in given["labels"]:
+            own = airfoils[name]
+            x, y = (np.array(own["coordinates"][axis], dtype=float) for axis in "xy")
+            found[float(own["relative_thickness"])] = _resampled(np.stack([x, y], 1))
+        rising = sorted(found)
+        self._profiles = np.array(rising), np.stack([found[t] for t in rising])
+        along = [float(airfoils[name]["relative_thickness"]) for name in given["labels"]]
+        self._relative = PchipInterpolator(np.array(given["grid"], dtype=float), along)
+
+    def contour(self, position: float) -> Array:
+        """Points [n, 2] of the contour over the chord: x from the leading edge, y to the suction side."""
+        t, shapes = self._profiles
+        wanted = float(np.clip(self._relative(position), t[0], t[-1]))
+        k = int(np.clip(np.searchsorted(t, wanted), 1, len(t) - 1))
+        share = (wanted - t[k - 1]) / (t[k] - t[k - 1])
+        return shapes[k - 1] + share * (shapes[k] - shapes[k - 1])
+
+    def station(self, position: float) -> dict[str, float]:
+        """Chord [m], twist [rad], share of the chord at the reference axis, and its place x, y, z [m]."""
+        found = {name: own(position) for name, own in self._shape.items()}
+        return found | {name: own(position) for name, own in zip("xyz", self._axis, strict=True)}
+
+    def section(self, position: float, cells: int = 60, order: int = 2) -> Section:
+        """The section at a part of the span: y to the suction side, z to the trailing edge, from the reference axis.
+
+        Its angles are those of the layers in the order of the file, those of webs from the leading edge to the trailing one;
+        layers that are not there have no elements. x points to the tip.
+        cells    along the contour, more at the ends of layers; order: 1 or 2, of the elements
+        """
+        if not 0.0 <= position <= 1.0:
+            raise InputError(f"position = {position!r}; allowed: 0 to 1, a part of the span")
+        chord, axis = self._shape["chord"](position), self._shape["pitch_axis"](position)
+        x, y = self.contour(position).T
+        places = chord * np.stack([y, x - axis], 1)
+        length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
+        layers, webs = [], {name: [] for name in self._webs}
+        for number, (name, own) in enumerate(self._layers.items()):
+            thickness = _given(f"thickness of {name}", own["thickness"])(position, 0.0)
+            if thickness < THIN:
+                continue
+            if "web" in own:
+                webs[own["web"]].append((number, thickness))
+            else:
+                start, end = (self._end(name, side, position, length) for side in ("start", "end"))
+                layers.append(Layer(number, thickness, start, end))
+        made = []
+        for name, stack in webs.items():
+            if stack:
+                own = self._webs[name]
+                places_of = [_given(f"{side} of {name}", own[f"{side}_nd_arc"])(position) for side in ("start", "end")]
+                made.append(Web(tuple(stack), *places_of))
+        plies = [self._solid(own["material"]) for own in self._layers.values()]
+        angles = [
+            _given(f"fiber_orientation of {name}", own["fiber_orientation"])(position)
+            for name, own in self._layers.items()
+        ]
+        mesh = profile_section(Profile(places), layers, made, cells, order)
+        return Section(mesh, plies, angles)
+
+    def _end(self, name: str, side: str, position: float, length: float, depth: int = 0) -> float:
+        """Where a layer starts or ends along the contour; `fixed` names an edge, or the layer beside."""
+        own, other = self._layers[name], "end" if side == "start" else "start"
+        given = own.get(f"{side}_nd_arc")
+        if given is not None:
+            fixed = given.get("fixed")
+            if fixed == "TE":
+                return 0.0 if side == "start" else 1.0
+            if fixed in self._layers and depth < len(self._layers):
+                return self._end(fixed, other, position, length, depth + 1)
+            return _given(f"{side}_nd_arc of {name}", given)(position)
+        if "width" not in own or depth > len(self._layers):
+            raise InputError(f"layer {name!r} has no {side}_nd_arc and no width; allowed: one of both")
+        width = _given(f"width of {name}", own["width"])(position, 0.0) / length
+        beside = self._end(name, other, position, length, len(self._layers) + 1)
+        return beside + width if side == "end" else beside - width
+
+    def _solid(self, name: str) -> Orthotropic:
+        try:
+            own = self._materials[name]
+            if not own.get("orth"):
+                return Orthotropic.isotropic(float(own["E"]), float(own["nu"]), float(own["rho"]))
+            return Orthotropic(*map(float, (*own["E"], *own["G"], *own["nu"])), density=float(own["rho"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"material {name!r}: {error!r}; allowed: E, G, nu, rho") from None
+
+
+def _given(name: str, own: Mapping[str, Any]) -> _Given:
+    """Numbers along the span, checked."""
+    try:
+        grid, values = (np.array(own[key], dtype=float) for key in ("grid", "values"))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{name}: {error!r}; allowed: grid and values, numbers") from None
+    if grid.ndim != 1 or grid.shape != values.shape or len(grid) < 1 or not (np.diff(grid) >= 0.0).all():
+        raise InputError(f"{name} has grid {grid.tolist()[:5]} and {values.size} values; allowed: as many, rising")
+    if not (np.isfinite(grid).all() and np.isfinite(values).all()):
+        raise InputError(f"{name} has numbers that are not finite; allowed: finite ones")
+    return _Given(grid, values)
+
+
+def _resampled(points: Array) -> Array:
+    """A contour on as many points from the trailing edge over the suction side, the same share of x on each side."""
+    nose = int(points[:, 0].argmin())
+    halves = [points[: nose + 1], points[nose:][::-1]]
+    if halves[0][:, 1].mean() < halves[1][:, 1].mean():
+        halves = halves[::-1]
+    x = 0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, _POINTS // 2))
+    sides = []
+    for half in halves:
+        own = half[np.argsort(half[:, 0], kind="stable")]
+        keep = np.concatenate([[True], np.diff(own[:, 0]) > 1e-9])
+        sides.append(PchipInterpolator(own[keep, 0], own[keep, 1])(np.clip(x, own[keep, 0][0], own[keep, 0][-1])))
+    suction, pressure = sides
+    return np.concatenate([np.stack([x, suction], 1)[::-1], np.stack([x, pressure], 1)[1:]])
