@@ -3,7 +3,8 @@
     parameters --structure stage--> data --Motion--> q, lam at rest at one or several times --torch--> responses
 
 At each time drives and loads are held where their laws put them, and the mechanism is where all forces balance, found from
-where it rested at the time before: quasi-static steps. Rates and accelerations are zero.
+where it rested at the time before: quasi-static steps. Rates and accelerations are zero, or those of a steady rotation of
+the whole.
 Checked in tests/integrate/test_statics.py, tests/sensitivity/test_rest.py.
 """
 
@@ -24,11 +25,12 @@ from torchmbd.integrate.pullback import leaf
 from torchmbd.integrate.simulate import labels_of, presented, same_lanes, variables_of
 from torchmbd.math.module_call import exclusive
 from torchmbd.math.owned import reals
-from torchmbd.math.pair import Pair
+from torchmbd.math.pair import Pair, value
 from torchmbd.multibody.system import Dynamics, System
 from torchmbd.multibody.system.equilibrium import Balance, reactions, rest, search
 from torchmbd.multibody.system.expansion import Expansion
 from torchmbd.multibody.system.linearized import AtRest, Vibrations
+from torchmbd.multibody.system.steady_rotation import SteadyRotation
 from torchmbd.multibody.system.truncation import look
 from torchmbd.results.history import History
 from torchmbd.results.motion_data import OK
@@ -45,6 +47,8 @@ class Equilibrium(Trajectory):
     >>> rest.q.shape, rest.reaction("hinge").force[0, 0].norm().item() > 0.0  # lanes, times, coordinates
     (torch.Size([1, 1, 7]), True)
     """
+
+    rotation: SteadyRotation | None = None
 
     @cached_property
     def vibrations(self) -> list[Vibrations]:
@@ -65,7 +69,9 @@ class Equilibrium(Trajectory):
     def _at_rest(self, lane: int, time: int) -> Vibrations:
         with torch.no_grad():
             dynamics = self.dynamics.values().some([lane])
-            return Vibrations.of(AtRest.of(dynamics, self.q[lane, time].detach(), self.t[time].detach()))
+            return Vibrations.of(
+                AtRest.of(dynamics, self.q[lane, time].detach(), self.t[time].detach(), None, self.rotation)
+            )
 
 
 @dataclass(eq=False)
@@ -79,6 +85,7 @@ class StaticIntegration:
     names: tuple[str, ...]
     times: Tensor
     follow: bool
+    rotation: SteadyRotation | None = None
     dynamics: Dynamics = field(init=False)
     history: History = field(init=False)
     status: list[str] = field(init=False)
@@ -97,26 +104,24 @@ class StaticIntegration:
         self.dynamics = replace(self.model, data=dict(zip(self.names, inputs, strict=True)))
         q, _ = self.dynamics.initial.solve(self.dynamics)
         for t in self.times:
-            self._found.append(search(self.dynamics, q, t, self.follow))
+            self._found.append(search(self.dynamics, q, t, self.follow, self.rotation))
             self._refuse(t, self._found[-1])
-            q = rest(self.dynamics, self._found[-1], t)
+            q = rest(self.dynamics, self._found[-1], t, self.rotation)
         self.status = [OK] * self.dynamics.lanes
-        q, lam = self._numbers(self.dynamics)
-        v = q.new_zeros(len(q), self.dynamics.topology.n_v, 1, q.shape[-1])
-        self.history = History(q, v, v, lam, times=self.times)
+        q, v, a, lam = self._numbers(self.dynamics)
+        self.history = History(q, v, a, lam, times=self.times)
         self.dynamics.judged()
         self.validity = torch.tensor([[float(len(q))], [1.0]], dtype=torch.float64).expand(2, q.shape[-1])[:, None]
-        return q, v, v.clone(), lam, self.validity.clone()
+        return q, v, a, lam, self.validity.clone()
 
     def tangents(self, directions: Tensors) -> list[Tensor]:
         """As of `Integration`."""
         data = self.dynamics.data
         moving = {n: Pair.of(data[n], dx) for n, dx in zip(self.names, directions, strict=True) if dx is not None}
         count = max(dx.shape[-2] for dx in directions if dx is not None)
-        q, lam = self._numbers(replace(self.dynamics, data=data | moving))
-        dq, dlam = (x[:, :, 1:] if x.shape[2] > 1 else x.new_zeros(*x.shape[:2], count, x.shape[3]) for x in (q, lam))
-        still = dq.new_zeros(len(q), self.dynamics.topology.n_v, count, q.shape[-1])
-        return [dq, still, still.clone(), dlam, self.validity.new_zeros(2, count, len(self.status))]
+        found = self._numbers(replace(self.dynamics, data=data | moving))
+        by = [x[:, :, 1:] if x.shape[2] > 1 else x.new_zeros(*x.shape[:2], count, x.shape[3]) for x in found]
+        return [*by, self.validity.new_zeros(2, count, len(self.status))]
 
     def cotangents(self, outputs: Tensors, wanted: Sequence[bool]) -> list[Tensor | None]:
         """As of `Integration`."""
@@ -127,12 +132,12 @@ class StaticIntegration:
             if one
         }
         with torch.enable_grad():
-            q, lam = self._numbers(replace(self.dynamics, data=self.dynamics.data | leaves))
-        pulled = [(y, bar) for y, bar in ((q, outputs[0]), (lam, outputs[3])) if bar is not None and y.requires_grad]
+            found = self._numbers(replace(self.dynamics, data=self.dynamics.data | leaves))
+        pulled = [(y, bar) for y, bar in zip(found, outputs, strict=False) if bar is not None and y.requires_grad]
         if not pulled:
             return [None] * len(self.names)
         rows = max(bar.shape[-2] for _, bar in pulled)
-        found: dict[str, list[Tensor]] = {name: [] for name in leaves}
+        slopes: dict[str, list[Tensor]] = {name: [] for name in leaves}
         for row in range(rows):
             by = torch.autograd.grad(
                 [y for y, _ in pulled],
@@ -143,8 +148,8 @@ class StaticIntegration:
                 materialize_grads=True,
             )
             for name, x in zip(leaves, by, strict=True):
-                found[name].append(x)
-        return [torch.cat(found[name], -2) if name in found else None for name in self.names]
+                slopes[name].append(x)
+        return [torch.cat(slopes[name], -2) if name in slopes else None for name in self.names]
 
     def expansion(self, data: dict[str, Any]) -> Expansion | None:
         """As of ReverseIntegration."""
@@ -154,15 +159,16 @@ class StaticIntegration:
         """As of ReverseIntegration."""
         return history.settled(self.dynamics.least_norm, self.duration, data)
 
-    def _numbers(self, dynamics: Dynamics) -> tuple[Tensor, Tensor]:
-        """q and lam [times, n, 1 + n_b, lanes] as functions of the data."""
-        rows: list[tuple[Tensor, Tensor]] = []
+    def _numbers(self, dynamics: Dynamics) -> list[Tensor]:
+        """q, v, v' and lam [times, n, 1 + n_b, lanes] as functions of the data."""
+        rows: list[list[Tensor]] = []
         for t, found in zip(self.times, self._found, strict=True):
-            q = rest(dynamics, found, t)
-            lam = reactions(dynamics, q, t)
-            rows.append((q.full if isinstance(q, Pair) else q, lam.full if isinstance(lam, Pair) else lam))
-        q, lam = (torch.stack(x) for x in zip(*rows, strict=True))
-        return q, lam
+            q = rest(dynamics, found, t, self.rotation)
+            lam = reactions(dynamics, q, t, self.rotation)
+            still = value(q).detach().new_zeros(dynamics.topology.n_v, 1, value(q).shape[-1])
+            v, a = (still, still.clone()) if self.rotation is None else self.rotation.rates(dynamics.topology, q)
+            rows.append([x.full if isinstance(x, Pair) else x for x in (q, v, a, lam)])
+        return [torch.stack(x) for x in zip(*rows, strict=True)]
 
     def _refuse(self, t: Tensor, found: list[Balance]) -> None:
         for lane, one in enumerate(found):
@@ -179,6 +185,8 @@ def equilibrium(
     variables: Sequence[str] | None = None,
     start: Any = "assembled",
     follow: bool = False,
+    spin: Sequence[float] | Tensor | None = None,
+    center: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
 ) -> Equilibrium:
     """Static equilibrium near the start: a motion at rest, with bodies, reactions, stresses, frequencies.
 
@@ -191,6 +199,8 @@ def equilibrium(
     start       where the search begins: "assembled", a motion, or numbers for bodies, as of `simulate`
     follow      the search of each lane starts at the equilibrium of the lane before: a path of loads or other values,
                 designs={"push.z": torch.linspace(0.0, -100.0, 11)}
+    spin, center   angular velocity [rad/s] with which the whole rotates about an axis through a point [m] of the ground: rest
+                is steady rotation, with rates and accelerations, and frequencies are those that a turning observer sees
 
     Raises InputError with the forces that remain if there is none; with flexible beams, whose loads grow in steps, with the
     part of the loads at which the mechanism buckles or reaches a limit point. Otherwise a free or unstable
@@ -203,6 +213,7 @@ def equilibrium(
     if not isinstance(system, System):
         raise InputError(f"equilibrium of {system!r}; allowed: a System")
     t = _times(times)
+    rotation = SteadyRotation.of(spin, center)
     begins = start_of(system, start)
     if begins.rests:
         raise InputError("start is 'equilibrium', which is looked for; allowed: 'assembled', a motion or numbers")
@@ -216,7 +227,7 @@ def equilibrium(
         batch = same_lanes(batch, begins.lanes)
         dynamics, shapes = system.stages(batch)
         data = dynamics.data
-        integration = StaticIntegration(replace(dynamics, data={}), tuple(data), t, bool(follow))
+        integration = StaticIntegration(replace(dynamics, data={}), tuple(data), t, bool(follow), rotation)
         outputs: Any = Motion.apply(integration, *data.values())
         if not torch.is_grad_enabled():
             shapes = {}
@@ -224,7 +235,7 @@ def equilibrium(
         motion.stats["gradients"] = "reverse" if names else GRADIENTS[-1]
         motion.stats["backend"] = "eager"
     found: dict[str, Any] = {f.name: getattr(motion, f.name) for f in fields(motion) if f.init}
-    found["t"] = t
+    found |= {"t": t, "rotation": rotation}
     return Equilibrium(**found)
 
 

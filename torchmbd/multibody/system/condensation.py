@@ -17,7 +17,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-import scipy.linalg
 import torch
 from torch import Tensor
 
@@ -198,9 +197,11 @@ def _null(J: Tensor) -> Tensor:
     N = Vh[int((s > _HELD * s[0]).sum()) :].T
     if not N.shape[1]:
         return N
-    factors: Any = scipy.linalg.qr(N.T.numpy(), mode="economic", pivoting=True)
-    _, _, order = factors
-    pivots = order[: N.shape[1]].tolist()
+    pivots, left = [], N  # rows by QR with pivoting, without NumPy: a transform of torch.func may be under way
+    for _ in range(N.shape[1]):
+        pivots.append(int(left.norm(dim=1).argmax()))
+        row = left[pivots[-1]] / left[pivots[-1]].norm()
+        left = left - (left @ row)[:, None] * row
     N = N @ torch.linalg.inv(N[pivots])
     N[pivots] = torch.eye(len(pivots), dtype=N.dtype)
     return torch.where(N.abs() < 1e-12, 0.0, N)

@@ -12,7 +12,8 @@ Derivatives by the design are those of one more step with the exact matrix, the 
 
     dq/db = -(J^+ Phi_b + N (N' K N)^-1 N' (f_b + Phi_q,b' lam - K J^+ Phi_b))
 
-Drives are held where they are at the time: their rates count for nothing.
+Drives are held where they are at the time: their rates count for nothing. Where the whole rotates steadily (steady_rotation.py)
+its inertia forces are loads, drives run, and what is found must balance after a turn by one radian as well.
 Checked in tests/multibody/system/test_equilibrium.py, tests/sensitivity/test_rest.py.
 """
 
@@ -29,10 +30,16 @@ from torchmbd.math.pair import cat, linear, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import AtRest, Vibrations
 from torchmbd.multibody.system.load_steps import LoadSteps
+from torchmbd.multibody.system.steady_rotation import SteadyRotation
 
 _STEPS, _LARGEST = 200, 0.3  # Newton steps; largest increment of a coordinate [m], [rad]
 _FORCE, _CLOSED = 1e-10, 1e-11  # forces that remain, of the largest on the way; violation of a joint
 _ROUNDING = 1e-14  # of stiffness times coordinates
+_SAME = 1e-6  # of forces, and of joints, after a turn of a steady rotation
+_UNSTEADY = (
+    "no steady rotation: joints or forces are others after a turn by 1 rad; allowed: gravity along the axis, and joints and "
+    "drives to the ground that turn with the spin about its axis"
+)
 _NO_STIFFNESS = 1e-13  # of the largest eigenvalue of N' K N: rounding
 
 
@@ -53,25 +60,28 @@ class Balance:
     doubt: str
 
 
-def search(dynamics: Any, q: Any, t: Tensor, follow: bool = False) -> list[Balance]:
+def search(
+    dynamics: Any, q: Any, t: Tensor, follow: bool = False, rotation: SteadyRotation | None = None
+) -> list[Balance]:
     """Where the lanes of a whole system rest at time t, near q [n_q, 1, lanes]; follow: each near where the one before does."""
     start, found = value(q).detach(), []
     with torch.no_grad():
         values = dynamics.values()
         for lane in range(dynamics.lanes):
             near = found[-1].q if follow and found else start[:, 0, min(lane, start.shape[-1] - 1)]
-            found.append(_balanced(values.some([lane]), near, t))
+            found.append(_balanced(values.some([lane]), near, t, rotation))
     return found
 
 
-def rest(dynamics: Any, found: list[Balance], t: Tensor) -> Any:
+def rest(dynamics: Any, found: list[Balance], t: Tensor, rotation: SteadyRotation | None = None) -> Any:
     """Coordinates of rest [n_q, 1, lanes], with derivatives where the data have any and where there is an equilibrium."""
     T, data = dynamics.topology, dynamics.data
     at, lam = (torch.stack([getattr(x, name) for x in found], -1)[:, None] for name in ("q", "lam"))
     answer = torch.stack([x.answer for x in found])
     place = equations.placement(T, data, at, T.prescribed(t, data))
     still = at.new_zeros(T.n_v, 1, at.shape[-1])
-    left = equations.dynamic_residual(T, data, place, still, still, lam)
+    rates = (still, still) if rotation is None else rotation.rates(T, at)
+    left = equations.dynamic_residual(T, data, place, *rates, lam)
     if T.rows:
         left = cat([left, equations.constraints(T, place)])
 
@@ -81,14 +91,18 @@ def rest(dynamics: Any, found: list[Balance], t: Tensor) -> Any:
     return equations.advance(T, at, linear(step, left))
 
 
-def reactions(dynamics: Any, q: Any, t: Tensor) -> Any:
+def reactions(dynamics: Any, q: Any, t: Tensor, rotation: SteadyRotation | None = None) -> Any:
     """Multipliers [rows, ...] at rest at q [n_q, ...] at time t, drives held; with derivatives as q and the data have."""
     T = dynamics.topology
     still = value(q).new_zeros(T.n_v, 1, value(q).shape[-1])
 
     def residual(data: equations.Data, at: equations.Placement, q: Any, x: Tensor) -> Any:
-        drives = [drive and tuple(_held(jet) for jet in drive) for drive in T.law_jets(t, data)]
-        return equations.stabilized_residual(T, data, at, still, x[: T.n_v], x[T.n_v :], drives, 0.0)
+        drives, v = T.law_jets(t, data), still
+        if rotation is None:
+            drives = [drive and tuple(_held(jet) for jet in drive) for drive in drives]
+        else:
+            v, _ = rotation.rates(T, q)
+        return equations.stabilized_residual(T, data, at, v, x[: T.n_v], x[T.n_v :], drives, 0.0)
 
     return dynamics.carried(dynamics.solved(residual, t, q)[T.n_v :])
 
@@ -105,10 +119,10 @@ def vibrations(dynamics: Any) -> Vibrations:
         return Vibrations.of(AtRest.of(dynamics.values(), q[:, 0, 0], q.new_zeros(())))
 
 
-def _balanced(dynamics: Any, start: Tensor, t: Tensor) -> Balance:
+def _balanced(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | None = None) -> Balance:
     """Of one lane."""
     T, q = dynamics.topology, start
-    steps = LoadSteps(dynamics, start, t) if T.beams is not None else None
+    steps = LoadSteps(dynamics, start, t, rotation) if T.beams is not None else None
     if steps is not None and steps.stable:
         path = steps.run()
         if path.missing:
@@ -116,15 +130,17 @@ def _balanced(dynamics: Any, start: Tensor, t: Tensor) -> Balance:
                 T, start, f"no static equilibrium: {path.missing}; allowed: smaller loads, or a start near another"
             )
         q = path.q
-    rest, largest = AtRest.of(dynamics, q, t), 0.0
+    rest, largest = AtRest.of(dynamics, q, t, rotation=rotation), 0.0
     for _ in range(_STEPS):
         largest = max(largest, float(rest.forces.abs().max()))
         if _settled(rest, _FORCE * largest + _ROUNDING * _elastic(T, rest, q)):
+            if rotation is not None and not _steady(dynamics, q, t, rotation, largest):
+                return _none(T, start, _UNSTEADY)
             return Balance(q, rest.lam, _answer(rest), "", _doubt(T, rest))
         if not bool(torch.isfinite(rest.forces).all()):
             break
         q = equations.advance(T, q[:, None, None], _step(rest)[:, None, None])[:, 0, 0]
-        rest = AtRest.of(dynamics, q, t)
+        rest = AtRest.of(dynamics, q, t, rotation=rotation)
     left = rest.remaining.abs().nan_to_num(torch.inf)
     worst = int(rest.own[int(left.argmax())])
     missing = (
@@ -134,14 +150,21 @@ def _balanced(dynamics: Any, start: Tensor, t: Tensor) -> Balance:
     return _none(T, start, missing)
 
 
+def _steady(dynamics: Any, q: Tensor, t: Tensor, rotation: SteadyRotation, largest: float) -> bool:
+    """Whether joints and forces are the same after a turn by one radian."""
+    turned = rotation.turned(dynamics.topology, q[:, None, None])[:, 0, 0]
+    rest = AtRest.of(dynamics, turned, t + rotation.period, rotation=rotation)
+    return _settled(rest, _SAME * largest, _SAME)
+
+
 def _none(T: Any, start: Tensor, missing: str) -> Balance:
     nothing = start.new_zeros(T.n_v, T.n_v + T.rows)
     return Balance(start, start.new_zeros(T.rows), nothing, missing, "")
 
 
-def _settled(rest: AtRest, small: float) -> bool:
+def _settled(rest: AtRest, small: float, gap: float = _CLOSED) -> bool:
     """Whether joints are closed and what remains is a small force."""
-    closed = not rest.phi.numel() or float(rest.phi.abs().max()) < _CLOSED
+    closed = not rest.phi.numel() or float(rest.phi.abs().max()) < gap
     return closed and _largest(rest) <= small
 
 

@@ -5,6 +5,7 @@
 
 M from the saddle-point matrix; K and C are tangents of the residual of the equations of motion at rest, its multipliers
 held, so that weight, pretension and whatever forces there are count. lam: least squares of the forces at rest.
+Of a steady rotation (steady_rotation.py) x is what a turning observer sees: K has the centrifugal forces, C those of Coriolis.
 Checked in tests/multibody/system/test_equilibrium.py: pendulums in closed form, a swinging beam.
 """
 
@@ -20,6 +21,7 @@ from torch import Tensor
 from torchmbd.math.pair import Pair, cat, matvec_t, value
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.rank import RELATIVE
+from torchmbd.multibody.system.steady_rotation import SteadyRotation
 from torchmbd.multibody.system.topology import Topology
 
 _ZERO = 1e-10  # of the largest eigenvalue: a freedom without stiffness
@@ -32,6 +34,7 @@ class AtRest:
     forces [n_v] without constraints   phi [rows]   K, C [n_v, n_v] with the multipliers   Phi_q [rows, n_v]   lam [rows]
     own    rows of v that belong to bodies and to modes that they have
     N      null space of Phi_q among these [own, freedoms]
+    turns  whether the state rotates steadily
     """
 
     forces: Tensor
@@ -43,9 +46,17 @@ class AtRest:
     lam: Tensor
     own: Tensor
     N: Tensor
+    turns: bool = False
 
     @classmethod
-    def of(cls, dynamics: Any, q: Tensor, t: Tensor, less: tuple[Tensor, Tensor] | None = None) -> AtRest:
+    def of(
+        cls,
+        dynamics: Any,
+        q: Tensor,
+        t: Tensor,
+        less: tuple[Tensor, Tensor] | None = None,
+        rotation: SteadyRotation | None = None,
+    ) -> AtRest:
         """Linearize `dynamics` of one design at q.
 
         less   forces and torques, both in ground axes [n_v], and violations [rows] that are taken away
@@ -55,9 +66,13 @@ class AtRest:
         given = T.prescribed(t, data).values()
         still, none = q.new_zeros(T.n_v, 1, 1), q.new_zeros(T.rows, 1, 1)
         unit = Pair.of(still, torch.eye(T.n_v, dtype=q.dtype)[..., None])
-        at = equations.placement(T, data, q[:, None, None], given)
-        moved = equations.placement(T, data, equations.advance(T, q[:, None, None], unit), given)
-        forces = equations.dynamic_residual(T, data, at, still, still, none)[:, 0, 0]
+        wide, near = q[:, None, None], equations.advance(T, q[:, None, None], unit)
+        at, moved = (equations.placement(T, data, x, given) for x in (wide, near))
+        rates, by_place, by_rate = (still, still), (still, still), (unit, still)
+        if rotation is not None:
+            rates, by_place = rotation.rates(T, wide), rotation.rates(T, near)
+            by_rate = rates[0] + unit, rates[1] + rotation.accelerations(T, wide, unit)
+        forces = equations.dynamic_residual(T, data, at, *rates, none)[:, 0, 0]
         away = None if less is None else _in_body_axes(T, moved, less[0])
         forces = forces if away is None else forces - away.value[:, 0, 0]
         phi, Phi_q = q.new_zeros(0), q.new_zeros(0, T.n_v)
@@ -67,11 +82,11 @@ class AtRest:
             phi = phi if less is None else phi - less[1]
         own = own_rows(T)
         lam = -torch.linalg.pinv(Phi_q[:, own].T, rtol=RELATIVE) @ forces[own]
-        K = equations.dynamic_residual(T, data, moved, still, still, lam[:, None, None]).tangent[..., 0]
+        K = equations.dynamic_residual(T, data, moved, *by_place, lam[:, None, None]).tangent[..., 0]
         K = K if away is None else K - away.tangent[..., 0]
-        C = _tangent(equations.dynamic_residual(T, data, at, unit, still, lam[:, None, None]), T)
+        C = _tangent(equations.dynamic_residual(T, data, at, *by_rate, lam[:, None, None]), T)
         M = dynamics.saddle.matrix(data, at)[0, : T.n_v, : T.n_v]
-        return cls(forces, phi, K, C, M, Phi_q, lam, own, null_space(Phi_q[:, own]))
+        return cls(forces, phi, K, C, M, Phi_q, lam, own, null_space(Phi_q[:, own]), rotation is not None)
 
     @property
     def remaining(self) -> Tensor:
@@ -86,7 +101,9 @@ class AtRest:
 @dataclass(frozen=True)
 class Vibrations:
     """Of one design: frequencies [freedoms] [Hz], ascending, zero for a freedom without stiffness, nan for an unstable one;
-    poles [2 freedoms] [1/s] with the damping; shapes [n_v, freedoms], increments of the coordinates of unit modal mass."""
+    poles [2 freedoms] [1/s] with the damping; shapes [n_v, freedoms], increments of the coordinates of unit modal mass.
+
+    Of a steady rotation the frequencies are those of the poles, with Coriolis's forces; shapes are without them."""
 
     frequencies: Tensor
     poles: Tensor
@@ -111,7 +128,17 @@ class Vibrations:
         )
         shapes = torch.zeros(len(rest.forces), n, dtype=K.dtype)
         shapes[rest.own] = rest.N @ (inverse.T @ Y)
-        return cls(squares.sqrt() / (2.0 * math.pi), torch.linalg.eigvals(A), shapes)
+        poles = torch.linalg.eigvals(A)
+        w = _of_poles(poles, bool((squares < 0.0).any())) if rest.turns else squares.sqrt()
+        return cls(w / (2.0 * math.pi), poles, shapes)
+
+
+def _of_poles(poles: Tensor, unstable: bool) -> Tensor:
+    """Angular frequencies, one of each pair of poles, the lowest nan where the stiffness is negative somewhere [n]."""
+    found = poles.imag.abs().sort().values[::2]
+    if unstable and len(found):
+        found = torch.cat([found.new_full((1,), torch.nan), found[1:]])
+    return found
 
 
 def _in_body_axes(T: Topology, at: Any, forces: Tensor) -> Any:

@@ -21,6 +21,7 @@ from torchmbd.math.pair import matvec, matvec_t
 from torchmbd.math.rotation import rotation_matrix
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import AtRest
+from torchmbd.multibody.system.steady_rotation import SteadyRotation
 
 _ROUNDING = 1e-12  # of the largest eigenvalue: a freedom without stiffness
 _SYMMETRIC = 1e-7  # of the diagonal
@@ -44,11 +45,14 @@ class _Point:
 
 
 class LoadSteps:
-    """Of one design `dynamics` near start [n_q] at time t. `stable`: whether the start bears small loads."""
+    """Of one design `dynamics` near start [n_q] at time t. `stable`: whether the start bears small loads.
 
-    def __init__(self, dynamics: Any, start: Tensor, t: Tensor):
-        self.dynamics, self.t = dynamics, t
-        whole = AtRest.of(dynamics, start, t)
+    rotation   of the whole, whose centrifugal forces are loads like others
+    """
+
+    def __init__(self, dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | None = None):
+        self.dynamics, self.t, self.rotation = dynamics, t, rotation
+        whole = AtRest.of(dynamics, start, t, rotation=rotation)
         self.forces, self.phi = whole.forces.clone(), whole.phi
         n = 3 * dynamics.topology.bodies
         self.rotations = turning = slice(n, 2 * n)
@@ -110,7 +114,8 @@ class LoadSteps:
         return None, _FAILED, total
 
     def _rest(self, q: Tensor, factor: float) -> AtRest:
-        return AtRest.of(self.dynamics, q, self.t, ((1.0 - factor) * self.forces, (1.0 - factor) * self.phi))
+        less = (1.0 - factor) * self.forces, (1.0 - factor) * self.phi
+        return AtRest.of(self.dynamics, q, self.t, less, self.rotation)
 
     def _rate(self, q: Tensor, rest: AtRest) -> Tensor:
         """Increment by the factor."""

@@ -1,0 +1,153 @@
+"""Steady rotation of systems: pendulums in closed form, blades as alone and as published, derivatives, refusals."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+import torchmbd as mbd
+from tests.fem.exact_beam.cases import given, matrix
+from tests.fem.exact_beam.test_vibrations import INCH, blade
+from torchmbd.multibody.system.linearized import AtRest
+from torchmbd.multibody.system.steady_rotation import SteadyRotation
+
+GROUND = mbd.Ground()
+SPEED = 5.0
+
+
+def hub(speed: float) -> tuple[mbd.RigidBody, list[mbd.joints.Joint]]:
+    body = mbd.RigidBody("hub", 1.0, (1e-3, 1e-3, 1e-3))
+    hinge = mbd.Revolute(GROUND.at(), body.at(), axis="z", name="hinge")
+    return body, [hinge, mbd.Drive(GROUND.at(), body.at(), axis="z", speed=speed, name="motor")]
+
+
+@pytest.mark.parametrize(("axis", "more"), [("z", 0.0), ("y", 1.0)])
+def test_hinged_blade(axis, more):
+    """Of mass m, its center s from a hinge at e: lagging and flapping, w^2 = speed^2 (more + m e s / I)."""
+    m, s, e, inertia = 2.0, 0.5, 0.2, 0.1
+    own, joints = hub(SPEED)
+    bar = mbd.RigidBody("bar", m, (1e-9, inertia, inertia), position=(e + s, 0.0, 0.0))
+    joints.append(mbd.Revolute(own.at(e, 0, 0), bar.at(-s, 0, 0), axis=axis, name="root"))
+    rest = mbd.equilibrium(mbd.System([own, bar], joints), spin=(0.0, 0.0, SPEED))
+    wanted = SPEED * math.sqrt(more + m * e * s / (inertia + m * s**2)) / (2.0 * math.pi)
+    assert rest.frequencies.tolist() == [[pytest.approx(wanted, rel=1e-8)]]
+    assert_close(rest.body("bar").at().velocity[0, 0], torch.tensor([0.0, SPEED * (e + s), 0.0], dtype=torch.float64))
+    pull = rest.reaction("root").force[0, 0].norm()
+    assert pull.item() == pytest.approx(m * SPEED**2 * (e + s), rel=1e-9)
+
+
+def test_mass_on_springs_seen_by_a_turning_observer():
+    """w + speed and w - speed in the plane, w along the axis."""
+    mass, w = mbd.RigidBody("mass", 2.0, (1.0, 1.0, 1.0)), 12.0
+    hold = mbd.Bushing(GROUND.at(), mass.at(), (2.0 * w**2,) * 3, name="hold")
+    spin = SteadyRotation.of((0.0, 0.0, SPEED), (0.0, 0.0, 0.0))
+    dynamics = mbd.System([mass], forces=[hold]).dynamics()
+    q, _ = dynamics.initial.solve(dynamics)
+    rest = AtRest.of(dynamics, q[:, 0, 0], torch.zeros((), dtype=torch.float64), rotation=spin)
+    own = [0, 1, 2]
+    M, C, K = (x[own][:, own] for x in (rest.M, rest.C, rest.K))
+    one, nothing = torch.eye(3, dtype=torch.float64), torch.zeros(3, 3, dtype=torch.float64)
+    A = torch.cat([torch.cat([nothing, one], 1), torch.cat([-torch.linalg.solve(M, x) for x in (K, C)], 1)])
+    assert torch.linalg.eigvals(A).imag.sort().values[3:].tolist() == pytest.approx([w - SPEED, w, w + SPEED])
+
+
+def rotor(beam: mbd.FlexibleBeam, speed: float, offset: float = 0.0, **options: Any) -> mbd.System:
+    """A blade on a hub that a motor turns."""
+    own, joints = hub(speed)
+    joints.append(mbd.Fixed(own.at(offset, 0, 0), beam.at("start"), name="root"))
+    return mbd.System([own, beam], joints, **options)
+
+
+@pytest.mark.parametrize(
+    ("sweep", "rpm", "wanted"),
+    [
+        (0.0, 500.0, [10.2, 25.2, 47.0]),
+        (0.0, 750.0, [14.8, 36.1, 62.9]),
+        (math.pi / 4.0, 750.0, [14.7, 26.1, 44.8]),
+    ],
+)
+def test_blades_of_epps_and_chandra(sweep, rpm, wanted):
+    """Measured (tests/fem/exact_beam/test_vibrations.py); masses at nodes otherwise than those of the beam alone."""
+    alone, center = blade(sweep)
+    speed, offset = rpm * math.pi / 30.0, 2.5 * INCH
+    beam = mbd.FlexibleBeam("blade", alone.mesh, alone.section, position=(offset, 0.0, 0.0))
+    found = mbd.equilibrium(rotor(beam, speed, offset), spin=(0.0, 0.0, speed)).frequencies[0, :6]
+    for frequency in wanted:
+        assert float(((found - frequency) / frequency).abs().min()) < 0.1, found.tolist()
+    assert_close(found[:5], alone.frequencies(5, spin=(0.0, 0.0, speed), center=center)[0], rtol=2.5e-2, atol=0.0)
+
+
+@pytest.mark.parametrize(("speed", "wanted"), [(4.0, [5.5850, 24.2734]), (12.0, [13.1702, 37.6031])])
+def test_flapping_of_a_rotating_cantilever(speed, wanted):
+    """A. D. Wright et al., J. Appl. Mech. 49 (1982), in sqrt(E I / (m L^4)); lagging: w^2 - speed^2. Second order."""
+    errors = []
+    for elements in (8, 16):
+        section = given(1e6, 1e6, 1e6, 1e3, 1.0, 1.0, mass=matrix(1.0, 1.0, 1.0, 2e-8, 1e-8, 1e-8))
+        beam = mbd.FlexibleBeam("rotor", mbd.BeamLine.straight(1.0, elements), section)
+        w = 2.0 * math.pi * mbd.equilibrium(rotor(beam, speed), spin=(0.0, 0.0, speed)).frequencies[0, :4]
+        lag = math.sqrt(wanted[0] ** 2 - speed**2)
+        errors.append([float((w / x - 1.0).abs().min()) for x in (*wanted, lag)])
+    assert max(errors[1]) < 7e-3
+    assert errors[0][0] / errors[1][0] == pytest.approx(4.0, rel=0.1)
+
+
+def bent(K: Tensor | None = None) -> tuple[mbd.System, float]:
+    """A soft blade with a bent tip, which gravity along the axis bends down."""
+    leg = torch.tensor([[0.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.8, 0.0, 0.0], [1.0, 0.2, 0.0]], dtype=torch.float64)
+    section = mbd.GivenSection(
+        torch.diag(torch.tensor([1e4, 1e4, 1e4, 3.0, 2.0, 4.0])).double() if K is None else K, MASS
+    )
+    section.matrix.requires_grad_(True)
+    return rotor(mbd.FlexibleBeam("blade", mbd.BeamLine(leg), section), SPEED, gravity=(0.0, 0.0, -9.81)), SPEED
+
+
+MASS = matrix(0.1, 0.1, 0.1, 2e-5, 1e-5, 1e-5)
+
+
+@pytest.mark.usefixtures("compiled")
+def test_a_motion_that_starts_there_stays():
+    system, speed = bent()
+    rest = mbd.equilibrium(system, spin=(0.0, 0.0, speed))
+    assert float(rest.body("blade").displacements[0, 0, -1, 2]) < -0.01
+    motion = mbd.simulate(system, 0.5, steps=200, start=rest, gradients="none")
+    assert motion.status == ["ok"]
+    tip = motion.body("blade").displacements[0, :, -1]
+    assert_close(tip, tip[:1].expand_as(tip), atol=1e-5, rtol=0.0)
+
+
+def test_derivatives():
+    """Of the place, velocity and root moment, by the stiffness: forward, reverse and differences."""
+    system, speed = bent()
+    K = system.body("blade").section.matrix.detach()
+
+    def response(x: Tensor) -> Tensor:
+        rest = mbd.equilibrium(system, designs={"blade.section.matrix": x[None]}, spin=(0.0, 0.0, speed))
+        return (
+            rest.body("blade").nodes[0, 0, -1, 2]
+            + 0.1 * rest.body("blade").at("end").velocity[0, 0, 1]
+            + rest.reaction("root").torque[0, 0, 0]
+        )
+
+    way = torch.diag(torch.tensor([0.0, 0.0, 0.0, 1.0, 0.5, 2.0], dtype=torch.float64))
+    with torch.no_grad():
+        one, two = (float(response(K + h * way) - response(K - h * way)) / (2.0 * h) for h in (0.01, 0.02))
+    leaf = K.clone().requires_grad_()
+    (by,) = torch.autograd.grad(response(leaf), leaf)
+    reverse = float((by * way).sum())
+    forward = float(torch.func.jvp(response, (K,), (way,))[1])
+    assert reverse == pytest.approx((4.0 * one - two) / 3.0, rel=1e-6)
+    assert forward == pytest.approx(reverse, rel=1e-8)
+
+
+def test_refusals():
+    system, speed = bent()
+    for spin in ((0.0, 0.0, 0.5 * speed), (0.0, speed, 0.0)):  # the motor turns faster; gravity lies across
+        with pytest.raises(mbd.InputError, match=r"no (steady rotation|static equilibrium)"):
+            mbd.equilibrium(system, spin=spin)
+    with pytest.raises(mbd.InputError, match=r"spin is \(0\.0, 1\.0\); allowed: three finite numbers"):
+        mbd.equilibrium(system, spin=(0.0, 1.0))

@@ -1,0 +1,81 @@
+"""Steady rotation of a whole system about an axis of the ground: its rates, and what the turning adds to small vibrations.
+
+    q(t) = exp(~s t) o (q0 o exp(x))         s: angular velocity, x: increments that a turning observer sees
+    r' = s x (r - c) + x_r'                  omega = A's + x_th'
+    r'' = s x (s x (r - c)) + 2 s x x_r'     omega' = A's x x_th'          to first order in x', their second rates apart
+
+So a steady state solves the equations of motion with these rates, and its vibrations are those of a constant matrix.
+Checked in tests/multibody/system/test_steady_rotation.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.math.owned import reals
+from torchmbd.math.pair import cat, cross, matvec_t
+from torchmbd.math.rotation import rotation_matrix
+from torchmbd.multibody.system import equations
+from torchmbd.multibody.system.topology import Topology
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyRotation:
+    """spin: angular velocity in ground axes [rad/s]; center: a point of the axis [m]."""
+
+    spin: Float[Tensor, " 3"]
+    center: Float[Tensor, " 3"]
+
+    @classmethod
+    def of(cls, spin: Sequence[float] | Tensor | None, center: Sequence[float] | Tensor) -> SteadyRotation | None:
+        """None without a spin. Raises InputError for anything but three finite numbers."""
+        if spin is None:
+            return None
+        found = []
+        for name, given in (("spin", spin), ("center", center)):
+            x = reals(name, given)
+            if x.shape != (3,) or not bool(torch.isfinite(x).all()):
+                raise InputError(f"{name} is {given!r}; allowed: three finite numbers")
+            found.append(x.detach())
+        return cls(*found) if bool(found[0].any()) else None
+
+    @property
+    def period(self) -> float:
+        """Time of a turn by one radian [s]."""
+        return 1.0 / float(self.spin.norm())
+
+    def rates(self, T: Topology, q: Any) -> tuple[Any, Any]:
+        """v and v' [n_v, ...] of the rotation at coordinates q [n_q, ...]."""
+        r, p, w = equations.split_q(T, q)
+        spin, center = (x[:, None, None, None] for x in (self.spin, self.center))
+        velocity = cross(spin, r - center)
+        omega = matvec_t(rotation_matrix(p), spin)
+        still = 0.0 * w
+        v = cat([x.flatten(0, 1) for x in (velocity, omega, still)])
+        return v, cat([x.flatten(0, 1) for x in (cross(spin, velocity), 0.0 * omega, still)])
+
+    def accelerations(self, T: Topology, q: Tensor, rates: Any) -> Any:
+        """v' [n_v, ...] that rates x' [n_v, ...] add."""
+        _, p, _ = equations.split_q(T, q)
+        dr, dth, dw = equations.split_v(T, rates)
+        spin = self.spin[:, None, None, None]
+        turned = cross(matvec_t(rotation_matrix(p), spin), dth)
+        return cat([x.flatten(0, 1) for x in (2.0 * cross(spin, dr), turned, 0.0 * dw)])
+
+    def turned(self, T: Topology, q: Tensor) -> Tensor:
+        """Coordinates [n_q, ...] after a turn by one radian."""
+        r, p, w = equations.split_q(T, q)
+        axis = (self.spin / self.spin.norm())[:, None, None, None]
+        arm = r - self.center[:, None, None, None]
+        once = cross(axis, arm)
+        one = torch.ones((), dtype=q.dtype)
+        moved = one.sin() * once + (1.0 - one.cos()) * cross(axis, once)
+        step = [moved, matvec_t(rotation_matrix(p), axis), 0.0 * w]
+        return equations.advance(T, q, cat([x.flatten(0, 1) for x in step]))
