@@ -9,7 +9,7 @@ import torch
 from torch.testing import assert_close
 
 import torchmbd as mbd
-from tests.fem.exact_beam.cases import bend, given
+from tests.fem.exact_beam.cases import bend, given, matrix
 
 GROUND = mbd.Ground()
 
@@ -85,6 +85,18 @@ def test_snap_through():
     wall, push = mbd.Fixed(GROUND.at(), beam.at("start"), name="wall"), mbd.Force(beam.at("end"), (0.0, -1e4, 0.0))
     with pytest.raises(mbd.InputError, match=f"buckles at {factor}"):
         mbd.equilibrium(mbd.System([beam], [wall, guide], [push]))
+
+
+@pytest.mark.parametrize("EI", [1e-1, 1e-3, 1e-4])
+def test_soft_beam_hangs_as_the_beam_alone(EI):
+    """Weight of up to 10,000 E I / L^2; E A = 1e6 N."""
+    section = given(1e6, 5e5, 5e5, EI, EI, EI, mass=matrix(0.1, 0.1, 0.1, 2e-6, 1e-6, 1e-6))
+    beam = mbd.FlexibleBeam("beam", mbd.BeamLine.straight(1.0, 6), section)
+    wall, gravity = mbd.Fixed(GROUND.at(), beam.at("start"), name="wall"), (0.0, 0.0, -9.81)
+    rest = mbd.equilibrium(mbd.System([beam], [wall], gravity=gravity))
+    tip, alone = rest.body("beam").nodes[0, 0, -1], beam.equilibrium(gravity=gravity).nodes[-1]
+    assert float(tip[2]) < -0.6
+    assert_close(tip, alone, atol=5e-3, rtol=0.0)  # masses are at nodes otherwise
 
 
 def test_drive_that_turns_far():

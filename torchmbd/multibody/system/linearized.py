@@ -56,10 +56,12 @@ class AtRest:
         t: Tensor,
         less: tuple[Tensor, Tensor] | None = None,
         rotation: SteadyRotation | None = None,
+        unstrained: Tensor | None = None,
     ) -> AtRest:
         """Linearize `dynamics` of one design at q.
 
-        less   forces and torques, both in ground axes [n_v], and violations [rows] that are taken away
+        less         forces and torques, both in ground axes [n_v], and violations [rows] that are taken away
+        unstrained   screws of beams' elements without force [6, n, 1, 1] in K and lam, where these are to have other forces
         """
         T = dynamics.topology
         data = {name: value(x).detach() for name, x in dynamics.data.items()}
@@ -81,7 +83,12 @@ class AtRest:
             phi, Phi_q = violation.value[:, 0, 0], violation.tangent[..., 0]
             phi = phi if less is None else phi - less[1]
         own = own_rows(T)
-        lam = -torch.linalg.pinv(Phi_q[:, own].T, rtol=RELATIVE) @ forces[own]
+        balanced = forces
+        if unstrained is not None:
+            data = data | {"beam_rest": unstrained}
+            balanced = equations.dynamic_residual(T, data, at, *rates, none)[:, 0, 0]
+            balanced = balanced if away is None else balanced - away.value[:, 0, 0]
+        lam = -torch.linalg.pinv(Phi_q[:, own].T, rtol=RELATIVE) @ balanced[own]
         K = equations.dynamic_residual(T, data, moved, *by_place, lam[:, None, None]).tangent[..., 0]
         K = K if away is None else K - away.tangent[..., 0]
         C = _tangent(equations.dynamic_residual(T, data, at, *by_rate, lam[:, None, None]), T)
@@ -155,11 +162,21 @@ def own_rows(T: Topology) -> Tensor:
 
 
 def null_space(J: Tensor) -> Tensor:
-    """Orthonormal basis [n, k] of the null space of a Jacobian [rows, n]; rows scaled to length one."""
+    """Orthonormal basis [n, k] of the null space of a Jacobian [rows, n]; rows scaled to length one.
+
+    Columns that no row touches stay what they are: mixed with others, soft freedoms would drown in the rounding of stiff ones.
+    """
+    n = J.shape[1]
     if not len(J):
-        return torch.eye(J.shape[1], dtype=J.dtype)
-    _, s, Vh = torch.linalg.svd(J / J.norm(dim=1, keepdim=True), full_matrices=True)
-    return Vh[int((s > RELATIVE * s[0]).sum()) :].T
+        return torch.eye(n, dtype=J.dtype)
+    held = (J != 0.0).any(0)
+    own = J[:, held]
+    _, s, Vh = torch.linalg.svd(own / own.norm(dim=1, keepdim=True), full_matrices=True)
+    among = Vh[int((s > RELATIVE * s[0]).sum()) :].T
+    free = torch.eye(n, dtype=J.dtype)[:, ~held]
+    basis = J.new_zeros(n, among.shape[1])
+    basis[held] = among
+    return torch.cat([free, basis], 1)
 
 
 def _tangent(x: Any, T: Topology) -> Tensor:

@@ -1,25 +1,27 @@
-"""Static equilibrium of a mechanism with beams by continuation: what is out of balance at the start is taken away in steps.
+"""Static equilibrium of a mechanism with beams by continuation: loads grow; what else the start lacks is taken away in steps.
 
-    f(q) + Phi_q' lam = (1 - factor) f(start),    Phi(q) = (1 - factor) Phi(start)
+    s g(q) + f(q) + Phi_q' lam = (1 - s) f(start),    Phi(q) = (1 - s) Phi(start)          s: the factor, 0 to 1
 
-f(start) keeps its direction in ground axes. Where the start is without stress it is the loads, and `factor` the part of them
-that acts. A step is halved where Newton's method fails, where it ends elsewhere than the rates at both ends say, and
+g are weight and, in a steady rotation, centrifugal forces; f(start) keeps its direction in ground axes. Where the start is
+without stress both are the loads, and s the part of them that acts. The stiffness is that of the mixed equations: between two
+iterations it has the forces of beams' elements extrapolated by their derivative, as those of a half-converged shape are far off
+in slender beams. A step is halved where Newton's method fails, where it ends elsewhere than the rates at both ends say, and
 where the equilibrium there is unstable, as those of a beam alone (fem/exact_beam/continuation.py).
 Checked in tests/multibody/system/test_load_steps.py.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchmbd.fem.exact_beam.continuation import ITERATIONS, MEAN, SETTLED, SHORTEST, START, STEEP, TURN
-from torchmbd.math.pair import matvec, matvec_t
+from torchmbd.math.pair import Pair, matvec, matvec_t
 from torchmbd.math.rotation import rotation_matrix
-from torchmbd.multibody.system import equations
+from torchmbd.multibody.system import beams, equations
 from torchmbd.multibody.system.linearized import AtRest
 from torchmbd.multibody.system.steady_rotation import SteadyRotation
 
@@ -52,7 +54,7 @@ class LoadSteps:
 
     def __init__(self, dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation | None = None):
         self.dynamics, self.t, self.rotation = dynamics, t, rotation
-        whole = AtRest.of(dynamics, start, t, rotation=rotation)
+        whole = self._rest(start, 0.0, given=True)
         self.forces, self.phi = whole.forces.clone(), whole.phi
         n = 3 * dynamics.topology.bodies
         self.rotations = turning = slice(n, 2 * n)
@@ -99,11 +101,13 @@ class LoadSteps:
             predicted = predicted or length
             if not length <= 10.0 * predicted:
                 break
+            forces, total = self._extrapolated(q, move), total + move
             q = equations.advance(self.dynamics.topology, q[:, None, None], move[:, None, None])[:, 0, 0]
-            rest, total = self._rest(q, at), total + move
+            settled = float((move / self.scale).abs().max()) <= SETTLED
+            rest = self._rest(q, at, None if settled else forces)
             if not bool(torch.isfinite(rest.K).all()):
                 break
-            if float((move / self.scale).abs().max()) > SETTLED:
+            if not settled:
                 continue
             new = _Point(at, q, rest)
             before, after = ((at - old.factor) * x for x in (rate, self._rate(q, rest)))
@@ -113,15 +117,58 @@ class LoadSteps:
             return (None, _UNSTABLE, total) if _unstable(rest) else (new, "", total)
         return None, _FAILED, total
 
-    def _rest(self, q: Tensor, factor: float) -> AtRest:
-        less = (1.0 - factor) * self.forces, (1.0 - factor) * self.phi
-        return AtRest.of(self.dynamics, q, self.t, less, self.rotation)
+    def _rest(self, q: Tensor, factor: float, stretched: Tensor | None = None, given: bool = False) -> AtRest:
+        """At q; given: with all that is out of balance at the start.
+
+        stretched   forces of the elements [6, n, 1, 1] in the stiffness, where they are not those at q
+        """
+        less = None if given else ((1.0 - factor) * self.forces, (1.0 - factor) * self.phi)
+        unstrained = None
+        if stretched is not None:
+            K = self.dynamics.data["beam_stiffness"].permute(2, 3, 4, 0, 1)
+            strain = torch.linalg.solve(K, stretched.permute(1, 2, 3, 0)[..., None])[..., 0]
+            unstrained = self._elements(q).screw - strain.permute(3, 0, 1, 2)
+        dynamics, rotation = self._loaded(factor)
+        return AtRest.of(dynamics, q, self.t, less, rotation, unstrained)
+
+    def _loaded(self, factor: float) -> tuple[Any, SteadyRotation | None]:
+        """The design with a part of its weight, and the rotation with that of its centrifugal forces."""
+        data, rotation = self.dynamics.data, self.rotation
+        if "gravity" in data:
+            data = data | {"gravity": factor * data["gravity"]}
+        if rotation is not None:
+            rotation = replace(rotation, spin=factor**0.5 * rotation.spin)
+        return replace(self.dynamics, data=data), rotation
+
+    def _growing(self, q: Tensor) -> Tensor:
+        """g of the module header at q [n_v]."""
+        T, wide = self.dynamics.topology, q[:, None, None]
+        still, none = q.new_zeros(T.n_v, 1, 1), q.new_zeros(T.rows, 1, 1)
+        found = []
+        for factor in (1.0, 0.0):
+            dynamics, rotation = self._loaded(factor)
+            at = equations.placement(T, dynamics.data, wide, T.prescribed(self.t, dynamics.data))
+            rates = (still, still) if rotation is None else rotation.rates(T, wide)
+            found.append(equations.dynamic_residual(T, dynamics.data, at, *rates, none)[:, 0, 0])
+        return found[0] - found[1]
+
+    def _extrapolated(self, q: Tensor, move: Tensor) -> Tensor:
+        """Forces of the elements after an increment, by their derivative [6, n, 1, 1]."""
+        force = self._elements(q, Pair.of(torch.zeros_like(move)[:, None, None], move[:, None, None])).force
+        return force.value + force.tangent
+
+    def _elements(self, q: Tensor, move: Any = None) -> beams.Elements:
+        T, data, q = self.dynamics.topology, self.dynamics.data, q[:, None, None]
+        at = equations.placement(
+            T, data, q if move is None else equations.advance(T, q, move), T.prescribed(self.t, data)
+        )
+        return beams.elements(T, data, at)
 
     def _rate(self, q: Tensor, rest: AtRest) -> Tensor:
         """Increment by the factor."""
         own, turning = self.forces.clone(), self.rotations
         own[turning] = matvec_t(_axes(q, turning), own[turning].reshape(3, -1)).flatten()
-        return _solved(rest, own, self.phi)
+        return _solved(rest, own + self._growing(q), self.phi)
 
     def _size(self, increment: Tensor) -> float:
         return float((increment / self.scale).norm())
