@@ -41,7 +41,7 @@ from torchmbd.results.trajectory import Trajectory
 class Equilibrium(Trajectory):
     """A motion at rest at each of its times. Like any motion it has coordinates, bodies, reactions and stresses.
 
-    Frequencies are those of vibrations about the state at the last time.
+    Frequencies are those of vibrations about the state at the last time. `rotation`: of the whole, None at rest.
 
     >>> rest = mbd.equilibrium(mbd.examples.pendulum(length=2.0))
     >>> rest.q.shape, rest.reaction("hinge").force[0, 0].norm().item() > 0.0  # lanes, times, coordinates

@@ -111,3 +111,16 @@ def test_drive_that_turns_far():
         return rest.body("beam").nodes[0, 1, -1]
 
     assert_close(hung(1.2, 0.0), hung(0.0, 1.2), atol=1e-8, rtol=0)
+
+
+def test_drive_that_turns_too_far_at_once():
+    """Its row is zero half a turn away, too."""
+    beam = mbd.FlexibleBeam("beam", mbd.BeamLine.straight(1.0, 2), given(1e4, 5e3, 5e3, 1.0, 1.0, 1.0))
+    hinge = mbd.Revolute(GROUND.at(), beam.at("start"), axis="z", name="hinge")
+    drive = mbd.Drive(GROUND.at(), beam.at("start"), axis="z", angle=lambda t: 2.0 * t, name="drive")
+    system = mbd.System([beam], [hinge, drive])
+    with pytest.raises(mbd.InputError, match="a drive ends half a turn away"):
+        mbd.equilibrium(system, times=[0.0, 1.0])
+    tip = mbd.equilibrium(system, times=[0.0, 0.5, 1.0]).body("beam").nodes[0, 2, -1]
+    wanted = torch.tensor([math.cos(2.0), math.sin(2.0), 0.0], dtype=torch.float64)
+    assert_close(tip, wanted, atol=1e-9, rtol=0)

@@ -26,7 +26,8 @@ import torch
 from torch import Tensor
 
 from torchmbd.math.jet import Jet
-from torchmbd.math.pair import cat, linear, value
+from torchmbd.math.pair import cat, dot, linear, value
+from torchmbd.multibody.joints.primitive import Angle
 from torchmbd.multibody.system import equations
 from torchmbd.multibody.system.linearized import AtRest, Vibrations
 from torchmbd.multibody.system.load_steps import LoadSteps
@@ -39,6 +40,10 @@ _SAME = 1e-6  # of forces, and of joints, after a turn of a steady rotation
 _UNSTEADY = (
     "no steady rotation: joints or forces are others after a turn by 1 rad; allowed: gravity along the axis, and joints and "
     "drives to the ground that turn with the spin about its axis"
+)
+_MIRRORED = (
+    "no static equilibrium: a drive ends half a turn away from its angle; allowed: initial positions, or a time before, "
+    "less than a quarter of a turn from it"
 )
 _NO_STIFFNESS = 1e-13  # of the largest eigenvalue of N' K N: rounding
 
@@ -134,6 +139,8 @@ def _balanced(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation 
     for _ in range(_STEPS):
         largest = max(largest, float(rest.forces.abs().max()))
         if _settled(rest, _FORCE * largest + _ROUNDING * _elastic(T, rest, q)):
+            if _mirrored(T, dynamics.values().data, q, t):
+                return _none(T, start, _MIRRORED)
             if rotation is not None and not _steady(dynamics, q, t, rotation, largest):
                 return _none(T, start, _UNSTEADY)
             return Balance(q, rest.lam, _answer(rest), "", _doubt(T, rest))
@@ -148,6 +155,18 @@ def _balanced(dynamics: Any, start: Tensor, t: Tensor, rotation: SteadyRotation 
         "allowed: a mechanism whose forces can balance, and initial positions near that"
     )
     return _none(T, start, missing)
+
+
+def _mirrored(T: Any, data: equations.Data, q: Tensor, t: Tensor) -> bool:
+    """Whether an axis stands opposite to its prescribed angle, which the constraint's row does not see."""
+    at = equations.placement(T, data, q[:, None, None], T.prescribed(t, data))
+    for kind, vectors, drive in zip(T.primitives, at.arguments, at.drives, strict=True):
+        if isinstance(kind, Angle) and drive is not None:
+            x, y, b = vectors
+            c, s = drive
+            if bool((dot(x, b) * c + dot(y, b) * s < 0.0).any()):
+                return True
+    return False
 
 
 def _steady(dynamics: Any, q: Tensor, t: Tensor, rotation: SteadyRotation, largest: float) -> bool:
