@@ -65,6 +65,22 @@ def test_it_never_pulls(name):
         assert bool((slid <= 0.4 * f[0] * (1.0 + 1e-12)).all())
 
 
+@pytest.mark.parametrize("name", CONTACTS)
+def test_nothing_is_evaluated_where_nothing_touches(name, monkeypatch):
+    law = control(name)
+    x = 5.0 * torch.randn(law.inputs, 2000, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    numbers, p = law.numbers(x[:0]), x[:0, :1]
+    if name == "stops":
+        x[0] = 0.1 * torch.tanh(x[0])  # between the limits
+    x = x[:, (law.gaps(numbers, x)[0] > 0.0).all(0)]
+    assert x.shape[1] > 100
+    expected = law.strengths(numbers, x), law.slopes(numbers, x)
+    monkeypatch.setattr("torchmbd.multibody.forces.contact_law.pressed", None)
+    with torch.no_grad():
+        assert_close(law.sloped(p, x, 0.0), expected, rtol=0, atol=0)
+        assert_close(law.at(p, x, 0.0), expected[0], rtol=0, atol=0)
+
+
 def test_a_rolling_sphere_keeps_the_momentum_and_loses_what_it_rubs():
     table = box("table", axes=turned(0.4, -0.7, 0.3), position=(0.1, 0.0, 0.2))
     ball = box("ball", axes=turned(-0.5, 0.2, 0.9), position=(0.3, -0.2, 0.4))
