@@ -63,7 +63,7 @@ from torchmbd.errors import ArgumentError, InputError, MbdError, SimulationFailu
 from torchmbd.fem import mesh, sections
 from torchmbd.fem.elements import BeamLine, FiberField, GivenSection, LaminationParameters, SteeredLaminate
 from torchmbd.fem.exact_beam import BeamState, ExactBeam, SectionTable
-from torchmbd.fem.materials import Laminate, Ply, SNCurve, Strength
+from torchmbd.fem.materials import Laminate, Ply, SNCurve, Strength, progressive_failure
 from torchmbd.fem.mesh import Mesh
 from torchmbd.fem.reduction import craig_bampton, eigenpair_branches, eigenpairs, modal_basis, spectral_function
 from torchmbd.integrate import Equilibrium, Event, Phase, Trajectory, equilibrium, simulate
@@ -293,6 +293,7 @@ __all__ = [
     "optimize_discrete",
     "pareto_front",
     "problem_of",
+    "progressive_failure",
     "rainflow",
     "recover_blended_stacks",
     "recover_stacks",

@@ -19,7 +19,7 @@ from torchmbd.study.scaffold import begin
 ROOT = Path(__file__).parents[2]
 GROUPS: dict[str, str] = {
     "materials": "Ply Laminate SteeredLaminate FiberField LaminationParameters Strength SNCurve LaminationRules "
-    "recover_stacks recover_blended_stacks deg",
+    "recover_stacks recover_blended_stacks progressive_failure deg",
     "meshes": "Mesh BeamLine mesh sections GivenSection SectionTable WindIOBlade",
     "bodies": "Ground RigidBody FlexibleBody Frame Interface",
     "joints": "Revolute Spherical Universal Prismatic Cylindrical Planar PointOnPlane Distance Fixed Drive "

@@ -7,6 +7,7 @@ from torchmbd.fem.materials.isotropic_mean import IsotropicMean
 from torchmbd.fem.materials.laminate import ENTRIES, Laminate, LaminateStiffness
 from torchmbd.fem.materials.ply import Ply
 from torchmbd.fem.materials.ply_maps import PlyMaps, ply_maps
+from torchmbd.fem.materials.progressive_failure import progressive_failure
 from torchmbd.fem.materials.sn_curve import SNCurve, mean_factor, power_law_damage
 from torchmbd.fem.materials.strength import CRITERIA, PLY_COMPONENTS, Strength, tsai_wu, tsai_wu_irf
 
@@ -27,6 +28,7 @@ __all__ = [
     "mean_factor",
     "ply_maps",
     "power_law_damage",
+    "progressive_failure",
     "tsai_wu",
     "tsai_wu_irf",
 ]  # fmt: skip

@@ -1,0 +1,169 @@
+"""Failure of a laminate ply by ply under section forces that grow in proportion: from the first ply to the last.
+
+    (eps, kappa) = load [A B; B D]^-1 (N, M),     stress of a ply = Q T (eps + z kappa)
+
+The first mode of a ply that is reached at its bottom or its top takes the ply's stiffness away: a mode of the fibers all of
+it, any other E2, G12 and the coupling between 1 and 2. A small share stays, so that the laminate's stiffness can be inverted.
+Forces are then shared anew; plies that cannot hold them under the present load fail at the same load. The end is where
+the forces meet no stiffness but these shares. Damage does not grow within a ply, and transverse shear forces are left out.
+Source: R. M. Jones, Mechanics of Composite Materials, 2nd ed., section 4.5 (ply discount).
+Checked in tests/fem/materials/test_progressive_failure.py.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError, unknown
+from torchmbd.fem.materials.failure_modes import FIBER, MODES, FailureModes
+from torchmbd.fem.materials.laminate import Laminate, turning
+from torchmbd.math.owned import real, reals
+
+HALVINGS, WIDEST = 64, 30.0  # of the search for a load, in decades to both sides of one
+COLLAPSED = 1e-2  # of 1 / kept: the compliance by that of the whole laminate where nothing else is left
+TOGETHER = 1e-9  # plies whose loads differ by less fail at once
+PLANE_CRITERIA = tuple(name for name in MODES if name != "interlaminar")
+
+
+class PlyLoss(NamedTuple):
+    """A step of progressive failure.
+
+    load    how many times the given forces the laminate bears when it happens; never less than the load of the step before
+    layers  which layers fail, 0 at the bottom
+    mode    of the first of them, such as "matrix tension"
+    """
+
+    load: Tensor
+    layers: list[int]
+    mode: str
+
+
+def progressive_failure(
+    laminate: Laminate,
+    force: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+    moment: Sequence[float] | Tensor = (0.0, 0.0, 0.0),
+    criterion: str = "puck",
+    kept: float = 1e-6,
+) -> list[PlyLoss]:
+    """Follow a laminate from its first failing ply until it bears nothing more.
+
+    force      N_xx, N_yy, N_xy [N/m];   moment: M_xx, M_yy, M_xy [N]
+    criterion  "puck", "hashin" or "max_stress"; plies have a Strength
+    kept       share of the stiffness that a failed ply keeps, at most 1e-3
+
+    The first load is that of first-ply failure, the last one what the laminate bears at most. Loads have gradients by the
+    laminate's parameters and the forces, as long as the order of the steps stays.
+
+    >>> strength = mbd.Strength(Xt=1.5e9, Xc=1.5e9, Yt=40e6, Yc=246e6, S12=68e6)
+    >>> ply = mbd.Ply(181e9, 10.3e9, 7.17e9, 7.17e9, 7.17e9, 0.28, 1600.0, strength=strength)
+    >>> cross = mbd.Laminate(ply, mbd.deg([0, 90, 0]), 5e-3)
+    >>> steps = mbd.progressive_failure(cross, force=(1e6, 0, 0))
+    >>> [(round(step.load.item(), 2), step.layers, step.mode) for step in steps]
+    [(7.31, [1], 'matrix A'), (15.0, [0, 2], 'fiber tension')]
+    """
+    loads = _checked(laminate, force, moment, criterion, kept)
+    strengths = [ply.strength for ply in laminate.layer_plies]
+    missing = [k for k, strength in enumerate(strengths) if strength is None]
+    if missing:
+        raise InputError(f"the ply of layer {missing[0]} has no strength; allowed: Ply(..., strength=Strength(...))")
+    numbers = torch.stack([strength.numbers() for strength in strengths if strength is not None])[:, None]
+    rule = MODES[criterion]
+    of_fiber = torch.tensor([name in FIBER for name in rule.names])
+    fiber, matrix = torch.ones(len(numbers), dtype=torch.bool), torch.ones(len(numbers), dtype=torch.bool)
+    steps: list[PlyLoss] = []
+    softest = math.inf
+    while fiber.any():
+        strain, stress = _state(laminate, loads, torch.where(fiber, 1.0, kept), torch.where(matrix, 1.0, kept))
+        compliance = float((loads @ strain).detach())
+        if compliance > softest:
+            break
+        softest = min(softest, COLLAPSED / kept * compliance)
+        alive = torch.where(of_fiber, fiber[:, None], matrix[:, None])[:, None]
+        reached = torch.where(alive, _reached(rule, stress.detach(), numbers.detach()), torch.inf).amin(1)
+        least = reached.min()
+        if not least.isfinite():
+            break
+        layer, mode = divmod(int(reached.argmin()), len(rule.names))
+        failing = (reached <= least * (1.0 + TOGETHER)).any(1)
+        load = _exact(rule, stress[layer], numbers[layer], mode, least)
+        steps.append(
+            PlyLoss(
+                load if not steps else torch.maximum(load, steps[-1].load),
+                failing.nonzero().flatten().tolist(),
+                rule.names[mode],
+            )
+        )
+        broken = failing & (reached[:, of_fiber] <= least * (1.0 + TOGETHER)).any(1)
+        fiber, matrix = fiber & ~broken, matrix & ~failing
+    return steps
+
+
+def _state(
+    laminate: Laminate, loads: Tensor, fiber: Float[Tensor, " layers"], matrix: Float[Tensor, " layers"]
+) -> tuple[Float[Tensor, " 6"], Float[Tensor, "layers 2 5"]]:
+    """Strains of the unit load, and stresses at the bottom and the top of every layer, with these shares of its stiffness."""
+    compliance = torch.linalg.inv(laminate.layer_stiffness[0])
+    share = torch.stack([fiber, matrix, matrix], -1)
+    Q = torch.linalg.inv(compliance + torch.diag_embed(compliance.diagonal(dim1=-2, dim2=-1) * (1.0 / share - 1.0)))
+    T, _ = turning(laminate.layer_angles)
+    Qbar, faces = T.mT @ Q @ T, laminate.faces
+    A, B, D = (((faces[:, 1] ** n - faces[:, 0] ** n)[:, None, None] / n * Qbar).sum(0) for n in (1, 2, 3))
+    strain = torch.linalg.solve(torch.cat([torch.cat([A, B], 1), torch.cat([B, D], 1)]), loads)
+    at = strain[:3] + faces[..., None] * strain[3:]
+    plane = (Q @ T)[:, None] @ at[..., None]
+    return strain, torch.cat([plane[..., 0], torch.zeros_like(plane[..., :2, 0])], -1)
+
+
+def _reached(rule: FailureModes, stress: Tensor, strength: Tensor) -> Float[Tensor, "layers 2 modes"]:
+    """The load at which the index of each mode is one; infinite where it never is."""
+
+    def failed(load: Tensor) -> Tensor:
+        indices = rule.indices(
+            load[..., None] * stress.unsqueeze(-2), strength.unsqueeze(-2)
+        )  # every mode at every load
+        return indices.diagonal(dim1=-2, dim2=-1) >= 1.0
+
+    low = stress.new_full((*stress.shape[:2], len(rule.names)), -WIDEST)
+    high = -low
+    never = ~failed(10.0**high)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        there = failed(10.0**middle)
+        low, high = torch.where(there, low, middle), torch.where(there, middle, high)
+    return torch.where(never, torch.inf, 10.0**high)
+
+
+def _exact(rule: FailureModes, stress: Tensor, strength: Tensor, mode: int, load: Tensor) -> Tensor:
+    """The load of one layer with its derivatives: one step of Newton's from the load that was found."""
+    face = int(_reached(rule, stress[None].detach(), strength[None].detach())[0, :, mode].argmin())
+
+    def index(x: Tensor) -> Tensor:
+        return rule.indices(x * stress[face], strength[0])[mode]
+
+    slope = torch.func.grad(lambda x: rule.indices(x * stress[face].detach(), strength[0].detach())[mode])(load)
+    return load - (index(load) - 1.0) / slope
+
+
+def _checked(
+    laminate: object, force: Sequence[float] | Tensor, moment: Sequence[float] | Tensor, criterion: str, kept: float
+) -> Tensor:
+    if not isinstance(laminate, Laminate) or laminate.field is not None or laminate.angles.ndim != 1:
+        raise InputError(f"laminate is {laminate!r}; allowed: one Laminate, whose angles are one row")
+    if criterion not in PLANE_CRITERIA:
+        raise unknown("criterion", criterion, PLANE_CRITERIA)
+    if not real(kept) or not 0.0 < kept <= 1e-3:
+        raise InputError(f"kept is {kept!r}; allowed: a number in (0, 1e-3]")
+    both = [reals(name, x) for name, x in (("force", force), ("moment", moment))]
+    for name, x in zip(("force", "moment"), both, strict=True):
+        if x.shape != (3,) or not x.isfinite().all():
+            raise InputError(f"{name} is {x.tolist()}; allowed: three finite numbers xx, yy, xy")
+    loads = torch.cat(both)
+    if not loads.any():
+        raise InputError("force and moment are zero; allowed: a load that is not")
+    return loads
