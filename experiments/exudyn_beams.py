@@ -43,7 +43,7 @@ def simulations(rod: Rod, observed: Callable[[Tensor], Tensor], cable: bool = Fa
 def _run(rod: Rod, observed: Callable[[Tensor], Tensor], cable: bool, duration: float, steps: int) -> Run:
     exu, items = load(), load(".itemInterface")
     mbs: Any = exu.SystemContainer().AddSystem()
-    nodes = _cable(mbs, items, rod) if cable else _beam(mbs, items, exu, rod)
+    nodes = _cable(mbs, items, rod) if cable else exact_beam(mbs, items, exu, rod)
     angle = mbs.AddNode(items.Node1D(referenceCoordinates=[0.0]))
     crank = mbs.AddObject(items.ObjectRotationalMass1D(inertia=INERTIA, nodeNumber=angle))
     turned = mbs.AddMarker(items.MarkerNodeCoordinate(nodeNumber=angle, coordinate=0))
@@ -69,24 +69,24 @@ def _run(rod: Rod, observed: Callable[[Tensor], Tensor], cable: bool, duration: 
         for k in (0, len(nodes) // 2, -1)
     ]
     mbs.Assemble()
-    seconds = _solve(exu, mbs, duration, steps)
+    seconds = solve(exu, mbs, duration, steps)
     if seconds is None:
         return Run(np.linspace(0.0, duration, steps + 1), np.full(steps + 1, np.nan), np.nan)
     found = np.stack([np.asarray(mbs.GetSensorStoredData(sensor)) for sensor in sensors])
     return Run(found[0, :, 0], observed(torch.from_numpy(found[:, :, 1:])).numpy(), seconds)
 
 
-def _beam(mbs: Any, items: Any, exu: Any, rod: Rod) -> list[Any]:
-    """Nodes of geometrically exact beams."""
+def exact_beam(mbs: Any, items: Any, exu: Any, rod: Rod, start: float = CRANK, length: float = ROD) -> list[Any]:
+    """Nodes of geometrically exact beams along x."""
     section = exu.BeamSection()
     section.stiffnessMatrix = np.diag(rod.uncoupled)
     section.massPerLength = float(rod.mass[0, 0])
     section.inertia = rod.mass[3:, 3:].numpy()
-    places = np.linspace(CRANK, CRANK + ROD, rod.elements + 1).tolist()
+    places = np.linspace(start, start + length, rod.elements + 1).tolist()
     nodes = [mbs.AddNode(items.NodeRigidBodyEP(referenceCoordinates=[x, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0])) for x in places]
     for k in range(rod.elements):
         element = items.ObjectBeamGeometricallyExact(
-            nodeNumbers=nodes[k : k + 2], length=ROD / rod.elements, sectionData=section
+            nodeNumbers=nodes[k : k + 2], length=length / rod.elements, sectionData=section
         )
         mbs.AddObject(element)
     return nodes
@@ -103,8 +103,16 @@ def _cable(mbs: Any, items: Any, rod: Rod) -> list[Any]:
     return nodes
 
 
-def _solve(exu: Any, mbs: Any, duration: float, steps: int) -> float | None:
-    """Seconds; None where it fails."""
+def solve(
+    exu: Any,
+    mbs: Any,
+    duration: float,
+    steps: int,
+    radius: float = 0.9,
+    absolute: float = 1e-7,
+    adaptive: bool = False,
+) -> float | None:
+    """Seconds; None where it fails. radius: spectral; absolute: tolerance; adaptive: whether failed steps are halved."""
     settings = exu.SimulationSettings()
     settings.parallel.numberOfThreads = 1
     settings.linearSolver.solverType = exu.LinearSolverType.EigenSparse
@@ -112,11 +120,11 @@ def _solve(exu: Any, mbs: Any, duration: float, steps: int) -> float | None:
     settings.solution.sensors.writePeriod = duration / steps
     settings.timeIntegration.endTime = duration
     settings.timeIntegration.numberOfSteps = steps
-    settings.timeIntegration.adaptiveStep = False
+    settings.timeIntegration.adaptiveStep = adaptive
     settings.timeIntegration.newton.useModifiedNewton = True
     settings.timeIntegration.newton.relativeTolerance = 1e-6
-    settings.timeIntegration.newton.absoluteTolerance = 1e-7
-    settings.timeIntegration.generalizedAlpha.spectralRadius = 0.9
+    settings.timeIntegration.newton.absoluteTolerance = absolute
+    settings.timeIntegration.generalizedAlpha.spectralRadius = radius
     start = time.process_time()
     try:
         with contextlib.redirect_stdout(sys.stderr):
