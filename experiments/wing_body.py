@@ -143,7 +143,7 @@ class Manoeuvre:
 
     def __init__(self, wing: Wing) -> None:
         self.assembly = wing.assembly("3")
-        self.static = StaticLoads(self.assembly.pattern, 1)
+        self.static = StaticLoads(self.assembly.pattern)
         self.tip = wing.node(TIP)
         points = self.assembly.masses()
         force = torch.zeros(len(points.ends), 6, 1, dtype=torch.float64)

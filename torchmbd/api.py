@@ -104,7 +104,7 @@ from torchmbd.multibody.joints import (
     Universal,
 )
 from torchmbd.multibody.statics import Buckling, buckling
-from torchmbd.multibody.system import Dynamics, System
+from torchmbd.multibody.system import Chain, Dynamics, System, split
 from torchmbd.optimization import (
     OptimizationResult,
     Processes,
@@ -185,6 +185,7 @@ __all__ = [
     "Buckling",
     "BucklingFactor",
     "Bushing",
+    "Chain",
     "ConstantSpeed",
     "Constraint",
     "ControlHistory",
@@ -303,6 +304,7 @@ __all__ = [
     "simulate",
     "sobol",
     "spectral_function",
+    "split",
     "variable",
     "viz",
 ]

@@ -28,7 +28,7 @@ GROUPS: dict[str, str] = {
     "Pressure AxialStop RotationalStop PlaneContact forces variable",
     "feedback": "Controller ControlHistory signals",
     "systems": "System Dynamics examples",
-    "exact_beams": "ExactBeam BeamState FlexibleBeam",
+    "exact_beams": "ExactBeam BeamState FlexibleBeam split Chain",
     "simulation": "simulate equilibrium Equilibrium buckling Buckling Trajectory Phase Event",
     "results": "SectionHistory PlyHistory viz",
     "histories": "StrainEnergy Position Displacement Velocity Acceleration RelativeDisplacement Reaction Angle "

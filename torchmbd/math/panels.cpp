@@ -385,6 +385,82 @@ extern "C" long conjugate_gradients(const Factor* f, const double* G, const doub
   return 0;
 }
 
+// Rows [i <= j][a][A] of d_i d_j' of one point, d [r][s][A] with A = filled(a); with e: d_i e_j' + e_i d_j'.
+static void outer(const double* d, const double* e, long r, long s, long a, long A, double* rows) {
+  for (long i = 0; i < r; i++)
+    for (long j = i; j < r; j++, rows += a * A)
+      for (long p = 0; p < a; p++)
+        for (long q = 0; q < A; q += 8) {
+          V sum = {};
+          for (long t = 0; t < s; t++) {
+            const long x = (i * s + t) * A, y = (j * s + t) * A;
+            sum += d[x + p] * *(const V*)(e + y + q);
+            if (e != d) sum += e[x + p] * *(const V*)(d + y + q);
+          }
+          std::memcpy(rows + p * A + q, &sum, sizeof(V));
+        }
+}
+
+constexpr long POINTS = 32;  // points whose products stay near the processor
+
+// out [lane][k][a][a] = sum over points and i <= j of law [lane][k][point][ij] times the rows of `outer`; d, e [lane][point][r][s][a].
+extern "C" void quadratic_forms(long lanes, long k, long points, long r, long s, long a, const double* law, const double* d,
+                                const double* e, double* out) {
+  const long A = filled(a), ij = r * (r + 1) / 2, one = r * s * a;
+  Room left(r * s * A), right(r * s * A), rows(POINTS * ij * a * A), sum(k * a * A);
+  for (long lane = 0; lane < lanes; lane++, law += k * points * ij, d += points * one, e += points * one) {
+    std::fill(sum.begin(), sum.end(), 0.0);
+    for (long first = 0; first < points; first += POINTS) {
+      const long count = std::min(POINTS, points - first);
+      for (long p = 0; p < count; p++) {
+        fill_up(d + (first + p) * one, left.data(), r * s, a);
+        if (e != d) fill_up(e + (first + p) * one, right.data(), r * s, a);
+        outer(left.data(), e == d ? left.data() : right.data(), r, s, a, A, &rows[p * ij * a * A]);
+      }
+      product<true>(k, count * ij, {law + first * ij, points * ij, 1}, rows.data(), sum.data(), a * A);
+    }
+    for (long i = 0; i < k * a; i++)
+      for (long j = 0; j < a; j++) *out++ = -sum[i * A + j];
+  }
+}
+
+// The derivatives of sum G . quadratic_forms, G [lane][k][a][a] symmetric, by law and by d where e is d.
+extern "C" void quadratic_slopes(long lanes, long k, long points, long r, long s, long a, const double* law, const double* d,
+                                 const double* G, double* by_law, double* by_d) {
+  const long A = filled(a), K = filled(k), ij = r * (r + 1) / 2, one = r * s * a;
+  Room own(r * s * A), turned(r * s * A), rows(POINTS * ij * a * A), H(POINTS * ij * a * A), pairs(POINTS * ij * K);
+  Room weights(k * a * A), across(a * A * K);
+  for (long lane = 0; lane < lanes; lane++, law += k * points * ij, by_law += k * points * ij, G += k * a * a) {
+    fill_up(G, weights.data(), k * a, a);
+    std::fill(across.begin(), across.end(), 0.0);
+    for (long n = 0; n < k; n++)
+      for (long i = 0; i < a * A; i++) across[i * K + n] = weights[n * a * A + i];
+    for (long first = 0; first < points; first += POINTS) {
+      const long count = std::min(POINTS, points - first);
+      product<false>(count * ij, k, {law + first * ij, 1, points * ij}, weights.data(), H.data(), a * A);
+      for (long p = 0; p < count; p++, d += one, by_d += one) {
+        fill_up(d, own.data(), r * s, a);
+        outer(own.data(), own.data(), r, s, a, A, &rows[p * ij * a * A]);
+        std::fill(turned.begin(), turned.end(), 0.0);
+        const double* h = &H[p * ij * a * A];
+        for (long i = 0; i < r; i++)
+          for (long j = i; j < r; j++, h += a * A)
+            for (long t = 0; t < s; t++)
+              for (long b = 0; b < a; b++)
+                for (long q = 0; q < A; q += 8) {
+                  const V along = *(const V*)(h + b * A + q);
+                  *(V*)&turned[(i * s + t) * A + q] += own[(j * s + t) * A + b] * along;
+                  *(V*)&turned[(j * s + t) * A + q] += own[(i * s + t) * A + b] * along;
+                }
+        cut(turned.data(), by_d, r * s, a);
+      }
+      product<false>(count * ij, a * A, {rows.data(), a * A, 1}, across.data(), pairs.data(), K);
+      for (long n = 0; n < k; n++)
+        for (long i = 0; i < count * ij; i++) by_law[n * points * ij + first * ij + i] = pairs[i * K + n];
+    }
+  }
+}
+
 // y [lane][rows]: of every row the sum of x [lane][size] over its terms, those from start[row] on.
 extern "C" void sums(long lanes, long rows, long size, const long* start, const long* term, const double* x, double* y) {
   for (long lane = 0; lane < lanes; lane++, x += size, y += rows)

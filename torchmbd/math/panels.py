@@ -6,6 +6,7 @@
     pair                  Y X' at the places of a pattern                           forms.py
     sums, shares          sums of chosen numbers, and their transpose               math/sums.py
     conjugate_gradients   (1 - H / mu) y = c                                        sparse_modes.py
+    quadratic_forms       sums of d' L d over points, and their derivatives         quadratic_forms.py
 
 A batch of designs that torch treats as one tensor leaves the cache of the processor with every operation; one after
 another they stay in it, and there is no call for each block. The same sums in another order: results agree to rounding.
@@ -118,6 +119,24 @@ class Panels:
         out = y.new_zeros(len(y), size)
         self._code.shares(*map(c_long, (len(y), len(start) - 1, size)), *_places(start, terms, y, out))
         return out
+
+    def quadratic_forms(self, law: Tensor, d: Tensor, e: Tensor) -> Tensor:
+        """[lane, k, a, a] for law [lane, k, points, ij] and d, e [lane, points, r, s, a]: sums over points and i <= j of law
+        times d_i d_j', or d_i e_j' + e_i d_j' where e is another."""
+        same, law, d = e is d, law.contiguous(), d.contiguous()
+        e = d if same else e.contiguous()
+        out = d.new_empty(len(law), law.shape[1], d.shape[-1], d.shape[-1])
+        numbers = map(c_long, (len(law), *law.shape[1:3], *d.shape[2:]))
+        self._code.quadratic_forms(*numbers, *_places(law, d, e, out))
+        return out
+
+    def quadratic_slopes(self, law: Tensor, d: Tensor, G: Tensor) -> tuple[Tensor, Tensor]:
+        """The derivatives of sum G . quadratic_forms(law, d, d) by law and d, for symmetric G [lane, k, a, a]."""
+        law, d, G = law.contiguous(), d.contiguous(), G.contiguous()
+        by_law, by_d = torch.empty_like(law), torch.empty_like(d)
+        numbers = map(c_long, (len(law), *law.shape[1:3], *d.shape[2:]))
+        self._code.quadratic_slopes(*numbers, *_places(law, d, G, by_law, by_d))
+        return by_law, by_d
 
     def conjugate_gradients(
         self, factor: Factor, G: Tensor, U: Tensor, inverse_mu: Tensor, target: Tensor, y: Tensor, r: Tensor, most: int

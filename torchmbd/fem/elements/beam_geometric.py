@@ -21,7 +21,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.fem.elements.beam import BeamMatrices
-from torchmbd.fem.elements.geometric import StressedCells
+from torchmbd.fem.elements.geometric import StressedCells, at_corners
 
 
 def stressed_beams(
@@ -29,7 +29,7 @@ def stressed_beams(
 ) -> list[StressedCells]:
     """The elements under the section forces of k motions; stiffness as of `BeamMatrices.values`."""
     inside = matrices.inside(stiffness)
-    forces = inside.forces @ motion[..., matrices.elements, :, :].flatten(-3, -2)[..., None, :, :]
+    forces = inside.forces @ at_corners(matrices.elements, motion)[..., None, :, :]
     F, M = forces.movedim(-1, -4).split(3, dim=-1)  # [*lanes, k, m, g, 3]
     law = _law(F, M, inside.tangent.unsqueeze(-4)) * inside.weight[..., None, :, :, None, None]
     return [StressedCells(matrices.elements, inside.rows.unsqueeze(-2), law)]

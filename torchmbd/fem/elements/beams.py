@@ -6,6 +6,7 @@ Checked in tests/fem/elements/test_beams.py.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -52,6 +53,7 @@ class Beams:
         if not (isinstance(section, nn.Module) and isinstance(section, BeamSection)):
             raise InputError(f"section is {section!r}; allowed: a Section or a GivenSection")
         self.section = section
+        self.given = orientation, offset, twist, mass
         at, turn = _placed(offset, twist, len(mesh.elements), elements)
         turning = turn.shape[1] == 2 or mesh.middles is not None
         self._line = mesh
@@ -63,6 +65,21 @@ class Beams:
         self._massive, self._consistent = places if mass == "consistent" else places[:, :2], mass == "consistent"
         with torch.no_grad():
             self._points = self._particles()
+
+    def on(self, line: Line, elements: Sequence[int]) -> Beams | None:
+        """The same section on a line of only these elements, in this order; None where none of them is made of it."""
+        own = set(self.matrices.members.tolist())
+        members = [k for k, e in enumerate(elements) if e in own]
+        count = len(self._line.elements)
+        orientation, offset, twist, mass = self.given
+
+        def rows(x: Any, dim: int) -> Tensor:
+            x = reals("given", x)
+            return x[list(elements)] if x.ndim > dim and len(x) == count else x
+
+        if not members:
+            return None
+        return Beams(line, self.section, rows(orientation, 1), rows(offset, 1), rows(twist, 0), members, mass)
 
     def values(self, entries: Int[Tensor, " k"] | None = None) -> Float[Tensor, "*lanes nnz"]:
         """K of the present design, or only some entries of it."""

@@ -18,6 +18,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from torchmbd.math.quadratic_forms import quadratic_forms
 from torchmbd.math.sparse import Pattern
 
 
@@ -38,16 +39,18 @@ def projected(cells: Sequence[StressedCells], motions: Float[Tensor, "*lanes n 6
     """Kg of each state of stress between motions of all nodes."""
     total: Tensor | None = None
     for own in cells:
-        at = motions[..., own.nodes, :, :].flatten(-3, -2)  # [*lanes, m, f, a]
-        d = own.rows.flatten(-3, -2) @ at[..., None, :, :]
-        d = d.unflatten(-2, own.rows.shape[-3:-1])  # [*lanes, m, p, r, s, a]
-        forces = (own.law @ d.flatten(-2).unsqueeze(-5)).unflatten(-1, d.shape[-2:])
-        right = forces.flatten(-5, -2)  # [*lanes, k, m p r s, a]
-        found = d.flatten(-5, -2).unsqueeze(-3).mT @ right
+        at = at_corners(own.nodes, motions)  # [*lanes, m, f, a]
+        d = (own.rows.flatten(-4, -2) @ at).unflatten(-2, own.rows.shape[-4:-1])  # [*lanes, m, p, r, s, a]
+        found = quadratic_forms(own.law.flatten(-4, -3), d.flatten(-5, -4))
         total = found if total is None else total + found
     if total is None:
         return motions.new_zeros(*motions.shape[:-3], 0, motions.shape[-1], motions.shape[-1])
-    return 0.5 * (total + total.mT)
+    return total
+
+
+def at_corners(nodes: Int[Tensor, "m c"], motions: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes m f k"]:
+    """Motions of all nodes as those of the freedoms of cells."""
+    return motions.index_select(-3, nodes.flatten()).unflatten(-3, nodes.shape).flatten(-3, -2)
 
 
 def assembled(pattern: Pattern, cells: Sequence[StressedCells]) -> Float[Tensor, "*lanes k nnz"]:

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from torchmbd.fem.elements.cell_stiffness import CellStiffness
 from torchmbd.fem.elements.facet import Facets
-from torchmbd.fem.elements.geometric import StressedCells
+from torchmbd.fem.elements.geometric import StressedCells, at_corners
 from torchmbd.fem.elements.plate import Cells, PlateMatrices
 from torchmbd.fem.elements.quad_shape import ETA, XI, gauss
 from torchmbd.fem.materials import ENTRIES, LaminateStiffness
@@ -39,7 +39,7 @@ def stressed_shells(
     found = []
     for (kind, own), zone, (cell, variant) in zip(matrices.kinds.items(), zones, matrices.variants, strict=True):
         A, B = (X[..., zone, :, :] for X in (law.A, law.B))
-        at = motion[..., own.corners, :, :].flatten(-3, -2)
+        at = at_corners(own.corners, motion)
         inner = cell.inner
         if inner is None:
             strains = own.strains.at[own.shape] @ at[..., None, :, :]  # [*lanes, m, p, 8, k]
@@ -50,7 +50,8 @@ def stressed_shells(
             N = N + _varying_forces(own, cell, law, variant, at)
         weight = own.strains.weight[own.shape][:, : N.shape[-3] if inner is None else 4]
         N = (N * weight[..., None, None]).movedim(-1, -4)  # [*lanes, k, m, p, 3]
-        found.append(StressedCells(own.corners, slopes(kind, own.facets), N[..., [0, 2, 2, 1]].unflatten(-1, (2, 2))))
+        forces = N.index_select(-1, torch.tensor([0, 2, 2, 1])).unflatten(-1, (2, 2))
+        found.append(StressedCells(own.corners, slopes(kind, own.facets), forces))
     return found
 
 

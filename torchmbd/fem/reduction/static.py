@@ -1,13 +1,16 @@
 """Static displacements U = K^-1 F of the free freedoms under columns of loads, differentiable in K and in F.
 
-    | K  -F |
-    | -F' 1 |      its constraint modes of the last rows (constraint_modes.py) are K^-1 F
+    dU = K^-1 (dF - dK U)                                             forward
+    for a cotangent G of U:   Y = K^-1 G,   <G, dU> = <Y, dF> - <Y U', dK>      reverse
 
-so factorization and derivatives, forward and reverse, are those of constraint modes; the columns are amounts of loads.
+One factorization serves all columns, values and derivatives.
 Checked in tests/multibody/statics/test_buckling.py.
 """
 
 from __future__ import annotations
+
+from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,31 +18,132 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.reduction.constraint_modes import constraint_modes
+from torchmbd.fem.reduction.blocks import BlockFactor, storage
+from torchmbd.fem.reduction.forms import Diagonal, Sparse, check, lane_name
+from torchmbd.fem.reduction.partition import partition
+from torchmbd.fem.reduction.shift import SAFE_PIVOT
+from torchmbd.fem.reduction.slices import by_slices
+from torchmbd.fem.reduction.transport import batched
+from torchmbd.math.first_derivative import FirstDerivative
 from torchmbd.math.sparse import Pattern, SparseMatrix
 
 
 class StaticLoads:
-    """Solves for `columns` loads of all matrices of one pattern."""
+    """Solves for loads of all matrices of one pattern."""
 
-    def __init__(self, pattern: Pattern, columns: int) -> None:
-        n, k = pattern.size, columns
-        free, load = torch.arange(n).repeat_interleave(k), n + torch.arange(k).repeat(n)
-        own = n + torch.arange(k)
-        rows, cols = torch.cat([pattern.rows, free, load, own]), torch.cat([pattern.cols, load, free, own])
-        self.pattern, self._position = Pattern.gather(rows, cols, n + k)
-        self.loads = tuple(range(n, n + k))
-        self._one = torch.ones(n + k, dtype=torch.float64)
+    def __init__(self, pattern: Pattern) -> None:
+        self.form = Sparse(pattern, symmetric=True)
+        self.layout = partition(self.form, Diagonal(pattern.size))
 
     def __call__(self, K: SparseMatrix, F: Float[Tensor, "*lanes N k"]) -> Float[Tensor, "*lanes N k"]:
         """K^-1 F. Raises InputError where K is not positive definite."""
-        n, k = F.shape[-2:]
         lanes = np.broadcast_shapes(K.values.shape[:-1], F.shape[:-2])
-        flat = F.expand(*lanes, n, k).flatten(-2)
-        numbers = torch.cat([K.values.expand(*lanes, -1), -flat, -flat, F.new_ones(*lanes, k)], -1)
-        values = numbers.new_zeros(*lanes, self.pattern.nnz).index_copy(-1, self._position, numbers)
-        try:
-            modes, _ = constraint_modes(SparseMatrix(self.pattern, values, symmetric=True), self._one, self.loads)
-        except InputError as error:
-            raise InputError(f"static loads: {error}") from None
-        return modes[..., :n, :]
+        values = K.values.expand(*lanes, -1).reshape(-1, K.pattern.nnz)
+        columns = F.expand(*lanes, *F.shape[-2:]).reshape(-1, *F.shape[-2:])
+        found: Any = _Displacements.apply(_Solver(self), values, columns)
+        return found.reshape(*lanes, *F.shape[-2:])
+
+
+class _Solver:
+    """K^-1 of one call, once it is factorized."""
+
+    factor: BlockFactor
+
+    def __init__(self, of: StaticLoads) -> None:
+        self.form, self.layout = of.form, of.layout
+
+    def factorize(self, K: Tensor) -> None:
+        check("K", self.form, K)
+        self.factor = BlockFactor(self.layout, storage(self.layout, self.form, K))
+        weak = self.factor.pivot <= SAFE_PIVOT
+        if weak.any():
+            lane = lane_name(int(weak.nonzero()[0]), len(K))
+            raise InputError(
+                f"K{lane} of static loads is not positive definite: something can move without stiffness, or against it; "
+                "hold more freedoms"
+            )
+
+    def solve(self, F: Tensor) -> Tensor:
+        """K^-1 F for columns F [lane, T, N, k]."""
+        lanes, T, N, k = F.shape
+        flat = F.movedim(1, 2).reshape(lanes, N, T * k).index_select(1, self.layout.order)
+        solved = self.factor.solve(flat).index_select(1, self.layout.inverse)
+        return solved.reshape(lanes, N, T, k).movedim(2, 1)
+
+
+class _Displacements(torch.autograd.Function):
+    """U [lane, N, k] of K [lane, nnz] and F [lane, N, k]."""
+
+    @staticmethod
+    def forward(solver: _Solver, K: Tensor, F: Tensor) -> Tensor:
+        solver.factorize(K)
+        return solver.solve(F[:, None])[:, 0].contiguous()
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
+        ctx.solver = inputs[0]
+        ctx.save_for_forward(output)
+        ctx.save_for_backward(output)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, solver: _Solver, K: Tensor, F: Tensor) -> tuple[Tensor, int]:
+        K, F = (
+            x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
+            for x, dim in ((K, in_dims[1]), (F, in_dims[2]))
+        )
+        found: Any = _Displacements.apply(solver, K.flatten(0, 1), F.flatten(0, 1))
+        return found.unflatten(0, (info.batch_size, -1)), 0
+
+    @staticmethod
+    def jvp(ctx: Any, _solver: None, dK: Tensor | None, dF: Tensor | None) -> Any:
+        (U,) = ctx.saved_tensors
+        dK, dF = (None if x is None else x.unsqueeze(1) for x in (dK, dF))
+        found: Any = _Tangent.apply(ctx.solver, U, dK, dF)
+        return found.squeeze(1)
+
+    @staticmethod
+    def backward(ctx: Any, *G: Tensor) -> tuple[None, Tensor, Tensor]:
+        (U,) = ctx.saved_tensors
+        K_bar, F_bar = _Cotangent.apply(ctx.solver, U, G[0].unsqueeze(1))  # pyright: ignore[reportGeneralTypeIssues]
+        return None, K_bar.squeeze(1), F_bar.squeeze(1)
+
+
+class _Tangent(FirstDerivative):
+    """dU [lane, T, N, k] of dK [lane, T, nnz] and dF [lane, T, N, k]."""
+
+    of = "static displacements"
+
+    @staticmethod
+    def forward(solver: _Solver, U: Tensor, dK: Tensor | None, dF: Tensor | None) -> Tensor:
+        return by_slices(partial(_tangent, solver), U, dK, dF)[0]
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, solver: _Solver, *tensors: Tensor | None) -> tuple:
+        (dU,), (dim,) = batched(_Tangent, info, in_dims, solver, tensors, state=1)
+        return dU, dim
+
+
+class _Cotangent(FirstDerivative):
+    """The cotangents of K [lane, T, nnz] and of F [lane, T, N, k] from that of U [lane, T, N, k]."""
+
+    of = "static displacements"
+
+    @staticmethod
+    def forward(solver: _Solver, U: Tensor, G: Tensor) -> tuple[Tensor, Tensor]:
+        return by_slices(partial(_cotangent, solver), U, G)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, solver: _Solver, *tensors: Tensor | None) -> tuple:
+        return batched(_Cotangent, info, in_dims, solver, tensors, state=1)
+
+
+def _tangent(solver: _Solver, U: Tensor, dK: Tensor | None, dF: Tensor | None, *_: None) -> tuple[Tensor, Tensor]:
+    loads = 0.0 if dK is None else solver.form.multiply(dK, U[:, None])
+    total = -loads if dF is None else dF - loads
+    assert isinstance(total, Tensor)
+    return solver.solve(total).contiguous(), U.new_zeros(0)
+
+
+def _cotangent(solver: _Solver, U: Tensor, G: Tensor, *_: None) -> tuple[Tensor, Tensor]:
+    Y = solver.solve(G).contiguous()
+    return -solver.form.pair(Y, U[:, None]), Y

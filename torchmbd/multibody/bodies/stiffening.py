@@ -54,7 +54,7 @@ class Stiffening:
     def __init__(self, name: str, assembly: Assembly) -> None:
         check_stressed(name, "stiffening", assembly.parts)
         self.name, self.assembly = name, assembly
-        self._static: dict[int, StaticLoads] = {}
+        self._static = outside(lambda: StaticLoads(assembly.pattern))
 
     def __call__(
         self,
@@ -78,18 +78,13 @@ class Stiffening:
                 unit[6 * node : 6 * node + 6, 6 * k : 6 * k + 6] = torch.eye(6, dtype=forces.dtype)
             own = self.assembly.freedoms.gathered(unit.unflatten(0, (-1, 6)))
             forces = torch.cat([forces, own.expand(*forces.shape[:-2], *own.shape)], -1)
-        u = self.assembly.freedoms.expand(self._solver(forces.shape[-1])(K, forces))
+        u = self.assembly.freedoms.expand(self._static(K, forces))
         Kg = projected(self.assembly.stressed(u), psi)
         turned = _turned_arms(points, x, self.assembly.motion(psi, points.arm)[..., 3:, :])
         inertial = Kg[..., :INERTIAL, :, :].unflatten(-3, (4, 3))
         inertial = inertial if turned is None else inertial + turned
         F1, F2 = inertial[..., 0, :, :, :], inertial[..., 1:, :, :, :].transpose(-4, -3)
         return {"F1": F1, "F2": F2, "bow": -Kg[..., INERTIAL:, :, :].unflatten(-3, (len(nodes), 6))}
-
-    def _solver(self, columns: int) -> StaticLoads:
-        if columns not in self._static:
-            self._static[columns] = outside(lambda: StaticLoads(self.assembly.pattern, columns))
-        return self._static[columns]
 
 
 def _weights(points: MassPoints, x: Tensor) -> Float[Tensor, "*lanes points 4"]:

@@ -125,7 +125,7 @@ class BucklingCase:
             raise InputError(
                 f"loads of {body.name!r} are zero; allowed: at least one force, or an imposed displacement"
             )
-        self._static = StaticLoads(self.pattern, 1)
+        self._static = StaticLoads(self.pattern)
         with torch.no_grad():
             self.assembly.stiffness()  # finds its places, which torch.func does not allow
 

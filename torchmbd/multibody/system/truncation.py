@@ -129,7 +129,7 @@ def _residual(system: Any, dynamics: Any, stages: dict[str, Tensor], k: int) -> 
     K, expand = found
     x = body.mesh.nodes - body.origin
     F = _unit_loads(x, mounts, expand, K.size)
-    G = F.T @ StaticLoads(K.pattern, F.shape[1])(K, F)
+    G = F.T @ StaticLoads(K.pattern)(K, F)
     psi = stages[body.name].detach()
     moved = torch.cat([mount.motion(x, psi.reshape(-1, *psi.shape[-3:])[0]) for mount in mounts])  # [6 mounts, modes]
     R = G - moved @ torch.linalg.solve(dynamics.data["Kr"][:n, :n, k, 0, 0], moved.T)

@@ -1,0 +1,53 @@
+"""Sums of quadratic forms: compiled and torch, values and derivatives, against their definition."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+from torch.testing import assert_close
+
+from torchmbd.math import quadratic_forms as module
+from torchmbd.math.quadratic_forms import quadratic_forms
+
+
+def numbers(lanes: int, k: int, points: int, r: int, s: int, a: int) -> tuple[Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    law = torch.randn(lanes, k, points, r, r, generator=generator, dtype=torch.float64)
+    return law + law.mT, torch.randn(lanes, points, r, s, a, generator=generator, dtype=torch.float64)
+
+
+def defined(law: Tensor, d: Tensor) -> Tensor:
+    return torch.einsum("...kpij,...pisa,...pjsb->...kab", law, d, d)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("sizes", [(2, 3, 70, 2, 3, 8), (1, 14, 5, 9, 1, 3), (3, 1, 1, 1, 2, 11)])
+def test_values_and_derivatives(sizes, compiled, monkeypatch, request):
+    if compiled:
+        request.getfixturevalue("compiled")
+    else:
+        monkeypatch.setattr(module, "panels", lambda x: None)
+    law, d = numbers(*sizes)
+    assert_close(quadratic_forms(law, d), defined(law, d), rtol=1e-12, atol=1e-11)
+    other = numbers(*sizes)[1].flip(0) + 1.0
+    tangents = (law.roll(1, 2), other)
+    for f in (quadratic_forms, defined):
+        _, out = torch.func.jvp(f, (law, d), tangents)
+        y, back = torch.func.vjp(f, law, d)
+        slopes = back(y.cos())
+        if f is quadratic_forms:
+            found = (out, *slopes)
+        else:
+            assert_close(found[0], out, rtol=1e-11, atol=1e-10)
+            assert_close(0.5 * (found[1] + found[1].mT), 0.5 * (slopes[0] + slopes[0].mT), rtol=1e-11, atol=1e-10)
+            assert_close(found[2], slopes[1], rtol=1e-11, atol=1e-10)
+
+
+def test_lanes_are_broadcast_and_batched():
+    law, d = numbers(2, 3, 4, 2, 3, 5)
+    assert_close(quadratic_forms(law, d[0]), defined(law, d[0].expand_as(d)))
+    assert_close(quadratic_forms(law[0], d), defined(law[0].expand_as(law), d))
+    assert_close(torch.vmap(quadratic_forms)(law[:, None], d[:, None])[:, 0], defined(law, d))
+    rows = torch.func.jacrev(lambda x: quadratic_forms(law, x)[0, 0, 0])(d)
+    assert_close(rows, torch.func.jacfwd(lambda x: quadratic_forms(law, x)[0, 0, 0])(d))

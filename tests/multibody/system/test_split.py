@@ -1,0 +1,79 @@
+"""Pieces of a beam together are the beam: mass, frequencies, nodes, parameters; other bodies are refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+
+import torchmbd as mbd
+from torchmbd.errors import InputError
+
+CARBON = mbd.Ply(E1=128e9, E2=10.1e9, G12=5.36e9, G13=5.36e9, G23=5.36e9, nu12=0.23, density=1586.0)
+TUBE = mbd.sections.tube(0.02, CARBON, mbd.deg([30, -30]), 5e-4)
+STEEL = mbd.sections.tube(0.03, mbd.Ply.isotropic(E=210e9, nu=0.3, density=7850.0), [0.0], 1e-3)
+
+
+def arm(line: mbd.BeamLine | None = None, section: Any = TUBE, **options: Any) -> mbd.FlexibleBody:
+    line = mbd.BeamLine.straight(2.0, 9) if line is None else line
+    return mbd.FlexibleBody.beam("arm", line, section, **{"modes": 6, "reference": "start"} | options)
+
+
+def frequencies(bodies: Any, joints: Any, start: mbd.Frame) -> torch.Tensor:
+    system = mbd.System(bodies, [mbd.Fixed(mbd.Ground().at(), start), *joints], truncation=None)
+    return mbd.equilibrium(system).frequencies[0].detach()
+
+
+@pytest.mark.parametrize("kind", ["straight", "arc of two sections"])
+def test_frequencies_are_those_of_the_beam(kind: str):
+    arc = kind != "straight"
+    line = mbd.BeamLine.arc(1.0, math.pi / 3, 9) if arc else None
+    turn = torch.linspace(0.0, 0.6, 9, dtype=torch.float64) if arc else 0.0
+    body = arm(line, [TUBE] * 4 + [STEEL] * 5 if arc else TUBE, twist=turn)
+    chain = mbd.split(body, 3, modes=4)
+    one, several = frequencies([body], [], body.at("start")), frequencies(chain.bodies, chain.joints, chain.at("start"))
+    torch.testing.assert_close(several[:4], one[:4], rtol=5e-3, atol=0.0)
+    mass = sum(piece.structure()["mass"] for piece in chain.bodies)
+    torch.testing.assert_close(mass, body.structure()["mass"])
+
+
+def test_nodes_and_parameters():
+    body = arm(position=(0.1, 0.2, 0.3), axes=[[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    chain = mbd.split(body, 4, interface=[3])
+    assert [len(piece.mesh.elements) for piece in chain.bodies] == [2, 2, 3, 2]
+    for k in range(10):
+        frame = chain.at(k)
+        found = frame.body.position + frame.body.axes @ frame.point
+        torch.testing.assert_close(found, body.position + body.axes @ body.places()[k])
+    assert chain.bodies[1].modes == 12
+    system = mbd.System(chain.bodies, [mbd.Fixed(mbd.Ground().at(0.1, 0.2, 0.3), chain.at("start")), *chain.joints])
+    assert [name for name, _ in system.named_parameters()] == ["arm_0.section.angles"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"body": 3.0}, "body of split is 3.0; allowed: a body of FlexibleBody.beam"),
+        ({"body": arm().moving(velocity=(1.0, 0.0, 0.0))}, "body 'arm' of split has motion or position of its own"),
+        ({"body": arm().damped(0.1)}, "body 'arm' of split has damping ratios"),
+        ({"n": 10}, "n is 10; allowed: 1 to 9, the elements of 'arm'"),
+        ({"modes": -1}, "modes is -1; allowed: 0, 1, 2"),
+    ],
+)
+def test_wrong_arguments_are_named(change: dict, message: str):
+    with pytest.raises(InputError, match=message):
+        mbd.split(**{"body": arm(), "n": 3} | change)
+
+
+def test_other_bodies_are_refused():
+    laminate = mbd.Laminate(CARBON, [0.0], [1e-3])
+    plate = mbd.FlexibleBody.plate("panel", mbd.mesh.rectangle(0.5, 0.1, (4, 2)), laminate, modes=2)
+    with pytest.raises(InputError, match="body 'panel' of split is no beam"):
+        mbd.split(plate, 2)
+    fork = mbd.BeamLine([[0.0, 0, 0], [1.0, 0, 0], [2.0, 1, 0], [2.0, -1, 0]], [[0, 1], [1, 2], [1, 3]])
+    with pytest.raises(InputError, match="line of 'arm' has branches, or nodes that vary"):
+        mbd.split(arm(fork, reference=0), 2)
+    with pytest.raises(InputError, match="node is"):
+        mbd.split(arm(), 3).at([0, 1])  # pyright: ignore[reportArgumentType]

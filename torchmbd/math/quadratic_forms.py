@@ -1,0 +1,130 @@
+"""Quadratic forms of motions at points under many laws, summed over the points.
+
+    y_k = sum_points sum_ij L_k,ij d_i' d_j          d_i [s, a]: rows of a point for a motions;  L symmetric;  y [a, a]
+
+Compiled code takes one design after another (panels.py), else torch takes the points in groups: the products d_i' d_j of all
+points and designs together would leave the cache of the processor.
+Differentiable once in L and d, forward and reverse. Checked in tests/math/test_quadratic_forms.py.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.math.first_derivative import FirstDerivative
+from torchmbd.math.panels import panels
+
+GROUP = 64  # points
+
+
+def quadratic_forms(
+    law: Float[Tensor, "*lanes k p r r"], d: Float[Tensor, "*lanes p r s a"]
+) -> Float[Tensor, "*lanes k a a"]:
+    """The sums of all laws."""
+    r, a = law.shape[-1], d.shape[-1]
+    i, j = torch.triu_indices(r, r)
+    pairs = law.flatten(-2).index_select(-1, i * r + j) * torch.where(i == j, 1.0, 2.0).to(law.dtype)
+    lanes = torch.broadcast_shapes(pairs.shape[:-3], d.shape[:-4])
+    pairs, d = (x.expand(*lanes, *x.shape[-n:]).reshape(-1, *x.shape[-n:]) for x, n in ((pairs, 3), (d, 4)))
+    found: Any = _Forms.apply(pairs, d)
+    return found.reshape(*lanes, -1, a, a)
+
+
+class _Forms(torch.autograd.Function):
+    """y [lane, k, a, a] of upper triangles of laws, doubled off the diagonal [lane, k, p, ij], and of d [lane, p, r, s, a]."""
+
+    @staticmethod
+    def forward(law: Tensor, d: Tensor) -> Tensor:
+        return _symmetric(_sums(law, d, d))
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple, output: Tensor) -> None:
+        ctx.save_for_forward(*inputs)
+        ctx.save_for_backward(*inputs)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, *x: Tensor) -> Any:
+        return _vmapped(_Forms, info, in_dims, x)
+
+    @staticmethod
+    def jvp(ctx: Any, d_law: Tensor | None, d_d: Tensor | None) -> Any:
+        law, d = ctx.saved_tensors
+        parts: list[Any] = [] if d_law is None else [_Cross.apply(d_law, d, 0.5 * d)]
+        parts += [] if d_d is None else [_Cross.apply(law, d, d_d)]
+        return sum(parts)
+
+    @staticmethod
+    def backward(ctx: Any, *G: Tensor) -> Any:
+        return _Slopes.apply(*ctx.saved_tensors, G[0])
+
+
+class _Cross(FirstDerivative):
+    """The same of d_i' e_j + e_i' d_j."""
+
+    of = "quadratic forms"
+
+    @staticmethod
+    def forward(law: Tensor, d: Tensor, e: Tensor) -> Tensor:
+        return _symmetric(_sums(law, d, e))
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, *x: Tensor) -> Any:
+        return _vmapped(_Cross, info, in_dims, x)
+
+
+class _Slopes(FirstDerivative):
+    """Cotangents of law and d from those of y."""
+
+    of = "quadratic forms"
+
+    @staticmethod
+    def forward(law: Tensor, d: Tensor, G: Tensor) -> tuple[Tensor, Tensor]:
+        G = _symmetric(G)
+        if (code := panels(d)) is not None:
+            return code.quadratic_slopes(law, d, G)
+        i, j = torch.triu_indices(d.shape[2], d.shape[2])
+        by_law, by_d = torch.empty_like(law), torch.zeros_like(d)
+        for own in torch.arange(d.shape[1]).split(GROUP):
+            left, right = (d[:, own[:, None], k] for k in (i, j))  # [lane, p, ij, s, a]
+            by_law[:, :, own] = torch.einsum("lpqsa,lpqsb,lkab->lkpq", left, right, G)
+            H = torch.einsum("lkpq,lkab->lpqab", law[:, :, own], G)
+            by_d[:, own] = by_d[:, own].index_add(2, i, right @ H).index_add(2, j, left @ H)
+        return by_law, by_d
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple, *x: Tensor) -> Any:
+        return _vmapped(_Slopes, info, in_dims, x)
+
+
+def _sums(law: Tensor, d: Tensor, e: Tensor) -> Tensor:
+    if (code := panels(d)) is not None:
+        return code.quadratic_forms(law, d, e)
+    i, j = torch.triu_indices(d.shape[2], d.shape[2])
+    total = d.new_zeros(len(law), law.shape[1], d.shape[-1], d.shape[-1])
+    for own in torch.arange(d.shape[1]).split(GROUP):
+        at = own[:, None]
+        rows = d[:, at, i].mT @ e[:, at, j]
+        rows = rows if e is d else rows + e[:, at, i].mT @ d[:, at, j]
+        total += torch.einsum("lkpq,lpqab->lkab", law[:, :, own], rows)
+    return total
+
+
+def _symmetric(y: Tensor) -> Tensor:
+    return 0.5 * (y + y.mT)
+
+
+def _vmapped(function: Any, info: Any, in_dims: tuple, x: tuple[Tensor, ...]) -> Any:
+    """More lanes."""
+    size = info.batch_size
+    wide = [
+        own.expand(size, *own.shape) if dim is None else own.movedim(dim, 0)
+        for own, dim in zip(x, in_dims, strict=True)
+    ]
+    found = function.apply(*(own.flatten(0, 1) for own in wide))
+    if isinstance(found, tuple):
+        return tuple(own.unflatten(0, (size, -1)) for own in found), (0,) * len(found)
+    return found.unflatten(0, (size, -1)), 0
