@@ -79,3 +79,30 @@ def test_responses_count(write, monkeypatch):
     problem.evaluate(np.tile(problem.start, (2, 1)), True)
     assert cost == pytest.approx(clock[0] - began, rel=1e-9)
     assert cost > 0.02 * 60
+
+
+def test_scenarios_of_several_systems_count(monkeypatch):
+    """By a clock that only simulations move: every batch simulates each system with a lane for each of its scenarios."""
+    clock, light, heavy = [0.0], mbd.examples.arm(), mbd.examples.arm()
+
+    def counted(*given, designs, **options):
+        clock[0] += len(next(iter(designs.values())))
+        return simulate(*given, designs=designs, **options)
+
+    payload = {"arm.laminate.thickness": [2e-3, 2e-3]}
+    problem = mbd.Scenarios(
+        light,
+        0.02,
+        mbd.Integral(mbd.StrainEnergy("arm")),
+        scenarios={"light": {"arm.laminate.thickness": [1e-3, 1e-3]}, "thick": payload, "heavy": {"system": heavy}},
+        objective="mean",
+        variables=["arm.laminate.angles"],
+        steps=20,
+    )
+    monkeypatch.setattr("torchmbd.study.estimate.simulate", counted)
+    monkeypatch.setattr("torchmbd.study.estimate.time", SimpleNamespace(perf_counter=lambda: clock[0]))
+    points = np.tile(problem.start, (2, 1))
+    study = SimpleNamespace(problem=problem, sweep=None, points=points, max_iterations=4)
+    cost = estimate(study, problem)
+    assert (cost.simulations, cost.lanes) == (2 * 6 * 3, 2 * 3)
+    assert cost.batch_seconds == pytest.approx(6.0)

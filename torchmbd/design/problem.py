@@ -236,6 +236,10 @@ class Problem(Summary):
         options: dict[str, Any] = {**self.simulation, "steps": self.steps}
         return simulate(self.system, self.duration, designs=designs, gradients=way, variables=names, **options)
 
+    def cases(self, X: np.ndarray) -> list[tuple[System, dict[str, Tensor]]]:
+        """Every system that designs [lanes, n] are simulated with, and the designs of its lanes."""
+        return [(self.system, self.space.designs(X[:, : len(self.space.names)]))]
+
     def motion(self, x: np.ndarray) -> Trajectory:
         """Motion of one design [n]."""
         return self.simulate(np.asarray(x)[None])

@@ -224,6 +224,9 @@ class Scenarios(Problem):
         options: dict[str, Any] = {**self.simulation, "steps": self.steps}
         return simulate(group.system, self.duration, designs=designs, gradients=way, variables=names, **options)
 
+    def cases(self, X: np.ndarray) -> list[tuple[System, dict[str, Tensor]]]:
+        return [(group.system, self._designs(X, list(group.settings.values()))) for group in self.groups]
+
     def _designs(self, X: np.ndarray, scenarios: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
         """Of designs [lanes, n], each in all scenarios."""
         designs = self.space.designs(X[:, : len(self.space.names)].repeat(len(scenarios), axis=0))

@@ -80,7 +80,10 @@ class Estimate:
 
 def estimate(study: StudySettings, problem: Problem) -> Estimate:
     """Measure two short motions with their responses, and extrapolate."""
-    starts = np.repeat(_starts(study), getattr(study.problem, "simulations", 1), axis=0)
+    starts = _starts(study)
+    cases = getattr(problem, "simulations", 1)  # of one design
+    if study.problem is not problem:  # a robust one, of designs around each
+        starts = np.repeat(starts, max(1, getattr(study.problem, "simulations", 1) // cases), axis=0)
     X = starts[:LANES, : len(problem.names)]
     way = problem.gradients if study.sweep is None else "none"
     each = math.ceil(_PER_ITERATION * study.max_iterations) if study.sweep is None else 1
@@ -92,7 +95,10 @@ def estimate(study: StudySettings, problem: Problem) -> Estimate:
     batches = each * math.ceil(len(starts) / LANES)
     base = 1024.0 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     once = first + _TRACKING + (batch + _pictures(problem) if study.sweep is None else 0.0)  # two motions of pictures
-    return Estimate(each * len(starts), len(X), batch, batches * batch + once, once, base + _COPIES * size, way, others)
+    memory = base + _COPIES * size
+    return Estimate(
+        each * len(starts) * cases, len(X) * cases, batch, batches * batch + once, once, memory, way, others
+    )
 
 
 def _pictures(problem: Problem) -> float:
@@ -120,7 +126,7 @@ def _batch(problem: Problem, X: np.ndarray, way: str) -> tuple[float, float, flo
         tries = []
         for _ in range(_TRIES):  # the fastest: a machine that does something else is slower for a while
             began = time.perf_counter()
-            size = _bytes(_short(problem, X, way, share)) / share
+            size = _short(problem, X, way, share) / share
             tries.append(time.perf_counter() - began)
         times.append((share, min(tries)))
     (a, fast), (b, slow) = times[0], times[-1]
@@ -142,23 +148,25 @@ def _shares(steps: int | None) -> list[float]:
     return [first / steps, min(3 * first, steps) / steps]
 
 
-def _short(problem: Problem, X: np.ndarray, way: str, share: float) -> Trajectory:
-    """Simulate the beginning of the motion, and evaluate the responses on it."""
-    steps = problem.steps
+def _short(problem: Problem, X: np.ndarray, way: str, share: float) -> float:
+    """Simulate the beginning of the motions of all scenarios, and evaluate the responses on them; bytes of the motions."""
+    steps, size = problem.steps, 0.0
     settings = {name: value for name, value in problem.simulation.items() if name != "steps"}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a few steps tell what they cost, not how good they are
-        motion = simulate(
-            problem.system,
-            share * problem.duration,
-            steps=None if steps is None else round(share * steps),
-            gradients=way,
-            variables=problem.space.variables,
-            designs=problem.space.designs(X[:, : len(problem.space.names)]),
-            **settings,
-        )
-        differentiate(partial(_responses, problem), motion)
-    return motion
+        for system, designs in problem.cases(X):
+            motion = simulate(
+                system,
+                share * problem.duration,
+                steps=None if steps is None else round(share * steps),
+                gradients=way,
+                variables=problem.space.variables,
+                designs=designs,
+                **settings,
+            )
+            differentiate(partial(_responses, problem), motion)
+            size += _bytes(motion)
+    return size
 
 
 def _responses(problem: Problem, motion: Trajectory) -> Tensor:
