@@ -6,10 +6,12 @@ Checked in tests/experiments/test_documentation.py.
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import torchmbd as mbd
 from torchmbd.study.json_schema import json_schema
@@ -79,7 +81,8 @@ def commands() -> str:
     """Every command with its arguments, as the command line tells them."""
     from torchmbd.cli import app
 
-    text = app.generate_docs(output_format="markdown", usage_name="torchmbd")  # not the program that runs now
+    with patch.object(sys, "argv", ["torchmbd"]):  # else a page that `python -m` makes says "torchmbd run -m ..."
+        text = app.generate_docs(output_format="markdown")
     return text[text.index("## torchmbd run") :]
 
 

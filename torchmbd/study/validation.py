@@ -73,7 +73,9 @@ def _missing_bounds(data: dict[Any, Any]) -> list[Fault]:
 def _alone(kind: type[Section], name: str) -> type[Section]:
     """Return a model of one section of a file."""
     field = kind.model_fields[name]
-    fields: dict[str, Any] = {name: (field.rebuild_annotation(), field.get_default(call_default_factory=True))}
+    fields: dict[str, Any] = {
+        name: (field.rebuild_annotation(), field.get_default(call_default_factory=True, validated_data={}))
+    }
     return create_model(name, __base__=Section, **fields)
 
 
