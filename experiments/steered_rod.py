@@ -115,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     cases: list[tuple[tuple[int, int], tuple[int, int], float | None, int]] = [
         ((10, 10), coarse, None, 900),
         ((10, 10), coarse, RADIUS, 1500),
-        ((50, 20), fine, None, 1500),
+        ((50, 20), fine, None, 3000),
     ]
     for controls, cells, radius, most in cases:
         reference = value if cells == coarse else straight(x.tolist(), cells).evaluate(x[None], False)[0].objective

@@ -273,3 +273,18 @@ def test_wrong_arguments_are_named(file, given, words):
     extra = joint("j4", "revolute", "link3", "hook", "1 0 0", extra='<dynamics friction="1"/>')
     with pytest.raises(InputError, match=words):
         mbd.System.from_urdf(file(*ARM, link("hook", 1.0, "0 0 0", 1e-3, 1e-3, 1e-3), extra), **given)
+
+
+def test_inertia_without_mass_counts(tmp_path):
+    """Of a link that is fixed to another one: files of robots have such feet."""
+    file = tmp_path / "foot.urdf"
+    file.write_text(
+        '<robot name="leg"><link name="base"/>'
+        + link("leg", 1.0, "0 0 0", 1e-3, 2e-3, 3e-3)
+        + link("foot", 0.0, "0 0 0", 1e-3, 2e-3, 3e-3)
+        + joint("hip", "revolute", "base", "leg", "0 0 0", "0 0 0")
+        + joint("ankle", "fixed", "leg", "foot", "0.3 0 0", "0 0 0")
+        + "</robot>"
+    )
+    [leg] = mbd.System.from_urdf(file).bodies
+    assert leg.inertia.diagonal().tolist() == pytest.approx([2e-3, 4e-3, 6e-3])

@@ -133,10 +133,12 @@ class _Builder:
         return replace(joint, kind="fixed", origin=origin, limits=None, mimics=False)
 
     def _drop_marks(self) -> None:
-        """Leave out links without mass that are fixed at the end of others, such as flanges."""
+        """Leave out links without mass and inertia that are fixed at the end of others, such as flanges."""
         kept: list[UrdfJoint] = []
         for joint in reversed(self.robot.joints):
-            bare = joint.kind == "fixed" and not self.robot.links[joint.child].mass and joint.child not in self.flexible
+            link = self.robot.links[joint.child]
+            empty = link.mass == 0.0 and not link.inertia.any()
+            bare = joint.kind == "fixed" and empty and joint.child not in self.flexible
             if not bare or any(other.parent == joint.child for other in kept):
                 kept.append(joint)
         self.robot = replace(self.robot, joints=kept[::-1])
