@@ -99,6 +99,28 @@ def test_known_rates_find_the_peaks_of_a_coarsely_sampled_vibration(phase):
     assert_close(torch.func.jacfwd(largest)(b), slopes, rtol=0, atol=1e-7)
 
 
+@pytest.mark.parametrize("curvature", [10.0, 100.0])
+def test_the_gradient_of_a_peak_is_the_slope_of_its_value(curvature):
+    """Peaks of 2,000 random quintics, whose cubics (the start of the search) have theirs elsewhere or none.
+
+    At a place where the slope does not vanish the gradient would be another than that of the value.
+    """
+    draw = torch.Generator().manual_seed(1)
+    t = torch.tensor([0.0, 0.1], dtype=torch.float64)
+    scale = torch.tensor([[0.1], [10.0], [curvature]], dtype=torch.float64)
+    knots = scale * torch.randn(2_000, 3, 2, generator=draw, dtype=torch.float64)
+    knots[:, 1] = torch.stack([knots[:, 1, 0].abs(), -knots[:, 1, 1].abs()], -1)  # up at the start, down at the end
+    along = scale * torch.randn(2_000, 3, 2, generator=draw, dtype=torch.float64)
+
+    def highest(x: Tensor) -> Tensor:
+        y, m, c = x.unbind(-2)
+        return Spline(t, y, m, (), c).highest()[:, 0]
+
+    slope = (highest(knots + 1e-7 * along) - highest(knots - 1e-7 * along)) / 2e-7
+    assert_close(torch.func.jvp(highest, (knots,), (along,))[1], slope, rtol=1e-5, atol=1e-6)
+    assert bool((highest(knots) > knots[:, 0].amax(-1)).all())  # there is a place inside where the curve stands higher
+
+
 def test_with_known_rates_between_the_samples_at_sixth_order():
     times = torch.linspace(0, 1, 1001, dtype=torch.float64)
     b = torch.tensor([1.3, 0.4], dtype=torch.float64)

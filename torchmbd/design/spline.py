@@ -25,7 +25,8 @@ from torch import Tensor
 from torchmbd.design.hermite import hermite
 from torchmbd.errors import InputError
 
-NEWTON = 4  # steps from the summit of the cubic to that of the quintic
+NEWTON = 10  # steps from the summit of the cubic to that of the quintic
+STATIONARY = 1e-6  # slope that counts as none, of the slopes at the ends of an interval
 Window = tuple[float, float] | None
 
 
@@ -171,11 +172,27 @@ class Spline:
         root = torch.where(bend > 0.0, m0 / torch.where(bend > 0.0, bend, 1.0), -1.0)
         inner = (square > 0.0) & (root >= 0.0) & (root < 1.0)
         root = torch.where(inner, root, 0.0)
-        for _ in range(NEWTON if self.c is not None else 0):
-            bending = self._inside(root, 2)
-            step = self._inside(root, 1) / torch.where(bending < 0.0, bending, torch.inf)
-            root = (root - step / h).clamp(0.0, 1.0)
-        return root, inner
+        return (root, inner) if self.c is None else self._of_quintic(root, inner)
+
+    def _of_quintic(self, root: Tensor, inner: Tensor) -> tuple[Tensor, Tensor]:
+        """The same of the quintic, from those of the cubic.
+
+        Newton's steps inside a bracket where the slope changes its sign from one end to the other: a place where it did not
+        vanish would move with the design, and its value have another gradient than the one that stands here. Where the slope
+        has one sign at both ends, and steps end elsewhere, the larger end is taken.
+        """
+        h, start, end = self.t.diff(), self.m[..., :-1], self.m[..., 1:]
+        turns = (start > 0.0) & (end < 0.0)
+        low, high = torch.zeros_like(root), torch.ones_like(root)
+        root = torch.where(turns & ~inner, start / torch.where(turns, start - end, 1.0), root)
+        for _ in range(NEWTON):
+            slope, bending = self._inside(root, 1), self._inside(root, 2)
+            low, high = torch.where(turns & (slope > 0.0), root, low), torch.where(turns & (slope <= 0.0), root, high)
+            step = root - slope / torch.where(bending < 0.0, bending, torch.inf) / h
+            outside = turns & ((step < low) | (step > high) | (bending >= 0.0))
+            root = torch.where(outside, 0.5 * (low + high), step.clamp(0.0, 1.0))
+        flat = self._inside(root, 1).abs() <= STATIONARY * torch.maximum(start.abs(), end.abs())
+        return root, (turns | inner) & flat
 
 
 class _Summits(torch.autograd.Function):
