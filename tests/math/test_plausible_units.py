@@ -81,9 +81,21 @@ def scaled(factor: float, *names: str) -> mbd.Ply:
     return mbd.Ply(**{name: x * (factor if name in names else 1.0) for name, x in CARBON.items()})
 
 
+def turned_by(law, key: str = "angle") -> mbd.Drive:
+    return mbd.Drive(mbd.Ground(), mbd.RigidBody("crank", 1.0, (0.01, 0.01, 0.01)), name="motor", **{key: law})
+
+
 MODULI = ("E1", "E2", "G12", "G13", "G23")
 STRONG = Strength(Xt=1500.0, Xc=1200.0, Yt=40.0, Yc=250.0, S12=70.0)
 DOUBTED = {
+    "drive in degrees": (
+        lambda: turned_by(mbd.SmoothStep(90, 1.0)),
+        "units of size of 'motor'? It is 90 rad; allowed: rad",
+    ),
+    "variable drive in degrees": (
+        lambda: turned_by(mbd.Sine(mbd.variable(-45.0), 1.0)),
+        "amplitude of 'motor'? It is -45",
+    ),
     "GPa": (lambda: scaled(1e-9, *MODULI), "units of Ply: E1? It is 128 Pa; allowed: m, kg, s, N, Pa"),
     "MPa": (lambda: scaled(1e-6, *MODULI), "Ply: E1? It is 128000 Pa"),
     "G in GPa": (lambda: scaled(1e-9, "G12", "G13", "G23"), r"Ply: G12\? It is 5.36 Pa"),
@@ -145,6 +157,8 @@ def test_other_units_are_doubted(name):
 
 
 LEGITIMATE = {
+    "many turns": lambda: turned_by(mbd.SmoothStep(91.0, 1.0)),
+    "travel of 90 m": lambda: turned_by(mbd.SmoothStep(90.0, 60.0), "position"),
     "MEMS plate": lambda: sheet(1e-4, 2e-5, 1e-6),
     "blade of 100 m": lambda: sheet(100.0, 4.0, 0.04, (10, 2)),
     "solar blanket": lambda: sheet(10.0, 2.0, 2.5e-4),

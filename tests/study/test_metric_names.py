@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torchmbd as mbd
-from torchmbd.study.metric_names import constraint_names, is_design, short
+from torchmbd.study.metric_names import constraint_names, heading, is_design, short
 
 ENERGY = mbd.StrainEnergy("arm")
 
@@ -39,6 +39,8 @@ def test_groups():
     assert is_design("design/angle_1_deg")
     assert not is_design("constraint/mass")
     assert short("design/angle_1_deg") == "angle_1_deg"
+    assert heading("design/boom_height_cm") == "boom height [cm]"
+    assert heading("reduction_percent") == "reduction [%]"
 
 
 def test_constraints_of_scenarios_name_the_scenario():

@@ -13,6 +13,7 @@ modulus or a density that hardly any structure has is doubted by a warning, for 
     modulus                                    1e-6 of the largest at least; as a design or bound 1 kPa to 2 TPa
     strength along the fibre                   1e-5 of the modulus at least
     radius of gyration of a rigid body         up to 20 m
+    turn of a drive                            not exactly 30, 45, 60, 90, 180, 270, 360 rad
 
 A name stands for the quantity of a parameter: `angles`, `thickness`, `width`, `E1`, `density`.
 Checked in tests/math/test_plausible_units.py.
@@ -45,6 +46,7 @@ _USUAL = {
     "density": ("kg/m3", DENSITY),
 }
 _TURNS = {"pi / 4": math.pi / 4.0, "pi / 2": math.pi / 2.0, "pi": math.pi, "2 pi": 2.0 * math.pi}
+_IN_DEGREES = (30.0, 45.0, 60.0, 90.0, 180.0, 270.0, 360.0)
 WHOLE_TURN = 2.0 * math.pi * (1.0 + 1e-12)  # 360 degrees, rounded
 
 
@@ -54,6 +56,12 @@ def check_angles(name: str, values: Iterable[float], outer: str = "") -> None:
         if not abs(value) <= WHOLE_TURN:
             hint = " (degrees? use mbd.deg)" if abs(value) > WHOLE_TURN else ""
             raise InputError(f"{outer}{name}[{k}] = {value!r} rad{hint}; allowed: -2 pi to 2 pi")
+
+
+def doubt_turn(name: str, value: float) -> None:
+    """Warn where a turn of a drive [rad], which may be many turns, is a number of degrees that people turn things by."""
+    if abs(value) in _IN_DEGREES:
+        warn(f"units of {name}? It is {value:g} rad; allowed: rad; degrees are mbd.deg({value:g})")
 
 
 def turn_in_radians(degrees: Iterable[float]) -> str | None:

@@ -8,7 +8,17 @@ from rich.markup import escape
 from rich.table import Table
 
 from torchmbd.errors import InputError
-from torchmbd.study.metric_names import CONVERGED, EVALUATIONS, INCREASE, REDUCTION, STARTS, gain, is_design, short
+from torchmbd.study.metric_names import (
+    CONVERGED,
+    EVALUATIONS,
+    INCREASE,
+    REDUCTION,
+    STARTS,
+    gain,
+    heading,
+    is_design,
+    short,
+)
 from torchmbd.study.progress import better, give_way, in_lines, print_table
 from torchmbd.tracking.catalog import GOAL, MAXIMIZE, Entry, children, find, studies
 from torchmbd.tracking.store import store_uri
@@ -30,8 +40,8 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
     table = _table(f"{entry.name}, {entry.began:%d %b %H:%M}, {entry.status.lower()}, run {entry.run_id[:8]}")
     sign = -1.0 if entry.tags.get(GOAL) == MAXIMIZE else 1.0
-    for heading in ("", "objective", better(sign), "viol.", *map(short, names), "status"):
-        table.add_column(escape(in_lines(heading)), justify="right", no_wrap=True)
+    for title in ("", "objective", better(sign), "viol.", *map(heading, names), "status"):
+        table.add_column(escape(in_lines(title)), justify="right", no_wrap=True)
     for child in found:
         less = child.metrics.get(gain(sign))
         cells = [child.name, f"{child.metrics['objective']:.6g}", "-" if less is None else f"{less:.2f} %"]
@@ -41,7 +51,7 @@ def print_best(run: str | None, uri: str | None, count: int, console: Console) -
         table.add_row(*map(escape, cells), child.tags.get("status", child.status.lower()).replace("_", " "))
     if not print_table(table, console, give_way(4, len(names), [-1, 2])):
         for child in found:
-            values = ", ".join(f"{short(name)} {child.metrics[name]:.6g}" for name in names if name in child.metrics)
+            values = ", ".join(f"{heading(name)} {child.metrics[name]:.6g}" for name in names if name in child.metrics)
             console.print(f"{child.name}: {values}", soft_wrap=True, highlight=False, markup=False)
     model = entry.params.get("model", "").rpartition(":")[0]
     again = (
@@ -62,8 +72,8 @@ def print_comparison(a: str, b: str, uri: str | None, console: Console) -> None:
     store = store_uri(uri)
     first, second = find(store, a), find(store, b)
     table = _table("what differs, and how they ended")
-    for heading in ("", f"{first.name} {first.run_id[:8]}", f"{second.name} {second.run_id[:8]}"):
-        table.add_column(escape(heading), overflow="fold")
+    for title in ("", f"{first.name} {first.run_id[:8]}", f"{second.name} {second.run_id[:8]}"):
+        table.add_column(escape(title), overflow="fold")
     for name, left, right in differences(first, second):
         table.add_row(*map(escape, (name, left, right)))
     table.add_section()

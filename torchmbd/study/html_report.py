@@ -13,7 +13,6 @@ from html import escape
 from pathlib import Path
 
 from torchmbd.errors import InputError
-from torchmbd.math.units import UNITS
 from torchmbd.study.config_index import QUESTION_MISSING, question
 from torchmbd.study.metric_names import (
     ANALYSES,
@@ -24,8 +23,8 @@ from torchmbd.study.metric_names import (
     ITERATIONS,
     REDUCTION,
     STARTS,
+    heading,
     is_design,
-    short,
 )
 from torchmbd.summary import few
 from torchmbd.tracking.catalog import Entry, children, fetch, files, find
@@ -51,7 +50,6 @@ _OUTCOME = {
     EVALUATIONS: "evaluations",
     FAILED: "of them failed",
 }
-_UNITS = (*UNITS, "%")  # at the ends of metrics
 _PROVENANCE = ("git_commit", "version.torchmbd", "version.torch", "version.python", "machine", "seed", "overrides")
 
 
@@ -123,7 +121,7 @@ def _children(store: str, entry: Entry) -> str:
     names = list(dict.fromkeys(name for child in found for name in child.metrics if is_design(name)))
     columns = ["objective", REDUCTION, INCREASE, "violation", *names, ITERATIONS, ANALYSES]
     columns = [name for name in columns if any(name in child.metrics for child in found)]
-    head = "".join(f"<th>{escape(_heading(name))}</th>" for name in ("run", *columns, "status"))
+    head = "".join(f"<th>{escape(heading(name))}</th>" for name in ("run", *columns, "status"))
     rows = []
     for child in found:
         cells = [child.name, *(_number(c, child.metrics[c]) if c in child.metrics else "-" for c in columns)]
@@ -131,12 +129,6 @@ def _children(store: str, entry: Entry) -> str:
         best = ' class="best"' * (child.tags.get("best") == "true")
         rows.append(f"<tr{best}>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>")
     return f"<h2>{len(found)} runs</h2><table><tr>{head}</tr>{''.join(rows)}</table>"
-
-
-def _heading(metric: str) -> str:
-    """Return the title of a metric's column: `angle 1 [deg]`, `reduction [%]`."""
-    word, _, last = short(metric).replace("percent", "%").rpartition("_")
-    return f"{word.replace('_', ' ')} [{last}]" if last in _UNITS else short(metric).replace("_", " ")
 
 
 def _number(metric: str, value: float) -> str:

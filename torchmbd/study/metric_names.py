@@ -13,6 +13,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from torchmbd.study.schema import UNITS
+
 CONSTRAINT, DESIGN, SEARCH = "constraint/", "design/", "search/"
 REDUCTION, INCREASE = "reduction_percent", "increase_percent"
 ITERATIONS, ANALYSES = f"{SEARCH}iterations", f"{SEARCH}analyses"
@@ -33,6 +35,12 @@ def is_design(metric: str) -> bool:
 def short(metric: str) -> str:
     """A metric without its group."""
     return metric.rpartition("/")[2]
+
+
+def heading(metric: str) -> str:
+    """The title of a metric's column: `angle 1 [deg]`, `reduction [%]`."""
+    word, _, last = short(metric).replace("percent", "%").rpartition("_")
+    return f"{word.replace('_', ' ')} [{last}]" if last in (*UNITS, "%") else short(metric).replace("_", " ")
 
 
 def constraint_names(problem: Any, count: int) -> list[str]:

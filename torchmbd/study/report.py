@@ -68,7 +68,7 @@ def study_pictures(
 ) -> None:
     """Draw what the question asks for, over iterations and over time, start against best, and all starts; file the pictures."""
     searches = {f"start {r.start}": r.history for r in found.results if r.history}
-    if not searches:
+    if not searches or not any(np.isfinite(r.value) for r in found.results):  # nothing could be evaluated
         return
     best, problem = found.best, study.simulated
     objective = heading(problem.asked) if isinstance(problem, Problem) else "objective"

@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from torchmbd.errors import InputError
-from torchmbd.viz.figures import BEST, OTHER, figure_of, titled
+from torchmbd.viz.figures import BEST, OTHER, figure_of, titled, wrapped
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+_ROOM = 3  # lines below an axis
 
 
 def parallel_coordinates(
@@ -74,6 +76,9 @@ def parallel_coordinates(
         axes.axvline(k, color="#444444", lw=0.8, zorder=0)
         for edge, text, va in ((-0.03, low[k], "top"), (1.03, high[k], "bottom")):
             axes.text(k, edge, f"{text:.4g}", ha="center", va=va, fontsize=7)
+    if len(_lines(objective)) > _ROOM:  # a long objective has its own line below
+        axes.set_xlabel(wrapped(f"objective: {objective}", 90), fontsize=8, labelpad=8)
+        objective = "objective" + "".join(objective.rpartition(" [")[1:]) * objective.endswith("]")
     words = [*headings, objective]
     axes.set_xticks(places, ["\n".join(_lines(word)) for word in words], fontsize=8)
     axes.tick_params(axis="x", pad=14, length=0)

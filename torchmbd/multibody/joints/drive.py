@@ -13,6 +13,7 @@ from torch import Tensor, nn
 
 from torchmbd.errors import InputError
 from torchmbd.math.gradients import refuse_gradients, refuse_lost
+from torchmbd.math.plausible_units import doubt_turn
 from torchmbd.math.variable import Variables
 from torchmbd.multibody.joints.joint import AttachmentTable, Equation, Joint, as_frame, others
 from torchmbd.multibody.joints.laws import ConstantSpeed, Finite, finite
@@ -68,6 +69,8 @@ class Drive(Joint):
         if key in ("speed", "velocity"):
             x = ConstantSpeed(finite(f"{key} of {self.name!r}", x))
         self.law = _checked(self.name, key, x)
+        for turn in ("size", "amplitude") if key == "angle" else ():
+            doubt_turn(f"{turn} of {self.name!r}", _number(getattr(x, turn, 0.0)))
 
     @property
     def variables(self) -> Variables | None:
@@ -85,6 +88,12 @@ class Drive(Joint):
                 attachments.coincident_axis(self.a, x, self.b),
             )
             yield Equation(Angle, axes, self.law)
+
+
+def _number(x: Any) -> float:
+    """A number of a law, or of its design variable; 0 of anything else."""
+    x = x.detach() if isinstance(x, Tensor) else x
+    return float(x) if isinstance(x, (int, float)) or (isinstance(x, Tensor) and x.numel() == 1) else 0.0
 
 
 def _checked(name: str, key: str, law: Any) -> Finite:
