@@ -35,6 +35,10 @@ def build(layers: int = 2, cells: int = 4, payload: float = 0.0) -> System:
     return System([crank, rod, slider, weight], [*joints, Fixed(slider.at(0, 0, 0.05), weight.at())])
 
 
+def plain(motion):
+    return motion.body("rod").strain_energy
+
+
 def no_system() -> int:
     return 3
 

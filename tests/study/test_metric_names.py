@@ -40,6 +40,7 @@ def test_groups():
     assert not is_design("constraint/mass")
     assert short("design/angle_1_deg") == "angle_1_deg"
     assert heading("design/boom_height_cm") == "boom height [cm]"
+    assert heading("design/stiffness_N/mm") == "stiffness [N/mm]"
     assert heading("reduction_percent") == "reduction [%]"
 
 

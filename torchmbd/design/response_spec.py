@@ -177,9 +177,8 @@ def _function(spec: Any, options: Mapping[str, Any], path: Path, find: Find | No
     said = annotation if isinstance(annotation, str) else getattr(annotation, "__name__", repr(annotation))
     said = said.rpartition(".")[2]
     if said not in ("Tensor", kind.__name__):
-        raise SpecError(
-            here, f"= {spec!r}: the function returns {said}; allowed: one annotated -> Tensor or {kind.__name__}"
-        )
+        what = f"is annotated -> {said}" if "return" in found.__annotations__ else "does not say what it returns"
+        raise SpecError(here, f"= {spec!r}: {what}; allowed: -> Tensor or -> {kind.__name__}, or @mbd.{noun} above it")
     given = () if said != "Tensor" else ("motion",)
     _check_options(found, options, len(given), path)
     if said == "Tensor":

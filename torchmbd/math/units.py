@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 
 from torchmbd.errors import InputError, unknown
-from torchmbd.math.owned import scalar
 
 INCH, FOOT, POUND, GRAVITY = 0.0254, 0.3048, 0.45359237, 9.80665
 NONE = "none"
@@ -82,6 +81,8 @@ def meters(name: str, given: float | str) -> float:
         if given not in lengths:
             raise unknown(name, given, lengths)
         return factor(given)
+    from torchmbd.math.owned import scalar  # with torch, which commands that read names spare
+
     x = scalar(name, given, f"meters per unit, > 0, or one of {', '.join(lengths)}")
     if not x > 0.0:
         raise InputError(f"{name} is {given!r}; allowed: meters per unit, > 0, or one of {', '.join(lengths)}")

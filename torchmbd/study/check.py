@@ -7,7 +7,7 @@ Over 300 lines: a short function for each section of the file.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from pathlib import Path as FilePath
 from typing import Any
@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from torchmbd.design.response_spec import leaf, measure_of, terms
+from torchmbd.design.response import Measure
+from torchmbd.design.response_spec import SpecError, leaf, measure_of, terms
 from torchmbd.design.space import CONSTANT
 from torchmbd.errors import InputError, nearest
 from torchmbd.integrate.arguments import start_of
@@ -133,15 +134,7 @@ def _response_faults(sections: Sections, folder: FilePath, system: System) -> li
     for key in ASKED[:-1]:
         if sections.get(key) is not None:
             given.append((sections[key], (key,)))
-            if read(sections[key]).rows > 1 and sections.get("sweep"):
-                text = "has several rows; allowed in a sweep: one number, such as max: {strain_energy: rod}"
-                return [Fault(leaf(sections[key], (key,))[:2], text)]
-    if sections.get("maximize") is not None and (text := _not_to_be_large(sections, read(sections["maximize"]).rows)):
-        return [Fault(("maximize",), text)]
-    for name, spec in (sections.get("tradeoff") or {}).items():
-        given.append((spec, ("tradeoff", name)))
-        if (rows := read(spec).rows) > 1:
-            return [Fault(("tradeoff", name), f"has {rows} rows; allowed: responses of one number")]
+    given += [(spec, ("tradeoff", name)) for name, spec in (sections.get("tradeoff") or {}).items()]
     given += [(c.measure, ("subject_to", k)) for k, c in enumerate(sections.get("subject_to") or ())]
     faults = []
     for spec, path in given:
@@ -149,13 +142,29 @@ def _response_faults(sections: Sections, folder: FilePath, system: System) -> li
             try:
                 measure = read(part)
                 measure.check(system)
+            except SpecError as error:
+                faults.append(Fault((*place, *error.path), error.text))
+                continue
             except InputError as error:
                 faults.append(Fault(leaf(part, place), f": {error}"))
                 continue
             if measure.until > duration * (1.0 + 1e-9):
                 text = f"looks at t = {measure.until:g} s; allowed: up to simulate.duration = {duration:g}"
                 faults.append(Fault(place, text))
-    return faults
+    return faults or _row_faults(sections, read)
+
+
+def _row_faults(sections: Sections, read: Callable[..., Measure]) -> list[Fault]:
+    """Objectives of several rows, where there must be one number."""
+    for key in ASKED[:-1]:
+        if sections.get(key) is not None and sections.get("sweep") and read(sections[key]).rows > 1:
+            text = "has several rows; allowed in a sweep: one number, such as max: {strain_energy: rod}"
+            return [Fault(leaf(sections[key], (key,))[:2], text)]
+    if sections.get("maximize") is not None and (text := _not_to_be_large(sections, read(sections["maximize"]).rows)):
+        return [Fault(("maximize",), text)]
+    rows = {name: read(spec).rows for name, spec in (sections.get("tradeoff") or {}).items()}
+    text = "has {} rows; allowed: responses of one number"
+    return [Fault(("tradeoff", name), text.format(n)) for name, n in rows.items() if n > 1]
 
 
 def _not_to_be_large(sections: Sections, rows: int) -> str | None:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from torchmbd.study.schema import UNITS
+from torchmbd.math.units import UNITS
 
 CONSTRAINT, DESIGN, SEARCH = "constraint/", "design/", "search/"
 REDUCTION, INCREASE = "reduction_percent", "increase_percent"
@@ -34,7 +34,7 @@ def is_design(metric: str) -> bool:
 
 def short(metric: str) -> str:
     """A metric without its group."""
-    return metric.rpartition("/")[2]
+    return metric.partition("/")[2] or metric  # a unit such as N/mm has a stroke too
 
 
 def heading(metric: str) -> str:
