@@ -280,9 +280,10 @@ def require_problem(problem: Any) -> None:
 def as_numbers(name: str, given: Any) -> np.ndarray:
     """Return numbers as an array of one's own; InputError if they are none."""
     try:
-        if np.array(given).dtype.kind in "US":  # NumPy would read the text
+        numbers = np.asarray(given)
+        if numbers.dtype.kind in "US":  # NumPy would read the text
             raise TypeError
-        return np.array(given, dtype=float)
+        return numbers.astype(float)
     except (TypeError, ValueError, RuntimeError) as error:  # RuntimeError: a tensor that requires a gradient
         raise InputError(f"{name} is {given!r}; allowed: numbers") from error
 
