@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable
 from types import ModuleType
 from typing import Any
 
-_INSIDE = ("torchmbd", "torch", "contextlib", "functools")  # packages whose lines are not the user's
+_INSIDE = ("torchmbd", "torch", "scipy", "numpy", "contextlib", "functools")  # packages whose lines are not the user's
 
 
 class MbdError(Exception):
@@ -78,7 +78,7 @@ def unknown(kind: str, name: object, allowed: Iterable[object]) -> InputError:
 
 
 def warn(text: str, category: type[Warning] = UserWarning) -> None:
-    """Warn of something at the line outside of torchmbd (and torch, which calls it back) that led to it."""
+    """Warn of something at the line outside of torchmbd (and torch and scipy, which call it back) that led to it."""
     frame, level = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] in _INSIDE:
         frame, level = frame.f_back, level + 1

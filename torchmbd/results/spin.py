@@ -53,8 +53,9 @@ def warn_of_spin(motion: Trajectory) -> None:
         known = ratios[ratios.isfinite()]  # not of a motion that failed, nor of a body that nothing holds
         ratio = float(known.max()) if len(known) else 0.0
         if ratio > FAST and not stiffened(motion, name):
+            near = f"{ratio:.1g}"  # few different texts: Python shows each once in an optimization
             warn(
-                f"body {name!r} turns at {ratio:.1g} of its first frequency: centrifugal stiffening, which linear elastic "
-                f"displacements leave out, is of the size {min(ratio**2, 1.0):.0%} of its deflections; allowed: "
+                f"body {name!r} turns at {near} of its first frequency: centrifugal stiffening, which linear elastic "
+                f"displacements leave out, is of the size {min(float(near) ** 2, 1.0):.0%} of its deflections; allowed: "
                 "stiffening=True of a body of plates and beams",
             )
