@@ -124,9 +124,11 @@ def _held(data: BulkData, index: dict[int, int]) -> list[int] | None:
     held = [index[grid] for grid, own in components.items() if own >= needed[grid] and grid in index]
     partly = sorted(grid for grid, own in components.items() if not own >= needed[grid])
     if partly:
+        first = next(own for own in data.supports if partly[0] in own.grids)
         warn(
-            f"supports of single freedoms are left out ({len(partly)} grids, the first is {partly[0]}): "
-            "joints hold a body; all six freedoms make a reference",
+            f"supports of single freedoms are left out ({len(partly)} grids, the first is {partly[0]}, components "
+            f"{''.join(sorted(components[partly[0]]))} by {first.card}): the body moves there as if they were not in the file; "
+            "hold it by joints of the system, or hold all six freedoms, which makes a reference"
         )
     return held or None
 

@@ -4,9 +4,9 @@
     large   names end in *, fields of 16     GRID*   1                               0.              0.
     free    fields between commas            GRID,1,,0.,0.,0.
 
-A continuation starts with +, * or a blank first field. `$` starts a comment. Only what stands between BEGIN BULK and
-ENDDATA is read where these exist; INCLUDE is followed. Data fields are counted from 1 after
-the name, eight to a line, as they stand in the manual's pictures without their first and last columns.
+A continuation starts with +, * or a blank first field, and stands below the line that it continues. `$` starts a comment.
+Only what stands between BEGIN BULK and ENDDATA is read where these exist; INCLUDE is followed. Data fields are counted from
+1 after the name, eight to a line, as they stand in the manual's pictures without their first and last columns.
 Source: MSC Nastran Quick Reference Guide, section 8 (bulk data format).
 Checked in tests/io/nastran/test_cards.py.
 """
@@ -27,6 +27,7 @@ _INTEGER = re.compile(r"[+-]?[0-9]{1,18}")
 LINES = 20_000_000  # of a file with all that it includes
 WIDEST = 10_000  # characters of a line
 INCLUDES = 1_000  # files
+NESTED = 100  # files that include one another in a chain
 _PER_LINE = 8  # data fields of a line of small fields, and of a pair of lines of large fields
 
 
@@ -96,16 +97,29 @@ def parse_cards(lines: list[tuple[str, str]]) -> list[Card]:
     """Make cards of (where, line) pairs."""
     cards: list[Card] = []
     name, fields, place = "", [], ""
+    last, marks, others = (
+        "",
+        set(),
+        {},
+    )  # names of continuations: of the line before, of all lines, of those not below theirs
     for where, line in lines:
-        head, data = _split(line, where)
+        head, data, mark = _split(line, where)
+        before, last = last, mark
+        marks.add(mark)
         if head[:1] in ("", "+", "*"):
             if not name:
                 raise InputError(f"{where}: a continuation without a card: {line.strip()!r}")
+            if (own := head.lstrip("+*")) not in ("", before):
+                others[own] = where
             fields.extend(data)
             continue
         if name:
             cards.append(Card(name, tuple(_trimmed(fields)), place))
         name, fields, place = head.rstrip("*"), data, where
+    for own in others.keys() & marks:
+        raise InputError(
+            f"{others[own]}: the continuation {own!r} is not below the line that it continues; allowed: below it"
+        )
     if name:
         cards.append(Card(name, tuple(_trimmed(fields)), place))
     return cards
@@ -123,7 +137,9 @@ class _Files:
             raise InputError(f"{file.name}: INCLUDE runs in a circle")
         if self.files > INCLUDES:
             raise InputError(f"{file.name}: more than {INCLUDES} files are included; allowed: {INCLUDES}")
-        with file.open(encoding="utf-8", errors="replace") as handle:
+        if len(opened) > NESTED:
+            raise InputError(f"{file.name}: INCLUDE in a chain of more than {NESTED} files; allowed: {NESTED}")
+        with file.open(encoding="utf-8-sig", errors="replace") as handle:
             numbered = enumerate(iter(lambda: handle.readline(WIDEST), ""), start=1)
             for number, raw in numbered:
                 self.lines += 1
@@ -170,8 +186,8 @@ def _bulk(lines: list[tuple[str, str]]) -> list[tuple[str, str]]:
     return lines[start:end]
 
 
-def _split(line: str, where: str) -> tuple[str, list[str]]:
-    """Name and data fields of one line."""
+def _split(line: str, where: str) -> tuple[str, list[str], str]:
+    """Name and data fields of one line, and the name of its continuation, which stands in the tenth field."""
     if "," in line:
         words = [word.strip() for word in line.split(",")]
         head = words[0].upper()
@@ -181,13 +197,15 @@ def _split(line: str, where: str) -> tuple[str, list[str]]:
             raise InputError(
                 f"{where}: {beyond[0]!r} is beyond the {width} data fields of a line; continue on the next line"
             )
-        return head, (words[1:] + [""] * width)[:width]
+        mark = next((word for word in words[1 + width :] if word), "")
+        return head, (words[1:] + [""] * width)[:width], mark.lstrip("+*").upper()
     line = line.expandtabs(8)
     head = line[:8].strip().upper()
     if " " in head and head[0] not in "+*":
         raise InputError(f"{where}: {head!r} is no card name; is a field of 8 columns shifted?")
     width, count = (16, 4) if "*" in head else (8, _PER_LINE)
-    return head, [line[8 + width * k : 8 + width * (k + 1)].strip() for k in range(count)]
+    fields = [line[8 + width * k : 8 + width * (k + 1)].strip() for k in range(count)]
+    return head, fields, line[72:80].strip().lstrip("+*").upper()
 
 
 def _trimmed(fields: list[str]) -> list[str]:

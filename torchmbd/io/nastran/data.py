@@ -45,9 +45,9 @@ PROPERTIES = ("PSHELL", "PCOMP", "PCOMPG", "PBAR", "PBARL", "PBEAM", "PBEAML")
 MATERIALS = re.compile(r"^MAT([12389]|10)$")
 #: Structure that cannot be read: leaving it out would change the body. Every other unknown card is left out, and listed.
 _STRUCTURE = re.compile(
-    r"^(RBE1|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT\d?|GENEL|BAROR|BEAMOR|CONM1"
-    r"|C(BEND|BEAM3|BUSH[12]D|FAST|GAP|HACAB|HEXCZ|IFHEX|PYRAM|PYRA|QUAD|QUAD8|QUADX\d?|RAC[23]D"
-    r"|SEAM|TRIA6|TRIAX6?|TRAX\d|WELD))$"
+    r"^(RBE1|RBE2[A-Z]+|RBE3[A-Z]+|RBAX|RROD|RJOINT|RSPLINE|RSSCON|RTRPLT\d?|GENEL|BAROR|BEAMOR|CONM1"
+    r"|C(BEAM3|BEAR|BELT|BEND|BUSH[12]D|CONEAX|DUM\d|FAST|GAP|HACAB|HEX20|HEX8|HEXA8|HEXCZ|IFHEX|IFQDX|IFQUAD|INTC"
+    r"|PLST[NS]\d|PYRAM|PYRA|QUAD|QUAD8|QUADX\d?|RAC[23]D|SEAM|TQUAD|TRIA6|TRIAX6?|TRAX\d|TTRIA|WELD))$"
 )
 READ = (
     *SHELLS,
@@ -154,6 +154,13 @@ class BulkData:
             if card.name not in ("GRID", "GRDSET") and card.name not in KINDS:
                 data._take(card)
         data._check()
+        for name, numbers in (
+            ("SPC", {own.set for own in data.supports} - {0}),
+            ("MPC", {own.card.integer(1, "SID") for own in data.constraints}),
+        ):
+            unions = [set(card.integers(2, ())) for card in cards if card.name == f"{name}ADD"]
+            if len(numbers) > 1 and not any(numbers <= union for union in unions):
+                warn(f"{name} sets {sorted(numbers)[:8]} hold together: the case control, which chooses, is not read")
         return data
 
     def _take(self, card: Card) -> None:
@@ -230,10 +237,15 @@ class BulkData:
             self._exist(mass.card, (mass.grid,))
         for support in self.supports:
             self._exist(support.card, tuple(grid for grid in support.grids if grid not in self.scalars))
-        numbers = Counter((e.card.name[0], e.card.integer(1, "EID")) for e in (*self.shells, *self.bars))
-        for element in (*self.shells, *self.bars):
-            if numbers[element.card.name[0], element.card.integer(1, "EID")] > 1:
-                raise InputError(f"{element.card}: its number stands twice")
+            if not set(support.components) <= set("0123456"):
+                raise InputError(
+                    f"{support.card}: it holds {support.components!r}; allowed: components 1 to 6, as in 123"
+                )
+        taken: dict[tuple[str, int], Card] = {}
+        for own in (*self.shells, *self.bars, *self.solids, *self.panels, *self.links, *self.masses, *self.rigids):
+            kind = "" if isinstance(own, (Shell, Bar)) else own.card.name
+            if (first := taken.setdefault((kind, own.card.integer(1, "EID")), own.card)) is not own.card:
+                raise InputError(f"{own.card}: its number stands twice, first in {first}")
 
     def _exist(self, card: Card, grids: tuple[int, ...]) -> None:
         for grid in grids:
@@ -256,7 +268,9 @@ class BulkData:
     def material(self, card: Card, number: int) -> Card:
         """The material that a property names."""
         if number not in self.materials:
-            raise InputError(f"{card}: material {number} does not exist; a MAT1 or MAT8 card is missing")
+            raise InputError(
+                f"{card}: material {number} does not exist; allowed: a MAT1, MAT2, MAT8 or MAT9 of the file"
+            )
         return self.materials[number]
 
 

@@ -7,6 +7,7 @@ Source: MSC Nastran Quick Reference Guide, section 8. Checked in tests/io/nastra
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
 
 from torchmbd.errors import InputError
@@ -31,17 +32,25 @@ class ScalarPoints:
     """Numbers of SPOINT and EPOINT: freedoms at no place, which no element of a body joins."""
 
     def __init__(self, cards: list[Card]) -> None:
-        self._ranges: list[range] = []
+        ranges: list[tuple[int, int]] = []
         for card in cards:
             words, k = [word for word in card.fields if word], 0
             while k < len(words):
                 last = k + 2 if k + 2 < len(words) and words[k + 1].upper() == "THRU" else k
                 start, end = (Card(card.name, (words[i],), card.where).integer(1, "ID") for i in (k, last))
-                self._ranges.append(range(start, end + 1))
+                ranges.append((start, end))
                 k = last + 1
+        self._starts: list[int] = []
+        self._ends: list[int] = []
+        for start, end in sorted(ranges):
+            if not self._ends or start > self._ends[-1] + 1:
+                self._starts.append(start)
+                self._ends.append(end)
+            self._ends[-1] = max(self._ends[-1], end)
 
-    def __contains__(self, number: object) -> bool:
-        return any(number in own for own in self._ranges)
+    def __contains__(self, number: int) -> bool:
+        k = bisect_right(self._starts, number) - 1
+        return k >= 0 and number <= self._ends[k]
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
-"""Cards that tie freedoms to others: RBE2, RBE3, RBAR and MPC.
+"""Cards that tie freedoms to others: RBE2, RBE3, RBAR, RBAR1 and MPC.
 
-    RBE2   the components CM of grids follow another grid as one rigid body      RBAR   the same of two grids
+    RBE2   the components CM of grids follow another grid as one rigid body      RBAR, RBAR1   the same of two grids
     RBE3   the components REFC of a grid are the weighted mean motion of others
     MPC    A1 u1 + A2 u2 + ... = 0 of single components: the first one follows
 
@@ -18,12 +18,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, warn
 from torchmbd.fem.elements import Average, Combination, Follower, RigidLink
 from torchmbd.io.nastran.cards import Card
 from torchmbd.io.nastran.elements import bar_that_is_rigid
 
-RIGIDS = ("RBE2", "RBE3", "RBAR")
+RIGIDS = ("RBE2", "RBE3", "RBAR", "RBAR1")
 ALL = "123456"
 #: Rows: axes of the system CD of a grid, in the basic system.
 Axes = Callable[[int], np.ndarray]
@@ -31,7 +31,7 @@ Axes = Callable[[int], np.ndarray]
 
 @dataclass(frozen=True)
 class Rigid:
-    """An RBE2 or RBAR (grid leads components of the others) or RBE3 (those of grid are the weighted mean of the others)."""
+    """RBE2, RBAR, RBAR1: grid leads components of the others; RBE3: those of grid are the weighted mean of the others."""
 
     card: Card
     grid: int
@@ -65,11 +65,18 @@ class Constraint:
 
 
 def rigid(card: Card, grids: Collection[int]) -> Rigid:
-    """Read an RBE2, RBE3 or RBAR."""
+    """Read an RBE2, RBE3, RBAR or RBAR1."""
     if card.name == "RBAR":
         leader, follower = bar_that_is_rigid(card)
-        return Rigid(card, leader, (follower,))
-    return _rbe2(card, grids) if card.name == "RBE2" else _rbe3(card)
+        made = Rigid(card, leader, (follower,))
+    elif card.name == "RBAR1":
+        chosen = _components(card, 4, "CB") if card.text(4) else ALL
+        made = Rigid(card, card.integer(2, "GA"), (card.integer(3, "GB"),), components=chosen)
+    else:
+        made = _rbe2(card, grids) if card.name == "RBE2" else _rbe3(card)
+    if made.grid in made.others:
+        raise InputError(f"{card}: GRID {made.grid} follows itself; allowed: other grids")
+    return made
 
 
 def constraint(card: Card) -> Constraint:
@@ -108,7 +115,7 @@ def _rbe2(card: Card, grids: Collection[int]) -> Rigid:
 def _rbe3(card: Card) -> Rigid:
     grids: list[int] = []
     weights: list[float] = []
-    weight, components = 1.0, False
+    weight, components, turning = 1.0, False, ""
     for position, word in enumerate(card.fields[4:], start=5):
         if word.upper() in ("UM", "ALPHA"):
             break
@@ -119,12 +126,16 @@ def _rbe3(card: Card) -> Rigid:
         elif components:
             if not {"1", "2", "3"} <= set(word):
                 raise InputError(f"{card}: C is {word!r}; allowed: 123, the displacements of the averaged grids")
+            if set(word) & {"4", "5", "6"} and not turning:
+                turning = word
             components = False
         else:
             grids.append(card.integer(position, "G"))
             weights.append(weight)
     if not grids:
         raise InputError(f"{card}: no grids to average; allowed: at least three that span a plane")
+    if turning:
+        warn(f"{card}: C is {turning!r}; the rotations of the averaged grids are left out, their displacements count")
     return Rigid(card, card.integer(3, "REFGRID"), tuple(grids), tuple(weights), _components(card, 4, "REFC"))
 
 

@@ -110,7 +110,7 @@ def _stack(data: BulkData, card: Card, units: Units, offset: float) -> Laminate:
     materials, thicknesses, angles = [], [], []
     first, step = (10, 8) if card.name == "PCOMPG" else (9, 4)  # a PCOMPG has a line for each ply, its number before
     for start in range(first, len(card.fields) + 1, step):
-        if not any(card.text(start + k) for k in range(3)):
+        if not any(card.text(start + k) for k in range(4)):  # SOUT alone makes a ply, too
             continue
         materials.append(card.integer(start, "MID", materials[-1] if materials else None))
         thicknesses.append(card.real(start + 1, "T", thicknesses[-1] if thicknesses else None))

@@ -83,12 +83,12 @@ def _round(card: Card, first: int) -> tuple[float, float, float]:
 
 
 def _tube(card: Card) -> tuple[float, float, float]:
-    """The same of a PTUBE: outer diameter, thickness (blank: solid), the diameter at end B like that at end A."""
+    """The same of a PTUBE: outer diameter, thickness (blank, 0: solid), the diameter at end B like that at end A."""
     outer = card.real(3, "OD")
-    inner = outer - 2.0 * card.real(4, "T", outer / 2.0)
+    inner = outer - 2.0 * (card.real(4, "T", 0.0) or outer / 2.0)
     if not 0.0 <= inner < outer or card.real(6, "OD2", outer) != outer:
         raise InputError(
-            f"{card}: OD {outer:g}, T {card.text(4)}, OD2 {card.text(6)!r}; allowed: 0 < T <= OD / 2, OD2 = OD"
+            f"{card}: OD {outer:g}, T {card.text(4)}, OD2 {card.text(6)!r}; allowed: 0 <= T <= OD / 2, OD2 = OD"
         )
     A, J = math.pi / 4.0 * (outer**2 - inner**2), math.pi / 32.0 * (outer**4 - inner**4)
     return A, J, card.real(5, "NSM", 0.0)

@@ -15,6 +15,7 @@ import numpy as np
 from torchmbd.errors import InputError
 from torchmbd.io.nastran.cards import Card
 
+NESTED = 100  # systems that refer to one another in a chain
 KINDS = ("CORD1R", "CORD1C", "CORD1S", "CORD2R", "CORD2C", "CORD2S")
 
 
@@ -30,7 +31,14 @@ class Systems:
             for start in range(0, max(len(card.fields), 1), 4 if by_grids else 8):  # CORD1R holds up to two systems
                 if by_grids or start == 0:
                     part = Card(card.name, card.fields[start:] if start else card.fields, card.where)
-                    self._cards[part.integer(1, "CID")] = part
+                    self._take(part, part.integer(1, "CID"))
+
+    def _take(self, card: Card, number: int) -> None:
+        if number < 1:
+            raise InputError(f"{card}: CID is {number}; allowed: above 0, which is the basic system")
+        if number in self._cards:
+            raise InputError(f"{card}: the number {number} is taken by {self._cards[number]}")
+        self._cards[number] = card
 
     def axes(self, number: int, card: Card, at: np.ndarray) -> np.ndarray:
         """Unit vectors of a system [3, 3] at a place in basic coordinates; x of one that is curved is its radius there."""
@@ -75,6 +83,10 @@ class Systems:
             raise InputError(f"{card}: coordinate system {number} does not exist; a CORD2R card is missing")
         if number in opened:
             raise InputError(f"{card}: coordinate system {number} refers to itself")
+        if len(opened) > NESTED:
+            raise InputError(
+                f"{card}: systems refer to one another in a chain of more than {NESTED}; allowed: {NESTED}"
+            )
         own = self._cards[number]
         origin, up, side = self._points(own, (*opened, number))
         z, x = up - origin, side - origin
