@@ -87,6 +87,7 @@ def test_bad_input_is_named():
         mbd.LaminationParameters(carbon, 1e-3, flat),
         mbd.LaminationParameters(carbon, 1e-3, flat, coupling=flat),
     )
+    steel = mbd.LaminationParameters(mbd.Ply.isotropic(210e9, 0.3, 7850.0), 1e-3, flat)
     for given, words in [
         (({}, {}), "laminates is {}; allowed: LaminationParameters of each zone, by name"),
         (({"a": plain}, {"b": 4}), "plies is {'b': 4}; allowed: a value for each of a"),
@@ -94,8 +95,13 @@ def test_bad_input_is_named():
         (({"a": plain, "b": plain}, {"a": 4, "b": 3}), "allowed for symmetric stacks: all even, or all odd"),
         (({"a": plain}, {"a": 0}), "plies is 0; allowed: a whole number >= 1"),
         (({"a": 3}, {"a": 4}), "laminate of 'a' is 3; allowed: LaminationParameters"),
+        (({"a": plain, "b": steel}, {"a": 4, "b": 4}), "zones of different plies; allowed: one material"),
     ]:
         with pytest.raises(mbd.InputError, match=words):
             mbd.recover_blended_stacks(*given, QUARTERS)
     with pytest.raises(mbd.InputError, match="area of 'a' is -1"):
         mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, areas={"a": -1.0})
+    with pytest.raises(mbd.InputError, match="seed is -1; allowed: a whole number >= 0"):
+        mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, seed=-1)
+    with pytest.raises(mbd.InputError, match="weights is 3.0; allowed: three numbers >= 0"):
+        mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, weights=3.0)

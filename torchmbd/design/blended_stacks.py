@@ -39,6 +39,7 @@ from torchmbd.design.stack_recovery import (
 from torchmbd.errors import InputError
 from torchmbd.fem.elements import LaminationParameters
 from torchmbd.math.owned import real
+from torchmbd.math.variable import plain
 
 STARTS = 30
 
@@ -54,7 +55,7 @@ def recover_blended_stacks(
 ) -> dict[str, RecoveredStack]:
     """Find stacks of equal plies for the lamination parameters of several zones, which share their plies.
 
-    laminates  of each zone; without `coupling` all stacks are symmetric
+    laminates  of each zone, of one material; without `coupling` all stacks are symmetric
     plies      how many each zone has; of symmetric stacks all even or all odd. Zones with as many have the same stack
     angles     which are allowed [rad]
     rules      that every stack should keep; fewer broken ones come first
@@ -62,7 +63,8 @@ def recover_blended_stacks(
     weights    of the differences of membrane, coupling and bending parameters
     seed       of the random starts
 
-    Returns the stack of every zone, `distance` being its own.
+    Returns the stack of every zone, `distance` being its own. Its `laminate` has the thickness asked for: plies are as thick in
+    all zones where `plies` is in proportion to it.
 
     >>> carbon, flat = mbd.examples.carbon(), [0.0, 0.0, 0.0, 0.0]
     >>> zones = {"root": mbd.LaminationParameters(carbon, 2e-3, flat), "tip": mbd.LaminationParameters(carbon, 1e-3, flat)}
@@ -70,7 +72,7 @@ def recover_blended_stacks(
     >>> len(found["root"].angles), len(found["tip"].angles)
     (8, 4)
     """
-    symmetric, share = _check(laminates, plies, rules, areas, weights)
+    symmetric, share = _check(laminates, plies, rules, areas, weights, seed)
     search = _Guide(laminates, plies, symmetric, share, checked_angles(angles), rules, set_weights(weights))
     random = np.random.default_rng(seed)
     best = min((search.run(random) for _ in range(STARTS)), key=lambda found: found[0])
@@ -164,7 +166,7 @@ class _Guide:
 
 
 def _check(
-    laminates: Any, plies: Any, rules: Any, areas: Any, weights: Sequence[float]
+    laminates: Any, plies: Any, rules: Any, areas: Any, weights: Any, seed: Any
 ) -> tuple[bool, dict[str, float]]:
     """Whether stacks are symmetric, and how much each zone counts."""
     if not isinstance(laminates, Mapping) or not laminates:
@@ -177,7 +179,9 @@ def _check(
         check_wanted(f"laminate of {name!r}", laminate, plies[name])
         if not real(given[name]) or not 0.0 < given[name] < math.inf:
             raise InputError(f"area of {name!r} is {given[name]!r}; allowed: a number > 0")
-    check_search(rules, weights)
+    check_search(rules, weights, seed)
+    if any(plain(laminate.ply) != plain(next(iter(laminates.values())).ply) for laminate in laminates.values()):
+        raise InputError("laminates has zones of different plies; allowed: one material, as zones share their plies")
     symmetric = {laminate.coupling is None for laminate in laminates.values()}
     if len(symmetric) > 1:
         raise InputError("laminates has zones with coupling and zones without; allowed: all with, or all without")

@@ -66,7 +66,7 @@ def recover_stacks(
     (8, True)
     """
     check_wanted("laminate", laminate, plies)
-    check_search(rules, weights)
+    check_search(rules, weights, seed)
     if not whole(number) or number < 1:
         raise InputError(f"number is {number!r}; allowed: a whole number >= 1")
     allowed = checked_angles(angles)
@@ -205,9 +205,12 @@ def check_wanted(name: str, laminate: object, plies: Any) -> None:
         raise InputError(f"plies is {plies!r}; allowed: a whole number >= 1")
 
 
-def check_search(rules: object, weights: Sequence[float]) -> None:
-    """InputError for rules or weights of another kind."""
+def check_search(rules: object, weights: Any, seed: Any) -> None:
+    """InputError for rules, weights or a seed of another kind."""
     if not (rules is None or isinstance(rules, LaminationRules)):
         raise InputError(f"rules is {rules!r}; allowed: a LaminationRules, or None")
-    if len(weights) != 3 or not all(real(w) and 0.0 <= w < math.inf for w in weights) or not sum(weights) > 0.0:
+    three = isinstance(weights, (Sequence, np.ndarray)) and np.shape(weights) == (3,)
+    if not three or not all(real(w) and 0.0 <= w < math.inf for w in weights) or not sum(weights) > 0.0:
         raise InputError(f"weights is {weights!r}; allowed: three numbers >= 0, not all zero")
+    if not whole(seed) or seed < 0:
+        raise InputError(f"seed is {seed!r}; allowed: a whole number >= 0")

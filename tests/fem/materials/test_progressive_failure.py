@@ -76,6 +76,40 @@ def test_gradients_against_differences(step):
         assert float(parameter.grad[k]) == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_rounding_does_not_choose_the_mode(sign):
+    """In pure shear the stress along fibers at 0 and 90 degrees is zero, and Hashin's modes of fiber and matrix are equal.
+
+    Both signs of the shear are mirror images.
+    """
+    steps = mbd.progressive_failure(cross([0, 90, 45, -45, -45, 45, 90, 0]), (0, 0, sign * 1e6), criterion="hashin")
+    pulled, pressed = ([2, 5], [3, 4]) if sign > 0 else ([3, 4], [2, 5])
+    assert seen(steps)[:2] == [([0, 1, 6, 7], "matrix tension"), (pressed, "matrix tension")]
+    assert {tuple(step.layers): step.mode for step in steps[2:]} == {
+        tuple(pulled): "fiber tension",
+        tuple(pressed): "fiber compression",
+    }
+
+
+def test_stresses_of_rounding_break_nothing():
+    """Shear of a cross-ply whose matrix holds all shear: what remains along the fibers is rounding."""
+    strength = mbd.Strength(Xt=1.5e9, Xc=1.2e9, Yt=40e6, Yc=246e6, S12=float("inf"))
+    ply = mbd.Ply(181e9, 10.3e9, 7.17e9, 7.17e9, 7.17e9, 0.28, 1600.0, strength=strength)
+    laminate = mbd.Laminate(ply, mbd.deg([0, 90, 0]), T)
+    assert mbd.progressive_failure(laminate, (0, 0, 1e6), criterion="max_stress") == []
+    with pytest.raises(mbd.InputError, match="infinite strength in its plane; allowed with criterion 'puck': finite"):
+        mbd.progressive_failure(laminate, (0, 0, 1e6), criterion="puck")
+
+
+def test_gradients_by_forces():
+    """Loads are homogeneous of degree -1 in the forces (Euler)."""
+    force = torch.tensor([1e6, 2e5, -1e5], dtype=torch.float64, requires_grad=True)
+    moment = torch.tensor([5.0, 0.0, 1.0], requires_grad=True)
+    first = mbd.progressive_failure(cross([0, 90, 30]), force, moment)[0].load
+    by = torch.autograd.grad(first, [force, moment])
+    assert float(by[0] @ force + by[1].double() @ moment.double()) == pytest.approx(-float(first), rel=1e-6)
+
+
 def test_bad_input_is_named():
     bare = mbd.Laminate(mbd.Ply.isotropic(70e9, 0.3, 2700.0), [0.0], T)
     with pytest.raises(mbd.InputError, match="criterion 'tsai_wu' does not exist"):
@@ -88,3 +122,5 @@ def test_bad_input_is_named():
         mbd.progressive_failure(cross(), (1, 0, 0), kept=0)
     with pytest.raises(mbd.InputError, match="the ply of layer 0 has no strength"):
         mbd.progressive_failure(bare, (1, 0, 0))
+    with pytest.raises(mbd.InputError, match="laminate is LaminationParameters.*; allowed: one Laminate"):
+        mbd.progressive_failure(mbd.LaminationParameters(PLY, T, [0, 0, 0, 0]), (1, 0, 0))

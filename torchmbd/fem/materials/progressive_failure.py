@@ -3,7 +3,8 @@
     (eps, kappa) = load [A B; B D]^-1 (N, M),     stress of a ply = Q T (eps + z kappa)
 
 The first mode of a ply that is reached at its bottom or its top takes the ply's stiffness away: a mode of the fibers all of
-it, any other E2, G12 and the coupling between 1 and 2. A small share stays, so that the laminate's stiffness can be inverted.
+it, any other E2, G12 and the coupling between 1 and 2; of a fiber and a matrix mode at the same load (Hashin's in pure shear)
+that of the matrix comes first. A small share stays, so that the laminate's stiffness can be inverted.
 Forces are then shared anew; plies that cannot hold them under the present load fail at the same load. The end is where
 the forces meet no stiffness but these shares. Damage does not grow within a ply, and transverse shear forces are left out.
 Source: R. M. Jones, Mechanics of Composite Materials, 2nd ed., section 4.5 (ply discount).
@@ -23,11 +24,13 @@ from torch import Tensor
 from torchmbd.errors import InputError, unknown
 from torchmbd.fem.materials.failure_modes import FIBER, MODES, FailureModes
 from torchmbd.fem.materials.laminate import Laminate, turning
+from torchmbd.math.gradients import differentiated
 from torchmbd.math.owned import real, reals
 
 HALVINGS, WIDEST = 64, 30.0  # of the search for a load, in decades to both sides of one
 COLLAPSED = 1e-2  # of 1 / kept: the compliance by that of the whole laminate where nothing else is left
 TOGETHER = 1e-9  # plies whose loads differ by less fail at once
+ROUNDING = 1e-13  # stresses below this share of the largest one are none
 PLANE_CRITERIA = tuple(name for name in MODES if name != "interlaminar")
 
 
@@ -54,7 +57,7 @@ def progressive_failure(
     """Follow a laminate from its first failing ply until it bears nothing more.
 
     force      N_xx, N_yy, N_xy [N/m];   moment: M_xx, M_yy, M_xy [N]
-    criterion  "puck", "hashin" or "max_stress"; plies have a Strength
+    criterion  "puck", "hashin" or "max_stress"; plies have a Strength, for the first two with finite Xt, Xc, Yt, Yc, S12
     kept       share of the stiffness that a failed ply keeps, at most 1e-3
 
     The first load is that of first-ply failure, the last one what the laminate bears at most. Loads have gradients by the
@@ -73,6 +76,10 @@ def progressive_failure(
     if missing:
         raise InputError(f"the ply of layer {missing[0]} has no strength; allowed: Ply(..., strength=Strength(...))")
     numbers = torch.stack([strength.numbers() for strength in strengths if strength is not None])[:, None]
+    if criterion != "max_stress" and not numbers[..., :5].isfinite().all():
+        raise InputError(
+            f"a ply has an infinite strength in its plane; allowed with criterion {criterion!r}: finite ones"
+        )
     rule = MODES[criterion]
     of_fiber = torch.tensor([name in FIBER for name in rule.names])
     fiber, matrix = torch.ones(len(numbers), dtype=torch.bool), torch.ones(len(numbers), dtype=torch.bool)
@@ -89,9 +96,13 @@ def progressive_failure(
         least = reached.min()
         if not least.isfinite():
             break
-        layer, mode = divmod(int(reached.argmin()), len(rule.names))
+        # Of modes at the same load that of the matrix: which sign rounding gives a stress of zero must not decide.
+        of_matrix = (reached <= least * (1.0 + TOGETHER))[:, ~of_fiber].any(1, keepdim=True)
+        reached = torch.where(of_matrix & of_fiber, torch.inf, reached)
         failing = (reached <= least * (1.0 + TOGETHER)).any(1)
-        load = _exact(rule, stress[layer], numbers[layer], mode, least)
+        layer = int(failing.nonzero()[0])
+        mode = int(reached[layer].argmin())
+        load = _exact(rule, stress[layer], numbers[layer], mode, reached[layer, mode])
         steps.append(
             PlyLoss(
                 load if not steps else torch.maximum(load, steps[-1].load),
@@ -116,8 +127,9 @@ def _state(
     A, B, D = (((faces[:, 1] ** n - faces[:, 0] ** n)[:, None, None] / n * Qbar).sum(0) for n in (1, 2, 3))
     strain = torch.linalg.solve(torch.cat([torch.cat([A, B], 1), torch.cat([B, D], 1)]), loads)
     at = strain[:3] + faces[..., None] * strain[3:]
-    plane = (Q @ T)[:, None] @ at[..., None]
-    return strain, torch.cat([plane[..., 0], torch.zeros_like(plane[..., :2, 0])], -1)
+    plane = ((Q @ T)[:, None] @ at[..., None])[..., 0]
+    plane = torch.where(plane.abs() > ROUNDING * plane.detach().abs().max(), plane, 0.0)
+    return strain, torch.cat([plane, torch.zeros_like(plane[..., :2])], -1)
 
 
 def _reached(rule: FailureModes, stress: Tensor, strength: Tensor) -> Float[Tensor, "layers 2 modes"]:
@@ -153,13 +165,16 @@ def _exact(rule: FailureModes, stress: Tensor, strength: Tensor, mode: int, load
 def _checked(
     laminate: object, force: Sequence[float] | Tensor, moment: Sequence[float] | Tensor, criterion: str, kept: float
 ) -> Tensor:
-    if not isinstance(laminate, Laminate) or laminate.field is not None or laminate.angles.ndim != 1:
+    if type(laminate) is not Laminate or laminate.angles.ndim != 1:  # those of other classes have no stack of plies
         raise InputError(f"laminate is {laminate!r}; allowed: one Laminate, whose angles are one row")
     if criterion not in PLANE_CRITERIA:
         raise unknown("criterion", criterion, PLANE_CRITERIA)
     if not real(kept) or not 0.0 < kept <= 1e-3:
         raise InputError(f"kept is {kept!r}; allowed: a number in (0, 1e-3]")
-    both = [reals(name, x) for name, x in (("force", force), ("moment", moment))]
+    both = [
+        x.double() if isinstance(x, Tensor) and differentiated(x) else reals(name, x)
+        for name, x in (("force", force), ("moment", moment))
+    ]
     for name, x in zip(("force", "moment"), both, strict=True):
         if x.shape != (3,) or not x.isfinite().all():
             raise InputError(f"{name} is {x.tolist()}; allowed: three finite numbers xx, yy, xy")
