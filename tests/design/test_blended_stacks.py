@@ -103,5 +103,5 @@ def test_bad_input_is_named():
         mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, areas={"a": -1.0})
     with pytest.raises(mbd.InputError, match="seed is -1; allowed: a whole number >= 0"):
         mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, seed=-1)
-    with pytest.raises(mbd.InputError, match="weights is 3.0; allowed: three numbers >= 0"):
+    with pytest.raises(mbd.InputError, match=r"weights is 3.0; allowed: three numbers"):
         mbd.recover_blended_stacks({"a": plain}, {"a": 4}, QUARTERS, weights=3.0)

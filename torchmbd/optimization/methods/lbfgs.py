@@ -3,7 +3,8 @@
     L(y) = f + sum_i psi(c_i),     psi = rho / 2 (max(0, c + lambda / rho)^2 - (lambda / rho)^2)     (equalities: without max)
 
 Every minimum of L inside the bounds gives new multipliers lambda + rho dpsi/dc; rho grows tenfold where the violation has not
-fallen to a quarter. Memory and arithmetic per step grow with the number of variables; SLSQP's with its square and cube.
+fallen to a quarter, and where L falls without end, which then is minimized anew. Memory and arithmetic per step grow with the
+number of variables; SLSQP's with its square and cube.
 Source: scipy.optimize.minimize, method "L-BFGS-B" (Byrd, Lu, Nocedal and Zhu, SIAM J. Sci. Comput. 16 (1995) 1190-1208);
 E. G. Birgin and J. M. Martinez, Practical Augmented Lagrangian Methods for Constrained Optimization (2014), chapter 4.
 """
@@ -22,6 +23,8 @@ from torchmbd.optimization.search import Search
 ROUNDS = 40
 FIRST_TOLERANCE = 1e-2  # of the first minimum of L, a tenth in each further one
 LARGEST_PENALTY = 1e8
+LINE_SEARCH = 60  # evaluations: where a constraint begins to count, the slope of L turns within a thousandth of a step
+FAR = 10.0  # violation by that of the begin of a round, at least of 1, beyond which L is taken as unbounded below
 
 
 @register("lbfgs")
@@ -46,7 +49,13 @@ def lbfgs(
 
 def _run(wrapped: WrappedProblem, gtol: float, ftol: float, memory: int) -> Stop:
     lagrangian, y = _Lagrangian(wrapped), wrapped.y
-    tolerance = FIRST_TOLERANCE if lagrangian.rows.size else gtol
+    tolerance, done = FIRST_TOLERANCE if lagrangian.rows.size else gtol, False
+
+    def accepted(y: np.ndarray) -> None:
+        wrapped.record(np.array(y))
+        if lagrangian.diverges(y):
+            raise StopIteration
+
     for _ in range(ROUNDS):
         result = minimize(
             lagrangian,
@@ -54,9 +63,19 @@ def _run(wrapped: WrappedProblem, gtol: float, ftol: float, memory: int) -> Stop
             jac=True,
             method="L-BFGS-B",
             bounds=list(zip(wrapped.lower, wrapped.upper, strict=True)),
-            callback=lambda y: wrapped.record(np.array(y)),
-            options={"maxiter": wrapped.remaining + 1, "maxcor": memory, "gtol": tolerance, "ftol": ftol},
+            callback=accepted,
+            options={
+                "maxiter": wrapped.remaining + 1,
+                "maxcor": memory,
+                "maxls": LINE_SEARCH,
+                "gtol": tolerance,
+                "ftol": ftol,
+            },
         )
+        if lagrangian.diverges(result.x):
+            if not lagrangian.stiffen():
+                break
+            continue
         y = result.x
         done = lagrangian.renew(y)
         if tolerance <= gtol and (done or not result.success):
@@ -79,14 +98,13 @@ class _Lagrangian:
 
     def __call__(self, y: np.ndarray) -> tuple[float, np.ndarray]:
         value = self.wrapped.value(y)
-        if not self.wrapped.search.evaluate(y).ok:
-            return value.objective / self.wrapped.unit, np.zeros(y.size)
-        f, df = value.objective / self.wrapped.unit, self.wrapped.slope(y)
-        if not self.rows.size:
-            return f, df
         pushed = self._forces(value.constraints)
+        f = value.objective / self.wrapped.unit
         f += float(pushed @ pushed - self.multipliers @ self.multipliers) / (2.0 * self.penalty)
-        return f, df + pushed @ self.wrapped.jacobian(y, self.rows)
+        if not self.wrapped.search.evaluate(y).ok:
+            return f, np.zeros(y.size)
+        df = self.wrapped.slope(y)
+        return f, df + pushed @ self.wrapped.jacobian(y, self.rows) if self.rows.size else df
 
     def renew(self, y: np.ndarray) -> bool:
         """Take the next multipliers; whether the design is feasible and they stay."""
@@ -98,9 +116,21 @@ class _Lagrangian:
         self.multipliers = pushed
         violation = float(np.abs(self._violated(c)).max())
         if violation > max(0.25 * self.violation, 0.1 * self.wrapped.search.feasibility):
-            self.penalty = min(10.0 * self.penalty, LARGEST_PENALTY)
+            self.stiffen()
         self.violation = violation
         return violation <= 0.5 * self.wrapped.search.feasibility and change <= 1e-3
+
+    def diverges(self, y: np.ndarray) -> bool:
+        """Whether f falls faster than the penalty grows."""
+        far = FAR * max(1.0, self.violation)
+        return bool(np.abs(self._violated(self.wrapped.value(y).constraints)).max(initial=0.0) > far)
+
+    def stiffen(self) -> bool:
+        """Raise the penalty tenfold; False where it is as large as it may be."""
+        if self.penalty >= LARGEST_PENALTY:
+            return False
+        self.penalty = min(10.0 * self.penalty, LARGEST_PENALTY)
+        return True
 
     def _forces(self, c: np.ndarray) -> np.ndarray:
         forces = self.multipliers + self.penalty * c
