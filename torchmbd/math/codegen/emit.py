@@ -11,6 +11,7 @@ Checked in tests/math/codegen/.
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -292,11 +293,9 @@ class _NestText:
 
     def _number(self, number: int) -> str:
         """The name of a number, made where it is not yet."""
-        wanted = self.schedule.aliases.get(number, number)
-        for node in self.schedule.reach(number):
-            if not any(node in s.names for s in self.scopes):
-                self._make(node)
-        return self._known(wanted)
+        for node in self.schedule.reach(number, ChainMap(*(s.names for s in self.scopes))):
+            self._make(node)
+        return self._known(number)
 
     def _known(self, node: int) -> str:
         node = self.schedule.aliases.get(node, node)

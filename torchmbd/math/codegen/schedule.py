@@ -8,7 +8,7 @@ What a later stage loads from the body of its own loop need not wait for other b
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from dataclasses import dataclass, field
 
 from torchmbd.math.codegen.program import Program, Write
@@ -36,30 +36,35 @@ class Schedule:
     ):
         self.program, self.given, self.aliases = program, given, aliases or {}
         self.nests: list[Nest] = []
-        self._loads: dict[int, list[int]] = {}
+        self._loads: dict[int, frozenset[int]] = {}
         self.writes = self._needed(roots)
         self.made = {w.buffer for w in self.writes}
         self._place()
 
     def loads(self, number: int) -> list[int]:
-        """What is loaded to make a number."""
-        found = self._loads.get(number)
-        if found is None:
-            reach = self.reach(number)
-            found = self._loads[number] = [x for x in reach if self.program.op[x] == "load"]
-        return found
+        """What is loaded to make a number, in order."""
+        for node in self.reach(number, self._loads):
+            own = (self._loads[a] for a in self.operands(node))
+            self._loads[node] = frozenset((node,)) if self.program.op[node] == "load" else frozenset().union(*own)
+        return sorted(self._loads[self.aliases.get(number, number)])
 
-    def reach(self, number: int) -> list[int]:
-        """Numbers that are made for a number, arguments first; an alias in place of what it stands for."""
+    def reach(self, number: int, without: Container[int] = ()) -> list[int]:
+        """Numbers that are made for a number, arguments first; an alias in place of what it stands for.
+
+        without  numbers that are there, with all that they are made of
+        """
         found: dict[int, None] = {}
         stack = [self.aliases.get(number, number)]
         while stack:
             node = stack[-1]
-            missing = [a for a in self.operands(node) if a not in found] if node not in found else []
+            known = node in found or node in without
+            missing = [] if known else [a for a in self.operands(node) if a not in found and a not in without]
             if missing:
                 stack += missing
-            else:
-                found[stack.pop()] = None
+                continue
+            stack.pop()
+            if not known:
+                found[node] = None
         return list(found)
 
     def operands(self, node: int) -> list[int]:
