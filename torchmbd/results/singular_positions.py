@@ -39,12 +39,12 @@ class SingularPosition:
         )
 
 
-def singular_positions(motion: MotionData, below: float = NEAR) -> list[SingularPosition]:
+def singular_positions(motion: MotionData) -> list[SingularPosition]:
     """The singular positions that a motion came near to, at its output times."""
-    return [found for lane in range(motion.lanes) for found in of_lane(motion, lane, below)]
+    return [found for lane in range(motion.lanes) for found in of_lane(motion, lane)]
 
 
-def of_lane(motion: MotionData, lane: int, below: float = NEAR) -> list[SingularPosition]:
+def of_lane(motion: MotionData, lane: int) -> list[SingularPosition]:
     """Those of one lane; times at which its numbers are not finite are left out."""
     T = motion.dynamics.topology
     good = torch.isfinite(motion.q[lane]).all(1)
@@ -61,7 +61,7 @@ def of_lane(motion: MotionData, lane: int, below: float = NEAR) -> list[Singular
         s = torch.linalg.svdvals(J)
         rank = int((s > RELATIVE * s[:, :1]).sum(1).max())
         last = s[:, rank - 1] / s[:, 0]
-        low = _minima(last, below)
+        low = _minima(last, NEAR)
         U = torch.linalg.svd(J[low], full_matrices=False)[0]
     rows = (lost_rows(T, x[:, rank - 1]) for x in U)
     return [SingularPosition(lane, float(t[i]), float(last[i]), names) for i, names in zip(low, rows, strict=True)]

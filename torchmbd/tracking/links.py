@@ -16,9 +16,9 @@ VIEW_TAG = "mlflow.sharedViewState."  # + run id of the parent: tag of the exper
 _MODE = "workflowType=machine_learning"
 
 
-def experiment_link(base: str, experiment_id: str, metric: str = "objective") -> str:
-    """Return the table of all runs ordered by a metric."""
-    order = f"orderByKey={quote(f'metrics.`{metric}`')}&orderByAsc=true"
+def experiment_link(base: str, experiment_id: str) -> str:
+    """Return the table of all runs ordered by their objective."""
+    order = f"orderByKey={quote('metrics.`objective`')}&orderByAsc=true"
     return f"{base}/#/experiments/{experiment_id}/runs?{_MODE}&{order}"
 
 

@@ -57,16 +57,15 @@ def spectral_function(
     return Psi @ inner @ (Psi.mT if columns is None else Psi.mT @ columns)
 
 
-def eigenvalues(Kr: Float[Tensor, "*lanes n n"], cluster: float = CLUSTER) -> Float[Tensor, "*lanes n"]:
+def eigenvalues(Kr: Float[Tensor, "*lanes n n"]) -> Float[Tensor, "*lanes n"]:
     """Eigenvalues of a symmetric matrix in rising order; those that coincide have the mean of their derivatives.
 
     Their mean is the derivative of every symmetric function of a cluster, and for each alone a subgradient in the sense
-    of Clarke; forward and reverse mode agree.
-    cluster: relative distance below which neighbors coincide
+    of Clarke; forward and reverse mode agree. Neighbors coincide where their relative distance is below CLUSTER.
     """
     values, V = torch.linalg.eigh(Kr.detach())
     slopes = (V.mT @ (Kr - Kr.detach()) @ V).diagonal(dim1=-2, dim2=-1)  # zero, with the derivatives of Kr
-    share = chained(values, cluster * values[..., 1:].abs()).to(values.dtype)
+    share = chained(values, CLUSTER * values[..., 1:].abs()).to(values.dtype)
     return values + (share @ slopes[..., None]).squeeze(-1) / share.sum(-1)
 
 

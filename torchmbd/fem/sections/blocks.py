@@ -47,9 +47,9 @@ def shaped(
     return mesh
 
 
-def joined(patches: Sequence[Patch], order: int, plane_angle: float | None = None) -> SectionMesh:
-    """The mesh of patches; plane_angle: of all elements, or None."""
-    return _joined(patches, order, plane_angle)[0]
+def joined(patches: Sequence[Patch], order: int) -> SectionMesh:
+    """The mesh of patches."""
+    return _joined(patches, order, None)[0]
 
 
 def _joined(patches: Sequence[Patch], order: int, plane_angle: float | None) -> tuple[SectionMesh, NDArray[np.int64]]:

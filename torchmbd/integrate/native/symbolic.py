@@ -145,13 +145,10 @@ def _law(shape: Any, numbers: Any) -> Any:
         factor = next(numbers)
         return Scaled(factor, _law(shape[1], numbers))
     given: list[Any] = [next(numbers) for _ in range(numbers_of(shape))]
-    return (
-        Spring(*given) if shape[0] is Spring else OfTime(*(_plain(x) for x in given))
-    )  # no design varies those of OfTime
-
-
-def _plain(x: Any) -> Any:
-    return value(x)
+    if shape[0] is Spring:
+        return Spring(*given)
+    plain: list[Any] = [value(x) for x in given]  # no design varies those of OfTime
+    return OfTime(*plain)
 
 
 class _Distance(Distance):
@@ -336,7 +333,7 @@ class _UnitForces:
 
     def __init__(self, name: str, letter: str, arguments: AnySize, flexible: bool):
         bent, pairs, bent_pairs = (Size(f"{letter}{x}") for x in "TPF")
-        self.pairs, self.flexible_pairs, self._letter = pairs, bent_pairs if flexible else 0, letter
+        self.pairs, self.flexible_pairs = pairs, bent_pairs if flexible else 0
         self.pair_body, self.argument_vector = (
             Table(f"{name}_pair_body", pairs),
             Table(f"{name}_argument_vector", arguments),

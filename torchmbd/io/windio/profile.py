@@ -21,6 +21,7 @@ from torchmbd.fem.sections.mesh import SectionMesh
 
 SHARE = 0.45  # of the inner width
 _STEP = 2e-3  # of the contour: columns in which a stack changes
+_BESIDE = 1e-3  # of the contour: neighbors that give the tangent
 _CORNER = 0.3  # of a side of a sharp corner: how deep its inner edge may lie
 Array = NDArray[np.float64]
 
@@ -64,9 +65,9 @@ class Profile:
         s = np.mod(s, self.closed)
         return np.stack([np.interp(s, self.arc, self.points[:, k]) for k in range(2)], -1)
 
-    def inward(self, s: Array, step: float = 1e-3) -> Array:
+    def inward(self, s: Array) -> Array:
         """Unit normals into the profile."""
-        d = self.at(s + step) - self.at(s - step)
+        d = self.at(s + _BESIDE) - self.at(s - _BESIDE)
         n = np.stack([d[:, 1], -d[:, 0]], -1)
         size = np.linalg.norm(n, axis=1, keepdims=True)
         return -n / size * np.sign(self.area)
