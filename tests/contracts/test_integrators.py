@@ -64,6 +64,9 @@ ACCURACY = {
     "dopri8": adaptive(1e-8, 1e-9, 1e-6),
 }
 every_method = pytest.mark.parametrize("method", METHODS)
+# The methods of torchdiffeq share their code here: one with fixed steps, an adaptive and an implicit one stand for all.
+FIRST = ("generalized_alpha", "hht_alpha", "rk4", "dopri5", "implicit_adams")
+others_thorough = pytest.mark.thorough(*(method for method in METHODS if method not in FIRST))
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +103,7 @@ def test_method_ends_where_the_motion_ends(method, system, designs, reference):
     assert_close(motion.lam[:, -1], reference.lam[:, -1], rtol=0, atol=10 * asked.v)
 
 
+@others_thorough
 @every_method
 @pytest.mark.filterwarnings("ignore:Functional iteration did not converge")
 def test_a_lane_that_fails_is_named_and_leaves_the_others_alone(method, system, designs):
@@ -152,6 +156,7 @@ def numbers_of(motion: Trajectory) -> torch.Tensor:
     return torch.cat([x.flatten(1) for x in parts], 1)
 
 
+@others_thorough
 @every_method
 @pytest.mark.filterwarnings("ignore:Functional iteration did not converge", "ignore:the steps do not resolve")
 def test_tangents_are_those_of_the_steps(method, system):
@@ -197,6 +202,7 @@ def test_the_pullback_is_the_transpose_of_the_tangents(method, system, designs, 
         assert_close(gradients[1], gradients[0], rtol=1e-8, atol=1e-8 * float(gradients[0].abs().max()))
 
 
+@others_thorough
 @every_method
 @pytest.mark.filterwarnings("ignore:Functional iteration did not converge", "ignore:the steps do not resolve")
 def test_it_goes_through_an_event(method, system, reference):

@@ -122,6 +122,7 @@ def test_result_says_what_happened(method, make):
     assert result.gradient_evaluations == sum(count for count, gradients in problem.batches[:-1] if gradients)
 
 
+@pytest.mark.thorough("trust-constr")
 @pytest.mark.parametrize("method", METHODS)
 def test_multipliers_are_sensitivities(method):
     """In physical units: the optimum falls by multiplier times the amount by which a limit is relaxed."""

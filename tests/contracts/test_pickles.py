@@ -67,6 +67,7 @@ def problems(system: mbd.System) -> list[Any]:
     ]
 
 
+@pytest.mark.thorough("copy", "torch")
 @pytest.mark.parametrize("k", range(4))
 def test_problems(system, again, k):
     problem = problems(system)[k]

@@ -257,6 +257,7 @@ def renamed() -> mbd.System:
     return system
 
 
+@pytest.mark.thorough("enable_grad")
 @pytest.mark.parametrize("around", [torch.no_grad, torch.inference_mode, torch.enable_grad])
 @pytest.mark.parametrize(
     "measure", [mbd.Integral(mbd.StrainEnergy("rod")), mbd.AtTimes(mbd.StrainEnergy("rod"), count=9)]

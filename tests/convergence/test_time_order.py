@@ -66,6 +66,7 @@ def errors(method: str, steps: int, **options: float) -> dict[str, float]:
     return worst
 
 
+@pytest.mark.thorough("generalized_alpha-options0", "hht_alpha-options4")
 @pytest.mark.parametrize(
     ("method", "options"),
     [

@@ -158,6 +158,7 @@ def test_compilation_is_switched_within_a_block_only(monkeypatch):
     assert "TORCHMBD_COMPILE" not in os.environ
 
 
+@pytest.mark.thorough
 def test_json_is_one_object_with_every_figure(capsys):
     benchmark.main(["--json", "--quick", "structure", "multistart"])
     out, err = capsys.readouterr()

@@ -69,7 +69,9 @@ def studies() -> list:
     return [pytest.param(x, id=x.stem, marks=[pytest.mark.slow] if x in slow else []) for x in STUDIES]
 
 
-@pytest.mark.thorough("energy_integral", "multistart")
+@pytest.mark.thorough(
+    "energy_integral", "multistart", "l1_energy_peak", "l2_energy_bound", "l2_energy_tolerance", "trusses"
+)
 @pytest.mark.parametrize("file", studies())
 def test_every_study_runs(file, uri):
     overrides = [*SMALL, *COARSE[file.parent.name]]

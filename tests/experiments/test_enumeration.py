@@ -41,6 +41,7 @@ def test_a_problem_within_a_limit():
     assert within.names == whole.names
 
 
+@pytest.mark.thorough
 def test_enumeration_says_what_the_problem_says_of_the_mirror_images():
     problem = problem_of("3f", 2, **TINY)
     found = enumerate_all({"": problem}, 15.0, lanes=41)[""]

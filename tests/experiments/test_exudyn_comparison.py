@@ -33,6 +33,7 @@ def test_the_slider_crank():
     agree(compare(crank, "slider_crank", "rod", "right", slider_crank.DURATION, 1200))
 
 
+@pytest.mark.thorough
 def test_a_rod_that_twists_as_it_bends():
     """One layer at 17 degrees: the same joint at the slider in both codes; with the universal one the peak is 9 % higher."""
     pytest.importorskip("exudyn")

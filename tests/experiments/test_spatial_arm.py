@@ -32,6 +32,7 @@ def small() -> mbd.Scenarios:
     return problem(around=8, payloads=[0.5, 1.1], steps=60)
 
 
+@pytest.mark.thorough
 def test_file_and_python_ask_the_same(small):
     """Names, bounds, objective and constraints, with two of the twenty payloads; the file is short."""
     asked = mbd.problem_of(FILE, *SMALL)

@@ -52,6 +52,7 @@ def test_where_the_iteration_fails_it_is_taken_again_carefully(system):
     assert torch.allclose(cured.q, run(system, iterations=(6, 1)).q, rtol=0, atol=1e-12)
 
 
+@pytest.mark.thorough
 def test_gradients_by_the_drive(system):
     motion = run(system, gradients="forward", variables=VARIABLES)
     energy = mbd.Integral(mbd.StrainEnergy("upper"))

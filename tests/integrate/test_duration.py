@@ -63,6 +63,7 @@ def differences(f: Callable[[float], Tensor], x: float, share: float = 1e-3) -> 
         return (4.0 * slope(share * x) - slope(2.0 * share * x)) / 3.0
 
 
+@pytest.mark.thorough("a prescribed body", "redundant constraints")
 @pytest.mark.parametrize("name", CASES)
 def test_it_is_the_derivative_of_the_discrete_motion(name):
     build, duration = CASES[name]

@@ -193,6 +193,7 @@ def test_optimizers_of_torch_descend(optimizer):
     assert seen[-1] < 0.99 * seen[0]
 
 
+@pytest.mark.thorough
 def test_parameters_of_laws_and_thicknesses_have_gradients():
     """The amplitude of a drive, a thickness: whatever requires a gradient has one after `backward()`."""
     system = arm()

@@ -87,6 +87,7 @@ def test_gradients_by_ply_angles():
     assert float((f(hung(False), ANGLES) - f(system, ANGLES)).abs().max()) > 0.01 * float(f(system, ANGLES).abs().max())
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_native_steps_are_eager_steps(native: None):
     system = hung()

@@ -37,7 +37,7 @@ def everything(motion: mbd.Trajectory) -> Tensor:
     return torch.stack([total, motion.q[:, -1].square().sum(1)], 1)
 
 
-@pytest.mark.thorough("laws of forces", "spatial")
+@pytest.mark.thorough("laws of forces", "spatial", "redundant", "driven")
 @pytest.mark.parametrize(  # "kink" is the mechanism of "forces" with a law of its own
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name == "forces" else []) for name in CASES]
 )
@@ -230,6 +230,7 @@ def test_a_problem_refuses_an_adjoint_that_is_not_there():
         energies(2, gradients="reverse", method="rk4")
 
 
+@pytest.mark.thorough("eager")
 @pytest.mark.parametrize(("length", "backend"), [(2000, "native"), (15, "eager")])
 def test_states_between_checkpoints_are_made_again(backend, length, native, monkeypatch):
     """Values are those of all steps at the kept times, to the bit; so are gradients of what these times have."""

@@ -51,6 +51,7 @@ def rebound(motion: Trajectory) -> Tensor:
     return motion.v * flip
 
 
+@pytest.mark.thorough("rebound")
 @pytest.mark.parametrize(
     ("method", "impact"), [("generalized_alpha", RESTITUTION), ("generalized_alpha", rebound), ("rk4", RESTITUTION)]
 )

@@ -50,7 +50,7 @@ def both(request) -> tuple[Trajectory, Trajectory]:
     )
 
 
-@pytest.mark.thorough("L1-integral", "L2-integral")
+@pytest.mark.thorough("L1-integral", "L2-integral", "L1-max")
 @pytest.mark.parametrize("name", MEASURES)
 def test_generalized_alpha_against_differences_of_its_discrete_map(name, both):
     motion, neighbors = both
@@ -61,6 +61,7 @@ def test_generalized_alpha_against_differences_of_its_discrete_map(name, both):
     agree(found.gradient[0], differences(MEASURES[name], neighbors, 1e-5), 1e-5)
 
 
+@pytest.mark.thorough("L1", "L2")
 def test_default_iterations_leave_little(both):
     """Three corrections with an inverse kept for two steps: cheaper, and still exact enough to optimize with."""
     motion, _ = both

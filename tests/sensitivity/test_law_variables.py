@@ -108,6 +108,7 @@ def test_drives_by_torchdiffeq():
     assert_close(torch.stack(slopes), motion.dq_db[0, -1, k], rtol=1e-6, atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_a_design_is_a_system_of_its_own():
     """A lane of a batch moves as a system that was built with its numbers, reactions and energies alike."""
     system, own = arm("sine"), arm("sine")

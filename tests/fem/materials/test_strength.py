@@ -53,6 +53,7 @@ def test_the_inverse_reserve_factor_scales_with_the_load():
     assert float(tsai_wu_irf(0.0 * stress, strength)) == 0.0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("criterion", CRITERIA)
 def test_derivative_by_the_stress(criterion):
     generator = torch.Generator().manual_seed(3)

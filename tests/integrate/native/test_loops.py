@@ -44,6 +44,7 @@ def gradients(system: mbd.System, backend: str) -> dict[str, torch.Tensor]:
     return dict(zip(wanted, torch.autograd.grad(total, list(wanted.values())), strict=True))
 
 
+@pytest.mark.thorough("Spherical-2", "Universal-3", "Universal-7")
 @pytest.mark.parametrize("links", [2, 3, 7])
 @pytest.mark.parametrize("joint", [mbd.Spherical, mbd.Universal])
 def test_chains(links: int, joint: type) -> None:
@@ -57,6 +58,7 @@ def test_chains(links: int, joint: type) -> None:
     same(eager, fast)
 
 
+@pytest.mark.thorough("4")
 @pytest.mark.parametrize("links", [2, 4])
 def test_the_adjoint_of_chains(links: int) -> None:
     system = linked(links)

@@ -51,6 +51,7 @@ def momentum(motion: Trajectory, state: tuple[Tensor, Tensor]) -> Tensor:
     return total
 
 
+@pytest.mark.thorough("dopri5")
 @pytest.mark.parametrize(("method", "hinges"), [("generalized_alpha", 1), ("generalized_alpha", 2), ("dopri5", 1)])
 def test_a_lock_keeps_momentum_and_position(method, hinges):
     phases = [mbd.Phase(until=0.0325), mbd.Phase(lock=["hinge"])]

@@ -53,6 +53,7 @@ def test_a_compiler_that_fails(cache: Path, monkeypatch: pytest.MonkeyPatch) -> 
     said_once(cache, "panels.cpp cannot be compiled.*false")
 
 
+@pytest.mark.thorough
 @needs_compiler
 def test_a_corrupt_library_is_removed_and_built_again(cache: Path) -> None:
     native = Native(SOURCE)

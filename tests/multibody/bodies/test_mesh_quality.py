@@ -32,6 +32,12 @@ def test_good_cells_raise_no_warning(kind):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         body(grid(0.3, 0.1, (6, 2), kind))
+
+
+def test_cells_within_the_limits_raise_no_warning():
+    """Long ones, sheared ones, small ones of a stiff laminate."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
         body(grid(1.0, 1.0, (11, 1), "quad"))
         body(sheared(31.0))
         body(grid(1.0, 1.0, (40, 40), "quad"), STIFF)

@@ -12,6 +12,8 @@ import torchmbd as mbd
 from tests.mechanisms import box, tensor
 from torchmbd.multibody.forces import Gap, Pieces, Table
 
+pytestmark = pytest.mark.usefixtures("compiled")
+
 
 def at(law, s: float, rate: float = 0.0) -> float:
     return float(law(tensor(s), tensor(rate), tensor(0.0)[0]))

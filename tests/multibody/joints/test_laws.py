@@ -45,6 +45,7 @@ def test_the_law_of_a_joint_is_the_law(law):
             assert_close(torch.stack(x.slopes(t)), torch.stack(law.slopes(t)), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.thorough("rk4")
 @pytest.mark.parametrize(
     ("key", "x", "method"),
     [
