@@ -123,6 +123,11 @@ def test_a_file_of_two_matrices(tmp_path):
         ("a.op4", f"{4:8}{4:8}{6:8}{4:8}KGG     1P,3E23.16\n", "type 4; allowed: 1 or 2"),
         ("a.op4", "not a matrix\n", "no header of an OP4 matrix"),
         ("a.op4", f"{2:8}{2:8}{6:8}{2:8}KGG     1P,3E23.16\n{1:8}{7:8}{2:8}\n{1.0:23.16E}\n", "row 7, column 1"),
+        ("a.op4", f"{2:8}{2:8}{6:8}{2:8}KGG     1P,3E23.16\n{1:8}{1:8}{2:8}\n{1.0:23.16E}\n", "ends in column 1 of 2"),
+        ("a.mtx", "%%MatrixMarket matrix coordinate real general\n3 3 1000000000000\n1 1 1.0\n", "entries in 72 bytes"),
+        ("a.mtx", "%%MatrixMarket matrix array real general\n3000000 3000000\n1.0\n", "9000000000000 entries"),
+        ("a.mtx", "1,1,1,1,4.0\n1,8,1,8,5.0\n", "node 1 has the direction 8; allowed: 1 to 6"),
+        ("a.pch", "DMIG,KAAX,0,6,2,0\nDMIG,KAAX,1,-7,,1,-7,4.0\n", "node 1 has the direction -7"),
         ("a.pch", "DMIG,KAAX,1,1,,1,1,4.0\n", "comes later or never"),
         ("a.pch", "DMIG,KAAX,0,6,3,0\n", "and real"),
         ("a.pch", "GRID,1,,0.,0.,0.\n", "no DMIG matrix"),
@@ -134,6 +139,18 @@ def test_wrong_files_are_named(name, text, words, tmp_path):
     with pytest.raises(InputError) as error:
         read_matrix("K", tmp_path / name)
     assert words in str(error.value), error.value
+
+
+def test_a_half_of_mixed_triangles_is_the_whole_matrix(tmp_path):
+    """IFO 6: each entry beside the diagonal stands once, above or below it."""
+    lines = ["DMIG,KAAX,0,6,2,0"]
+    for i, j in ((0, 0), (1, 0), (3, 0), (1, 1), (1, 2), (2, 2), (3, 3)):  # 10, 30 below the diagonal, 12 above
+        lines.append(f"DMIG,KAAX,{ROWS[j][0]},{ROWS[j][1]},,{ROWS[i][0]},{ROWS[i][1]},{float(A[i, j])!r}")
+    path = tmp_path / "k.pch"
+    path.write_text("\n".join(lines))
+    found = read_matrix("K", path)
+    assert found.rows == ROWS
+    np.testing.assert_array_equal(found.matrix.toarray(), A)
 
 
 def test_a_file_that_does_not_exist():

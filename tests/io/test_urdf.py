@@ -35,6 +35,8 @@ TEXT = '<robot name="arm">\n' + "\n".join(ARM) + "\n</robot>\n"
         ("</robot>", "", "allowed: XML"),
         ("<robot", "<!DOCTYPE r [<!ENTITY a 'b'>]><robot", "document type"),
         ("robot", "model", "its root is <model>"),
+        ("</robot>", '<x:arm xmlns:x="http://www.ros.org/wiki/xacro"/></robot>', "expand a xacro file first"),
+        ('name="j3"', 'name="${side}_j3"', "'${side}_j3'"),
     ],
 )
 def test_broken_files_are_named(old, new, words, tmp_path):
@@ -45,6 +47,21 @@ def test_broken_files_are_named(old, new, words, tmp_path):
         read_urdf(path)
     assert words in str(error.value), error.value
     assert "arm.urdf" in str(error.value)
+
+
+def test_a_mass_without_inertia_is_said(tmp_path):
+    path = tmp_path / "arm.urdf"
+    path.write_text('<robot name="a"><link name="b"><inertial><mass value="2"/></inertial></link></robot>')
+    with pytest.warns(UserWarning, match=r"arm.urdf, link 'b': it has no <inertia>; taken as a point of 2 kg"):
+        assert not read_urdf(path).links["b"].inertia.any()
+
+
+def test_joints_of_one_name(tmp_path):
+    """'j 2' and 'j_2' would both be 'j_2' in the system."""
+    path = tmp_path / "arm.urdf"
+    path.write_text(TEXT.replace('name="j2"', 'name="j 3"').replace('name="j3"', 'name="j_3"'))
+    with pytest.raises(InputError, match=r"joints 'j 3' and 'j_3' are both 'j_3'"):
+        mbd.System.from_urdf(path, stop_stiffness=None)
 
 
 def test_spoilt_files(tmp_path):

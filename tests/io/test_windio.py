@@ -162,6 +162,64 @@ def test_what_is_refused(blade, layers, webs, words):
         made.section(0.5)
 
 
+def test_a_blade_of_one_airfoil(blade):
+    """The same airfoil at both ends, or one alone: its own contour everywhere."""
+    one = [{"name": "root", "coordinates": wing(), "relative_thickness": 0.3}]
+    made = blade(wing(), FULL, WEBS)
+    for position in ({"grid": FLAT, "labels": ["root", "root"]}, {"grid": [0.0], "labels": ["root"]}):
+        made._airfoils(position, {"root": one[0]})
+        x, y = made.contour(0.37).T
+        wanted = np.interp(x[:100][::-1], wing()["x"][79::-1], wing()["y"][79::-1])
+        np.testing.assert_allclose(y[:100][::-1], wanted, atol=2e-3)
+        assert made.section(0.37).mesh.layers > 0
+
+
+@pytest.mark.parametrize(
+    ("layers", "webs", "changed", "words"),
+    [
+        (FULL, [], {}, r"web of layer 'web_skin': 'web' does not exist"),
+        (FULL, [{"name": "web", "end_nd_arc": along(0.7)}], {}, "web 'web' has no start_nd_arc"),
+        ([FULL[0], FULL[0]], [], {}, "layer 'outer' stands twice"),
+        ([{"name": "outer", "thickness": along(1e-3)}], [], {}, "layer 'outer' has no material"),
+        (FULL, WEBS, {"airfoils": [{"name": k, "relative_thickness": 0.3} for k in ("root", "tip")]}, "have the same"),
+        (FULL, WEBS, {"airfoils": [{"name": k, "relative_thickness": "x"} for k in ("root", "tip")]}, "is no windIO"),
+        (FULL, WEBS, {"airfoils": [{"name": "root", "relative_thickness": float("nan")}] * 2}, "'root' stands twice"),
+    ],
+)
+def test_what_a_blade_lacks_is_named(blade, layers, webs, changed, words):
+    with pytest.raises(InputError, match=rf"blade\.yaml.*{words}"):
+        blade(wing(), layers, webs, **changed)
+
+
+@pytest.mark.parametrize("y", [[0.0], [0.0, float("nan"), 0.0], [0.0, 0.1, 0.0, 0.2]], ids=["one", "nan", "more"])
+def test_coordinates_that_are_none(blade, y):
+    with pytest.raises(InputError, match="coordinates of airfoil"):
+        blade({"x": [1.0, 0.0, 1.0][: len(y)], "y": y}, FULL, WEBS)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 200_000,
+        "- " * 200_000,
+        "a: &a [x,x,x,x,x,x,x,x,x]\n"
+        + "".join(f"{b}: &{b} [{','.join([f'*{a}'] * 9)}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)),
+    ],
+    ids=["brackets", "lists", "aliases"],
+)
+def test_hostile_files(tmp_path, text):
+    """Neither a deep nor a multiplied file is built."""
+    path = tmp_path / "x.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"x\.yaml: its data have more than"):
+        mbd.WindIOBlade(path)
+
+
+def test_a_tip_without_chord(blade):
+    with pytest.raises(InputError, match="chord at 1 is 0 m"):
+        blade(wing(), FULL, WEBS, chord=0.0).section(1.0)
+
+
 def test_files_that_are_no_blade(tmp_path, blade):
     for text in ("", "[1, 2", "a: {b: c}", "components: {blade: 3}", "&a [*a]", "\x00"):
         path = tmp_path / "x.yaml"

@@ -6,8 +6,8 @@
     Nastran DMIG        bulk data, real, square or symmetric                     .dmig, .pch, .bdf, .dat
 
 Abaqus and DMIG say to which node and direction a row belongs; the others count 1, 2, 3, ... Where a file has only one
-triangle of a symmetric matrix, the other is its mirror image. A file of several matrices: "path:NAME", or else the
-one whose name starts as the argument's (M or K).
+of each two entries ij and ji, in whichever triangle, the other is its mirror image. A file of several matrices: "path:NAME",
+or else the one whose name starts as the argument's (M or K).
 Source: MSC Nastran Quick Reference Guide (DMIG) and DMAP manual (OUTPUT4); Abaqus Analysis Guide, Generating matrices.
 Checked in tests/io/test_matrix_file.py.
 """
@@ -67,8 +67,12 @@ def _read(file: Path) -> dict[str, FileMatrix]:
         with file.open(encoding="utf-8", errors="replace") as lines:
             if not lines.readline().startswith("%%MatrixMarket"):
                 return {file.stem: _abaqus(file)}
-        shape = scipy.io.mminfo(file)[:2]
-        _square(file.name, *shape)
+        rows, columns, entries, *_ = scipy.io.mminfo(file)
+        _square(file.name, rows, columns)
+        if 2 * entries > file.stat().st_size:
+            raise InputError(
+                f"{file.name}: {entries} entries in {file.stat().st_size} bytes; allowed: as many as it has"
+            )
         return {file.stem: FileMatrix(_real(file.name, scipy.sparse.csr_array(scipy.io.mmread(file))))}
     if suffix == ".op4":
         return dict(_op4(file))
@@ -89,16 +93,21 @@ def _real(where: str, matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
 
 
 def _mirrored(matrix: scipy.sparse.csr_array) -> scipy.sparse.csr_array:
-    """The whole of a matrix of which there may be only one triangle."""
-    coo = matrix.tocoo()
-    if (coo.row >= coo.col).all() or (coo.row <= coo.col).all():
-        return scipy.sparse.csr_array(matrix + matrix.T - scipy.sparse.diags_array(matrix.diagonal()))
-    return matrix
+    """The whole of a matrix of which there may be only one of each two entries ij and ji."""
+    coo, n = matrix.tocoo(), np.int64(matrix.shape[0])  # pyright: ignore[reportOptionalSubscript]
+    beside = (coo.row != coo.col) & (coo.data != 0.0)
+    i, j = coo.row[beside], coo.col[beside]
+    if np.isin(n * i + j, n * j + i).any():
+        return matrix
+    return scipy.sparse.csr_array(matrix + matrix.T - scipy.sparse.diags_array(matrix.diagonal()))
 
 
-def _assembled(entries: list[tuple[tuple[int, int], tuple[int, int], float]]) -> FileMatrix:
+def _assembled(name: str, entries: list[tuple[tuple[int, int], tuple[int, int], float]]) -> FileMatrix:
     """Entries between (label, direction) pairs; rows in the order of labels."""
     rows = sorted({pair for i, j, _ in entries for pair in (i, j)})
+    for label, direction in rows:
+        if not 1 <= direction <= 6:
+            raise InputError(f"{name}: node {label} has the direction {direction}; allowed: 1 to 6")
     index = {pair: k for k, pair in enumerate(rows)}
     i, j = ([index[pair] for pair in pairs] for pairs in zip(*((a, b) for a, b, _ in entries), strict=True))
     matrix = scipy.sparse.coo_array(([entry[2] for entry in entries], (i, j)), shape=(len(rows), len(rows)))
@@ -128,7 +137,7 @@ def _abaqus(file: Path) -> FileMatrix:
     if bool(labelled) == bool(plain):
         raise InputError(f"{file.name} has {'two kinds of lines' if plain else 'no entries'}; allowed: one kind")
     if labelled:
-        return _assembled(labelled)
+        return _assembled(file.name, labelled)
     size = max(max(i, j) for i, j, _ in plain)
     _square(file.name, size, size)
     i, j, values = (np.array(column) for column in zip(*plain, strict=True))
@@ -183,6 +192,8 @@ def _op4_columns(name: str, lines: Iterator[tuple[int, str]], size: int, width: 
             row = words[1]
         elif len(words) == 1:  # small: 65536 (length + 1) + row
             row = words[0] % 65536
+    if column <= size:
+        raise InputError(f"{name} ends in column {column} of {size}; allowed: all, and a last one of number {size + 1}")
     return scipy.sparse.csr_array((np.array(values), (np.array(i, int), np.array(j, int))), shape=(size, size))
 
 
@@ -201,12 +212,12 @@ def _dmig(file: Path) -> dict[str, FileMatrix]:
             continue
         if name not in entries:
             raise InputError(f"{card}: the card of its header (second field 0) comes later or never")
-        right = card.integer(2, "GJ"), max(card.integer(3, "CJ", 0), 1)
+        right = card.integer(2, "GJ"), card.integer(3, "CJ", 0) or 1
         for start in range(5, len(card.fields) + 1, 4):
             if card.text(start):
-                left = card.integer(start, "G"), max(card.integer(start + 1, "C", 0), 1)
+                left = card.integer(start, "G"), card.integer(start + 1, "C", 0) or 1
                 entries[name].append((left, right, card.real(start + 2, "A")))
-    found = {name: _assembled(own) for name, own in entries.items() if own}
+    found = {name: _assembled(file.name, own) for name, own in entries.items() if own}
     if not found:
         raise InputError(f"{file.name} has no DMIG matrix; allowed: one at least")
     return found

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from torchmbd.errors import InputError, unknown
+from torchmbd.errors import InputError, unknown, warn
 
 KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 LARGEST = 20_000_000  # bytes
@@ -89,6 +89,9 @@ def read_urdf(path: str | Path) -> Robot:
         raise InputError(f"{file.name}: {error}; allowed: XML") from None
     if root.tag != "robot":
         raise InputError(f"{file.name}: its root is <{root.tag}>; allowed: <robot> (expand a xacro file first)")
+    for element in root.iter():
+        if "xacro" in element.tag:
+            raise InputError(f"{file.name} has <{element.tag}>; allowed: plain URDF (expand a xacro file first)")
     links: dict[str, UrdfLink] = {}
     for element in root.findall("link"):
         link = _link(file.name, element)
@@ -136,6 +139,8 @@ def _named(file: str, element: ET.Element) -> str:
     name = element.get("name")
     if not name:
         raise InputError(f"{file}: a <{element.tag}> has no name")
+    if "${" in name or "$(" in name:
+        raise InputError(f"{file}: <{element.tag}> {name!r}; allowed: plain names (expand a xacro file first)")
     return name
 
 
@@ -184,6 +189,8 @@ def _link(file: str, element: ET.Element) -> UrdfLink:
     J = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     if mass < 0.0:
         raise InputError(f"{where}: mass is {mass:g}; allowed: zero or positive")
+    if own is None and mass:
+        warn(f"{where}: it has no <inertia>; taken as a point of {mass:g} kg")
     return UrdfLink(name, mass, pose.place, pose.axes @ J @ pose.axes.T)
 
 

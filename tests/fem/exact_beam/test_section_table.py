@@ -98,9 +98,24 @@ def test_tables_that_are_refused(positions, sections, match):
 def test_more_that_is_refused(tmp_path):
     with pytest.raises(mbd.InputError, match="section at position 1 is 'thin'"):
         mbd.SectionTable([0.0, 1.0], [given(*[1.0] * 6), "thin"])
-    (tmp_path / "empty.inp").write_text("nothing")
-    with pytest.raises(mbd.InputError, match="no stations"):
-        mbd.SectionTable.beamdyn(tmp_path / "empty.inp")
+    rows = "\n".join(" ".join("2" if i == j else "0" for j in range(6)) + "  a comment" for i in range(6))
+    good = f"2 station_total\n--- Distributed Properties ---\n0.0 ! root\n{rows}\n\n{rows}\n1.0\n{rows}\n{rows}\nEND\n"
+    (tmp_path / "good.inp").write_text(good)
+    assert torch.equal(
+        mbd.SectionTable.beamdyn(tmp_path / "good.inp").mass(torch.tensor([0.3]))[0].diagonal(),
+        2.0 * torch.ones(6, dtype=torch.float64),
+    )
+    for old, new, words in (
+        (good, "nothing", "no stations"),
+        ("2 station_total", "two station_total", "no stations, station_total 'two'"),
+        ("2 station_total", "1000000000000 station_total", "27 lines for 1000000000000 stations"),
+        ("1.0\n", "x\n", r"bad.inp, line 17: could not convert string to float: 'x'; allowed: 1 numbers"),
+    ):
+        (tmp_path / "bad.inp").write_text(good.replace(old, new))
+        with pytest.raises(mbd.InputError, match=words):
+            mbd.SectionTable.beamdyn(tmp_path / "bad.inp")
+    with pytest.raises(mbd.InputError, match="a BeamDyn blade file that exists"):
+        mbd.SectionTable.beamdyn(tmp_path / "none.inp")
     line = mbd.BeamLine([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [2, 0, 0]], [[0, 1], [1, 2], [1, 3]])
     table = mbd.SectionTable([0.0, 1.0], [given(*[1.0] * 6)] * 2)
     with pytest.raises(mbd.InputError, match="no chain"):

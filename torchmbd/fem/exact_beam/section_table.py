@@ -115,16 +115,26 @@ def _section(position: float, given: Any) -> Any:
 
 def _stations(file: Path) -> list[np.ndarray]:
     """Position, stiffness and mass of each station: 73 numbers."""
-    lines = file.read_text(encoding="utf-8").splitlines()
-    count = next((int(line.split()[0]) for line in lines if "station_total" in line), None)
+    if not file.is_file():
+        raise InputError(f"file is {str(file)!r}; allowed: a BeamDyn blade file that exists")
+    lines = file.read_text(encoding="utf-8", errors="replace").splitlines()
+    total = next((line.split()[0] for line in lines if "station_total" in line), "")
     start = next((k for k, line in enumerate(lines) if "distributed properties" in line.lower()), None)
     allowed = "a BeamDyn blade file, with station_total and Distributed Properties"
-    if count is None or start is None:
-        raise InputError(f"{file} has no stations; allowed: {allowed}")
-    try:
-        numbers = np.array([float(x.lower().replace("d", "e")) for line in lines[start + 1 :] for x in line.split()])
-    except ValueError as error:
-        raise InputError(f"{file}: {error}; allowed: {allowed}") from None
-    if len(numbers) < 73 * count:
-        raise InputError(f"{file} has {len(numbers)} numbers for {count} stations; allowed: 73 for each")
-    return list(numbers[: 73 * count].reshape(count, 73))
+    if start is None or not total.isdecimal() or int(total) < 2:
+        raise InputError(f"{file} has no stations, station_total {total!r}; allowed: {allowed}, two stations at least")
+    rows = [(k, line.split()) for k, line in enumerate(lines[start + 1 :], start=start + 2) if line.strip()]
+    if len(rows) < 13 * int(total):
+        raise InputError(f"{file} has {len(rows)} lines for {total} stations; allowed: 13 for each")
+    numbers: list[float] = []
+    for row, (k, words) in enumerate(
+        rows[: 13 * int(total)]
+    ):  # a position, then two matrices; words behind are comments
+        count = 6 if row % 13 else 1
+        try:
+            numbers += [float(word.lower().replace("d", "e")) for word in words[:count]]
+        except ValueError as error:
+            raise InputError(f"{file}, line {k}: {error}; allowed: {count} numbers") from None
+        if len(words) < count:
+            raise InputError(f"{file}, line {k}: {len(words)} numbers; allowed: {count}")
+    return list(np.array(numbers).reshape(-1, 73))

@@ -18,12 +18,15 @@ import yaml
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 
-from torchmbd.errors import InputError
+from torchmbd.errors import InputError, unknown
 from torchmbd.fem.sections.orthotropic import Orthotropic
 from torchmbd.fem.sections.section import Section
 from torchmbd.io.windio.profile import Layer, Profile, Web, profile_section
 
 LARGEST = 20_000_000  # bytes of a file
+ENTRIES = 5_000_000  # of the data, those behind aliases counted each time
+NESTED = 50  # levels of the data
+BRACKETS = 1000  # open at once, those in comments and texts counted too
 THIN = 2e-5  # m: layers below are left out
 _POINTS = 200  # of a contour
 Array = NDArray[np.float64]
@@ -52,35 +55,44 @@ class WindIOBlade:
         if not path.is_file() or path.stat().st_size > LARGEST:
             raise InputError(f"file is {str(file)!r}; allowed: a windIO file of at most {LARGEST} bytes")
         try:
-            data = yaml.load(path.read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+            data = _loaded(path.read_text(encoding="utf-8"))
             blade = data["components"]["blade"]
             self._inner, shape = blade["internal_structure_2d_fem"], blade["outer_shape_bem"]
             self._shape = {name: _given(name, shape[name]) for name in ("chord", "twist", "pitch_axis")}
             axis = shape["reference_axis"]
             self._axis = [_given(f"reference_axis {name}", axis[name]) for name in "xyz"]
-            self._materials = {own["name"]: own for own in data["materials"]}
-            self._airfoils(shape["airfoil_position"], {own["name"]: own for own in data["airfoils"]})
-            self._layers = {own["name"]: own for own in self._inner["layers"]}
-            self._webs = {own["name"]: own for own in self._inner.get("webs", [])}
-        except (yaml.YAMLError, KeyError, TypeError, UnicodeDecodeError, RecursionError) as error:
+            self._materials = _named("material", data["materials"])
+            self._airfoils(shape["airfoil_position"], _named("airfoil", data["airfoils"]))
+            self._webs = _named("web", self._inner.get("webs") or [], "start_nd_arc", "end_nd_arc")
+            self._layers = _named("layer", self._inner["layers"], "material", "thickness", "fiber_orientation")
+            for name, own in self._layers.items():
+                if "web" in own and own["web"] not in self._webs:
+                    raise unknown(f"web of layer {name!r}:", own["web"], self._webs)
+        except InputError as error:
+            raise InputError(f"{path.name}: {error}") from None
+        except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise InputError(
                 f"{path.name} is no windIO blade: {error!r}; allowed: components, airfoils, materials"
             ) from None
 
     def _airfoils(self, given: Mapping[str, Any], airfoils: Mapping[str, Any]) -> None:
-        found: dict[float, Array] = {}
+        found: dict[float, str] = {}
         for name in given["labels"]:
-            own = airfoils[name]
-            x, y = (np.array(own["coordinates"][axis], dtype=float) for axis in "xy")
-            found[float(own["relative_thickness"])] = _resampled(np.stack([x, y], 1))
+            thickness = float(airfoils[name]["relative_thickness"])
+            if (first := found.setdefault(thickness, name)) != name:
+                raise InputError(f"airfoils {first!r} and {name!r} have the same relative_thickness, {thickness:g}")
         rising = sorted(found)
-        self._profiles = np.array(rising), np.stack([found[t] for t in rising])
+        shapes = [_resampled(found[t], airfoils[found[t]]["coordinates"]) for t in rising]
+        self._profiles = np.array(rising), np.stack(shapes)
         along = [float(airfoils[name]["relative_thickness"]) for name in given["labels"]]
-        self._relative = PchipInterpolator(np.array(given["grid"], dtype=float), along)
+        own = _given("airfoil_position", {"grid": given["grid"], "values": along})
+        self._relative = own if len(rising) == 1 else PchipInterpolator(own.grid, own.values)
 
     def contour(self, position: float) -> Array:
         """Points [n, 2] of the contour over the chord: x from the leading edge, y to the suction side."""
         t, shapes = self._profiles
+        if len(t) == 1:
+            return shapes[0]
         wanted = float(np.clip(self._relative(position), t[0], t[-1]))
         k = int(np.clip(np.searchsorted(t, wanted), 1, len(t) - 1))
         share = (wanted - t[k - 1]) / (t[k] - t[k - 1])
@@ -98,15 +110,19 @@ class WindIOBlade:
         layers that are not there have no elements. x points to the tip.
         cells    along the contour, more at the ends of layers; order: 1 or 2, of the elements
         """
-        if not 0.0 <= position <= 1.0:
+        if not isinstance(position, (int, float)) or not 0.0 <= position <= 1.0:
             raise InputError(f"position = {position!r}; allowed: 0 to 1, a part of the span")
         chord, axis = self._shape["chord"](position), self._shape["pitch_axis"](position)
+        if not chord > 0.0:
+            raise InputError(f"chord at {position:g} is {chord:g} m; allowed: above 0")
         x, y = self.contour(position).T
         places = chord * np.stack([y, x - axis], 1)
         length = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
         layers, webs = [], {name: [] for name in self._webs}
         for number, (name, own) in enumerate(self._layers.items()):
             thickness = _given(f"thickness of {name}", own["thickness"])(position, 0.0)
+            if thickness < 0.0:
+                raise InputError(f"thickness of {name} at {position:g} is {thickness:g} m; allowed: zero or above")
             if thickness < THIN:
                 continue
             if "web" in own:
@@ -138,9 +154,15 @@ class WindIOBlade:
                 return 0.0 if side == "start" else 1.0
             if fixed in self._layers and depth < len(self._layers):
                 return self._end(fixed, other, position, length, depth + 1)
+            if fixed is not None:
+                raise InputError(
+                    f"{side}_nd_arc of layer {name!r} is fixed at {fixed!r}; allowed: TE, or the name of a layer"
+                )
             return _given(f"{side}_nd_arc of {name}", given)(position)
         if "width" not in own or depth > len(self._layers):
-            raise InputError(f"layer {name!r} has no {side}_nd_arc and no width; allowed: one of both")
+            raise InputError(
+                f"layer {name!r} has no {side}_nd_arc; allowed: start_nd_arc and end_nd_arc, or one and width"
+            )
         width = _given(f"width of {name}", own["width"])(position, 0.0) / length
         beside = self._end(name, other, position, length, len(self._layers) + 1)
         return beside + width if side == "end" else beside - width
@@ -153,6 +175,49 @@ class WindIOBlade:
             return Orthotropic(*map(float, (*own["E"], *own["G"], *own["nu"])), density=float(own["rho"]))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"material {name!r}: {error!r}; allowed: E, G, nu, rho") from None
+
+
+def _loaded(text: str) -> Any:
+    """The data of a text: bounded before they are made, as aliases multiply and the parser recurses."""
+    loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+    letters = np.frombuffer(text.encode(), dtype=np.uint8)
+    flow = np.cumsum(np.isin(letters, list(b"[{")).astype(int) - np.isin(letters, list(b"]}")))
+    sizes: dict[str, int] = {}
+    opened: list[tuple[str | None, int]] = [(None, 0)]  # (anchor, entries) of the collections around
+    if flow.max(initial=0) > BRACKETS:  # the parser's time grows with their square
+        raise InputError(f"its data have more than {BRACKETS} brackets that are open at once")
+    for event in yaml.parse(text, loader):
+        if isinstance(event, yaml.CollectionStartEvent):
+            opened.append((event.anchor, 1))
+            continue
+        if isinstance(event, yaml.CollectionEndEvent):
+            anchor, size = opened.pop()
+            if anchor is not None:
+                sizes[anchor] = size
+        elif isinstance(event, yaml.NodeEvent):
+            size = sizes.get(event.anchor or "", 1) if isinstance(event, yaml.AliasEvent) else 1
+        else:
+            continue
+        opened[-1] = opened[-1][0], opened[-1][1] + size
+        if len(opened) > NESTED or opened[-1][1] > ENTRIES:
+            break
+    else:
+        return yaml.load(text, loader)
+    raise InputError(f"its data have more than {NESTED} levels or {ENTRIES} entries")
+
+
+def _named(kind: str, given: Any, *keys: str) -> dict[str, Any]:
+    """Entries by name, each with these keys."""
+    found: dict[str, Any] = {}
+    for own in given:
+        name = own["name"]
+        if name in found:
+            raise InputError(f"{kind} {name!r} stands twice")
+        for key in keys:
+            if key not in own:
+                raise InputError(f"{kind} {name!r} has no {key}")
+        found[name] = own
+    return found
 
 
 def _given(name: str, own: Mapping[str, Any]) -> _Given:
@@ -168,8 +233,18 @@ def _given(name: str, own: Mapping[str, Any]) -> _Given:
     return _Given(grid, values)
 
 
-def _resampled(points: Array) -> Array:
+def _resampled(name: str, given: Mapping[str, Any]) -> Array:
     """A contour on as many points from the trailing edge over the suction side, the same share of x on each side."""
+    rows = [np.array(given[axis], dtype=float) for axis in "xy"]
+    if rows[0].ndim != 1 or rows[0].shape != rows[1].shape or not np.isfinite(rows).all():
+        raise InputError(
+            f"coordinates of airfoil {name!r} are {[row.shape for row in rows]} numbers; allowed: as many, finite"
+        )
+    points = np.stack(rows, 1)
+    if len(np.unique(points[:, 0])) < 3 or points[:, 0].argmin() in (0, len(points) - 1):
+        raise InputError(
+            f"coordinates of airfoil {name!r} do not run around it; allowed: from the trailing edge and back"
+        )
     nose = int(points[:, 0].argmin())
     halves = [points[: nose + 1], points[nose:][::-1]]
     if halves[0][:, 1].mean() < halves[1][:, 1].mean():

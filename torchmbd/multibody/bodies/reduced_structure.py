@@ -201,7 +201,16 @@ def read_reduced(name: str, path: str | Path) -> ReducedStructure:
         mesh = NodeCloud(torch.from_numpy(data["nodes"]), node_sets=sets, **cells)
         own = {key: data[key] for key in SHAPES}
         return ReducedStructure(name, mesh, data["psi"], data["Kr"], own, K2=data.get("K2"))
-    except (KeyError, ValueError, TypeError, AttributeError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except (
+        KeyError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        OSError,
+        EOFError,
+        MemoryError,
+        zipfile.BadZipFile,
+    ) as error:
         raise (
             error
             if isinstance(error, InputError)

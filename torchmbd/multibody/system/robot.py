@@ -124,6 +124,12 @@ class _Builder:
                 f"joints {mimics} mimic others; allowed: joints of their own, or locked={mimics}, at positions of their own"
             )
         self._drop_marks()
+        names: dict[str, str] = {}
+        for joint in self.robot.joints:
+            if (first := names.setdefault(_identifier(joint.name), joint.name)) != joint.name:
+                raise InputError(
+                    f"joints {first!r} and {joint.name!r} are both {_identifier(joint.name)!r}; allowed: names apart"
+                )
         self.placed = self._place()
         self.owner, self.inside = self._owners()
         self.bodies = self._bodies()
