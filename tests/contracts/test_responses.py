@@ -16,6 +16,7 @@ from torchmbd.design import COMBINATORS, OF_DESIGN, RESPONSES, History, Measure,
 from torchmbd.design.aggregate import Aggregate
 from torchmbd.design.angle import Angle
 from torchmbd.design.buckling_factor import BucklingFactor
+from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.histories import (
@@ -102,6 +103,7 @@ HISTORIES: dict[str, list[History]] = {
         Angle("rod", (0.2, 1.0, -0.3), seen_from="arm"),
         Angle("arm", "z", seen_from="rod", center=3.0),
     ],
+    "buckling_index": [BucklingIndex("rod")],
     "ply_failure": [PlyFailure("rod"), PlyFailure("rod", "max_stress"), PlyFailure("rod", "puck")],
     "ply_stress": [PlyStress("rod", "11", layer=1), PlyStress("rod", "12", layer=1, extreme="lowest")],
 }
@@ -120,6 +122,7 @@ MEASURES: dict[str, list[Measure]] = {
     "at_peaks": [AtPeaks(ENERGY, count=3), AtPeaks(LAG, window=(0.0051, 0.0303), count=2)],
     "buckling_factor": [
         BucklingFactor("rod", {"right": (-1.0, 0.2, 0.0)}, number=2),
+        BucklingFactor("rod"),
         BucklingFactor("rod", {}, {"left": "all", "right": (-1e-4, None, 0.0, None, None, None)}),
     ],
     "frequency": [Frequency("rod"), Frequency("rod", 2)],

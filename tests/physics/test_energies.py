@@ -60,3 +60,12 @@ def test_lanes_keep_their_own_books():
     second = mbd.simulate(system, 0.02, steps=20, designs={"rod.laminate.angles": angles[None] + 0.4}).energies
     assert_close(both.strain[1:], second.strain, rtol=1e-8, atol=1e-14)
     assert not torch.allclose(both.strain[0], both.strain[1], rtol=1e-3)
+
+
+def test_a_force_by_a_function_of_one_time_does_its_work():
+    """The function takes one time, not many."""
+    block, full = mbd.RigidBody("block", 2.0, (0.01, 0.01, 0.01)), torch.tensor([3.0, 0.0, 1.0], dtype=torch.float64)
+    system = mbd.System([block], [], [mbd.Force(block.at(), lambda t: full * torch.sin(t))], free=["block"])
+    found = mbd.simulate(system, 1.0, steps=100).energies
+    assert float(found.applied[0, -1]) > 0.1
+    assert_close(found.applied[0], found.kinetic[0], rtol=1e-3, atol=1e-4)

@@ -2,6 +2,7 @@
 
 from torchmbd.design.angle import Angle
 from torchmbd.design.buckling_factor import BucklingFactor
+from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.fatigue import Damage, EquivalentLoad, FatigueDamage
 from torchmbd.design.functions import history, measure
@@ -39,8 +40,8 @@ from torchmbd.design.weighted import WeightedSum
 
 __all__ = [
     "COMBINATORS", "OF_DESIGN", "RESPONSES", "RMS", "Acceleration", "Angle", "AtPeaks", "AtTime", "AtTimes", "BucklingFactor",
-    "Constraint", "Damage", "DesignSpace", "Displacement", "EquivalentLoad", "FatigueDamage", "Final", "Frequencies",
-    "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min", "PlyFailure", "PlyStress", "Position",
-    "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Tradeoff", "Velocity", "WeightedSum",
-    "history", "measure", "rainflow",
+    "BucklingIndex", "Constraint", "Damage", "DesignSpace", "Displacement", "EquivalentLoad", "FatigueDamage", "Final",
+    "Frequencies", "Frequency", "History", "Integral", "Mass", "Max", "Mean", "Measure", "Min", "PlyFailure", "PlyStress",
+    "Position", "Problem", "Reaction", "RelativeDisplacement", "SmoothMax", "StrainEnergy", "Tradeoff", "Velocity",
+    "WeightedSum", "history", "measure", "rainflow",
 ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""The buckling factor of a body under static loads as a measure of the design.
+"""The buckling factor of a body as a measure: under static loads of the design, or under the loads of the motion.
 
     BucklingFactor("panel", {"right": (-1e3, 0, 0)}, {"left": "all"}) >= 1.5
 
@@ -15,13 +15,16 @@ from weakref import WeakKeyDictionary
 
 from torch import Tensor, nn
 
+from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.histories import flexible
+from torchmbd.design.measures import Max
 from torchmbd.design.response import Measure
 from torchmbd.errors import InputError
 from torchmbd.integrate import Trajectory
 from torchmbd.math.module_call import call_module, outside
 from torchmbd.math.owned import whole
 from torchmbd.multibody.statics import BucklingCase
+from torchmbd.multibody.statics.buckling import reciprocal
 from torchmbd.multibody.system import System
 
 _CASES: WeakKeyDictionary[nn.Module, list[tuple[Any, BucklingCase]]] = WeakKeyDictionary()
@@ -29,10 +32,11 @@ _CASES: WeakKeyDictionary[nn.Module, list[tuple[Any, BucklingCase]]] = WeakKeyDi
 
 @dataclass(frozen=True)
 class BucklingFactor(Measure):
-    """Factor [lanes] [-] of static loads at which a body buckles; see mbd.buckling.
+    """Factor [lanes] [-] of loads at which a body buckles: of static ones (mbd.buckling), or the least along the motion.
 
     body      its name
-    loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total
+    loads     nodes -> force [N], or force and moment [N, N m], in mesh axes, in total; None: the stress of the motion, 1 over
+              the peak of BucklingIndex
     supports  nodes -> freedoms that are held, as "u1 u3", or imposed; None: the reference nodes
     number    1 is the lowest
     Where factors coincide the gradient is the mean of theirs, as of Frequency.
@@ -48,29 +52,38 @@ class BucklingFactor(Measure):
     """
 
     body: str
-    loads: Mapping[Any, Sequence[float]]
+    loads: Mapping[Any, Sequence[float]] | None = None
     supports: Mapping[Any, str | Sequence[float | None]] | None = None
     number: int = 1
 
     def check(self, system: System) -> None:
         if not whole(self.number) or self.number < 1:
             raise InputError(f"number is {self.number!r}; allowed: 1, 2, ...")
-        self._case(system)
+        if self.loads is None:
+            self._peak.check(system)
+        else:
+            self._case(system, self.loads)
 
     def value(self, motion: Trajectory) -> Tensor:
-        case = self._case(motion.system)
+        if self.loads is None:
+            return reciprocal(self._peak.value(motion))
+        case = self._case(motion.system, self.loads)
         designs = {f"system.{name}": x for name, x in motion.designs.items()}
         factors = call_module(_Factors(motion.system, case, self.number), designs)
         return factors[..., -1].expand(len(motion.q))
 
-    def _case(self, system: System) -> BucklingCase:
+    @property
+    def _peak(self) -> Max:
+        return Max(BucklingIndex(self.body, self.supports, self.number))
+
+    def _case(self, system: System, loads: Mapping[Any, Sequence[float]]) -> BucklingCase:
         body = flexible(system, self.body)
-        asked = repr((self.loads, self.supports))
+        asked = repr((loads, self.supports))
         known = _CASES.setdefault(body, [])
         for key, case in known:
             if key == asked:
                 return case
-        known.append((asked, outside(lambda: BucklingCase(body, self.loads, self.supports))))
+        known.append((asked, outside(lambda: BucklingCase(body, loads, self.supports))))
         return known[-1][1]
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from torchmbd.design.angle import Angle
 from torchmbd.design.buckling_factor import BucklingFactor
+from torchmbd.design.buckling_index import BucklingIndex
 from torchmbd.design.constraint_rows import AtPeaks, AtTimes
 from torchmbd.design.fatigue import EquivalentLoad, FatigueDamage
 from torchmbd.design.fibers import FiberCurvature, FiberDivergence
@@ -50,6 +51,7 @@ RESPONSES: dict[str, type[History]] = {
     "relative_displacement": RelativeDisplacement,
     "reaction": Reaction,
     "angle": Angle,
+    "buckling_index": BucklingIndex,
     "ply_failure": PlyFailure,
     "ply_stress": PlyStress,
 }

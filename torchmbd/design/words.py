@@ -36,6 +36,7 @@ UNITS = {
     "frequencies": "Hz",
     "mass": "kg",
     "buckling_factor": "",
+    "buckling_index": "",
     "fatigue_damage": "",
     "fiber_curvature": "1/m",
     "lamination_region": "",

@@ -67,7 +67,7 @@ def reaction_on(motion: MotionData, joint: Joint, side: Frame, about: Tensor) ->
     force = torque = torch.zeros_like(motion.v[..., :3])
     for i, attached in enumerate(T.attached):
         if attached.body is side.body:
-            f, g = _back(motion, gradient[:, i]), _back(motion, at.g[:, i])
+            f, g = at_times(motion, gradient[:, i]), at_times(motion, at.g[:, i])
             arm = g - about if attached.is_point else g
             force = force - f if attached.is_point else force
             torque = torque - torch.linalg.cross(arm.expand_as(f), f, dim=-1)
@@ -95,21 +95,26 @@ def frame_axes(motion: MotionData, frame: Frame) -> Tensor:
 
 def _constraint_forces(motion: MotionData, rows: Tensor) -> tuple[equations.Placement, Tensor]:
     """Attached vectors and the gradients by them [3, vectors, 1, lanes x times] of the constraint rows chosen."""
+    _, at = placed(motion)
+    return at, equations.force_on_vectors(motion.dynamics.topology, at, in_lanes(motion.lam * rows))
+
+
+def placed(motion: MotionData) -> tuple[equations.Data, equations.Placement]:
+    """Attached vectors at all times in the place of lanes [lanes x times], and the data of these and of laws of forces."""
     T, data = motion.dynamics.topology, motion.dynamics.data
     lanes, times = motion.lanes, len(motion.t)
-
-    def flat(x: Tensor) -> Tensor:
-        return x.permute(2, 0, 1).flatten(1)[:, None]
-
-    def spread(x: Tensor) -> Tensor:
-        return x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x
-
+    own = {key: value(x) for key, x in data.items() if key in equations.ATTACHED or key.startswith("law ")}
+    wide = {key: x.repeat_interleave(times, -1) if x.shape[-1] > 1 else x for key, x in own.items()}
     given = as_lanes(T.schedule(motion.t, {name: value(x) for name, x in data.items()}), lanes, lanes_first=True)
-    vectors = {key: spread(value(data[key])) for key in equations.ATTACHED if key in data}
-    at = equations.placement(T, vectors, flat(motion.q), given)
-    return at, equations.force_on_vectors(T, at, flat(motion.lam * rows))
+    given = given._replace(t=motion.t.repeat(lanes))
+    return wide, equations.placement(T, wide, in_lanes(motion.q), given)
 
 
-def _back(motion: MotionData, x: Tensor) -> Tensor:
-    """[3, 1, lanes x times] -> [lanes, times, 3]."""
+def in_lanes(x: Tensor) -> Tensor:
+    """[lanes, times, n] -> [n, 1, lanes x times]."""
+    return x.permute(2, 0, 1).flatten(1)[:, None]
+
+
+def at_times(motion: MotionData, x: Tensor) -> Tensor:
+    """[n, 1, lanes x times] -> [lanes, times, n]."""
     return x[:, 0].unflatten(-1, (motion.lanes, len(motion.t))).permute(1, 2, 0)

@@ -21,6 +21,8 @@ from torch import Tensor
 from torchmbd.math.quadratic_forms import quadratic_forms
 from torchmbd.math.sparse import Pattern
 
+AT_ONCE = 4_000_000  # numbers of cells' matrices in memory
+
 
 class StressedCells(NamedTuple):
     """Cells of one kind under k states of stress.
@@ -58,16 +60,21 @@ def assembled(pattern: Pattern, cells: Sequence[StressedCells]) -> Float[Tensor,
     key = pattern.rows * pattern.size + pattern.cols
     total: Tensor | None = None
     for own in cells:
-        rows = own.rows.unsqueeze(-6)  # [*lanes, 1, m, p, r, s, f]
-        left = own.law @ rows.flatten(-2)
-        m = left.unflatten(-1, own.rows.shape[-2:]).flatten(-4, -2)
-        small = rows.flatten(-4, -2).mT @ m  # [*lanes, k, m, f, f]
         freedoms = (6 * own.nodes[:, :, None] + torch.arange(6)).flatten(1)
         place = freedoms[:, :, None] * pattern.size + freedoms[:, None, :]
         position = torch.searchsorted(key, place.flatten())
-        values = 0.5 * (small + small.mT)
-        empty = values.new_zeros(*values.shape[:-3], pattern.nnz)
-        found = empty.index_add(-1, position, values.flatten(-3))
+        some = max(1, AT_ONCE * own.law.shape[-5] // (own.law[..., 0, 0].numel() * freedoms.shape[1] ** 2))
+        found = torch.cat([_summed(own, law, position, pattern.nnz) for law in own.law.split(some, -5)], -2)
         total = found if total is None else total + found
     assert total is not None
     return total
+
+
+def _summed(cells: StressedCells, law: Tensor, position: Tensor, nnz: int) -> Float[Tensor, "*lanes k nnz"]:
+    """Of some states of stress."""
+    rows = cells.rows.unsqueeze(-6)  # [*lanes, 1, m, p, r, s, f]
+    left = law @ rows.flatten(-2)
+    m = left.unflatten(-1, cells.rows.shape[-2:]).flatten(-4, -2)
+    small = rows.flatten(-4, -2).mT @ m  # [*lanes, k, m, f, f]
+    values = 0.5 * (small + small.mT)
+    return values.new_zeros(*values.shape[:-3], nnz).index_add(-1, position, values.flatten(-3))

@@ -70,7 +70,7 @@ class Stiffening:
         x     places of the mass points from the origin of the body
         psi   modes at the nodes [..., n, 6, m]
         """
-        loads = _inertial(points, x)
+        loads = inertial_loads(points, x)
         forces = self.assembly.freedoms.gathered(self.assembly.carried(loads, points.arm))
         if nodes:
             unit = forces.new_zeros(6 * len(self.assembly.mesh.nodes), 6 * len(nodes))
@@ -93,7 +93,7 @@ def _weights(points: MassPoints, x: Tensor) -> Float[Tensor, "*lanes points 4"]:
     return points.mass[..., None] * torch.cat([one, x], -1)
 
 
-def _inertial(points: MassPoints, x: Tensor) -> Float[Tensor, "*lanes points 6 12"]:
+def inertial_loads(points: MassPoints, x: Tensor) -> Float[Tensor, "*lanes points 6 12"]:
     """Unit loads: along i of weight 1, x_1, x_2, x_3, in this order of columns (weight, i)."""
     weights, eye = _weights(points, x), torch.eye(3, dtype=x.dtype)
     force = -(weights[..., None, :, None] * eye[:, None, :]).flatten(-2)

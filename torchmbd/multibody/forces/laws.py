@@ -163,8 +163,13 @@ class OfTime:
     factor: float = 1.0
 
     def __call__(self, s: Tensor, rate: Tensor, t: Tensor) -> Tensor:
-        f = self.law(t) if callable(self.law) else self.law
+        f = self.law if not callable(self.law) else self._at_each(t) if t.dim() == 1 else self.law(t)
         return self.factor * f + torch.zeros_like(s)
+
+    def _at_each(self, t: Tensor) -> Tensor:
+        """The force at many times, in the place of lanes; the function takes one."""
+        assert callable(self.law)
+        return torch.stack([self.law(x) for x in t])
 
     def slopes(self, s: Tensor, rate: Tensor, t: Tensor) -> Slopes:
         """Derivatives by s and s'."""

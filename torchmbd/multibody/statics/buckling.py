@@ -15,32 +15,21 @@ Checked in tests/multibody/statics/test_buckling.py, tests/validation/test_buckl
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
-import scipy.sparse.linalg
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from torchmbd.errors import InputError
-from torchmbd.fem.elements import FREEDOMS, Assembly
-from torchmbd.fem.reduction import StaticLoads, eigenvalues
+from torchmbd.fem.reduction import StaticLoads
 from torchmbd.math.module_call import outside
 from torchmbd.math.owned import all_true, whole
-from torchmbd.math.sparse import Pattern, SparseMatrix
 from torchmbd.multibody.bodies import FlexibleBody
-from torchmbd.multibody.bodies.interpolation import node_indices
-from torchmbd.multibody.bodies.stiffening import check_stressed
+from torchmbd.multibody.statics.eigenproblem import eigenproblem
 from torchmbd.multibody.statics.nodal_loads import Loads, NodalLoads
-
-SMALL = 400  # freedoms; below, a dense method costs no more
-GUARD = 4  # eigenvalues beyond those asked for, so that the members of a cluster are known
-NONE = 1e-7  # of the largest eigenvalue of either sign: what is below is none
-RESTARTS = 100  # of Lanczos's method
-Supports = Mapping[Any, str | Sequence[float | None]]
+from torchmbd.multibody.statics.supported_body import SupportedBody, Supports
 
 
 class Buckling(NamedTuple):
@@ -94,185 +83,53 @@ class BucklingCase:
     """
 
     def __init__(self, body: FlexibleBody, loads: Loads, supports: Supports | None = None) -> None:
-        if not isinstance(body, FlexibleBody):
-            raise InputError(f"body of buckling is {body!r}; allowed: a FlexibleBody")
-        if body.given is not None:
-            raise InputError(
-                f"body {body.name!r} of buckling is made of matrices, which give no stress; allowed: one of elements"
-            )
-        check_stressed(body.name, "buckling", body.parts)
         self.body = body
-        self.assembly = Assembly(body.mesh, body.assembly.parts, (), body.links)
-        held = _held(body, {tuple(body.reference): "all"} if supports is None else supports)
-        free = self.assembly.freedoms.free
-        row = {int(f): i for i, f in enumerate(free)}
-        for f in held:
-            if f not in row:
-                raise InputError(
-                    f"supports hold node {f // 6} of {body.name!r}, which follows another; allowed: its leader"
-                )
-        self._imposed = torch.zeros(len(free), 1, dtype=torch.float64)
-        kept = torch.ones(len(free), dtype=torch.bool)
-        for f, value in held.items():
-            self._imposed[row[f], 0], kept[row[f]] = value, False
-        if not bool(kept.any()):
-            raise InputError(f"supports hold all freedoms of {body.name!r}; allowed: fewer")
-        self.kept = kept.nonzero()[:, 0]
-        self.pattern, self._positions = self.assembly.pattern.restrict(self.kept)
+        self.supported = supported = SupportedBody(body, supports)
         self.loads = NodalLoads(body.mesh, body.name, loads)
+        self._imposed = supported.imposed
         self._moves = bool(self._imposed.any())
         if not self.loads.any and not self._moves:
             raise InputError(
                 f"loads of {body.name!r} are zero; allowed: at least one force, or an imposed displacement"
             )
-        self._static = StaticLoads(self.pattern)
-        with torch.no_grad():
-            self.assembly.stiffness()  # finds its places, which torch.func does not allow
+        self._static = StaticLoads(supported.pattern)
 
     def __call__(self, number: int = 1) -> Buckling:
         """The lowest positive factors, and shapes, of the present design.
 
         Raises InputError where the supports leave the body movable, or number is not possible.
         """
-        if not whole(number) or not 1 <= number <= self.pattern.size:
-            allowed = f"1 to {self.pattern.size}, the free freedoms of {self.body.name!r}"
+        supported, assembly = self.supported, self.supported.assembly
+        if not whole(number) or not 1 <= number <= supported.pattern.size:
+            allowed = f"1 to {supported.pattern.size}, the free freedoms of {self.body.name!r}"
             raise InputError(f"number is {number!r}; allowed: {allowed}")
-        K = self.assembly.stiffness()
-        inner = SparseMatrix(self.pattern, K.values[..., self._positions], symmetric=True)
-        forces = self.assembly.freedoms.gathered(self.loads()[..., None])
+        K = assembly.stiffness()
+        inner = supported.restricted(K)
+        forces = assembly.freedoms.gathered(self.loads()[..., None])
         pull = forces - K @ self._imposed if self._moves else forces
         try:
-            u = self._static(inner, pull[..., self.kept, :])
+            u = self._static(inner, pull[..., supported.kept, :])
         except InputError as error:
-            raise InputError(f"supports of {self.body.name!r} leave it movable: {error}") from None
-        known = self._imposed.expand(*u.shape[:-2], -1, -1).index_copy(-2, self.kept, u)
-        moved = self.assembly.freedoms.expand(known)
-        Kg = self.assembly.geometric(moved).values[..., 0, :][..., self._positions]
+            raise supported.movable(error) from None
+        moved = supported.motion(u, self._imposed)
+        Kg = supported.geometric(moved)[..., 0, :]
         lanes = np.broadcast_shapes(inner.values.shape[:-1], Kg.shape[:-1])
-        inverse, vectors = _eigen(self.pattern, inner.values.expand(*lanes, -1), Kg.expand(*lanes, -1), number)
-        factors, shapes = _factors(inverse), self._shapes(vectors.detach())
+        inverse, vectors = eigenproblem(
+            supported.pattern, inner.values.expand(*lanes, -1), Kg.expand(*lanes, -1), number
+        )
+        factors, shapes = reciprocal(inverse), self._shapes(vectors.detach())
         found = torch.isfinite(factors)
         status = "ok" if all_true(found) else "no buckling: the loads stiffen the body in all further shapes"
         return Buckling(factors, shapes * found[..., None, None, :], moved[..., 0], status)
 
     def _shapes(self, vectors: Float[Tensor, "*lanes N number"]) -> Float[Tensor, "*lanes n 6 number"]:
-        none = vectors.new_zeros(*vectors.shape[:-2], len(self._imposed), vectors.shape[-1])
-        motion = self.assembly.freedoms.expand(none.index_copy(-2, self.kept, vectors))
+        motion = self.supported.motion(vectors)
         flat = motion[..., :3, :].flatten(-3, -2)
         size = flat.gather(-2, flat.abs().argmax(-2, keepdim=True))[..., None, :]
         return motion / torch.where(size == 0.0, 1.0, size)
 
 
-def _held(body: FlexibleBody, supports: Supports) -> dict[int, float]:
-    """Freedoms 6 * node + i that are held, and where."""
-    if not isinstance(supports, Mapping) or not supports:
-        raise InputError(
-            f"supports of {body.name!r} is {supports!r}; allowed: nodes -> freedoms, at least one, or None"
-        )
-    found: dict[int, float] = {}
-    for where, given in supports.items():
-        values = _values(body, where, given)
-        for node in node_indices(body.mesh, list(where) if isinstance(where, tuple) else where):
-            for i, x in enumerate(values):
-                if x is not None and found.setdefault(6 * node + i, x) != x:
-                    raise InputError(
-                        f"supports of {body.name!r} put {FREEDOMS[i]} of node {node} at two places; allowed: one"
-                    )
-    return found
-
-
-def _values(body: FlexibleBody, where: Any, given: Any) -> list[float | None]:
-    if isinstance(given, str):
-        names = list(FREEDOMS) if given == "all" else given.replace(",", " ").split()
-        if names and all(name in FREEDOMS for name in names):
-            return [0.0 if name in names else None for name in FREEDOMS]
-    elif isinstance(given, Sequence) and len(given) == 6 and all(x is None or _finite(x) for x in given):
-        return [None if x is None else float(x) for x in given]
-    allowed = f"some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free"
-    raise InputError(f"support {where!r} of {body.name!r} is {given!r}; allowed: {allowed}")
-
-
-def _finite(x: Any) -> bool:
-    return isinstance(x, (int, float)) and not isinstance(x, bool) and bool(np.isfinite(x))
-
-
-def _eigen(
-    pattern: Pattern, K: Float[Tensor, "*lanes nnz"], Kg: Float[Tensor, "*lanes nnz"], number: int
-) -> tuple[Float[Tensor, "*lanes number"], Float[Tensor, "*lanes N number"]]:
-    """1 / factors, falling, with their derivatives, zero where there is none; and their vectors, which have no derivative."""
-    lanes, n = K.shape[:-1], pattern.size
-    some = min(number + GUARD, n)
-    flat, scale = _Vectors.apply(pattern, some, K.reshape(-1, pattern.nnz), Kg.reshape(-1, pattern.nnz))
-    vectors, scale = flat.reshape(*lanes, n, some), scale.reshape(*lanes, 1)
-    a, b = (vectors.mT @ (SparseMatrix(pattern, values) @ vectors) for values in (K, Kg))
-    missing = torch.diag_embed((vectors == 0.0).all(-2).to(a.dtype))
-    L = torch.linalg.cholesky(0.5 * (a + a.mT) + missing)
-    half = torch.linalg.solve_triangular(L, 0.5 * (b + b.mT), upper=False)
-    Kr = torch.linalg.solve_triangular(L, half.mT, upper=False)
-    inverse = -eigenvalues(0.5 * (Kr + Kr.mT))[..., :number]
-    return torch.where(inverse > NONE * scale, inverse, 0.0), vectors[..., :number]
-
-
-class _Vectors(torch.autograd.Function):
-    """Eigenvectors [lane, N, some] of Kg x = value K x of the lowest values, K-orthonormal, by rising value, zero where there
-    is none below zero; and the largest value of either sign [lane]. Numbers without a derivative: the derivative of an
-    eigenvalue needs none of its vector."""
-
-    @staticmethod
-    def forward(pattern: Pattern, some: int, K: Tensor, Kg: Tensor) -> tuple[Tensor, Tensor]:
-        found = [_vectors(pattern, a, b, some) for a, b in zip(K, Kg, strict=True)]
-        vectors, scale = zip(*found, strict=True)
-        return torch.stack(vectors), torch.tensor(scale, dtype=K.dtype)
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: tuple, output: tuple) -> None:
-        ctx.mark_non_differentiable(*output)
-        ctx.shapes = [x.shape for x in output]
-
-    @staticmethod
-    def jvp(ctx: Any, *_: Any) -> Any:
-        return None, None
-
-    @staticmethod
-    def backward(ctx: Any, *_: Any) -> Any:
-        return None, None, None, None
-
-    @staticmethod
-    def vmap(info: Any, in_dims: tuple, pattern: Pattern, some: int, K: Tensor, Kg: Tensor) -> Any:
-        wide = (
-            x.expand(info.batch_size, *x.shape) if dim is None else x.movedim(dim, 0)
-            for x, dim in ((K, in_dims[2]), (Kg, in_dims[3]))
-        )
-        outputs = _Vectors.apply(pattern, some, *(x.flatten(0, 1) for x in wide))
-        return tuple(x.unflatten(0, (info.batch_size, -1)) for x in outputs), (0, 0)  # pyright: ignore
-
-
-def _vectors(pattern: Pattern, K: Tensor, Kg: Tensor, some: int) -> tuple[Tensor, float]:
-    """Of one lane."""
-    A, B = pattern.to_scipy(Kg), pattern.to_scipy(K)
-    if pattern.size <= max(SMALL, 4 * some):
-        values, found = scipy.linalg.eigh(A.toarray(), B.toarray())
-        scale, values, found = np.abs(values).max(), values[:some], found[:, :some]
-    else:
-        factor = scipy.sparse.linalg.splu(B.tocsc())
-        inverse = scipy.sparse.linalg.LinearOperator(B.shape, factor.solve, dtype=float)  # pyright: ignore
-        options: dict[str, Any] = {
-            "M": B,
-            "Minv": inverse,
-            "v0": np.random.default_rng(0).standard_normal(pattern.size),
-        }
-        largest = scipy.sparse.linalg.eigsh(A, 1, which="LM", tol=1e-2, **options)  # pyright: ignore
-        scale = float(abs(largest[0][0]))
-        try:
-            values, found = scipy.sparse.linalg.eigsh(A, some, which="SA", maxiter=RESTARTS, **options)
-        except scipy.sparse.linalg.ArpackNoConvergence as error:  # the others crowd at zero: loads that stiffen
-            values, found = error.eigenvalues, error.eigenvectors
-    order = [i for i in np.argsort(values) if values[i] < -NONE * scale]
-    vectors = np.zeros((pattern.size, some))
-    vectors[:, : len(order)] = found[:, order]
-    return torch.from_numpy(vectors), float(scale)
-
-
-def _factors(inverse: Float[Tensor, "*lanes number"]) -> Float[Tensor, "*lanes number"]:
-    there = inverse.detach() > 0.0
-    return torch.where(there, 1.0 / torch.where(there, inverse, 1.0), torch.inf)
+def reciprocal(inverse: Float[Tensor, "*lanes"]) -> Float[Tensor, "*lanes"]:
+    """Factors out of 1 / factor, infinite where that is not positive."""
+    none = inverse.detach() <= 0.0
+    return torch.where(none, torch.inf, 1.0 / torch.where(none, 1.0, inverse))

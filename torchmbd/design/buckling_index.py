@@ -1,0 +1,95 @@
+"""The buckling index of a body as a history: the share of its critical load that it carries at every time of a motion.
+
+    Max(BucklingIndex("rod", supports)) <= 0.5         half of what makes it buckle, at most
+
+The index is 1 / buckling factor of the stress at that time: of the retained modes as they move, and of the static
+displacements that inertia, gravity, joints and forces make besides (multibody/statics/unit_loads.py). Where it is one, the body
+buckles on its supports under loads that stay as they are.
+Assumed: as of `buckling`; inertia of the bent body beyond what the retained modes feel is small against that of the undeformed.
+Checked in tests/contracts/test_responses.py, tests/design/test_buckling_index.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import torch
+from torch import Tensor, nn
+
+from torchmbd.design.histories import flexible
+from torchmbd.design.response import History
+from torchmbd.errors import InputError
+from torchmbd.integrate import Trajectory
+from torchmbd.math.module_call import call_module, outside
+from torchmbd.math.owned import whole
+from torchmbd.multibody.bodies import FlexibleBeam
+from torchmbd.multibody.statics import BucklingSeries, UnitLoads
+from torchmbd.multibody.system import System
+from torchmbd.results.body_loads import body_loads, carriers
+
+_SERIES: WeakKeyDictionary[nn.Module, dict[str, BucklingSeries]] = WeakKeyDictionary()
+
+
+@dataclass(frozen=True)
+class BucklingIndex(History):
+    """Share of the critical load that a flexible body carries [lanes, times] [-]: 1 / buckling factor of its stress.
+
+    Zero where the stress only stiffens. Where indices coincide the gradient is the mean of theirs.
+
+    body      its name; plates and beams
+    supports  nodes -> freedoms that are held while it buckles, as "u1 u3", in mesh axes; None: the reference nodes
+    number    1 is the largest index
+
+    >>> motion = mbd.simulate(mbd.examples.arm(), 0.1, steps=40)
+    >>> index = mbd.BucklingIndex("arm")
+    >>> index(motion).shape
+    torch.Size([1, 41])
+    >>> mbd.Max(index) <= 0.5  # as a constraint
+    Constraint(...)
+    """
+
+    body: str
+    supports: Mapping[Any, str | Sequence[float | None]] | None = None
+    number: int = 1
+
+    def check(self, system: System) -> None:
+        if not whole(self.number) or self.number < 1:
+            raise InputError(f"number is {self.number!r}; allowed: 1, 2, ...")
+        self._series(system)
+
+    def values(self, motion: Trajectory) -> Tensor:
+        system, view = motion.system, motion.body(self.body)
+        series, body = self._series(system), flexible(system, self.body)
+        loads = body_loads(motion, body)
+        unit = outside(lambda: UnitLoads(body, carriers(system, body)))
+        present = {name: x.detach() for name, x in system.named_parameters()} | motion.designs
+        designs = {f"system.{name}": x for name, x in present.items()}
+        c = torch.cat([view.w, loads.inertia, loads.carried.flatten(2)], -1)
+        index = call_module(_Index(system, series, unit, self.number), designs, view.psi, view.stiffness[0], c)
+        return index[..., -1]
+
+    def _series(self, system: System) -> BucklingSeries:
+        if isinstance(system.body(self.body), FlexibleBeam):
+            raise InputError(
+                f"body {self.body!r} is a flexible beam, which buckles in its motion; allowed: a FlexibleBody of elements"
+            )
+        body = flexible(system, self.body)
+        known, asked = _SERIES.setdefault(body, {}), repr(self.supports)
+        if asked not in known:
+            known[asked] = outside(lambda: BucklingSeries(body, self.supports))
+        return known[asked]
+
+
+class _Index(nn.Module):
+    """Indices as a module of the whole system, so that designs go by their names."""
+
+    def __init__(self, system: nn.Module, series: BucklingSeries, unit: UnitLoads, number: int):
+        super().__init__()
+        self.system, self.series, self.unit, self.number = system, series, unit, number
+
+    def forward(self, psi: Tensor, Kr: Tensor, c: Tensor) -> Tensor:
+        moved = torch.cat([psi, self.unit(psi, Kr)], -1)
+        return self.series(moved, c, self.number)

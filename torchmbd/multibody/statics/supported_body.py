@@ -1,0 +1,116 @@
+"""A flexible body on static supports: its freedoms that are free there, its stiffness and geometric stiffness on these.
+
+Checked in tests/multibody/statics/test_buckling.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.fem.elements import FREEDOMS, Assembly
+from torchmbd.math.sparse import SparseMatrix
+from torchmbd.multibody.bodies import FlexibleBody
+from torchmbd.multibody.bodies.interpolation import node_indices
+from torchmbd.multibody.bodies.stiffening import check_stressed
+
+Supports = Mapping[Any, str | Sequence[float | None]]
+
+
+class SupportedBody:
+    """A body whose stress is known, on supports; both as of `buckling`.
+
+    assembly   of the body without its reference
+    kept       which of its free freedoms the supports leave [N]
+    pattern    of matrices on these
+    imposed    displacements of supports, of all free freedoms [F, 1] [m, rad]
+    Raises InputError where the arguments are wrong.
+    """
+
+    def __init__(self, body: FlexibleBody, supports: Supports | None = None) -> None:
+        if not isinstance(body, FlexibleBody):
+            raise InputError(f"body of buckling is {body!r}; allowed: a FlexibleBody")
+        if body.given is not None:
+            raise InputError(
+                f"body {body.name!r} of buckling is made of matrices, which give no stress; allowed: one of elements"
+            )
+        check_stressed(body.name, "buckling", body.parts)
+        self.name = body.name
+        self.assembly = Assembly(body.mesh, body.assembly.parts, (), body.links)
+        held = _held(body, {tuple(body.reference): "all"} if supports is None else supports)
+        free = self.assembly.freedoms.free
+        row = {int(f): i for i, f in enumerate(free)}
+        for f in held:
+            if f not in row:
+                raise InputError(
+                    f"supports hold node {f // 6} of {body.name!r}, which follows another; allowed: its leader"
+                )
+        self.imposed = torch.zeros(len(free), 1, dtype=torch.float64)
+        kept = torch.ones(len(free), dtype=torch.bool)
+        for f, value in held.items():
+            self.imposed[row[f], 0], kept[row[f]] = value, False
+        if not bool(kept.any()):
+            raise InputError(f"supports hold all freedoms of {body.name!r}; allowed: fewer")
+        self.kept = kept.nonzero()[:, 0]
+        self.pattern, self._positions = self.assembly.pattern.restrict(self.kept)
+        with torch.no_grad():
+            self.assembly.stiffness()  # finds its places, which torch.func does not allow
+
+    def restricted(self, K: SparseMatrix) -> SparseMatrix:
+        """A matrix of all free freedoms on those that the supports leave."""
+        return SparseMatrix(self.pattern, K.values[..., self._positions], symmetric=True)
+
+    def geometric(self, moved: Float[Tensor, "*lanes n 6 k"]) -> Float[Tensor, "*lanes k nnz"]:
+        """Values of the geometric stiffness under the stress of k motions of all nodes."""
+        return self.assembly.geometric(moved).values[..., self._positions]
+
+    def motion(
+        self, u: Float[Tensor, "*lanes N k"], imposed: Float[Tensor, "F 1"] | None = None
+    ) -> Float[Tensor, "*lanes n 6 k"]:
+        """Motion of all nodes; supports stand still, or are displaced as imposed."""
+        rest = torch.zeros_like(self.imposed) if imposed is None else imposed
+        known = rest.expand(*u.shape[:-2], len(rest), u.shape[-1]).index_copy(-2, self.kept, u)
+        return self.assembly.freedoms.expand(known)
+
+    def movable(self, error: InputError) -> InputError:
+        """What to say where the stiffness on the supports is not positive definite."""
+        return InputError(f"supports of {self.name!r} leave it movable: {error}")
+
+
+def _held(body: FlexibleBody, supports: Supports) -> dict[int, float]:
+    """Freedoms 6 * node + i that are held, and where."""
+    if not isinstance(supports, Mapping) or not supports:
+        raise InputError(
+            f"supports of {body.name!r} is {supports!r}; allowed: nodes -> freedoms, at least one, or None"
+        )
+    found: dict[int, float] = {}
+    for where, given in supports.items():
+        values = _values(body, where, given)
+        for node in node_indices(body.mesh, list(where) if isinstance(where, tuple) else where):
+            for i, x in enumerate(values):
+                if x is not None and found.setdefault(6 * node + i, x) != x:
+                    raise InputError(
+                        f"supports of {body.name!r} put {FREEDOMS[i]} of node {node} at two places; allowed: one"
+                    )
+    return found
+
+
+def _values(body: FlexibleBody, where: Any, given: Any) -> list[float | None]:
+    if isinstance(given, str):
+        names = list(FREEDOMS) if given == "all" else given.replace(",", " ").split()
+        if names and all(name in FREEDOMS for name in names):
+            return [0.0 if name in names else None for name in FREEDOMS]
+    elif isinstance(given, Sequence) and len(given) == 6 and all(x is None or _finite(x) for x in given):
+        return [None if x is None else float(x) for x in given]
+    allowed = f"some of {' '.join(FREEDOMS)}, or 'all', or six numbers, None where it is free"
+    raise InputError(f"support {where!r} of {body.name!r} is {given!r}; allowed: {allowed}")
+
+
+def _finite(x: Any) -> bool:
+    return isinstance(x, (int, float)) and not isinstance(x, bool) and bool(np.isfinite(x))

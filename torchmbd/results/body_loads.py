@@ -1,0 +1,83 @@
+"""Loads on a flexible body along a motion, in its axes: of its inertia as a rigid body, of gravity, and of joints and forces.
+
+Joints and forces act on attached vectors (system/equations.py); those on one carrier, a node or the mean of several, add up to
+a force and a moment at its center.
+Differentiable as the motion is.
+Checked in tests/design/test_buckling_index.py.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from torchmbd.errors import InputError
+from torchmbd.math.pair import matvec_t, value
+from torchmbd.math.rotation import skew
+from torchmbd.multibody.bodies import FlexibleBody
+from torchmbd.multibody.bodies.interpolation import InterpolationConstraint
+from torchmbd.multibody.system import System, equations
+from torchmbd.results.body_motion import BodyMotion
+from torchmbd.results.motion_data import MotionData
+from torchmbd.results.reaction import at_times, in_lanes, placed
+
+
+class BodyLoads(NamedTuple):
+    """Loads of a body in body axes.
+
+    inertia   minus the acceleration field u + Z x of the undeformed body, less gravity, as factors of the twelve unit loads
+              of inertia (bodies/stiffening.py) [lanes, times, 12]
+    carried   force [N] and moment [N m] on each carrier [lanes, times, carriers, 6]
+    """
+
+    inertia: Float[Tensor, "lanes times 12"]
+    carried: Float[Tensor, "lanes times carriers 6"]
+
+
+def carriers(system: System, body: FlexibleBody) -> list[InterpolationConstraint]:
+    """What carries the frames of a body that joints and forces use."""
+    own = [a.interpolation for a in system.topology.attached if a.body is body and a.interpolation is not None]
+    return list(dict.fromkeys(own))
+
+
+def body_loads(motion: MotionData, body: FlexibleBody) -> BodyLoads:
+    """Of one body."""
+    if motion.actions:
+        raise InputError(
+            f"loads on {body.name!r}: other forces act in some phases of this motion than in others; allowed: the same in all"
+        )
+    return BodyLoads(_inertia(motion, body), _carried(motion, body))
+
+
+def _inertia(motion: MotionData, body: FlexibleBody) -> Tensor:
+    view = BodyMotion(motion, body.name)
+    field = view.at().acceleration
+    if "gravity" in motion.dynamics.data:
+        field = field - value(motion.dynamics.data["gravity"])[:, 0, 0].movedim(-1, 0)[:, None]
+    u = torch.einsum("ltji,ltj->lti", view.A, field)
+    om, omd = (x.movedim(-1, 0) for x in (view.omega, view.omega_rate))
+    spin = skew(om).movedim((0, 1), (-2, -1))
+    Z = skew(omd).movedim((0, 1), (-2, -1)) + spin @ spin
+    return torch.cat([u, Z.mT.flatten(-2)], -1)
+
+
+def _carried(motion: MotionData, body: FlexibleBody) -> Tensor:
+    T, x = motion.dynamics.topology, body.mesh.nodes.detach() - body.origin.detach()
+    data, at = placed(motion)
+    pulls = equations.total_on_vectors(T, data, at, in_lanes(motion.v), in_lanes(motion.lam))
+    places = carriers(motion.system, body)
+    if pulls is None or not places:
+        return motion.q.new_zeros(motion.lanes, len(motion.t), 0, 6)
+    total = [motion.q.new_zeros(motion.lanes, len(motion.t), 6) for _ in places]
+    local = -matvec_t(at.A_of, pulls)
+    for i, attached in enumerate(T.attached):
+        if attached.body is body and attached.interpolation is not None:
+            k = places.index(attached.interpolation)
+            f = at_times(motion, local[:, i])
+            lever = attached.vector - attached.interpolation.center(x) if attached.is_point else attached.vector
+            moment = torch.linalg.cross(lever.expand_as(f), f, dim=-1)
+            total[k] = total[k] + torch.cat([f if attached.is_point else torch.zeros_like(f), moment], -1)
+    return torch.stack(total, 2)
